@@ -1,0 +1,208 @@
+# Bisque's only build. `make help` lists the targets; config = release, debug, asan, tsan, fuzz.
+VERSION := 0.1.0
+config  ?= release
+BUILD   ?= build/$(config)
+prefix  ?= /usr/local
+DESTDIR ?=
+
+ifeq ($(config),fuzz)
+CC  := clang
+CXX := clang++
+endif
+
+# x86-64-v2 is every x86 processor since 2009; faster code paths are chosen at run time.
+ARCH ?= $(if $(filter x86_64,$(shell uname -m)),-march=x86-64-v2)
+WARN := -Wall -Wextra -Wshadow -Wpointer-arith -Wstrict-prototypes -Wmissing-prototypes -Wvla
+opt.release := -O3 -g
+opt.debug   := -O0 -g3
+opt.asan    := -O1 -g -fsanitize=address,undefined -fno-omit-frame-pointer -fno-sanitize-recover=undefined
+opt.tsan    := -O1 -g -fsanitize=thread
+opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=undefined
+ifndef opt.$(config)
+$(error config=$(config) is not one of release, debug, asan, tsan, fuzz)
+endif
+
+# No contraction and no fast math: results are the same on every device and compiler.
+CPPFLAGS += -I. -I$(BUILD)/gen -D_GNU_SOURCE -D_FILE_OFFSET_BITS=64 -DBSQ_VERSION='"$(VERSION)"'
+common   := $(opt.$(config)) $(ARCH) -ffp-contract=off -fno-math-errno -fPIC -pthread -MMD -MP
+CFLAGS   += -std=c11 $(WARN) $(common)
+CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
+
+pc_formats := OpenEXR libpng OpenImageIO libxxhash
+pc_tools   := jansson
+# Only asked where something is compiled, so that help and deps work on a bare machine.
+formats_cppflags = $(shell pkg-config --cflags $(pc_formats))
+LIBS.base    := -lm
+LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lopenvdb -ltbb -lz
+LIBS.bake    := -ldl -lembree3
+LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
+
+libs := base formats libvoxel libbake
+src.base     := $(wildcard base/*.c)
+src.formats  := $(wildcard formats/*.c formats/*.cc)
+src.libvoxel := $(wildcard libvoxel/*.c)
+src.libbake  := $(wildcard libbake/*.c libbake/kernel/*.c) 
+objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1)))
+archive.base     := $(BUILD)/lib/libbisque-base.a
+archive.formats  := $(BUILD)/lib/libbisque-formats.a
+archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
+archive.libbake  := $(BUILD)/lib/libbisque-bake.a
+archives := $(foreach l,$(libs),$(archive.$(l)))
+
+programs := bisque-voxelize bisque-bake bisque-compare
+bins     := $(addprefix $(BUILD)/bin/,$(programs))
+
+.PHONY: all
+## all: build the libraries and programs (default), into build/$(config)/
+all: $(archives) $(bins)
+
+$(BUILD)/obj/%.c.o: %.c
+	@mkdir -p $(@D)
+	$(CC) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CFLAGS) -c $< -o $@
+$(BUILD)/obj/%.cc.o: %.cc
+	@mkdir -p $(@D)
+	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
+cppflags.formats = $(formats_cppflags)
+cppflags.tests   = $(formats_cppflags)
+
+define archive_rule
+$(archive.$(1)): $$(call objs,$(1))
+	@mkdir -p $$(@D)
+	rm -f $$@ && $$(AR) rcs $$@ $$^
+endef
+$(foreach l,$(libs),$(eval $(call archive_rule,$(l))))
+
+# The kernel's source, flattened, as an array in the library: OpenCL compiles it at run time.
+kernel_sources := $(wildcard libbake/kernel/*.h libbake/kernel/*.cl)
+$(BUILD)/gen/kernel_source.inc: libbake/kernel/embed.awk $(kernel_sources)
+	@mkdir -p $(@D)
+	awk -f libbake/kernel/embed.awk libbake/kernel/bake.cl > $@
+$(call objs,libbake): | $(BUILD)/gen/kernel_source.inc
+
+tool_common := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(programs:bisque-%=tools/%.c),$(wildcard tools/*.c)))
+$(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/%.c.o $(tool_common) $(archives)
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $< $(tool_common) $(archive.libvoxel) $(archive.libbake) \
+	    $(archive.formats) $(archive.base) $(LIBS.tools) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+
+# ---- tests ----
+# tests/unit/LIB/test_NAME.c is one cmocka program; it links LIB and what LIB may include.
+unit_sources := $(wildcard tests/unit/*/test_*.c tests/unit/*/test_*.cc)
+unit_bins    := $(patsubst tests/unit/%,$(BUILD)/tests/%,$(basename $(unit_sources)))
+needs.base     := $(archive.base)
+needs.formats  := $(archive.formats) $(archive.base)
+needs.libvoxel := $(archive.libvoxel) $(archive.formats) $(archive.base)
+needs.libbake  := $(archive.libbake) $(archive.formats) $(archive.base)
+# Helpers that several tests of one library share: tests/unit/LIB/*.c that do not begin with test_.
+helpers = $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(unit_sources),$(wildcard tests/unit/$(1)/*.c)))
+.SECONDEXPANSION:
+$(unit_bins): $(BUILD)/tests/%: $$(patsubst $$(percent),$(BUILD)/obj/$$(percent).o,$$(wildcard tests/unit/$$*.c tests/unit/$$*.cc)) $$(needs.$$(firstword $$(subst /, ,$$*))) $$(call helpers,$$(firstword $$(subst /, ,$$*)))
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $(filter %.o,$^) $(needs.$(firstword $(subst /, ,$*))) -lcmocka \
+	    $(if $(filter base,$(firstword $(subst /, ,$*))),,$(LIBS.formats) $(LIBS.bake)) $(LIBS.base)
+percent := %
+
+# The scan generator and the checkers of maps.
+scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
+generator := $(BUILD)/tests/generate-scan
+checkers  := $(BUILD)/tests/check-vase $(BUILD)/tests/check-mesh
+$(generator): $(call scan_objs,generate generate_vase generate_amplified text_writer vase)
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^ -lm
+$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.formats) $(archive.base)
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $^ $(LIBS.formats) $(LIBS.base)
+
+.PHONY: unit tests-build test check
+## unit: build and run the unit tests only
+unit: $(unit_bins)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
+
+tests-build: all $(unit_bins) $(generator) $(checkers)
+
+## test: build and run all tests, with what is installed
+test: tests-build
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins) $(sort $(wildcard tests/cli/test_*.sh))
+
+## check: install missing packages, build, run all tests
+check: deps
+	@$(MAKE) --no-print-directory -j$(jobs) tests-build
+	@$(MAKE) --no-print-directory test
+
+# ---- packages ----
+packages_build := gcc g++ pkg-config libopenvdb-dev libopenexr-dev libopenimageio-dev \
+    libembree-dev libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
+packages_test  := libcmocka-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 mandoc
+packages := $(packages_build) $(packages_test)
+jobs ?= $(shell nproc)
+
+.PHONY: deps
+## deps: install the Debian packages that are missing (asks sudo where needed)
+deps:
+	@tests/install-packages.sh $(packages)
+
+# ---- demo ----
+demo_dir ?= demo
+.PHONY: demo demo-maps
+## demo: install, build, generate a scan of 2 million triangles and bake its maps
+demo: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator)
+	@$(MAKE) --no-print-directory demo-maps
+
+demo-maps: all $(generator)
+	@mkdir -p $(demo_dir)
+	$(generator) --triangles 2000000 --colors vase -o $(demo_dir)/vase.obj
+	$(generator) vase-low -o $(demo_dir)/vase_low.obj
+	$(BUILD)/bin/bisque-voxelize $(demo_dir)/vase.obj -o $(demo_dir)/vase.nvdb
+	$(BUILD)/bin/bisque-bake $(demo_dir)/vase.nvdb $(demo_dir)/vase_low.obj \
+	    --maps normal,color,mask --preview $(demo_dir)/preview.png -o '$(demo_dir)/vase_<MAP>.exr'
+	@echo
+	@echo "Maps:    $(demo_dir)/vase_normal.exr $(demo_dir)/vase_color.exr $(demo_dir)/vase_mask.exr"
+	@echo "Preview: $(demo_dir)/preview.png (low mesh plain, low mesh with its maps, scan)"
+
+# ---- quality ----
+sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
+.PHONY: lint
+## lint: include rules, cppcheck, clang-tidy
+lint: $(BUILD)/gen/kernel_source.inc
+	tests/lint/includes.sh
+	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
+	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
+	clang-tidy --quiet --warnings-as-errors='*' $(filter %.c,$(sources_c)) -- -std=c11 $(CPPFLAGS) $(formats_cppflags)
+
+# ---- installation ----
+bindir = $(DESTDIR)$(prefix)/bin
+libdir = $(DESTDIR)$(prefix)/lib
+incdir = $(DESTDIR)$(prefix)/include/bisque
+mandir = $(DESTDIR)$(prefix)/share/man/man1
+public_headers := base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
+
+.PHONY: install uninstall
+## install: programs, man pages, libraries, headers and pkg-config files, under prefix=/usr/local
+install: all
+	install -d $(bindir) $(libdir)/pkgconfig $(mandir) $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
+	install -m 755 $(bins) $(bindir)
+	install -m 644 $(wildcard man/*.1) $(mandir)
+	install -m 644 $(archives) $(libdir)
+	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
+	for lib in voxel bake; do sed -e 's|@prefix@|$(prefix)|; s|@version@|$(VERSION)|' \
+	    -e 's|@libs@|$(LIBS.formats) $(LIBS.bake) $(LIBS.base) -lstdc++|' \
+	    tools/bisque-$$lib.pc.in > $(libdir)/pkgconfig/bisque-$$lib.pc; done
+
+## uninstall: remove what install put there
+uninstall:
+	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
+	rm -f $(addprefix $(libdir)/,$(notdir $(archives))) $(libdir)/pkgconfig/bisque-*.pc
+	rm -rf $(incdir)
+
+.PHONY: clean
+## clean: remove everything that was built
+clean:
+	rm -rf build
+
+.PHONY: help
+## help: this list
+help:
+	@sed -n 's/^## //p' $(MAKEFILE_LIST)
+
+-include $(shell find $(BUILD)/obj -name '*.d' 2>/dev/null)

@@ -1,0 +1,213 @@
+/* context.c - creation, the first failure, warnings, interruption.
+ *
+ * Messages are formatted before a lock is taken, and published once through an atomic pointer, so
+ * bsq_error() needs no lock and its text never changes under a reader. */
+#include <assert.h>
+#include <errno.h>
+#include <sched.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/context_internal.h"
+
+/* Stands in for a message when there is no memory to format it; never freed. */
+static char no_memory_text[] = "out of memory";
+
+static unsigned usable_processors(void)
+{
+    /* A fixed cpu_set_t ends at 1024 processors, so the set grows until the kernel's fits. */
+    for (int limit = 1024; limit <= 1 << 20; limit *= 2) {
+        cpu_set_t *set = CPU_ALLOC(limit);
+        if (!set)
+            break;
+        size_t size = CPU_ALLOC_SIZE(limit);
+        int failed = sched_getaffinity(0, size, set);
+        int count = failed ? 0 : CPU_COUNT_S(size, set);
+        CPU_FREE(set);
+        if (!failed && count > 0)
+            return (unsigned)count;
+        if (failed && errno != EINVAL)
+            break;
+    }
+    return 1;
+}
+
+int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
+{
+    *out = NULL;
+    struct bsq_ctx *ctx = calloc(1, sizeof *ctx);
+    if (!ctx)
+        return BSQ_ENOMEM;
+    if (options)
+        ctx->options = *options;
+    if (ctx->options.memory_bytes == 0)
+        ctx->options.memory_bytes = bsq_default_memory();
+    if (ctx->options.threads == 0)
+        ctx->options.threads = usable_processors();
+
+    const char *tmpdir = ctx->options.tmpdir;
+    if (!tmpdir)
+        tmpdir = getenv("TMPDIR");
+    ctx->options.tmpdir = NULL;
+    if (tmpdir && *tmpdir) {
+        ctx->options.tmpdir = strdup(tmpdir);
+        if (!ctx->options.tmpdir) {
+            free(ctx);
+            return BSQ_ENOMEM;
+        }
+    }
+    pthread_mutex_init(&ctx->error_lock, NULL);
+    pthread_mutex_init(&ctx->callback_lock, NULL);
+    *out = ctx;
+    return 0;
+}
+
+void bsq_ctx_destroy(struct bsq_ctx *ctx)
+{
+    if (!ctx)
+        return;
+    bsq_pool_destroy(ctx->pool);
+    assert(atomic_load(&ctx->memory_used) == 0 && "memory of this context was not freed");
+    bsq_clear_error(ctx);
+    pthread_mutex_destroy(&ctx->error_lock);
+    pthread_mutex_destroy(&ctx->callback_lock);
+    free((char *)ctx->options.tmpdir);
+    free(ctx);
+}
+
+unsigned bsq_threads(const struct bsq_ctx *ctx)
+{
+    return ctx->options.threads;
+}
+
+const char *bsq_tmpdir(const struct bsq_ctx *ctx)
+{
+    return ctx->options.tmpdir;
+}
+
+/* One line, whatever the file names in it contain. */
+static void keep_to_one_line(char *text)
+{
+    for (; *text; text++) {
+        if ((unsigned char)*text < 0x20 || *text == 0x7f)
+            *text = *text == '\t' ? ' ' : '?';
+    }
+}
+
+static char *format_line(const char *format, va_list arguments)
+{
+    char *text = NULL;
+    if (vasprintf(&text, format, arguments) < 0)
+        return no_memory_text;
+    keep_to_one_line(text);
+    return text;
+}
+
+static void free_line(char *text)
+{
+    if (text != no_memory_text)
+        free(text);
+}
+
+static int record_failure(struct bsq_ctx *ctx, int status, char *text)
+{
+    assert(status < 0);
+    pthread_mutex_lock(&ctx->error_lock);
+    if (!atomic_load_explicit(&ctx->error, memory_order_relaxed)) {
+        ctx->error_status = status;
+        atomic_store_explicit(&ctx->error, text, memory_order_release);
+        text = NULL;
+    }
+    pthread_mutex_unlock(&ctx->error_lock);
+    if (text)
+        free_line(text);
+    return status;
+}
+
+int bsq_fail(struct bsq_ctx *ctx, int status, const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    char *text = format_line(format, arguments);
+    va_end(arguments);
+    return record_failure(ctx, status, text);
+}
+
+static int status_of_errno(int status, int errnum)
+{
+    switch (errnum) {
+    case ENOSPC:
+    case EDQUOT:
+    case EIO:
+        return BSQ_EIO;
+    case ENOMEM:
+        return BSQ_ENOMEM;
+    default:
+        return status;
+    }
+}
+
+int bsq_fail_errno(struct bsq_ctx *ctx, int status, int errnum, const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    char *text = format_line(format, arguments);
+    va_end(arguments);
+    char buffer[256];
+    const char *reason = strerror_r(errnum, buffer, sizeof buffer);
+    status = bsq_fail(ctx, status_of_errno(status, errnum), "%s: %s", text, reason);
+    free_line(text);
+    return status;
+}
+
+const char *bsq_error(const struct bsq_ctx *ctx)
+{
+    const char *text = atomic_load_explicit(&ctx->error, memory_order_acquire);
+    return text ? text : "";
+}
+
+int bsq_error_status(struct bsq_ctx *ctx)
+{
+    pthread_mutex_lock(&ctx->error_lock);
+    int status = ctx->error_status;
+    pthread_mutex_unlock(&ctx->error_lock);
+    return status;
+}
+
+void bsq_clear_error(struct bsq_ctx *ctx)
+{
+    pthread_mutex_lock(&ctx->error_lock);
+    char *text = atomic_exchange(&ctx->error, NULL);
+    ctx->error_status = 0;
+    pthread_mutex_unlock(&ctx->error_lock);
+    if (text)
+        free_line(text);
+    atomic_store(&ctx->interrupted, 0);
+}
+
+void bsq_warn(struct bsq_ctx *ctx, const char *format, ...)
+{
+    if (!ctx->options.on_warning)
+        return;
+    va_list arguments;
+    va_start(arguments, format);
+    char *text = format_line(format, arguments);
+    va_end(arguments);
+    pthread_mutex_lock(&ctx->callback_lock);
+    ctx->options.on_warning(ctx->options.user, text);
+    pthread_mutex_unlock(&ctx->callback_lock);
+    free_line(text);
+}
+
+void bsq_interrupt(struct bsq_ctx *ctx)
+{
+    atomic_store(&ctx->interrupted, 1);
+}
+
+int bsq_check(struct bsq_ctx *ctx)
+{
+    if (!atomic_load_explicit(&ctx->interrupted, memory_order_relaxed))
+        return 0;
+    return bsq_fail(ctx, BSQ_EINTR, "interrupted");
+}

@@ -1,0 +1,50 @@
+/* context_internal.h - what base's own files know of a context. */
+#ifndef BSQ_CONTEXT_INTERNAL_H
+#define BSQ_CONTEXT_INTERNAL_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+
+#include "base/context.h"
+
+struct bsq_pool;
+
+struct bsq_stage {
+    const char *name, *unit; /* name is NULL between stages */
+    uint64_t total;
+    atomic_uint_least64_t done;
+    atomic_uint_least64_t next_report_ms; /* no report before this time of the coarse clock */
+};
+
+struct bsq_ctx {
+    struct bsq_ctx_options options; /* tmpdir is a copy, memory_bytes and threads are resolved */
+    atomic_uint_least64_t memory_used, memory_high;
+    atomic_uint_least64_t temp_bytes;
+    atomic_int interrupted;
+
+    pthread_mutex_t error_lock;
+    char *_Atomic error; /* first failure; NULL: none */
+    int error_status;    /* its code, guarded by error_lock */
+
+    pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
+    struct bsq_stage stage;
+
+    struct bsq_pool *pool; /* NULL until the first parallel call */
+};
+
+/* Half of the memory that the machine or its control group allows this process. */
+uint64_t bsq_default_memory(void);
+
+/* Code of the first failure, 0 when there was none. */
+int bsq_error_status(struct bsq_ctx *ctx);
+
+/* Stops and frees the threads; NULL is allowed. */
+void bsq_pool_destroy(struct bsq_pool *pool);
+
+/* Directory part of a path ("." where it has none), to be freed with free(); NULL: no memory. */
+char *bsq_dirname(const char *path);
+
+/* Writes all bytes to a descriptor; 0 or an errno. */
+int bsq_pwrite_all(int fd, const void *buffer, uint64_t size, uint64_t offset);
+
+#endif

@@ -1,0 +1,218 @@
+/* file.c - input and temporary files.
+ *
+ * Everything goes through pread and pwrite: no shared file position, so that threads can work on
+ * one descriptor, and no mapped writes, which a full disk would turn into SIGBUS. */
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include "base/context_internal.h"
+#include "base/file.h"
+
+static int open_retrying(const char *path, int flags, mode_t mode)
+{
+    int fd;
+    do
+        fd = open(path, flags, mode);
+    while (fd < 0 && errno == EINTR);
+    return fd;
+}
+
+int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
+{
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    int status = 0;
+    struct stat info;
+    /* O_NONBLOCK: opening a pipe must not wait for a writer before it can be refused. */
+    int fd = open_retrying(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK, 0);
+    if (fd < 0)
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
+    char *copy = strdup(path);
+    if (!copy) {
+        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
+    } else if (fstat(fd, &info) != 0) {
+        status = bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
+    } else if (S_ISDIR(info.st_mode)) {
+        status = bsq_fail_errno(ctx, BSQ_ENOINPUT, EISDIR, "%s", path);
+    } else if (!S_ISREG(info.st_mode)) {
+        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file", path);
+    }
+    if (status < 0) {
+        free(copy);
+        close(fd);
+        return status;
+    }
+    *out = (struct bsq_file){.fd = fd, .size = (uint64_t)info.st_size, .path = copy};
+    return 0;
+}
+
+void bsq_file_close(struct bsq_ctx *ctx, struct bsq_file *file)
+{
+    (void)ctx;
+    if (file->fd >= 0)
+        close(file->fd);
+    free(file->path);
+    *file = (struct bsq_file)BSQ_FILE_CLOSED;
+}
+
+/* ---- transfers ---- */
+
+int bsq_file_read_some(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer,
+                       uint64_t size, uint64_t offset, uint64_t *got)
+{
+    *got = 0;
+    while (*got < size) {
+        ssize_t count = pread(file->fd, (char *)buffer + *got, size - *got, (off_t)(offset + *got));
+        if (count < 0 && errno == EINTR)
+            continue;
+        if (count < 0)
+            return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s: reading at byte %llu", file->path,
+                                  (unsigned long long)(offset + *got));
+        if (count == 0)
+            break;
+        *got += (uint64_t)count;
+    }
+    return 0;
+}
+
+int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,
+                  uint64_t offset)
+{
+    uint64_t got;
+    int status = bsq_file_read_some(ctx, file, buffer, size, offset, &got);
+    if (status == 0 && got < size)
+        status =
+            bsq_fail(ctx, BSQ_EDATA, "%s: truncated: %llu bytes expected at byte %llu, %llu there",
+                     file->path, (unsigned long long)size, (unsigned long long)offset,
+                     (unsigned long long)got);
+    return status;
+}
+
+int bsq_pwrite_all(int fd, const void *buffer, uint64_t size, uint64_t offset)
+{
+    const char *bytes = buffer;
+    while (size > 0) {
+        ssize_t count = pwrite(fd, bytes, size, (off_t)offset);
+        if (count < 0 && errno == EINTR)
+            continue;
+        if (count < 0)
+            return errno;
+        if (count == 0)
+            return EIO;
+        bytes += count;
+        size -= (uint64_t)count;
+        offset += (uint64_t)count;
+    }
+    return 0;
+}
+
+int bsq_file_write(struct bsq_ctx *ctx, const struct bsq_file *file, const void *buffer,
+                   uint64_t size, uint64_t offset)
+{
+    int error = bsq_pwrite_all(file->fd, buffer, size, offset);
+    if (error)
+        return bsq_fail_errno(ctx, BSQ_EIO, error, "%s: writing %llu bytes at byte %llu",
+                              file->path, (unsigned long long)size, (unsigned long long)offset);
+    atomic_fetch_add_explicit(&ctx->temp_bytes, size, memory_order_relaxed);
+    return 0;
+}
+
+int bsq_file_append(struct bsq_ctx *ctx, struct bsq_file *file, const void *buffer, uint64_t size)
+{
+    int status = bsq_file_write(ctx, file, buffer, size, file->size);
+    if (status == 0)
+        file->size += size;
+    return status;
+}
+
+/* ---- temporary files ---- */
+
+char *bsq_dirname(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    if (!slash)
+        return strdup(".");
+    return strndup(path, slash == path ? 1 : (size_t)(slash - path));
+}
+
+static char *temp_directory(const struct bsq_ctx *ctx, const char *beside)
+{
+    if (bsq_tmpdir(ctx))
+        return strdup(bsq_tmpdir(ctx));
+    return bsq_dirname(beside ? beside : "");
+}
+
+/* A file without a name, or one that loses its name at once where the file system has no such. */
+static int open_unnamed(const char *directory)
+{
+    int fd = open_retrying(directory, O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
+    if (fd >= 0 || (errno != EOPNOTSUPP && errno != EISDIR && errno != ENOENT && errno != EINVAL))
+        return fd;
+    char *name = NULL;
+    if (asprintf(&name, "%s/.bisque.XXXXXX", directory) < 0) {
+        errno = ENOMEM;
+        return -1;
+    }
+    fd = mkostemp(name, O_CLOEXEC);
+    if (fd >= 0)
+        unlink(name);
+    int error = errno;
+    free(name);
+    errno = error;
+    return fd;
+}
+
+int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out)
+{
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    char *directory = temp_directory(ctx, beside);
+    if (!directory)
+        return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what);
+    int status = 0;
+    char *label = NULL;
+    if (asprintf(&label, "%s: temporary file for %s", directory, what) < 0) {
+        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what);
+    } else {
+        int fd = open_unnamed(directory);
+        if (fd < 0) {
+            status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s", label);
+            free(label);
+        } else {
+            *out = (struct bsq_file){.fd = fd, .size = 0, .path = label};
+        }
+    }
+    free(directory);
+    return status;
+}
+
+uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx)
+{
+    return atomic_load(&ctx->temp_bytes);
+}
+
+int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes)
+{
+    char *directory = temp_directory(ctx, beside);
+    if (!directory)
+        return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary files");
+    int status = 0;
+    struct statvfs info;
+    if (statvfs(directory, &info) != 0) {
+        status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s", directory);
+    } else {
+        uint64_t available;
+        if (__builtin_mul_overflow((uint64_t)info.f_bavail, (uint64_t)info.f_frsize, &available))
+            available = UINT64_MAX;
+        if (available < bytes)
+            status = bsq_fail(ctx, BSQ_EIO,
+                              "%s: %llu bytes are needed for temporary files, %llu are free",
+                              directory, (unsigned long long)bytes, (unsigned long long)available);
+    }
+    free(directory);
+    return status;
+}

@@ -1,0 +1,65 @@
+/* file.h - input files, temporary files and read-only maps.
+ *
+ * Every function handles EINTR and short transfers, and describes failures with the path. */
+#ifndef BSQ_FILE_H
+#define BSQ_FILE_H
+
+#include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct bsq_file {
+    int fd;          /* -1 when closed */
+    uint64_t size;   /* input: size when opened; temporary: bytes appended so far */
+    char *path;      /* for messages; owned */
+};
+#define BSQ_FILE_CLOSED {-1, 0, NULL}
+
+/* Opens a regular file for reading. Errors: BSQ_ENOINPUT. */
+int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
+
+/* Creates an unnamed temporary file (gone when closed or killed) in the context's tmpdir or, where
+ * there is none, in the directory of `beside` (an output path; may be NULL: "."). `what` is for messages. */
+int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out);
+
+/* Closes and frees; a closed file is allowed. */
+void bsq_file_close(struct bsq_ctx *ctx, struct bsq_file *file);
+
+/* Reads exactly `size` bytes at `offset`; fewer in the file is BSQ_EDATA ("truncated"). */
+int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,
+                  uint64_t offset);
+
+/* Reads up to `size` bytes at `offset`; *got < size only at the end of the file. */
+int bsq_file_read_some(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer,
+                       uint64_t size, uint64_t offset, uint64_t *got);
+
+/* Writes all of `size` bytes at `offset`. Errors: BSQ_EIO. Does not change file->size. */
+int bsq_file_write(struct bsq_ctx *ctx, const struct bsq_file *file, const void *buffer,
+                   uint64_t size, uint64_t offset);
+
+/* Writes at file->size and advances it. Not thread-safe for one file. */
+int bsq_file_append(struct bsq_ctx *ctx, struct bsq_file *file, const void *buffer, uint64_t size);
+
+/* Bytes written to temporary files of this context so far (for reports). */
+uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx);
+
+/* Checks that the file system which holds temporary files has `bytes` free; BSQ_EIO names the
+ * bytes needed and available. */
+int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes);
+
+/* A whole file mapped read-only, 4096-byte aligned. */
+struct bsq_map {
+    const void *data;
+    uint64_t size;
+    char *path; /* owned */
+};
+/* Errors: BSQ_ENOINPUT; an empty file maps to data NULL, size 0. */
+int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out);
+void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

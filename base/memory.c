@@ -1,0 +1,270 @@
+/* memory.c - the budget, and allocation that counts against it.
+ *
+ * A block is [slack][64-byte header][payload], the payload aligned to 64 bytes. The header
+ * remembers what malloc() returned, so that calloc() and realloc() of the C library can be used:
+ * for large blocks the first gives zero pages that cost nothing until they are touched, and the
+ * second moves pages instead of copying them. The budget counts payloads. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "base/context_internal.h"
+
+enum { ALIGNMENT = 64, HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + ALIGNMENT };
+
+struct header {
+    void *base;    /* what malloc() returned */
+    uint64_t size; /* of the payload, as counted */
+};
+_Static_assert(sizeof(struct header) <= HEADER_BYTES, "the header must fit before the payload");
+
+/* ---- the budget ---- */
+
+static void raise_high_water(struct bsq_ctx *ctx, uint64_t used)
+{
+    uint64_t high = atomic_load_explicit(&ctx->memory_high, memory_order_relaxed);
+    while (used > high && !atomic_compare_exchange_weak(&ctx->memory_high, &high, used))
+        ;
+}
+
+static bool try_reserve(struct bsq_ctx *ctx, uint64_t bytes)
+{
+    uint64_t limit = ctx->options.memory_bytes;
+    uint64_t used = atomic_load_explicit(&ctx->memory_used, memory_order_relaxed);
+    do {
+        if (used > limit || bytes > limit - used)
+            return false;
+    } while (!atomic_compare_exchange_weak(&ctx->memory_used, &used, used + bytes));
+    raise_high_water(ctx, used + bytes);
+    return true;
+}
+
+int bsq_reserve(struct bsq_ctx *ctx, const char *what, uint64_t bytes)
+{
+    if (try_reserve(ctx, bytes))
+        return 0;
+    return bsq_fail(ctx, BSQ_ENOMEM,
+                    "the memory budget is too small: %s needs %llu bytes, %llu of %llu are in use",
+                    what, (unsigned long long)bytes, (unsigned long long)bsq_memory_used(ctx),
+                    (unsigned long long)bsq_memory_limit(ctx));
+}
+
+void bsq_release(struct bsq_ctx *ctx, uint64_t bytes)
+{
+    atomic_fetch_sub(&ctx->memory_used, bytes);
+}
+
+uint64_t bsq_memory_limit(const struct bsq_ctx *ctx)
+{
+    return ctx->options.memory_bytes;
+}
+
+uint64_t bsq_memory_used(const struct bsq_ctx *ctx)
+{
+    return atomic_load(&ctx->memory_used);
+}
+
+uint64_t bsq_memory_high(const struct bsq_ctx *ctx)
+{
+    return atomic_load(&ctx->memory_high);
+}
+
+/* ---- blocks ---- */
+
+static void set_pointer(void *out, void *value)
+{
+    memcpy(out, &value, sizeof value); /* out is the address of a pointer of any type */
+}
+
+static struct header *header_of(void *payload)
+{
+    return (struct header *)((char *)payload - HEADER_BYTES);
+}
+
+static size_t payload_offset(const void *base)
+{
+    uintptr_t start = (uintptr_t)base + HEADER_BYTES;
+    uintptr_t aligned = (start + ALIGNMENT - 1) & ~(uintptr_t)(ALIGNMENT - 1);
+    return aligned - (uintptr_t)base;
+}
+
+static void *place_header(void *base, uint64_t size)
+{
+    void *payload = (char *)base + payload_offset(base);
+    *header_of(payload) = (struct header){.base = base, .size = size};
+    return payload;
+}
+
+static bool size_of_array(uint64_t count, uint64_t size, uint64_t *bytes)
+{
+    return !__builtin_mul_overflow(count, size, bytes) && *bytes <= PTRDIFF_MAX - OVERHEAD;
+}
+
+static int fail_overflow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size)
+{
+    return bsq_fail(ctx, BSQ_ENOMEM, "%s: %llu times %llu bytes is more than can be addressed",
+                    what, (unsigned long long)count, (unsigned long long)size);
+}
+
+static int fail_system(struct bsq_ctx *ctx, const char *what, uint64_t bytes)
+{
+    return bsq_fail(ctx, BSQ_ENOMEM,
+                    "the system has no memory left: %s needs %llu bytes, %llu of %llu are in use",
+                    what, (unsigned long long)bytes, (unsigned long long)bsq_memory_used(ctx),
+                    (unsigned long long)bsq_memory_limit(ctx));
+}
+
+static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size,
+                    bool zeroed, void *out)
+{
+    set_pointer(out, NULL);
+    uint64_t bytes;
+    if (!size_of_array(count, size, &bytes))
+        return fail_overflow(ctx, what, count, size);
+    int status = bsq_reserve(ctx, what, bytes);
+    if (status < 0)
+        return status;
+    void *base = zeroed ? calloc(1, bytes + OVERHEAD) : malloc(bytes + OVERHEAD);
+    if (!base) {
+        bsq_release(ctx, bytes);
+        return fail_system(ctx, what, bytes);
+    }
+    set_pointer(out, place_header(base, bytes));
+    return 0;
+}
+
+int bsq_alloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
+{
+    return allocate(ctx, what, count, size, false, out);
+}
+
+int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
+{
+    return allocate(ctx, what, count, size, true, out);
+}
+
+void bsq_free(struct bsq_ctx *ctx, void *memory)
+{
+    if (!memory)
+        return;
+    struct header header = *header_of(memory);
+    free(header.base);
+    bsq_release(ctx, header.size);
+}
+
+/* Moves a block whose extra bytes are reserved already; NULL where the system has no memory. */
+static void *resize(void *payload, uint64_t bytes)
+{
+    void *old_base = NULL;
+    size_t old_offset = 0;
+    uint64_t old_bytes = 0;
+    if (payload) {
+        old_base = header_of(payload)->base;
+        old_offset = payload_offset(old_base);
+        old_bytes = header_of(payload)->size;
+    }
+    char *base = realloc(old_base, bytes + OVERHEAD);
+    if (!base)
+        return NULL;
+    if (old_bytes && payload_offset(base) != old_offset)
+        memmove(base + payload_offset(base), base + old_offset, old_bytes);
+    return place_header(base, bytes);
+}
+
+int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
+             uint64_t *capacity)
+{
+    if (count <= *capacity)
+        return 0;
+    void *payload;
+    memcpy(&payload, inout, sizeof payload);
+    uint64_t old_bytes = payload ? header_of(payload)->size : 0;
+
+    uint64_t generous = *capacity + *capacity / 2;
+    uint64_t wanted = generous > count ? generous : count;
+    uint64_t bytes;
+    if (!size_of_array(wanted, size, &bytes)) {
+        wanted = count;
+        if (!size_of_array(wanted, size, &bytes))
+            return fail_overflow(ctx, what, count, size);
+    }
+    if (!try_reserve(ctx, bytes - old_bytes)) {
+        /* What is asked for may still fit where room to grow does not. */
+        wanted = count;
+        bytes = count * size;
+        int status = bsq_reserve(ctx, what, bytes - old_bytes);
+        if (status < 0)
+            return status;
+    }
+    void *grown = resize(payload, bytes);
+    if (!grown) {
+        bsq_release(ctx, bytes - old_bytes);
+        return fail_system(ctx, what, bytes);
+    }
+    set_pointer(inout, grown);
+    *capacity = wanted;
+    return 0;
+}
+
+/* ---- how much there is ---- */
+
+/* The number in a control group's file; UINT64_MAX for "max" or where there is none. */
+static uint64_t read_limit(const char *path)
+{
+    unsigned long long value;
+    FILE *file = fopen(path, "re");
+    if (!file)
+        return UINT64_MAX;
+    int fields = fscanf(file, "%llu", &value);
+    fclose(file);
+    return fields == 1 ? value : UINT64_MAX;
+}
+
+/* Smallest memory.max on the way from the group at `path` (under the mount point) to the root. */
+static uint64_t smallest_limit(char *path)
+{
+    uint64_t smallest = UINT64_MAX;
+    for (;;) {
+        char *file = NULL;
+        if (asprintf(&file, "/sys/fs/cgroup%s/memory.max", path) < 0)
+            return smallest;
+        uint64_t limit = read_limit(file);
+        free(file);
+        if (limit < smallest)
+            smallest = limit;
+        char *slash = strrchr(path, '/');
+        if (!slash)
+            return smallest;
+        *slash = '\0';
+    }
+}
+
+static uint64_t control_group_limit(void)
+{
+    uint64_t limit = UINT64_MAX;
+    char *line = NULL;
+    size_t line_size = 0;
+    FILE *file = fopen("/proc/self/cgroup", "re");
+    if (!file)
+        return limit;
+    while (getline(&line, &line_size, file) > 0) {
+        if (strncmp(line, "0::/", 4) != 0)
+            continue;
+        line[strcspn(line, "\n")] = '\0';
+        limit = smallest_limit(line + 3);
+    }
+    free(line);
+    fclose(file);
+    return limit;
+}
+
+uint64_t bsq_default_memory(void)
+{
+    long pages = sysconf(_SC_PHYS_PAGES), page_size = sysconf(_SC_PAGE_SIZE);
+    uint64_t memory = UINT64_C(4) << 30;
+    if (pages > 0 && page_size > 0)
+        memory = (uint64_t)pages * (uint64_t)page_size;
+    uint64_t limit = control_group_limit();
+    return (limit < memory ? limit : memory) / 2;
+}

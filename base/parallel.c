@@ -1,0 +1,362 @@
+/* parallel.c - the thread pool, parallel loops and ordered pipelines.
+ *
+ * The pool knows one thing: run a function once on every worker and wait for all. Loops and
+ * pipelines are built on it; the calling thread is worker 0. Threads are created by the first
+ * parallel call and sleep between calls. Where the system refuses threads, fewer do all the work.
+ */
+#include <assert.h>
+#include <signal.h>
+#include <stdlib.h>
+
+#include "base/context_internal.h"
+#include "base/parallel.h"
+
+/* ---- the pool ---- */
+
+typedef void pool_fn(void *arg, unsigned worker);
+
+struct bsq_pool {
+    pthread_mutex_t lock;
+    pthread_cond_t wake; /* a job was posted, or quit was set */
+    pthread_cond_t idle; /* the last worker of a job has returned */
+    pool_fn *fn;
+    void *arg;
+    uint64_t job;     /* number of the job posted last */
+    unsigned wanted;  /* threads that take part in it, the caller not counted */
+    unsigned running; /* of those, how many have not returned */
+    bool quit, busy;
+    unsigned thread_count;
+    struct pool_thread {
+        pthread_t handle;
+        struct bsq_pool *pool;
+        unsigned number;
+    } threads[];
+};
+
+static void *pool_thread_main(void *arg)
+{
+    struct pool_thread *self = arg;
+    struct bsq_pool *pool = self->pool;
+    uint64_t seen = 0;
+    pthread_mutex_lock(&pool->lock);
+    for (;;) {
+        while (!pool->quit && pool->job == seen)
+            pthread_cond_wait(&pool->wake, &pool->lock);
+        if (pool->quit)
+            break;
+        seen = pool->job;
+        if (self->number >= pool->wanted)
+            continue;
+        pool_fn *fn = pool->fn;
+        void *fn_arg = pool->arg;
+        pthread_mutex_unlock(&pool->lock);
+        fn(fn_arg, self->number + 1);
+        pthread_mutex_lock(&pool->lock);
+        if (--pool->running == 0)
+            pthread_cond_signal(&pool->idle);
+    }
+    pthread_mutex_unlock(&pool->lock);
+    return NULL;
+}
+
+/* Signals are left to the program's own threads. */
+static void start_threads(struct bsq_pool *pool, unsigned count)
+{
+    sigset_t all, before;
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &before);
+    for (unsigned i = 0; i < count; i++) {
+        struct pool_thread *thread = &pool->threads[i];
+        *thread = (struct pool_thread){.pool = pool, .number = i};
+        if (pthread_create(&thread->handle, NULL, pool_thread_main, thread) != 0)
+            break;
+        pool->thread_count = i + 1;
+    }
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
+}
+
+/* The context's pool; NULL where work is to run on the calling thread alone. */
+static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
+{
+    unsigned extra = bsq_threads(ctx) - 1;
+    if (ctx->pool || extra == 0)
+        return ctx->pool;
+    struct bsq_pool *pool = calloc(1, sizeof *pool + extra * sizeof pool->threads[0]);
+    if (!pool)
+        return NULL;
+    pthread_mutex_init(&pool->lock, NULL);
+    pthread_cond_init(&pool->wake, NULL);
+    pthread_cond_init(&pool->idle, NULL);
+    start_threads(pool, extra);
+    ctx->pool = pool;
+    return pool;
+}
+
+void bsq_pool_destroy(struct bsq_pool *pool)
+{
+    if (!pool)
+        return;
+    pthread_mutex_lock(&pool->lock);
+    assert(!pool->busy);
+    pool->quit = true;
+    pthread_cond_broadcast(&pool->wake);
+    pthread_mutex_unlock(&pool->lock);
+    for (unsigned i = 0; i < pool->thread_count; i++)
+        pthread_join(pool->threads[i].handle, NULL);
+    pthread_cond_destroy(&pool->idle);
+    pthread_cond_destroy(&pool->wake);
+    pthread_mutex_destroy(&pool->lock);
+    free(pool);
+}
+
+/* Runs fn on up to `workers` threads, the calling one as worker 0, and waits for all. */
+static void pool_run(struct bsq_ctx *ctx, unsigned workers, pool_fn *fn, void *arg)
+{
+    struct bsq_pool *pool = workers > 1 ? get_pool(ctx) : NULL;
+    if (!pool) {
+        fn(arg, 0);
+        return;
+    }
+    pthread_mutex_lock(&pool->lock);
+    assert(!pool->busy && "parallel calls must not be nested");
+    pool->busy = true;
+    pool->fn = fn;
+    pool->arg = arg;
+    pool->wanted = workers - 1 < pool->thread_count ? workers - 1 : pool->thread_count;
+    pool->running = pool->wanted;
+    pool->job++;
+    pthread_cond_broadcast(&pool->wake);
+    pthread_mutex_unlock(&pool->lock);
+
+    fn(arg, 0);
+
+    pthread_mutex_lock(&pool->lock);
+    while (pool->running > 0)
+        pthread_cond_wait(&pool->idle, &pool->lock);
+    pool->busy = false;
+    pthread_mutex_unlock(&pool->lock);
+}
+
+/* Of several concurrent failures, the one returned is the one whose text the context kept. */
+static int first_failure(struct bsq_ctx *ctx, int status, int status_before)
+{
+    if (status < 0 && status_before == 0 && bsq_error_status(ctx) < 0)
+        return bsq_error_status(ctx);
+    return status;
+}
+
+/* ---- loops ---- */
+
+struct loop {
+    struct bsq_ctx *ctx;
+    int (*fn)(void *arg, uint64_t index, unsigned worker);
+    void *arg;
+    uint64_t count;
+    unsigned workers;
+    atomic_uint_least64_t next;
+    atomic_int status;
+};
+
+/* Takes a run of iterations: a small share of what is left, so that cheap iterations do not fight
+ * over the counter and the last ones are still spread evenly. */
+static uint64_t take_iterations(struct loop *loop, uint64_t *first)
+{
+    uint64_t begin = atomic_load_explicit(&loop->next, memory_order_relaxed);
+    uint64_t share;
+    do {
+        if (begin >= loop->count)
+            return 0;
+        share = (loop->count - begin) / (UINT64_C(16) * loop->workers);
+        share = share < 1 ? 1 : share > 1024 ? 1024 : share;
+    } while (!atomic_compare_exchange_weak(&loop->next, &begin, begin + share));
+    *first = begin;
+    return share;
+}
+
+static void loop_worker(void *arg, unsigned worker)
+{
+    struct loop *loop = arg;
+    uint64_t first, share;
+    while ((share = take_iterations(loop, &first)) > 0) {
+        for (uint64_t i = first; i < first + share; i++) {
+            if (atomic_load_explicit(&loop->status, memory_order_relaxed) < 0)
+                return;
+            int status = bsq_check(loop->ctx);
+            if (status == 0)
+                status = loop->fn(loop->arg, i, worker);
+            if (status < 0) {
+                int none = 0;
+                atomic_compare_exchange_strong(&loop->status, &none, status);
+                return;
+            }
+        }
+    }
+}
+
+int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
+                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg)
+{
+    unsigned workers = bsq_threads(ctx);
+    if (workers > count)
+        workers = count > 0 ? (unsigned)count : 1;
+    struct loop loop = {.ctx = ctx, .fn = fn, .arg = arg, .count = count, .workers = workers};
+    int status_before = bsq_error_status(ctx);
+    pool_run(ctx, workers, loop_worker, &loop);
+    return first_failure(ctx, atomic_load(&loop.status), status_before);
+}
+
+/* ---- pipelines ----
+ *
+ * Sequences move through three counters: emitted <= begun <= produced, where `begun` counts those
+ * whose work was taken up. Slot s % slot_count belongs to sequence s from its production until its
+ * emission, so a slot only has to tell whether its work is done. All state is guarded by one lock
+ * that is free while the callbacks run. A thread that takes a step and sees another one possible
+ * wakes one sleeper, which does the same in turn: nobody is woken for nothing and no step is left
+ * lying while somebody sleeps. */
+
+enum step { STEP_NONE, STEP_EMIT, STEP_WORK, STEP_PRODUCE };
+
+struct run {
+    struct bsq_ctx *ctx;
+    const struct bsq_pipeline *pipeline;
+    pthread_mutex_t lock;
+    pthread_cond_t changed;
+    uint64_t produced, begun, emitted;
+    bool producing, emitting, ended;
+    unsigned sleepers;
+    int status;
+    bool *done; /* per slot: ready to be emitted */
+};
+
+static void *slot_of(const struct run *run, uint64_t sequence)
+{
+    const struct bsq_pipeline *pipeline = run->pipeline;
+    return (char *)pipeline->slots + (sequence % pipeline->slot_count) * pipeline->slot_size;
+}
+
+static enum step possible_step(const struct run *run)
+{
+    unsigned slot_count = run->pipeline->slot_count;
+    if (!run->emitting && run->emitted < run->produced && run->done[run->emitted % slot_count])
+        return STEP_EMIT;
+    if (run->begun < run->produced)
+        return STEP_WORK;
+    if (!run->producing && !run->ended && run->produced - run->emitted < slot_count)
+        return STEP_PRODUCE;
+    return STEP_NONE;
+}
+
+static bool is_over(const struct run *run)
+{
+    return run->status < 0 || (run->ended && run->emitted == run->produced);
+}
+
+/* The three steps are entered and left with the lock held. */
+
+static int emit_next(struct run *run)
+{
+    uint64_t sequence = run->emitted;
+    run->emitting = true;
+    pthread_mutex_unlock(&run->lock);
+    int status = run->pipeline->emit(run->pipeline->arg, slot_of(run, sequence), sequence);
+    pthread_mutex_lock(&run->lock);
+    run->emitting = false;
+    run->done[sequence % run->pipeline->slot_count] = false;
+    run->emitted++;
+    return status;
+}
+
+static int work_next(struct run *run, unsigned worker)
+{
+    const struct bsq_pipeline *pipeline = run->pipeline;
+    uint64_t sequence = run->begun++;
+    int status = 0;
+    if (pipeline->work) {
+        pthread_mutex_unlock(&run->lock);
+        status = pipeline->work(pipeline->arg, slot_of(run, sequence), sequence, worker);
+        pthread_mutex_lock(&run->lock);
+    }
+    run->done[sequence % pipeline->slot_count] = true;
+    return status;
+}
+
+static int produce_next(struct run *run)
+{
+    uint64_t sequence = run->produced;
+    run->producing = true;
+    pthread_mutex_unlock(&run->lock);
+    int status = run->pipeline->produce(run->pipeline->arg, slot_of(run, sequence), sequence);
+    pthread_mutex_lock(&run->lock);
+    run->producing = false;
+    if (status > 0)
+        run->produced++;
+    else
+        run->ended = true;
+    return status < 0 ? status : 0;
+}
+
+static int take_step(struct run *run, enum step step, unsigned worker)
+{
+    switch (step) {
+    case STEP_EMIT:
+        return emit_next(run);
+    case STEP_WORK:
+        return work_next(run, worker);
+    default:
+        return produce_next(run);
+    }
+}
+
+/* Marks a step as taken as far as the others are concerned, and asks whether one is left. */
+static bool another_step(const struct run *run, enum step taken)
+{
+    struct run after = *run;
+    if (taken == STEP_EMIT)
+        after.emitting = true;
+    else if (taken == STEP_WORK)
+        after.begun++;
+    else
+        after.producing = true;
+    return possible_step(&after) != STEP_NONE;
+}
+
+static void pipeline_worker(void *arg, unsigned worker)
+{
+    struct run *run = arg;
+    pthread_mutex_lock(&run->lock);
+    while (!is_over(run)) {
+        enum step step = possible_step(run);
+        if (step == STEP_NONE) {
+            run->sleepers++;
+            pthread_cond_wait(&run->changed, &run->lock);
+            run->sleepers--;
+            continue;
+        }
+        if (run->sleepers > 0 && another_step(run, step))
+            pthread_cond_signal(&run->changed);
+        int status = bsq_check(run->ctx);
+        if (status == 0)
+            status = take_step(run, step, worker);
+        if (status < 0 && run->status == 0)
+            run->status = status;
+    }
+    pthread_cond_broadcast(&run->changed);
+    pthread_mutex_unlock(&run->lock);
+}
+
+int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline)
+{
+    assert(pipeline->slot_count > 0);
+    struct run run = {.ctx = ctx, .pipeline = pipeline};
+    int status = bsq_calloc(ctx, "pipeline", pipeline->slot_count, sizeof run.done[0], &run.done);
+    if (status < 0)
+        return status;
+    pthread_mutex_init(&run.lock, NULL);
+    pthread_cond_init(&run.changed, NULL);
+    int status_before = bsq_error_status(ctx);
+    pool_run(ctx, bsq_threads(ctx), pipeline_worker, &run);
+    pthread_cond_destroy(&run.changed);
+    pthread_mutex_destroy(&run.lock);
+    bsq_free(ctx, run.done);
+    return first_failure(ctx, run.status, status_before);
+}

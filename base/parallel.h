@@ -1,0 +1,43 @@
+/* parallel.h - loops and ordered pipelines on a context's threads.
+ *
+ * Results never depend on the number of threads: a loop's iterations must be independent, and a
+ * pipeline hands out work and collects results in sequence, one at a time. */
+#ifndef BSQ_PARALLEL_H
+#define BSQ_PARALLEL_H
+
+#include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Runs fn(arg, i, worker) for every i in [0, count), dynamically scheduled; `worker` is in
+ * [0, bsq_threads()) and no two concurrent calls share it. After the first negative result no new
+ * iteration starts and that result is returned; an interrupted context gives BSQ_EINTR.
+ * Must not be nested. */
+int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
+                     int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
+
+/* A pipeline over `slot_count` reused slots of `slot_size` bytes at `slots`.
+ * produce: serial, in sequence; returns 1 with the slot filled, 0 at the end, < 0 on failure.
+ * work:    concurrent, any order; `worker` as above.
+ * emit:    serial, in sequence; may run concurrently with produce and work of other slots.
+ * produce and emit never run concurrently with themselves; sequence starts at 0. produce of
+ * sequence s runs only after emit of s - slot_count has returned. work may be NULL. */
+struct bsq_pipeline {
+    int (*produce)(void *arg, void *slot, uint64_t sequence);
+    int (*work)(void *arg, void *slot, uint64_t sequence, unsigned worker);
+    int (*emit)(void *arg, void *slot, uint64_t sequence);
+    void *arg;
+    void *slots;
+    size_t slot_size;
+    unsigned slot_count; /* at least 1; 2 * threads is a good choice */
+};
+
+/* Runs the pipeline to its end. Returns 0 or the first failure (in time). Must not be nested. */
+int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

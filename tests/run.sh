@@ -1,0 +1,27 @@
+#!/bin/sh
+# Runs test programs that print TAP lines (cmocka's, and the shell tests'), a line of summary each, and ends with
+# the counts. A program that fails without saying which test did counts as one failure.
+set -u
+export CMOCKA_MESSAGE_OUTPUT=TAP
+log=$(mktemp) || exit 1
+trap 'rm -f "$log"' EXIT
+passed=0 failed=0 skipped=0
+for program; do
+    "$program" >"$log" 2>&1
+    status=$?
+    ok=$(grep -c '^ok ' "$log")
+    skip=$(grep -ci '^ok .*# skip' "$log")
+    bad=$(grep -c '^not ok ' "$log")
+    [ "$status" -eq 0 ] || [ "$bad" -gt 0 ] || bad=1
+    [ "$ok" -gt 0 ] || [ "$bad" -gt 0 ] || bad=1
+    echo "$program: $((ok - skip)) passed, $bad failed, $skip skipped"
+    if [ "$bad" -gt 0 ]; then
+        grep -v '^ok ' "$log"
+        echo "exit status $status"
+    elif [ "$skip" -gt 0 ]; then
+        grep -i '# skip' "$log"
+    fi
+    passed=$((passed + ok - skip)) failed=$((failed + bad)) skipped=$((skipped + skip))
+done
+echo "$passed passed, $failed failed, $skipped skipped"
+[ "$failed" -eq 0 ]

@@ -1,0 +1,395 @@
+/* test_file.c - input, temporary and output files. */
+#include <dirent.h>
+#include <fcntl.h>
+#include <setjmp.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "base/output.h"
+
+static char directory[] = "/tmp/bisque-test-file.XXXXXX";
+
+static int enter_directory(void **state)
+{
+    (void)state;
+    signal(SIGXFSZ, SIG_IGN);
+    return mkdtemp(directory) && chdir(directory) == 0 ? 0 : -1;
+}
+
+static int leave_directory(void **state)
+{
+    (void)state;
+    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1; /* fails where a test left a file */
+}
+
+static struct bsq_ctx *create(const char *tmpdir)
+{
+    struct bsq_ctx *ctx;
+    struct bsq_ctx_options options = {.threads = 1, .tmpdir = tmpdir};
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+static void put(const char *path, const char *text)
+{
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    assert_true(fputs(text, file) >= 0);
+    assert_int_equal(fclose(file), 0);
+}
+
+static void assert_content(const char *path, const char *text, size_t size)
+{
+    char buffer[20000];
+    FILE *file = fopen(path, "r");
+    assert_non_null(file);
+    size_t got = fread(buffer, 1, sizeof buffer, file);
+    fclose(file);
+    assert_int_equal(got, size);
+    assert_memory_equal(buffer, text, size);
+}
+
+static unsigned files_here(void)
+{
+    unsigned count = 0;
+    DIR *list = opendir(".");
+    for (struct dirent *entry; (entry = readdir(list));)
+        count += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
+    closedir(list);
+    return count;
+}
+
+/* ---- input ---- */
+
+static void test_reading(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    put("in", "0123456789");
+    struct bsq_file file;
+    char buffer[32];
+    uint64_t got;
+    assert_int_equal(bsq_file_open(ctx, "in", &file), 0);
+    assert_int_equal(file.size, 10);
+    assert_int_equal(bsq_file_read(ctx, &file, buffer, 4, 3), 0);
+    assert_memory_equal(buffer, "3456", 4);
+    assert_int_equal(bsq_file_read_some(ctx, &file, buffer, 32, 6, &got), 0);
+    assert_int_equal(got, 4);
+    assert_memory_equal(buffer, "6789", 4);
+    assert_int_equal(bsq_file_read_some(ctx, &file, buffer, 32, 100, &got), 0);
+    assert_int_equal(got, 0);
+    assert_int_equal(bsq_file_read(ctx, &file, buffer, 4, 7), BSQ_EDATA);
+    assert_string_equal(bsq_error(ctx), "in: truncated: 4 bytes expected at byte 7, 3 there");
+    bsq_file_close(ctx, &file);
+    bsq_file_close(ctx, &file);
+    unlink("in");
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_every_truncated_length(void **state)
+{
+    (void)state;
+    put("in", "0123456789");
+    for (int length = 9; length >= 0; length--) {
+        struct bsq_ctx *ctx = create(NULL);
+        struct bsq_file file;
+        char buffer[10];
+        assert_int_equal(truncate("in", length), 0);
+        assert_int_equal(bsq_file_open(ctx, "in", &file), 0);
+        assert_int_equal(bsq_file_read(ctx, &file, buffer, 10, 0), BSQ_EDATA);
+        bsq_file_close(ctx, &file);
+        bsq_ctx_destroy(ctx);
+    }
+    unlink("in");
+}
+
+static void assert_cannot_open(const char *path, const char *message)
+{
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_file file;
+    struct bsq_map map;
+    assert_int_equal(bsq_file_open(ctx, path, &file), BSQ_ENOINPUT);
+    assert_int_equal(file.fd, -1);
+    assert_string_equal(bsq_error(ctx), message);
+    bsq_clear_error(ctx);
+    assert_int_equal(bsq_map_open(ctx, path, &map), BSQ_ENOINPUT);
+    assert_string_equal(bsq_error(ctx), message);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_what_cannot_be_opened(void **state)
+{
+    (void)state;
+    assert_cannot_open("none", "none: No such file or directory");
+    assert_cannot_open(".", ".: Is a directory");
+    assert_int_equal(mkfifo("fifo", 0600), 0);
+    assert_cannot_open("fifo", "fifo: not a regular file");
+    unlink("fifo");
+}
+
+static void test_maps(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_map map;
+    put("in", "0123456789");
+    assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
+    assert_int_equal(map.size, 10);
+    assert_int_equal((uintptr_t)map.data % 4096, 0);
+    assert_memory_equal(map.data, "0123456789", 10);
+    assert_string_equal(map.path, "in");
+    bsq_map_close(ctx, &map);
+    put("in", "");
+    assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
+    assert_null(map.data);
+    assert_int_equal(map.size, 0);
+    bsq_map_close(ctx, &map);
+    bsq_map_close(ctx, &map);
+    unlink("in");
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- temporary files ---- */
+
+static void test_temporary_files(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_file file;
+    char buffer[6];
+    assert_int_equal(bsq_file_temp(ctx, "out.nvdb", "testing", &file), 0);
+    assert_int_equal(files_here(), 0);
+    assert_int_equal(bsq_file_append(ctx, &file, "abc", 3), 0);
+    assert_int_equal(bsq_file_append(ctx, &file, "def", 3), 0);
+    assert_int_equal(bsq_file_write(ctx, &file, "B", 1, 1), 0);
+    assert_int_equal(file.size, 6);
+    assert_int_equal(bsq_file_read(ctx, &file, buffer, 6, 0), 0);
+    assert_memory_equal(buffer, "aBcdef", 6);
+    assert_int_equal(bsq_temp_bytes(ctx), 7);
+    bsq_file_close(ctx, &file);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_temporary_directory(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create("/nowhere/at/all");
+    struct bsq_file file;
+    assert_int_equal(bsq_file_temp(ctx, "out", "testing", &file), BSQ_ECANTCREAT);
+    assert_string_equal(bsq_error(ctx), "/nowhere/at/all: temporary file for testing: "
+                                        "No such file or directory");
+    bsq_clear_error(ctx);
+    assert_int_equal(bsq_require_disk(ctx, "out", 1), BSQ_ECANTCREAT);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_disk_space(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    assert_int_equal(bsq_require_disk(ctx, "out", 1), 0);
+    assert_int_equal(bsq_require_disk(ctx, "out", UINT64_MAX), BSQ_EIO);
+    assert_non_null(strstr(bsq_error(ctx), "18446744073709551615 bytes are needed"));
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- output ---- */
+
+static void test_output_appears_on_commit(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    put("out", "old");
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_write(output, "0123", 4), 0);
+    assert_int_equal(bsq_output_write_at(output, "AB", 2, 1), 0);
+    assert_int_equal(bsq_output_tell(output), 4);
+    assert_int_equal(bsq_output_align(output, 8), 0);
+    assert_int_equal(bsq_output_align(output, 8), 0);
+    assert_int_equal(bsq_output_tell(output), 8);
+    assert_int_equal(bsq_output_write(output, "x", 1), 0);
+    assert_content("out", "old", 3);
+    struct stat named, open_file;
+    assert_int_equal(stat(bsq_output_temp_path(output), &named), 0);
+    assert_int_equal(fstat(bsq_output_fd(output), &open_file), 0);
+    assert_int_equal(named.st_ino, open_file.st_ino);
+    assert_int_equal(bsq_output_commit(output), 0);
+    assert_content("out", "0AB3\0\0\0\0x", 9);
+    assert_int_equal(files_here(), 1);
+    unlink("out");
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_output_is_discarded(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_write(output, "0123", 4), 0);
+    assert_int_equal(files_here(), 1);
+    bsq_output_discard(output);
+    bsq_output_discard(NULL);
+    assert_int_equal(files_here(), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_output_permissions(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    mode_t before = umask(0027);
+    struct bsq_output *output;
+    struct stat info;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_commit(output), 0);
+    umask(before);
+    assert_int_equal(stat("out", &info), 0);
+    assert_int_equal(info.st_mode & 0777, 0640);
+    unlink("out");
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_output_long_name_and_link(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    char name[256];
+    memset(name, 'n', 255);
+    name[255] = '\0';
+    put(name, "old");
+    assert_int_equal(symlink(name, "link"), 0);
+    assert_int_equal(bsq_output_open(ctx, "link", &output), 0);
+    assert_int_equal(bsq_output_write(output, "new", 3), 0);
+    assert_int_equal(bsq_output_commit(output), 0);
+    struct stat info;
+    assert_int_equal(lstat("link", &info), 0);
+    assert_true(S_ISLNK(info.st_mode));
+    assert_content(name, "new", 3);
+    unlink("link");
+    unlink(name);
+    bsq_ctx_destroy(ctx);
+}
+
+static void assert_cannot_create(const char *path, const char *message)
+{
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    assert_int_equal(bsq_output_open(ctx, path, &output), BSQ_ECANTCREAT);
+    assert_null(output);
+    assert_string_equal(bsq_error(ctx), message);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_what_cannot_be_created(void **state)
+{
+    (void)state;
+    assert_int_equal(mkdir("sub", 0700), 0);
+    assert_cannot_create("sub", "sub: Is a directory");
+    assert_cannot_create("sub/", "\"sub/\" is not a file name");
+    assert_cannot_create("", "\"\" is not a file name");
+    assert_cannot_create("none/out", "none/out: cannot be created: No such file or directory");
+    assert_cannot_create("/dev/null", "/dev/null: exists and is not a regular file");
+    assert_cannot_create("/proc/out", "/proc/out: cannot be created: No such file or directory");
+    rmdir("sub");
+}
+
+static void test_failed_write_cannot_be_committed(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    struct rlimit before, small;
+    assert_int_equal(getrlimit(RLIMIT_FSIZE, &before), 0);
+    small = before;
+    small.rlim_cur = 100;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
+    char zeros[200] = {0};
+    int status = bsq_output_write(output, zeros, sizeof zeros);
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &before), 0);
+    assert_int_equal(status, BSQ_EIO);
+    assert_string_equal(bsq_error(ctx), "out: writing: File too large");
+    assert_int_equal(bsq_output_write(output, zeros, 10), 0);
+    assert_int_equal(bsq_output_commit(output), BSQ_EIO);
+    assert_int_equal(files_here(), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+static void assert_copies(struct bsq_ctx *ctx, struct bsq_file *from, const char *content)
+{
+    struct bsq_output *output;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_write(output, "<", 1), 0);
+    assert_int_equal(bsq_output_copy(output, from, 3, 9000), 0);
+    assert_int_equal(bsq_output_copy(output, from, 0, 0), 0);
+    assert_int_equal(bsq_output_tell(output), 9001);
+    assert_int_equal(bsq_output_write(output, ">", 1), 0);
+    assert_int_equal(bsq_output_commit(output), 0);
+    char expected[9002];
+    expected[0] = '<';
+    memcpy(expected + 1, content + 3, 9000);
+    expected[9001] = '>';
+    assert_content("out", expected, sizeof expected);
+    unlink("out");
+}
+
+static void test_copying(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_file file;
+    struct bsq_output *output;
+    char content[10000];
+    for (size_t i = 0; i < sizeof content; i++)
+        content[i] = (char)(i * 7 + i / 256);
+    assert_int_equal(bsq_file_temp(ctx, "out", "copying", &file), 0);
+    assert_int_equal(bsq_file_append(ctx, &file, content, sizeof content), 0);
+    assert_copies(ctx, &file, content);
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_copy(output, &file, 9000, 1001), BSQ_EDATA);
+    bsq_output_discard(output);
+    bsq_file_close(ctx, &file);
+    bsq_ctx_destroy(ctx);
+
+    /* From another file system, where the kernel may refuse to copy. */
+    ctx = create("/dev/shm");
+    assert_int_equal(bsq_file_temp(ctx, "out", "copying", &file), 0);
+    assert_int_equal(bsq_file_append(ctx, &file, content, sizeof content), 0);
+    assert_copies(ctx, &file, content);
+    bsq_file_close(ctx, &file);
+    bsq_ctx_destroy(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_reading),
+        cmocka_unit_test(test_every_truncated_length),
+        cmocka_unit_test(test_what_cannot_be_opened),
+        cmocka_unit_test(test_maps),
+        cmocka_unit_test(test_temporary_files),
+        cmocka_unit_test(test_temporary_directory),
+        cmocka_unit_test(test_disk_space),
+        cmocka_unit_test(test_output_appears_on_commit),
+        cmocka_unit_test(test_output_is_discarded),
+        cmocka_unit_test(test_output_permissions),
+        cmocka_unit_test(test_output_long_name_and_link),
+        cmocka_unit_test(test_what_cannot_be_created),
+        cmocka_unit_test(test_failed_write_cannot_be_committed),
+        cmocka_unit_test(test_copying),
+    };
+    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
+}
