@@ -14,8 +14,9 @@
 enum { ALIGNMENT = 64, HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + ALIGNMENT };
 
 struct header {
-    void *base;    /* what malloc() returned */
-    uint64_t size; /* of the payload, as counted */
+    void *base;      /* what malloc() returned */
+    uint64_t size;   /* of the payload, as counted */
+    uint64_t offset; /* of the payload from base */
 };
 _Static_assert(sizeof(struct header) <= HEADER_BYTES, "the header must fit before the payload");
 
@@ -91,8 +92,9 @@ static size_t payload_offset(const void *base)
 
 static void *place_header(void *base, uint64_t size)
 {
-    void *payload = (char *)base + payload_offset(base);
-    *header_of(payload) = (struct header){.base = base, .size = size};
+    uint64_t offset = payload_offset(base);
+    void *payload = (char *)base + offset;
+    *header_of(payload) = (struct header){.base = base, .size = size, .offset = offset};
     return payload;
 }
 
@@ -156,19 +158,14 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
 /* Moves a block whose extra bytes are reserved already; NULL where the system has no memory. */
 static void *resize(void *payload, uint64_t bytes)
 {
-    void *old_base = NULL;
-    size_t old_offset = 0;
-    uint64_t old_bytes = 0;
-    if (payload) {
-        old_base = header_of(payload)->base;
-        old_offset = payload_offset(old_base);
-        old_bytes = header_of(payload)->size;
-    }
-    char *base = realloc(old_base, bytes + OVERHEAD);
+    struct header old = {0};
+    if (payload)
+        old = *header_of(payload);
+    char *base = realloc(old.base, bytes + OVERHEAD);
     if (!base)
         return NULL;
-    if (old_bytes && payload_offset(base) != old_offset)
-        memmove(base + payload_offset(base), base + old_offset, old_bytes);
+    if (old.size && payload_offset(base) != old.offset)
+        memmove(base + payload_offset(base), base + old.offset, old.size);
     return place_header(base, bytes);
 }
 

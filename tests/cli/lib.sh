@@ -1,0 +1,172 @@
+# lib.sh - for the tests of the programs: each test_*.sh sources this, runs in an empty directory
+# of its own, and prints a line "ok" or "not ok" for each check. BIN names the directory with the
+# programs.
+#
+#   run PROGRAM ARGUMENT...   runs it; afterwards: $code, files $out and $err, $command
+#   code N, err LINE, ...     checks of the last run, see below
+#   finish                    prints the counts; the exit status is 1 after a failed check
+
+set -u
+LC_ALL=C
+export LC_ALL
+unset TMPDIR POSIXLY_CORRECT
+BIN=$(cd "${BIN:?is the directory with the programs}" && pwd) || exit 1
+top=$(cd "$(dirname "$0")/../.." && pwd) || exit 1
+work=$(mktemp -d /tmp/bisque-cli.XXXXXX) || exit 1
+out=$work/out err=$work/err
+mkdir "$work/here" && cd "$work/here" || exit 1
+trap 'cd / && chmod -R u+w "$work" && rm -rf "$work"' EXIT
+trap 'exit 1' INT TERM HUP
+
+passed=0 failed=0
+
+# check NAME STATUS: a passed check where STATUS is 0.
+check()
+{
+    if [ "$2" -eq 0 ]; then
+        passed=$((passed + 1))
+        echo "ok $((passed + failed)) - $1"
+    else
+        failed=$((failed + 1))
+        echo "not ok $((passed + failed)) - $1"
+        echo "# command: $command"
+        echo "# exit code: $code"
+        sed 's/^/# stdout: /' "$out" | head -n 20
+        sed 's/^/# stderr: /' "$err" | head -n 20
+    fi
+}
+
+run()
+{
+    command=$*
+    program=$1
+    shift
+    code=0
+    "$BIN/$program" "$@" >"$out" 2>"$err" || code=$?
+}
+
+# code N: the exit code.
+code()
+{
+    [ "$code" -eq "$1" ]
+    check "exit code $1: $command" $?
+}
+
+# err LINE: standard error is exactly this line, standard output is empty.
+err()
+{
+    [ "$(cat "$err")" = "$1" ] && [ ! -s "$out" ]
+    check "message: $1" $?
+}
+
+# err_like PATTERN: standard error is one line that matches, standard output is empty.
+err_like()
+{
+    [ "$(wc -l <"$err")" -eq 1 ] && grep -Eq -- "$1" "$err" && [ ! -s "$out" ]
+    check "message like: $1" $?
+}
+
+# out_like PATTERN: a line of standard output matches, standard error is empty.
+out_like()
+{
+    grep -Eq -- "$1" "$out" && [ ! -s "$err" ]
+    check "output like: $1" $?
+}
+
+# refused CODE LINE: both, and nothing was left behind.
+refused()
+{
+    code "$1"
+    err "$2"
+}
+
+# json EXPRESSION: standard output is JSON for which jq's expression is true.
+json()
+{
+    jq -e "$1" "$out" >/dev/null 2>&1
+    check "JSON: $1" $?
+}
+
+# files NAME...: exactly these files are here, hidden ones included.
+files()
+{
+    [ "$(ls -A)" = "$(printf '%s\n' "$@" | sort)" ]
+    check "files after $command: $*" $?
+}
+
+# same A B: the files have the same bytes.
+same()
+{
+    cmp -s "$1" "$2"
+    check "$1 and $2 are the same" $?
+}
+
+# man_page PROGRAM OPTION...: its page is well-formed and describes these long options.
+man_page()
+{
+    page=$top/man/$1.1
+    shift
+    if command -v mandoc >/dev/null; then
+        command="mandoc -T lint $page" code=0
+        mandoc -T lint -W warning "$page" >"$out" 2>"$err" || code=$?
+        check "$page is well-formed" "$code"
+    else
+        skip "$page is well-formed" "mandoc is not installed"
+    fi
+    for option; do
+        grep -q "Fl.* \\\\-$option\\( \\|\$\\)" "$page"
+        check "$page describes --$option" $?
+    done
+}
+
+# await PATTERN: until a file whose name matches is here, for at most 20 seconds.
+await()
+{
+    tries=0
+    while [ $tries -lt 200 ] && ! ls -A | grep -Eq -- "$1"; do
+        tries=$((tries + 1))
+        sleep 0.1
+    done
+}
+
+skip()
+{
+    passed=$((passed + 1))
+    echo "ok $((passed + failed)) - $1 # skip $2"
+}
+
+# A box [0, 1] x [0, 2] x [0, 3] of quads with texture coordinates, one chart a face.
+write_box()
+{
+    cat <<'OBJ'
+v 0 0 0
+v 1 0 0
+v 1 2 0
+v 0 2 0
+v 0 0 3
+v 1 0 3
+v 1 2 3
+v 0 2 3
+OBJ
+    for chart in 0 1 2 3 4 5; do
+        u=$((chart % 3)) v=$((chart / 3))
+        for corner in '05 05' '28 05' '28 28' '05 28'; do
+            set -- $corner
+            awk "BEGIN { printf \"vt %.4f %.4f\\n\", $u / 3 + $1 / 100, $v / 3 + $2 / 100 }"
+        done
+    done
+    cat <<'OBJ'
+f 4/1 3/2 2/3 1/4
+f 5/5 6/6 7/7 8/8
+f 1/9 2/10 6/11 5/12
+f 3/13 4/14 8/15 7/16
+f 1/17 5/18 8/19 4/20
+f 2/21 3/22 7/23 6/24
+OBJ
+}
+
+finish()
+{
+    echo "$passed passed, $failed failed"
+    [ "$failed" -eq 0 ]
+}

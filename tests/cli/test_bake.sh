@@ -1,0 +1,261 @@
+#!/bin/sh
+# test_bake.sh - bisque-bake from the outside: messages, exit codes, files.
+. "$(dirname "$0")/lib.sh"
+
+bake="run bisque-bake"
+write_box >low.obj
+# The same box as a scan with vertex colours.
+awk '/^v / { print $0, ($2 + 0.0), ($3 / 2), ($4 / 3); next } { print }' low.obj >colored.obj
+for scan in low colored; do
+    run bisque-voxelize $scan.obj -o $scan.nvdb --no-tris --resolution 48
+    code 0
+done
+mv low.nvdb plain.nvdb
+rm colored.obj
+start="colored.nvdb low.obj plain.nvdb"
+files $start
+
+magic()
+{
+    od -An -tx1 -N "$2" "$1" | tr -d ' \n'
+}
+is_exr()
+{
+    [ "$(magic "$1" 4)" = 762f3101 ]
+    check "$1 is an OpenEXR file" $?
+}
+# is_png FILE WIDTH HEIGHT BITS
+is_png()
+{
+    [ "$(magic "$1" 25)" = "89504e470d0a1a0a0000000d49484452$(printf %08x%08x%02x "$2" "$3" "$4")" ]
+    check "$1 is a PNG file of $2 x $3, $4 bit" $?
+}
+
+# ---- help, version, devices ----
+
+$bake --help
+code 0
+out_like '^Usage: bisque-bake '
+options="output maps size samples front back two-sided sampling normal-space green padding half
+    float png-bits preview device list-devices memory threads progress json help version"
+for option in $options; do
+    out_like "  --$option|, --$option"
+done
+man_page bisque-bake $options
+$bake --version
+code 0
+out_like '^bisque-bake [0-9]+\.[0-9]+\.[0-9]+$'
+$bake --list-devices
+code 0
+grep -q '^cpu ' "$out"
+check "the processor is a device" $?
+$bake --list-devices --json
+code 0
+json '.devices | map(.id) | contains(["cpu"])'
+
+# ---- usage ----
+
+p=bisque-bake:
+$bake
+refused 64 "$p 0 input files given, not two: SCAN.nvdb and LOW.obj (see --help)"
+$bake plain.nvdb
+refused 64 "$p 1 input file given, not two: SCAN.nvdb and LOW.obj (see --help)"
+$bake plain.nvdb low.obj low.obj -o a.exr
+refused 64 "$p 3 input files given, not two: SCAN.nvdb and LOW.obj (see --help)"
+$bake plain.nvdb low.obj
+refused 64 "$p no output given: add -o 'OUT_<MAP>.exr'"
+$bake --list-devices low.obj
+refused 64 "$p --list-devices takes no files"
+$bake --nonsense
+refused 64 "$p unrecognized option '--nonsense'"
+good="plain.nvdb low.obj -o a_<MAP>.exr"
+$bake $good --maps normal,height
+refused 64 "$p --maps: \"height\" is not normal, color or mask"
+$bake $good --maps normal,
+refused 64 "$p --maps: \"\" is not normal, color or mask"
+$bake $good --maps norm
+refused 64 "$p --maps: \"norm\" is not normal, color or mask"
+for size in 0 -1 x 1.5 1048577; do
+    $bake $good --size "$size"
+    code 64
+    err_like '^bisque-bake: --size: ".*" is not a whole number from 1 to 1048576$'
+done
+for size in 16x 16x0 x16 16x16x16; do
+    $bake $good --size "$size"
+    code 64
+    err_like '^bisque-bake: --size: ".*" is not a whole number from 1 to 1048576$'
+done
+$bake $good --samples 0
+refused 64 "$p --samples: \"0\" is not a whole number from 1 to 64"
+$bake $good --front -1
+refused 64 "$p --front: \"-1\" is not a non-negative number"
+$bake $good --back far
+refused 64 "$p --back: \"far\" is not a non-negative number"
+$bake $good --padding some
+refused 64 "$p --padding: \"some\" is not a whole number from 0 to 4294967294"
+$bake $good --green left
+refused 64 "$p --green: \"left\" is not up or down"
+$bake $good --normal-space world
+refused 64 "$p --normal-space: \"world\" is not tangent or object"
+$bake $good --normal-space object --green down
+refused 64 "$p --green down is for tangent space"
+$bake $good --sampling cubic
+refused 64 "$p --sampling: \"cubic\" is not trilinear or nearest"
+$bake $good --half --float
+refused 64 "$p --half and --float exclude each other"
+$bake $good --png-bits 8
+refused 64 "$p --png-bits is for PNG, not for a_<MAP>.exr"
+$bake plain.nvdb low.obj -o a.png --float
+refused 64 "$p --half and --float are for OpenEXR, not for a.png"
+$bake plain.nvdb low.obj -o a.png --png-bits 12
+refused 64 "$p --png-bits: \"12\" is not 8 or 16"
+$bake colored.nvdb low.obj -o a.exr --maps normal,color
+refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
+$bake $good --device abacus
+code 69
+err_like '^bisque-bake: .*abacus'
+files $start
+
+# ---- inputs that cannot be used ----
+
+$bake none.nvdb low.obj -o a.exr
+refused 66 "$p none.nvdb: No such file or directory"
+$bake plain.nvdb none.obj -o a.exr --maps normal
+refused 66 "$p none.obj: No such file or directory"
+$bake low.obj plain.nvdb -o a.exr
+refused 65 "$p low.obj: not a NanoVDB file"
+$bake plain.nvdb low.obj -o 'a_<MAP>.exr' --maps normal,color
+code 65
+err_like '^bisque-bake: plain\.nvdb.*colour'
+sed 's,/[0-9]*,,g; /^vt/d' low.obj >bare.obj
+$bake plain.nvdb bare.obj -o a.exr
+refused 65 "$p bare.obj: no texture coordinates"
+sed '$s,/[0-9]*,,g' low.obj >bare.obj
+$bake plain.nvdb bare.obj -o a.exr
+code 65
+err_like "^bisque-bake: bare\.obj:$(wc -l <bare.obj): face has no texture coordinates"
+grep '^v' low.obj >points.obj
+$bake plain.nvdb points.obj -o a.exr
+refused 65 "$p points.obj: no faces"
+head -c 5000 plain.nvdb >short.nvdb
+$bake short.nvdb low.obj -o a.exr
+code 65
+err_like '^bisque-bake: short\.nvdb: truncated'
+rm bare.obj points.obj short.nvdb
+files $start
+
+# ---- outputs that cannot be written ----
+
+$bake plain.nvdb low.obj -o none/a.exr
+refused 73 "$p none/a.exr: cannot be created: No such file or directory"
+$bake plain.nvdb low.obj -o a.exr --preview none/p.png
+refused 73 "$p none/p.png: cannot be created: No such file or directory"
+$bake plain.nvdb low.obj -o plain.nvdb
+refused 64 "$p plain.nvdb: this output would overwrite an input"
+$bake plain.nvdb low.obj -o a.png --preview low.obj
+refused 64 "$p low.obj: this output would overwrite an input"
+$bake plain.nvdb low.obj -o a.png --preview ./a.png
+refused 64 "$p a.png: two outputs have this name"
+files $start
+
+# ---- maps ----
+
+small="--device cpu --size 96 --samples 1"
+$bake $small colored.nvdb low.obj -o 'c_<MAP>.exr' --json
+code 0
+json '.program == "bisque-bake" and .maps == {"normal": "c_normal.exr", "color": "c_color.exr"}'
+json '.width == 96 and .height == 96 and .samples_per_axis == 1 and .low_triangles == 12'
+json '.hits + .misses == .samples and .misses * 100 < .samples and .overlapping_samples == 0'
+# Six squares of 0.23 of the map's width: (0.23 * 96)^2 * 6 = 2925 texels.
+json '.covered_texels > 2800 and .covered_texels < 3050 and .samples == .covered_texels'
+json '.degenerate_uv_triangles == 0 and .outside_uv_triangles == 0'
+json '.front > 0 and .back > 0'
+json '.cost.memory_high_bytes <= .cost.memory_budget_bytes and .cost.memory_high_bytes > 0'
+files c_color.exr c_normal.exr $start
+is_exr c_color.exr
+is_exr c_normal.exr
+
+# The same maps for any number of threads.
+for threads in 1 5; do
+    $bake $small --threads $threads colored.nvdb low.obj -o "t${threads}_<MAP>.exr"
+    code 0
+    out_like '^low\.obj: 12 triangles, [0-9,]+ of 96x96 texels covered$'
+    same t${threads}_normal.exr c_normal.exr
+    same t${threads}_color.exr c_color.exr
+done
+rm t?_*.exr c_*.exr
+
+# A grid without colour: normals alone, unless colour is asked for.
+$bake $small plain.nvdb low.obj -o 'p_<MAP>.exr'
+code 0
+files p_normal.exr $start
+cp p_normal.exr half.exr
+$bake $small plain.nvdb low.obj -o float.exr --float
+code 0
+[ "$(wc -c <float.exr)" -gt "$(wc -c <half.exr)" ]
+check "float samples take more bytes than half" $?
+rm p_normal.exr half.exr float.exr
+
+$bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview look.png --maps normal
+code 0
+out_like '^look\.png: preview$'
+is_png n.png 96 48 16
+[ "$(magic look.png 8)" = 89504e470d0a1a0a ]
+check "the preview is a PNG file" $?
+$bake $small plain.nvdb low.obj -o n8.png --png-bits 8 --maps normal
+code 0
+is_png n8.png 96 96 8
+$bake $small plain.nvdb low.obj -o m.png --maps mask
+code 0
+files look.png m.png n.png n8.png $start
+rm look.png m.png n.png
+
+# Options that change the map do so.
+for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \
+    "--sampling nearest" "--samples 3"; do
+    $bake $small $option plain.nvdb low.obj -o b.png --png-bits 8 --maps normal
+    code 0
+    case $option in
+    "--green up")
+        same b.png n8.png
+        ;;
+    *) # the green channel of a flat map is 0.5, and nearest normals of a box are exact
+        case $option in *object | *padding*) ! cmp -s b.png n8.png
+            check "$option changes the map" $? ;;
+        esac
+        ;;
+    esac
+done
+rm b.png n8.png
+
+# ---- misses ----
+
+# Moved along x, the two sides across x are out of reach of short rays.
+awk '/^v / { $2 += 0.0625 } { print }' low.obj >moved.obj
+$bake $small plain.nvdb moved.obj -o moved.exr --front 0.03125 --back 0.03125 --json
+code 0
+json '.misses * 4 > .samples and .misses * 2 < .samples'
+json '.front == 0.03125 and .back == 0.03125'
+grep -q '^bisque-bake: warning: .* % of the samples found no surface within 0.03125 in front and 0.03125 behind: ' "$err"
+check "a hint at misses" $?
+rm moved.*
+
+# ---- failures on the way ----
+
+command="bisque-bake with a file size limit" code=0
+(ulimit -f 8 && exec "$BIN/bisque-bake" --device cpu --size 1024 --float plain.nvdb low.obj \
+    --padding all -o a.exr) >"$out" 2>"$err" || code=$?
+code 74
+err_like '^bisque-bake: a\.exr: '
+files $start
+
+command="bisque-bake ended by SIGTERM" code=0
+"$BIN/bisque-bake" --device cpu --size 16384 --samples 8 plain.nvdb low.obj -o a.exr \
+    >"$out" 2>"$err" &
+await '^\.a\.exr\.'
+kill -TERM $!
+wait $! || code=$?
+refused 75 "$p interrupted"
+files $start
+
+finish

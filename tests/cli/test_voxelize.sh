@@ -1,0 +1,315 @@
+#!/bin/sh
+# test_voxelize.sh - bisque-voxelize from the outside: messages, exit codes, files.
+. "$(dirname "$0")/lib.sh"
+
+vox="run bisque-voxelize"
+write_box >box.obj
+
+# ---- help and version ----
+
+$vox --help
+code 0
+out_like '^Usage: bisque-voxelize '
+options="output resolution voxel-size grid-type vdb texture tris no-tris parse-only tmpdir memory
+    threads progress json help version"
+for option in $options; do
+    out_like "  --$option|-o, --$option"
+done
+man_page bisque-voxelize $options
+$vox --version
+code 0
+out_like '^bisque-voxelize [0-9]+\.[0-9]+\.[0-9]+$'
+
+command="bisque-voxelize --version >/dev/full" code=0
+"$BIN/bisque-voxelize" --version >/dev/full 2>"$err" || code=$?
+: >"$out"
+refused 74 "bisque-voxelize: standard output: No space left on device"
+
+# ---- usage ----
+
+p=bisque-voxelize:
+$vox
+refused 64 "$p no input file given (see --help)"
+$vox box.obj
+refused 64 "$p no output given: add -o FILE.nvdb"
+$vox --nonsense
+refused 64 "$p unrecognized option '--nonsense'"
+$vox box.obj -o
+refused 64 "$p option requires an argument -- 'o'"
+$vox box.obj -o a.nvdb --resolution 100 --voxel-size 1
+refused 64 "$p --resolution and --voxel-size exclude each other"
+$vox box.obj -o a.nvdb --tris a.tris --no-tris
+refused 64 "$p --tris and --no-tris exclude each other"
+$vox box.obj -o a.nvdb --parse-only
+refused 64 "$p --parse-only writes nothing: leave out --output"
+$vox box.obj -o a.nvdb --grid-type index
+refused 64 "$p --grid-type: \"index\" is not mask or onindex"
+$vox box.obj -o a.nvdb --progress often
+refused 64 "$p --progress: \"often\" is not auto, bar, none or json"
+for n in 0 -1 12.5 1073741825 18446744073709551617 ''; do
+    $vox box.obj -o a.nvdb --resolution "$n"
+    refused 64 "$p --resolution: \"$n\" is not a whole number from 1 to 1073741824"
+done
+for x in 0 -1 inf 0x1p3 1e999 '' 1mm; do
+    $vox box.obj -o a.nvdb --voxel-size "$x"
+    refused 64 "$p --voxel-size: \"$x\" is not a positive number"
+done
+for size in 0 -1G G 1.5.2G 4GG 0x10 1e30 ''; do
+    $vox box.obj -o a.nvdb --memory "$size"
+    refused 64 "$p --memory: \"$size\" is not a size such as 512MiB or 4G"
+done
+$vox box.obj -o a.nvdb --threads 0
+refused 64 "$p --threads: \"0\" is not a whole number from 1 to 65536"
+$vox box.obj -o a.nvdb --threads 1 --memory 1k
+refused 64 "$(cat "$err")"
+err_like '^bisque-voxelize: --memory: 1k is too small, 1 thread need(s)? at least [0-9]+MiB$'
+least=$(sed 's/.*at least //' "$err")
+files box.obj
+
+# ---- inputs that cannot be read ----
+
+$vox none.obj -o a.nvdb
+refused 66 "$p none.obj: No such file or directory"
+$vox box.obj none.obj -o a.nvdb
+refused 66 "$p none.obj: No such file or directory"
+mkdir dir
+$vox dir -o a.nvdb
+refused 66 "$p dir: Is a directory"
+rmdir dir
+: >empty.obj
+$vox empty.obj -o a.nvdb
+code 65
+err_like 'empty\.obj.*no faces'
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n' >range.obj
+$vox range.obj -o a.nvdb
+refused 65 "$p range.obj:4: face refers to vertex 99, file has 3"
+printf 'v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n' >nan.obj
+$vox nan.obj -o a.nvdb
+code 65
+err_like '^bisque-voxelize: nan\.obj:3: .*nan'
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n' >zero.obj
+$vox zero.obj -o a.nvdb
+code 65
+err_like '^bisque-voxelize: zero\.obj:4: '
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 1 1\n' >flat.obj
+$vox flat.obj -o a.nvdb
+code 65
+err_like '^bisque-voxelize: flat\.obj: '
+files box.obj empty.obj flat.obj nan.obj range.obj zero.obj
+rm empty.obj flat.obj nan.obj range.obj zero.obj
+
+# ---- outputs that cannot be written ----
+
+$vox box.obj -o none/a.nvdb
+refused 73 "$p none/a.nvdb: cannot be created: No such file or directory"
+$vox box.obj -o a.nvdb --vdb none/a.vdb
+refused 73 "$p none/a.vdb: cannot be created: No such file or directory"
+$vox box.obj -o a.nvdb --tris none/a.tris
+refused 73 "$p none/a.tris: cannot be created: No such file or directory"
+$vox box.obj -o /dev/null --tris a.tris
+refused 73 "$p /dev/null: exists and is not a regular file"
+$vox box.obj -o a.nvdb --no-tris --tmpdir none
+code 73
+err_like '^bisque-voxelize: none/\..*: cannot be created: No such file or directory$'
+$vox box.obj -o box.obj
+refused 64 "$p box.obj: this output would overwrite an input"
+$vox box.obj -o ./../here/box.obj
+refused 64 "$p ./../here/box.obj: this output would overwrite an input"
+$vox box.obj -o a.nvdb --vdb box.obj
+refused 64 "$p box.obj: this output would overwrite an input"
+$vox box.obj -o a.nvdb --vdb ./a.nvdb
+refused 64 "$p ./a.nvdb: two outputs have this name"
+$vox box.obj -o a.tris --resolution 24
+code 0
+rm a.tris a.tris.tris
+files box.obj
+
+# ---- a box of 8 x 16 x 24 voxels: its surface is 8 * 16 * 24 - 6 * 14 * 22 voxels ----
+
+$vox box.obj -o box.nvdb --resolution 24 --json --tmpdir .
+code 0
+json '.program == "bisque-voxelize" and .inputs == ["box.obj"]'
+json '.grid_path == "box.nvdb" and .tris_path == "box.tris" and .vdb_path == null'
+json '.scan.vertices == 8 and .scan.faces == 6 and .scan.triangles == 12'
+json '.scan.degenerate_triangles == 0 and .scan.unused_vertices == 0'
+json '(.scan.has_colors | not) and (.scan.has_normals | not)'
+json '.grid.triangles == 12 and .grid.voxels == 1224 and .grid.voxel_size == 0.125'
+json '(.grid.index_max[2] - .grid.index_min[2]) == 23'
+json '.cost.memory_high_bytes <= .cost.memory_budget_bytes and .cost.memory_high_bytes > 0'
+json '.cost.max_rss_bytes > 0 and .cost.seconds > 0'
+json ".grid.grid_bytes == $(wc -c <box.nvdb) and .scan.tris_bytes == $(wc -c <box.tris)"
+files box.nvdb box.obj box.tris
+
+$vox box.obj -o again.nvdb --resolution 24
+code 0
+out_like '^box\.obj: 8 vertices, 6 faces, 12 triangles, '
+out_like '^again\.nvdb: 1,224 voxels in 8 x 16 x 24, voxel size 0\.125, '
+out_like '^memory: .* of a budget of '
+same box.nvdb again.nvdb
+same box.tris again.tris
+rm again.*
+
+$vox box.tris -o again.nvdb --resolution 24 --json
+code 0
+json '.scan == null and .grid.voxels == 1224'
+same box.nvdb again.nvdb
+$vox box.tris -o again.nvdb --voxel-size 0.125 --no-tris
+code 0
+files again.nvdb box.nvdb box.obj box.tris
+rm again.nvdb
+
+$vox box.obj -o one.nvdb --resolution 24 --threads 1 --memory "$least" --json
+code 0
+json '.cost.memory_high_bytes <= .cost.memory_budget_bytes and .cost.threads == 1'
+$vox box.obj -o eight.nvdb --resolution 24 --threads 8
+code 0
+same one.nvdb eight.nvdb
+same one.tris eight.tris
+rm one.* eight.*
+
+$vox box.obj -o on.nvdb --resolution 24 --grid-type onindex --no-tris
+code 0
+[ "$(wc -c <on.nvdb)" -eq "$(wc -c <box.nvdb)" ] && ! cmp -s on.nvdb box.nvdb
+check "an OnIndex grid differs in its header" $?
+files box.nvdb box.obj box.tris on.nvdb
+rm on.nvdb
+
+if command -v nanovdb_validate >/dev/null; then
+    run_validate=$(nanovdb_validate box.nvdb 2>&1)
+    check "nanovdb_validate accepts the grid: $run_validate" $?
+else
+    skip "nanovdb_validate accepts the grid" "not installed"
+fi
+
+$vox box.obj -o a.nvdb --no-tris --resolution 24 --vdb a.vdb --json
+code 0
+json '.vdb_path == "a.vdb" and .tris_path == null'
+files a.nvdb a.vdb box.nvdb box.obj box.tris
+if command -v vdb_print >/dev/null; then
+    vdb_print a.vdb | grep -q surface
+    check "OpenVDB reads the export" $?
+else
+    skip "OpenVDB reads the export" "not installed"
+fi
+rm a.*
+
+# ---- misuse of chunk files ----
+
+$vox box.tris box.obj -o a.nvdb
+refused 64 "$p box.tris: a chunk file must be the only input"
+$vox box.tris -o a.nvdb --tris b.tris
+refused 64 "$p box.tris is a chunk file already: leave out --tris"
+$vox box.tris -o a.nvdb --texture t.png
+refused 64 "$p box.tris is a chunk file already: leave out --texture"
+$vox box.tris --parse-only
+refused 64 "$p box.tris: --parse-only reads OBJ files"
+$vox box.tris -o box.tris
+refused 64 "$p box.tris: this output would overwrite an input"
+head -c 100 box.tris >short.tris
+$vox short.tris -o a.nvdb
+code 65
+err_like '^bisque-voxelize: short\.tris: '
+$vox box.nvdb -o a.nvdb
+code 65
+err_like '^bisque-voxelize: box\.nvdb'
+rm short.tris
+files box.nvdb box.obj box.tris
+
+# ---- OBJ as it occurs ----
+
+$vox --parse-only box.obj
+code 0
+out_like '^box\.obj: 8 vertices, 6 faces, '
+$vox --parse-only box.obj box.obj --json
+code 0
+json '.scan.vertices == 16 and .scan.faces == 12 and .grid == null and .grid_path == null'
+
+sed 's/$/\r/' box.obj >crlf.obj
+$vox crlf.obj -o crlf.nvdb --resolution 24
+code 0
+same crlf.nvdb box.nvdb
+# Without comments and blank lines at the end, with tabs, continued lines and exponents.
+sed 's/ /\t/; s/ 2 0$/ 2e0 \\\n0/' box.obj | head -c -1 >odd.obj
+$vox odd.obj -o odd.nvdb --resolution 24
+code 0
+same odd.nvdb box.nvdb
+rm crlf.* odd.*
+
+# Two files, each with indices of its own, negative ones in the second.
+head -n 8 box.obj >first.obj
+cp first.obj second.obj
+printf 'f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\n' >>first.obj
+printf 'f -6 -5 -1 -2\nf -8 -4 -1 -5\nf -7 -6 -2 -3\n' >>second.obj
+$vox first.obj second.obj -o two.nvdb --resolution 24 --json
+code 0
+json '.inputs == ["first.obj", "second.obj"]'
+json '.scan.triangles == 12 and .grid.voxels == 1224'
+rm first.obj second.obj two.*
+
+# What is left out is counted.
+{
+    cat box.obj
+    printf 'v 0.5 0.5 0.5\nv 0.6 0.6 0.6\nf 1 1 2\nf 1 2 3 3\nf 1 2\nnonsense\ng group\n# end\n'
+} >extra.obj
+$vox extra.obj -o extra.nvdb --resolution 24 --json
+code 0
+json '.scan.degenerate_triangles == 2 and .scan.short_faces == 1'
+json '.scan.unused_vertices == 2 and .scan.skipped_lines == 1 and .grid.voxels == 1224'
+$vox extra.obj -o extra.nvdb --resolution 24
+out_like '^left out: 2 degenerate triangles, 1 face with fewer than three corners, 2 unused vertices'
+rm extra.*
+
+# A name that needs care.
+cp box.obj "a box.obj"
+$vox "a box.obj" -o "a box.nvdb" --resolution 24
+code 0
+same "a box.nvdb" box.nvdb
+rm "a box."*
+
+# An output is replaced, with the permissions that any new file has.
+echo old >old.nvdb
+chmod 600 old.nvdb
+(umask 022 && "$BIN/bisque-voxelize" box.obj -o old.nvdb --resolution 24 --no-tris >"$out")
+same old.nvdb box.nvdb
+[ "$(stat -c %a old.nvdb)" = 644 ]
+check "permissions of a new file" $?
+rm old.nvdb
+
+# ---- progress ----
+
+$vox box.obj -o a.nvdb --resolution 24 --progress json --json
+code 0
+json '.grid.voxels > 0'
+jq -es 'length > 0 and all(has("stage") and has("unit") and .done <= .total)' "$err" >"$work/jq"
+check "progress as JSON lines" $?
+$vox box.obj -o a.nvdb --resolution 24 --progress bar
+code 0
+grep -q "$(printf '\033')\\[K\$" "$err"
+check "the bar is taken away in the end" $?
+rm a.*
+
+# ---- failures on the way: no partial output is left behind ----
+
+$vox box.obj -o a.nvdb --no-tris --voxel-size 1e-12
+code 64
+err_like '^bisque-voxelize: .*voxel size of 1e-12'
+files box.nvdb box.obj box.tris
+
+command="bisque-voxelize with a file size limit" code=0
+(ulimit -f 8 && exec "$BIN/bisque-voxelize" box.obj -o a.nvdb --no-tris --resolution 512) \
+    >"$out" 2>"$err" || code=$?
+code 74
+err_like '^bisque-voxelize: .*File too large$'
+files box.nvdb box.obj box.tris
+
+for signal in TERM HUP; do
+    command="bisque-voxelize ended by SIG$signal" code=0
+    "$BIN/bisque-voxelize" box.obj -o a.nvdb --no-tris --resolution 60000 >"$out" 2>"$err" &
+    await '^\.a\.nvdb\..*\.tris$'
+    kill -"$signal" $!
+    wait $! || code=$?
+    refused 75 "$p interrupted"
+    files box.nvdb box.obj box.tris
+done
+
+finish

@@ -1,0 +1,290 @@
+/* test_polygon.c - triangles cover their polygon, with its orientation, for any simple polygon. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "base/polygon.h"
+
+static uint64_t random_state = 1899;
+
+static double random_unit(void)
+{
+    random_state ^= random_state >> 12;
+    random_state ^= random_state << 25;
+    random_state ^= random_state >> 27;
+    return (double)(random_state * UINT64_C(0x2545f4914f6cdd1d) >> 11) * 0x1p-53;
+}
+
+/* A right-handed frame that places 2D polygons in space. */
+struct frame {
+    double origin[3], x[3], y[3], normal[3];
+};
+
+static void cross(const double a[3], const double b[3], double out[3])
+{
+    for (int i = 0; i < 3; i++)
+        out[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
+}
+
+static double dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static void random_direction(double out[3])
+{
+    double length;
+    do {
+        for (int i = 0; i < 3; i++)
+            out[i] = 2 * random_unit() - 1;
+        length = sqrt(dot(out, out));
+    } while (length > 1 || length < 0.1);
+    for (int i = 0; i < 3; i++)
+        out[i] /= length;
+}
+
+static struct frame random_frame(double distance)
+{
+    struct frame f;
+    double other[3];
+    random_direction(f.normal);
+    do
+        random_direction(other);
+    while (fabs(dot(other, f.normal)) > 0.9);
+    cross(f.normal, other, f.x);
+    double length = sqrt(dot(f.x, f.x));
+    for (int i = 0; i < 3; i++)
+        f.x[i] /= length;
+    cross(f.normal, f.x, f.y);
+    random_direction(f.origin);
+    for (int i = 0; i < 3; i++)
+        f.origin[i] *= distance;
+    return f;
+}
+
+/* Triangulates a 2D polygon placed in `frame` and checks corners, orientation and areas. The area
+ * comes from the 2D corners by the shoelace formula. */
+static void check_polygon(const double (*corners)[2], uint32_t n, const struct frame *frame)
+{
+    double(*positions)[3] = malloc(n * sizeof *positions);
+    uint32_t *triangles = malloc(3 * n * sizeof *triangles);
+    uint32_t *scratch = malloc(2 * n * sizeof *scratch);
+    uint32_t *used = calloc(n, sizeof *used);
+    double area = 0, sum = 0, size = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        const double *a = corners[i], *b = corners[(i + 1) % n];
+        area += (a[0] * b[1] - a[1] * b[0]) / 2;
+        size = fmax(size, fmax(fabs(a[0]), fabs(a[1])));
+        for (int c = 0; c < 3; c++)
+            positions[i][c] = frame->origin[c] + a[0] * frame->x[c] + a[1] * frame->y[c];
+    }
+    double side = area < 0 ? -1 : 1; /* a clockwise polygon's triangles are clockwise, too */
+    double tolerance = 1e-9 * size * size * (1 + sqrt(dot(frame->origin, frame->origin)));
+    memset(triangles, 0xff, 3 * n * sizeof *triangles);
+    bsq_triangulate((const double(*)[3])positions, n, triangles, scratch);
+    for (uint32_t t = 0; t < n - 2; t++) {
+        double e[2][3], normal[3];
+        for (int k = 0; k < 3; k++) {
+            assert_in_range(triangles[3 * t + (uint32_t)k], 0, n - 1);
+            used[triangles[3 * t + (uint32_t)k]]++;
+        }
+        for (int k = 0; k < 2; k++)
+            for (int c = 0; c < 3; c++)
+                e[k][c] = positions[triangles[3 * t + 1 + (uint32_t)k]][c] -
+                          positions[triangles[3 * t]][c];
+        cross(e[0], e[1], normal);
+        double part = side * dot(normal, frame->normal) / 2;
+        if (part < -tolerance)
+            fail_msg("triangle %u of %u is turned over, area %g", t, n, part);
+        sum += part;
+    }
+    if (fabs(sum - fabs(area)) > tolerance * n)
+        fail_msg("polygon of %u: area %.17g, triangles %.17g", n, fabs(area), sum);
+    for (uint32_t i = 0; i < n; i++)
+        assert_true(used[i] > 0);
+    free(positions);
+    free(triangles);
+    free(scratch);
+    free(used);
+}
+
+static const struct frame flat = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+
+/* Star-shaped about the origin: any radii give a simple polygon. */
+static void random_star(double (*corners)[2], uint32_t n, double least_radius)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        double angle = (i + 0.8 * random_unit()) * 2 * 3.14159265358979 / n;
+        double radius = least_radius + (1 - least_radius) * random_unit();
+        corners[i][0] = radius * cos(angle);
+        corners[i][1] = radius * sin(angle);
+    }
+}
+
+static void reverse(double (*corners)[2], uint32_t n)
+{
+    for (uint32_t i = 0; i < n / 2; i++)
+        for (int c = 0; c < 2; c++) {
+            double swap = corners[i][c];
+            corners[i][c] = corners[n - 1 - i][c];
+            corners[n - 1 - i][c] = swap;
+        }
+}
+
+static void test_random_stars(void **state)
+{
+    (void)state;
+    double corners[200][2];
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 20000; i++) {
+        uint32_t n = 3 + (uint32_t)(random_unit() * (i % 50 ? 12 : 190));
+        struct frame frame = random_frame(i % 3 ? 10 : 0);
+        random_star(corners, n, n == 3 ? 0.5 : 0.05);
+        if (n == 3) /* keep the origin, and with it the orientation */
+            corners[2][0] = corners[2][1] = 0;
+        if (random_unit() < 0.5)
+            reverse(corners, n);
+        check_polygon((const double(*)[2])corners, n, &frame);
+    }
+}
+
+static void test_far_from_origin(void **state)
+{
+    (void)state;
+    double corners[20][2];
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 2000; i++) {
+        struct frame frame = random_frame(500000);
+        random_star(corners, 20, 0.2);
+        check_polygon((const double(*)[2])corners, 20, &frame);
+    }
+}
+
+static void test_known_shapes(void **state)
+{
+    (void)state;
+    static const double comb[][2] = {{0, 0}, {7, 0}, {7, 5}, {6, 5}, {6, 1}, {5, 1},
+                                     {5, 5}, {4, 5}, {4, 1}, {3, 1}, {3, 5}, {2, 5},
+                                     {2, 1}, {1, 1}, {1, 5}, {0, 5}};
+    static const double collinear[][2] = {{0, 0}, {1, 0}, {2, 0}, {2, 1},
+                                          {2, 2}, {1, 2}, {0, 2}, {0, 1}};
+    /* A square with a square hole; the bridge from corner 0 is walked twice. */
+    static const double hole[][2] = {{0, 0}, {9, 0}, {9, 9}, {0, 9}, {0, 0},
+                                     {3, 3}, {3, 6}, {6, 6}, {6, 3}, {3, 3}};
+    static const double spiral[][2] = {{0, 0}, {9, 0}, {9, 9}, {2, 9}, {2, 3}, {6, 3}, {6, 6},
+                                       {5, 6}, {5, 4}, {3, 4}, {3, 8}, {8, 8}, {8, 1}, {0, 1}};
+    static const double repeated[][2] = {{0, 0}, {0, 0}, {4, 0}, {4, 4}, {4, 4}, {2, 1}, {0, 4}};
+    check_polygon(comb, 16, &flat);
+    check_polygon(collinear, 8, &flat);
+    check_polygon(hole, 10, &flat);
+    check_polygon(spiral, 14, &flat);
+    check_polygon(repeated, 7, &flat);
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 500; i++) {
+        struct frame frame = random_frame(1);
+        check_polygon(comb, 16, &frame);
+        check_polygon(spiral, 14, &frame);
+    }
+}
+
+/* The reflex corner of an arrowhead must be on the cut, whichever corner it is. */
+static void test_arrowhead(void **state)
+{
+    (void)state;
+    static const double arrow[4][3] = {{0, 0, 0}, {4, 3, 0}, {1, 3, 0}, {0, 6, 0}};
+    for (uint32_t first = 0; first < 4; first++) {
+        double quad[4][3];
+        uint32_t triangles[6], scratch[8], reflex = (2 + 4 - first) % 4, tip = (reflex + 2) % 4;
+        for (uint32_t i = 0; i < 4; i++)
+            memcpy(quad[i], arrow[(first + i) % 4], sizeof quad[i]);
+        bsq_triangulate((const double(*)[3])quad, 4, triangles, scratch);
+        for (int t = 0; t < 2; t++) {
+            bool has_reflex = false, has_tip = false;
+            for (int k = 0; k < 3; k++) {
+                has_reflex |= triangles[3 * t + k] == reflex;
+                has_tip |= triangles[3 * t + k] == tip;
+            }
+            assert_true(has_reflex && has_tip);
+        }
+    }
+}
+
+static void test_convex_quad_is_cut_at_its_first_corner(void **state)
+{
+    (void)state;
+    static const double quad[4][3] = {{0, 0, 5}, {1, 0, 5}, {1, 1, 5}, {0, 1, 5}};
+    static const uint32_t expected[6] = {0, 1, 2, 0, 2, 3};
+    uint32_t triangles[6], scratch[8];
+    bsq_triangulate(quad, 4, triangles, scratch);
+    assert_memory_equal(triangles, expected, sizeof expected);
+}
+
+/* Input without a meaning still gives n - 2 triangles of valid corners. */
+static void test_degenerate(void **state)
+{
+    (void)state;
+    enum { most = 40 };
+    double positions[most][3];
+    uint32_t triangles[3 * most], scratch[2 * most];
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 20000; i++) {
+        uint32_t n = 3 + (uint32_t)(random_unit() * (most - 3));
+        int kind = i % 5; /* a point, a line, few different points, any crossing, not finite */
+        for (uint32_t k = 0; k < n; k++)
+            for (int c = 0; c < 3; c++)
+                positions[k][c] = kind == 0   ? 3
+                                  : kind == 1 ? (double)((k * 7) % n) * (c + 1)
+                                  : kind == 2 ? floor(3 * random_unit())
+                                  : kind == 4 ? random_unit() * 1e200
+                                              : random_unit();
+        memset(triangles, 0xff, sizeof triangles);
+        bsq_triangulate((const double(*)[3])positions, n, triangles, scratch);
+        for (uint32_t k = 0; k < 3 * (n - 2); k++)
+            assert_in_range(triangles[k], 0, n - 1);
+        assert_int_equal(triangles[3 * (n - 2)], UINT32_MAX);
+    }
+}
+
+static void test_large_polygon_is_quick(void **state)
+{
+    (void)state;
+    enum { n = 10000 };
+    static double corners[n][2];
+    print_message("seed %" PRIu64 "\n", random_state);
+    clock_t start = clock();
+    random_star(corners, n, 0.3);
+    check_polygon((const double(*)[2])corners, n, &flat);
+    for (uint32_t i = 0; i < n; i++) { /* a comb: half of the corners are reflex */
+        corners[i][0] = i < n - 2 ? i / 2 : (n - 1 - i) * (double)n;
+        corners[i][1] = i < n - 2 ? (i / 2 % 2 ? 1.0 : 9.0) + i % 2 : -1;
+    }
+    corners[n - 2][0] = n / 2;
+    corners[n - 1][0] = -1;
+    check_polygon((const double(*)[2])corners, n, &flat);
+    double seconds = (double)(clock() - start) / CLOCKS_PER_SEC;
+    print_message("%.2f s\n", seconds);
+    assert_true(seconds < 10); /* quadratic takes well below one, sanitizers included ten */
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_random_stars),
+        cmocka_unit_test(test_far_from_origin),
+        cmocka_unit_test(test_known_shapes),
+        cmocka_unit_test(test_arrowhead),
+        cmocka_unit_test(test_convex_quad_is_cut_at_its_first_corner),
+        cmocka_unit_test(test_degenerate),
+        cmocka_unit_test(test_large_polygon_is_quick),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

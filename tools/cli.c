@@ -1,0 +1,297 @@
+/* cli.c - common options, parsing of values, signals, exit codes. */
+#include "tools/cli.h"
+
+#include <errno.h>
+#include <math.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "base/output.h"
+
+/* ---- signals ---- */
+
+/* A signal handler has no argument of its own: the one piece of global state in a program. */
+static struct bsq_ctx *volatile signalled_ctx;
+
+static void on_signal(int number)
+{
+    (void)number;
+    if (signalled_ctx)
+        bsq_interrupt(signalled_ctx);
+}
+
+static void catch_signal(int number)
+{
+    struct sigaction action = {.sa_handler = on_signal, .sa_flags = SA_RESTART}, before;
+    sigemptyset(&action.sa_mask);
+    /* What the parent has had ignored (nohup, a background job) stays ignored. */
+    if (sigaction(number, NULL, &before) == 0 && before.sa_handler != SIG_IGN)
+        sigaction(number, &action, NULL);
+}
+
+/* ---- the way in and out ---- */
+
+void cli_begin(struct cli *cli, const char *program, char **argv)
+{
+    *cli = (struct cli){.program = program};
+    clock_gettime(CLOCK_MONOTONIC, &cli->started);
+    argv[0] = (char *)program;
+    /* A reader that goes away or a file size limit is an error of write(2), not a silent death with
+     * temporary files left behind. */
+    signal(SIGPIPE, SIG_IGN);
+    signal(SIGXFSZ, SIG_IGN);
+}
+
+static int parse_progress(struct cli *cli)
+{
+    static const char *const words[] = {"auto", "bar", "none", "json", NULL};
+    unsigned mode = 0;
+    int status = cli_parse_word(cli, "--progress", optarg, words, &mode);
+    if (status == 0)
+        cli->progress = (enum cli_progress)mode;
+    return status;
+}
+
+static int parse_threads(struct cli *cli)
+{
+    uint64_t threads = 0;
+    int status = cli_parse_count(cli, "--threads", optarg, 1, 65536, &threads);
+    if (status == 0)
+        cli->threads = (unsigned)threads;
+    return status;
+}
+
+int cli_common_option(struct cli *cli, int option, const char *help)
+{
+    switch (option) {
+    case CLI_MEMORY:
+        cli->memory_text = optarg;
+        return cli_parse_size(cli, "--memory", optarg, &cli->memory_bytes);
+    case CLI_THREADS:
+        return parse_threads(cli);
+    case CLI_TMPDIR:
+        cli->tmpdir = optarg;
+        return 0;
+    case CLI_PROGRESS:
+        return parse_progress(cli);
+    case CLI_JSON:
+        cli->json = true;
+        return 0;
+    case CLI_HELP:
+        fputs(help, stdout);
+        return 2;
+    case CLI_VERSION:
+        printf("%s %s\n", cli->program, BSQ_VERSION);
+        return 2;
+    case '?': /* getopt_long has said what is wrong */
+        cli->reported = true;
+        return BSQ_EUSAGE;
+    default:
+        return 1;
+    }
+}
+
+int cli_create_context(struct cli *cli)
+{
+    if (cli->progress == CLI_PROGRESS_AUTO) {
+        const char *terminal = getenv("TERM");
+        bool capable = isatty(STDERR_FILENO) && terminal && strcmp(terminal, "dumb") != 0;
+        cli->progress = capable ? CLI_PROGRESS_BAR : CLI_PROGRESS_NONE;
+    }
+    struct bsq_ctx_options options = {
+        .memory_bytes = cli->memory_bytes,
+        .threads = cli->threads,
+        .tmpdir = cli->tmpdir,
+        .on_progress = cli->progress == CLI_PROGRESS_NONE ? NULL : cli_on_progress,
+        .on_warning = cli_on_warning,
+        .user = cli,
+    };
+    int status = bsq_ctx_create(&options, &cli->ctx);
+    if (status < 0) {
+        fprintf(stderr, "%s: out of memory\n", cli->program);
+        cli->reported = true;
+        return status;
+    }
+    signalled_ctx = cli->ctx;
+    catch_signal(SIGINT);
+    catch_signal(SIGTERM);
+    catch_signal(SIGHUP);
+    return 0;
+}
+
+int cli_usage(struct cli *cli, const char *format, ...)
+{
+    va_list arguments;
+    cli_clear_bar(cli);
+    fprintf(stderr, "%s: ", cli->program);
+    va_start(arguments, format);
+    vfprintf(stderr, format, arguments);
+    va_end(arguments);
+    fputc('\n', stderr);
+    cli->reported = true;
+    return BSQ_EUSAGE;
+}
+
+int cli_end(struct cli *cli, int status)
+{
+    cli_clear_bar(cli);
+    if (status < 0 && !cli->reported) {
+        const char *text = cli->ctx ? bsq_error(cli->ctx) : "";
+        if (*text)
+            fprintf(stderr, "%s: %s\n", cli->program, text);
+        else
+            fprintf(stderr, "%s: failed with status %d\n", cli->program, -status);
+    }
+    signalled_ctx = NULL;
+    bsq_ctx_destroy(cli->ctx);
+    if ((fflush(stdout) != 0 || ferror(stdout)) && status >= 0) {
+        fprintf(stderr, "%s: standard output: %s\n", cli->program, strerror(errno));
+        status = BSQ_EIO;
+    }
+    return status < 0 ? -status : 0;
+}
+
+/* ---- values ---- */
+
+/* strtod() also takes "inf", "0x1p3" and leading space; these are no numbers here. */
+static bool is_decimal(const char *text)
+{
+    return (text[0] >= '0' && text[0] <= '9') ||
+           (text[0] == '.' && text[1] >= '0' && text[1] <= '9');
+}
+
+/* Factor of a unit such as "", "k", "MiB", "gb"; 0: unknown. */
+static uint64_t unit_factor(const char *unit)
+{
+    static const char prefixes[] = "kmgt";
+    if (*unit == '\0' || strcasecmp(unit, "b") == 0)
+        return 1;
+    const char *prefix = strchr(prefixes, *unit | 0x20);
+    if (!prefix)
+        return 0;
+    bool decimal = strcasecmp(unit + 1, "b") == 0;
+    if (!decimal && unit[1] != '\0' && strcasecmp(unit + 1, "ib") != 0)
+        return 0;
+    uint64_t factor = 1;
+    for (const char *p = prefixes; p <= prefix; p++)
+        factor *= decimal ? 1000 : 1024;
+    return factor;
+}
+
+int cli_parse_size(struct cli *cli, const char *option, const char *text, uint64_t *out)
+{
+    char *end = (char *)text;
+    long double number = 0;
+    if (is_decimal(text) && !(text[0] == '0' && (text[1] | 0x20) == 'x'))
+        number = strtold(text, &end);
+    long double bytes = number * (long double)unit_factor(end);
+    if (end == text || !(bytes >= 1.0L && bytes < 0x1p63L))
+        return cli_usage(cli, "%s: \"%s\" is not a size such as 512MiB or 4G", option, text);
+    *out = (uint64_t)bytes;
+    return 0;
+}
+
+int cli_parse_count(struct cli *cli, const char *option, const char *text, uint64_t min,
+                    uint64_t max, uint64_t *out)
+{
+    char *end;
+    errno = 0;
+    unsigned long long value = strtoull(text, &end, 10);
+    bool digits = text[0] >= '0' && text[0] <= '9' && *end == '\0';
+    if (!digits || errno == ERANGE || value < min || value > max)
+        return cli_usage(cli, "%s: \"%s\" is not a whole number from %llu to %llu", option, text,
+                         (unsigned long long)min, (unsigned long long)max);
+    *out = value;
+    return 0;
+}
+
+int cli_parse_length(struct cli *cli, const char *option, const char *text, bool positive,
+                     double *out)
+{
+    char *end;
+    double value = strtod(text, &end);
+    bool number =
+        is_decimal(text) && strspn(text, "0123456789.eE+-") == strlen(text) && *end == '\0';
+    if (!number || !isfinite(value) || (positive && !(value > 0)))
+        return cli_usage(cli, "%s: \"%s\" is not a %s number", option, text,
+                         positive ? "positive" : "non-negative");
+    *out = value;
+    return 0;
+}
+
+int cli_parse_word(struct cli *cli, const char *option, const char *text, const char *const *words,
+                   unsigned *out)
+{
+    for (unsigned i = 0; words[i]; i++) {
+        if (strcmp(words[i], text) == 0) {
+            *out = i;
+            return 0;
+        }
+    }
+    char *list = NULL;
+    size_t size;
+    FILE *stream = open_memstream(&list, &size);
+    for (unsigned i = 0; stream && words[i]; i++)
+        fprintf(stream, "%s%s", i == 0 ? "" : words[i + 1] ? ", " : " or ", words[i]);
+    if (stream)
+        fclose(stream);
+    int status = cli_usage(cli, "%s: \"%s\" is not %s", option, text, list ? list : "known");
+    free(list);
+    return status;
+}
+
+/* ---- files ---- */
+
+bool cli_ends_with(const char *text, const char *ending)
+{
+    size_t length = strlen(text), ending_length = strlen(ending);
+    return length >= ending_length && strcmp(text + length - ending_length, ending) == 0;
+}
+
+/* Absolute name of a file that need not exist; NULL where its directory does not. */
+static char *absolute_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    char *directory = slash ? strndup(path, (size_t)(slash - path + 1)) : strdup(".");
+    char *resolved = directory ? realpath(directory, NULL) : NULL;
+    char *name = NULL;
+    if (resolved && asprintf(&name, "%s/%s", resolved, slash ? slash + 1 : path) < 0)
+        name = NULL;
+    free(resolved);
+    free(directory);
+    return name;
+}
+
+bool cli_same_file(const char *a, const char *b)
+{
+    struct stat info_a, info_b;
+    bool exists_a = stat(a, &info_a) == 0, exists_b = stat(b, &info_b) == 0;
+    if (exists_a && exists_b)
+        return info_a.st_dev == info_b.st_dev && info_a.st_ino == info_b.st_ino;
+    if (exists_a != exists_b)
+        return false;
+    char *name_a = absolute_name(a), *name_b = absolute_name(b);
+    bool same = name_a && name_b && strcmp(name_a, name_b) == 0;
+    free(name_a);
+    free(name_b);
+    return same;
+}
+
+int cli_check_output(struct cli *cli, const char *path, const char *const *inputs,
+                     uint32_t input_count)
+{
+    for (uint32_t i = 0; i < input_count; i++) {
+        if (inputs[i] && cli_same_file(path, inputs[i]))
+            return cli_usage(cli, "%s: this output would overwrite an input", path);
+    }
+    struct bsq_output *output;
+    int status = bsq_output_open(cli->ctx, path, &output);
+    if (status == 0)
+        bsq_output_discard(output);
+    return status;
+}

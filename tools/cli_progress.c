@@ -1,0 +1,125 @@
+/* cli_progress.c - progress on standard error, as a bar or as JSON lines, and warnings.
+ *
+ * The bar is one line that is drawn over itself; whoever prints something else takes it away first,
+ * and the next report draws it again. */
+#include <string.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include "tools/cli.h"
+
+enum { BAR_CELLS = 24, DEFAULT_COLUMNS = 80 };
+
+void cli_clear_bar(struct cli *cli)
+{
+    if (!cli->bar_drawn)
+        return;
+    fputs("\r\033[K", stderr);
+    cli->bar_drawn = false;
+}
+
+static int terminal_columns(void)
+{
+    struct winsize size;
+    if (ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1)
+        return size.ws_col;
+    return DEFAULT_COLUMNS;
+}
+
+/* "12.3 MiB" or "12.3 M". */
+static void format_amount(const char *unit, uint64_t amount, char *buffer)
+{
+    if (strcmp(unit, "bytes") == 0) {
+        cli_size_text(amount, buffer);
+        return;
+    }
+    static const char *const prefixes[] = {"", " k", " M", " G", " T"};
+    double value = (double)amount;
+    unsigned i = 0;
+    for (; value >= 999.5 && i < 4; i++)
+        value /= 1000;
+    snprintf(buffer, CLI_TEXT, i == 0 ? "%.0f%s" : "%.1f%s", value, prefixes[i]);
+}
+
+static void format_remaining(const struct cli *cli, const struct bsq_progress *progress,
+                             char *buffer, size_t size)
+{
+    double elapsed = cli_seconds(&cli->stage_started);
+    buffer[0] = '\0';
+    if (elapsed < 2 || progress->done == 0 || progress->done > progress->total)
+        return;
+    double left = elapsed * (double)(progress->total - progress->done) / (double)progress->done;
+    unsigned long seconds = left < 1e8 ? (unsigned long)left : 99999999;
+    if (seconds >= 3600)
+        snprintf(buffer, size, "  %lu:%02lu:%02lu left", seconds / 3600, seconds / 60 % 60,
+                 seconds % 60);
+    else
+        snprintf(buffer, size, "  %lu:%02lu left", seconds / 60, seconds % 60);
+}
+
+static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
+{
+    char line[512], done[CLI_TEXT], total[CLI_TEXT], remaining[CLI_TEXT], cells[BAR_CELLS + 1];
+    bool bytes = strcmp(progress->unit, "bytes") == 0;
+    const char *unit = bytes ? "" : progress->unit, *space = bytes ? "" : " ";
+    format_amount(progress->unit, progress->done, done);
+    if (progress->total > 0) {
+        double part = (double)progress->done / (double)progress->total;
+        part = part > 1 ? 1 : part;
+        size_t filled = (size_t)(part * BAR_CELLS);
+        memset(cells, '=', filled);
+        memset(cells + filled, ' ', BAR_CELLS - filled);
+        cells[BAR_CELLS] = '\0';
+        format_amount(progress->unit, progress->total, total);
+        format_remaining(cli, progress, remaining, sizeof remaining);
+        snprintf(line, sizeof line, "%-11s [%s] %3.0f %%  %s of %s%s%s%s", progress->stage, cells,
+                 part * 100, done, total, space, unit, remaining);
+    } else {
+        snprintf(line, sizeof line, "%-11s %s%s%s", progress->stage, done, space, unit);
+    }
+    fprintf(stderr, "\r%.*s\033[K", terminal_columns() - 1, line);
+    cli->bar_drawn = true;
+}
+
+static void print_json_line(const struct bsq_progress *progress)
+{
+    /* Names of stages and units are plain words: nothing to escape. */
+    fprintf(stderr,
+            "{\"stage\": \"%s\", \"unit\": \"%s\", \"done\": %llu, \"total\": %llu, "
+            "\"finished\": %s}\n",
+            progress->stage, progress->unit, (unsigned long long)progress->done,
+            (unsigned long long)progress->total, progress->finished ? "true" : "false");
+}
+
+void cli_on_progress(void *user, const struct bsq_progress *progress)
+{
+    struct cli *cli = user;
+    if (cli->progress == CLI_PROGRESS_JSON) {
+        print_json_line(progress);
+        return;
+    }
+    if (cli->bar_stage != progress->stage) {
+        cli->bar_stage = progress->stage;
+        clock_gettime(CLOCK_MONOTONIC, &cli->stage_started);
+    }
+    if (progress->finished) {
+        cli_clear_bar(cli);
+        cli->bar_stage = NULL;
+    } else {
+        draw_bar(cli, progress);
+    }
+}
+
+void cli_on_warning(void *user, const char *line)
+{
+    struct cli *cli = user;
+    cli_clear_bar(cli);
+    if (cli->progress == CLI_PROGRESS_JSON) {
+        json_t *object = json_pack("{s:o}", "warning", cli_json_text(line));
+        if (object && json_dumpf(object, stderr, 0) == 0)
+            fputc('\n', stderr);
+        json_decref(object);
+        return;
+    }
+    fprintf(stderr, "%s: warning: %s\n", cli->program, line);
+}

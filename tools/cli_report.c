@@ -1,0 +1,115 @@
+/* cli_report.c - numbers for people and results for programs. */
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+
+#include "tools/cli.h"
+
+double cli_seconds(const struct timespec *since)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)(now.tv_sec - since->tv_sec) + (double)(now.tv_nsec - since->tv_nsec) * 1e-9;
+}
+
+uint64_t cli_max_rss_bytes(void)
+{
+    struct rusage usage;
+    return getrusage(RUSAGE_SELF, &usage) == 0 ? (uint64_t)usage.ru_maxrss * 1024 : 0;
+}
+
+const char *cli_size_text(uint64_t bytes, char *buffer)
+{
+    static const char *const units[] = {"B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"};
+    double value = (double)bytes;
+    unsigned i = 0;
+    for (; value >= 1023.95 && i < 6; i++)
+        value /= 1024;
+    snprintf(buffer, CLI_TEXT, i == 0 ? "%.0f %s" : "%.1f %s", value, units[i]);
+    return buffer;
+}
+
+const char *cli_count_text(uint64_t count, char *buffer)
+{
+    char digits[24];
+    int length = snprintf(digits, sizeof digits, "%llu", (unsigned long long)count);
+    char *to = buffer;
+    for (int i = 0; i < length; i++) {
+        if (i > 0 && (length - i) % 3 == 0)
+            *to++ = ',';
+        *to++ = digits[i];
+    }
+    *to = '\0';
+    return buffer;
+}
+
+const char *cli_print_count(const char *separator, uint64_t count, const char *singular,
+                            const char *plural)
+{
+    char text[CLI_TEXT];
+    if (count == 0)
+        return separator;
+    printf("%s%s %s", separator, cli_count_text(count, text), count == 1 ? singular : plural);
+    return ", ";
+}
+
+void cli_print_cost(const struct cli *cli)
+{
+    char high[CLI_TEXT], limit[CLI_TEXT], resident[CLI_TEXT];
+    printf("memory: %s of a budget of %s (resident at most %s)\n",
+           cli_size_text(bsq_memory_high(cli->ctx), high),
+           cli_size_text(bsq_memory_limit(cli->ctx), limit),
+           cli_size_text(cli_max_rss_bytes(), resident));
+    printf("time: %.2f s\n", cli_seconds(&cli->started));
+}
+
+json_t *cli_json_text(const char *text)
+{
+    if (!text)
+        return json_null();
+    json_t *string = json_string(text);
+    if (string)
+        return string;
+    char *copy = strdup(text);
+    for (char *p = copy; p && *p; p++) {
+        if ((unsigned char)*p >= 0x80)
+            *p = '?';
+    }
+    string = copy ? json_string(copy) : NULL;
+    free(copy);
+    return string;
+}
+
+static double seconds_of(struct timeval time)
+{
+    return (double)time.tv_sec + (double)time.tv_usec * 1e-6;
+}
+
+static json_t *cost_json(const struct cli *cli)
+{
+    struct rusage usage = {0};
+    getrusage(RUSAGE_SELF, &usage);
+    return json_pack("{s:i, s:I, s:I, s:I, s:f, s:f, s:f}", "threads", (int)bsq_threads(cli->ctx),
+                     "memory_budget_bytes", (json_int_t)bsq_memory_limit(cli->ctx),
+                     "memory_high_bytes", (json_int_t)bsq_memory_high(cli->ctx), "max_rss_bytes",
+                     (json_int_t)cli_max_rss_bytes(), "seconds", cli_seconds(&cli->started),
+                     "seconds_user", seconds_of(usage.ru_utime), "seconds_system",
+                     seconds_of(usage.ru_stime));
+}
+
+int cli_print_json(struct cli *cli, json_t *root)
+{
+    json_t *cost = cost_json(cli);
+    int status = 0;
+    json_t *head = json_pack("{s:s, s:s}", "program", cli->program, "version", BSQ_VERSION);
+    if (!root || !head || !cost || json_object_update(head, root) != 0 ||
+        json_object_set(head, "cost", cost) != 0)
+        status = bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory for the JSON report");
+    else if (json_dumpf(head, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(15)) != 0 ||
+             fputc('\n', stdout) == EOF)
+        status = bsq_fail(cli->ctx, BSQ_EIO, "standard output: the JSON report cannot be written");
+    json_decref(head);
+    json_decref(cost);
+    json_decref(root);
+    return status;
+}

@@ -1,0 +1,270 @@
+/* compare.c - bisque-compare: how far apart are two maps? */
+#include <math.h>
+#include <stdio.h>
+
+#include "libbake/compare.h"
+#include "tools/cli.h"
+
+static const char help[] =
+    "Usage: bisque-compare [OPTION]... A.exr B.exr\n"
+    "Measures how far map A is from the reference B: the angle between normals in degrees, the\n"
+    "CIEDE2000 difference and PSNR of colours, absolute and relative differences of other maps.\n"
+    "Exits with 0 when all limits hold, 1 when one does not.\n"
+    "\n"
+    "      --type KIND         auto, normal, color or data (default: auto)\n"
+    "      --mask FILE         texels that count, for both maps: those above 0\n"
+    "      --mask-a FILE       texels that A covers; with --mask-b, hit agreement is reported too\n"
+    "      --mask-b FILE       texels that B covers\n"
+    "      --heatmap FILE.png  the error in place, with its scale\n"
+    "      --histogram FILE.png\n"
+    "                          the distribution of the error\n"
+    "      --scale E           error at the top of their scale (default: the 99th percentile)\n"
+    "      --max-mean E, --max-median E, --max-p95 E, --max-p99 E, --max-error E\n"
+    "                          largest mean, median, percentile, maximum to pass\n"
+    "      --min-psnr DB       smallest PSNR to pass, for colours\n"
+    "      --min-agreement S   smallest share of texels covered by both, 0 to 1\n" CLI_COMMON_HELP;
+
+enum {
+    OPT_TYPE = CLI_OWN,
+    OPT_MASK,
+    OPT_MASK_A,
+    OPT_MASK_B,
+    OPT_HEATMAP,
+    OPT_HISTOGRAM,
+    OPT_SCALE,
+    OPT_LIMITS /* the limits' options count up from here */
+};
+
+enum limit { MAX_MEAN, MAX_MEDIAN, MAX_P95, MAX_P99, MAX_ERROR, MIN_PSNR, MIN_AGREEMENT, LIMITS };
+
+static const struct option long_options[] = {
+    {"type", required_argument, NULL, OPT_TYPE},
+    {"mask", required_argument, NULL, OPT_MASK},
+    {"mask-a", required_argument, NULL, OPT_MASK_A},
+    {"mask-b", required_argument, NULL, OPT_MASK_B},
+    {"heatmap", required_argument, NULL, OPT_HEATMAP},
+    {"histogram", required_argument, NULL, OPT_HISTOGRAM},
+    {"scale", required_argument, NULL, OPT_SCALE},
+    {"max-mean", required_argument, NULL, OPT_LIMITS + MAX_MEAN},
+    {"max-median", required_argument, NULL, OPT_LIMITS + MAX_MEDIAN},
+    {"max-p95", required_argument, NULL, OPT_LIMITS + MAX_P95},
+    {"max-p99", required_argument, NULL, OPT_LIMITS + MAX_P99},
+    {"max-error", required_argument, NULL, OPT_LIMITS + MAX_ERROR},
+    {"min-psnr", required_argument, NULL, OPT_LIMITS + MIN_PSNR},
+    {"min-agreement", required_argument, NULL, OPT_LIMITS + MIN_AGREEMENT},
+    CLI_COMMON_OPTIONS,
+    {NULL, 0, NULL, 0},
+};
+
+static const struct {
+    const char *option, *figure;
+    bool smallest; /* the limit is a lower one */
+} limit_names[LIMITS] = {
+    [MAX_MEAN] = {"--max-mean", "mean", false},
+    [MAX_MEDIAN] = {"--max-median", "median", false},
+    [MAX_P95] = {"--max-p95", "95th percentile", false},
+    [MAX_P99] = {"--max-p99", "99th percentile", false},
+    [MAX_ERROR] = {"--max-error", "maximum", false},
+    [MIN_PSNR] = {"--min-psnr", "PSNR", true},
+    [MIN_AGREEMENT] = {"--min-agreement", "hit agreement", true},
+};
+
+static const char *const kind_names[] = {"auto", "normal", "color", "data", NULL};
+static const char *const kind_units[] = {"", "degrees", "dE2000", "difference"};
+
+struct arguments {
+    struct bake_compare_options compare;
+    double limits[LIMITS]; /* NAN: not given */
+};
+
+/* ---- arguments ---- */
+
+static int parse_own_option(struct cli *cli, struct arguments *arguments, int option)
+{
+    struct bake_compare_options *compare = &arguments->compare;
+    unsigned word;
+    int status = 0;
+    switch (option) {
+    case OPT_TYPE:
+        status = cli_parse_word(cli, "--type", optarg, kind_names, &word);
+        if (status == 0)
+            compare->kind = (enum bake_compare_kind)word;
+        return status;
+    case OPT_MASK:
+        compare->a_mask_path = compare->b_mask_path = optarg;
+        return 0;
+    case OPT_MASK_A:
+        compare->a_mask_path = optarg;
+        return 0;
+    case OPT_MASK_B:
+        compare->b_mask_path = optarg;
+        return 0;
+    case OPT_HEATMAP:
+        compare->heatmap_path = optarg;
+        return 0;
+    case OPT_HISTOGRAM:
+        compare->histogram_path = optarg;
+        return 0;
+    case OPT_SCALE:
+        return cli_parse_length(cli, "--scale", optarg, true, &compare->scale);
+    default:
+        return cli_parse_length(cli, limit_names[option - OPT_LIMITS].option, optarg, false,
+                                &arguments->limits[option - OPT_LIMITS]);
+    }
+}
+
+static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
+{
+    int option;
+    for (int i = 0; i < LIMITS; i++)
+        arguments->limits[i] = NAN;
+    while ((option = getopt_long(argc, argv, "", long_options, NULL)) != -1) {
+        int status = cli_common_option(cli, option, help);
+        if (status == 1)
+            status = parse_own_option(cli, arguments, option);
+        if (status != 0)
+            return status;
+    }
+    if (argc - optind != 2)
+        return cli_usage(cli, "two EXR files are needed; see --help");
+    arguments->compare.a_path = argv[optind];
+    arguments->compare.b_path = argv[optind + 1];
+    return 0;
+}
+
+static int check_outputs(struct cli *cli, const struct bake_compare_options *compare)
+{
+    const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
+                            compare->b_mask_path};
+    uint32_t input_count = 2;
+    for (int i = 2; i < 4; i++)
+        if (inputs[i])
+            inputs[input_count++] = inputs[i];
+    int status = 0;
+    if (compare->heatmap_path)
+        status = cli_check_output(cli, compare->heatmap_path, inputs, input_count);
+    if (status == 0 && compare->histogram_path)
+        status = cli_check_output(cli, compare->histogram_path, inputs, input_count);
+    return status;
+}
+
+/* ---- results ---- */
+
+static double figure(const struct bake_compare_report *report, enum limit limit)
+{
+    switch (limit) {
+    case MAX_MEAN: return report->mean;
+    case MAX_MEDIAN: return report->median;
+    case MAX_P95: return report->p95;
+    case MAX_P99: return report->p99;
+    case MAX_ERROR: return report->max;
+    case MIN_PSNR: return report->psnr;
+    default: return report->agreement;
+    }
+}
+
+/* Number of limits that do not hold; says so on standard error. */
+static int count_failures(struct cli *cli, const struct arguments *arguments,
+                          const struct bake_compare_report *report)
+{
+    int failures = 0;
+    for (int i = 0; i < LIMITS; i++) {
+        double limit = arguments->limits[i], value = figure(report, (enum limit)i);
+        bool holds = limit_names[i].smallest ? value >= limit : value <= limit;
+        if (isnan(limit) || holds)
+            continue;
+        fprintf(stderr, "%s: %s %.6g is %s %s %g\n", cli->program, limit_names[i].figure, value,
+                limit_names[i].smallest ? "below" : "above", limit_names[i].option, limit);
+        failures++;
+    }
+    return failures;
+}
+
+static void print_report(const struct arguments *arguments,
+                         const struct bake_compare_report *report)
+{
+    const char *unit = kind_units[report->kind];
+    char compared[CLI_TEXT];
+    printf("%s against %s: %s texels of %ux%u compared as %s\n", arguments->compare.a_path,
+           arguments->compare.b_path, cli_count_text(report->compared, compared), report->width,
+           report->height, kind_names[report->kind]);
+    printf("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
+           report->mean, report->rms, report->median, report->p95, report->p99, report->max,
+           report->max_x, report->max_y);
+    if (report->kind != BAKE_COMPARE_DATA)
+        printf("share above 1: %.4g %%, above 5: %.4g %%\n", 100 * report->above_1,
+               100 * report->above_5);
+    if (report->kind == BAKE_COMPARE_COLOR)
+        printf("PSNR: %.2f dB\n", report->psnr);
+    if (report->kind == BAKE_COMPARE_DATA)
+        printf("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
+    if (arguments->compare.a_mask_path && arguments->compare.b_mask_path)
+        printf("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
+               (unsigned long long)report->only_a, (unsigned long long)report->only_b);
+}
+
+static int print_json(struct cli *cli, const struct arguments *arguments,
+                      const struct bake_compare_report *report, int failures)
+{
+    json_t *root = json_pack(
+        "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:i, s:i,"
+        " s:f, s:f, s:b}",
+        "a_path", cli_json_text(arguments->compare.a_path), "b_path",
+        cli_json_text(arguments->compare.b_path), "type", kind_names[report->kind], "unit",
+        kind_units[report->kind], "width", (int)report->width, "height", (int)report->height,
+        "compared", (json_int_t)report->compared, "only_a", (json_int_t)report->only_a, "only_b",
+        (json_int_t)report->only_b, "agreement", report->agreement, "mean", report->mean, "rms",
+        report->rms, "median", report->median, "p95", report->p95, "p99", report->p99, "max",
+        report->max, "max_x", (int)report->max_x, "max_y", (int)report->max_y, "share_above_1",
+        report->above_1, "share_above_5", report->above_5, "within_limits", failures == 0);
+    /* Equal maps have no noise at all; JSON has no infinity. */
+    if (root && report->kind == BAKE_COMPARE_COLOR)
+        json_object_set_new(root, "psnr",
+                            isinf(report->psnr) ? json_null() : json_real(report->psnr));
+    if (root && report->kind == BAKE_COMPARE_DATA) {
+        json_object_set_new(root, "relative_mean", json_real(report->relative_mean));
+        json_object_set_new(root, "relative_max", json_real(report->relative_max));
+    }
+    return cli_print_json(cli, root);
+}
+
+static int check_limits(struct cli *cli, const struct arguments *arguments,
+                        const struct bake_compare_report *report)
+{
+    if (!isnan(arguments->limits[MIN_PSNR]) && report->kind != BAKE_COMPARE_COLOR)
+        return cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
+                         kind_names[report->kind]);
+    return 0;
+}
+
+static int compare_maps(struct cli *cli, const struct arguments *arguments, int *failures)
+{
+    struct bake_compare_report report;
+    int status = check_outputs(cli, &arguments->compare);
+    if (status == 0)
+        status = bake_compare(cli->ctx, &arguments->compare, &report);
+    if (status == 0)
+        status = check_limits(cli, arguments, &report);
+    if (status < 0)
+        return status;
+    *failures = count_failures(cli, arguments, &report);
+    if (cli->json)
+        return print_json(cli, arguments, &report, *failures);
+    print_report(arguments, &report);
+    return 0;
+}
+
+int main(int argc, char **argv)
+{
+    struct cli cli;
+    struct arguments arguments = {0};
+    int failures = 0;
+    cli_begin(&cli, "bisque-compare", argv);
+    int status = parse_arguments(&cli, &arguments, argc, argv);
+    if (status == 0)
+        status = cli_create_context(&cli);
+    if (status == 0)
+        status = compare_maps(&cli, &arguments, &failures);
+    int code = cli_end(&cli, status);
+    return code ? code : failures > 0;
+}
