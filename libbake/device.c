@@ -1,0 +1,161 @@
+/* device.c - chooses a device by name; falls back from a GPU to native threads where it may. */
+#include "libbake/device_internal.h"
+
+#include <errno.h>
+#include <inttypes.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "libbake/device_backend_internal.h"
+
+struct bake_device {
+    struct bsq_ctx *ctx;
+    struct bake_backend *backend;
+    struct bake_backend
+        *fallback;    /* native, where the device was chosen automatically; else NULL */
+    atomic_bool lost; /* backend failed, fallback goes on */
+};
+
+/* Parses "opencl" or "opencl:N". */
+static bool parse_opencl(const char *name, int64_t *index)
+{
+    char *end;
+    unsigned long number;
+
+    if (strcmp(name, "opencl") == 0) {
+        *index = BAKE_OPENCL_FIRST;
+        return true;
+    }
+    if (strncmp(name, "opencl:", 7) != 0 || name[7] < '0' || name[7] > '9')
+        return false;
+    errno = 0;
+    number = strtoul(name + 7, &end, 10);
+    if (*end || errno || number > INT32_MAX)
+        return false;
+    *index = (int64_t)number;
+    return true;
+}
+
+/* Numbers of the GPUs among the OpenCL devices. */
+struct gpu_search {
+    int64_t next;  /* number of the device that comes next */
+    int64_t after; /* look for a GPU with a number above this */
+    int64_t found; /* -1: none */
+};
+
+static void search_gpu(void *arg, const struct bake_device_info *info)
+{
+    struct gpu_search *search = arg;
+
+    if (info->is_gpu && search->found < 0 && search->next > search->after)
+        search->found = search->next;
+    search->next++;
+}
+
+/* Opens the first GPU that works; *out stays NULL where there is none. */
+static int open_any_gpu(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out)
+{
+    struct gpu_search search = {.after = -1};
+
+    for (;;) {
+        int status;
+        search.next = 0;
+        search.found = -1;
+        status = bake_opencl_list(ctx, search_gpu, &search);
+        if (status < 0 || search.found < 0)
+            return 0;
+        status = bake_opencl_open(ctx, search.found, job, out);
+        if (status == BSQ_OK || status == BSQ_EINTR)
+            return status;
+        bsq_warn(ctx, "opencl:%" PRId64 " is not used: %s", search.found, bsq_error(ctx));
+        bsq_clear_error(ctx);
+        search.after = search.found;
+    }
+}
+
+static int open_backends(struct bake_device *device, const char *name, const struct bake_job *job)
+{
+    struct bsq_ctx *ctx = device->ctx;
+    int64_t index;
+    int status;
+
+    if (strcmp(name, "cpu") == 0)
+        return bake_native_open(ctx, job, &device->backend);
+    if (parse_opencl(name, &index))
+        return bake_opencl_open(ctx, index, job, &device->backend);
+    if (strcmp(name, "auto") != 0)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "device \"%s\" is not auto, cpu, opencl or opencl:N",
+                        name);
+    status = open_any_gpu(ctx, job, &device->backend);
+    if (status < 0)
+        return status;
+    return bake_native_open(ctx, job, device->backend ? &device->fallback : &device->backend);
+}
+
+int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
+                     struct bake_device **out)
+{
+    struct bake_device *device;
+    int status;
+
+    *out = NULL;
+    status = bsq_calloc(ctx, "device", 1, sizeof *device, &device);
+    if (status < 0)
+        return status;
+    device->ctx = ctx;
+    atomic_init(&device->lost, false);
+    status = open_backends(device, name, job);
+    if (status < 0)
+        bake_device_close(device);
+    else
+        *out = device;
+    return status;
+}
+
+const char *bake_device_name(const struct bake_device *device)
+{
+    return device->backend->name;
+}
+
+int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
+                      const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    struct bake_backend *backend = device->backend;
+    int status;
+
+    if (atomic_load(&device->lost))
+        backend = device->fallback;
+    status = backend->trace(backend, tile, sample_triangles, texels, worker, why);
+    if (status == BSQ_OK)
+        return 0;
+    if (status == BSQ_EINTR || !device->fallback || backend == device->fallback)
+        return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
+    if (!atomic_exchange(&device->lost, true))
+        bsq_warn(device->ctx, "%s: %s; going on with %s", backend->name, why,
+                 device->fallback->name);
+    backend = device->fallback;
+    return backend->trace(backend, tile, sample_triangles, texels, worker, why);
+}
+
+void bake_device_close(struct bake_device *device)
+{
+    if (!device)
+        return;
+    if (device->backend)
+        device->backend->close(device->backend);
+    if (device->fallback)
+        device->fallback->close(device->fallback);
+    bsq_free(device->ctx, device);
+}
+
+int bake_list_devices(struct bsq_ctx *ctx,
+                      void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+{
+    struct bake_device_info info;
+
+    bake_native_info(ctx, &info);
+    fn(arg, &info);
+    return bake_opencl_list(ctx, fn, arg);
+}

@@ -1,0 +1,36 @@
+/* device_backend_internal.h - what each kind of device implements for device.c. */
+#ifndef BAKE_DEVICE_BACKEND_INTERNAL_H
+#define BAKE_DEVICE_BACKEND_INTERNAL_H
+
+#include "libbake/device_internal.h"
+
+/* An opened device of some kind; the kind's own structure begins with it. */
+struct bake_backend {
+    char name[128];
+    /* As bake_device_trace(). A failure is described in `why` (BAKE_WHY_BYTES) instead of being
+     * recorded, since the caller may go on with another device. */
+    int (*trace)(struct bake_backend *backend, const struct bk_tile *tile,
+                 const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
+                 char *why);
+    void (*close)(struct bake_backend *backend);
+};
+
+enum { BAKE_WHY_BYTES = 512 };
+
+/* Opens the native device. Errors: BSQ_ENOMEM. */
+int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out);
+void bake_native_info(struct bsq_ctx *ctx, struct bake_device_info *info);
+
+/* Which OpenCL device to open. */
+enum { BAKE_OPENCL_FIRST = -1 /* the first GPU, else the first device */ };
+
+/* Opens OpenCL device number `index`, or BAKE_OPENCL_FIRST, and uploads the job's grid. Errors:
+ * BSQ_ENODEVICE, BSQ_ENOMEM. */
+int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                     struct bake_backend **out);
+/* Calls fn for each OpenCL device in the order of their numbers; not at all where there is no
+ * OpenCL. */
+int bake_opencl_list(struct bsq_ctx *ctx,
+                     void (*fn)(void *arg, const struct bake_device_info *device), void *arg);
+
+#endif

@@ -1,0 +1,45 @@
+/* device_internal.h - what traces a tile: native threads or a compute device, behind one interface.
+ * The kernel in libbake/kernel/ is the same for all. */
+#ifndef BAKE_DEVICE_INTERNAL_H
+#define BAKE_DEVICE_INTERNAL_H
+
+#include "formats/nvdb.h"
+#include "libbake/bake.h"
+#include "libbake/kernel/bk_types.h"
+
+/* Everything that stays the same over a job; pointers stay valid until the device is closed. */
+struct bake_job {
+    const struct fmt_nvdb_grid *grid;
+    const struct bk_triangle *triangles;
+    uint32_t triangle_count;
+    uint32_t tile_texels; /* largest width * height of a tile */
+    struct bk_params params;
+};
+
+/* Fills the grid part of params (bounds, counts, second_base, BK_HAS_COLOR). */
+void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params);
+
+struct bake_device;
+
+/* Opens the device named as on the command line ("auto", "cpu", "opencl", "opencl:N") for a job and makes the
+ * grid available to it. "auto" takes a GPU that works, else cpu. Errors: BSQ_ENODEVICE with what is there. */
+int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
+                     struct bake_device **out);
+const char *bake_device_name(const struct bake_device *device);
+
+/* Traces one tile: sample_triangles in, width * height texels out, row 0 at the top. Called from several
+ * workers at a time with distinct `worker` (< bsq_threads): native code traces on the calling thread,
+ * others keep a queue and buffers per worker. */
+int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
+                      const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker);
+void bake_device_close(struct bake_device *device); /* NULL is allowed */
+
+/* Traces single rays on the calling thread with the same kernel code (for previews and tests). origin and
+ * unit direction in index space; hits with t in [t_min, t_max], the one with the smallest |t| wins.
+ * facing: unit vector; surfaces whose normal has a negative dot product with it are ignored unless flags has
+ * BK_TWO_SIDED. */
+void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                    const float origin[3], const float direction[3], float t_min, float t_max,
+                    const float facing[3], struct bk_hit *hit);
+
+#endif

@@ -1,0 +1,128 @@
+/* device_native.c - the kernel as C on the calling thread: the reference for all other devices. */
+#include "libbake/device_backend_internal.h"
+
+#include <assert.h>
+#include <stdio.h>
+#include <unistd.h>
+
+#include "libbake/kernel/bk_sample.h"
+
+_Static_assert(sizeof(struct bk_triangle) == 152, "layout shared with devices");
+_Static_assert(sizeof(struct bk_texel) == 32, "layout shared with devices");
+_Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 88, "layout shared with devices");
+
+struct native {
+    struct bake_backend base;
+    struct bsq_ctx *ctx;
+    struct bk_grid grid;
+    struct bk_params params;
+    const struct bk_triangle *triangles;
+};
+
+static void split(uint64_t value, bk_uint words[2])
+{
+    words[0] = (bk_uint)value;
+    words[1] = (bk_uint)(value >> 32);
+}
+
+void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params)
+{
+    assert(grid->upper_bytes == BK_UPPER_WORDS * 8 && grid->lower_bytes == BK_LOWER_WORDS * 8);
+    for (int k = 0; k < 3; k++) {
+        params->index_min[k] = grid->index_min[k];
+        params->index_max[k] = grid->index_max[k];
+    }
+    params->tile_count = grid->tile_count;
+    params->upper_count = grid->upper_count;
+    params->lower_count = grid->lower_count;
+    params->leaf_count = grid->leaf_count;
+    params->second_base_low = (bk_uint)(grid->voxel_count + 1);
+    params->second_base_high = (bk_uint)((grid->voxel_count + 1) >> 32);
+    split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
+    split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
+    split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
+    params->flags &= ~(bk_uint)BK_HAS_COLOR;
+    if (grid->colors)
+        params->flags |= BK_HAS_COLOR;
+}
+
+static struct bk_grid native_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params)
+{
+    struct bk_grid native;
+
+    bk_grid_from_params(&native, params);
+    native.tiles = (const bk_ulong *)(const void *)grid->tiles;
+    native.uppers = (const bk_ulong *)(const void *)grid->uppers;
+    native.lowers = (const bk_ulong *)(const void *)grid->lowers;
+    native.leaves = (const bk_ulong *)(const void *)grid->leaves;
+    native.normals = grid->normals;
+    native.planes = grid->planes;
+    native.colors = grid->colors;
+    native.seconds = &grid->seconds[0][0];
+    return native;
+}
+
+void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                    const float origin[3], const float direction[3], float t_min, float t_max,
+                    const float facing[3], struct bk_hit *hit)
+{
+    struct bk_grid native = native_grid(grid, params);
+    struct bk_cache cache = bk_cache_empty();
+
+    bk_trace(&native, params, &cache, bk_v3(origin[0], origin[1], origin[2]),
+             bk_v3(direction[0], direction[1], direction[2]), t_min, t_max,
+             bk_v3(facing[0], facing[1], facing[2]), hit);
+}
+
+static int native_trace(struct bake_backend *backend, const struct bk_tile *tile,
+                        const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
+                        char *why)
+{
+    struct native *native = (struct native *)backend;
+    struct bk_cache cache = bk_cache_empty();
+
+    (void)worker;
+    (void)why;
+    for (uint32_t row = 0; row < tile->height; row++)
+        for (uint32_t column = 0; column < tile->width; column++)
+            *texels++ = bk_sample_texel(&native->grid, &native->params, &cache, native->triangles,
+                                        tile, sample_triangles, column, row);
+    return 0;
+}
+
+static void native_close(struct bake_backend *backend)
+{
+    bsq_free(((struct native *)backend)->ctx, backend);
+}
+
+void bake_native_info(struct bsq_ctx *ctx, struct bake_device_info *info)
+{
+    long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);
+    unsigned threads = bsq_threads(ctx);
+
+    *info = (struct bake_device_info){.id = "cpu"};
+    snprintf(info->name, sizeof info->name, "%u thread%s", threads, threads == 1 ? "" : "s");
+    if (pages > 0 && page_bytes > 0)
+        info->memory_bytes = (uint64_t)pages * (uint64_t)page_bytes;
+}
+
+int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out)
+{
+    struct bake_device_info info;
+    struct native *native;
+    int status = bsq_calloc(ctx, "native device", 1, sizeof *native, &native);
+
+    if (status < 0)
+        return status;
+    bake_native_info(ctx, &info);
+    snprintf(native->base.name, sizeof native->base.name, "cpu, %.100s", info.name);
+    native->base.trace = native_trace;
+    native->base.close = native_close;
+    native->ctx = ctx;
+    native->grid = native_grid(job->grid, &job->params);
+    native->params = job->params;
+    native->triangles = job->triangles;
+    *out = &native->base;
+    return 0;
+}

@@ -1,0 +1,409 @@
+/* device_opencl.c - the kernel on an OpenCL device.
+ *
+ * One context a job. The grid goes up once, in pieces, each array into a buffer of its own. Every
+ * worker has its own in-order queue, kernel object (setting arguments is not thread-safe) and tile
+ * buffers, so workers overlap each other's transfers and never wait for a lock. A tile is enqueued
+ * in slices of rows that are short enough for the watchdogs of desktop drivers. */
+#include <inttypes.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "libbake/device_backend_internal.h"
+#include "libbake/opencl_api_internal.h"
+
+/* The flattened kernel source. */
+static const char kernel_source[] =
+#include "kernel_source.inc"
+    ;
+
+enum {
+    UPLOAD_BYTES = 64 << 20, /* of the grid at a time */
+    SLICE_SAMPLES = 1 << 19  /* samples in one kernel call: some 50 ms on a slow GPU */
+};
+
+/* What is uploaded once, in the order of the kernel's arguments. */
+enum { TILES, UPPERS, LOWERS, LEAVES, NORMALS, PLANES, COLORS, SECONDS, TRIANGLES, ARRAYS };
+enum { ARG_PARAMS = ARRAYS, ARG_TILE, ARG_FIRST_ROW, ARG_SAMPLES, ARG_TEXELS };
+
+struct array {
+    const char *what;
+    const void *data;
+    uint64_t bytes;
+};
+
+/* What one worker uses; made by its first tile. */
+struct worker {
+    cl_command_queue queue;
+    cl_kernel kernel;
+    cl_mem samples, texels;
+};
+
+struct opencl {
+    struct bake_backend base;
+    struct bsq_ctx *ctx;
+    struct bake_opencl_api api;
+    struct bake_opencl_device device;
+    cl_context context;
+    cl_program program;
+    cl_mem arrays[ARRAYS];
+    struct bk_params params;
+    uint32_t tile_texels;
+    uint64_t reserved_bytes; /* of host memory, on devices that share it */
+    unsigned worker_count;
+    struct worker *workers;
+};
+
+static int fail_open(const struct opencl *cl, const char *call, cl_int code)
+{
+    char number[32];
+    return bsq_fail(cl->ctx, BSQ_ENODEVICE, "%s: %s: %s", cl->device.name, call,
+                    bake_opencl_error(code, number));
+}
+
+static void job_arrays(const struct bake_job *job, struct array arrays[ARRAYS])
+{
+    const struct fmt_nvdb_grid *g = job->grid;
+    uint64_t channel = g->record_count * sizeof(uint32_t);
+
+    arrays[TILES] = (struct array){"root tiles", g->tiles, g->tile_count * UINT64_C(32)};
+    arrays[UPPERS] =
+        (struct array){"upper nodes", g->uppers, (uint64_t)g->upper_count * g->upper_bytes};
+    arrays[LOWERS] =
+        (struct array){"lower nodes", g->lowers, (uint64_t)g->lower_count * g->lower_bytes};
+    arrays[LEAVES] =
+        (struct array){"leaves", g->leaves, (uint64_t)g->leaf_count * FMT_NVDB_LEAF_BYTES};
+    arrays[NORMALS] = (struct array){"normals", g->normals, channel};
+    arrays[PLANES] = (struct array){"planes", g->planes, channel};
+    arrays[COLORS] = (struct array){"colors", g->colors, g->colors ? channel : 0};
+    arrays[SECONDS] = (struct array){"second records", g->seconds, (g->voxel_count / 32 + 1) * 8};
+    arrays[TRIANGLES] = (struct array){"triangles", job->triangles,
+                                       job->triangle_count * (uint64_t)sizeof *job->triangles};
+}
+
+/* Refuses what the device cannot hold, before anything is allocated. */
+static int check_memory(struct opencl *cl, const struct array arrays[ARRAYS], uint64_t tile_bytes)
+{
+    uint64_t total = tile_bytes;
+
+    for (int i = 0; i < ARRAYS; i++) {
+        if (arrays[i].bytes > cl->device.buffer_bytes)
+            return bsq_fail(
+                cl->ctx, BSQ_ENODEVICE,
+                "%s: the grid's %s take %" PRIu64 " bytes, a buffer of this device holds %" PRIu64,
+                cl->device.name, arrays[i].what, arrays[i].bytes, cl->device.buffer_bytes);
+        total += arrays[i].bytes;
+    }
+    if (total > cl->device.memory_bytes)
+        return bsq_fail(cl->ctx, BSQ_ENODEVICE,
+                        "%s: the job takes %" PRIu64 " bytes, the device has %" PRIu64,
+                        cl->device.name, total, cl->device.memory_bytes);
+    if (cl->device.host_memory) {
+        int status = bsq_reserve(cl->ctx, "grid on a device that shares host memory", total);
+        if (status < 0)
+            return status;
+        cl->reserved_bytes = total;
+    }
+    return 0;
+}
+
+static int upload(struct opencl *cl, cl_command_queue queue, int index, const struct array *array)
+{
+    /* Empty arrays are never read, but an argument has to be a buffer. */
+    size_t bytes = array->bytes ? array->bytes : 8;
+    cl_int code;
+
+    cl->arrays[index] = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, bytes, NULL, &code);
+    if (code != CL_SUCCESS)
+        return fail_open(cl, array->what, code);
+    for (uint64_t at = 0; at < array->bytes; at += UPLOAD_BYTES) {
+        uint64_t piece = array->bytes - at < UPLOAD_BYTES ? array->bytes - at : UPLOAD_BYTES;
+        int status = bsq_check(cl->ctx);
+        if (status < 0)
+            return status;
+        code = cl->api.clEnqueueWriteBuffer(queue, cl->arrays[index], CL_TRUE, at, piece,
+                                            (const char *)array->data + at, 0, NULL, NULL);
+        if (code != CL_SUCCESS)
+            return fail_open(cl, array->what, code);
+    }
+    return 0;
+}
+
+static int upload_all(struct opencl *cl, const struct array arrays[ARRAYS])
+{
+    cl_int code;
+    cl_command_queue queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
+    int status = 0;
+
+    if (code != CL_SUCCESS)
+        return fail_open(cl, "clCreateCommandQueue", code);
+    for (int i = 0; i < ARRAYS && status == 0; i++)
+        status = upload(cl, queue, i, &arrays[i]);
+    cl->api.clReleaseCommandQueue(queue);
+    return status;
+}
+
+/* The end of a build log holds the last error; line breaks become " | ". */
+static int fail_build(struct opencl *cl, cl_int code)
+{
+    char *log = NULL, line[400] = "", number[32];
+    size_t bytes = 0, used = 0;
+
+    cl->api.clGetProgramBuildInfo(cl->program, cl->device.id, CL_PROGRAM_BUILD_LOG, 0, NULL,
+                                  &bytes);
+    if (bytes && bsq_calloc(cl->ctx, "build log", bytes + 1, 1, &log) == 0)
+        cl->api.clGetProgramBuildInfo(cl->program, cl->device.id, CL_PROGRAM_BUILD_LOG, bytes, log,
+                                      NULL);
+    for (const char *p = log; p && *p && used + 4 < sizeof line; p++) {
+        const char *piece = *p == '\n' ? " | " : (char[2]){*p, '\0'};
+        used += (size_t)snprintf(line + used, sizeof line - used, "%s", piece);
+    }
+    bsq_free(cl->ctx, log);
+    return bsq_fail(cl->ctx, BSQ_ENODEVICE, "%s: clBuildProgram: %s: %s", cl->device.name,
+                    bake_opencl_error(code, number), line);
+}
+
+static int build(struct opencl *cl)
+{
+    const char *source = kernel_source;
+    const char *options = cl->device.rounds_correctly
+                              ? "-cl-std=CL1.2 -cl-fp32-correctly-rounded-divide-sqrt"
+                              : "-cl-std=CL1.2";
+    cl_int code;
+
+    cl->program = cl->api.clCreateProgramWithSource(cl->context, 1, &source, NULL, &code);
+    if (code != CL_SUCCESS)
+        return fail_open(cl, "clCreateProgramWithSource", code);
+    code = cl->api.clBuildProgram(cl->program, 1, &cl->device.id, options, NULL, NULL);
+    return code == CL_SUCCESS ? 0 : fail_build(cl, code);
+}
+
+static uint64_t sample_bytes(const struct opencl *cl)
+{
+    return (uint64_t)cl->tile_texels * cl->params.samples * cl->params.samples * sizeof(uint32_t);
+}
+
+static uint64_t texel_bytes(const struct opencl *cl)
+{
+    return (uint64_t)cl->tile_texels * sizeof(struct bk_texel);
+}
+
+static void close_worker(struct opencl *cl, struct worker *worker)
+{
+    if (worker->texels)
+        cl->api.clReleaseMemObject(worker->texels);
+    if (worker->samples)
+        cl->api.clReleaseMemObject(worker->samples);
+    if (worker->kernel)
+        cl->api.clReleaseKernel(worker->kernel);
+    if (worker->queue)
+        cl->api.clReleaseCommandQueue(worker->queue);
+    *worker = (struct worker){0};
+}
+
+/* Sets the arguments that are the same for all tiles. */
+static const char *set_job_arguments(struct opencl *cl, struct worker *worker, cl_int *code)
+{
+    for (cl_uint i = 0; i < ARRAYS && *code == CL_SUCCESS; i++)
+        *code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &cl->arrays[i]);
+    if (*code == CL_SUCCESS)
+        *code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof cl->params, &cl->params);
+    if (*code == CL_SUCCESS)
+        *code =
+            cl->api.clSetKernelArg(worker->kernel, ARG_SAMPLES, sizeof(cl_mem), &worker->samples);
+    if (*code == CL_SUCCESS)
+        *code = cl->api.clSetKernelArg(worker->kernel, ARG_TEXELS, sizeof(cl_mem), &worker->texels);
+    return "clSetKernelArg";
+}
+
+/* Returns the call that failed with its code. */
+static const char *open_worker(struct opencl *cl, struct worker *worker, cl_int *code)
+{
+    worker->queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, code);
+    if (*code != CL_SUCCESS)
+        return "clCreateCommandQueue";
+    worker->kernel = cl->api.clCreateKernel(cl->program, "bake_tile", code);
+    if (*code != CL_SUCCESS)
+        return "clCreateKernel";
+    worker->samples =
+        cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, sample_bytes(cl), NULL, code);
+    if (*code != CL_SUCCESS)
+        return "clCreateBuffer";
+    worker->texels =
+        cl->api.clCreateBuffer(cl->context, CL_MEM_WRITE_ONLY, texel_bytes(cl), NULL, code);
+    if (*code != CL_SUCCESS)
+        return "clCreateBuffer";
+    return set_job_arguments(cl, worker, code);
+}
+
+/* Enqueues a tile's rows slice by slice. */
+static const char *enqueue_slices(struct opencl *cl, struct worker *worker,
+                                  const struct bk_tile *tile, cl_int *code)
+{
+    uint64_t row_samples = (uint64_t)tile->width * cl->params.samples * cl->params.samples;
+    uint32_t rows = row_samples < SLICE_SAMPLES ? (uint32_t)(SLICE_SAMPLES / row_samples) : 1;
+
+    *code = cl->api.clSetKernelArg(worker->kernel, ARG_TILE, sizeof *tile, tile);
+    if (*code != CL_SUCCESS)
+        return "clSetKernelArg";
+    for (cl_uint row = 0; row < tile->height; row += rows) {
+        size_t size[2] = {tile->width, tile->height - row < rows ? tile->height - row : rows};
+        *code = cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW, sizeof row, &row);
+        if (*code != CL_SUCCESS)
+            return "clSetKernelArg";
+        *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size, NULL,
+                                               0, NULL, NULL);
+        if (*code != CL_SUCCESS)
+            return "clEnqueueNDRangeKernel";
+        *code = cl->api.clFlush(worker->queue);
+        if (*code != CL_SUCCESS)
+            return "clFlush";
+    }
+    return "";
+}
+
+static const char *trace_tile(struct opencl *cl, struct worker *worker, const struct bk_tile *tile,
+                              const uint32_t *sample_triangles, struct bk_texel *texels,
+                              cl_int *code)
+{
+    uint64_t texel_count = (uint64_t)tile->width * tile->height;
+    uint64_t samples = texel_count * cl->params.samples * cl->params.samples;
+    const char *call;
+
+    if (!worker->queue) {
+        call = open_worker(cl, worker, code);
+        if (*code != CL_SUCCESS) {
+            close_worker(cl, worker);
+            return call;
+        }
+    }
+    *code = cl->api.clEnqueueWriteBuffer(worker->queue, worker->samples, CL_FALSE, 0,
+                                         samples * sizeof *sample_triangles, sample_triangles, 0,
+                                         NULL, NULL);
+    if (*code != CL_SUCCESS)
+        return "clEnqueueWriteBuffer";
+    call = enqueue_slices(cl, worker, tile, code);
+    if (*code != CL_SUCCESS)
+        return call;
+    *code = cl->api.clEnqueueReadBuffer(worker->queue, worker->texels, CL_TRUE, 0,
+                                        texel_count * sizeof *texels, texels, 0, NULL, NULL);
+    return "clEnqueueReadBuffer";
+}
+
+static int opencl_trace(struct bake_backend *backend, const struct bk_tile *tile,
+                        const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
+                        char *why)
+{
+    struct opencl *cl = (struct opencl *)backend;
+    char number[32];
+    cl_int code = CL_SUCCESS;
+    const char *call;
+
+    if (worker >= cl->worker_count || (uint64_t)tile->width * tile->height > cl->tile_texels) {
+        snprintf(why, BAKE_WHY_BYTES, "worker %u, tile of %u x %u texels: out of range", worker,
+                 (unsigned)tile->width, (unsigned)tile->height);
+        return BSQ_EBUG;
+    }
+    call = trace_tile(cl, &cl->workers[worker], tile, sample_triangles, texels, &code);
+    if (code == CL_SUCCESS)
+        return 0;
+    if (cl->workers[worker].queue)
+        cl->api.clFinish(cl->workers[worker].queue);
+    snprintf(why, BAKE_WHY_BYTES, "%s: %s", call, bake_opencl_error(code, number));
+    return BSQ_ENODEVICE;
+}
+
+static void opencl_close(struct bake_backend *backend)
+{
+    struct opencl *cl = (struct opencl *)backend;
+
+    for (unsigned i = 0; cl->workers && i < cl->worker_count; i++)
+        close_worker(cl, &cl->workers[i]);
+    for (int i = 0; i < ARRAYS; i++)
+        if (cl->arrays[i])
+            cl->api.clReleaseMemObject(cl->arrays[i]);
+    if (cl->program)
+        cl->api.clReleaseProgram(cl->program);
+    if (cl->context)
+        cl->api.clReleaseContext(cl->context);
+    bsq_release(cl->ctx, cl->reserved_bytes);
+    bsq_free(cl->ctx, cl->workers);
+    bsq_free(cl->ctx, cl);
+}
+
+/* Finds the device asked for; the error lists what is there. */
+static int choose(struct opencl *cl, int64_t index)
+{
+    struct bake_opencl_device device;
+    char there[400] = "";
+    uint32_t count = 0;
+    bool found = false;
+
+    if (!bake_opencl_load(&cl->api))
+        return bsq_fail(cl->ctx, BSQ_ENODEVICE, "OpenCL is not installed (libOpenCL.so.1)");
+    for (; bake_opencl_device(&cl->api, count, &device); count++) {
+        size_t used = strlen(there);
+        bool wanted = index == BAKE_OPENCL_FIRST ? !found || (device.is_gpu && !cl->device.is_gpu)
+                                                 : (int64_t)count == index;
+        if (wanted) {
+            cl->device = device;
+            found = true;
+        }
+        snprintf(there + used, sizeof there - used, "%s opencl:%u %s", count ? "," : "",
+                 (unsigned)count, device.name);
+    }
+    if (count == 0)
+        return bsq_fail(cl->ctx, BSQ_ENODEVICE, "OpenCL has no devices (no driver is installed)");
+    if (!found)
+        return bsq_fail(cl->ctx, BSQ_ENODEVICE, "there is no device opencl:%" PRId64 "; there is%s",
+                        index, there);
+    return 0;
+}
+
+static int prepare(struct opencl *cl, const struct bake_job *job)
+{
+    cl_context_properties properties[] = {CL_CONTEXT_PLATFORM,
+                                          (cl_context_properties)cl->device.platform, 0};
+    struct array arrays[ARRAYS];
+    cl_int code;
+    int status;
+
+    snprintf(cl->base.name, sizeof cl->base.name, "%s", cl->device.name);
+    cl->params = job->params;
+    cl->tile_texels = job->tile_texels;
+    cl->worker_count = bsq_threads(cl->ctx);
+    status =
+        bsq_calloc(cl->ctx, "OpenCL workers", cl->worker_count, sizeof *cl->workers, &cl->workers);
+    if (status < 0)
+        return status;
+    job_arrays(job, arrays);
+    status = check_memory(cl, arrays, cl->worker_count * (sample_bytes(cl) + texel_bytes(cl)));
+    if (status < 0)
+        return status;
+    cl->context = cl->api.clCreateContext(properties, 1, &cl->device.id, NULL, NULL, &code);
+    if (code != CL_SUCCESS)
+        return fail_open(cl, "clCreateContext", code);
+    status = build(cl);
+    return status < 0 ? status : upload_all(cl, arrays);
+}
+
+int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                     struct bake_backend **out)
+{
+    struct opencl *cl;
+    int status = bsq_calloc(ctx, "OpenCL device", 1, sizeof *cl, &cl);
+
+    *out = NULL;
+    if (status < 0)
+        return status;
+    cl->ctx = ctx;
+    cl->base.trace = opencl_trace;
+    cl->base.close = opencl_close;
+    status = choose(cl, index);
+    if (status == 0)
+        status = prepare(cl, job);
+    if (status < 0)
+        opencl_close(&cl->base);
+    else
+        *out = &cl->base;
+    return status;
+}

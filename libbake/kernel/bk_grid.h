@@ -1,0 +1,174 @@
+/* bk_grid.h - finds voxels in a NanoVDB Mask or OnIndex grid (32.4.2), used in place as 64-bit
+ * words.
+ *
+ * The arrays of nodes and the channels may be separate buffers, so a child's byte offset is turned
+ * into its number in the array. A lookup keeps the nodes that the last one went through:
+ * neighbouring voxels mostly share the leaf, as in NanoVDB's ReadAccessor. */
+#ifndef BK_GRID_H
+#define BK_GRID_H
+
+#include "bk_types.h"
+
+#define BK_NONE 0xffffffffu
+
+/* Node layouts in words of eight bytes. */
+#define BK_TILE_WORDS       4u     /* root tile: key, child offset, state, value */
+#define BK_UPPER_WORDS      33800u /* 32^3 children of 128^3 voxels */
+#define BK_UPPER_CHILD_MASK 516u
+#define BK_UPPER_TABLE      1032u
+#define BK_LOWER_WORDS      4232u /* 16^3 children of 8^3 voxels */
+#define BK_LOWER_CHILD_MASK 68u
+#define BK_LOWER_TABLE      136u
+#define BK_LEAF_WORDS       12u
+#define BK_LEAF_MASK        2u /* one word a layer of constant x, bit y << 3 | z */
+#define BK_LEAF_OFFSET      10u
+#define BK_LEAF_PREFIX      11u
+
+/* log2 of the side of a node. */
+#define BK_LEAF_LOG2  3u
+#define BK_LOWER_LOG2 7u
+#define BK_UPPER_LOG2 12u
+
+typedef struct bk_grid {
+    const BK_GLOBAL bk_ulong *tiles, *uppers, *lowers, *leaves;
+    const BK_GLOBAL bk_uint *normals, *planes, *colors, *seconds;
+    bk_uint tile_count;
+    /* Byte distances: root to uppers, uppers to lowers, lowers to leaves. */
+    bk_ulong upper_offset, lower_offset, leaf_offset;
+    bk_ulong second_base;
+} bk_grid;
+
+/* Nodes around voxel (x, y, z), BK_NONE where there is none. */
+typedef struct bk_cache {
+    bk_int x, y, z;
+    bk_uint upper, lower, leaf;
+} bk_cache;
+
+BK_FN bk_ulong bk_join(const bk_uint words[2])
+{
+    return (bk_ulong)words[1] << 32 | words[0];
+}
+
+/* Sets what params know; the caller sets the pointers. */
+BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
+{
+    grid->tile_count = params->tile_count;
+    grid->upper_offset = bk_join(params->upper_offset);
+    grid->lower_offset = bk_join(params->lower_offset);
+    grid->leaf_offset = bk_join(params->leaf_offset);
+    grid->second_base = (bk_ulong)params->second_base_high << 32 | params->second_base_low;
+}
+
+BK_FN bk_cache bk_cache_empty(void)
+{
+    bk_cache cache;
+    cache.x = cache.y = cache.z = 0;
+    cache.upper = cache.lower = cache.leaf = BK_NONE;
+    return cache;
+}
+
+/* Number of the upper node at a voxel: binary search over the root's tiles, which are in key order.
+ */
+BK_FN bk_uint bk_find_upper(const bk_grid *grid, bk_int x, bk_int y, bk_int z)
+{
+    bk_ulong key = (bk_ulong)((bk_uint)x >> BK_UPPER_LOG2) << 42 |
+                   (bk_ulong)((bk_uint)y >> BK_UPPER_LOG2) << 21 |
+                   (bk_ulong)((bk_uint)z >> BK_UPPER_LOG2);
+    bk_uint low = 0, high = grid->tile_count;
+    bk_ulong child;
+
+    while (low < high) {
+        bk_uint middle = low + (high - low) / 2;
+        if (grid->tiles[(bk_ulong)middle * BK_TILE_WORDS] < key)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    if (low == grid->tile_count || grid->tiles[(bk_ulong)low * BK_TILE_WORDS] != key)
+        return BK_NONE;
+    child = grid->tiles[(bk_ulong)low * BK_TILE_WORDS + 1];
+    if (child == 0)
+        return BK_NONE;
+    return (bk_uint)((child - grid->upper_offset) / (BK_UPPER_WORDS * 8u));
+}
+
+/* Brings the cache to voxel (x, y, z). Returns 0 where a leaf holds it, else log2 of the side of
+ * the largest aligned empty cube around it that the tree knows. */
+BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z)
+{
+    bk_uint differ = (bk_uint)((x ^ cache->x) | (y ^ cache->y) | (z ^ cache->z));
+    bk_ulong node, child;
+    bk_uint n;
+
+    if (differ < 8u && cache->leaf != BK_NONE)
+        return 0;
+    cache->x = x;
+    cache->y = y;
+    cache->z = z;
+    cache->leaf = BK_NONE;
+    if (differ >= 128u || cache->lower == BK_NONE) {
+        cache->lower = BK_NONE;
+        if (differ >= 4096u || cache->upper == BK_NONE)
+            cache->upper = bk_find_upper(grid, x, y, z);
+        if (cache->upper == BK_NONE)
+            return BK_UPPER_LOG2;
+        n = (bk_uint)(x >> 7 & 31) << 10 | (bk_uint)(y >> 7 & 31) << 5 | (bk_uint)(z >> 7 & 31);
+        node = (bk_ulong)cache->upper * BK_UPPER_WORDS;
+        if (!(grid->uppers[node + BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63u) & 1u))
+            return BK_LOWER_LOG2;
+        child = node * 8u + grid->uppers[node + BK_UPPER_TABLE + n] - grid->lower_offset;
+        cache->lower = (bk_uint)(child / (BK_LOWER_WORDS * 8u));
+    }
+    n = (bk_uint)(x >> 3 & 15) << 8 | (bk_uint)(y >> 3 & 15) << 4 | (bk_uint)(z >> 3 & 15);
+    node = (bk_ulong)cache->lower * BK_LOWER_WORDS;
+    if (!(grid->lowers[node + BK_LOWER_CHILD_MASK + (n >> 6)] >> (n & 63u) & 1u))
+        return BK_LEAF_LOG2;
+    child = node * 8u + grid->lowers[node + BK_LOWER_TABLE + n] - grid->leaf_offset;
+    cache->leaf = (bk_uint)(child / (BK_LEAF_WORDS * 8u));
+    return 0;
+}
+
+/* Value index that the first active voxel at or after a place of a leaf has. */
+BK_FN bk_ulong bk_leaf_rank(const BK_GLOBAL bk_ulong *words, bk_uint layer, bk_uint bit)
+{
+    const bk_ulong below = words[BK_LEAF_MASK + layer] & (((bk_ulong)1 << bit) - 1u);
+    bk_uint before = 0;
+
+    if (layer)
+        before = (bk_uint)(words[BK_LEAF_PREFIX] >> (9u * (layer - 1u))) & 511u;
+    return words[BK_LEAF_OFFSET] + before + bk_popcount64(below);
+}
+
+/* Value index of a voxel of a leaf, 0 where it is not active. */
+BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int y, bk_int z)
+{
+    const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)leaf * BK_LEAF_WORDS;
+    const bk_uint layer = (bk_uint)x & 7u, bit = ((bk_uint)y & 7u) << 3 | ((bk_uint)z & 7u);
+
+    if (!(words[BK_LEAF_MASK + layer] >> bit & 1u))
+        return 0;
+    return bk_leaf_rank(words, layer, bit);
+}
+
+/* Value indices of voxels z and z + 1, both in the leaf. */
+BK_FN void bk_leaf_pair(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int y, bk_int z,
+                        bk_ulong values[2])
+{
+    const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)leaf * BK_LEAF_WORDS;
+    const bk_uint layer = (bk_uint)x & 7u, bit = ((bk_uint)y & 7u) << 3 | ((bk_uint)z & 7u);
+    const bk_uint active = (bk_uint)(words[BK_LEAF_MASK + layer] >> bit) & 3u;
+    const bk_ulong rank = bk_leaf_rank(words, layer, bit);
+
+    values[0] = active & 1u ? rank : 0;
+    values[1] = active & 2u ? rank + (active & 1u) : 0;
+}
+
+/* Number of the second record of the voxel with value index v, which has one. */
+BK_FN bk_ulong bk_second(const bk_grid *grid, bk_ulong v)
+{
+    const BK_GLOBAL bk_uint *pair = grid->seconds + (v >> 5) * 2u;
+    bk_uint below = ((bk_uint)1 << ((bk_uint)v & 31u)) - 1u;
+    return grid->second_base + pair[1] + bk_popcount32(pair[0] & below);
+}
+
+#endif

@@ -1,0 +1,68 @@
+/* bk_types.h - what host and kernel share. 32-bit scalars only, explicit padding; sizes are
+ * asserted. Lengths and positions are in index space: voxels of the grid, voxel (i, j, k) spans i -
+ * 0.5 .. i + 0.5, as the grid file's transform has it (its centre is the integer point). */
+#ifndef BK_TYPES_H
+#define BK_TYPES_H
+
+#include "bk_compat.h"
+
+#define BK_NO_TRIANGLE 0xffffffffu
+
+/* A low-mesh triangle, ready to be sampled. A sample at map position (x, y), in texels from the
+ * map's top left, has barycentric weights w1 = b1[0] (x - x0) + b1[1] (y - y0) + b1[2], w2 alike,
+ * w0 = 1 - w1 - w2. */
+typedef struct bk_triangle {
+    float x0, y0;
+    float b1[3], b2[3];
+    float position[3][3]; /* index space */
+    float normal[3][3];   /* unit, per corner */
+    float tangent[3][4];  /* MikkTSpace: unit xyz, w = sign of the bitangent */
+} bk_triangle;
+
+/* Result of one texel: sums over its samples, so that the host decides how to resolve them. */
+typedef struct bk_texel {
+    float normal[3]; /* sum of unit normals of the hits, in the space asked for */
+    float color[3];  /* sum of linear RGB of the hits */
+    bk_uint covered; /* samples inside a chart */
+    bk_uint hits;    /* of those, rays that found the surface */
+} bk_texel;
+
+enum {
+    BK_OBJECT_SPACE = 1, /* normals stay in object space */
+    BK_NEAREST = 2,      /* no blending over neighbours */
+    BK_TWO_SIDED = 4,    /* surfaces that face away count too */
+    BK_HAS_COLOR = 8
+};
+
+/* Job-wide parameters. */
+typedef struct bk_params {
+    bk_uint flags;
+    bk_uint samples;     /* N: N x N samples a texel */
+    float front, back;   /* ray lengths in voxels */
+    bk_int index_min[3]; /* bounds of the grid's active voxels, inclusive */
+    bk_int index_max[3];
+    bk_uint upper_count, lower_count, leaf_count;
+    bk_uint tile_count; /* root tiles */
+    bk_uint second_base_low,
+        second_base_high; /* 1 + voxel count: number of the first second record */
+    /* Byte distances in the file, low word first: from the root to the upper nodes, from those to
+     * the lower nodes, from those to the leaves. A child's number follows from its byte offset. */
+    bk_uint upper_offset[2], lower_offset[2], leaf_offset[2];
+} bk_params;
+
+/* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the
+ * top: the triangle that the sample lies in, or BK_NO_TRIANGLE. Sample (i, j) of a tile lies at map
+ * position (x + (i + 0.5) / N, y + (j + 0.5) / N). */
+typedef struct bk_tile {
+    bk_uint x, y, width, height; /* texels */
+} bk_tile;
+
+/* What a ray found. */
+typedef struct bk_hit {
+    bk_uint found;
+    float t;         /* signed distance in voxels along the direction */
+    float normal[3]; /* unit, object space */
+    float color[3];  /* linear RGB, 0..1 */
+} bk_hit;
+
+#endif

@@ -1,0 +1,151 @@
+/* opencl_api.c - loads libOpenCL, numbers its devices, names its errors. */
+#include "libbake/opencl_api_internal.h"
+
+#include <dlfcn.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "libbake/device_backend_internal.h"
+
+bool bake_opencl_load(struct bake_opencl_api *api)
+{
+    void *library = dlopen("libOpenCL.so.1", RTLD_NOW | RTLD_LOCAL);
+
+    if (!library)
+        return false;
+#define LOAD(name)                                                                                 \
+    *(void **)&api->name = dlsym(library, #name);                                                  \
+    if (!api->name)                                                                                \
+        return false;
+    BAKE_OPENCL_FUNCTIONS(LOAD)
+#undef LOAD
+    return true;
+}
+
+const char *bake_opencl_error(cl_int code, char *buffer)
+{
+#define CASE(name)                                                                                 \
+    case name:                                                                                     \
+        return #name;
+    switch (code) {
+        CASE(CL_DEVICE_NOT_FOUND)
+        CASE(CL_DEVICE_NOT_AVAILABLE)
+        CASE(CL_COMPILER_NOT_AVAILABLE)
+        CASE(CL_MEM_OBJECT_ALLOCATION_FAILURE)
+        CASE(CL_OUT_OF_RESOURCES)
+        CASE(CL_OUT_OF_HOST_MEMORY)
+        CASE(CL_BUILD_PROGRAM_FAILURE)
+        CASE(CL_INVALID_VALUE)
+        CASE(CL_INVALID_DEVICE)
+        CASE(CL_INVALID_CONTEXT)
+        CASE(CL_INVALID_COMMAND_QUEUE)
+        CASE(CL_INVALID_MEM_OBJECT)
+        CASE(CL_INVALID_BUILD_OPTIONS)
+        CASE(CL_INVALID_PROGRAM_EXECUTABLE)
+        CASE(CL_INVALID_KERNEL_NAME)
+        CASE(CL_INVALID_KERNEL_ARGS)
+        CASE(CL_INVALID_ARG_SIZE)
+        CASE(CL_INVALID_WORK_GROUP_SIZE)
+        CASE(CL_INVALID_GLOBAL_WORK_SIZE)
+        CASE(CL_INVALID_BUFFER_SIZE)
+    default:
+        snprintf(buffer, 32, "OpenCL error %d", (int)code);
+        return buffer;
+    }
+#undef CASE
+}
+
+static cl_ulong device_number(const struct bake_opencl_api *api, cl_device_id id,
+                              cl_device_info what, size_t size)
+{
+    /* Values of 4 bytes leave the upper half zero; little-endian hosts only, as the grid is. */
+    cl_ulong value = 0;
+
+    if (api->clGetDeviceInfo(id, what, size, &value, NULL) != CL_SUCCESS)
+        return 0;
+    return value;
+}
+
+/* Collapses the blanks that vendors pad names with. */
+static void tidy(char *text)
+{
+    char *to = text;
+
+    for (const char *from = text; *from; from++)
+        if (*from != ' ' || (to > text && to[-1] != ' '))
+            *to++ = *from;
+    while (to > text && to[-1] == ' ')
+        to--;
+    *to = '\0';
+}
+
+static void describe(const struct bake_opencl_api *api, cl_platform_id platform, cl_device_id id,
+                     struct bake_opencl_device *out)
+{
+    char name[256] = "", vendor[256] = "";
+
+    memset(out, 0, sizeof *out);
+    out->platform = platform;
+    out->id = id;
+    api->clGetDeviceInfo(id, CL_DEVICE_NAME, sizeof name - 1, name, NULL);
+    api->clGetPlatformInfo(platform, CL_PLATFORM_NAME, sizeof vendor - 1, vendor, NULL);
+    tidy(name);
+    tidy(vendor);
+    snprintf(out->name, sizeof out->name, "%.80s (%.40s)", name, vendor);
+    out->is_gpu = device_number(api, id, CL_DEVICE_TYPE, 8) & CL_DEVICE_TYPE_GPU;
+    out->host_memory = device_number(api, id, CL_DEVICE_HOST_UNIFIED_MEMORY, 4);
+    out->rounds_correctly =
+        device_number(api, id, CL_DEVICE_SINGLE_FP_CONFIG, 8) & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT;
+    out->memory_bytes = device_number(api, id, CL_DEVICE_GLOBAL_MEM_SIZE, 8);
+    out->buffer_bytes = device_number(api, id, CL_DEVICE_MAX_MEM_ALLOC_SIZE, 8);
+}
+
+enum { PLATFORMS_MAX = 64, DEVICES_MAX = 256 }; /* more are left out */
+
+bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
+                        struct bake_opencl_device *out)
+{
+    cl_platform_id platforms[PLATFORMS_MAX];
+    cl_device_id devices[DEVICES_MAX];
+    cl_uint platform_count = 0, device_count;
+    uint32_t next = 0;
+
+    if (api->clGetPlatformIDs(PLATFORMS_MAX, platforms, &platform_count) != CL_SUCCESS)
+        return false;
+    for (cl_uint p = 0; p < platform_count && p < PLATFORMS_MAX; p++) {
+        device_count = 0;
+        if (api->clGetDeviceIDs(platforms[p], CL_DEVICE_TYPE_ALL, DEVICES_MAX, devices,
+                                &device_count) != CL_SUCCESS)
+            continue;
+        for (cl_uint d = 0; d < device_count && d < DEVICES_MAX; d++) {
+            if (!device_number(api, devices[d], CL_DEVICE_AVAILABLE, 4) ||
+                !device_number(api, devices[d], CL_DEVICE_COMPILER_AVAILABLE, 4) ||
+                !device_number(api, devices[d], CL_DEVICE_ENDIAN_LITTLE, 4))
+                continue;
+            if (next++ == index) {
+                describe(api, platforms[p], devices[d], out);
+                return true;
+            }
+        }
+    }
+    return false;
+}
+
+int bake_opencl_list(struct bsq_ctx *ctx,
+                     void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+{
+    struct bake_opencl_api api;
+    struct bake_opencl_device device;
+
+    (void)ctx;
+    if (!bake_opencl_load(&api))
+        return 0;
+    for (uint32_t i = 0; bake_opencl_device(&api, i, &device); i++) {
+        struct bake_device_info info = {.memory_bytes = device.memory_bytes,
+                                        .is_gpu = device.is_gpu};
+        snprintf(info.id, sizeof info.id, "opencl:%u", (unsigned)i);
+        snprintf(info.name, sizeof info.name, "%s", device.name);
+        fn(arg, &info);
+    }
+    return 0;
+}

@@ -1,0 +1,63 @@
+/* opencl_api_internal.h - libOpenCL opened at run time, so that one binary serves machines with and
+ * without. */
+#ifndef BAKE_OPENCL_API_INTERNAL_H
+#define BAKE_OPENCL_API_INTERNAL_H
+
+#define CL_TARGET_OPENCL_VERSION 120
+#include <CL/cl.h>
+#include <stdbool.h>
+
+#include "libbake/bake.h"
+
+#define BAKE_OPENCL_FUNCTIONS(X)                                                                   \
+    X(clGetPlatformIDs)                                                                            \
+    X(clGetPlatformInfo)                                                                           \
+    X(clGetDeviceIDs)                                                                              \
+    X(clGetDeviceInfo)                                                                             \
+    X(clCreateContext)                                                                             \
+    X(clReleaseContext)                                                                            \
+    X(clCreateCommandQueue)                                                                        \
+    X(clReleaseCommandQueue)                                                                       \
+    X(clCreateBuffer)                                                                              \
+    X(clReleaseMemObject)                                                                          \
+    X(clCreateProgramWithSource)                                                                   \
+    X(clBuildProgram)                                                                              \
+    X(clGetProgramBuildInfo)                                                                       \
+    X(clReleaseProgram)                                                                            \
+    X(clCreateKernel)                                                                              \
+    X(clReleaseKernel)                                                                             \
+    X(clSetKernelArg)                                                                              \
+    X(clEnqueueWriteBuffer)                                                                        \
+    X(clEnqueueReadBuffer)                                                                         \
+    X(clEnqueueNDRangeKernel)                                                                      \
+    X(clFlush)                                                                                     \
+    X(clFinish)
+
+struct bake_opencl_api {
+#define BAKE_OPENCL_MEMBER(name) __typeof__(name) *name;
+    BAKE_OPENCL_FUNCTIONS(BAKE_OPENCL_MEMBER)
+#undef BAKE_OPENCL_MEMBER
+};
+
+/* Opens libOpenCL.so.1. False where it or one of its functions is missing. The library stays
+ * loaded: drivers keep threads that would lose their code. */
+bool bake_opencl_load(struct bake_opencl_api *api);
+
+/* "CL_OUT_OF_RESOURCES" and the like; the number for codes that are not known. buffer: 32 bytes. */
+const char *bake_opencl_error(cl_int code, char *buffer);
+
+/* A device and what the program needs to know about it. */
+struct bake_opencl_device {
+    cl_platform_id platform;
+    cl_device_id id;
+    char name[128];
+    bool is_gpu, host_memory, rounds_correctly;
+    uint64_t memory_bytes, buffer_bytes; /* of the device; of one buffer at most */
+};
+
+/* Describes device number `index` (platforms in the loader's order, devices in the platform's),
+ * skipping devices that are unavailable or have no compiler. False past the last. */
+bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
+                        struct bake_opencl_device *out);
+
+#endif

@@ -1,0 +1,305 @@
+/* analytic_grid.c - see analytic_grid.h. Memory is malloc's: a test that runs out of it aborts. */
+#include "tests/unit/libbake/analytic_grid.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "base/octahedral.h"
+
+#define PI 3.14159265358979323846
+
+struct sheet {
+    double area, normal[3], moment[3], color[3];
+};
+
+struct cell {
+    int32_t at[3];
+    bool used;
+    struct sheet sheets[2];
+};
+
+struct analytic_grid {
+    struct cell *cells; /* open addressing */
+    uint64_t capacity, count;
+};
+
+static void *must(void *memory)
+{
+    if (!memory)
+        abort();
+    return memory;
+}
+
+struct analytic_grid *analytic_grid_create(void)
+{
+    struct analytic_grid *grid = must(calloc(1, sizeof *grid));
+    grid->capacity = 1024;
+    grid->cells = must(calloc(grid->capacity, sizeof *grid->cells));
+    return grid;
+}
+
+void analytic_grid_free(struct analytic_grid *grid)
+{
+    free(grid->cells);
+    free(grid);
+}
+
+static struct cell *slot(struct cell *cells, uint64_t capacity, const int32_t at[3])
+{
+    uint64_t h = (uint32_t)at[0] * UINT64_C(0x9e3779b97f4a7c15);
+    h = (h ^ (uint32_t)at[1]) * UINT64_C(0xc2b2ae3d27d4eb4f);
+    h = (h ^ (uint32_t)at[2]) * UINT64_C(0x165667b19e3779f9);
+    for (uint64_t i = h >> 20;; i++) {
+        struct cell *cell = &cells[i & (capacity - 1)];
+        if (!cell->used || memcmp(cell->at, at, sizeof cell->at) == 0)
+            return cell;
+    }
+}
+
+static void grow(struct analytic_grid *grid)
+{
+    uint64_t capacity = grid->capacity * 2;
+    struct cell *cells = must(calloc(capacity, sizeof *cells));
+    for (uint64_t i = 0; i < grid->capacity; i++)
+        if (grid->cells[i].used)
+            *slot(cells, capacity, grid->cells[i].at) = grid->cells[i];
+    free(grid->cells);
+    grid->cells = cells;
+    grid->capacity = capacity;
+}
+
+void analytic_grid_add(struct analytic_grid *grid, const double position[3], const double normal[3],
+                       double area, const float color[3])
+{
+    int32_t at[3];
+    for (int k = 0; k < 3; k++)
+        at[k] = (int32_t)floor(position[k] + 0.5);
+    struct cell *cell = slot(grid->cells, grid->capacity, at);
+    if (!cell->used) {
+        if (2 * ++grid->count > grid->capacity) {
+            grow(grid);
+            cell = slot(grid->cells, grid->capacity, at);
+        }
+        cell->used = true;
+        memcpy(cell->at, at, sizeof at);
+    }
+    const double *first = cell->sheets[0].normal;
+    double agreement = first[0] * normal[0] + first[1] * normal[1] + first[2] * normal[2];
+    struct sheet *sheet = &cell->sheets[cell->sheets[0].area > 0 && agreement < 0];
+    sheet->area += area;
+    for (int k = 0; k < 3; k++) {
+        sheet->normal[k] += area * normal[k];
+        sheet->moment[k] += area * (position[k] - at[k]);
+        sheet->color[k] += area * (color ? color[k] : 1.0);
+    }
+}
+
+static uint32_t srgb_byte(double linear)
+{
+    double c = linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1 / 2.4) - 0.055;
+    return (uint32_t)lrint(255 * fmin(fmax(c, 0), 1));
+}
+
+static struct fmt_nvdb_record record_of(const struct sheet *sheet, bool has_second, bool has_color)
+{
+    const double *n = sheet->normal;
+    double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), offset = 0;
+    struct fmt_nvdb_record record = {0};
+    for (int k = 0; k < 3; k++)
+        offset += n[k] / length * sheet->moment[k] / sheet->area;
+    record.normal = bsq_oct_pack(
+        bsq_v3((float)(n[0] / length), (float)(n[1] / length), (float)(n[2] / length)));
+    record.plane = (uint32_t)(uint16_t)(int16_t)lrint(offset * 32767) |
+                   (uint32_t)lrint(255 * length / sheet->area) << 16 |
+                   (has_second ? FMT_NVDB_PLANE_SECOND : 0);
+    if (has_color)
+        for (int k = 0; k < 3; k++)
+            record.color |= srgb_byte(sheet->color[k] / sheet->area) << 8 * k;
+    return record;
+}
+
+/* The writer's order: root tile, region, leaf, voxel; x before y before z in each. */
+static int compare_cells(const void *a, const void *b)
+{
+    const int32_t *p = (*(const struct cell *const *)a)->at;
+    const int32_t *q = (*(const struct cell *const *)b)->at;
+    static const int shifts[4] = {12, 7, 3, 0};
+    for (int level = 0; level < 4; level++)
+        for (int k = 0; k < 3; k++) {
+            uint32_t u = (uint32_t)p[k] >> shifts[level], v = (uint32_t)q[k] >> shifts[level];
+            if (u != v)
+                return u < v ? -1 : 1;
+        }
+    return 0;
+}
+
+static bool same_node(const struct cell *a, const struct cell *b, int shift)
+{
+    return a->at[0] >> shift == b->at[0] >> shift && a->at[1] >> shift == b->at[1] >> shift &&
+           a->at[2] >> shift == b->at[2] >> shift;
+}
+
+static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *cells, uint64_t count,
+                          bool has_color)
+{
+    struct fmt_nvdb_record *records = must(calloc(count, sizeof *records));
+    struct fmt_nvdb_record *second = must(calloc(count, sizeof *second));
+    uint16_t *leaf_ids = must(calloc(count, sizeof *leaf_ids));
+    uint64_t(*masks)[8] = must(calloc(count, sizeof *masks));
+    struct fmt_nvdb_region region = {.record_count = count,
+                                     .records = records,
+                                     .second = second,
+                                     .leaf_ids = leaf_ids,
+                                     .masks = (const uint64_t(*)[8])masks};
+    for (int k = 0; k < 3; k++)
+        region.origin[k] = cells[0]->at[k] & ~127;
+    for (uint64_t i = 0; i < count; i++) {
+        const int32_t *at = cells[i]->at;
+        bool has_second = cells[i]->sheets[1].area > 0;
+        if (i == 0 || !same_node(cells[i - 1], cells[i], 3))
+            leaf_ids[region.leaf_count++] =
+                (uint16_t)((at[0] >> 3 & 15) << 8 | (at[1] >> 3 & 15) << 4 | (at[2] >> 3 & 15));
+        masks[region.leaf_count - 1][at[0] & 7] |= UINT64_C(1) << ((at[1] & 7) << 3 | (at[2] & 7));
+        records[i] = record_of(&cells[i]->sheets[0], has_second, has_color);
+        if (has_second)
+            second[region.second_count++] = record_of(&cells[i]->sheets[1], false, has_color);
+    }
+    if (fmt_nvdb_append(writer, &region) < 0)
+        abort();
+    free(records);
+    free(second);
+    free(leaf_ids);
+    free(masks);
+}
+
+void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, bool has_color,
+                        struct fmt_nvdb_grid *out)
+{
+    char path[] = "/tmp/analytic-XXXXXX.nvdb";
+    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1, .has_color = has_color};
+    struct fmt_nvdb_writer *writer;
+    struct fmt_nvdb_totals totals;
+    struct cell **cells = must(calloc(grid->count, sizeof *cells));
+    uint64_t count = 0;
+
+    for (uint64_t i = 0; i < grid->capacity; i++)
+        if (grid->cells[i].used)
+            cells[count++] = &grid->cells[i];
+    qsort(cells, count, sizeof *cells, compare_cells);
+    for (int k = 0; k < 3; k++) {
+        info.scan_min[k] = -1;
+        info.scan_max[k] = 1;
+    }
+    close(mkstemps(path, 5));
+    if (fmt_nvdb_create(ctx, path, &info, &writer) < 0)
+        abort();
+    for (uint64_t begin = 0, end; begin < count; begin = end) {
+        for (end = begin; end < count && same_node(cells[begin], cells[end], 7);)
+            end++;
+        append_region(writer, cells + begin, end - begin, has_color);
+    }
+    if (fmt_nvdb_commit(writer, &totals) < 0 || fmt_nvdb_open(ctx, path, out) < 0) {
+        fprintf(stderr, "%s\n", bsq_error(ctx));
+        abort();
+    }
+    unlink(path);
+    free(cells);
+}
+
+void analytic_sphere(struct analytic_grid *grid, const double centre[3], double radius,
+                     double density)
+{
+    uint64_t rings = (uint64_t)(PI * radius * density) + 1;
+    for (uint64_t r = 0; r < rings; r++) {
+        double latitude = PI * (r + 0.5) / rings, z = cos(latitude), s = sin(latitude);
+        uint64_t pieces = (uint64_t)(2 * PI * radius * s * density) + 1;
+        double ring = cos(PI * r / rings) - cos(PI * (r + 1) / rings);
+        double area = 2 * PI * radius * radius * ring / pieces;
+        for (uint64_t i = 0; i < pieces; i++) {
+            double angle = 2 * PI * (i + 0.5) / pieces;
+            double n[3] = {s * cos(angle), s * sin(angle), z}, p[3];
+            for (int k = 0; k < 3; k++)
+                p[k] = centre[k] + radius * n[k];
+            analytic_grid_add(grid, p, n, area, NULL);
+        }
+    }
+}
+
+struct analytic_sine analytic_sine_make(double wavelength, double half, const double centre[3])
+{
+    /* Quaternion (1, 2, 3, 4) / sqrt(30), row by row. */
+    struct analytic_sine sine = {.axes = {{-20 / 30., 20 / 30., 10 / 30.},
+                                          {4 / 30., -10 / 30., 28 / 30.},
+                                          {22 / 30., 20 / 30., 4 / 30.}},
+                                 .wavelength = wavelength,
+                                 .amplitude = tan(20 * PI / 180) * wavelength / (2 * PI),
+                                 .half = half};
+    memcpy(sine.centre, centre, sizeof sine.centre);
+    return sine;
+}
+
+double analytic_sine_height(const struct analytic_sine *sine, double u, double v)
+{
+    double k = 2 * PI / sine->wavelength;
+    return sine->amplitude * sin(k * u) * sin(k * v);
+}
+
+static void slopes(const struct analytic_sine *sine, double u, double v, double *du, double *dv)
+{
+    double k = 2 * PI / sine->wavelength;
+    *du = sine->amplitude * k * cos(k * u) * sin(k * v);
+    *dv = sine->amplitude * k * sin(k * u) * cos(k * v);
+}
+
+void analytic_sine_normal(const struct analytic_sine *sine, double u, double v, double normal[3])
+{
+    double du, dv;
+    slopes(sine, u, v, &du, &dv);
+    double scale = 1 / sqrt(1 + du * du + dv * dv);
+    for (int k = 0; k < 3; k++)
+        normal[k] = scale * (sine->axes[2][k] - du * sine->axes[0][k] - dv * sine->axes[1][k]);
+}
+
+void analytic_sine_point(const struct analytic_sine *sine, double u, double v, double w,
+                         double point[3])
+{
+    for (int k = 0; k < 3; k++)
+        point[k] =
+            sine->centre[k] + u * sine->axes[0][k] + v * sine->axes[1][k] + w * sine->axes[2][k];
+}
+
+void analytic_sine_add(struct analytic_grid *grid, const struct analytic_sine *sine, double density)
+{
+    int64_t n = (int64_t)(2 * sine->half * density);
+    double step = 2 * sine->half / n;
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t j = 0; j < n; j++) {
+            double u = -sine->half + (i + 0.5) * step, v = -sine->half + (j + 0.5) * step;
+            double du, dv, p[3], normal[3];
+            slopes(sine, u, v, &du, &dv);
+            analytic_sine_point(sine, u, v, analytic_sine_height(sine, u, v), p);
+            analytic_sine_normal(sine, u, v, normal);
+            analytic_grid_add(grid, p, normal, step * step * sqrt(1 + du * du + dv * dv), NULL);
+        }
+}
+
+double analytic_random(uint64_t *state)
+{
+    /* splitmix64 (Steele, Lea, Flood 2014) */
+    uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
+    z = (z ^ z >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+    z = (z ^ z >> 27) * UINT64_C(0x94d049bb133111eb);
+    return (double)((z ^ z >> 31) >> 11) * 0x1p-53;
+}
+
+void analytic_random_unit(uint64_t *state, double unit[3])
+{
+    double z = 2 * analytic_random(state) - 1, angle = 2 * PI * analytic_random(state);
+    double s = sqrt(1 - z * z);
+    unit[0] = s * cos(angle);
+    unit[1] = s * sin(angle);
+    unit[2] = z;
+}

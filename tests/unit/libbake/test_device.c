@@ -1,0 +1,315 @@
+/* test_device.c - devices by name, and that all of them trace the same maps. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "libbake/device_internal.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+/* Width and height differ and are no multiples of a work group; N = 2. */
+enum { WIDTH = 93, HEIGHT = 71, SAMPLES = 2, TEXELS = WIDTH * HEIGHT };
+
+/* OpenCL's division and square root may be 3 ulp off, and positions with them; a ray that grazes a
+ * voxel's edge may then take its neighbour's plane. So: nearly all texels agree closely, the others
+ * at least roughly. */
+#define CLOSE          1e-3f
+#define ROUGH          0.1f
+#define ROUGH_FRACTION 0.001
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_nvdb_grid grid;
+    struct bk_triangle triangles[2];
+    uint32_t *samples;
+    struct bake_job job;
+};
+
+static void color_at(double u, double v, float color[3])
+{
+    color[0] = (float)(0.5 + 0.5 * sin(u / 5));
+    color[1] = (float)(0.5 + 0.5 * cos(v / 7));
+    color[2] = 0.25f;
+}
+
+/* A wavy sheet of colours; the low mesh is a square slightly below it, in the sheet's frame. */
+static void add_sheet(struct analytic_grid *grid, const struct analytic_sine *sine)
+{
+    const int n = (int)(2 * sine->half * 8);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double u = -sine->half + (i + 0.5) / 8, v = -sine->half + (j + 0.5) / 8;
+            double point[3], normal[3];
+            float color[3];
+            analytic_sine_point(sine, u, v, analytic_sine_height(sine, u, v), point);
+            analytic_sine_normal(sine, u, v, normal);
+            color_at(u, v, color);
+            analytic_grid_add(grid, point, normal, 1 / 64., color);
+        }
+}
+
+static void set_corner(struct bk_triangle *triangle, int corner, const struct analytic_sine *sine,
+                       double u, double v)
+{
+    double point[3];
+    analytic_sine_point(sine, u, v, -0.7, point);
+    for (int k = 0; k < 3; k++) {
+        triangle->position[corner][k] = (float)point[k];
+        triangle->normal[corner][k] = (float)sine->axes[2][k];
+        triangle->tangent[corner][k] = (float)sine->axes[0][k];
+    }
+    triangle->tangent[corner][3] = -1; /* the map's y runs against v */
+}
+
+static void make_square(struct fixture *f, const struct analytic_sine *sine, double half)
+{
+    struct bk_triangle *a = &f->triangles[0], *b = &f->triangles[1];
+    *a = (struct bk_triangle){.b1 = {1.f / WIDTH, 0, 0}, .b2 = {0, 1.f / HEIGHT, 0}};
+    *b = (struct bk_triangle){
+        .x0 = WIDTH, .y0 = HEIGHT, .b1 = {-1.f / WIDTH, 0, 0}, .b2 = {0, -1.f / HEIGHT, 0}};
+    set_corner(a, 0, sine, -half, -half);
+    set_corner(a, 1, sine, half, -half);
+    set_corner(a, 2, sine, -half, half);
+    set_corner(b, 0, sine, half, half);
+    set_corner(b, 1, sine, -half, half);
+    set_corner(b, 2, sine, half, -half);
+}
+
+static int setup(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    const double centre[3] = {60, -40, 20};
+    struct analytic_sine sine = analytic_sine_make(16, 30, centre);
+    struct analytic_grid *grid = analytic_grid_create();
+    const uint32_t row = WIDTH * SAMPLES;
+
+    assert_int_equal(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 2}, &f->ctx), 0);
+    add_sheet(grid, &sine);
+    analytic_grid_open(f->ctx, grid, true, &f->grid);
+    analytic_grid_free(grid);
+    /* Larger than the sheet, so that some rays miss. */
+    make_square(f, &sine, 32);
+    f->samples = malloc(sizeof *f->samples * row * HEIGHT * SAMPLES);
+    for (uint32_t j = 0; j < HEIGHT * SAMPLES; j++)
+        for (uint32_t i = 0; i < row; i++) {
+            bool upper = i * HEIGHT * SAMPLES + j * row < row * HEIGHT * SAMPLES;
+            f->samples[j * row + i] = i < 3 ? BK_NO_TRIANGLE : upper ? 0 : 1;
+        }
+    f->job = (struct bake_job){.grid = &f->grid,
+                               .triangles = f->triangles,
+                               .triangle_count = 2,
+                               .tile_texels = TEXELS,
+                               .params = {.samples = SAMPLES, .front = 5, .back = 5}};
+    bake_params_from_grid(&f->grid, &f->job.params);
+    *state = f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    fmt_nvdb_close(f->ctx, &f->grid);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+    free(f->samples);
+    free(f);
+    return 0;
+}
+
+/* Traces the whole map on a device; NULL where there is none. */
+static struct bk_texel *trace(struct fixture *f, const char *name, unsigned worker)
+{
+    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
+    struct bake_device *device;
+
+    if (bake_device_open(f->ctx, name, &f->job, &device) < 0) {
+        print_message("%s\n", bsq_error(f->ctx));
+        free(texels);
+        return NULL;
+    }
+    assert_int_equal(bake_device_trace(device, &tile, f->samples, texels, worker), 0);
+    bake_device_close(device);
+    return texels;
+}
+
+static void test_native_map(void **state)
+{
+    struct fixture *f = *state;
+    struct bk_texel *texels = trace(f, "cpu", 0);
+    uint64_t covered = 0, hits = 0;
+    double color_error = 0;
+
+    for (int i = 0; i < TEXELS; i++) {
+        const struct bk_texel *t = &texels[i];
+        /* Texel centre on the square; the sheet's colours at that place. */
+        double u = -32 + 64 * (i % WIDTH + 0.5) / WIDTH, v = -32 + 64 * (i / WIDTH + 0.5) / HEIGHT;
+        float color[3];
+        covered += t->covered;
+        hits += t->hits;
+        assert_true(t->hits <= t->covered);
+        if (fabs(u) > 28 || fabs(v) > 28)
+            continue;
+        assert_int_equal(t->hits, SAMPLES * SAMPLES);
+        assert_true(t->normal[2] > 0.85 * t->hits); /* slopes are up to 20 degrees: cos = 0.94 */
+        color_at(u, v, color);
+        for (int k = 0; k < 3; k++)
+            color_error = fmax(color_error, fabsf(t->color[k] / t->hits - color[k]));
+    }
+    /* The first three columns of samples are outside the chart. */
+    assert_int_equal(covered, (WIDTH * SAMPLES - 3) * HEIGHT * SAMPLES);
+    /* The sheet covers (30 / 32)^2 of the square, and ends up to a voxel later: planes fill voxels.
+     */
+    assert_true(hits > 0.875 * TEXELS * 4 && hits < (31 / 32.) * (31 / 32.) * TEXELS * 4);
+    print_message("largest error of linear colour: %.4f\n", color_error);
+    assert_true(color_error < 0.06); /* the colour changes by 0.1 a voxel at most */
+    free(texels);
+}
+
+static void test_object_space(void **state)
+{
+    struct fixture *f = *state;
+    struct bk_texel *tangent = trace(f, "cpu", 0), *object;
+
+    f->job.params.flags |= BK_OBJECT_SPACE;
+    object = trace(f, "cpu", 0);
+    f->job.params.flags &= ~(uint32_t)BK_OBJECT_SPACE;
+    for (int i = 0; i < TEXELS; i++) {
+        const struct bk_triangle *a = &f->triangles[0];
+        const float *t = a->tangent[0], *n = a->normal[0], *m = tangent[i].normal;
+        for (int k = 0; k < 3; k++) {
+            int p = (k + 1) % 3, q = (k + 2) % 3;
+            float b = -(n[p] * t[q] - n[q] * t[p]);
+            assert_true(fabsf(m[0] * t[k] + m[1] * b + m[2] * n[k] - object[i].normal[k]) < 1e-5f);
+        }
+    }
+    free(tangent);
+    free(object);
+}
+
+static double difference(const struct bk_texel *a, const struct bk_texel *b)
+{
+    double worst = 0;
+    for (int k = 0; k < 3; k++) {
+        worst = fmax(worst, fabsf(a->normal[k] - b->normal[k]));
+        worst = fmax(worst, fabsf(a->color[k] - b->color[k]));
+    }
+    return worst / fmax(1, a->hits);
+}
+
+static void test_opencl_agrees(void **state)
+{
+    struct fixture *f = *state;
+    struct bk_texel *native = trace(f, "cpu", 0), *opencl = trace(f, "opencl", 1);
+    uint64_t rough = 0, differing_hits = 0;
+
+    if (!opencl) {
+        free(native);
+        bsq_clear_error(f->ctx);
+        skip();
+    }
+    for (int i = 0; i < TEXELS; i++) {
+        double d = difference(&native[i], &opencl[i]);
+        assert_int_equal(native[i].covered, opencl[i].covered);
+        if (native[i].hits != opencl[i].hits) {
+            differing_hits++;
+            continue;
+        }
+        assert_true(d < ROUGH);
+        rough += d >= CLOSE;
+    }
+    print_message("differ in hits: %d, by more than %g: %d of %d texels\n", (int)differing_hits,
+                  (double)CLOSE, (int)rough, TEXELS);
+    assert_true((double)(rough + differing_hits) <= ROUGH_FRACTION * TEXELS);
+    free(native);
+    free(opencl);
+}
+
+/* Each worker has buffers of its own, and a tile may be smaller than the largest. */
+static void test_opencl_small_tile(void **state)
+{
+    struct fixture *f = *state;
+    const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
+    struct bk_texel a[21], b[21];
+    uint32_t samples[21 * 4];
+    struct bake_device *native, *opencl;
+
+    for (int i = 0; i < 21 * 4; i++)
+        samples[i] = 0;
+    if (bake_device_open(f->ctx, "opencl", &f->job, &opencl) < 0) {
+        bsq_clear_error(f->ctx);
+        skip();
+    }
+    assert_int_equal(bake_device_open(f->ctx, "cpu", &f->job, &native), 0);
+    assert_int_equal(bake_device_trace(native, &tile, samples, a, 0), 0);
+    for (unsigned worker = 0; worker < 2; worker++) {
+        memset(b, 0xff, sizeof b);
+        assert_int_equal(bake_device_trace(opencl, &tile, samples, b, worker), 0);
+        for (int i = 0; i < 21; i++) {
+            assert_int_equal(a[i].hits, b[i].hits);
+            assert_true(difference(&a[i], &b[i]) < ROUGH);
+        }
+    }
+    bake_device_close(opencl);
+    bake_device_close(native);
+}
+
+static void test_names(void **state)
+{
+    static const char *const bad[] = {"gpu",       "",          "opencl:",           "opencl:x",
+                                      "opencl:0x", "opencl:-1", "opencl:4000000000", "opencl:999",
+                                      "cpu:0"};
+    struct fixture *f = *state;
+    struct bake_device *device;
+
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        assert_int_equal(bake_device_open(f->ctx, bad[i], &f->job, &device), BSQ_ENODEVICE);
+        assert_null(device);
+        assert_true(strlen(bsq_error(f->ctx)) > 10);
+        bsq_clear_error(f->ctx);
+    }
+    bake_device_close(NULL);
+}
+
+struct listing {
+    int count, gpus, cpus;
+};
+
+static void on_device(void *arg, const struct bake_device_info *info)
+{
+    struct listing *listing = arg;
+    listing->count++;
+    listing->gpus += info->is_gpu;
+    listing->cpus += strcmp(info->id, "cpu") == 0;
+    assert_true(info->name[0] && info->memory_bytes > 0);
+}
+
+static void test_list_and_auto(void **state)
+{
+    struct fixture *f = *state;
+    struct listing listing = {0};
+    struct bake_device *device;
+
+    assert_int_equal(bake_list_devices(f->ctx, on_device, &listing), 0);
+    assert_int_equal(listing.cpus, 1);
+    assert_int_equal(bake_device_open(f->ctx, "auto", &f->job, &device), 0);
+    /* OpenCL on the processor is never chosen by itself. */
+    if (listing.gpus == 0)
+        assert_true(strncmp(bake_device_name(device), "cpu", 3) == 0);
+    bake_device_close(device);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_native_map),    cmocka_unit_test(test_object_space),
+        cmocka_unit_test(test_opencl_agrees), cmocka_unit_test(test_opencl_small_tile),
+        cmocka_unit_test(test_names),         cmocka_unit_test(test_list_and_auto),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

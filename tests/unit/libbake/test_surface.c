@@ -1,0 +1,315 @@
+/* test_surface.c - surfaces traced in voxels against the analytic surfaces that made them. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "libbake/device_internal.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+#define PI 3.14159265358979323846
+
+static struct bsq_ctx *context;
+
+static int make_context(void **state)
+{
+    (void)state;
+    return bsq_ctx_create(NULL, &context);
+}
+
+static int free_context(void **state)
+{
+    (void)state;
+    assert_int_equal(bsq_memory_used(context), 0);
+    bsq_ctx_destroy(context);
+    return 0;
+}
+
+static uint64_t announce_seed(void)
+{
+    const char *text = getenv("BSQ_TEST_SEED");
+    uint64_t seed = text ? strtoull(text, NULL, 0) : 20080312;
+    print_message("BSQ_TEST_SEED=%llu\n", (unsigned long long)seed);
+    return seed;
+}
+
+static int by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double mean(const double *values, size_t count)
+{
+    double sum = 0;
+    for (size_t i = 0; i < count; i++)
+        sum += values[i];
+    return sum / (double)count;
+}
+
+/* Sorts. */
+static double percentile(double *values, size_t count, size_t percent)
+{
+    qsort(values, count, sizeof *values, by_value);
+    return values[count * percent / 100];
+}
+
+static double angle_degrees(const double a[3], const float b[3])
+{
+    double dot = 0, cross = 0;
+    for (int k = 0; k < 3; k++) {
+        int p = (k + 1) % 3, q = (k + 2) % 3;
+        double c = a[p] * b[q] - a[q] * b[p];
+        dot += a[k] * b[k];
+        cross += c * c;
+    }
+    return atan2(sqrt(cross), dot) * 180 / PI;
+}
+
+static void test_sphere(void **state)
+{
+    (void)state;
+    enum { RAYS = 1000000 };
+    const double centre[3] = {100.3, -57.2, 33.7}, radius = 60, away = 1.3 * radius;
+    struct analytic_grid *source = analytic_grid_create();
+    double *angles = malloc(RAYS * sizeof *angles), squares = 0;
+    size_t count = 0, grazing = 0, false_hits = 0;
+    uint64_t seed = announce_seed();
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+
+    analytic_sphere(source, centre, radius, 12);
+    analytic_grid_open(context, source, false, &grid);
+    analytic_grid_free(source);
+    bake_params_from_grid(&grid, &params);
+    for (int i = 0; i < RAYS; i++) {
+        double direction[3], at[3], dot = 0, square = 0, normal[3];
+        float o[3], d[3], facing[3];
+        struct bk_hit hit;
+        /* Through a point of a disc a little larger than the sphere. */
+        analytic_random_unit(&seed, direction);
+        analytic_random_unit(&seed, at);
+        for (int k = 0; k < 3; k++)
+            dot += at[k] * direction[k];
+        for (int k = 0; k < 3; k++) {
+            at[k] -= dot * direction[k];
+            square += at[k] * at[k];
+        }
+        double offset = 1.02 * radius * sqrt(analytic_random(&seed));
+        for (int k = 0; k < 3; k++) {
+            at[k] *= offset / sqrt(square);
+            o[k] = (float)(centre[k] + at[k] - away * direction[k]);
+            d[k] = (float)direction[k];
+            facing[k] = -d[k];
+        }
+        bake_trace_ray(&grid, &params, o, d, 0, 1000, facing, &hit);
+        if (offset >= radius) {
+            /* Silhouettes grow by a small part of a voxel at most. */
+            assert_true(!hit.found || offset < radius + 0.1);
+            false_hits += hit.found;
+            continue;
+        }
+        if (!hit.found) {
+            assert_true(offset > radius - 0.1);
+            grazing++;
+            continue;
+        }
+        double half = sqrt(radius * radius - offset * offset);
+        for (int k = 0; k < 3; k++)
+            normal[k] = (at[k] - half * direction[k]) / radius;
+        angles[count++] = angle_degrees(normal, hit.normal);
+        squares += (hit.t - (away - half)) * (hit.t - (away - half));
+    }
+    double rms = sqrt(squares / (double)count), average = mean(angles, count);
+    double p95 = percentile(angles, count, 95);
+    print_message("sphere: rms distance %.4f voxels, normals %.3f / %.3f degrees; grazing rays: %d "
+                  "missed, %d hit falsely\n",
+                  rms, average, p95, (int)grazing, (int)false_hits);
+    assert_true(grazing < 1e-4 * RAYS && false_hits < 1e-3 * RAYS);
+    assert_true(rms < 0.1);
+    /* A voxel spans 0.95 degrees of this sphere. */
+    assert_true(average < 0.06 && p95 < 0.15);
+    fmt_nvdb_close(context, &grid);
+    free(angles);
+}
+
+/* Rays along the base plane's normal from below and above the surface. Every ray has to hit. */
+static void trace_sine(double wavelength, uint32_t flags, double *average, double *p95)
+{
+    enum { RAYS = 150000 };
+    const double centre[3] = {100.3, -57.2, 33.7};
+    struct analytic_sine sine = analytic_sine_make(wavelength, 40, centre);
+    struct analytic_grid *source = analytic_grid_create();
+    double *angles = malloc(RAYS * sizeof *angles), worst = 0;
+    uint64_t seed = announce_seed();
+    struct bk_params params = {.flags = flags};
+    struct fmt_nvdb_grid grid;
+
+    analytic_sine_add(source, &sine, 12);
+    analytic_grid_open(context, source, false, &grid);
+    analytic_grid_free(source);
+    bake_params_from_grid(&grid, &params);
+    for (int i = 0; i < RAYS; i++) {
+        double u = 74 * (analytic_random(&seed) - 0.5), v = 74 * (analytic_random(&seed) - 0.5);
+        double w = 20 * (analytic_random(&seed) - 0.5), at[3], normal[3];
+        float o[3], d[3];
+        struct bk_hit hit;
+        analytic_sine_point(&sine, u, v, w, at);
+        for (int k = 0; k < 3; k++) {
+            o[k] = (float)at[k];
+            d[k] = (float)sine.axes[2][k];
+        }
+        bake_trace_ray(&grid, &params, o, d, -20, 20, d, &hit);
+        assert_true(hit.found);
+        worst = fmax(worst, fabs(hit.t - (analytic_sine_height(&sine, u, v) - w)));
+        analytic_sine_normal(&sine, u, v, normal);
+        angles[i] = angle_degrees(normal, hit.normal);
+    }
+    *average = mean(angles, RAYS);
+    *p95 = percentile(angles, RAYS, 95);
+    print_message(
+        "wavelength %g voxels: normals %.3f / %.3f degrees, distance within %.3f voxels\n",
+        wavelength, *average, *p95, worst);
+    /* One plane alone errs more where it only cuts its voxel's corner. */
+    assert_true(worst < (flags & BK_NEAREST ? 0.25 : 0.1));
+    fmt_nvdb_close(context, &grid);
+    free(angles);
+}
+
+/* A plain tent blend of the normals gives 6.4, 1.95, 0.54 and 0.155 degrees on average,
+ * and 9.6, 3.0, 0.83 and 0.27 for the 95th percentile; the planes' offsets have to improve on that.
+ */
+static void test_sine_accuracy(void **state)
+{
+    (void)state;
+    static const double limits[4][3] = {
+        {4, 3.3, 5.4}, {8, 0.9, 1.6}, {16, 0.3, 0.6}, {32, 0.12, 0.27}};
+    for (int i = 0; i < 4; i++) {
+        double average, p95;
+        trace_sine(limits[i][0], 0, &average, &p95);
+        assert_true(average < limits[i][1] && p95 < limits[i][2]);
+    }
+}
+
+/* The nearest voxel's own normal errs by about the slope's change over half a voxel. */
+static void test_sine_nearest(void **state)
+{
+    (void)state;
+    double average, p95;
+    trace_sine(16, BK_NEAREST, &average, &p95);
+    assert_true(average > 1 && average < 2.1 && p95 < 4.4);
+}
+
+static void add_plane(struct analytic_grid *grid, double z, double up, const float color[3])
+{
+    for (int i = 0; i < 40 * 8; i++)
+        for (int j = 0; j < 40 * 8; j++) {
+            double at[3] = {(i + 0.5) / 8 - 20, (j + 0.5) / 8 - 20, z};
+            double normal[3] = {0, 0, up};
+            analytic_grid_add(grid, at, normal, 1 / 64., color);
+        }
+}
+
+/* A plate of 0.4 voxels, red above and blue below: each side takes its own colour and normal, also
+ * from a ray that starts on the wrong side or inside. */
+static void test_thin_plate(void **state)
+{
+    (void)state;
+    static const float red[3] = {1, 0, 0}, blue[3] = {0, 0, 1};
+    uint64_t seed = announce_seed();
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+
+    /* Once within a voxel, once across the face of two. */
+    for (int place = 0; place < 2; place++) {
+        double z = place ? 3.5 : 3.0;
+        struct analytic_grid *source = analytic_grid_create();
+        add_plane(source, z + 0.2, 1, red);
+        add_plane(source, z - 0.2, -1, blue);
+        analytic_grid_open(context, source, true, &grid);
+        analytic_grid_free(source);
+        assert_true(place || grid.record_count == 1 + 2 * grid.voxel_count);
+        bake_params_from_grid(&grid, &params);
+        for (int i = 0; i < 20000; i++) {
+            float up = i & 1 ? 1 : -1;
+            float direction[3] = {0.6f * (float)(i % 3 - 1), 0, 0}, origin[3];
+            struct bk_hit hit;
+            direction[2] = up * sqrtf(1 - direction[0] * direction[0]);
+            for (int k = 0; k < 3; k++)
+                origin[k] = (float)(20 * (analytic_random(&seed) - 0.5));
+            origin[2] = (float)(z + 2 * (analytic_random(&seed) - 0.5));
+            bake_trace_ray(&grid, &params, origin, direction, -5, 5, direction, &hit);
+            assert_true(hit.found);
+            assert_true(hit.normal[2] * up > 0.999f);
+            assert_true(fabsf(hit.color[up > 0 ? 0 : 2] - 1) < 1e-5f);
+            assert_true(hit.color[up > 0 ? 2 : 0] == 0);
+            double expected = (z + 0.2 * up - origin[2]) / direction[2];
+            assert_true(fabs(hit.t - expected) < 1e-3);
+        }
+        /* Two-sided: the nearer side, whichever it is. */
+        struct bk_params both = params;
+        both.flags |= BK_TWO_SIDED;
+        for (int i = 0; i < 20000; i++) {
+            float direction[3] = {0, 0, i & 1 ? 1 : -1}, origin[3] = {1.3f, 2.2f, 0};
+            struct bk_hit hit;
+            double from = z + 2 * (analytic_random(&seed) - 0.5);
+            origin[2] = (float)from;
+            if (fabs(from - z) < 1e-3)
+                continue;
+            bake_trace_ray(&grid, &both, origin, direction, -5, 5, direction, &hit);
+            assert_true(hit.found && hit.color[from > z ? 0 : 2] > 0.999f);
+        }
+        fmt_nvdb_close(context, &grid);
+    }
+}
+
+/* Hits outside [t_min, t_max] do not count, and of two sheets the nearer one does. */
+static void test_range(void **state)
+{
+    (void)state;
+    struct analytic_grid *source = analytic_grid_create();
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+    static const struct {
+        float z, t_min, t_max;
+        bool found;
+        float t;
+    } cases[] = {
+        {0, -20, 20, true, 3},    {-4, -20, 20, true, 7},  {8, -20, 20, true, -5},
+        {9, -20, 20, true, 5},    {8, 0, 20, true, 6},     {8, -20, 0, true, -5},
+        {0, -20, 2.5f, false, 0}, {0, 3.5f, 13, false, 0}, {0, 3.5f, 15, true, 14},
+        {20, -5, 20, false, 0},   {20, -7, 20, true, -6},  {20, -20, -7, true, -17},
+        {0, 20, -20, false, 0},   {3, -20, 20, true, 0},   {3.0625f, -20, 20, true, -0.0625f},
+    };
+
+    add_plane(source, 3, 1, NULL);
+    add_plane(source, 14, 1, NULL);
+    analytic_grid_open(context, source, false, &grid);
+    analytic_grid_free(source);
+    bake_params_from_grid(&grid, &params);
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        float origin[3] = {0.3f, -0.7f, cases[i].z}, direction[3] = {0, 0, 1};
+        struct bk_hit hit;
+        bake_trace_ray(&grid, &params, origin, direction, cases[i].t_min, cases[i].t_max, direction,
+                       &hit);
+        assert_int_equal(hit.found, cases[i].found);
+        if (hit.found)
+            assert_true(fabsf(hit.t - cases[i].t) < 1e-3f);
+    }
+    fmt_nvdb_close(context, &grid);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_sphere),       cmocka_unit_test(test_sine_accuracy),
+        cmocka_unit_test(test_sine_nearest), cmocka_unit_test(test_thin_plate),
+        cmocka_unit_test(test_range),
+    };
+    return cmocka_run_group_tests(tests, make_context, free_context);
+}
