@@ -1,0 +1,25 @@
+/* exr_internal.h - what the EXR writer and reader share. */
+#ifndef FMT_EXR_INTERNAL_H
+#define FMT_EXR_INTERNAL_H
+
+#include <openexr.h>
+
+#include "base/context.h"
+
+/* What OpenEXR's callbacks get as user data. It stands first in the structures that own a file. */
+struct fmt_exr_stream {
+    struct bsq_ctx *ctx;
+    const char *path; /* the final name, for messages */
+};
+
+/* Turns a result of OpenEXR into a status. The library has described the failure through
+ * fmt_exr_on_error() already; this catches results that came without a description. */
+int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result);
+
+/* Error callback: records the message with the file's name. */
+void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message);
+
+/* Memory that one chunk's coding takes inside OpenEXR: packed, compressed, scratch. */
+uint64_t fmt_exr_coding_bytes(uint64_t chunk_bytes);
+
+#endif

@@ -1,0 +1,201 @@
+/* vdb_export.cc - a grid as an OpenVDB file.
+ *
+ * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets some fifty, and it
+ * writes an archive from whole grids in memory. What that takes is known from the node counts and
+ * is reserved before anything is built. */
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <exception>
+#include <new>
+
+#include <openvdb/io/File.h>
+#include <openvdb/openvdb.h>
+#include <tbb/task_arena.h>
+#include <xxhash.h>
+
+extern "C" {
+#include "base/octahedral.h"
+}
+#include "formats/nvdb_layout_internal.h"
+#include "formats/vdb_export.h"
+
+namespace
+{
+
+/* A failure that is already described. */
+struct described {
+    int status;
+};
+
+/* What a tree takes its values from. */
+struct source {
+    bsq_ctx *ctx;
+    const fmt_nvdb_grid *grid;
+    float linear[256]; /* of sRGB bytes */
+};
+
+/* The value of a voxel in each of the grids. */
+struct surface_value {
+    using grid_type = openvdb::MaskGrid;
+    bool operator()(const source &, uint64_t) const
+    {
+        return true;
+    }
+};
+
+struct normal_value {
+    using grid_type = openvdb::Vec3fGrid;
+    openvdb::Vec3f operator()(const source &from, uint64_t index) const
+    {
+        bsq_vec3 n = bsq_oct_unpack(from.grid->normals[index]);
+        return openvdb::Vec3f(n.x, n.y, n.z);
+    }
+};
+
+struct color_value {
+    using grid_type = openvdb::Vec3fGrid;
+    openvdb::Vec3f operator()(const source &from, uint64_t index) const
+    {
+        uint32_t c = from.grid->colors[index];
+        return openvdb::Vec3f(from.linear[c & 255], from.linear[c >> 8 & 255],
+                              from.linear[c >> 16 & 255]);
+    }
+};
+
+/* Leaf bits are numbered as ours are, and leaves come in ascending order. */
+template <typename ValueT, typename TreeT> void fill_tree(const source &from, TreeT &tree)
+{
+    using leaf_type = typename TreeT::LeafNodeType;
+    openvdb::tree::ValueAccessor<TreeT> accessor(tree);
+    const auto *leaves = reinterpret_cast<const nvdb_leaf *>(from.grid->leaves);
+    ValueT value;
+    for (uint32_t i = 0; i < from.grid->leaf_count; i++) {
+        if (i % 4096 == 0) {
+            int status = bsq_check(from.ctx);
+            if (status)
+                throw described{status};
+        }
+        const nvdb_leaf &leaf = leaves[i];
+        openvdb::Coord origin(leaf.bbox_min[0] & ~7, leaf.bbox_min[1] & ~7, leaf.bbox_min[2] & ~7);
+        auto *out = new leaf_type(origin, typename TreeT::ValueType(0), false);
+        uint64_t index = leaf.offset;
+        for (openvdb::Index word = 0; word < 8; word++)
+            for (uint64_t bits = leaf.mask[word]; bits; bits &= bits - 1)
+                out->setValueOn(64 * word + openvdb::Index(__builtin_ctzll(bits)),
+                                value(from, index++));
+        accessor.addLeaf(out); /* the tree owns it now */
+    }
+}
+
+/* Bytes of a tree's nodes, with malloc's own. */
+template <typename TreeT> uint64_t tree_bytes(const fmt_nvdb_grid &grid)
+{
+    using leaf_type = typename TreeT::LeafNodeType;
+    using upper_type = typename TreeT::RootNodeType::ChildNodeType;
+    using lower_type = typename upper_type::ChildNodeType;
+    uint64_t values =
+        std::is_same<TreeT, openvdb::MaskTree>::value ? 0 : 512 * sizeof(typename TreeT::ValueType);
+    return grid.leaf_count * (sizeof(leaf_type) + values + 32) +
+           grid.lower_count * (sizeof(lower_type) + uint64_t(32)) +
+           grid.upper_count * (sizeof(upper_type) + uint64_t(128));
+}
+
+uint64_t export_bytes(const fmt_nvdb_grid &grid)
+{
+    uint64_t vectors = tree_bytes<openvdb::Vec3STree>(grid);
+    return tree_bytes<openvdb::MaskTree>(grid) + (grid.colors ? 2 * vectors : vectors);
+}
+
+template <typename ValueT>
+typename ValueT::grid_type::Ptr make_grid(const source &from, const char *name)
+{
+    const fmt_nvdb_info &info = from.grid->info;
+    auto grid = ValueT::grid_type::create();
+    auto transform = openvdb::math::Transform::createLinearTransform(info.voxel_size);
+    transform->postTranslate(openvdb::Vec3d(info.translation));
+    grid->setTransform(transform);
+    grid->setName(name);
+    fill_tree<ValueT>(from, grid->tree());
+    return grid;
+}
+
+void write_archive(const source &from, const char *path)
+{
+    openvdb::initialize();
+    openvdb::GridCPtrVec grids;
+    grids.push_back(make_grid<surface_value>(from, "surface"));
+    auto normals = make_grid<normal_value>(from, "N");
+    normals->setVectorType(openvdb::VEC_COVARIANT_NORMALIZE);
+    grids.push_back(normals);
+    if (from.grid->colors) {
+        auto colors = make_grid<color_value>(from, "Cd");
+        colors->setVectorType(openvdb::VEC_INVARIANT);
+        grids.push_back(colors);
+    }
+    openvdb::MetaMap meta;
+    meta.insertMeta("creator", openvdb::StringMetadata("Bisque " BSQ_VERSION));
+    openvdb::io::File file(path);
+    file.write(grids, meta);
+}
+
+/* OpenVDB stamps each file with a random UUID as text behind magic number, versions and a flag. One
+ * that follows from the grid makes equal grids equal files. */
+int replace_uuid(bsq_output *output, const fmt_nvdb_grid *grid)
+{
+    nvdb_layout layout;
+    nvdb_layout_of(grid, &layout);
+    const nvdb_record *record = nvdb_record_of(grid, &layout);
+    XXH128_hash_t hash = XXH3_128bits(record, sizeof(*record));
+    char uuid[37];
+    std::snprintf(uuid, sizeof(uuid), "%08x-%04x-8%03x-%04x-%012llx", uint32_t(hash.high64 >> 32),
+                  uint32_t(hash.high64 >> 16 & 0xffff), uint32_t(hash.high64 & 0xfff),
+                  uint32_t(hash.low64 >> 48 & 0x3fff) | 0x8000,
+                  static_cast<unsigned long long>(hash.low64 & 0xffffffffffff));
+    return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
+}
+
+/* Nothing may be thrown past here. */
+int export_to(source &from, const char *temp_path, const char *path) noexcept
+{
+    try {
+        tbb::task_arena arena(int(bsq_threads(from.ctx)));
+        arena.execute([&] { write_archive(from, temp_path); });
+        return 0;
+    } catch (const described &failure) {
+        return failure.status;
+    } catch (const std::bad_alloc &) {
+        return bsq_fail(from.ctx, BSQ_ENOMEM, "%s: no memory for the OpenVDB export", path);
+    } catch (const std::exception &failure) {
+        return bsq_fail(from.ctx, BSQ_EIO, "%s: OpenVDB cannot write it: %s", path, failure.what());
+    } catch (...) {
+        return bsq_fail(from.ctx, BSQ_EIO, "%s: OpenVDB cannot write it", path);
+    }
+}
+
+} // namespace
+
+int fmt_vdb_export(bsq_ctx *ctx, const fmt_nvdb_grid *grid, const char *path)
+{
+    source from = {ctx, grid, {}};
+    for (int i = 0; i < 256; i++) {
+        double s = i / 255.0;
+        from.linear[i] = float(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
+    }
+    bsq_output *output;
+    int status = bsq_output_open(ctx, path, &output);
+    if (status)
+        return status;
+    uint64_t bytes = export_bytes(*grid);
+    status = bsq_reserve(ctx, "the grids of the OpenVDB export", bytes);
+    if (status == 0) {
+        status = export_to(from, bsq_output_temp_path(output), path);
+        bsq_release(ctx, bytes);
+    }
+    if (status == 0)
+        status = replace_uuid(output, grid);
+    if (status == 0)
+        return bsq_output_commit(output);
+    bsq_output_discard(output);
+    return status;
+}
