@@ -130,9 +130,9 @@ check: deps
 	@$(MAKE) --no-print-directory test
 
 # ---- packages ----
-packages_build := gcc g++ pkg-config libopenvdb-dev libopenexr-dev libopenimageio-dev \
+packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
     libembree-dev libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
-packages_test  := libcmocka-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 mandoc
+packages_test  := libcmocka-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 jq mandoc
 packages := $(packages_build) $(packages_test)
 jobs ?= $(shell nproc)
 
@@ -159,6 +159,30 @@ demo-maps: all $(generator)
 	@echo
 	@echo "Maps:    $(demo_dir)/vase_normal.exr $(demo_dir)/vase_color.exr $(demo_dir)/vase_mask.exr"
 	@echo "Preview: $(demo_dir)/preview.png (low mesh plain, low mesh with its maps, scan)"
+
+# ---- benchmark ----
+BENCH ?= medium
+packages_bench := libtinyobjloader-dev
+bench_bins := $(addprefix $(BUILD)/tests/,measure baseline-embree \
+    $(if $(wildcard /usr/include/tiny_obj_loader.h),baseline-tinyobj))
+$(BUILD)/tests/measure: $(BUILD)/obj/tests/bench/measure.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^
+$(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^ -lembree3
+$(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $^ -ltinyobjloader
+
+.PHONY: bench bench-build
+bench-build: all $(generator) $(bench_bins)
+
+## bench: measure stage 1 beside other programs, BENCH=small, medium (default) or large
+bench: deps
+	@tests/install-packages.sh $(packages_bench) || echo "bench: goes on without tinyobjloader"
+	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/run.sh $(BENCH)
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)

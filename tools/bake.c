@@ -1,26 +1,28 @@
-/* bake.c - bisque-bake: a low mesh and a voxel grid become texture maps. */
+/* bake.c - bisque-bake: a low mesh and a scan become texture maps. */
 #include <stdlib.h>
 #include <string.h>
 
-#include "formats/nvdb.h"
 #include "libbake/bake.h"
 #include "tools/cli.h"
 
 static const char help[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
-    "Bakes the normals and colours of a voxelized scan into texture maps of a low-polygon mesh.\n"
+    "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
+    "Bakes the normals and colours of a scan into texture maps of a low-polygon mesh: fast from a\n"
+    "voxel grid (SCAN.nvdb), or exact from the scan's own triangles (SCAN.tris).\n"
     "<MAP> in the output's name is replaced by normal, color or mask. A name that ends in .png\n"
     "gives PNG files, any other OpenEXR.\n"
     "\n"
     "  -o, --output FILE       the maps; \"<MAP>\" must be in it where there are several\n"
-    "      --maps LIST         of normal, color, mask (default: normal, and color where the grid\n"
+    "      --maps LIST         of normal, color, mask (default: normal, and color where the scan\n"
     "                          has it)\n"
     "      --size N | WxH      texels (default: 2048)\n"
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
     "      --front D           length of the rays outwards, in the mesh's units (default: auto)\n"
     "      --back D            length of the rays inwards (default: auto)\n"
     "      --two-sided         also hit surfaces that face away from the low mesh\n"
-    "      --sampling MODE     trilinear or nearest voxel (default: trilinear)\n"
+    "      --sampling MODE     trilinear or nearest, of a grid (default: trilinear)\n"
+    "      --scan-normals MODE smooth or flat: of triangles that have none (default: smooth)\n"
     "      --normal-space SPC  tangent (MikkTSpace) or object (default: tangent)\n"
     "      --green DIR         up (OpenGL) or down (Direct3D), for tangent space (default: up)\n"
     "      --padding N         texels around each chart; all: everywhere (default: 16)\n"
@@ -38,6 +40,7 @@ enum {
     OPT_BACK,
     OPT_TWO_SIDED,
     OPT_SAMPLING,
+    OPT_SCAN_NORMALS,
     OPT_NORMAL_SPACE,
     OPT_GREEN,
     OPT_PADDING,
@@ -58,6 +61,7 @@ static const struct option long_options[] = {
     {"back", required_argument, NULL, OPT_BACK},
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
     {"sampling", required_argument, NULL, OPT_SAMPLING},
+    {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
     {"normal-space", required_argument, NULL, OPT_NORMAL_SPACE},
     {"green", required_argument, NULL, OPT_GREEN},
     {"padding", required_argument, NULL, OPT_PADDING},
@@ -165,12 +169,18 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     static const char *const greens[] = {"up", "down", NULL};
     static const char *const spaces[] = {"tangent", "object", NULL};
     static const char *const samplings[] = {"trilinear", "nearest", NULL};
+    static const char *const normals[] = {"smooth", "flat", NULL};
     unsigned choice = 0;
     int status;
     switch (option) {
     case OPT_GREEN:
         if ((status = cli_parse_word(cli, "--green", optarg, greens, &choice)) == 0)
             bake->green_down = choice == 1;
+        return status;
+    case OPT_SCAN_NORMALS:
+        if ((status = cli_parse_word(cli, "--scan-normals", optarg, normals, &choice)) == 0)
+            bake->scan_normals =
+                choice == 0 ? BAKE_SCAN_NORMALS_SMOOTH : BAKE_SCAN_NORMALS_FLAT;
         return status;
     case OPT_NORMAL_SPACE:
         if ((status = cli_parse_word(cli, "--normal-space", optarg, spaces, &choice)) == 0)
@@ -223,6 +233,7 @@ static int parse_option(struct cli *cli, struct arguments *arguments, int option
     case OPT_GREEN:
     case OPT_NORMAL_SPACE:
     case OPT_SAMPLING:
+    case OPT_SCAN_NORMALS:
         return parse_choice(cli, option, bake);
     case OPT_PADDING:
         return parse_padding(cli, bake);
@@ -265,7 +276,7 @@ static int check_arguments(struct cli *cli, struct arguments *arguments, int cou
     if (count != 2)
         return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",
                          count, count == 1 ? "" : "s");
-    bake->grid_path = inputs[0];
+    bake->scan_path = inputs[0];
     bake->mesh_path = inputs[1];
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
@@ -349,7 +360,7 @@ static int name_outputs(struct cli *cli, const struct bake_options *bake, char *
 
 static int check_outputs(struct cli *cli, const struct bake_options *bake, char *const *paths)
 {
-    const char *const inputs[] = {bake->grid_path, bake->mesh_path};
+    const char *const inputs[] = {bake->scan_path, bake->mesh_path};
     bool several = (bake->maps & (bake->maps - 1)) != 0;
     int status = 0;
     if (several && !strstr(bake->output_path, "<MAP>"))
@@ -367,19 +378,16 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
     return status;
 }
 
-/* Where no maps were asked for: normals, and colours where the grid has them. The library would
+/* Where no maps were asked for: normals, and colours where the scan has them. The library would
  * choose so by itself; here it has to be known beforehand which files there will be. */
 static int choose_maps(struct cli *cli, struct bake_options *bake)
 {
-    struct fmt_nvdb_grid grid;
+    bool has_color = false;
     if (bake->maps != BAKE_MAPS_DEFAULT)
         return 0;
-    int status = fmt_nvdb_open(cli->ctx, bake->grid_path, &grid);
-    if (status < 0)
-        return status;
-    bake->maps = BAKE_MAP_NORMAL | (grid.info.has_color ? BAKE_MAP_COLOR : 0);
-    fmt_nvdb_close(cli->ctx, &grid);
-    return 0;
+    int status = bake_scan_has_color(cli->ctx, bake->scan_path, &has_color);
+    bake->maps = BAKE_MAP_NORMAL | (has_color ? BAKE_MAP_COLOR : 0);
+    return status;
 }
 
 /* ---- reports ---- */
@@ -424,7 +432,7 @@ static void print_report(const struct cli *cli, const struct arguments *argument
     if (next != first)
         putchar('\n');
     printf("%s: %s samples, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
-           bake->grid_path, cli_count_text(report->samples, samples),
+           bake->scan_path, cli_count_text(report->samples, samples),
            cli_count_text(report->misses, misses), percent(report->misses, report->samples),
            report->front, report->back, report->device);
     for (unsigned i = 0; i < MAP_KINDS; i++) {
@@ -459,7 +467,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
     json_t *root = json_pack(
         "{s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f}",
-        "grid_path", cli_json_text(bake->grid_path), "mesh_path", cli_json_text(bake->mesh_path),
+        "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
         "maps", maps_json(paths), "preview_path", cli_json_text(bake->preview_path), "width",
         (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
         "device", cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,

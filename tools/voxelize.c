@@ -22,6 +22,7 @@ static const char help[] =
     "      --resolution N      voxels along the scan's longest side (default: 2048)\n"
     "      --voxel-size X      edge of a voxel in the scan's units, instead of a resolution\n"
     "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
+    "      --scan-normals MODE smooth or flat, for a scan without normals (default: smooth)\n"
     "      --vdb FILE          also write the grid as an OpenVDB file\n"
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
     "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
@@ -34,6 +35,7 @@ enum {
     OPT_RESOLUTION = CLI_OWN,
     OPT_VOXEL_SIZE,
     OPT_GRID_TYPE,
+    OPT_SCAN_NORMALS,
     OPT_VDB,
     OPT_TEXTURE,
     OPT_TRIS,
@@ -46,6 +48,7 @@ static const struct option long_options[] = {
     {"resolution", required_argument, NULL, OPT_RESOLUTION},
     {"voxel-size", required_argument, NULL, OPT_VOXEL_SIZE},
     {"grid-type", required_argument, NULL, OPT_GRID_TYPE},
+    {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
     {"vdb", required_argument, NULL, OPT_VDB},
     {"texture", required_argument, NULL, OPT_TEXTURE},
     {"tris", required_argument, NULL, OPT_TRIS},
@@ -65,6 +68,7 @@ struct arguments {
     uint64_t resolution; /* 0: not given */
     double voxel_size;   /* 0: not given */
     enum vox_grid_type grid_type;
+    enum vox_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
     bool no_tris, parse_only;
 };
@@ -91,6 +95,16 @@ static int parse_grid_type(struct cli *cli, struct arguments *arguments)
     return status;
 }
 
+static int parse_scan_normals(struct cli *cli, struct arguments *arguments)
+{
+    static const char *const words[] = {"smooth", "flat", NULL};
+    unsigned mode = 0;
+    int status = cli_parse_word(cli, "--scan-normals", optarg, words, &mode);
+    if (status == 0)
+        arguments->scan_normals = mode == 0 ? VOX_NORMALS_SMOOTH : VOX_NORMALS_FLAT;
+    return status;
+}
+
 static int parse_option(struct cli *cli, struct arguments *arguments, int option)
 {
     switch (option) {
@@ -104,6 +118,8 @@ static int parse_option(struct cli *cli, struct arguments *arguments, int option
         return cli_parse_length(cli, "--voxel-size", optarg, true, &arguments->voxel_size);
     case OPT_GRID_TYPE:
         return parse_grid_type(cli, arguments);
+    case OPT_SCAN_NORMALS:
+        return parse_scan_normals(cli, arguments);
     case OPT_VDB:
         arguments->vdb = optarg;
         return 0;
@@ -398,6 +414,7 @@ static int make_grid(struct job *job)
         .resolution = (uint32_t)arguments->resolution,
         .voxel_size = arguments->voxel_size,
         .grid_type = arguments->grid_type,
+        .scan_normals = arguments->scan_normals,
         .vdb_path = arguments->vdb,
     };
     if (options.resolution == 0 && options.voxel_size == 0)

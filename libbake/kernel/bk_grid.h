@@ -163,12 +163,16 @@ BK_FN void bk_leaf_pair(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int y, b
     values[1] = active & 2u ? rank + (active & 1u) : 0;
 }
 
-/* Number of the second record of the voxel with value index v, which has one. */
+/* Number of the second record of the voxel with value index v; 0 where there is none, whatever the flag in a damaged
+ * plane says. */
 BK_FN bk_ulong bk_second(const bk_grid *grid, bk_ulong v)
 {
     const BK_GLOBAL bk_uint *pair = grid->seconds + (v >> 5) * 2u;
-    bk_uint below = ((bk_uint)1 << ((bk_uint)v & 31u)) - 1u;
-    return grid->second_base + pair[1] + bk_popcount32(pair[0] & below);
+    const bk_uint bit = (bk_uint)v & 31u;
+
+    if (!(pair[0] >> bit & 1u))
+        return 0;
+    return grid->second_base + pair[1] + bk_popcount32(pair[0] & (((bk_uint)1 << bit) - 1u));
 }
 
 #endif

@@ -13,6 +13,10 @@
 #include "bk_vec.h"
 
 #define BK_PLANE_SECOND (1u << 24)
+#define BK_PLANE_SHADED (1 << 25)
+
+#define BK_MARGIN_SMOOTH 0.2f
+#define BK_MARGIN_FOLD   0.4f
 
 /* A record whose plane passes this far from the hit belongs to another sheet of the same
  * orientation. */
@@ -24,6 +28,7 @@
 typedef struct bk_record {
     bk_vec3 normal; /* unit */
     float offset;   /* of the plane along the normal, in voxels from the centre */
+    float margin;   /* how far the surface may be from the plane, in voxels */
     bk_ulong number;
 } bk_record;
 
@@ -43,11 +48,24 @@ BK_FN bk_vec3 bk_decode_normal(bk_uint packed)
     return bk_unit(bk_v3(x >= 0.0f ? x - fold : x + fold, y >= 0.0f ? y - fold : y + fold, z));
 }
 
+/* The surface's distance from its mean plane. A smooth one errs by about half the curvature times the square of half
+ * a voxel's diagonal: 0.1 voxels at a curvature radius of 4 voxels. Rough surfaces with details of 2 voxels and
+ * slopes of 50 degrees lose one ray in 20000 with a margin of 0.2, one in 2000 with half of it. A fold's mean
+ * plane cuts its edge: coverage, the cosine of half the fold's angle, tells how deep. At a box's edge
+ * the faces end 0.35 voxels from the plane. */
+BK_FN float bk_margin(bk_uint plane)
+{
+    const float coverage = (float)(plane >> 16 & 255u) * (1.0f / 255.0f);
+    return BK_MARGIN_SMOOTH +
+           BK_MARGIN_FOLD * bk_sqrt(bk_max(0.98f - coverage * coverage, 0.0f));
+}
+
 BK_FN bk_record bk_load(const bk_grid *grid, bk_ulong number, bk_uint plane)
 {
     bk_record record;
     record.normal = bk_decode_normal(grid->normals[number]);
     record.offset = bk_snorm16(plane);
+    record.margin = bk_margin(plane);
     record.number = number;
     return record;
 }
@@ -115,8 +133,12 @@ BK_FN bk_vec3x4 bk_decode_normal4(bk_i4 packed)
 BK_FN bk_ulong bk_choose_record(const bk_grid *grid, bk_ulong v, bk_vec3 normal)
 {
     bk_ulong second = bk_second(grid, v);
-    float a = bk_dot(bk_decode_normal(grid->normals[v]), normal);
-    float b = bk_dot(bk_decode_normal(grid->normals[second]), normal);
+    float a, b;
+
+    if (second == 0)
+        return v;
+    a = bk_dot(bk_decode_normal(grid->normals[v]), normal);
+    b = bk_dot(bk_decode_normal(grid->normals[second]), normal);
     return b > a ? second : v;
 }
 
@@ -152,7 +174,7 @@ typedef struct bk_face {
     bk_vec3x4 e;     /* point minus foot point (of the voxel's centre on its plane) */
     bk_f4 w;         /* tent weight */
     bk_f4 s;         /* smooth weight */
-    bk_vec3x4 slope; /* gradient of s */
+    bk_vec3x4 slope; /* gradient of s, of planes that go with their normals */
 } bk_face;
 
 /* numbers: of the records, 0 for none. Those of other sheets get no weight. */
@@ -181,6 +203,8 @@ BK_FN void bk_face_load(const bk_grid *grid, const bk_ulong numbers[4], bk_vec3 
     const bk_f4 f = n.x * x->r[side] + n.y * ry + n.z * rz - d;
     const bk_f4 near =
         bk_max4(1.0f - f * f * (1.0f / (BK_SHEET_DISTANCE * BK_SHEET_DISTANCE)), zero);
+    /* A facet's plane says nothing of a normal that was interpolated over it. */
+    const bk_f4 trust = 1.0f - bk_to_f4((planes & BK_PLANE_SHADED) >> 25);
     const bk_f4 gate = bk_mask4(zero < agreement, near * there);
     const bk_f4 syz = gate * (sy * sz);
 
@@ -191,9 +215,9 @@ BK_FN void bk_face_load(const bk_grid *grid, const bk_ulong numbers[4], bk_vec3 
     face->e.z = rz - n.z * d;
     face->w = gate * (x->tent[side] * (ty * tz));
     face->s = x->smooth[side] * syz;
-    face->slope.x = x->slope[side] * syz;
-    face->slope.y = gate * (x->smooth[side] * (gy * sz));
-    face->slope.z = gate * (x->smooth[side] * (sy * gz));
+    face->slope.x = x->slope[side] * (trust * syz);
+    face->slope.y = x->smooth[side] * (trust * (gate * (gy * sz)));
+    face->slope.z = x->smooth[side] * (trust * (gate * (sy * gz)));
 }
 
 /* Value indices of the eight corners of a cell with lowest voxel (x, y, z), 0 where not active. */

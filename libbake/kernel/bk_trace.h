@@ -11,20 +11,15 @@
  * The surface is crossed
  *  - in a voxel where f changes sign,
  *  - at the border of two voxels where f < 0 on leaving one and f > 0 on entering the next,
- *  - where an unbroken run of occupied voxels begins with 0 < f <= BK_MARGIN or ends with
- *    -BK_MARGIN <= f < 0: the scan touched that voxel and not the empty one beside it, so the
+ *  - where an unbroken run of occupied voxels begins with 0 < f <= margin or ends with
+ *    -margin <= f < 0: the scan touched that voxel and not the empty one beside it, so the
  *    surface is inside the run although its plane passes just outside.
- * The first two leave no pinhole inside a run; the last closes the run's ends. */
+ * The first two leave no pinhole inside a run; the last closes the run's ends. Voxels whose surface faces away
+ * from where hits are wanted are no part of a run. */
 #ifndef BK_TRACE_H
 #define BK_TRACE_H
 
 #include "bk_surface.h"
-
-/* How far, in voxels, a plane may pass outside its voxel's run. A plane errs by about half the
- * curvature times the square of half a voxel's diagonal: 0.1 voxels at a curvature radius of 4
- * voxels. Rough surfaces with details of 2 voxels and slopes of 50 degrees lose one ray in 20000
- * with this margin, one in 2000 with half of it. */
-#define BK_MARGIN 0.2f
 
 /* Cosine below which a ray is too flat for its hit to be moved onto the blended surface. */
 #define BK_GRAZING 0.1f
@@ -56,7 +51,7 @@ BK_FN bk_crossing bk_no_crossing(void)
     none.found = 0;
     none.t = 0.0f;
     none.record.normal = bk_v3(0.0f, 0.0f, 0.0f);
-    none.record.offset = 0.0f;
+    none.record.offset = none.record.margin = 0.0f;
     none.record.number = 0;
     return none;
 }
@@ -149,7 +144,7 @@ BK_FN void bk_take(bk_walk *walk, float t, const bk_record *record)
 /* The run of occupied voxels ends: its last plane may pass just outside. */
 BK_FN void bk_end_run(bk_walk *walk)
 {
-    if (walk->side == BK_BELOW && walk->outside <= BK_MARGIN)
+    if (walk->side == BK_BELOW && walk->outside <= walk->ahead.record.margin)
         bk_take(walk, walk->ahead.t, &walk->ahead.record);
     walk->side = BK_APART;
 }
@@ -185,7 +180,7 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_record *record, bk_int x, bk_
         walk->side = BK_ABOVE;
         if (side == BK_BELOW)
             bk_take(walk, t_in, record);
-        else if (side == BK_APART && f_in <= BK_MARGIN && f_in < slope && t_in > walk->t_start)
+        else if (side == BK_APART && f_in <= record->margin && f_in < slope && t_in > walk->t_start)
             bk_take(walk, bk_max(t_in - f_in / slope, 0.0f), record);
     } else if (f_out >= 0.0f) {
         walk->side = BK_ABOVE;
@@ -210,8 +205,15 @@ BK_FN void bk_cross_voxel(const bk_grid *grid, bk_walk *walk, bk_ulong v, bk_int
     bk_cross_record(walk, &record, x, y, z, t_in, t_out, side, falling);
     if (plane & BK_PLANE_SECOND) {
         bk_ulong number = bk_second(grid, v);
-        record = bk_load(grid, number, grid->planes[number]);
-        bk_cross_record(walk, &record, x, y, z, t_in, t_out, side, falling);
+        if (number) {
+            record = bk_load(grid, number, grid->planes[number]);
+            bk_cross_record(walk, &record, x, y, z, t_in, t_out, side, falling);
+        }
+    }
+    if (walk->side == BK_APART && side == BK_BELOW && !walk->hit.found) {
+        /* No sheet here faces the right way: for the one before, the run has ended. */
+        walk->side = side;
+        bk_end_run(walk);
     }
 }
 

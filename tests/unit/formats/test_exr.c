@@ -280,13 +280,11 @@ static void test_truncated_files_are_refused(void **state)
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_EXR_HALF, samples, 40);
     size_t size;
-    uint8_t *bytes = read_bytes(path, &size);
-    for (size_t length = 0; length < size; ++length) {
-        assert_int_equal(truncate(path, 0), 0);
-        write_bytes(path, bytes, length);
+    free(read_bytes(path, &size));
+    for (size_t length = size; length-- > 0;) {
+        assert_int_equal(truncate(path, (off_t)length), 0);
         expect_damage(ctx, "length", length);
     }
-    free(bytes);
     free(samples);
     free_context(ctx);
 }
@@ -303,7 +301,7 @@ static void test_flipped_bytes_do_no_harm(void **state)
     write_image(ctx, 20, 40, FMT_EXR_FLOAT, samples, 40);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
-    for (int round = 0; round < 2000; ++round) {
+    for (int round = 0; round < 1000; ++round) {
         /* Most rounds hit the header, where the sizes are. */
         size_t range = round % 4 ? 600 : size;
         size_t at = next_random(&seed) % range;

@@ -226,12 +226,19 @@ static bool nearly(double a, double b)
     return fabs(a - b) < 1e-3;
 }
 
+/* A fifth of a voxel, and more where the record's mean normal hides a fold. */
+static double naive_margin(const struct fmt_nvdb_record *record)
+{
+    double coverage = (record->plane >> 16 & 255) / 255.0;
+    return 0.2 + 0.4 * sqrt(fmax(0.98 - coverage * coverage, 0));
+}
+
 /* The rules of bk_trace.h for one sheet that faces `facing`, along a half ray. */
 static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double origin[3],
                                 const double direction[3], double limit, const double facing[3])
 {
     struct naive result = {.t = limit};
-    double faces[NAIVE_FACES], outside = 0, ahead = 0;
+    double faces[NAIVE_FACES], outside = 0, ahead = 0, margin = 0;
     int count = naive_faces(origin, direction, limit, faces), side = BK_APART;
 
     for (int i = 0; i + 1 < count && !result.found; i++) {
@@ -246,17 +253,10 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
             at[k] = (int32_t)floor(origin[k] + middle * direction[k] + 0.5);
         uint64_t v = fmt_nvdb_find(grid, at), numbers[2] = {v, 0};
         int before = side;
-        double below = outside, next = ahead;
+        double below = outside, next = ahead, reach = margin;
         side = BK_APART;
         if (v)
             numbers[1] = fmt_nvdb_second(grid, v);
-        else if (before == BK_BELOW) {
-            result.doubtful |= nearly(below, BK_MARGIN) || nearly(next, limit);
-            if (below <= BK_MARGIN && next <= limit) {
-                result.found = true;
-                result.t = next;
-            }
-        }
         for (int r = 0; v && r < 2; r++) {
             if (!numbers[r])
                 continue;
@@ -275,10 +275,12 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
             f = slope < 0 ? -f : f;
             slope = fabs(slope);
             double f_in = f + slope * t_in, f_out = f + slope * t_out;
-            result.doubtful |= nearly(f_in, 0) || nearly(f_out, 0) || nearly(f_in, BK_MARGIN) ||
+            double own = naive_margin(&record);
+            result.doubtful |= nearly(f_in, 0) || nearly(f_out, 0) || nearly(f_in, own) ||
                                nearly(f_in, slope) || nearly(-f_out, slope);
             if (f_out < 0) {
                 side = BK_BELOW;
+                margin = own;
                 outside = -f_out < slope ? -f_out : 1;
                 ahead = t_out - f_out / slope;
                 continue;
@@ -288,7 +290,7 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
                 t = -f / slope;
             else if (before == BK_BELOW)
                 t = t_in;
-            else if (before == BK_APART && f_in <= BK_MARGIN && f_in < slope && t_in > 0)
+            else if (before == BK_APART && f_in <= own && f_in < slope && t_in > 0)
                 t = fmax(t_in - f_in / slope, 0);
             else
                 continue;
@@ -296,9 +298,14 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
                 result.t = t;
             result.found = true;
         }
+        if (side == BK_APART && before == BK_BELOW && !result.found) {
+            result.doubtful |= nearly(below, reach) || nearly(next, limit);
+            result.found = below <= reach && next <= limit;
+            result.t = result.found ? next : result.t;
+        }
     }
     if (!result.found && side == BK_BELOW)
-        result.doubtful |= outside <= 2 * BK_MARGIN; /* at the end of the ray */
+        result.doubtful |= outside <= 2 * margin; /* at the end of the ray */
     return result;
 }
 

@@ -1,0 +1,414 @@
+/* bake.c - the job: inputs, ray lengths, tracing, files, preview.
+ *
+ * Whatever can be wrong with the arguments, the inputs and the output's directory is found before
+ * the first ray. The files get their final names at the very end, one after the other. */
+#include "libbake/bake.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "libbake/clock_internal.h"
+#include "libbake/device_internal.h"
+#include "libbake/distance_internal.h"
+#include "libbake/exact_tiles_internal.h"
+#include "libbake/image_internal.h"
+#include "libbake/lowmesh_internal.h"
+#include "libbake/map_output_internal.h"
+#include "libbake/preview_internal.h"
+#include "libbake/raster_internal.h"
+#include "libbake/surface_internal.h"
+#include "libbake/tiles_internal.h"
+
+enum {
+    MOST_SAMPLES = 256,    /* N; 65536 a texel */
+    PREVIEW_TEXTURE = 2048 /* side */
+};
+
+struct job {
+    struct bsq_ctx *ctx;
+    const struct bake_options *options;
+    struct bake_report *report;
+    uint32_t maps;
+    struct bake_surface surface;
+    struct bake_lowmesh mesh;
+    struct bake_job traced; /* triangles and parameters */
+    struct bk_triangle *triangles;
+    struct bake_raster *raster;
+    uint32_t tile_size;
+    struct bake_device *device; /* NULL where the surface is exact */
+    struct bake_image *image;
+    struct bake_map_files *files;
+    struct bake_preview preview;
+    struct bake_preview_file *preview_file;
+};
+
+void bake_defaults(struct bake_options *options)
+{
+    *options = (struct bake_options){
+        .maps = BAKE_MAPS_DEFAULT,
+        .format = BAKE_FORMAT_DEFAULT,
+        .width = 2048,
+        .height = 2048,
+        .samples = 2,
+        .front = -1.0,
+        .back = -1.0,
+        .padding = 16,
+        .normal_space = BAKE_TANGENT_SPACE,
+        .sampling = BAKE_TRILINEAR,
+        .device = "auto",
+    };
+}
+
+/* ---- inputs ---- */
+
+static int check_options(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    enum bake_format format;
+    if (!options->scan_path || !options->mesh_path || !options->output_path)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low mesh and an output are needed");
+    if (options->maps & ~(uint32_t)(BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK))
+        return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
+    if (options->samples < 1 || options->samples > MOST_SAMPLES)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
+                        options->samples, options->samples, MOST_SAMPLES);
+    if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
+        isinf(options->back))
+        return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,
+                        options->back);
+    if (options->front == 0.0 && options->back == 0.0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "rays of no length find nothing");
+    if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
+        return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
+    /* Several maps where none are named, unless the scan has no colour: checked again then. */
+    return bake_map_files_check(ctx, options, options->maps, &format);
+}
+
+/* Which maps to write, now that it is known whether there are colours. */
+static int choose_maps(struct job *job)
+{
+    bool has_color = job->surface.has_color;
+    enum bake_format format;
+    job->maps = job->options->maps;
+    if (job->maps == BAKE_MAPS_DEFAULT)
+        job->maps = BAKE_MAP_NORMAL | (has_color ? BAKE_MAP_COLOR : 0);
+    if (job->maps & BAKE_MAP_COLOR && !has_color)
+        return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave color out of --maps",
+                        job->options->scan_path);
+    return bake_map_files_check(job->ctx, job->options, job->maps, &format);
+}
+
+static int open_inputs(struct job *job)
+{
+    int status = check_options(job->ctx, job->options);
+    if (status < 0)
+        return status;
+    status = bake_surface_open(job->ctx, job->options, &job->surface);
+    if (status < 0)
+        return status;
+    status = choose_maps(job);
+    if (status == 0 && (job->maps & BAKE_MAP_COLOR || job->options->preview_path))
+        status = bake_surface_use_color(&job->surface);
+    if (status < 0)
+        return status;
+    status = bake_lowmesh_load(job->ctx, job->options->mesh_path, &job->mesh);
+    if (status == 0)
+        job->report->low_triangles = job->mesh.triangle_count;
+    return status;
+}
+
+/* ---- parameters ---- */
+
+static int choose_distances(struct job *job)
+{
+    const struct bake_options *options = job->options;
+    struct bk_params *params = &job->traced.params;
+    double front = options->front, back = options->back;
+    if (front < 0 || back < 0) {
+        int status =
+            bake_measure_distances(&job->surface, params, &job->mesh, &front, &back);
+        if (status < 0)
+            return status;
+        if (options->front >= 0)
+            front = options->front;
+        if (options->back >= 0)
+            back = options->back;
+    }
+    job->report->front = front;
+    job->report->back = back;
+    params->front = (float)(front / job->surface.unit);
+    params->back = (float)(back / job->surface.unit);
+    return 0;
+}
+
+static int set_params(struct job *job)
+{
+    const struct bake_options *options = job->options;
+    struct bk_params *params = &job->traced.params;
+    if (!job->surface.exact)
+        bake_params_from_grid(&job->surface.grid, params);
+    params->samples = options->samples;
+    if (options->normal_space == BAKE_OBJECT_SPACE)
+        params->flags |= BK_OBJECT_SPACE;
+    if (options->sampling == BAKE_NEAREST)
+        params->flags |= BK_NEAREST;
+    if (options->two_sided)
+        params->flags |= BK_TWO_SIDED;
+    return choose_distances(job);
+}
+
+/* ---- tracing ---- */
+
+static int prepare_triangles(struct job *job)
+{
+    const struct bake_options *options = job->options;
+    job->tile_size = bake_tile_size(job->ctx, options->width, options->height, options->samples);
+    struct bake_raster_options raster = {.width = options->width,
+                                         .height = options->height,
+                                         .samples = options->samples,
+                                         .tile_size = job->tile_size};
+    struct bake_raster_report report = {0};
+    int status = bake_raster_create(job->ctx, &job->mesh, &raster, &report, &job->raster);
+    if (status < 0)
+        return status;
+    job->report->degenerate_uv_triangles = report.degenerate_triangles;
+    job->report->outside_uv_triangles = report.outside_triangles;
+    status = bsq_alloc(job->ctx, "triangles of the low mesh", job->mesh.triangle_count,
+                       sizeof *job->triangles, &job->triangles);
+    if (status == 0)
+        bake_raster_kernel_triangles(job->raster, job->surface.translation, job->surface.unit,
+                                     job->triangles);
+    return status;
+}
+
+static int open_device(struct job *job)
+{
+    if (job->surface.exact) {
+        unsigned threads = bsq_threads(job->ctx);
+        snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s, exact",
+                 threads, threads == 1 ? "" : "s");
+        return 0;
+    }
+    job->traced.grid = &job->surface.grid;
+    job->traced.triangles = job->triangles;
+    job->traced.triangle_count = (uint32_t)job->mesh.triangle_count;
+    job->traced.tile_texels = job->tile_size * job->tile_size;
+    const char *name = job->options->device ? job->options->device : "auto";
+    int status = bake_device_open(job->ctx, name, &job->traced, &job->device);
+    if (status == 0)
+        snprintf(job->report->device, sizeof job->report->device, "%s",
+                 bake_device_name(job->device));
+    return status;
+}
+
+/* In memory where the map takes no more than half of what is left; the rest is for writing. */
+static int create_image(struct job *job)
+{
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
+    struct bake_image_options image = {.width = job->options->width,
+                                       .height = job->options->height,
+                                       .channels = bake_map_channels(job->maps),
+                                       .memory_bytes = used < limit ? (limit - used) / 2 : 0,
+                                       .beside = job->options->output_path};
+    return bake_image_create(job->ctx, &image, &job->image);
+}
+
+static int fail_without_hit(const struct job *job)
+{
+    const struct bake_surface *scan = &job->surface;
+    const struct bake_lowmesh *low = &job->mesh;
+    if (job->report->samples == 0)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s: no texel lies in a triangle: are the texture coordinates in 0..1?",
+                        job->options->mesh_path);
+    return bsq_fail(job->ctx, BSQ_EDATA,
+                    "no ray hit: the scan spans (%g %g %g) to (%g %g %g), the low mesh (%g %g %g) "
+                    "to (%g %g %g): are they in the same place and units?",
+                    scan->scan_min[0], scan->scan_min[1], scan->scan_min[2], scan->scan_max[0],
+                    scan->scan_max[1], scan->scan_max[2], low->bounds_min[0], low->bounds_min[1],
+                    low->bounds_min[2], low->bounds_max[0], low->bounds_max[1], low->bounds_max[2]);
+}
+
+static int trace_exact(struct job *job)
+{
+    struct bake_exact_tiles tiles = {.exact = job->surface.exact,
+                                     .raster = job->raster,
+                                     .triangles = job->triangles,
+                                     .triangle_count = (uint32_t)job->mesh.triangle_count,
+                                     .object_space =
+                                         job->options->normal_space == BAKE_OBJECT_SPACE,
+                                     .front = job->report->front,
+                                     .back = job->report->back,
+                                     .image = job->image,
+                                     .maps = job->maps,
+                                     .samples = job->options->samples,
+                                     .tile_size = job->tile_size};
+    return bake_exact_trace_tiles(job->ctx, &tiles, job->report);
+}
+
+static int trace_grid(struct job *job)
+{
+    struct bake_tiles tiles = {.raster = job->raster,
+                               .device = job->device,
+                               .image = job->image,
+                               .maps = job->maps,
+                               .samples = job->options->samples,
+                               .tile_size = job->tile_size};
+    return bake_trace_tiles(job->ctx, &tiles, job->report);
+}
+
+static int trace(struct job *job)
+{
+    int status = job->surface.exact ? trace_exact(job) : trace_grid(job);
+    if (status == 0 && job->report->hits == 0)
+        status = fail_without_hit(job);
+    return status;
+}
+
+/* Frees what only tracing needs. */
+static void end_tracing(struct job *job)
+{
+    bake_device_close(job->device);
+    job->device = NULL;
+    bake_raster_free(job->raster);
+    job->raster = NULL;
+    bsq_free(job->ctx, job->triangles);
+    job->triangles = NULL;
+}
+
+/* ---- output ---- */
+
+static int open_outputs(struct job *job)
+{
+    const char *sampling = job->options->sampling == BAKE_NEAREST ? "nearest" : "trilinear";
+    const struct bake_traced traced = {.front = job->report->front,
+                                       .back = job->report->back,
+                                       .sampling = job->surface.exact ? "exact" : sampling};
+    int status =
+        bake_map_files_open(job->ctx, job->options, job->maps, &traced, &job->files);
+    if (status == 0 && job->options->preview_path)
+        status = bake_preview_open(job->ctx, job->options->preview_path, &job->preview_file);
+    return status;
+}
+
+static int create_thumbnails(struct job *job)
+{
+    const struct bake_options *options = job->options;
+    struct bake_preview *preview = &job->preview;
+    uint32_t side = PREVIEW_TEXTURE;
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
+    uint64_t share = used < limit ? (limit - used) / 8 : 0;
+    while (side > 64 && (uint64_t)side * side * sizeof *preview->normal.texels > share)
+        side /= 2;
+    int status = 0;
+    if (job->maps & BAKE_MAP_NORMAL)
+        status = bake_thumbnail_create(job->ctx, options->width, options->height, side,
+                                       &preview->normal);
+    if (status == 0 && job->maps & BAKE_MAP_COLOR)
+        status =
+            bake_thumbnail_create(job->ctx, options->width, options->height, side, &preview->color);
+    return status;
+}
+
+static int write_maps(struct job *job)
+{
+    struct bake_thumbnail *normal = NULL, *color = NULL;
+    if (job->preview_file) {
+        int status = create_thumbnails(job);
+        if (status < 0)
+            return status;
+        normal = job->maps & BAKE_MAP_NORMAL ? &job->preview.normal : NULL;
+        color = job->maps & BAKE_MAP_COLOR ? &job->preview.color : NULL;
+    }
+    return bake_map_files_write(job->files, job->image, normal, color,
+                                &job->report->seconds_resolve, &job->report->seconds_write);
+}
+
+static int write_preview(struct job *job)
+{
+    if (!job->preview_file)
+        return 0;
+    struct bake_preview *preview = &job->preview;
+    preview->mesh = &job->mesh;
+    preview->surface = &job->surface;
+    preview->params = &job->traced.params;
+    preview->normal_space = job->options->normal_space;
+    preview->green_down = job->options->green_down;
+    return bake_preview_write(job->preview_file, preview);
+}
+
+static int commit(struct job *job)
+{
+    int status = bake_map_files_commit(job->files);
+    job->files = NULL;
+    if (status == 0 && job->preview_file) {
+        status = bake_preview_commit(job->preview_file);
+        job->preview_file = NULL;
+    }
+    return status;
+}
+
+/* ---- the job ---- */
+
+static int run(struct job *job)
+{
+    double started = bake_clock();
+    int status = open_inputs(job);
+    if (status == 0)
+        status = set_params(job);
+    if (status == 0)
+        status = open_outputs(job);
+    if (status == 0)
+        status = prepare_triangles(job);
+    if (status == 0)
+        status = open_device(job);
+    if (status == 0)
+        status = create_image(job);
+    double opened = bake_clock();
+    job->report->seconds_open = opened - started;
+    if (status == 0)
+        status = trace(job);
+    end_tracing(job);
+    job->report->seconds_trace = bake_clock() - opened;
+    if (status == 0)
+        status = write_maps(job);
+    bake_image_free(job->image);
+    job->image = NULL;
+    double written = bake_clock();
+    if (status == 0)
+        status = write_preview(job);
+    double committing = bake_clock();
+    job->report->seconds_preview = committing - written;
+    if (status == 0)
+        status = commit(job);
+    job->report->seconds_write += bake_clock() - committing;
+    return status;
+}
+
+static void end(struct job *job)
+{
+    end_tracing(job);
+    bake_image_free(job->image);
+    bake_map_files_discard(job->files);
+    bake_preview_discard(job->preview_file);
+    bake_thumbnail_free(job->ctx, &job->preview.normal);
+    bake_thumbnail_free(job->ctx, &job->preview.color);
+    bake_lowmesh_free(job->ctx, &job->mesh);
+    bake_surface_close(&job->surface);
+}
+
+int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report)
+{
+    memset(report, 0, sizeof *report);
+    struct job *job; /* on the heap for its size */
+    int status = bsq_calloc(ctx, "job", 1, sizeof *job, &job);
+    if (status < 0)
+        return status;
+    job->ctx = ctx;
+    job->options = options;
+    job->report = report;
+    status = run(job);
+    end(job);
+    bsq_free(ctx, job);
+    return status;
+}

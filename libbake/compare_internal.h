@@ -1,0 +1,26 @@
+/* compare_internal.h - what the parts of a comparison share. */
+#ifndef BAKE_COMPARE_INTERNAL_H
+#define BAKE_COMPARE_INTERNAL_H
+
+#include "formats/exr.h"
+#include "libbake/compare.h"
+
+/* The maps, and the error of each texel; -1 where none was computed. */
+struct bake_comparison {
+    struct fmt_exr_image a, b, a_mask, b_mask; /* masks have no samples where none was given */
+    enum bake_compare_kind kind;
+    uint32_t a_rgb[3], b_rgb[3]; /* channel numbers, where the kind needs them */
+    float *errors;               /* height x width */
+};
+
+/* Unit of the error, for legends: "degrees", "dE2000", "difference". */
+const char *bake_compare_unit(enum bake_compare_kind kind);
+
+/* Draws the errors in place, with a scale from 0 to `top` below. */
+int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
+                       const char *path);
+/* Draws their distribution over 0 .. `top`, with the report's percentiles marked. */
+int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
+                         const struct bake_compare_report *report, double top, const char *path);
+
+#endif

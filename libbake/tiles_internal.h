@@ -1,0 +1,30 @@
+/* tiles_internal.h - traces all tiles of a map into an image. */
+#ifndef BAKE_TILES_INTERNAL_H
+#define BAKE_TILES_INTERNAL_H
+
+#include "libbake/device_internal.h"
+#include "libbake/image_internal.h"
+#include "libbake/raster_internal.h"
+
+/* Side of the tiles: large where there is work for all threads, small where memory is short. */
+uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples);
+
+struct bake_tiles {
+    const struct bake_raster *raster;
+    struct bake_device *device;
+    struct bake_image *image; /* channels as bake_map_channels(maps) */
+    uint32_t maps;            /* of enum bake_map */
+    uint32_t samples;         /* N: N x N a texel */
+    uint32_t tile_size;
+};
+
+/* Traces and resolves every tile: the normal is the unit vector of the sum over a texel's hits, the
+ * colour their mean. Adds to the report's covered_texels, samples, hits, misses and
+ * overlapping_samples. */
+int bake_trace_tiles(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
+                     struct bake_report *report);
+
+/* Turns a texel's sums into what an image stores of it. */
+void bake_resolve_texel(const struct bk_texel *texel, uint32_t maps, float *out);
+
+#endif

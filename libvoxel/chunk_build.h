@@ -1,0 +1,49 @@
+/* chunk_build.h - private to the sorter: sorted records become the bytes of a chunk. */
+#ifndef VOX_CHUNK_BUILD_H
+#define VOX_CHUNK_BUILD_H
+
+#include "libvoxel/order.h"
+#include "libvoxel/record.h"
+
+/* The bytes of a corner of at most 16 bytes, and its vertex. */
+struct corner_tag {
+    uint64_t low, high;
+};
+struct corner_cache {
+    struct corner_tag tag;
+    uint32_t number;
+};
+
+/* Reused for many chunks; one for each chunk in the making. */
+struct chunk_builder {
+    struct bsq_ctx *ctx;
+    const struct scan *scan;
+    const struct record_layout *layout;
+    float (*positions)[3];
+    uint32_t *normals;
+    float (*texcoords)[2];
+    uint32_t *colors;
+    uint32_t (*triangles)[3];
+    uint32_t *materials;
+    uint32_t vertex_count;
+    uint32_t *table; /* hash table of vertices */
+    uint32_t table_bits;
+    struct corner_cache *cache; /* direct-mapped */
+    /* Result. */
+    void *encoded;
+    uint64_t encoded_bytes;
+    struct fmt_tris_chunk_info info;
+};
+
+/* Memory of one builder. */
+uint64_t chunk_builder_bytes(uint32_t attributes);
+int chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
+                       const struct record_layout *layout);
+void chunk_builder_free(struct chunk_builder *builder);
+
+/* Builds and encodes a chunk of entries[0 .. count). Vertices are numbered in the order of first
+ * use. */
+int chunk_builder_run(struct chunk_builder *builder, const uint8_t *records,
+                      const struct entry *entries, uint32_t count);
+
+#endif

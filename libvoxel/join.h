@@ -1,0 +1,27 @@
+/* join.h - private to the sorter: corners meet their values when columns are in files. */
+#ifndef VOX_JOIN_H
+#define VOX_JOIN_H
+
+#include "libvoxel/record.h"
+
+struct join;
+
+/* By pages memory holds parts of the columns as they are needed, which is fast unless the faces'
+ * order has nothing to do with the vertices'. By buckets the cost is the same for any order. */
+enum join_method { JOIN_BY_PAGES, JOIN_BY_BUCKETS };
+
+/* Prepares a join over all groups of the scan. */
+int join_open(struct scan *scan, const char *beside, enum join_method method, struct join **out);
+void join_close(struct join *join);
+
+/* Values of all corners of a group into arrays that have room. Groups must come in order; serial.
+ */
+int join_fetch(struct join *join, const struct face_group *group, struct corner_values *values);
+
+/* join_fetch() failed without an error because the order does not suit pages. */
+bool join_gave_up(const struct join *join);
+
+/* Vertices that some face refers to; only known where positions were joined by buckets. */
+uint64_t join_used_vertices(const struct join *join);
+
+#endif

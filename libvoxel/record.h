@@ -1,0 +1,88 @@
+/* record.h - private to the sorter: a triangle on its way into the sorted file.
+ *
+ * Three corners and a material. While all columns are in memory a corner is its indices, each in as
+ * few bytes as the scan's counts need; else it is its values, as columns in files cannot be looked
+ * up in any order. Records are packed; loads may read RECORD_SLACK bytes past the end. */
+#ifndef VOX_RECORD_H
+#define VOX_RECORD_H
+
+#include <string.h>
+
+#include "libvoxel/cells.h"
+#include "libvoxel/scan.h"
+
+struct record_layout {
+    bool by_value;
+    /* Of an index; 0: the kind is not stored. Only where !by_value. */
+    uint32_t index_bytes[FACE_KIND_COUNT];
+    /* Where in a corner: an index by its kind, or a value by its column. */
+    uint32_t index_at[FACE_KIND_COUNT];
+    uint32_t value_at[SCAN_COLUMN_COUNT];
+    uint32_t corner_bytes;
+    uint32_t material_bytes; /* of the number plus one; 0: no materials */
+    uint32_t bytes;
+};
+
+/* Values of the corners of a group; absent attributes are NULL. */
+struct corner_values {
+    float (*positions)[3];
+    uint32_t *colors;
+    float (*texcoords)[2];
+    uint32_t *normals;
+};
+
+static inline uint32_t record_index_width(uint64_t last, uint32_t least)
+{
+    uint32_t bytes = least;
+    while (bytes < 8 && last >> (8 * bytes) != 0)
+        bytes++;
+    return bytes;
+}
+
+void record_layout_for(const struct scan *scan, struct record_layout *layout);
+
+static inline void record_store(uint8_t *at, uint64_t value, uint32_t bytes)
+{
+    for (uint32_t i = 0; i < bytes; i++)
+        at[i] = (uint8_t)(value >> 8 * i);
+}
+
+static inline uint64_t record_load(const uint8_t *at, uint32_t bytes)
+{
+    uint64_t value;
+    memcpy(&value, at, 8);
+    return value & UINT64_MAX >> (64 - 8 * bytes);
+}
+
+/* Position of a corner; `copy` is where it is put if it does not lie aligned. */
+static inline const float *record_position(const struct record_layout *layout,
+                                           const struct scan *scan, const uint8_t *corner,
+                                           float copy[3])
+{
+    if (!layout->by_value)
+        return column_at(&scan->columns[SCAN_POSITIONS],
+                         record_load(corner, layout->index_bytes[FACE_VERTEX]), 12);
+    memcpy(copy, corner, 12);
+    return copy;
+}
+
+/* UINT32_MAX: none */
+static inline uint32_t record_material(const struct record_layout *layout, const uint8_t *record)
+{
+    if (layout->material_bytes == 0)
+        return UINT32_MAX;
+    return (uint32_t)record_load(record + 3 * layout->corner_bytes, layout->material_bytes) - 1;
+}
+
+/* All of a vertex of the sorted file. Equal vertices have equal bytes. */
+struct vertex {
+    float position[3];
+    uint32_t normal; /* SCAN_NO_NORMAL: the triangle's is to be used */
+    float texcoord[2];
+    uint32_t color;
+};
+
+void record_vertex(const struct record_layout *layout, const struct scan *scan,
+                   const uint8_t *corner, struct vertex *out);
+
+#endif

@@ -1,0 +1,325 @@
+/* region.c - sums of the pieces in each voxel, and what becomes of them.
+ *
+ * A wall thinner than a voxel has two sides whose normals would cancel. So a piece that faces away
+ * from the voxel's record opens a second one. Because a record only takes pieces that do not face
+ * away from it, its own sum cannot cancel. */
+#include "libvoxel/region.h"
+#include "base/octahedral.h"
+
+#include <math.h>
+#include <string.h>
+
+/* A second record below this share of the first one's area is noise. */
+static const double second_share = 0.01;
+
+/* ---- memory ---- */
+
+static uint64_t bytes_per_sum(bool has_color)
+{
+    return sizeof(struct vox_sum) + (has_color ? sizeof(struct vox_color_sum) : 0);
+}
+
+static uint64_t capacity_bytes(uint64_t bricks, uint64_t sums, bool has_color)
+{
+    return sizeof(struct vox_accumulator) + (bricks + 1) * sizeof(struct vox_brick) +
+           (sums + 1) * bytes_per_sum(has_color);
+}
+
+uint64_t vox_accumulator_bytes_min(bool has_color)
+{
+    return capacity_bytes(1, 2 * VOX_BRICK_VOXELS, has_color);
+}
+
+uint64_t vox_accumulator_bytes_max(bool has_color)
+{
+    return capacity_bytes(VOX_BRICKS, UINT64_C(2) * VOX_BRICKS * VOX_BRICK_VOXELS, has_color);
+}
+
+/* A surface leaves about 80 records in a brick, so most of the memory is theirs. */
+static void set_capacities(struct vox_accumulator *a, uint64_t bytes, bool has_color)
+{
+    uint64_t bricks = bytes / 5 / sizeof(struct vox_brick);
+    bricks = bricks < 1 ? 1 : bricks > VOX_BRICKS ? VOX_BRICKS : bricks;
+    uint64_t rest = capacity_bytes(bricks, 0, has_color);
+    uint64_t sums = bytes > rest ? (bytes - rest) / bytes_per_sum(has_color) : 0;
+    const uint64_t least = 2 * VOX_BRICK_VOXELS, most = 2 * VOX_BRICKS * VOX_BRICK_VOXELS;
+    a->brick_capacity = (uint32_t)bricks;
+    a->sum_capacity = (uint32_t)(sums < least ? least : sums > most ? most : sums);
+}
+
+int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
+                           struct vox_accumulator **out)
+{
+    struct vox_accumulator *a;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "voxel sums", 1, sizeof *a, &a);
+    if (status < 0)
+        return status;
+    a->ctx = ctx;
+    set_capacities(a, bytes, has_color);
+    if ((status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
+                            &a->bricks)) < 0 ||
+        (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->sums,
+                            &a->sums)) < 0 ||
+        (has_color && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
+                                          sizeof *a->colors, &a->colors)) < 0)) {
+        vox_accumulator_destroy(a);
+        return status;
+    }
+    *out = a;
+    return 0;
+}
+
+void vox_accumulator_destroy(struct vox_accumulator *a)
+{
+    if (!a)
+        return;
+    bsq_free(a->ctx, a->bricks);
+    bsq_free(a->ctx, a->sums);
+    bsq_free(a->ctx, a->colors);
+    bsq_free(a->ctx, a);
+}
+
+void vox_accumulator_clear(struct vox_accumulator *a)
+{
+    if (a->brick_count > 0)
+        memset(a->brick_of, 0, sizeof a->brick_of);
+    a->brick_count = 0;
+    a->sum_count = 0;
+}
+
+/* ---- adding ---- */
+
+uint32_t vox_accumulator_open(struct vox_accumulator *a)
+{
+    if (a->sum_count == a->sum_capacity)
+        return 0;
+    uint32_t number = ++a->sum_count;
+    memset(&a->sums[number], 0, sizeof a->sums[number]);
+    if (a->colors)
+        memset(&a->colors[number], 0, sizeof a->colors[number]);
+    return number;
+}
+
+bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
+{
+    if (a->brick_count == a->brick_capacity)
+        return false;
+    *brick = ++a->brick_count;
+    memset(&a->bricks[*brick], 0, sizeof a->bricks[*brick]);
+    return true;
+}
+
+/* Cosine of the angle between a unit normal and a record's normal. */
+static double cosine(const double normal[3], const struct vox_sum *sum)
+{
+    double length = sqrt(vox_dot(sum->normal, sum->normal));
+    return length > 0.0 ? vox_dot(normal, sum->normal) / length : 0.0;
+}
+
+uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first, const double normal[3])
+{
+    uint32_t second = a->sums[first].other;
+    if (second == 0)
+        return a->sums[first].other = vox_accumulator_open(a);
+    if (!vox_faces_away(normal, &a->sums[second]))
+        return second;
+    return cosine(normal, &a->sums[second]) > cosine(normal, &a->sums[first]) ? second : first;
+}
+
+/* ---- records ---- */
+
+static uint32_t encode_color(const struct vox_color_sum *color,
+                             const struct vox_color_tables *tables)
+{
+    if (!(color->area > 0.0))
+        return 0;
+    uint32_t packed = 0xff000000u;
+    for (int k = 0; k < 3; k++)
+        packed |= vox_color_encode(tables, color->rgb[k] / color->area) << (8 * k);
+    return packed;
+}
+
+static struct fmt_nvdb_record make_record(const struct vox_sum *sum,
+                                          const struct vox_color_sum *color,
+                                          const struct vox_color_tables *tables)
+{
+    struct fmt_nvdb_record record = {0, 0, 0};
+    double length = sqrt(vox_dot(sum->normal, sum->normal));
+    double n[3] = {0.0, 0.0, 1.0};
+    if (length > 0.0)
+        for (int k = 0; k < 3; k++)
+            n[k] = sum->normal[k] / length;
+    record.normal = bsq_oct_pack(bsq_v3((float)n[0], (float)n[1], (float)n[2]));
+
+    /* No plane that meets the voxel is farther from its centre than half a diagonal. */
+    double d = vox_dot(n, sum->center) / sum->area;
+    d = d < -0.87 ? -0.87 : d > 0.87 ? 0.87 : d;
+    double coverage = length / sum->area;
+    coverage = coverage > 1.0 ? 1.0 : coverage;
+    record.plane =
+        (uint32_t)(uint16_t)(int16_t)lrint(d * 32767.0) | (uint32_t)lrint(coverage * 255.0) << 16;
+    if (sum->shaded)
+        record.plane |= FMT_NVDB_PLANE_SHADED;
+    if (color)
+        record.color = encode_color(color, tables);
+    return record;
+}
+
+static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask[8])
+{
+    uint64_t any = 0;
+    uint32_t lo[3] = {7, 7, 7}, hi[3] = {0, 0, 0};
+    for (uint32_t x = 0; x < 8; x++) {
+        if (mask[x] == 0)
+            continue;
+        any |= mask[x];
+        lo[0] = x < lo[0] ? x : lo[0];
+        hi[0] = x;
+    }
+    for (uint32_t i = 0; i < 8; i++) {
+        if (any >> (8 * i) & 0xff) {
+            lo[1] = i < lo[1] ? i : lo[1];
+            hi[1] = i;
+        }
+        if (any >> i & UINT64_C(0x0101010101010101)) {
+            lo[2] = i < lo[2] ? i : lo[2];
+            hi[2] = i;
+        }
+    }
+    for (int a = 0; a < 3; a++) {
+        uint32_t origin = (brick >> (8 - 4 * a) & 15) * 8;
+        if (origin + lo[a] < leaves->voxel_min[a])
+            leaves->voxel_min[a] = origin + lo[a];
+        if (origin + hi[a] > leaves->voxel_max[a])
+            leaves->voxel_max[a] = origin + hi[a];
+    }
+}
+
+/* Writes a voxel's record, and its second one where that is worth keeping. */
+static void finish_voxel(const struct vox_accumulator *a, uint32_t number,
+                         const struct vox_color_tables *tables, struct vox_leaves *leaves)
+{
+    uint32_t other = a->sums[number].other;
+    if (other != 0 && a->sums[other].area > a->sums[number].area) {
+        uint32_t smaller = number;
+        number = other;
+        other = smaller;
+    }
+    struct fmt_nvdb_record *record = &leaves->records[leaves->record_count++];
+    *record = make_record(&a->sums[number], a->colors ? &a->colors[number] : NULL, tables);
+    if (other != 0 && a->sums[other].area >= second_share * a->sums[number].area) {
+        record->plane |= FMT_NVDB_PLANE_SECOND;
+        leaves->second[leaves->second_count++] =
+            make_record(&a->sums[other], a->colors ? &a->colors[other] : NULL, tables);
+    }
+}
+
+static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
+                         const struct vox_color_tables *tables, struct vox_leaves *leaves)
+{
+    const struct vox_brick *from = &a->bricks[a->brick_of[brick]];
+    uint64_t *mask = leaves->masks[leaves->leaf_count];
+    memset(mask, 0, sizeof leaves->masks[0]);
+    for (uint32_t v = 0; v < VOX_BRICK_VOXELS; v++) {
+        if (from->sum[v] == 0)
+            continue;
+        mask[v >> 6] |= UINT64_C(1) << (v & 63);
+        finish_voxel(a, from->sum[v], tables, leaves);
+    }
+    leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
+    widen(leaves, brick, mask);
+}
+
+static uint64_t count_seconds(const struct vox_accumulator *a)
+{
+    uint64_t count = 0;
+    for (uint32_t i = 1; i <= a->sum_count; i++)
+        count += a->sums[i].other != 0;
+    return count;
+}
+
+/* Makes room for so many more leaves and records. */
+static int grow_leaves(struct vox_leaves *l, uint64_t leaves, uint64_t records, uint64_t second)
+{
+    int status;
+    leaves += l->leaf_count;
+    records += l->record_count;
+    second += l->second_count;
+    if ((status = bsq_grow(l->ctx, "voxel records", leaves, sizeof *l->ids, &l->ids,
+                           &l->id_capacity)) < 0 ||
+        (status = bsq_grow(l->ctx, "voxel records", leaves, sizeof *l->masks, &l->masks,
+                           &l->mask_capacity)) < 0 ||
+        (status = bsq_grow(l->ctx, "voxel records", records, sizeof *l->records, &l->records,
+                           &l->record_capacity)) < 0)
+        return status;
+    return bsq_grow(l->ctx, "voxel records", second, sizeof *l->second, &l->second,
+                    &l->second_capacity);
+}
+
+uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const struct vox_leaves *l)
+{
+    uint64_t leaves = (uint64_t)l->leaf_count + a->brick_count;
+    uint64_t records = l->record_count + l->second_count + a->sum_count;
+    return leaves * (sizeof *l->ids + sizeof *l->masks) + records * sizeof *l->records;
+}
+
+int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
+                           struct vox_leaves *l)
+{
+    uint64_t seconds = count_seconds(a);
+    int status = grow_leaves(l, a->brick_count, a->sum_count - seconds, seconds);
+    if (status < 0)
+        return status;
+    if (a->brick_count > 0)
+        for (uint32_t brick = 0; brick < VOX_BRICKS; brick++)
+            if (a->brick_of[brick] != 0)
+                finish_brick(a, brick, tables, l);
+    return 0;
+}
+
+/* ---- leaves ---- */
+
+void vox_leaves_init(struct vox_leaves *leaves, struct bsq_ctx *ctx)
+{
+    memset(leaves, 0, sizeof *leaves);
+    leaves->ctx = ctx;
+    vox_leaves_clear(leaves);
+}
+
+void vox_leaves_clear(struct vox_leaves *leaves)
+{
+    leaves->leaf_count = 0;
+    leaves->record_count = leaves->second_count = 0;
+    for (int a = 0; a < 3; a++) {
+        leaves->voxel_min[a] = UINT32_MAX;
+        leaves->voxel_max[a] = 0;
+    }
+}
+
+int vox_leaves_append(struct vox_leaves *leaves, const struct vox_leaves *from)
+{
+    int status = grow_leaves(leaves, from->leaf_count, from->record_count, from->second_count);
+    if (status < 0 || from->leaf_count == 0)
+        return status;
+    memcpy(leaves->ids + leaves->leaf_count, from->ids, from->leaf_count * sizeof *from->ids);
+    memcpy(leaves->masks + leaves->leaf_count, from->masks, from->leaf_count * sizeof *from->masks);
+    memcpy(leaves->records + leaves->record_count, from->records,
+           from->record_count * sizeof *from->records);
+    if (from->second_count > 0)
+        memcpy(leaves->second + leaves->second_count, from->second,
+               from->second_count * sizeof *from->second);
+    leaves->leaf_count += from->leaf_count;
+    leaves->record_count += from->record_count;
+    leaves->second_count += from->second_count;
+    return 0;
+}
+
+void vox_leaves_free(struct vox_leaves *leaves)
+{
+    bsq_free(leaves->ctx, leaves->ids);
+    bsq_free(leaves->ctx, leaves->masks);
+    bsq_free(leaves->ctx, leaves->records);
+    bsq_free(leaves->ctx, leaves->second);
+    vox_leaves_init(leaves, leaves->ctx);
+}

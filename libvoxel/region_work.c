@@ -1,0 +1,107 @@
+/* region_work.c - one unit of work, in as many parts as the accumulator's memory asks for.
+ *
+ * Parts are cut along x first, then y, then z, and taken in ascending order, so that their leaves
+ * come in the order of the file and are simply appended. A voxel's pieces come from one part in the
+ * order of triangles, however small the part, so the result does not depend on the memory. */
+#include "libvoxel/region_work.h"
+
+enum { BRICK_SIZE = 8 };
+
+static bool overlap(const struct vox_box *a, const struct vox_box *b)
+{
+    for (int k = 0; k < 3; k++)
+        if (a->lo[k] > b->hi[k] || a->hi[k] < b->lo[k])
+            return false;
+    return true;
+}
+
+static struct vox_box region_box(const int32_t origin[3])
+{
+    struct vox_box box;
+    for (int a = 0; a < 3; a++) {
+        box.lo[a] = origin[a];
+        box.hi[a] = origin[a] + VOX_REGION_SIZE - 1;
+    }
+    return box;
+}
+
+/* Adds all triangles in the window. Returns 0, VOX_REGION_FULL or a negative status. */
+static int add_chunks(const struct vox_scan *scan, const struct vox_unit *unit,
+                      const struct vox_box *window, struct vox_accumulator *accumulator,
+                      uint64_t *counted)
+{
+    struct vox_box region = region_box(unit->origin);
+    int status = 0;
+    for (uint64_t i = 0; i < unit->chunk_count && status == 0; i++) {
+        uint32_t number = unit->chunks[i];
+        const struct vox_chunk *chunk;
+        if (!overlap(&scan->boxes[number], window))
+            continue;
+        if ((status = bsq_check(scan->ctx)) < 0 ||
+            (status = vox_chunks_acquire(scan->chunks, number, &chunk)) < 0)
+            break;
+        status = vox_accumulate_chunk(&scan->shading, &scan->lattice, chunk, &region, window,
+                                      accumulator, counted);
+        vox_chunks_release(scan->chunks, number);
+    }
+    return status;
+}
+
+/* Cuts the window in two halves of whole bricks along the first axis that has more than one. */
+static bool halve(const struct vox_box *window, struct vox_box half[2])
+{
+    for (int a = 0; a < 3; a++) {
+        int32_t size = window->hi[a] - window->lo[a] + 1;
+        if (size <= BRICK_SIZE)
+            continue;
+        half[0] = half[1] = *window;
+        half[0].hi[a] = window->lo[a] + size / 2 - 1;
+        half[1].lo[a] = window->lo[a] + size / 2;
+        return true;
+    }
+    return false;
+}
+
+/* Appends the sums to the unit's result, when there is memory for it. */
+static int keep_result(struct vox_scan *scan, struct vox_unit *unit,
+                       const struct vox_accumulator *accumulator)
+{
+    uint64_t bytes = vox_accumulator_result_bytes(accumulator, &unit->leaves);
+    if (bytes > unit->held_bytes) {
+        int status = vox_gate_take(&scan->gate, unit->sequence, bytes - unit->held_bytes);
+        if (status < 0)
+            return status;
+        unit->held_bytes = bytes;
+    }
+    return vox_accumulator_finish(accumulator, &scan->shading.tables, &unit->leaves);
+}
+
+static int work_window(struct vox_scan *scan, struct vox_unit *unit, const struct vox_box *window,
+                       struct vox_accumulator *accumulator)
+{
+    uint64_t counted = 0;
+    struct vox_box half[2];
+    vox_accumulator_clear(accumulator);
+    int status = add_chunks(scan, unit, window, accumulator, &counted);
+    if (status == VOX_REGION_FULL) {
+        if (!halve(window, half))
+            return bsq_fail(scan->ctx, BSQ_EBUG, "one brick does not fit an accumulator");
+        status = work_window(scan, unit, &half[0], accumulator);
+        return status != 0 ? status : work_window(scan, unit, &half[1], accumulator);
+    }
+    if (status == 0)
+        status = keep_result(scan, unit, accumulator);
+    if (status == 0)
+        bsq_progress_add(scan->ctx, counted);
+    return status;
+}
+
+int vox_region_work(struct vox_scan *scan, struct vox_unit *unit,
+                    struct vox_accumulator *accumulator)
+{
+    vox_leaves_clear(&unit->leaves);
+    int status = work_window(scan, unit, &unit->window, accumulator);
+    for (uint64_t i = 0; i < unit->chunk_count; i++)
+        vox_chunks_done(scan->chunks, unit->chunks[i]);
+    return status < 0 ? vox_gate_fail(&scan->gate, status) : status;
+}

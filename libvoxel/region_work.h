@@ -1,0 +1,34 @@
+/* region_work.h - voxelizes one part of a region: the pipeline's unit of work. */
+#ifndef VOX_REGION_WORK_H
+#define VOX_REGION_WORK_H
+
+#include "libvoxel/accumulate.h"
+#include "libvoxel/result_gate.h"
+
+/* What all workers share. */
+struct vox_scan {
+    struct bsq_ctx *ctx;
+    struct vox_lattice lattice;
+    struct vox_shading shading;
+    const struct vox_box *boxes; /* voxels of each chunk's bounds */
+    struct vox_chunks *chunks;
+    struct vox_result_gate gate;
+};
+
+/* One unit: a region, or a slab of it along x. */
+struct vox_unit {
+    int32_t origin[3];     /* of the region */
+    struct vox_box window; /* the region's voxels that this unit is about */
+    bool last;             /* of its region */
+    uint32_t *chunks;      /* that touch the region, ascending */
+    uint64_t chunk_count, chunk_capacity;
+    struct vox_leaves leaves; /* the result */
+    uint64_t held_bytes;      /* what the gate has allowed for it */
+    uint64_t sequence;
+};
+
+/* Fills in unit->leaves. `accumulator` is the worker's own. */
+int vox_region_work(struct vox_scan *scan, struct vox_unit *unit,
+                    struct vox_accumulator *accumulator);
+
+#endif

@@ -1,0 +1,34 @@
+/* result_gate.h - bounds the memory of results that wait to be written.
+ *
+ * Units of work finish in any order and are written in sequence, so results pile up behind a slow
+ * one. A unit asks here before it keeps a result. Where the limit is reached it waits, unless it is
+ * the next to be written: that one may always go on, so there is no deadlock, and a region that is
+ * larger than all others is held alone. */
+#ifndef VOX_RESULT_GATE_H
+#define VOX_RESULT_GATE_H
+
+#include <pthread.h>
+
+#include "base/context.h"
+
+struct vox_result_gate {
+    struct bsq_ctx *ctx;
+    pthread_mutex_t lock;
+    pthread_cond_t changed;
+    uint64_t limit, held; /* bytes */
+    uint64_t turn;        /* sequence number of the unit to be written next */
+    int status;           /* of the first unit that failed */
+};
+
+void vox_gate_init(struct vox_result_gate *gate, struct bsq_ctx *ctx, uint64_t limit_bytes);
+void vox_gate_free(struct vox_result_gate *gate);
+
+/* Asks for `bytes` more for a unit. Errors: BSQ_EINTR; the status of a unit that failed meanwhile.
+ */
+int vox_gate_take(struct vox_result_gate *gate, uint64_t sequence, uint64_t bytes);
+/* Says that a unit was written, in sequence, and gives back `bytes`. */
+void vox_gate_written(struct vox_result_gate *gate, uint64_t bytes);
+/* Ends all waiting because a unit failed; returns `status`. */
+int vox_gate_fail(struct vox_result_gate *gate, int status);
+
+#endif

@@ -1,0 +1,331 @@
+/* scan_chunks.c - the cache of decoded chunks.
+ *
+ * The schedule tells which region will need a chunk next, so the cache need not guess: it gives up
+ * the chunk that is needed last of all (Belady, "A study of replacement algorithms for a
+ * virtual-storage computer", 1966). Slots are allocated when first used. */
+#include "libvoxel/scan_chunks.h"
+#include "base/octahedral.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <string.h>
+
+enum { NO_SLOT = -1 };
+
+struct slot {
+    uint32_t chunk; /* UINT32_MAX: empty */
+    uint32_t users;
+    bool ready;
+    int status; /* of loading */
+    uint8_t *memory;
+    struct vox_chunk content;
+};
+
+struct use {
+    struct vox_region_key next; /* region that needs the chunk after those under way */
+    uint32_t expected;          /* units of work under way that need it */
+    int32_t slot;
+};
+
+struct vox_chunks {
+    struct bsq_ctx *ctx;
+    const struct fmt_tris_file *file;
+    const struct vox_lattice *lattice;
+    struct vox_smooth *smooth; /* NULL: chunks without normals stay so */
+    pthread_mutex_t lock;
+    pthread_cond_t changed; /* a chunk became ready, or a slot free */
+    uint32_t slot_count, slots_used;
+    struct slot *slots;
+    struct use *uses; /* one a chunk */
+    uint64_t points_at, normals_at, groups_at, slot_bytes;
+};
+
+/* ---- layout of a slot ---- */
+
+static uint64_t align64(uint64_t bytes)
+{
+    return (bytes + 63) & ~UINT64_C(63);
+}
+
+static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool smooth)
+{
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
+    uint64_t vertices = 0, triangles = 0;
+    for (uint64_t i = 0; i < header->chunk_count; i++) {
+        vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
+        triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
+    }
+    uint64_t groups = (triangles + VOX_GROUP_TRIANGLES - 1) / VOX_GROUP_TRIANGLES;
+    bool normals = smooth || (header->attributes & FMT_TRIS_NORMALS);
+    c->points_at = align64(fmt_tris_load_size_max(file));
+    c->normals_at = c->points_at + align64(vertices * sizeof(double[3]));
+    c->groups_at = c->normals_at + (normals ? align64(vertices * sizeof(float[3])) : 0);
+    c->slot_bytes = c->groups_at + align64(groups * sizeof(struct vox_box));
+}
+
+uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
+{
+    struct vox_chunks layout;
+    lay_out(&layout, file, smooth);
+    return layout.slot_bytes;
+}
+
+/* ---- loading ---- */
+
+static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
+                       double (*points)[3])
+{
+    for (uint32_t v = 0; v < source->vertex_count; v++)
+        for (int a = 0; a < 3; a++)
+            points[v][a] = vox_lattice_coordinate(lattice, source->positions[v][a], a);
+}
+
+static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[3])
+{
+    for (uint32_t v = 0; v < source->vertex_count; v++) {
+        struct bsq_vec3 n = bsq_oct_unpack(source->normals[v]);
+        normals[v][0] = n.x;
+        normals[v][1] = n.y;
+        normals[v][2] = n.z;
+    }
+}
+
+/* Mean square of an edge above which facets would show: half a voxel. */
+#define COARSE_EDGE_SQUARE 0.25
+
+/* Are the triangles large enough for their facets to show in the grid? */
+static bool is_coarse(const struct fmt_tris_chunk *source, const double (*points)[3])
+{
+    double sum = 0.0;
+    for (uint32_t t = 0; t < source->triangle_count; t++) {
+        const double *p = points[source->triangles[t][0]], *q = points[source->triangles[t][1]];
+        for (int a = 0; a < 3; a++)
+            sum += (q[a] - p[a]) * (q[a] - p[a]);
+    }
+    return sum > COARSE_EDGE_SQUARE * (double)source->triangle_count;
+}
+
+/* Fills in the chunk's normals where it is to have any. */
+static int make_normals(const struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    float(*normals)[3] = (float(*)[3])(void *)(slot->memory + c->normals_at);
+    int status = 0;
+    content->normals = NULL;
+    content->coarse = is_coarse(&content->source, content->points);
+    if (content->source.normals)
+        unpack_normals(&content->source, normals);
+    else if (c->smooth && content->coarse)
+        status = vox_smooth_normals(c->smooth, chunk, &content->source, normals);
+    else
+        return 0;
+    content->normals = (const float(*)[3])normals;
+    return status;
+}
+
+static struct vox_box group_box(const struct vox_lattice *lattice,
+                                const struct fmt_tris_chunk *source, uint32_t begin, uint32_t end)
+{
+    float min[3] = {INFINITY, INFINITY, INFINITY}, max[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (uint32_t t = begin; t < end; t++)
+        for (int corner = 0; corner < 3; corner++) {
+            const float *p = source->positions[source->triangles[t][corner]];
+            for (int a = 0; a < 3; a++) {
+                min[a] = p[a] < min[a] ? p[a] : min[a];
+                max[a] = p[a] > max[a] ? p[a] : max[a];
+            }
+        }
+    return vox_lattice_box(lattice, min, max);
+}
+
+static int load(const struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    int status = 0;
+    if (!slot->memory)
+        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
+    if (status == 0)
+        status = fmt_tris_load(c->file, chunk, slot->memory, &content->source);
+    if (status < 0)
+        return status;
+    const struct fmt_tris_chunk *source = &content->source;
+    double(*points)[3] = (double(*)[3])(void *)(slot->memory + c->points_at);
+    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + c->groups_at);
+    map_points(c->lattice, source, points);
+    content->points = (const double(*)[3])points;
+    if ((status = make_normals(c, chunk, slot)) < 0)
+        return status;
+    content->groups = groups;
+    content->group_count = 0;
+    for (uint32_t begin = 0; begin < source->triangle_count; begin += VOX_GROUP_TRIANGLES) {
+        uint32_t left = source->triangle_count - begin;
+        uint32_t end = begin + (left < VOX_GROUP_TRIANGLES ? left : VOX_GROUP_TRIANGLES);
+        groups[content->group_count++] = group_box(c->lattice, source, begin, end);
+    }
+    return 0;
+}
+
+/* ---- the cache ---- */
+
+int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      const struct vox_lattice *lattice, struct vox_smooth *smooth,
+                      uint32_t slot_count, struct vox_chunks **out)
+{
+    struct vox_chunks *c;
+    uint64_t chunk_count = fmt_tris_get_header(file)->chunk_count;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "chunk cache", 1, sizeof *c, &c);
+    if (status < 0)
+        return status;
+    c->ctx = ctx;
+    c->file = file;
+    c->lattice = lattice;
+    c->smooth = smooth;
+    c->slot_count = slot_count;
+    lay_out(c, file, smooth != NULL);
+    if ((status = bsq_calloc(ctx, "chunk cache", slot_count, sizeof *c->slots, &c->slots)) < 0 ||
+        (status = bsq_calloc(ctx, "chunk cache", chunk_count, sizeof *c->uses, &c->uses)) < 0) {
+        bsq_free(ctx, c->slots);
+        bsq_free(ctx, c);
+        return status;
+    }
+    for (uint64_t i = 0; i < chunk_count; i++)
+        c->uses[i].slot = NO_SLOT;
+    pthread_mutex_init(&c->lock, NULL);
+    pthread_cond_init(&c->changed, NULL);
+    *out = c;
+    return 0;
+}
+
+void vox_chunks_destroy(struct vox_chunks *c)
+{
+    if (!c)
+        return;
+    for (uint32_t i = 0; i < c->slots_used; i++)
+        bsq_free(c->ctx, c->slots[i].memory);
+    pthread_cond_destroy(&c->changed);
+    pthread_mutex_destroy(&c->lock);
+    bsq_free(c->ctx, c->slots);
+    bsq_free(c->ctx, c->uses);
+    bsq_free(c->ctx, c);
+}
+
+void vox_chunks_expect(struct vox_chunks *c, uint32_t chunk, uint32_t uses,
+                       struct vox_region_key after)
+{
+    pthread_mutex_lock(&c->lock);
+    c->uses[chunk].next = after;
+    c->uses[chunk].expected += uses;
+    pthread_mutex_unlock(&c->lock);
+}
+
+void vox_chunks_done(struct vox_chunks *c, uint32_t chunk)
+{
+    pthread_mutex_lock(&c->lock);
+    c->uses[chunk].expected--;
+    pthread_mutex_unlock(&c->lock);
+}
+
+/* Whether the chunk in slot a can be spared rather than the one in slot b. */
+static bool spare_rather(const struct vox_chunks *c, const struct slot *a, const struct slot *b)
+{
+    const struct use *ua = &c->uses[a->chunk], *ub = &c->uses[b->chunk];
+    if ((ua->expected == 0) != (ub->expected == 0))
+        return ua->expected == 0;
+    return vox_region_before(ub->next, ua->next);
+}
+
+static bool is_finished(const struct use *use)
+{
+    return use->expected == 0 && use->next.tile == UINT64_MAX;
+}
+
+/* A slot that may be filled: one whose chunk is not needed any more, else a new one, else the one
+ * whose chunk is needed last; NULL while all are held. */
+static struct slot *find_slot(struct vox_chunks *c)
+{
+    struct slot *best = NULL;
+    for (uint32_t i = 0; i < c->slots_used; i++) {
+        struct slot *slot = &c->slots[i];
+        if (slot->users > 0)
+            continue;
+        if (slot->chunk == UINT32_MAX || is_finished(&c->uses[slot->chunk]))
+            return slot;
+        if (!best || spare_rather(c, slot, best))
+            best = slot;
+    }
+    if (c->slots_used < c->slot_count) {
+        best = &c->slots[c->slots_used++];
+        best->chunk = UINT32_MAX;
+    }
+    return best;
+}
+
+/* Gives the chunk a slot, if need be by waiting for one; *fresh where it has to be loaded. */
+static struct slot *take_slot(struct vox_chunks *c, uint32_t chunk, bool *fresh)
+{
+    struct use *use = &c->uses[chunk];
+    struct slot *slot;
+    *fresh = false;
+    while (use->slot == NO_SLOT) {
+        if ((slot = find_slot(c)) != NULL) {
+            if (slot->chunk != UINT32_MAX)
+                c->uses[slot->chunk].slot = NO_SLOT;
+            slot->chunk = chunk;
+            slot->ready = false;
+            slot->status = 0;
+            use->slot = (int32_t)(slot - c->slots);
+            *fresh = true;
+        } else {
+            pthread_cond_wait(&c->changed, &c->lock);
+        }
+    }
+    slot = &c->slots[use->slot];
+    slot->users++;
+    return slot;
+}
+
+/* Called with the lock held. */
+static void leave_slot(struct vox_chunks *c, struct slot *slot)
+{
+    if (--slot->users == 0) {
+        if (!slot->ready) {
+            c->uses[slot->chunk].slot = NO_SLOT;
+            slot->chunk = UINT32_MAX;
+        }
+        pthread_cond_broadcast(&c->changed);
+    }
+}
+
+int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+{
+    bool fresh;
+    int status = 0;
+    pthread_mutex_lock(&c->lock);
+    struct slot *slot = take_slot(c, chunk, &fresh);
+    if (fresh) {
+        pthread_mutex_unlock(&c->lock);
+        status = load(c, chunk, slot);
+        pthread_mutex_lock(&c->lock);
+        slot->ready = status == 0;
+        slot->status = status;
+        pthread_cond_broadcast(&c->changed);
+    } else {
+        while (!slot->ready && slot->status == 0)
+            pthread_cond_wait(&c->changed, &c->lock);
+        status = slot->status;
+    }
+    if (status < 0)
+        leave_slot(c, slot);
+    pthread_mutex_unlock(&c->lock);
+    *out = status < 0 ? NULL : &slot->content;
+    return status;
+}
+
+void vox_chunks_release(struct vox_chunks *c, uint32_t chunk)
+{
+    pthread_mutex_lock(&c->lock);
+    leave_slot(c, &c->slots[c->uses[chunk].slot]);
+    pthread_mutex_unlock(&c->lock);
+}

@@ -1,0 +1,46 @@
+/* scan_chunks.h - a bounded cache of the scan's chunks, decoded and ready to voxelize.
+ *
+ * A chunk touches a few regions, which come up at different times and on different workers. The
+ * cache reads it once for all of them where memory allows. Thread-safe. */
+#ifndef VOX_SCAN_CHUNKS_H
+#define VOX_SCAN_CHUNKS_H
+
+#include "libvoxel/schedule.h"
+#include "libvoxel/smooth_normals.h"
+
+/* Triangles follow each other in space, so runs of them share small bounds. */
+enum { VOX_GROUP_TRIANGLES = 64 };
+
+struct vox_chunk {
+    struct fmt_tris_chunk source;
+    const double (*points)[3];    /* positions in lattice coordinates */
+    const float (*normals)[3];    /* unit, or zero; NULL: those of the triangles */
+    bool coarse; /* triangles are large enough for their facets to show in the grid */
+    const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
+    uint32_t group_count;
+};
+
+struct vox_chunks;
+
+/* Bytes that one cached chunk takes, with room for normals if the file has them or `smooth`. */
+uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth);
+
+/* A cache of up to slot_count >= 1 chunks. `file`, `lattice` and `smooth` must outlive it. smooth makes the normals
+ * of chunks that have none and whose triangles are not small for the grid; NULL: they stay without. */
+int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      const struct vox_lattice *lattice, struct vox_smooth *smooth,
+                      uint32_t slot_count, struct vox_chunks **out);
+void vox_chunks_destroy(struct vox_chunks *chunks); /* NULL is allowed */
+
+/* Says that `uses` units of work which touch `chunk` are under way, and which region is the next
+ * that will; and that one of those units has no more need of it. They only guide what is kept. */
+void vox_chunks_expect(struct vox_chunks *chunks, uint32_t chunk, uint32_t uses,
+                       struct vox_region_key after);
+void vox_chunks_done(struct vox_chunks *chunks, uint32_t chunk);
+
+/* Loads or finds a chunk; *out is valid until it is released. A worker holds one at a time. Waits
+ * while other workers hold all slots. */
+int vox_chunks_acquire(struct vox_chunks *chunks, uint32_t chunk, const struct vox_chunk **out);
+void vox_chunks_release(struct vox_chunks *chunks, uint32_t chunk);
+
+#endif

@@ -1,0 +1,202 @@
+/* sort.c - OBJ files to a chunk file.
+ *
+ * Reading keeps vertices as columns and faces as compact bytes (scan.h). Scattering turns faces
+ * into triangles, collected by cell of a coarse Morton grid (scatter.h). Batches of cells are
+ * sorted, cut into chunks and written (batches.h). Every step streams, and what does not fit in
+ * memory goes to temporary files, so that the budget bounds memory and nothing else. */
+#include "libvoxel/batches.h"
+
+#include <sys/stat.h>
+#include <time.h>
+
+#define MIB ((uint64_t)1 << 20)
+
+uint64_t vox_memory_min(unsigned threads)
+{
+    return 44 * MIB + 8 * MIB * threads;
+}
+
+void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limits)
+{
+    uint64_t least = vox_memory_min(threads);
+    uint64_t rest = budget > least ? budget - least : 0;
+    uint64_t reading = 8 * MIB * threads; /* of the OBJ reader */
+    *limits = (struct sort_limits){
+        .column_bytes = 8 * MIB + rest / 4 * 3,
+        .store_bytes = budget > reading + 16 * MIB ? budget - reading - 16 * MIB : 8 * MIB,
+        .page_memory = 8 * MIB + rest / 8,
+        .join_bytes = 8 * MIB + rest / 4,
+        .reserve_bytes = 8 * MIB + MIB / 2 * threads,
+        .batch_triangles = 2 << 20,
+        .page_bytes = 32768,
+        .cell_levels = 4,
+        .index_bytes = 1,
+        .slots = 2 * threads,
+    };
+    /* Columns, faces and pages are in memory together while scattering. */
+    uint64_t scattering = limits->page_memory + 12 * MIB + rest / 16;
+    if (limits->store_bytes > budget - scattering)
+        limits->store_bytes = budget - scattering;
+}
+
+static double seconds_now(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+/* For progress only: files that cannot be read are the reader's to report. */
+static uint64_t total_bytes(const char *const *paths, uint32_t count)
+{
+    uint64_t bytes = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        struct stat info;
+        if (stat(paths[i], &info) == 0)
+            bytes += (uint64_t)info.st_size;
+    }
+    return bytes;
+}
+
+static void report_totals(struct vox_sort_report *report, const struct fmt_obj_totals *totals)
+{
+    report->bytes_read = totals->bytes;
+    report->vertices = totals->vertices;
+    report->faces = totals->faces;
+    report->short_faces = totals->short_faces;
+    report->skipped_lines = totals->skipped_lines;
+}
+
+/* ---- parsing alone ---- */
+
+static int count_block(void *arg, const struct fmt_obj_block *block)
+{
+    bsq_progress_add(arg, block->byte_size);
+    return 0;
+}
+
+int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t obj_count,
+                   struct vox_sort_report *report)
+{
+    struct fmt_obj_reader *reader;
+    struct fmt_obj_totals totals = {0};
+    double start = seconds_now();
+    memset(report, 0, sizeof *report);
+    int status = fmt_obj_open(ctx, obj_paths, obj_count, &reader);
+    if (status < 0)
+        return status;
+    bsq_progress_begin(ctx, "reading", "bytes", total_bytes(obj_paths, obj_count));
+    status = fmt_obj_read(reader, count_block, ctx, &totals);
+    bsq_progress_end(ctx);
+    report_totals(report, &totals);
+    report->triangles = totals.corners - 2 * totals.faces;
+    report->seconds_read = seconds_now() - start;
+    fmt_obj_close(reader);
+    return status;
+}
+
+/* ---- sorting ---- */
+
+static int read_scan(struct scan *scan, const struct vox_sort_options *options,
+                     struct vox_sort_report *report)
+{
+    struct fmt_obj_reader *reader;
+    struct bsq_ctx *ctx = scan->ctx;
+    double start = seconds_now();
+    int status = fmt_obj_open(ctx, options->obj_paths, options->obj_count, &reader);
+    if (status < 0)
+        return status;
+    bsq_progress_begin(ctx, "reading", "bytes",
+                       total_bytes(options->obj_paths, options->obj_count));
+    status = fmt_obj_read(reader, scan_add_block, scan, &scan->totals);
+    bsq_progress_end(ctx);
+    if (status == 0)
+        status = scan_finish(scan, reader);
+    if (status == 0)
+        status = scan_find_materials(scan, reader, options->texture_path);
+    fmt_obj_close(reader);
+    report_totals(report, &scan->totals);
+    memcpy(report->origin, scan->origin, sizeof report->origin);
+    report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
+    report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
+    report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
+    report->seconds_read = seconds_now() - start;
+    return status;
+}
+
+static int write_chunks(const struct scan *scan, const struct scattered *scattered,
+                        const char *path, struct vox_sort_report *report)
+{
+    struct fmt_tris_header header = {
+        .attributes = scan->attributes,
+        .source_faces = scan->totals.faces,
+        .skipped_triangles = scattered->degenerate_triangles,
+        .origin = {scan->origin[0], scan->origin[1], scan->origin[2]},
+        .material_count = scan->material_count,
+        .materials = scan->materials,
+    };
+    struct fmt_tris_writer *writer;
+    int status = fmt_tris_create(scan->ctx, path, &header, &writer);
+    if (status < 0)
+        return status;
+    status = batches_write(scan, scattered, path, writer, &report->chunks);
+    if (status < 0) {
+        fmt_tris_discard(writer);
+        return status;
+    }
+    status = fmt_tris_commit(writer);
+    struct stat info;
+    if (status == 0 && stat(path, &info) == 0)
+        report->tris_bytes = (uint64_t)info.st_size;
+    return status;
+}
+
+static int sort_scan(struct scan *scan, const char *path, struct vox_sort_report *report)
+{
+    struct scattered scattered;
+    double start = seconds_now();
+    int status = scatter_scan(scan, path, &scattered);
+    face_store_free(&scan->faces);
+    if (status == 0) {
+        bsq_progress_begin(scan->ctx, "writing", "triangles", scattered.triangles);
+        status = write_chunks(scan, &scattered, path, report);
+        bsq_progress_end(scan->ctx);
+    }
+    report->triangles = scattered.triangles;
+    report->degenerate_triangles = scattered.degenerate_triangles;
+    report->unused_vertices = scattered.unused_vertices;
+    cells_free(&scattered.cells);
+    report->seconds_sort = seconds_now() - start;
+    return status;
+}
+
+int sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+                     const struct sort_limits *limits, struct vox_sort_report *report)
+{
+    struct scan scan;
+    uint64_t temp_before = bsq_temp_bytes(ctx);
+    memset(report, 0, sizeof *report);
+    scan_init(&scan, ctx, limits, options->obj_paths, options->tris_path);
+    int status = read_scan(&scan, options, report);
+    if (status == 0)
+        status = sort_scan(&scan, options->tris_path, report);
+    scan_free(&scan);
+    report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
+    return status;
+}
+
+int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+             struct vox_sort_report *report)
+{
+    struct sort_limits limits;
+    uint64_t used = bsq_memory_used(ctx), limit = bsq_memory_limit(ctx);
+    uint64_t budget = limit > used ? limit - used : 0, least = vox_memory_min(bsq_threads(ctx));
+    if (budget < least)
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "sorting with %u threads needs at least %llu MiB of memory, it may use "
+                        "%llu MiB",
+                        bsq_threads(ctx), (unsigned long long)(least / MIB),
+                        (unsigned long long)(budget / MIB));
+    sort_limits_for(budget, bsq_threads(ctx), &limits);
+    return sort_with_limits(ctx, options, &limits, report);
+}

@@ -1,0 +1,139 @@
+/* spool.c - see spool.h. */
+#include "libvoxel/spool.h"
+
+#include <string.h>
+
+void spool_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, const char *beside,
+                uint64_t segment_bytes)
+{
+    *spool = (struct spool){
+        .ctx = ctx,
+        .what = what,
+        .beside = beside,
+        .segment_bytes = segment_bytes,
+        .file = BSQ_FILE_CLOSED,
+    };
+}
+
+static void free_segments(struct spool *spool)
+{
+    for (uint64_t i = 0; i < spool->segment_count; i++)
+        bsq_free(spool->ctx, spool->segments[i]);
+    spool->segment_count = 0;
+}
+
+void spool_free(struct spool *spool)
+{
+    if (!spool->ctx)
+        return;
+    free_segments(spool);
+    bsq_free(spool->ctx, spool->segments);
+    bsq_file_close(spool->ctx, &spool->file);
+    memset(spool, 0, sizeof *spool);
+}
+
+uint64_t spool_memory(const struct spool *spool)
+{
+    return spool->segment_count * spool->segment_bytes;
+}
+
+/* Bytes in the last segment; a spilled spool has written all before it to the file. */
+static uint64_t tail_bytes(const struct spool *spool)
+{
+    if (spool->spilled)
+        return spool->bytes - spool->file.size;
+    if (spool->segment_count == 0)
+        return 0;
+    return spool->bytes - (spool->segment_count - 1) * spool->segment_bytes;
+}
+
+uint64_t spool_room_cost(const struct spool *spool)
+{
+    bool full =
+        spool->segment_count == 0 || (!spool->spilled && tail_bytes(spool) == spool->segment_bytes);
+    return full ? spool->segment_bytes : 0;
+}
+
+static int add_segment(struct spool *spool)
+{
+    int status = bsq_grow(spool->ctx, spool->what, spool->segment_count + 1,
+                          sizeof *spool->segments, &spool->segments, &spool->segment_capacity);
+    if (status < 0)
+        return status;
+    status = bsq_alloc(spool->ctx, spool->what, spool->segment_bytes, 1,
+                       &spool->segments[spool->segment_count]);
+    if (status == 0)
+        spool->segment_count++;
+    return status;
+}
+
+static int flush_tail(struct spool *spool)
+{
+    return bsq_file_append(spool->ctx, &spool->file, spool->segments[0], tail_bytes(spool));
+}
+
+int spool_room(struct spool *spool, uint8_t **at, uint64_t *room)
+{
+    int status = 0;
+    if (spool_room_cost(spool) > 0)
+        status = add_segment(spool);
+    else if (tail_bytes(spool) == spool->segment_bytes)
+        status = flush_tail(spool);
+    if (status < 0)
+        return status;
+    uint64_t used = tail_bytes(spool);
+    *at = spool->segments[spool->segment_count - 1] + used;
+    *room = spool->segment_bytes - used;
+    return 0;
+}
+
+void spool_advance(struct spool *spool, uint64_t bytes)
+{
+    spool->bytes += bytes;
+}
+
+int spool_spill(struct spool *spool)
+{
+    if (spool->spilled)
+        return 0;
+    int status = bsq_file_temp(spool->ctx, spool->beside, spool->what, &spool->file);
+    for (uint64_t i = 0; status == 0 && i < spool->segment_count; i++) {
+        bool last = i + 1 == spool->segment_count;
+        status = bsq_file_append(spool->ctx, &spool->file, spool->segments[i],
+                                 last ? tail_bytes(spool) : spool->segment_bytes);
+    }
+    if (status < 0)
+        return status;
+    while (spool->segment_count > 1)
+        bsq_free(spool->ctx, spool->segments[--spool->segment_count]);
+    spool->spilled = true;
+    return 0;
+}
+
+int spool_finish(struct spool *spool)
+{
+    int status = 0;
+    if (spool->spilled && spool->segment_count > 0) {
+        status = flush_tail(spool);
+        free_segments(spool);
+    }
+    return status;
+}
+
+int spool_read(const struct spool *spool, uint64_t offset, uint64_t size, void *buffer)
+{
+    if (spool->spilled)
+        return bsq_file_read(spool->ctx, &spool->file, buffer, size, offset);
+    uint8_t *to = buffer;
+    while (size > 0) {
+        uint64_t within = offset % spool->segment_bytes;
+        uint64_t part = spool->segment_bytes - within;
+        if (part > size)
+            part = size;
+        memcpy(to, spool->segments[offset / spool->segment_bytes] + within, part);
+        to += part;
+        offset += part;
+        size -= part;
+    }
+    return 0;
+}

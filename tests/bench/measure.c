@@ -1,0 +1,94 @@
+/* measure.c - runs a command and writes what it cost, as one line of key=value pairs.
+ *
+ * The numbers are the kernel's: resource usage of the child as wait4(2) returns it. "written" is
+ * what the command dirtied in files (temporary ones included), whether or not it has reached the
+ * disk by now; it stays 0 on file systems in memory. Should memory run out, the child is the first
+ * that the system stops, not whatever else the machine is doing. */
+#include <errno.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { BLOCK_BYTES = 512, EXIT_USAGE = 64, EXIT_CREATE = 73, EXIT_SYSTEM = 71, EXIT_NOT_RUN = 127 };
+
+static double seconds(struct timeval t)
+{
+    return (double)t.tv_sec + (double)t.tv_usec * 1e-6;
+}
+
+static double now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + (double)t.tv_nsec * 1e-9;
+}
+
+static void be_first_victim(void)
+{
+    FILE *file = fopen("/proc/self/oom_score_adj", "w");
+    if (!file)
+        return;
+    fputs("1000", file);
+    fclose(file);
+}
+
+static pid_t start(char **command)
+{
+    pid_t child = fork();
+    if (child != 0)
+        return child;
+    be_first_victim();
+    execvp(command[0], command);
+    fprintf(stderr, "measure: %s: %s\n", command[0], strerror(errno));
+    _exit(EXIT_NOT_RUN);
+}
+
+/* Exit status as a shell reports it. */
+static int shell_status(int status)
+{
+    return WIFSIGNALED(status) ? 128 + WTERMSIG(status) : WEXITSTATUS(status);
+}
+
+static int report(const char *path, double wall, int status, const struct rusage *usage)
+{
+    FILE *file = fopen(path, "w");
+    if (!file) {
+        fprintf(stderr, "measure: %s: %s\n", path, strerror(errno));
+        return EXIT_CREATE;
+    }
+    fprintf(file, "wall=%.4f user=%.4f system=%.4f rss_kib=%ld read=%llu written=%llu status=%d\n",
+            wall, seconds(usage->ru_utime), seconds(usage->ru_stime), usage->ru_maxrss,
+            (unsigned long long)usage->ru_inblock * BLOCK_BYTES,
+            (unsigned long long)usage->ru_oublock * BLOCK_BYTES, status);
+    if (fclose(file) != 0) {
+        fprintf(stderr, "measure: %s: %s\n", path, strerror(errno));
+        return EXIT_CREATE;
+    }
+    return status;
+}
+
+int main(int argc, char **argv)
+{
+    struct rusage usage;
+    int status = 0;
+    if (argc < 3) {
+        fputs("usage: measure REPORT COMMAND [ARGUMENT...]\n", stderr);
+        return EXIT_USAGE;
+    }
+    double begin = now();
+    pid_t child = start(argv + 2);
+    while (child >= 0 && wait4(child, &status, 0, &usage) < 0) {
+        if (errno != EINTR)
+            child = -1;
+    }
+    double wall = now() - begin;
+    if (child < 0) {
+        fprintf(stderr, "measure: %s: %s\n", argv[2], strerror(errno));
+        return EXIT_SYSTEM;
+    }
+    return report(argv[1], wall, shell_status(status), &usage);
+}

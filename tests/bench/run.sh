@@ -1,0 +1,413 @@
+#!/bin/sh
+# Measures bisque-voxelize beside what others need for the same scan in the same run, and prints
+# tables in Markdown. tests/bench/RESULTS.md says how to read them.
+#
+#   BIN=DIR TESTS=DIR tests/bench/run.sh small|medium|large
+#
+#   BIN, TESTS     directories with the programs, and with generate-scan, measure and the baselines
+#   BENCH_DIR      where scans and outputs go, and scans stay for the next run; without it they go
+#                  to a temporary directory beside BIN, which is removed in the end
+#   BENCH_SCAN     a small OBJ file that is amplified to the sizes wanted, instead of the vase
+#   BENCH_ROUNDS   how often each job runs (default: 3; 109 million triangles: always once)
+#
+# Each job runs once a round, so that slow drifts of the machine meet all jobs alike; before each
+# the scan is brought into the page cache and what earlier jobs wrote is flushed to disk.
+set -u
+LC_ALL=C
+export LC_ALL
+unset TMPDIR
+
+size=${1:-medium}
+case $size in
+small | medium | large) ;;
+*)
+    echo "usage: BIN=DIR TESTS=DIR tests/bench/run.sh small|medium|large" >&2
+    exit 64
+    ;;
+esac
+BIN=$(cd "${BIN:?is the directory with the programs}" && pwd) || exit 66
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 66
+here=$(cd "$(dirname "$0")" && pwd) || exit 66
+rounds=${BENCH_ROUNDS:-3}
+processors=$(nproc)
+failed=0
+
+if [ -n "${BENCH_DIR:-}" ]; then
+    mkdir -p "$BENCH_DIR" && scans=$(cd "$BENCH_DIR" && pwd) || exit 73
+    work=$(mktemp -d "$scans/work.XXXXXX") || exit 73
+    remove=$work
+else
+    scans=$(mktemp -d "$(dirname "$BIN")/bench.XXXXXX") || exit 73
+    work=$scans
+    remove=$scans
+fi
+trap 'rm -rf "$remove"' EXIT
+trap 'exit 75' INT TERM HUP
+records=$work/records
+: >"$records"
+
+say()
+{
+    echo "bench: $*" >&2
+}
+
+# record FIELD...: one line of table.awk's input.
+record()
+{
+    line=$1
+    shift
+    for field; do
+        line="$line	$field"
+    done
+    printf '%s\n' "$line" >>"$records"
+}
+
+# value NAME FILE: of a line NAME=VALUE.
+value()
+{
+    sed -n "s/^$1=//p" "$2"
+}
+
+# json_number NAME FILE
+json_number()
+{
+    sed -n "s/.*\"$1\": *\\([0-9][0-9]*\\).*/\\1/p" "$2"
+}
+
+bytes_of()
+{
+    wc -c <"$1" | tr -d ' '
+}
+
+# ---- what the machine is and has room for ----
+
+describe_machine()
+{
+    cpu=$(sed -n 's/^model name[^:]*: *//p' /proc/cpuinfo | head -n 1)
+    memory=$(awk '/^MemTotal/ { printf "%.1f GiB", $2 / 1048576 }' /proc/meminfo)
+    os=$(sed -n 's/^PRETTY_NAME="\(.*\)"/\1/p' /etc/os-release 2>/dev/null)
+    "$TESTS/measure" "$work/report" dd if=/dev/zero of="$work/probe" bs=1M count=128 conv=fsync \
+        2>/dev/null
+    disk=$(sed 's/wall=\([0-9.]*\).*/\1/' "$work/report" |
+        awk '{ printf "%.0f MB/s written and synced", 134.217728 / $1 }')
+    rm -f "$work/probe"
+    echo "- Date: $(date -u +%Y-%m-%d), $("$BIN/bisque-voxelize" --version | head -n 1)"
+    echo "- Processor: ${cpu:-unknown} ($(uname -m)), $processors processors"
+    echo "- Memory: $memory"
+    echo "- System: $(uname -sr), ${os:-unknown}"
+    echo "- Disk: $(df --output=fstype "$work" | tail -n 1), $disk"
+    echo "- Load before the run: $(cut -d ' ' -f 1-3 /proc/loadavg)"
+    echo "- Scan: ${scan_name}, amplified"
+}
+
+kib_free()
+{
+    df -Pk "$work" | awk 'NR == 2 { print $4 }'
+}
+
+# require_disk TRIANGLES LABEL: for both scans, a chunk file and temporary files of shuffled faces.
+require_disk()
+{
+    need=$(($1 * 135 / 1024 + 1024 * 1024))
+    for scan in "$2" "$2-shuffled"; do
+        scan=$(scan_path "$scan")
+        [ ! -f "$scan" ] || need=$((need - $(bytes_of "$scan") / 1024))
+    done
+    free=$(kib_free)
+    [ "$free" -ge "$need" ] && return
+    say "$scans: needs $((need / 1048576 + 1)) GiB of disk, $((free / 1048576)) GiB are free;" \
+        "name another directory with BENCH_DIR"
+    exit 74
+}
+
+# has_memory BYTES: whether this much is available without swapping.
+has_memory()
+{
+    awk -v need="$1" '/^MemAvailable/ { exit !($2 * 1024 >= need) }' /proc/meminfo
+}
+
+# ---- scans ----
+
+# The small scan: the vase's low mesh, or the one that BENCH_SCAN names.
+choose_source()
+{
+    source=${BENCH_SCAN:-$work/low.obj}
+    scan_name=${BENCH_SCAN:+$(basename "$source")}
+    scan_name=${scan_name:-vase}
+    [ -n "${BENCH_SCAN:-}" ] || "$TESTS/generate-scan" vase-low -o "$source" || exit 73
+    [ -r "$source" ] || {
+        say "$source: cannot be read"
+        exit 66
+    }
+}
+
+scan_path()
+{
+    echo "$scans/${scan_name%.obj}-$1.obj"
+}
+
+# make_scan NAME TRIANGLES OPTION...: sets $made; a scan that is there already is used again.
+make_scan()
+{
+    made=$(scan_path "$1")
+    count=$2
+    shift 2
+    [ -f "$made" ] && return
+    say "generating $(basename "$made")"
+    "$TESTS/generate-scan" --triangles "$count" "$@" "$source" -o "$made.part" &&
+        mv "$made.part" "$made" || exit 73
+}
+
+# use_scans LABEL TRIANGLES: generates both orders; sets $label, $ordered, $shuffled and so on.
+use_scans()
+{
+    label=$1
+    require_disk "$2" "$1"
+    make_scan "$1" "$2"
+    ordered=$made
+    make_scan "$1-shuffled" "$2" --shuffle 1
+    shuffled=$made
+    bytes=$(bytes_of "$ordered")
+    "$BIN/bisque-voxelize" --parse-only --json "$ordered" >"$work/out" || exit 70
+    triangles=$(json_number triangles "$work/out")
+}
+
+# ---- jobs ----
+
+# measure INPUT COMMAND...: runs it; sets wall, user, system, rss, written, status; output in
+# $work/out and $work/err.
+measure()
+{
+    cat "$1" >/dev/null
+    shift
+    sync
+    "$TESTS/measure" "$work/report" "$@" >"$output" 2>"$work/err"
+    sed 's/[a-z_]*=//g' "$work/report" >"$work/fields"
+    read -r wall user system rss _ written status <"$work/fields"
+}
+
+# why: what the last command said, or how it ended.
+why()
+{
+    case $status in
+    137) echo "stopped by the system, probably for lack of memory" ;;
+    *) tail -n 1 "$work/err" | grep . || echo "exit status $status" ;;
+    esac
+}
+
+# keep KEY TITLE AGAINST INPUT_BYTES: records the last measurement.
+keep()
+{
+    record run "$label" "$round" "$1" "$2" "$3" "$triangles" "$4" \
+        "$wall" "$user" "$system" "$rss" "$written"
+}
+
+job_cat()
+{
+    say "$label, round $round: cat"
+    output=/dev/null
+    measure "$ordered" cat "$ordered"
+    keep cat "cat" - "$bytes"
+    output=$work/out
+}
+
+# baseline PROGRAM TITLE BYTES_A_TRIANGLE INPUT: whether it ran; where not, records why. The memory
+# that it needs is known from smaller scans; a quarter more must be available.
+baseline()
+{
+    if [ ! -x "$TESTS/$1" ]; then
+        record skip "$label" "$2" "not built, its package is not installed"
+        return 1
+    fi
+    most=$((triangles * $3 * 5 / 4))
+    if ! has_memory "$most"; then
+        record skip "$label" "$2" "needs $((most / 1048576)) MiB of memory, less is available"
+        return 1
+    fi
+    say "$label, round $round: $2"
+    measure "$4" "$TESTS/$1" "$4"
+    [ "$status" -eq 0 ] && return
+    record skip "$label" "$2" "$(why)"
+    return 1
+}
+
+# add_phase NAME: adds what a phase of a baseline cost to wall, user and system.
+add_phase()
+{
+    wall=$(echo "$wall $(value "$1.wall" "$output")" | awk '{ print $1 + $2 }')
+    user=$(echo "$user $(value "$1.user" "$output")" | awk '{ print $1 + $2 }')
+    system=$(echo "$system $(value "$1.system" "$output")" | awk '{ print $1 + $2 }')
+    rss=$(value "$1.rss_kib" "$output")
+}
+
+# The baselines count their own phases, without start and freeing: that favours them.
+job_embree()
+{
+    baseline baseline-embree "Embree: parse and build" 152 "$ordered" || return 0
+    wall=0 user=0 system=0
+    add_phase parse
+    keep embree-parse "Embree: parse, 1 thread" - "$bytes"
+    add_phase build
+    keep embree "Embree: parse and build" - "$bytes"
+}
+
+job_tinyobj()
+{
+    baseline baseline-tinyobj "tinyobjloader: parse" 180 "$ordered" || return 0
+    wall=0 user=0 system=0
+    add_phase parse
+    keep tinyobj "tinyobjloader: parse" embree-parse "$bytes"
+}
+
+# bisque KEY TITLE AGAINST INPUT ARGUMENT...: measures bisque-voxelize; whether it succeeded.
+bisque()
+{
+    key=$1 name=$2 other=$3 input=$4
+    shift 4
+    say "$label, round $round: $name"
+    measure "$input" "$BIN/bisque-voxelize" --json --progress none "$@" "$input"
+    if [ "$status" -ne 0 ]; then
+        record skip "$label" "$name" "$(why)"
+        # A budget that is too small for this many processors is a refusal, not a failure.
+        grep -q 'is too small' "$work/err" || failed=1
+        return 1
+    fi
+    keep "$key" "$name" "$other" "$(bytes_of "$input")"
+}
+
+# grid_facts KEY FACT...: what the report of the last run says about its files.
+grid_facts()
+{
+    key=$1
+    shift
+    for name; do
+        record fact "$label" "$key" "$name" "$(json_number "$name" "$work/out")"
+    done
+}
+
+job_parse()
+{
+    bisque "parse-1" "parse only, 1 thread" embree-parse "$ordered" --parse-only --threads 1
+    bisque "parse" "parse only, all threads" embree-parse "$ordered" --parse-only
+}
+
+job_whole()
+{
+    rm -f "$work/whole.nvdb" "$work/whole.tris"
+    bisque whole "whole: OBJ to .tris, .nvdb" embree "$ordered" --resolution "$resolution" \
+        --memory 1G -o "$work/whole.nvdb" || return 0
+    grid_facts whole tris_bytes temp_bytes grid_bytes voxels
+}
+
+# job_grid KEY RESOLUTION AGAINST: from the chunk file that job_whole left.
+job_grid()
+{
+    [ -f "$work/whole.tris" ] || return 0
+    bisque "$1" ".tris to .nvdb at $2" "$3" "$work/whole.tris" --resolution "$2" --memory 1G \
+        -o "$work/other.nvdb" && grid_facts "$1" grid_bytes voxels
+    rm -f "$work/other.nvdb"
+}
+
+# same_bytes TITLE: in the first round, compares the last run's outputs with those of job_whole.
+same_bytes()
+{
+    [ "$round" -eq 1 ] && [ -f "$work/whole.tris" ] || return 0
+    for ending in tris nvdb; do
+        cmp -s "$work/whole.$ending" "$work/other.$ending" && continue
+        say "FAILED: $label, $1: .$ending differs from that with a budget of 1G"
+        failed=1
+    done
+}
+
+job_ordered()
+{
+    bisque "whole-$1" "whole, --memory $1" whole "$ordered" --resolution "$resolution" \
+        --memory "$1" -o "$work/other.nvdb" && same_bytes "--memory $1"
+    rm -f "$work/other.nvdb" "$work/other.tris"
+}
+
+# job_shuffled KEY TITLE MEMORY
+job_shuffled()
+{
+    bisque "$1" "$2" whole "$shuffled" --resolution "$resolution" --memory "$3" \
+        -o "$work/other.nvdb" && grid_facts "$1" tris_bytes temp_bytes grid_bytes voxels
+    rm -f "$work/other.nvdb" "$work/other.tris"
+}
+
+# one_round BUDGET...: all jobs once; the budgets are those to try besides 1 GiB.
+one_round()
+{
+    job_cat
+    job_parse
+    job_embree
+    job_whole
+    job_grid revoxelize "$((resolution / 2))" whole
+    job_shuffled shuffled "shuffled faces" 1G
+    for memory; do
+        job_ordered "$memory"
+        job_shuffled "shuffled-$memory" "shuffled, --memory $memory" "$memory"
+    done
+    job_tinyobj
+}
+
+# job_fine RESOLUTION: a fine grid, where the disk has room for it and for as much of temporary
+# files. Voxels of a surface grow with the square of the resolution.
+job_fine()
+{
+    [ -f "$work/whole.nvdb" ] || return 0
+    times=$(($1 / resolution))
+    need=$(($(bytes_of "$work/whole.nvdb") * times * times * 22 / 10 / 1024))
+    free=$(kib_free)
+    if [ "$free" -lt "$need" ]; then
+        record skip "$label" ".tris to .nvdb at $1" \
+            "needs about $((need / 1048576)) GiB of disk, $((free / 1048576)) GiB are free"
+        return 0
+    fi
+    job_grid "grid-$1" "$1" whole
+}
+
+# ---- the run ----
+
+bench_small()
+{
+    resolution=1024
+    use_scans 2M 2000000
+    for round in $(seq "$rounds"); do
+        one_round 256M
+    done
+}
+
+bench_medium()
+{
+    resolution=2048
+    use_scans 10M 10000000
+    for round in $(seq "$rounds"); do
+        one_round 256M 64M
+    done
+}
+
+bench_large()
+{
+    bench_medium
+    round=1
+    use_scans 109M 109000000
+    one_round 256M
+    [ -n "${BENCH_DIR:-}" ] || rm -f "$shuffled"
+    job_fine 8192
+    job_fine 16384
+}
+
+choose_source
+describe_machine >"$work/machine"
+begin=$(date +%s)
+case $size in
+small) bench_small ;;
+medium) bench_medium ;;
+large) bench_large ;;
+esac
+echo
+cat "$work/machine"
+awk -v threads="$processors" -f "$here/table.awk" "$records"
+echo
+echo "The run took $(($(date +%s) - begin)) s."
+exit $failed

@@ -1,0 +1,515 @@
+/* test_bake.c - whole bakes of a wavy sheet whose normals and colours are known by formula. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+#include "formats/exr.h"
+#include "libbake/bake.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+/* The sheet's half width, wavelength and the low square's distance below it, in voxels; the
+ * square's texture coordinates run from MARGIN to 1 - MARGIN. */
+static const double half = 28, wavelength = 32, depth = 3, margin = 0.1, square = 20;
+static const double centre[3] = {70, -31, 45};
+enum { SIZE = 160, SAMPLES_A_VOXEL = 8 };
+
+static char directory[64];
+static char grey_path[96], color_path[96], low_path[96], far_path[96];
+static struct analytic_sine sine;
+
+/* Linear light. */
+static void color_at(double u, double v, float color[3])
+{
+    color[0] = (float)(0.5 + 0.4 * sin(u / 9));
+    color[1] = (float)(0.5 + 0.4 * cos(v / 11));
+    color[2] = 0.2f;
+}
+
+static struct bsq_ctx *new_context(unsigned threads, uint64_t memory)
+{
+    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory, .tmpdir = "/tmp"};
+    struct bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+static void free_context(struct bsq_ctx *ctx)
+{
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- the scene ---- */
+
+static void write_grid(const char *path, bool with_color)
+{
+    struct bsq_ctx *ctx = new_context(1, 0);
+    struct analytic_grid *grid = analytic_grid_create();
+    int64_t count = (int64_t)(2 * half * SAMPLES_A_VOXEL);
+    double step = 2 * half / (double)count;
+    for (int64_t i = 0; i < count; ++i)
+        for (int64_t j = 0; j < count; ++j) {
+            double u = -half + ((double)i + 0.5) * step, v = -half + ((double)j + 0.5) * step;
+            double point[3], normal[3];
+            float color[3];
+            analytic_sine_point(&sine, u, v, analytic_sine_height(&sine, u, v), point);
+            analytic_sine_normal(&sine, u, v, normal);
+            color_at(u, v, color);
+            analytic_grid_add(grid, point, normal, step * step, color);
+        }
+    struct fmt_nvdb_grid opened;
+    analytic_grid_open(ctx, grid, with_color, &opened);
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(opened.map.data, 1, opened.map.size, file), opened.map.size);
+    fclose(file);
+    fmt_nvdb_close(ctx, &opened);
+    analytic_grid_free(grid);
+    bsq_ctx_destroy(ctx);
+}
+
+static void write_square(const char *path, double offset)
+{
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    for (int i = 0; i < 4; ++i) {
+        double point[3], u = i & 1 ? square : -square, v = i & 2 ? square : -square;
+        analytic_sine_point(&sine, u, v, -depth, point);
+        fprintf(file, "v %.9g %.9g %.9g\n", point[0] + offset, point[1], point[2]);
+        fprintf(file, "vt %.9g %.9g\n", i & 1 ? 1 - margin : margin, i & 2 ? 1 - margin : margin);
+    }
+    fprintf(file, "f 1/1 2/2 4/4 3/3\n");
+    fclose(file);
+}
+
+static int make_scene(void **state)
+{
+    (void)state;
+    strcpy(directory, "/tmp/bsq-bake-XXXXXX");
+    if (!mkdtemp(directory))
+        return -1;
+    snprintf(grey_path, sizeof grey_path, "%s/grey.nvdb", directory);
+    snprintf(color_path, sizeof color_path, "%s/color.nvdb", directory);
+    snprintf(low_path, sizeof low_path, "%s/low.obj", directory);
+    snprintf(far_path, sizeof far_path, "%s/far.obj", directory);
+    sine = analytic_sine_make(wavelength, half, centre);
+    write_grid(grey_path, false);
+    write_grid(color_path, true);
+    write_square(low_path, 0);
+    write_square(far_path, 1000);
+    return 0;
+}
+
+static int remove_scene(void **state)
+{
+    (void)state;
+    unlink(grey_path);
+    unlink(color_path);
+    unlink(low_path);
+    unlink(far_path);
+    return rmdir(directory); /* fails where a bake left something behind */
+}
+
+static const char *in_directory(const char *name)
+{
+    static char path[4][128];
+    static int next;
+    char *out = path[next = (next + 1) % 4];
+    snprintf(out, sizeof path[0], "%s/%s", directory, name);
+    return out;
+}
+
+static struct bake_options options_for(const char *grid, const char *output)
+{
+    struct bake_options options;
+    bake_defaults(&options);
+    options.scan_path = grid;
+    options.mesh_path = low_path;
+    options.output_path = output;
+    options.width = options.height = SIZE;
+    options.padding = 4;
+    options.device = "cpu";
+    options.format = BAKE_EXR_FLOAT;
+    return options;
+}
+
+static void bake(struct bsq_ctx *ctx, const struct bake_options *options,
+                 struct bake_report *report)
+{
+    int status = bake_run(ctx, options, report);
+    if (status < 0)
+        print_message("%s\n", bsq_error(ctx));
+    assert_int_equal(status, 0);
+}
+
+static void read_map(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *image)
+{
+    assert_int_equal(fmt_exr_read(ctx, path, image), 0);
+    assert_int_equal(image->width, SIZE);
+    assert_int_equal(image->height, SIZE);
+}
+
+static void sample_map(const struct fmt_exr_image *image, uint32_t x, uint32_t y, double out[3])
+{
+    static const char *const names[3] = {"R", "G", "B"};
+    for (int k = 0; k < 3; ++k)
+        out[k] = (double)image->samples[((size_t)y * SIZE + x) * image->channel_count +
+                                        fmt_exr_channel(image, names[k])];
+}
+
+/* Where a texel's centre lies on the sheet; false outside the chart, `inset` texels inside its
+ * border. */
+static bool place(uint32_t x, uint32_t y, double inset, double *u, double *v)
+{
+    double s = (x + 0.5) / SIZE, t = 1 - (y + 0.5) / SIZE, low = margin + inset / SIZE;
+    *u = ((s - margin) / (1 - 2 * margin) * 2 - 1) * square;
+    *v = ((t - margin) / (1 - 2 * margin) * 2 - 1) * square;
+    return s > low && s < 1 - low && t > low && t < 1 - low;
+}
+
+/* ---- normals ---- */
+
+struct errors {
+    double mean, largest;
+};
+
+/* Angles in degrees between the map's normals and the formula's, in object space. */
+static struct errors normal_errors(const struct fmt_exr_image *image, bool object, bool green_down)
+{
+    struct errors errors = {0, 0};
+    uint64_t count = 0;
+    for (uint32_t y = 0; y < SIZE; ++y)
+        for (uint32_t x = 0; x < SIZE; ++x) {
+            double u, v, m[3], n[3], expected[3], dot = 0, length = 0;
+            if (!place(x, y, 1, &u, &v))
+                continue;
+            sample_map(image, x, y, m);
+            for (int k = 0; k < 3; ++k)
+                m[k] = 2 * m[k] - 1;
+            if (green_down)
+                m[1] = -m[1];
+            /* The square's tangent, bitangent and normal are the sheet's axes. */
+            for (int k = 0; k < 3; ++k)
+                n[k] = object ? m[k]
+                              : m[0] * sine.axes[0][k] + m[1] * sine.axes[1][k] +
+                                    m[2] * sine.axes[2][k];
+            analytic_sine_normal(&sine, u, v, expected);
+            for (int k = 0; k < 3; ++k) {
+                dot += n[k] * expected[k];
+                length += n[k] * n[k];
+            }
+            assert_true(fabs(length - 1) < 1e-5);
+            double angle = acos(fmin(dot / sqrt(length), 1)) * 180 / acos(-1);
+            errors.mean += angle;
+            errors.largest = fmax(errors.largest, angle);
+            ++count;
+        }
+    errors.mean /= (double)count;
+    return errors;
+}
+
+static void test_normals_are_those_of_the_formula(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(2, 0);
+    for (int variant = 0; variant < 3; ++variant) {
+        struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
+        options.green_down = variant == 1;
+        options.normal_space = variant == 2 ? BAKE_OBJECT_SPACE : BAKE_TANGENT_SPACE;
+        struct bake_report report;
+        bake(ctx, &options, &report);
+        assert_int_equal(report.misses, 0);
+        assert_int_equal(report.low_triangles, 2);
+        struct fmt_exr_image image;
+        read_map(ctx, in_directory("normal.exr"), &image);
+        struct errors errors = normal_errors(&image, variant == 2, variant == 1);
+        print_message("mean %.3f, largest %.3f degrees\n", errors.mean, errors.largest);
+        assert_true(errors.mean < 0.3);
+        assert_true(errors.largest < 1.5);
+        assert_string_equal(fmt_exr_image_attribute(&image, "bisque:green"),
+                            variant == 1 ? "down" : "up");
+        fmt_exr_image_free(ctx, &image);
+        unlink(in_directory("normal.exr"));
+    }
+    free_context(ctx);
+}
+
+static void test_report_counts_samples(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bake_options options = options_for(grey_path, in_directory("n.exr"));
+    options.samples = 3;
+    struct bake_report report;
+    bake(ctx, &options, &report);
+    /* The chart covers (1 - 2 margin)^2 of the map; its border passes through texel borders. */
+    uint64_t side = (uint64_t)lrint(SIZE * (1 - 2 * margin));
+    assert_int_equal(report.covered_texels, side * side);
+    assert_int_equal(report.samples, side * side * 9);
+    assert_int_equal(report.hits, report.samples);
+    assert_int_equal(report.overlapping_samples, 0);
+    /* Distances: the farthest point is depth + amplitude away, in front; nothing behind. */
+    double reach = depth + sine.amplitude;
+    assert_true(report.front > reach && report.front < 1.5 * reach + 2.1);
+    assert_true(report.back >= 2 && report.back < 2.1);
+    unlink(in_directory("n.exr"));
+    free_context(ctx);
+}
+
+/* ---- colour, mask, padding ---- */
+
+static void test_colors_are_those_of_the_formula(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(3, 0);
+    struct bake_options options = options_for(color_path, in_directory("<MAP>.exr"));
+    struct bake_report report;
+    bake(ctx, &options, &report); /* default maps: normal and color */
+    assert_int_equal(access(in_directory("normal.exr"), F_OK), 0);
+    struct fmt_exr_image image;
+    read_map(ctx, in_directory("color.exr"), &image);
+    assert_string_equal(fmt_exr_image_attribute(&image, "oiio:ColorSpace"), "Linear");
+    for (uint32_t y = 0; y < SIZE; ++y)
+        for (uint32_t x = 0; x < SIZE; ++x) {
+            double u, v, rgb[3];
+            float expected[3];
+            if (!place(x, y, 1, &u, &v))
+                continue;
+            sample_map(&image, x, y, rgb);
+            color_at(u, v, expected);
+            /* Voxels are 8-bit sRGB (0.004 in this range) and blend over a voxel's width. */
+            for (int k = 0; k < 3; ++k)
+                assert_true(fabs(rgb[k] - (double)expected[k]) < 0.015);
+        }
+    fmt_exr_image_free(ctx, &image);
+    unlink(in_directory("normal.exr"));
+    unlink(in_directory("color.exr"));
+    free_context(ctx);
+}
+
+static void test_misses_are_masked_and_filled(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
+    options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
+    options.front = depth; /* crests are out of reach */
+    options.back = 0;
+    options.padding = UINT32_MAX;
+    struct bake_report report;
+    bake(ctx, &options, &report);
+    assert_int_equal(report.hits + report.misses, report.samples);
+    /* By symmetry half of the sheet lies below its middle; blending of planes moves that a little.
+     */
+    assert_true(fabs((double)report.misses / (double)report.samples - 0.5) < 0.03);
+    struct fmt_exr_image mask, normal;
+    read_map(ctx, in_directory("mask.exr"), &mask);
+    read_map(ctx, in_directory("normal.exr"), &normal);
+    assert_int_equal(mask.channel_count, 1);
+    for (uint32_t y = 0; y < SIZE; ++y)
+        for (uint32_t x = 0; x < SIZE; ++x) {
+            double u, v, n[3];
+            float share = mask.samples[(size_t)y * SIZE + x];
+            bool inside = place(x, y, 0, &u, &v);
+            double height = analytic_sine_height(&sine, u, v);
+            if (!inside || height > 0.4)
+                assert_true(share == 0.0f);
+            else if (height < -0.4)
+                assert_true(share == 1.0f);
+            sample_map(&normal, x, y, n); /* everywhere a unit vector */
+            double length = 0;
+            for (int k = 0; k < 3; ++k)
+                length += (2 * n[k] - 1) * (2 * n[k] - 1);
+            assert_true(fabs(length - 1) < 1e-5);
+        }
+    fmt_exr_image_free(ctx, &mask);
+    fmt_exr_image_free(ctx, &normal);
+    unlink(in_directory("normal.exr"));
+    unlink(in_directory("mask.exr"));
+    free_context(ctx);
+}
+
+static void test_padding_surrounds_the_chart(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bake_options options = options_for(grey_path, in_directory("n.exr"));
+    struct bake_report report;
+    bake(ctx, &options, &report);
+    struct fmt_exr_image image;
+    read_map(ctx, in_directory("n.exr"), &image);
+    int low = (int)lrint(SIZE * margin), high = SIZE - 1 - low;
+    for (int y = 0; y < SIZE; ++y)
+        for (int x = 0; x < SIZE; ++x) {
+            /* Nearest texel of the square chart. */
+            int nx = x < low ? low : x > high ? high : x, ny = y < low ? low : y > high ? high : y;
+            double got[3], expected[3] = {0.5, 0.5, 1};
+            sample_map(&image, (uint32_t)x, (uint32_t)y, got);
+            if ((nx - x) * (nx - x) + (ny - y) * (ny - y) <= 4 * 4)
+                sample_map(&image, (uint32_t)nx, (uint32_t)ny, expected);
+            for (int k = 0; k < 3; ++k)
+                assert_true(got[k] == expected[k]);
+        }
+    fmt_exr_image_free(ctx, &image);
+    unlink(in_directory("n.exr"));
+    free_context(ctx);
+}
+
+/* ---- determinism ---- */
+
+static uint8_t *take_file(const char *path, size_t *size)
+{
+    FILE *file = fopen(path, "rb");
+    assert_non_null(file);
+    uint8_t *bytes = malloc(32 << 20);
+    *size = fread(bytes, 1, 32 << 20, file);
+    fclose(file);
+    unlink(path);
+    return bytes;
+}
+
+static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
+{
+    (void)state;
+    static const struct {
+        unsigned threads;
+        uint64_t memory;
+    } runs[] = {{2, 0}, {1, 0}, {5, 0}, {2, UINT64_C(20) << 20}, {1, UINT64_C(12) << 20}};
+    static const char *const names[] = {"normal.exr", "color.exr", "mask.exr"};
+    uint8_t *first[3] = {NULL};
+    size_t sizes[3] = {0};
+    for (size_t r = 0; r < sizeof runs / sizeof *runs; ++r) {
+        struct bsq_ctx *ctx = new_context(runs[r].threads, runs[r].memory);
+        struct bake_options options = options_for(color_path, in_directory("<MAP>.exr"));
+        options.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK;
+        options.width = 1000; /* 28 MB of samples */
+        options.height = 1021;
+        options.samples = 1;
+        options.padding = 40;
+        struct bake_report report;
+        bake(ctx, &options, &report);
+        assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
+        assert_true((bsq_temp_bytes(ctx) > 0) == (runs[r].memory > 0));
+        for (int i = 0; i < 3; ++i) {
+            size_t size;
+            uint8_t *bytes = take_file(in_directory(names[i]), &size);
+            if (r > 0) {
+                assert_int_equal(size, sizes[i]);
+                assert_memory_equal(bytes, first[i], size);
+                free(bytes);
+            } else {
+                first[i] = bytes;
+                sizes[i] = size;
+            }
+        }
+        free_context(ctx);
+    }
+    for (int i = 0; i < 3; ++i)
+        free(first[i]);
+}
+
+/* ---- preview ---- */
+
+static void test_preview_is_written_with_the_maps(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bake_options options = options_for(color_path, in_directory("<MAP>.png"));
+    options.format = BAKE_FORMAT_DEFAULT;
+    options.preview_path = in_directory("preview.png");
+    struct bake_report report;
+    bake(ctx, &options, &report);
+    assert_int_equal(unlink(in_directory("normal.png")), 0);
+    assert_int_equal(unlink(in_directory("color.png")), 0);
+    size_t size;
+    uint8_t *bytes = take_file(options.preview_path, &size);
+    assert_true(size > 10000);
+    assert_memory_equal(bytes, "\x89PNG\r\n\x1a\n", 8);
+    free(bytes);
+    free_context(ctx);
+}
+
+/* ---- errors ---- */
+
+static void expect_failure(const struct bake_options *options, int status, const char *text)
+{
+    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bake_report report;
+    assert_int_equal(bake_run(ctx, options, &report), status);
+    if (!strstr(bsq_error(ctx), text)) {
+        print_message("\"%s\" lacks \"%s\"\n", bsq_error(ctx), text);
+        fail();
+    }
+    free_context(ctx);
+}
+
+static void test_errors_name_the_reason(void **state)
+{
+    (void)state;
+    const char *many = in_directory("<MAP>.exr");
+    struct bake_options options = options_for(grey_path, many);
+    options.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR;
+    expect_failure(&options, BSQ_EDATA, "grey.nvdb has no colour; leave color out of --maps");
+
+    options = options_for(grey_path, many);
+    options.mesh_path = far_path;
+    expect_failure(&options, BSQ_EDATA, "the scan spans");
+    options.front = options.back = 1; /* as distances are not measured then */
+    expect_failure(&options, BSQ_EDATA, "same place and units");
+
+    options = options_for(color_path, in_directory("out.exr"));
+    expect_failure(&options, BSQ_EUSAGE, "several maps need \"<MAP>\"");
+    options = options_for(grey_path, in_directory("out.png"));
+    expect_failure(&options, BSQ_EUSAGE, "asks for PNG");
+    options = options_for(grey_path, "/nonexistent/out.exr");
+    expect_failure(&options, BSQ_ECANTCREAT, "/nonexistent/out.exr");
+    options = options_for(grey_path, many);
+    options.preview_path = "/nonexistent/preview.png";
+    expect_failure(&options, BSQ_ECANTCREAT, "/nonexistent/preview.png");
+    options = options_for(grey_path, many);
+    options.samples = 0;
+    expect_failure(&options, BSQ_EUSAGE, "samples");
+    options = options_for(grey_path, many);
+    options.width = 0;
+    expect_failure(&options, BSQ_EUSAGE, "0 x 160");
+    options = options_for(low_path, many);
+    expect_failure(&options, BSQ_EDATA, "low.obj");
+    options = options_for(grey_path, many);
+    options.mesh_path = "/nonexistent/low.obj";
+    expect_failure(&options, BSQ_ENOINPUT, "/nonexistent/low.obj");
+}
+
+static void test_interruption_leaves_nothing(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
+    struct bake_report report;
+    bsq_interrupt(ctx);
+    assert_int_equal(bake_run(ctx, &options, &report), BSQ_EINTR);
+    assert_int_equal(access(in_directory("normal.exr"), F_OK), -1);
+    free_context(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_normals_are_those_of_the_formula),
+        cmocka_unit_test(test_report_counts_samples),
+        cmocka_unit_test(test_colors_are_those_of_the_formula),
+        cmocka_unit_test(test_misses_are_masked_and_filled),
+        cmocka_unit_test(test_padding_surrounds_the_chart),
+        cmocka_unit_test(test_bytes_depend_on_neither_threads_nor_budget),
+        cmocka_unit_test(test_preview_is_written_with_the_maps),
+        cmocka_unit_test(test_errors_name_the_reason),
+        cmocka_unit_test(test_interruption_leaves_nothing),
+    };
+    return cmocka_run_group_tests(tests, make_scene, remove_scene);
+}

@@ -1,0 +1,35 @@
+/* scan_fixture.h - small scans as chunk files, for the tests of the voxelizer. */
+#ifndef TEST_SCAN_FIXTURE_H
+#define TEST_SCAN_FIXTURE_H
+
+#include "formats/tris.h"
+
+struct scan_mesh {
+    uint32_t vertex_count, triangle_count;
+    float (*positions)[3];
+    uint32_t (*triangles)[3];
+    /* Optional, NULL where not used; per vertex, and materials per triangle. */
+    uint32_t *normals, *colors, *materials;
+    float (*texcoords)[2];
+};
+
+/* Room for a mesh without attributes; exits the test where there is no memory. */
+struct scan_mesh scan_mesh_new(uint32_t vertices, uint32_t triangles);
+void scan_mesh_free(struct scan_mesh *mesh);
+
+/* A subdivided octahedron, its vertices on the sphere, with no edge above max_edge. Its six corners
+ * lie on the axes, so that its bounds are those of the sphere. */
+struct scan_mesh scan_sphere(double radius, double max_edge);
+
+/* Sorts triangles along a Morton curve, as a real chunk file has them. */
+void scan_sort(struct scan_mesh *mesh);
+
+/* Writes the mesh as a chunk file with at most chunk_triangles in a chunk. */
+void scan_write(struct bsq_ctx *ctx, const char *path, const struct scan_mesh *mesh,
+                const double origin[3], const struct fmt_tris_material *materials,
+                uint32_t material_count, uint32_t chunk_triangles);
+
+/* The next number of a repeatable sequence, in [0, 1). */
+double scan_random(uint64_t *seed);
+
+#endif
