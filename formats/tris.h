@@ -17,6 +17,11 @@ enum fmt_tris_attribute {
     FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */
 };
 
+/* Smooth normals of a scan without any end at creases: where a vertex's mean normal is more than 40 degrees off a
+ * triangle's own, the triangle keeps its own there. Both stages go by this cosine, so that maps from voxels and
+ * exact ones agree. */
+#define FMT_TRIS_CREASE_COSINE 0.766
+
 /* Largest chunk; keeps indices at 16 bits for ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
 

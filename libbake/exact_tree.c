@@ -3,8 +3,8 @@
 
 #include <string.h>
 
-/* A sort key: place on the Morton curve above, number of the box below. */
-enum { NUMBER_BITS = 22, AXIS_BITS = 14, DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS };
+/* A sort key: place on the curve above, number of the box below. */
+enum { NUMBER_BITS = 31, AXIS_BITS = 11, DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS };
 _Static_assert(NUMBER_BITS + 3 * AXIS_BITS == 64, "keys fill 64 bits");
 
 static uint64_t align64(uint64_t bytes)
@@ -40,26 +40,53 @@ uint64_t exact_tree_scratch_bytes(uint32_t count)
 
 /* ---- order ---- */
 
-/* Bits 0 .. 13 of v moved to every third place. */
-static uint64_t spread(uint32_t v)
-{
-    uint64_t x = v;
-    x = (x | x << 32) & UINT64_C(0x1f00000000ffff);
-    x = (x | x << 16) & UINT64_C(0x1f0000ff0000ff);
-    x = (x | x << 8) & UINT64_C(0x100f00f00f00f00f);
-    x = (x | x << 4) & UINT64_C(0x10c30c30c30c30c3);
-    return (x | x << 2) & UINT64_C(0x1249249249249249);
-}
+/* Hilbert's curve as an automaton: for a state and an octant (x in bit 0), the octant's place on
+ * the curve in the low three bits, and the state inside of it above. Found by following the curve
+ * of Skilling ("Programming the Hilbert curve", 2004) through two levels. */
+static const uint8_t hilbert[24][8] = {
+    {8, 55, 27, 36, 17, 46, 2, 5},
+    {56, 75, 65, 10, 95, 20, 86, 13},
+    {32, 99, 119, 12, 1, 18, 110, 21},
+    {142, 71, 29, 132, 121, 80, 26, 3},
+    {64, 57, 131, 34, 87, 94, 4, 37},
+    {156, 31, 51, 144, 45, 6, 42, 105},
+    {164, 143, 53, 70, 43, 120, 50, 81},
+    {0, 33, 111, 118, 171, 58, 68, 61},
+    {16, 47, 9, 54, 139, 60, 66, 69},
+    {134, 77, 177, 74, 39, 100, 112, 11},
+    {124, 91, 85, 82, 79, 160, 14, 49},
+    {188, 93, 83, 90, 135, 38, 176, 113},
+    {174, 101, 63, 76, 185, 98, 88, 19},
+    {148, 115, 103, 152, 109, 106, 22, 41},
+    {180, 117, 175, 62, 107, 114, 184, 89},
+    {122, 187, 125, 84, 25, 128, 150, 183},
+    {78, 161, 133, 130, 15, 48, 28, 35},
+    {30, 7, 145, 104, 141, 172, 138, 67},
+    {146, 179, 137, 168, 149, 108, 126, 191},
+    {154, 169, 163, 136, 157, 190, 44, 127},
+    {162, 129, 165, 182, 155, 24, 52, 151},
+    {102, 153, 23, 40, 173, 170, 140, 59},
+    {178, 181, 73, 166, 147, 116, 96, 159},
+    {186, 189, 123, 92, 97, 158, 72, 167},
+};
 
 uint64_t exact_curve_place(const float point[3], const float low[3], double side)
 {
     const float most = (1 << AXIS_BITS) - 1;
     const float scale = side > 0 ? (float)fmin((double)most / side, 1e30) : 0.0f;
+    uint32_t cells[3];
     uint64_t place = 0;
     for (int k = 0; k < 3; k++) {
         float cell = (point[k] - low[k]) * scale;
         cell = cell < most ? cell : most;
-        place |= spread(cell > 0.0f ? (uint32_t)cell : 0) << k;
+        cells[k] = cell > 0.0f ? (uint32_t)cell : 0;
+    }
+    for (unsigned bit = AXIS_BITS, state = 0; bit-- > 0;) {
+        const unsigned octant =
+            (cells[0] >> bit & 1) | (cells[1] >> bit & 1) << 1 | (cells[2] >> bit & 1) << 2;
+        const unsigned entry = hilbert[state][octant];
+        place = place << 3 | (entry & 7);
+        state = entry >> 3;
     }
     return place;
 }
@@ -85,8 +112,8 @@ static void make_keys(uint32_t count, const struct exact_box *boxes, uint64_t *k
     }
 }
 
-/* Sorts by place; the result is in keys again. */
-static void sort_keys(uint32_t count, uint64_t *keys, uint64_t *other)
+/* Sorts by place; returns the array that has the result. */
+static const uint64_t *sort_keys(uint32_t count, uint64_t *keys, uint64_t *other)
 {
     for (unsigned shift = NUMBER_BITS; shift < 64; shift += DIGIT_BITS) {
         uint32_t starts[DIGITS] = {0}, sum = 0;
@@ -103,9 +130,8 @@ static void sort_keys(uint32_t count, uint64_t *keys, uint64_t *other)
         keys = other;
         other = swap;
     }
+    return keys;
 }
-_Static_assert((64 - NUMBER_BITS + DIGIT_BITS - 1) / DIGIT_BITS % 2 == 0,
-               "an even number of passes");
 
 /* ---- nodes ---- */
 
@@ -171,9 +197,9 @@ void exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exac
     tree->order =
         (uint32_t *)(void *)((char *)memory + align64(node_count(count) * sizeof *tree->nodes));
     make_keys(count, boxes, keys);
-    sort_keys(count, keys, keys + count);
+    const uint64_t *sorted = sort_keys(count, keys, keys + count);
     for (uint32_t i = 0; i < count; i++)
-        tree->order[i] = (uint32_t)(keys[i] & ((UINT64_C(1) << NUMBER_BITS) - 1));
+        tree->order[i] = (uint32_t)(sorted[i] & ((UINT64_C(1) << NUMBER_BITS) - 1));
     fill_leaves(tree, boxes);
     tree->levels = 1;
     for (uint32_t children = parents(count); children > 1; children = parents(children)) {

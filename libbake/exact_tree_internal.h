@@ -1,6 +1,6 @@
 /* exact_tree_internal.h - a tree of boxes with four children a node, for triangles and for chunks.
  *
- * Boxes are sorted along a Morton curve and packed four by four, level by level, so building takes
+ * Boxes are sorted along a Hilbert curve and packed four by four, level by level, so building takes
  * linear time, child numbers need no storage, and memory is known beforehand (Kamel & Faloutsos,
  * "On Packing R-trees", 1993). Scans are many small triangles of like size, where a costlier
  * heuristic gains little, while a chunk's tree serves only the rays of one batch. */
@@ -34,7 +34,7 @@ struct exact_tree {
 };
 
 /* Largest number of boxes: their numbers share a sort key with the place on the curve. */
-#define EXACT_TREE_BOXES (UINT32_C(1) << 22)
+#define EXACT_TREE_BOXES (UINT32_C(1) << 31)
 
 /* Bytes of `memory` and of `scratch` for exact_tree_build(). */
 uint64_t exact_tree_bytes(uint32_t count);
@@ -48,7 +48,7 @@ void exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exac
 uint32_t exact_tree_overlapping(const struct exact_tree *tree, const struct exact_box *box,
                                 uint32_t *out);
 
-/* Place of a point on the curve through the cube at `low` with this side; 42 bits. Points outside
+/* Place of a point on the curve through the cube at `low` with this side; 33 bits. Points outside
  * count as on its border. */
 uint64_t exact_curve_place(const float point[3], const float low[3], double side);
 

@@ -108,13 +108,14 @@ static void measure_arcs(struct target *t)
  * weights w the tangent plane of corner i is (p_i - p) . n_i away, and half the mean of these is the height of a
  * surface of constant curvature (Boubekeur & Alexa, "Phong Tessellation", 2008, blend the same planes). With
  * p = sum of w_i p_i that is half the sum of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. */
-static void lift(const struct target *t, const double b[2], struct vox_sample *sample)
+static void lift(const struct target *t, const double b[2], const double normal[3],
+                 struct vox_sample *sample)
 {
     const double w[3] = {1.0 - b[0] - b[1], b[0], b[1]};
     double height =
         0.5 * (w[0] * w[1] * t->arc[0] + w[1] * w[2] * t->arc[1] + w[2] * w[0] * t->arc[2]);
     for (int k = 0; k < 3; k++)
-        sample->center[k] += height * sample->normal[k];
+        sample->center[k] += height * normal[k];
 }
 
 static inline int add_piece(void *arg, const struct vox_piece *piece)
@@ -132,10 +133,13 @@ static inline int add_piece(void *arg, const struct vox_piece *piece)
     if (t->corners.has_normals) {
         double normal[3];
         vox_shade_normal(&t->corners, piece->b, normal);
+        /* Directions count as far as they agree with the triangle's: then coverage tells how well a voxel's
+         * plane stands for its surface. */
+        double agreement = fabs(vox_dot(normal, t->corners.flat));
         for (int k = 0; k < 3; k++)
-            sample.normal[k] = normal[k];
+            sample.normal[k] = agreement * normal[k];
         if (t->corners.curved)
-            lift(t, piece->b, &sample);
+            lift(t, piece->b, normal, &sample);
     }
     sample.shaded = t->facet;
     sample.has_color = t->corners.color_source != VOX_COLOR_NONE;
@@ -176,6 +180,18 @@ static inline int add_pieces(struct target *t, const struct vox_box *cells,
     return vox_clip(&triangle, t->region, window, add_piece, t);
 }
 
+/* A corner's normal that says nothing, or that was smoothed over a crease, gives way to the triangle's own. Normals
+ * of the scan itself are believed even where the winding says otherwise. */
+static void settle_normals(struct target *t, bool smoothed)
+{
+    for (int i = 0; i < 3; i++) {
+        double *normal = t->corners.normal[i];
+        bool crease = smoothed && vox_dot(normal, t->corners.flat) < FMT_TRIS_CREASE_COSINE;
+        if (crease || !(vox_dot(normal, normal) > 0.0))
+            memcpy(normal, t->corners.flat, sizeof t->corners.flat);
+    }
+}
+
 static int add_group(struct target *t, const struct vox_lattice *lattice,
                      const struct vox_chunk *chunk, const struct vox_box *window, uint32_t begin,
                      uint32_t end)
@@ -193,6 +209,8 @@ static int add_group(struct target *t, const struct vox_lattice *lattice,
         t->corner[2] = p2;
         measure(t);
         vox_shade_corners(t->shading, chunk, i, &t->corners);
+        if (t->corners.has_normals)
+            settle_normals(t, chunk->smoothed);
         measure_arcs(t);
         bool one = true;
         for (int a = 0; a < 3; a++)

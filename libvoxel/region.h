@@ -50,7 +50,7 @@ struct vox_accumulator {
 struct vox_sample {
     uint32_t voxel[3]; /* in the region, 0 to 127 */
     double area;       /* in voxel faces */
-    double normal[3];  /* unit */
+    double normal[3];  /* its length, at most 1, is the weight of its direction */
     double center[3];  /* of the piece, from the voxel's centre */
     bool shaded;       /* the normal does not go with the plane that the centres lie in */
     bool has_color;

@@ -36,7 +36,7 @@ struct vox_corners {
     double flat[3]; /* unit normal of its plane, zero where it has no area */
     bool has_normals;
     bool curved; /* the triangle is so large that its plane differs from the surface they describe */
-    double normal[3][3]; /* unit */
+    double normal[3][3]; /* unit, or zero */
     enum vox_color_source color_source;
     double rgb[3][3]; /* linear light */
     double uv[3][2];

@@ -157,6 +157,9 @@ static int sort_scan(struct scan *scan, const char *path, struct vox_sort_report
     double start = seconds_now();
     int status = scatter_scan(scan, path, &scattered);
     face_store_free(&scan->faces);
+    if (status == 0 && scattered.triangles == 0)
+        status = bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area",
+                          scan->obj_paths[0], (unsigned long long)scattered.degenerate_triangles);
     if (status == 0) {
         bsq_progress_begin(scan->ctx, "writing", "triangles", scattered.triangles);
         status = write_chunks(scan, &scattered, path, report);

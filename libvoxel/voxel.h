@@ -34,7 +34,7 @@ struct vox_sort_report {
 };
 
 /* Reads OBJ files and writes the chunk file. Errors: those of the reader; BSQ_EDATA where there are no
- * faces; BSQ_EUSAGE where the budget is below vox_sort_memory_min(). */
+ * triangles with an area; BSQ_EUSAGE where the budget is below vox_memory_min(). */
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
              struct vox_sort_report *report);
 
@@ -72,7 +72,7 @@ struct vox_voxelize_report {
     double seconds;
 };
 
-/* A voxel is set where the box-triangle separating-axis test (Akenine-Moeller, "Fast 3D
+/* A voxel is set where a triangle touches its half-open box, as the box-triangle separating-axis test (Akenine-Moeller, "Fast 3D
  * Triangle-Box Overlap Testing", 2001; Schwarz & Seidel, "Fast Parallel Surface and Solid
  * Voxelization on GPUs", 2010) says that a triangle touches it. Its record is the mean over the
  * clipped triangle pieces inside it, weighted by area. */

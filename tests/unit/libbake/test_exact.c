@@ -15,6 +15,7 @@
 #include "base/octahedral.h"
 #include "formats/png_image.h"
 #include "libbake/exact_internal.h"
+#include "libbake/exact_tree_internal.h"
 #include "tests/unit/libbake/triangle_scan.h"
 
 static char directory[64];
@@ -175,6 +176,35 @@ static void random_rays(struct bake_exact_ray *rays, uint64_t count, double low,
         if (r % 16 == 0) /* along an axis */
             for (int k = 0; k < 3; k++)
                 rays[r].direction[k] = k == (int)(r / 16 % 3) ? (r % 32 ? 1.0f : -1.0f) : 0.0f;
+    }
+}
+
+/* ---- the curve ---- */
+
+/* Each cell of a lattice has a place of its own, and neighbours on the curve are neighbours in
+ * space. */
+static void test_curve_goes_from_neighbour_to_neighbour(void **state)
+{
+    (void)state;
+    enum { CELLS = 16, ALL = CELLS * CELLS * CELLS };
+    static int cell_at[ALL];
+    static const float low[3] = {-2, 5, 0};
+    memset(cell_at, 0xff, sizeof cell_at);
+    for (int c = 0; c < ALL; c++) {
+        const int cell[3] = {c % CELLS, c / CELLS % CELLS, c / CELLS / CELLS};
+        float point[3];
+        for (int k = 0; k < 3; k++)
+            point[k] = low[k] + 3 * ((float)cell[k] + 0.5f) / CELLS;
+        const uint64_t place = exact_curve_place(point, low, 3) >> (33 - 12);
+        assert_in_range(place, 0, ALL - 1);
+        assert_int_equal(cell_at[place], -1);
+        cell_at[place] = c;
+    }
+    for (int p = 1; p < ALL; p++) {
+        int steps = 0;
+        for (int k = 1; k < ALL; k *= CELLS)
+            steps += abs(cell_at[p] / k % CELLS - cell_at[p - 1] / k % CELLS);
+        assert_int_equal(steps, 1);
     }
 }
 
@@ -781,6 +811,7 @@ static int remove_directory(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_curve_goes_from_neighbour_to_neighbour),
         cmocka_unit_test(test_soup_agrees_with_brute_force),
         cmocka_unit_test(test_hits_do_not_depend_on_chunks_threads_or_budget),
         cmocka_unit_test(test_whole_scan_in_embree_agrees),

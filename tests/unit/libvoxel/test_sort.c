@@ -954,13 +954,12 @@ static void positions_beyond_float_are_refused(void **state)
 }
 
 /* Nothing but degenerate triangles: a file without chunks. */
-static void a_scan_without_area_has_no_chunks(void **state)
+static void a_scan_without_area_is_refused(void **state)
 {
     struct fixture *f = *state;
-    expect_sorted(f, sort_text(f, "v 1 2 3\nf 1 1 1\n"));
-    assert_int_equal(f->report.triangles, 0);
-    assert_int_equal(f->report.degenerate_triangles, 1);
-    read_sorted(f, NULL, NULL);
+    assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\n"), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "none of the scan's 1 triangles has an area"));
+    assert_int_not_equal(access(f->tris, F_OK), 0);
 }
 
 static void too_little_memory_is_refused(void **state)
@@ -1058,7 +1057,7 @@ int main(void)
         TEST(indices_out_of_range_are_located),
         TEST(scans_without_faces_are_refused),
         TEST(positions_beyond_float_are_refused),
-        TEST(a_scan_without_area_has_no_chunks),
+        TEST(a_scan_without_area_is_refused),
         TEST(too_little_memory_is_refused),
         TEST(memory_may_run_out_anywhere),
         TEST(an_unwritable_place_is_refused),
