@@ -27,21 +27,26 @@ CPPFLAGS += -I. -I$(BUILD)/gen -D_GNU_SOURCE -D_FILE_OFFSET_BITS=64 -DBSQ_VERSIO
 common   := $(opt.$(config)) $(ARCH) -ffp-contract=off -fno-math-errno -fPIC -pthread -MMD -MP
 CFLAGS   += -std=c11 $(WARN) $(common)
 CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
+# A program loads only the shared libraries that it calls.
+LDFLAGS  += -Wl,--as-needed
 
-pc_formats := OpenEXR libpng OpenImageIO libxxhash
+pc_formats := OpenEXR libpng libxxhash
+pc_texture := OpenImageIO Imath
 pc_tools   := jansson
 # Only asked where something is compiled, so that help and deps work on a bare machine.
-formats_cppflags = $(shell pkg-config --cflags $(pc_formats))
+formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture)) $(module_cppflags)
 LIBS.base    := -lm
-LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lopenvdb -ltbb -lz
-LIBS.bake    := -ldl -lembree3
+LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
+LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
+LIBS.openvdb  = -lopenvdb -ltbb $(shell pkg-config --libs Imath)
+LIBS.bake    := -ldl
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
 libs := base formats libvoxel libbake
 src.base     := $(wildcard base/*.c)
-src.formats  := $(wildcard formats/*.c formats/*.cc)
+src.formats  := $(wildcard formats/*.c)
 src.libvoxel := $(wildcard libvoxel/*.c)
-src.libbake  := $(wildcard libbake/*.c libbake/kernel/*.c) 
+src.libbake  := $(wildcard libbake/*.c libbake/kernel/*.c)
 objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1)))
 archive.base     := $(BUILD)/lib/libbisque-base.a
 archive.formats  := $(BUILD)/lib/libbisque-formats.a
@@ -49,12 +54,23 @@ archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
 archive.libbake  := $(BUILD)/lib/libbisque-bake.a
 archives := $(foreach l,$(libs),$(archive.$(l)))
 
+# Parts of formats that are opened at their first use, see formats/module.c. The stamp says that both
+# sides were compiled with the same headers between them.
+modules      := texture openvdb
+src.texture  := formats/texture_oiio.cc formats/texture_pyramid.cc
+src.openvdb  := formats/vdb_export_openvdb.cc base/octahedral.c
+module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
+module_headers  := $(addprefix base/,context.h file.h output.h parallel.h) \
+    $(addprefix formats/,module_internal.h nvdb.h texture.h)
+module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
+    -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
+
 programs := bisque-voxelize bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
 
 .PHONY: all
-## all: build the libraries and programs (default), into build/$(config)/
-all: $(archives) $(bins)
+## all: build the libraries, modules and programs (default), into build/$(config)/
+all: $(archives) $(module_files) $(bins)
 
 $(BUILD)/obj/%.c.o: %.c
 	@mkdir -p $(@D)
@@ -72,6 +88,16 @@ $(archive.$(1)): $$(call objs,$(1))
 endef
 $(foreach l,$(libs),$(eval $(call archive_rule,$(l))))
 
+# A call that is not in the host's table fails here; Clang leaves its sanitizers' own to the program.
+no_undefined := $(if $(filter fuzz,$(config)),,-Wl,-z,defs)
+define module_rule
+$(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module.map
+	@mkdir -p $$(@D)
+	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) -Wl,--version-script=formats/module.map -o $$@ \
+	    $$(filter %.o,$$^) $$(LIBS.$(1))
+endef
+$(foreach m,$(modules),$(eval $(call module_rule,$(m))))
+
 # The kernel's source, flattened, as an array in the library: OpenCL compiles it at run time.
 kernel_sources := $(wildcard libbake/kernel/*.h libbake/kernel/*.cl)
 $(BUILD)/gen/kernel_source.inc: libbake/kernel/embed.awk $(kernel_sources)
@@ -82,7 +108,7 @@ $(call objs,libbake): | $(BUILD)/gen/kernel_source.inc
 tool_common := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(programs:bisque-%=tools/%.c),$(wildcard tools/*.c)))
 $(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/%.c.o $(tool_common) $(archives)
 	@mkdir -p $(@D)
-	$(CXX) $(common) -o $@ $< $(tool_common) $(archive.libvoxel) $(archive.libbake) \
+	$(CC) $(common) $(LDFLAGS) -o $@ $< $(tool_common) $(archive.libvoxel) $(archive.libbake) \
 	    $(archive.formats) $(archive.base) $(LIBS.tools) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 
 # ---- tests ----
@@ -96,11 +122,17 @@ needs.libbake  := $(archive.libbake) $(archive.formats) $(archive.base)
 # Helpers that several tests of one library share: tests/unit/LIB/*.c that do not begin with test_.
 helpers = $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(unit_sources),$(wildcard tests/unit/$(1)/*.c)))
 .SECONDEXPANSION:
-$(unit_bins): $(BUILD)/tests/%: $$(patsubst $$(percent),$(BUILD)/obj/$$(percent).o,$$(wildcard tests/unit/$$*.c tests/unit/$$*.cc)) $$(needs.$$(firstword $$(subst /, ,$$*))) $$(call helpers,$$(firstword $$(subst /, ,$$*)))
+$(unit_bins): $(BUILD)/tests/%: $$(patsubst $$(percent),$(BUILD)/obj/$$(percent).o,$$(wildcard tests/unit/$$*.c tests/unit/$$*.cc)) $$(needs.$$(firstword $$(subst /, ,$$*))) $$(call helpers,$$(firstword $$(subst /, ,$$*))) | $$(if $$(filter base/$$(percent),$$*),,$(module_files) $(BUILD)/tests/lib)
 	@mkdir -p $(@D)
-	$(CXX) $(common) -o $@ $(filter %.o,$^) $(needs.$(firstword $(subst /, ,$*))) -lcmocka \
-	    $(if $(filter base,$(firstword $(subst /, ,$*))),,$(LIBS.formats) $(LIBS.bake)) $(LIBS.base)
+	$(CXX) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(needs.$(firstword $(subst /, ,$*))) -lcmocka \
+	    $(if $(filter base,$(firstword $(subst /, ,$*))),,$(LIBS.formats) $(LIBS.bake) $(LIBS.tests)) $(LIBS.base)
 percent := %
+# Other programs' readers and tracers, which some tests compare with.
+LIBS.tests = $(LIBS.openvdb) -lembree3
+# Tests find the modules as programs do, in ../lib/bisque.
+$(BUILD)/tests/lib:
+	@mkdir -p $(@D)
+	ln -sfn ../lib $@
 
 # The scan generator and the checkers of maps.
 scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
@@ -109,13 +141,13 @@ checkers  := $(BUILD)/tests/check-vase $(BUILD)/tests/check-mesh
 $(generator): $(call scan_objs,generate generate_vase generate_amplified text_writer vase)
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lm
-$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.formats) $(archive.base)
+$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.formats) $(archive.base) | $(module_files)
 	@mkdir -p $(@D)
-	$(CXX) $(common) -o $@ $^ $(LIBS.formats) $(LIBS.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
 
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
-unit: $(unit_bins)
+unit: $(unit_bins) $(module_files)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(unit_bins) $(generator) $(checkers)
@@ -131,8 +163,8 @@ check: deps
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
-    libembree-dev libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
-packages_test  := libcmocka-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 jq mandoc
+    libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
+packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 jq mandoc
 packages := $(packages_build) $(packages_test)
 jobs ?= $(shell nproc)
 
@@ -197,27 +229,31 @@ lint: $(BUILD)/gen/kernel_source.inc
 # ---- installation ----
 bindir = $(DESTDIR)$(prefix)/bin
 libdir = $(DESTDIR)$(prefix)/lib
+moddir = $(libdir)/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 public_headers := base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 
 .PHONY: install uninstall
-## install: programs, man pages, libraries, headers and pkg-config files, under prefix=/usr/local
+## install: programs, man pages, libraries, modules, headers and pkg-config files, under prefix=/usr/local
 install: all
-	install -d $(bindir) $(libdir)/pkgconfig $(mandir) $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
+	install -d $(bindir) $(libdir)/pkgconfig $(moddir) $(mandir) $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
+	install -m 644 $(module_files) $(moddir)
 	install -m 644 $(archives) $(libdir)
+	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module_directory.c -o $(moddir)/module_directory.c.o
+	$(AR) r $(libdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
+	rm $(moddir)/module_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
 	for lib in voxel bake; do sed -e 's|@prefix@|$(prefix)|; s|@version@|$(VERSION)|' \
-	    -e 's|@libs@|$(LIBS.formats) $(LIBS.bake) $(LIBS.base) -lstdc++|' \
 	    tools/bisque-$$lib.pc.in > $(libdir)/pkgconfig/bisque-$$lib.pc; done
 
 ## uninstall: remove what install put there
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(addprefix $(libdir)/,$(notdir $(archives))) $(libdir)/pkgconfig/bisque-*.pc
-	rm -rf $(incdir)
+	rm -rf $(incdir) $(moddir)
 
 .PHONY: clean
 ## clean: remove everything that was built

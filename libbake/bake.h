@@ -1,4 +1,5 @@
-/* bake.h - stage 2: rays from a low mesh to the scan, as a voxel grid or as triangles, give texture maps. */
+/* bake.h - stage 2: rays from a low mesh to the scan, as a voxel grid or as its triangles, give
+ * texture maps. */
 #ifndef BAKE_BAKE_H
 #define BAKE_BAKE_H
 
@@ -33,7 +34,8 @@ enum bake_format {
 };
 
 struct bake_options {
-    const char *scan_path; /* grid (.nvdb) or, for exact maps, chunk file (.tris); told apart by content */
+    /* A grid (.nvdb), or for exact maps a chunk file (.tris); told apart by content. */
+    const char *scan_path;
     const char *mesh_path; /* low mesh, OBJ with texture coordinates */
     uint32_t maps;         /* of enum bake_map, or-ed */
     /* Output path; "<MAP>" in it stands for normal, color, mask, and must be there when there

@@ -40,7 +40,7 @@ struct exact_smooth {
     uint32_t table_mask;
     uint32_t *entry_of; /* of each vertex of the chunk; UINT32_MAX: not needed */
     float (*positions)[3];
-    double (*sums)[3];
+    double (*sums)[4]; /* of cross products, and of their lengths */
     uint32_t count;
 };
 

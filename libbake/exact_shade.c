@@ -47,14 +47,18 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
 
 /* ---- normals ---- */
 
-/* Adds a vertex's unit normal; nothing where its triangles cancel each other. */
-static void add_smooth(const struct exact_smooth *smooth, uint32_t vertex, double weight,
-                       double sum[3])
+/* Adds the unit normal of a corner: its vertex's, or the triangle's own at a crease. */
+static void add_smooth(const struct place *place, int corner, double sum[3])
 {
-    const double *n = smooth->sums[smooth->entry_of[vertex]];
-    const double length = sqrt(dot(n, n));
-    for (int k = 0; k < 3 && length > 0; k++)
-        sum[k] += weight * (n[k] / length);
+    const struct exact_smooth *smooth = &place->slot->smooth;
+    const double *n = smooth->sums[smooth->entry_of[place->v[corner]]];
+    double length = sqrt(dot(n, n));
+    if (!(length >= FMT_TRIS_CREASE_SHARE * n[3]) || !(length > 0)) {
+        n = place->cross;
+        length = sqrt(dot(n, n));
+    }
+    for (int k = 0; k < 3; k++)
+        sum[k] += place->w[corner] * (n[k] / length);
 }
 
 static void shade_normal(const struct bake_exact *exact, const struct place *place, float out[3])
@@ -68,7 +72,7 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
             n[1] += place->w[i] * (double)unit.y;
             n[2] += place->w[i] * (double)unit.z;
         } else if (exact->options.normals == BAKE_SCAN_NORMALS_SMOOTH) {
-            add_smooth(&place->slot->smooth, place->v[i], place->w[i], n);
+            add_smooth(place, i, n);
         }
     }
     double length = sqrt(dot(n, n));

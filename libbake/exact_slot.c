@@ -152,17 +152,11 @@ bool exact_slot_trace(const struct exact_slot *slot, uint64_t first,
 {
     const struct exact_tree *tree = &slot->tree;
     struct entry stack[EXACT_TREE_STACK];
-    struct trace trace;
+    struct trace trace = {.slot = slot, .first = first, .limits = limits, .ray = ray, .best = best};
     float distances[4];
     uint32_t depth = 1;
     if (!exact_line_set(&trace.line, ray->origin, ray->direction))
         return false;
-    trace.slot = slot;
-    trace.first = first;
-    trace.limits = limits;
-    trace.ray = ray;
-    trace.best = best;
-    trace.sheared = trace.improved = false;
     set_span(&trace);
     stack[0] = (struct entry){0, tree->levels - 1, 0};
     while (depth > 0) {

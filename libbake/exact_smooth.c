@@ -6,6 +6,7 @@
  * ask for are summed, and only chunks that reach to those vertices are read. */
 #include "libbake/exact_scene_internal.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -117,9 +118,15 @@ static void add_triangles(struct exact_smooth *s, const struct fmt_tris_chunk *c
         }
         const double cross[3] = {p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2],
                                  p[0] * q[1] - p[1] * q[0]};
-        for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 3 && map[v[i]] != NO_ENTRY; k++)
+        const double length =
+            sqrt(cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]);
+        for (int i = 0; i < 3; i++) {
+            if (map[v[i]] == NO_ENTRY)
+                continue;
+            for (int k = 0; k < 3; k++)
                 s->sums[map[v[i]]][k] += cross[k];
+            s->sums[map[v[i]]][3] += length;
+        }
     }
 }
 

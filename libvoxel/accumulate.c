@@ -180,16 +180,12 @@ static inline int add_pieces(struct target *t, const struct vox_box *cells,
     return vox_clip(&triangle, t->region, window, add_piece, t);
 }
 
-/* A corner's normal that says nothing, or that was smoothed over a crease, gives way to the triangle's own. Normals
- * of the scan itself are believed even where the winding says otherwise. */
-static void settle_normals(struct target *t, bool smoothed)
+/* A corner without a normal has the triangle's own. Normals are believed even where the winding says otherwise. */
+static void settle_normals(struct target *t)
 {
-    for (int i = 0; i < 3; i++) {
-        double *normal = t->corners.normal[i];
-        bool crease = smoothed && vox_dot(normal, t->corners.flat) < FMT_TRIS_CREASE_COSINE;
-        if (crease || !(vox_dot(normal, normal) > 0.0))
-            memcpy(normal, t->corners.flat, sizeof t->corners.flat);
-    }
+    for (int i = 0; i < 3; i++)
+        if (!(vox_dot(t->corners.normal[i], t->corners.normal[i]) > 0.0))
+            memcpy(t->corners.normal[i], t->corners.flat, sizeof t->corners.flat);
 }
 
 static int add_group(struct target *t, const struct vox_lattice *lattice,
@@ -210,7 +206,7 @@ static int add_group(struct target *t, const struct vox_lattice *lattice,
         measure(t);
         vox_shade_corners(t->shading, chunk, i, &t->corners);
         if (t->corners.has_normals)
-            settle_normals(t, chunk->smoothed);
+            settle_normals(t);
         measure_arcs(t);
         bool one = true;
         for (int a = 0; a < 3; a++)

@@ -113,7 +113,6 @@ static int make_normals(const struct vox_chunks *c, uint32_t chunk, struct slot 
     float(*normals)[3] = (float(*)[3])(void *)(slot->memory + c->normals_at);
     int status = 0;
     content->normals = NULL;
-    content->smoothed = !content->source.normals;
     content->coarse = is_coarse(&content->source, content->points);
     if (content->source.normals)
         unpack_normals(&content->source, normals);

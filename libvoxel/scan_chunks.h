@@ -15,8 +15,7 @@ struct vox_chunk {
     struct fmt_tris_chunk source;
     const double (*points)[3];    /* positions in lattice coordinates */
     const float (*normals)[3];    /* unit, or zero; NULL: those of the triangles */
-    bool smoothed; /* the normals were made here, and end at creases */
-    bool coarse;   /* triangles are large enough for their facets to show in the grid */
+    bool coarse; /* triangles are large enough for their facets to show in the grid */
     const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
     uint32_t group_count;
 };

@@ -17,7 +17,7 @@ struct vox_smooth {
     uint32_t slot_mask; /* table size - 1 */
     uint32_t *table;    /* positions, open addressing: vertex number + 1, 0 is free */
     uint32_t *twins;    /* of each vertex of the chunk: the first vertex at its position */
-    double (*sums)[3];  /* of each vertex that is its own twin */
+    double (*sums)[4];  /* of area vectors and their lengths, of each vertex that is its own twin */
     void *scratch;      /* one decoded neighbour */
 };
 
@@ -44,7 +44,7 @@ uint64_t vox_smooth_bytes(const struct fmt_tris_file *file)
 {
     uint64_t vertices = largest_vertex_count(file);
     return sizeof(struct vox_smooth) + table_size(vertices) * sizeof(uint32_t) +
-           vertices * (sizeof(uint32_t) + sizeof(double[3])) + fmt_tris_load_size_max(file);
+           vertices * (sizeof(uint32_t) + sizeof(double[4])) + fmt_tris_load_size_max(file);
 }
 
 int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
@@ -130,7 +130,8 @@ static void enter_vertices(struct vox_smooth *s, const struct fmt_tris_chunk *ch
 
 /* ---- sums ---- */
 
-static void area_normal(const float a[3], const float b[3], const float c[3], double n[3])
+/* Twice the area vector, and its length. */
+static void area_vector(const float a[3], const float b[3], const float c[3], double n[4])
 {
     double u[3], v[3];
     for (int k = 0; k < 3; k++) {
@@ -140,11 +141,12 @@ static void area_normal(const float a[3], const float b[3], const float c[3], do
     n[0] = u[1] * v[2] - u[2] * v[1];
     n[1] = u[2] * v[0] - u[0] * v[2];
     n[2] = u[0] * v[1] - u[1] * v[0];
+    n[3] = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
 }
 
-static void add(double sum[3], const double n[3])
+static void add(double sum[4], const double n[4])
 {
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < 4; k++)
         sum[k] += n[k];
 }
 
@@ -152,8 +154,8 @@ static void add_own(struct vox_smooth *s, const struct fmt_tris_chunk *chunk)
 {
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         const uint32_t *v = chunk->triangles[t];
-        double n[3];
-        area_normal(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
+        double n[4];
+        area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
         for (int i = 0; i < 3; i++)
             add(s->sums[s->twins[v[i]]], n);
     }
@@ -176,10 +178,10 @@ static void add_neighbour(struct vox_smooth *s, const struct fmt_tris_chunk *chu
         for (int i = 0; i < 3; i++) {
             const float *p = other->positions[v[i]];
             uint32_t slot;
-            double n[3];
+            double n[4];
             if (!inside(info, p) || !s->table[slot = find_slot(s, chunk, p)])
                 continue;
-            area_normal(other->positions[v[0]], other->positions[v[1]], other->positions[v[2]], n);
+            area_vector(other->positions[v[0]], other->positions[v[1]], other->positions[v[2]], n);
             add(s->sums[s->table[slot] - 1], n);
         }
     }
@@ -220,8 +222,9 @@ int vox_smooth_normals(struct vox_smooth *s, uint64_t index, const struct fmt_tr
     for (uint32_t v = 0; status == 0 && v < chunk->vertex_count; v++) {
         const double *n = s->sums[s->twins[v]];
         double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        bool smooth = length > 0 && length >= FMT_TRIS_CREASE_SHARE * n[3];
         for (int k = 0; k < 3; k++)
-            normals[v][k] = length > 0 ? (float)(n[k] / length) : 0.0f;
+            normals[v][k] = smooth ? (float)(n[k] / length) : 0.0f;
     }
     pthread_mutex_unlock(&s->lock);
     return status;

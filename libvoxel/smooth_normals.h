@@ -16,7 +16,7 @@ void vox_smooth_destroy(struct vox_smooth *smooth); /* NULL is allowed */
 
 /* Area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices at the same position are
  * one, whichever chunk they are in. `chunk` is number `index`, decoded; `normals` has one entry a
- * vertex: unit length, or zero where the triangles around it cancel. The sums run in the order of triangles in
+ * vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE). The sums run in the order of triangles in
  * the file, so the result does not depend on who asks when. Thread-safe; calls wait for each other. */
 int vox_smooth_normals(struct vox_smooth *smooth, uint64_t index,
                        const struct fmt_tris_chunk *chunk, float (*normals)[3]);

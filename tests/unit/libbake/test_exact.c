@@ -622,37 +622,59 @@ static void test_smooth_normals_across_borders(void **state)
     triangle_scan_free(&mesh);
 }
 
-/* A seam in texture space repeats vertices; it must not show in the normals. */
-static void test_smooth_normals_ignore_repeated_vertices(void **state)
+/* A roof of this height: two squares that meet in the ridge x = 0, whose vertices differ in their colours. */
+static struct triangle_scan make_roof(float height)
 {
-    (void)state;
-    /* A roof: two squares that meet in the ridge x = 0, whose vertices differ in their colours. */
-    static const float corners[8][3] = {{-1, 0, 0}, {0, 0, 1}, {0, 2, 1}, {-1, 2, 0},
-                                        {0, 0, 1},  {1, 0, 0}, {1, 2, 0}, {-0.0f, 2, 1}};
+    const float corners[8][3] = {{-1, 0, 0},      {0, 0, height}, {0, 2, height}, {-1, 2, 0},
+                                 {0, 0, height},  {1, 0, 0},      {1, 2, 0},      {-0.0f, 2, height}};
     struct triangle_scan mesh = triangle_scan_new(8, 4);
     memcpy(mesh.positions, corners, sizeof corners);
     memcpy(mesh.triangles, (uint32_t[4][3]){{0, 1, 2}, {0, 2, 3}, {4, 5, 6}, {4, 6, 7}}, 48);
     mesh.attributes = FMT_TRIS_COLORS;
     for (uint32_t v = 4; v < 8; v++)
         mesh.colors[v] = 0xffffff;
+    return mesh;
+}
+
+/* A seam in texture space repeats vertices; it must not show in the normals. */
+static void test_smooth_normals_ignore_repeated_vertices(void **state)
+{
+    (void)state;
+    const float height = 0.25f;
+    struct triangle_scan mesh = make_roof(height);
     struct setup setup = {.threads = 1, .t_min = -2, .t_max = 2};
     for (uint32_t chunk = 1; chunk <= 4; chunk++) {
         write_scan(&mesh, chunk);
         /* The ridge's front vertex has one triangle of the left square and two of the right one. */
-        const double left[3] = {-2, 0, 2}, right[3] = {2, 0, 2};
+        const double left[3] = {-0.5, 0, 2}, right[3] = {0.5, 0, 2};
         double sum[3], length = 0;
         for (int k = 0; k < 3; k++) {
             sum[k] = left[k] + 2 * right[k];
             length += sum[k] * sum[k];
         }
         struct bake_exact_hit hit = trace_one(&setup, 0, 0, 0, 1);
-        assert_true(hit.t == 1.0);
+        assert_true(hit.t == (double)height);
         for (int k = 0; k < 3; k++)
             assert_true(fabs((double)hit.normal[k] - sum[k] / sqrt(length)) < 1e-6);
     }
     setup.flat = true;
     struct bake_exact_hit hit = trace_one(&setup, 0.25f, 0.5f, 0, 1);
-    assert_true(fabs((double)hit.normal[0] - sqrt(0.5)) < 1e-6);
+    assert_true(fabs((double)hit.normal[0] - 0.25 / sqrt(1.0625)) < 1e-6);
+    triangle_scan_free(&mesh);
+}
+
+/* Steep roofs keep the normals of their sides up to the ridge. */
+static void test_smooth_normals_end_at_creases(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = make_roof(1);
+    struct setup setup = {.threads = 1, .t_min = -2, .t_max = 2};
+    write_scan(&mesh, 2);
+    for (int side = -1; side <= 1; side += 2) {
+        struct bake_exact_hit hit = trace_one(&setup, (float)side * 1e-3f, 1, 0, 1);
+        assert_true(fabs((double)hit.normal[0] - side * sqrt(0.5)) < 1e-6);
+        assert_true(fabs((double)hit.normal[2] - sqrt(0.5)) < 1e-6);
+    }
     triangle_scan_free(&mesh);
 }
 
@@ -823,6 +845,7 @@ int main(void)
         cmocka_unit_test(test_rays_that_are_none_find_nothing),
         cmocka_unit_test(test_smooth_normals_across_borders),
         cmocka_unit_test(test_smooth_normals_ignore_repeated_vertices),
+        cmocka_unit_test(test_smooth_normals_end_at_creases),
         cmocka_unit_test(test_vertex_normals_are_interpolated),
         cmocka_unit_test(test_vertex_colors_mix_in_linear_light),
         cmocka_unit_test(test_textures_and_materials),

@@ -283,6 +283,15 @@ static void test_errors_name_the_reason(void **state)
     options = options_for(0, in_directory("<MAP>.exr"));
     options.scan_path = low_path;
     expect_failure(&options, BSQ_EDATA, "low.obj");
+    /* A chart too small to hold a sample. */
+    FILE *file = fopen(in_directory("tiny.obj"), "w");
+    fprintf(file, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0.5\nvt 0.5001 0.5\nvt 0.5 0.5001\n"
+                  "f 1/1 2/2 3/3\n");
+    fclose(file);
+    options = options_for(0, in_directory("<MAP>.exr"));
+    options.mesh_path = in_directory("tiny.obj");
+    expect_failure(&options, BSQ_EDATA, "no texel lies in a triangle");
+    unlink(in_directory("tiny.obj"));
 }
 
 static void test_colour_is_known_beforehand(void **state)

@@ -1,24 +1,19 @@
-/* vdb_export.cc - a grid as an OpenVDB file.
+/* vdb_export_openvdb.cc - a grid as an OpenVDB file; the module bisque-openvdb.so.
  *
- * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets some fifty, and it
- * writes an archive from whole grids in memory. What that takes is known from the node counts and
- * is reserved before anything is built. */
+ * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets some fifty. */
 #include <cmath>
-#include <cstdio>
-#include <cstring>
 #include <exception>
 #include <new>
 
 #include <openvdb/io/File.h>
 #include <openvdb/openvdb.h>
 #include <tbb/task_arena.h>
-#include <xxhash.h>
 
 extern "C" {
 #include "base/octahedral.h"
 }
+#include "formats/module_internal.h"
 #include "formats/nvdb_layout_internal.h"
-#include "formats/vdb_export.h"
 
 namespace
 {
@@ -30,6 +25,7 @@ struct described {
 
 /* What a tree takes its values from. */
 struct source {
+    const fmt_host *host;
     bsq_ctx *ctx;
     const fmt_nvdb_grid *grid;
     float linear[256]; /* of sRGB bytes */
@@ -72,7 +68,7 @@ template <typename ValueT, typename TreeT> void fill_tree(const source &from, Tr
     ValueT value;
     for (uint32_t i = 0; i < from.grid->leaf_count; i++) {
         if (i % 4096 == 0) {
-            int status = bsq_check(from.ctx);
+            int status = from.host->check(from.ctx);
             if (status)
                 throw described{status};
         }
@@ -101,10 +97,10 @@ template <typename TreeT> uint64_t tree_bytes(const fmt_nvdb_grid &grid)
            grid.upper_count * (sizeof(upper_type) + uint64_t(128));
 }
 
-uint64_t export_bytes(const fmt_nvdb_grid &grid)
+uint64_t export_bytes(const fmt_nvdb_grid *grid)
 {
-    uint64_t vectors = tree_bytes<openvdb::Vec3STree>(grid);
-    return tree_bytes<openvdb::MaskTree>(grid) + (grid.colors ? 2 * vectors : vectors);
+    uint64_t vectors = tree_bytes<openvdb::Vec3STree>(*grid);
+    return tree_bytes<openvdb::MaskTree>(*grid) + (grid->colors ? 2 * vectors : vectors);
 }
 
 template <typename ValueT>
@@ -139,63 +135,39 @@ void write_archive(const source &from, const char *path)
     file.write(grids, meta);
 }
 
-/* OpenVDB stamps each file with a random UUID as text behind magic number, versions and a flag. One
- * that follows from the grid makes equal grids equal files. */
-int replace_uuid(bsq_output *output, const fmt_nvdb_grid *grid)
-{
-    nvdb_layout layout;
-    nvdb_layout_of(grid, &layout);
-    const nvdb_record *record = nvdb_record_of(grid, &layout);
-    XXH128_hash_t hash = XXH3_128bits(record, sizeof(*record));
-    char uuid[37];
-    std::snprintf(uuid, sizeof(uuid), "%08x-%04x-8%03x-%04x-%012llx", uint32_t(hash.high64 >> 32),
-                  uint32_t(hash.high64 >> 16 & 0xffff), uint32_t(hash.high64 & 0xfff),
-                  uint32_t(hash.low64 >> 48 & 0x3fff) | 0x8000,
-                  static_cast<unsigned long long>(hash.low64 & 0xffffffffffff));
-    return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
-}
-
 /* Nothing may be thrown past here. */
 int export_to(source &from, const char *temp_path, const char *path) noexcept
 {
     try {
-        tbb::task_arena arena(int(bsq_threads(from.ctx)));
+        tbb::task_arena arena(int(from.host->threads(from.ctx)));
         arena.execute([&] { write_archive(from, temp_path); });
         return 0;
     } catch (const described &failure) {
         return failure.status;
     } catch (const std::bad_alloc &) {
-        return bsq_fail(from.ctx, BSQ_ENOMEM, "%s: no memory for the OpenVDB export", path);
+        return from.host->fail(from.ctx, BSQ_ENOMEM, "%s: no memory for the OpenVDB export", path);
     } catch (const std::exception &failure) {
-        return bsq_fail(from.ctx, BSQ_EIO, "%s: OpenVDB cannot write it: %s", path, failure.what());
+        return from.host->fail(from.ctx, BSQ_EIO, "%s: OpenVDB cannot write it: %s", path,
+                               failure.what());
     } catch (...) {
-        return bsq_fail(from.ctx, BSQ_EIO, "%s: OpenVDB cannot write it", path);
+        return from.host->fail(from.ctx, BSQ_EIO, "%s: OpenVDB cannot write it", path);
     }
 }
 
-} // namespace
-
-int fmt_vdb_export(bsq_ctx *ctx, const fmt_nvdb_grid *grid, const char *path)
+int write_file(const fmt_host *host, bsq_ctx *ctx, const fmt_nvdb_grid *grid, const char *temp_path,
+               const char *path)
 {
-    source from = {ctx, grid, {}};
+    source from = {host, ctx, grid, {}};
     for (int i = 0; i < 256; i++) {
         double s = i / 255.0;
         from.linear[i] = float(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
     }
-    bsq_output *output;
-    int status = bsq_output_open(ctx, path, &output);
-    if (status)
-        return status;
-    uint64_t bytes = export_bytes(*grid);
-    status = bsq_reserve(ctx, "the grids of the OpenVDB export", bytes);
-    if (status == 0) {
-        status = export_to(from, bsq_output_temp_path(output), path);
-        bsq_release(ctx, bytes);
-    }
-    if (status == 0)
-        status = replace_uuid(output, grid);
-    if (status == 0)
-        return bsq_output_commit(output);
-    bsq_output_discard(output);
-    return status;
+    return export_to(from, temp_path, path);
+}
+
+} // namespace
+
+extern "C" {
+extern const fmt_vdb_module bisque_module;
+const fmt_vdb_module bisque_module = {{FMT_MODULE_STAMP}, export_bytes, write_file};
 }

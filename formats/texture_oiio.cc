@@ -1,4 +1,5 @@
-// texture.cc - filtered lookups of linear light in images of any size, over OpenImageIO.
+// texture_oiio.cc - filtered lookups of linear light in images of any size, over OpenImageIO; the
+// module bisque-texture.so.
 //
 // A lookup is the exact average of the image, taken as one constant square a texel, over a box of
 // at least one texel: with a box of one texel that is bilinear interpolation. Texels come from a
@@ -10,7 +11,7 @@
 // one pass over its rows; so damaged files are found then. Scanline files that do not fit the cache
 // are written to a temporary tiled file in that pass: a PNG or JPEG read in any order but downwards
 // is decoded from its first row again each time.
-#include "formats/texture.h"
+#include "formats/module_internal.h"
 
 #include <OpenImageIO/imagecache.h>
 #include <OpenImageIO/imageio.h>
@@ -28,9 +29,11 @@
 #include <half.h>
 #include <unistd.h>
 
-#include "base/file.h"
-#include "base/parallel.h"
 #include "formats/texture_pyramid.h"
+
+extern "C" {
+extern const struct fmt_texture_module bisque_module;
+}
 
 namespace
 {
@@ -67,9 +70,9 @@ struct Image {
     fmt::Pyramid pyramid;
 };
 
-} // namespace
-
-struct fmt_textures {
+// What the caller's struct fmt_textures is.
+struct Textures : fmt_textures {
+    const struct fmt_host *host = nullptr;
     struct bsq_ctx *ctx = nullptr;
     uint64_t reserved = 0, tile_bytes = 0;
     int pyramid_level = first_pyramid_level;
@@ -80,9 +83,6 @@ struct fmt_textures {
     std::vector<std::unique_ptr<Transfer>> transfers;
 };
 
-namespace
-{
-
 // ---- colour ----
 
 double linear_from_srgb(double s)
@@ -90,7 +90,7 @@ double linear_from_srgb(double s)
     return s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4);
 }
 
-const float *find_table(struct fmt_textures *textures, unsigned bits, double gamma)
+const float *find_table(Textures *textures, unsigned bits, double gamma)
 {
     for (const auto &transfer : textures->transfers)
         if (transfer->bits == bits && transfer->gamma == gamma)
@@ -128,7 +128,7 @@ uint64_t decoded_bytes(const Image &image)
     return uint64_t(image.width) * image.height * unsigned(image.channels) * image.type.size();
 }
 
-std::unique_ptr<ImageInput> open_input(struct bsq_ctx *ctx, const std::string &path, int *status)
+std::unique_ptr<ImageInput> open_input(Textures *textures, const std::string &path, int *status)
 {
     ImageSpec config;
     config["oiio:UnassociatedAlpha"] = 1;
@@ -136,8 +136,8 @@ std::unique_ptr<ImageInput> open_input(struct bsq_ctx *ctx, const std::string &p
     if (!input) {
         std::string reason = OIIO::geterror();
         std::replace(reason.begin(), reason.end(), '\n', ' ');
-        *status =
-            bsq_fail(ctx, BSQ_EDATA, "%s: not a readable image: %s", path.c_str(), reason.c_str());
+        *status = textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a readable image: %s",
+                                       path.c_str(), reason.c_str());
         return nullptr;
     }
     input->threads(1);
@@ -145,18 +145,19 @@ std::unique_ptr<ImageInput> open_input(struct bsq_ctx *ctx, const std::string &p
     return input;
 }
 
-int describe(struct fmt_textures *textures, const char *path, Image &image)
+int describe(Textures *textures, const char *path, Image &image)
 {
     int status;
     image.path = image.cached_path = path;
     if (access(path, R_OK))
-        return bsq_fail_errno(textures->ctx, BSQ_ENOINPUT, errno, "%s", path);
-    auto input = open_input(textures->ctx, image.path, &status);
+        return textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, errno, "%s", path);
+    auto input = open_input(textures, image.path, &status);
     if (!input)
         return status;
     const ImageSpec &spec = input->spec();
     if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1)
-        return bsq_fail(textures->ctx, BSQ_EDATA, "%s: not a two-dimensional image", path);
+        return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a two-dimensional image",
+                                    path);
     image.width = uint32_t(spec.width);
     image.height = uint32_t(spec.height);
     image.x = spec.x;
@@ -172,7 +173,7 @@ int describe(struct fmt_textures *textures, const char *path, Image &image)
 }
 
 // Divides the cache between the pyramids, from a level that fits, and tiles.
-int share_cache(struct fmt_textures *textures)
+int share_cache(Textures *textures)
 {
     uint64_t bytes = 0, decoded = 0;
     for (int level = first_pyramid_level;; level++) {
@@ -184,8 +185,9 @@ int share_cache(struct fmt_textures *textures)
             break;
     }
     if (bytes > textures->reserved / 2)
-        return bsq_fail(textures->ctx, BSQ_ENOMEM, "textures need a cache of more than %llu bytes",
-                        static_cast<unsigned long long>(textures->reserved));
+        return textures->host->fail(textures->ctx, BSQ_ENOMEM,
+                                    "textures need a cache of more than %llu bytes",
+                                    static_cast<unsigned long long>(textures->reserved));
     textures->tile_bytes = textures->reserved - bytes;
     for (const Image &image : textures->images)
         decoded += decoded_bytes(image);
@@ -214,9 +216,10 @@ void make_linear(const Image &image, const void *row, float *rgb)
 }
 
 // A tiled file without a name that rows of tiles are written to; reached as /proc/self/fd/N.
-int create_tiled(struct bsq_ctx *ctx, Image &image, std::unique_ptr<OIIO::ImageOutput> &output)
+int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOutput> &output)
 {
-    int status = bsq_file_temp(ctx, nullptr, "texture tiles", &image.temporary);
+    int status =
+        textures->host->file_temp(textures->ctx, nullptr, "texture tiles", &image.temporary);
     if (status)
         return status;
     image.cached_path = "/proc/self/fd/" + std::to_string(image.temporary.fd);
@@ -225,14 +228,15 @@ int create_tiled(struct bsq_ctx *ctx, Image &image, std::unique_ptr<OIIO::ImageO
     spec["compression"] = "none";
     output = OIIO::ImageOutput::create("tiff");
     if (!output || !output->open(image.cached_path, spec))
-        return bsq_fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
-                        output ? output->geterror().c_str() : OIIO::geterror().c_str());
+        return textures->host->fail(textures->ctx, BSQ_EIO, "%s: cannot write its tiles: %s",
+                                    image.path.c_str(),
+                                    output ? output->geterror().c_str() : OIIO::geterror().c_str());
     output->threads(1);
     image.x = image.y = 0;
     return 0;
 }
 
-int read_rows(struct bsq_ctx *ctx, const Image &image, ImageInput &input, uint32_t first,
+int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_t first,
               uint32_t end, void *rows)
 {
     const ImageSpec &spec = input.spec();
@@ -246,31 +250,33 @@ int read_rows(struct bsq_ctx *ctx, const Image &image, ImageInput &input, uint32
         return 0;
     std::string reason = input.geterror();
     std::replace(reason.begin(), reason.end(), '\n', ' ');
-    return bsq_fail(ctx, BSQ_EDATA, "%s: damaged image: %s", image.path.c_str(), reason.c_str());
+    return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: damaged image: %s",
+                                image.path.c_str(), reason.c_str());
 }
 
 // Makes the pyramid and, where `rewrite`, the tiled copy.
-int pass_over(struct fmt_textures *textures, Image &image)
+int pass_over(Textures *textures, Image &image)
 {
+    const struct fmt_host *host = textures->host;
     struct bsq_ctx *ctx = textures->ctx;
     std::unique_ptr<OIIO::ImageOutput> output;
     void *rows = nullptr;
     int status;
-    auto input = open_input(ctx, image.path, &status);
+    auto input = open_input(textures, image.path, &status);
     if (!input)
         return status;
-    if (textures->rewrite && !image.tiled && (status = create_tiled(ctx, image, output)))
+    if (textures->rewrite && !image.tiled && (status = create_tiled(textures, image, output)))
         return status;
     size_t row_bytes = size_t(image.width) * size_t(image.channels) * image.type.size();
     uint32_t strip = image.tiled ? uint32_t(input->spec().tile_height) : uint32_t(tile_size);
     strip = std::min(strip, image.height);
-    if ((status = bsq_alloc(ctx, "texture rows", strip, row_bytes, &rows)))
+    if ((status = host->alloc(ctx, "texture rows", strip, row_bytes, &rows)))
         return status;
     image.pyramid = fmt::Pyramid(image.width, image.height, textures->pyramid_level);
     std::vector<float> linear(3 * size_t(image.width));
     for (uint32_t y = 0; y < image.height && !status; y += strip) {
         uint32_t end = std::min(image.height, y + strip);
-        status = read_rows(ctx, image, *input, y, end, rows);
+        status = read_rows(textures, image, *input, y, end, rows);
         for (uint32_t i = y; i < end && !status; i++) {
             const char *row = static_cast<const char *>(rows) + (i - y) * row_bytes;
             make_linear(image, row, linear.data());
@@ -278,31 +284,32 @@ int pass_over(struct fmt_textures *textures, Image &image)
         }
         if (!status && output &&
             !output->write_tiles(0, int(image.width), int(y), int(end), 0, 1, image.type, rows))
-            status = bsq_fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
-                              output->geterror().c_str());
+            status = host->fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
+                                output->geterror().c_str());
         if (!status)
-            status = bsq_check(ctx);
+            status = host->check(ctx);
     }
-    bsq_free(ctx, rows);
+    host->free(ctx, rows);
     if (!status && output && !output->close())
-        status = bsq_fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
-                          output->geterror().c_str());
+        status = host->fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
+                            output->geterror().c_str());
     image.pyramid.finish();
     return status;
 }
 
 int pass_over_image(void *arg, uint64_t index, unsigned)
 {
-    auto *textures = static_cast<struct fmt_textures *>(arg);
+    auto *textures = static_cast<Textures *>(arg);
     Image &image = textures->images[index];
     try {
         return pass_over(textures, image);
     } catch (const std::bad_alloc &) {
-        return bsq_fail(textures->ctx, BSQ_ENOMEM, "%s: out of memory", image.path.c_str());
+        return textures->host->fail(textures->ctx, BSQ_ENOMEM, "%s: out of memory",
+                                    image.path.c_str());
     }
 }
 
-int open_cache(struct fmt_textures *textures)
+int open_cache(Textures *textures)
 {
     ImageCache *cache = textures->cache = ImageCache::create(false);
     cache->attribute("max_memory_MB", float(double(textures->tile_bytes) / (1 << 20)));
@@ -312,14 +319,14 @@ int open_cache(struct fmt_textures *textures)
     for (Image &image : textures->images) {
         image.handle = cache->get_image_handle(OIIO::ustring(image.cached_path));
         if (!image.handle || !cache->good(image.handle))
-            return bsq_fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
-                            cache->geterror().c_str());
+            return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
+                                        cache->geterror().c_str());
     }
     return 0;
 }
 
 // Finds the different files among the paths; many materials of a scan may share one.
-int describe_all(struct fmt_textures *textures, const char *const *paths, uint32_t count)
+int describe_all(Textures *textures, const char *const *paths, uint32_t count)
 {
     std::unordered_map<std::string, uint32_t> known;
     textures->image_of.assign(count, no_image);
@@ -338,14 +345,14 @@ int describe_all(struct fmt_textures *textures, const char *const *paths, uint32
     return 0;
 }
 
-int open_all(struct fmt_textures *textures, const char *const *paths, uint32_t count)
+int open_all(Textures *textures, const char *const *paths, uint32_t count)
 {
     int status = describe_all(textures, paths, count);
     if (!status)
         status = share_cache(textures);
     if (!status)
-        status =
-            bsq_parallel_for(textures->ctx, textures->images.size(), pass_over_image, textures);
+        status = textures->host->parallel_for(textures->ctx, textures->images.size(),
+                                              pass_over_image, textures);
     return status ? status : open_cache(textures);
 }
 
@@ -378,8 +385,7 @@ void add_texels(const Image &image, const fmt::Rectangle &r, const OIIO::ROI &ro
 }
 
 // Adds the integral of the image itself over a rectangle inside it, tile by tile.
-int add_from_tiles(struct fmt_textures *textures, const Image &image, const fmt::Rectangle &r,
-                   double sum[3])
+int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle &r, double sum[3])
 {
     ImageCache *cache = textures->cache;
     int x_end = int(std::ceil(r.x1)), y_end = int(std::ceil(r.y1));
@@ -388,8 +394,8 @@ int add_from_tiles(struct fmt_textures *textures, const Image &image, const fmt:
             auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
                                          0, image.channels);
             if (!tile)
-                return bsq_fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
-                                cache->geterror().c_str());
+                return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
+                                            cache->geterror().c_str());
             TypeDesc type;
             const void *texels = cache->tile_pixels(tile, type);
             OIIO::ROI roi = cache->tile_roi(tile);
@@ -434,8 +440,8 @@ Wrapped wrap(double centre, double extent, double period)
     return {{start, 0}, {period, start + extent - period}, 2};
 }
 
-int sample(struct fmt_textures *textures, const Image &image, double x, double y, double width,
-           double height, float out[3])
+int average(Textures *textures, const Image &image, double x, double y, double width, double height,
+            float out[3])
 {
     double sum[3] = {0, 0, 0};
     width = std::min(std::max(width, 1.0), double(image.width));
@@ -459,62 +465,71 @@ int sample(struct fmt_textures *textures, const Image &image, double x, double y
     return 0;
 }
 
-} // namespace
+// ---- the module ----
 
-int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
-                      uint64_t cache_bytes, struct fmt_textures **out)
+void close_textures(struct fmt_textures *opened)
 {
-    *out = nullptr;
-    auto *textures = new (std::nothrow) fmt_textures;
+    auto *textures = static_cast<Textures *>(opened);
+    if (textures->cache)
+        ImageCache::destroy(textures->cache);
+    for (Image &image : textures->images)
+        textures->host->file_close(textures->ctx, &image.temporary);
+    textures->host->release(textures->ctx, textures->reserved);
+    delete textures;
+}
+
+void texture_size(const struct fmt_textures *opened, uint32_t image, uint32_t *width,
+                  uint32_t *height)
+{
+    const auto *textures = static_cast<const Textures *>(opened);
+    uint32_t number = textures->image_of[image];
+    *width = number == no_image ? 0 : textures->images[number].width;
+    *height = number == no_image ? 0 : textures->images[number].height;
+}
+
+int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v, float du,
+                   float dv, float out[3])
+{
+    auto *textures = static_cast<Textures *>(opened);
+    uint32_t number = textures->image_of[image];
+    if (number == no_image)
+        return textures->host->fail(textures->ctx, BSQ_EBUG, "texture %u has no image", image);
+    const Image &i = textures->images[number];
+    // Reduced to one period first, so that far coordinates keep their precision in texels.
+    double x = (double(u) - std::floor(double(u))) * i.width;
+    double y = (std::ceil(double(v)) - double(v)) * i.height;
+    return average(textures, i, x, y, double(du) * i.width, double(dv) * i.height, out);
+}
+
+int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *const *paths,
+                  uint32_t count, uint64_t cache_bytes, struct fmt_textures **out)
+{
+    auto *textures = new (std::nothrow) Textures;
     if (!textures)
-        return bsq_fail(ctx, BSQ_ENOMEM, "out of memory for textures");
+        return host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
+    textures->module = &bisque_module;
+    textures->host = host;
     textures->ctx = ctx;
     uint64_t bytes = std::max(cache_bytes, smallest_cache);
-    int status = bsq_reserve(ctx, "texture cache", bytes);
+    int status = host->reserve(ctx, "texture cache", bytes);
     if (!status)
         textures->reserved = bytes;
     try {
         if (!status)
             status = open_all(textures, paths, count);
     } catch (const std::bad_alloc &) {
-        status = bsq_fail(ctx, BSQ_ENOMEM, "out of memory for textures");
+        status = host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
     }
     if (status)
-        fmt_textures_close(textures);
+        close_textures(textures);
     else
         *out = textures;
     return status;
 }
 
-void fmt_textures_close(struct fmt_textures *textures)
-{
-    if (!textures)
-        return;
-    if (textures->cache)
-        ImageCache::destroy(textures->cache);
-    for (Image &image : textures->images)
-        bsq_file_close(textures->ctx, &image.temporary);
-    bsq_release(textures->ctx, textures->reserved);
-    delete textures;
-}
+} // namespace
 
-void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
-                      uint32_t *height)
-{
-    uint32_t number = textures->image_of[image];
-    *width = number == no_image ? 0 : textures->images[number].width;
-    *height = number == no_image ? 0 : textures->images[number].height;
-}
-
-int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
-                       float dv, float out[3])
-{
-    uint32_t number = textures->image_of[image];
-    if (number == no_image)
-        return bsq_fail(textures->ctx, BSQ_EBUG, "texture %u has no image", image);
-    const Image &i = textures->images[number];
-    // Reduced to one period first, so that far coordinates keep their precision in texels.
-    double x = (double(u) - std::floor(double(u))) * i.width;
-    double y = (std::ceil(double(v)) - double(v)) * i.height;
-    return sample(textures, i, x, y, double(du) * i.width, double(dv) * i.height, out);
+extern "C" {
+const struct fmt_texture_module bisque_module = {
+    {FMT_MODULE_STAMP}, open_textures, close_textures, texture_size, sample_texture};
 }

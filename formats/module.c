@@ -1,0 +1,158 @@
+/* module.c - finds and opens modules.
+ *
+ * A module gets the functions of base in a table. It could be linked with a copy of base instead,
+ * but then two copies would work on one context, and agree on nothing that is told apart by
+ * address: a pool's threads would run code of either, and a message of one be freed by the other.
+ * It could find them among the program's own symbols, but a program would have to be linked for
+ * that, with every function in it, and code in a plug-in of another program cannot. The table works
+ * wherever the library ends up, and makes the headers that it is made of the whole contract; the
+ * stamp holds both sides to the same ones.
+ *
+ * Modules lie beside the file that this code is in, the program or a shared library that has taken
+ * Bisque in; in ../lib/bisque as seen from there, which makes a moved installation and the build
+ * tree work; or where they were installed. They are never closed: threads and exit handlers of the
+ * libraries that they bring run to the end. */
+#include <dlfcn.h>
+#include <link.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "formats/module_internal.h"
+
+const struct fmt_host fmt_host_functions = {
+#define INITIAL(name) .name = bsq_##name,
+    FMT_HOST_FUNCTIONS(INITIAL)
+#undef INITIAL
+};
+
+enum { PLACES = 3 };
+
+/* Directories to look in; NULL: none. */
+struct places {
+    char *directories[PLACES];
+};
+
+static void places_free(struct places *places)
+{
+    for (int i = 0; i < PLACES; i++)
+        free(places->directories[i]);
+}
+
+static void cut_last_name(char *path)
+{
+    char *slash = strrchr(path, '/');
+
+    if (slash)
+        *slash = '\0';
+}
+
+/* Path of the file that this code was loaded from, to be freed; NULL where it is gone. */
+static char *own_path(void)
+{
+    struct link_map *object = NULL;
+    Dl_info info;
+
+    /* The program itself has no name here, and argv[0], which info has, need not be a path. */
+    if (!dladdr1(&fmt_host_functions, &info, (void **)&object, RTLD_DL_LINKMAP) || !object ||
+        !object->l_name[0])
+        return realpath("/proc/self/exe", NULL);
+    return realpath(object->l_name, NULL);
+}
+
+static int find_places(struct bsq_ctx *ctx, struct places *places)
+{
+    char *own = own_path(), *near = NULL;
+    int status = 0;
+
+    *places = (struct places){{NULL}};
+    if (own) {
+        cut_last_name(own);
+        places->directories[0] = strdup(own);
+        cut_last_name(own);
+        if (!places->directories[0] || asprintf(&near, "%s/lib/bisque", own) < 0)
+            status = BSQ_ENOMEM;
+        else
+            places->directories[1] = near;
+    }
+    if (status == 0 && !(near && strcmp(near, fmt_module_directory) == 0)) {
+        places->directories[2] = strdup(fmt_module_directory);
+        if (!places->directories[2])
+            status = BSQ_ENOMEM;
+    }
+    free(own);
+    if (status < 0) {
+        places_free(places);
+        bsq_fail(ctx, status, "no memory to look for modules");
+    }
+    return status;
+}
+
+/* Says where the module is not. */
+static int fail_missing(struct bsq_ctx *ctx, const char *name, const char *purpose,
+                        const struct places *places)
+{
+    const char *listed[PLACES] = {"", "", ""};
+    int count = 0;
+
+    for (int i = 0; i < PLACES; i++)
+        if (places->directories[i])
+            listed[count++] = places->directories[i];
+    return bsq_fail(ctx, BSQ_ENOINPUT,
+                    "%s need the module bisque-%s.so, which is not in %s%s%s%s%s", purpose, name,
+                    listed[0], count > 2 ? ", " : "", count > 2 ? listed[1] : "",
+                    count > 1 ? " or " : "", count > 1 ? listed[count - 1] : "");
+}
+
+/* A module that is there must do: an older one elsewhere is not what was installed with this. */
+static int find(struct bsq_ctx *ctx, const char *name, const char *purpose, char **out)
+{
+    struct places places;
+    int status = find_places(ctx, &places);
+
+    *out = NULL;
+    if (status != 0)
+        return status;
+    for (int i = 0; i < PLACES && !*out && status == 0; i++) {
+        if (!places.directories[i])
+            continue;
+        if (asprintf(out, "%s/bisque-%s.so", places.directories[i], name) < 0) {
+            *out = NULL;
+            status = bsq_fail(ctx, BSQ_ENOMEM, "no memory to look for modules");
+        } else if (access(*out, F_OK) != 0) {
+            free(*out);
+            *out = NULL;
+        }
+    }
+    if (status == 0 && !*out)
+        status = fail_missing(ctx, name, purpose, &places);
+    places_free(&places);
+    return status;
+}
+
+int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
+                    const struct fmt_module **out)
+{
+    const struct fmt_module *module = NULL;
+    char *path;
+    int status = find(ctx, name, purpose, &path);
+
+    *out = NULL;
+    if (status != 0)
+        return status;
+    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);
+    if (library)
+        module = dlsym(library, "bisque_module");
+    if (!module)
+        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s need the module %s, which cannot be opened: %s",
+                          purpose, path, dlerror());
+    else if (strcmp(module->stamp, FMT_MODULE_STAMP) != 0)
+        status = bsq_fail(ctx, BSQ_ENOINPUT,
+                          "%s need the module %s, which is of build %s; this program is of %s",
+                          purpose, path, module->stamp, FMT_MODULE_STAMP);
+    else
+        *out = module;
+    free(path);
+    return status;
+}

@@ -1,0 +1,151 @@
+#!/bin/sh
+# What is installed works: a program that is made with the installed headers, pkg-config files and
+# libraries; the modules, found from there and from a moved copy; nothing stays behind.
+. "$(dirname "$0")/lib.sh"
+build=$(dirname "$BIN")
+prefix=$work/prefix
+
+# make_top TARGET VARIABLE=VALUE...: in the source tree, on the build that is tested.
+make_top()
+{
+    command="make $*" code=0
+    make -C "$top" --no-print-directory BUILD="$build" "$@" >"$out" 2>"$err" || code=$?
+    check "make $1" "$code"
+}
+
+# is_there FILE...: under the prefix.
+is_there()
+{
+    for file; do
+        [ -s "$prefix/$file" ]
+        check "$file is installed" $?
+    done
+}
+
+make_top install DESTDIR= prefix="$prefix"
+for program in bisque-voxelize bisque-bake bisque-compare; do
+    is_there "bin/$program" "share/man/man1/$program.1"
+done
+is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so
+
+# ---- a program of somebody else's ----
+cat >pipeline.c <<'C'
+#include <libbake/bake.h>
+#include <libvoxel/voxel.h>
+#include <stdio.h>
+
+int main(int argc, char **argv)
+{
+    const char *scan = "box.obj";
+    struct vox_sort_options sort = {.obj_paths = &scan, .obj_count = 1, .tris_path = "box.tris"};
+    struct vox_voxelize_options grid = {
+        .tris_path = "box.tris", .grid_path = "box.nvdb", .resolution = 32};
+    struct vox_sort_report sorted;
+    struct vox_voxelize_report voxelized;
+    struct bake_options bake;
+    struct bake_report baked;
+    struct bsq_ctx *ctx;
+    bake_defaults(&bake);
+    bake.scan_path = "box.nvdb", bake.mesh_path = scan, bake.output_path = "box_<MAP>.png";
+    bake.width = bake.height = 64, bake.device = "cpu";
+    sort.texture_path = argc > 1 && *argv[1] ? argv[1] : NULL;
+    grid.vdb_path = argc > 2 ? argv[2] : NULL;
+    int status = bsq_ctx_create(NULL, &ctx);
+    if (status == 0)
+        status = vox_sort(ctx, &sort, &sorted);
+    if (status == 0)
+        status = vox_voxelize(ctx, &grid, &voxelized);
+    if (status == 0)
+        status = bake_run(ctx, &bake, &baked);
+    if (status == 0)
+        printf("%d triangles, %s, %s\n", (int)sorted.triangles,
+               voxelized.has_color ? "color" : "no color", baked.hits > 0 ? "hits" : "no hits");
+    else
+        fprintf(stderr, "%s\n", bsq_error(ctx));
+    bsq_ctx_destroy(ctx);
+    return -status;
+}
+C
+PKG_CONFIG_PATH=$prefix/lib/pkgconfig
+export PKG_CONFIG_PATH
+flags=
+case $(nm "$prefix/lib/libbisque-base.a") in
+*__asan_*) flags=-fsanitize=address,undefined ;;
+*__tsan_*) flags=-fsanitize=thread ;;
+esac
+for libraries in bisque-voxel bisque-bake "bisque-voxel bisque-bake"; do
+    pkg-config --libs $libraries >"$out" 2>"$err"
+    grep -q -- "-L$prefix/lib " "$out" && ! grep -Eiq 'openimageio|openvdb|stdc' "$out"
+    check "pkg-config --libs $libraries" $?
+done
+command="cc pipeline.c" code=0
+cc -std=c99 -Wall -Wextra -Werror $flags -o pipeline pipeline.c \
+    $(pkg-config --cflags --libs bisque-voxel bisque-bake) >"$out" 2>"$err" || code=$?
+check "a program is compiled with the installed headers and libraries" "$code"
+
+write_box >box.obj
+printf 'P3\n1 1\n255\n255 0 0\n' >red.ppm
+BIN=$PWD
+run pipeline
+code 0
+out_like '^12 triangles, no color, hits$'
+[ -s box_normal.png ] && [ ! -e box_color.png ]
+check "maps of a scan without colours" $?
+run pipeline red.ppm box.vdb
+code 0
+out_like '^12 triangles, color, hits$'
+[ -s box_color.png ] && [ -s box.vdb ]
+check "maps of a textured scan, and its OpenVDB file" $?
+
+# Started by a bare name, and the modules beside it: argv[0] does not say where that is.
+mkdir bin && mv pipeline bin && mv "$prefix"/lib/bisque/* bin
+command="pipeline red.ppm, found by PATH" code=0
+(PATH=$PWD/bin:$PATH && pipeline red.ppm) >"$out" 2>"$err" || code=$?
+out_like ', color, hits$'
+mv bin/pipeline . && mv bin/* "$prefix/lib/bisque"
+
+# ---- modules that are not there, broken, or of another build ----
+cp -r "$prefix" moved
+rm "$prefix"/lib/bisque/*
+run pipeline
+code 0
+run pipeline red.ppm
+places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
+refused 66 "textures need the module bisque-texture.so, which is not in $places"
+run pipeline '' box.vdb
+refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
+printf 'no library\n' >"$prefix/lib/bisque/bisque-texture.so"
+run pipeline red.ppm
+code 66
+err_like "^textures need the module $prefix/lib/bisque/bisque-texture\\.so, which cannot be opened: "
+stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture.so | head -n 1)
+other=$(echo "$stamp" | tr 0-9 1-90)
+module=$prefix/lib/bisque/bisque-texture.so
+sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture.so >"$module"
+run pipeline red.ppm
+refused 66 "textures need the module $module, which is of build $other; this program is of $stamp"
+
+# ---- a moved installation, and programs that open no more than they need ----
+BIN=$PWD/moved/bin
+run bisque-voxelize box.obj --texture red.ppm --vdb moved.vdb -o moved.nvdb --resolution 32
+code 0
+command="bisque-voxelize --vdb" code=0
+cmp -s box.vdb moved.vdb
+check "the same OpenVDB file from a moved installation" $?
+for program in bisque-voxelize bisque-bake bisque-compare; do
+    command="ldd $program" code=0
+    ldd "$BIN/$program" >"$out" 2>"$err"
+    [ "$(wc -l <"$out")" -lt 20 ] && ! grep -Eq 'OpenImageIO|openvdb|libtbb' "$out"
+    check "$program needs few libraries" $?
+done
+
+# ---- removal, and a staged installation ----
+make_top uninstall DESTDIR= prefix="$prefix"
+find "$prefix" ! -type d >"$out"
+[ ! -s "$out" ] && [ ! -e "$prefix/include/bisque" ] && [ ! -e "$prefix/lib/bisque" ]
+check "uninstall leaves nothing" $?
+make_top install DESTDIR="$work/stage" prefix=/opt/bisque
+grep -rl "$work/stage" "$work/stage" >"$out"
+[ ! -s "$out" ] && grep -q '^prefix=/opt/bisque$' "$work"/stage/opt/bisque/lib/pkgconfig/*-bake.pc
+check "nothing in a staged installation names the stage" $?
+finish
