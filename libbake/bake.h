@@ -55,6 +55,9 @@ struct bake_options {
     const char *preview_path; /* PNG, or NULL */
 };
 
+/* Name of one map's file: output_path with every "<MAP>" replaced; to be freed with free(). NULL: no memory. */
+char *bake_map_path(const char *output_path, enum bake_map map);
+
 /* Fills in the defaults: default maps, 2048 x 2048, 2 x 2 samples, automatic distances, padding 16. */
 void bake_defaults(struct bake_options *options);
 
@@ -83,7 +86,7 @@ struct bake_device_info {
     uint64_t memory_bytes;
     bool is_gpu;
 };
-/* Calls fn for each device that can be used; `note` lines explain drivers that cannot. */
+/* Calls fn for each device that can be used; warnings explain drivers that cannot. */
 int bake_list_devices(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
                       void *arg);
 

@@ -9,6 +9,7 @@
 #include "libbake/map_output_internal.h"
 
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/parallel.h"
@@ -90,24 +91,29 @@ uint32_t bake_map_channels(uint32_t maps)
     return channels;
 }
 
-/* `path` with every token replaced; owned by the caller. */
-static int expand_path(struct bsq_ctx *ctx, const char *path, const char *name, char **out)
+static const struct kind *find_kind(enum bake_map map)
 {
+    int i = 0;
+    while (i < MAP_KINDS - 1 && kinds[i].map != map)
+        ++i;
+    return &kinds[i];
+}
+
+char *bake_map_path(const char *path, enum bake_map map)
+{
+    const char *name = find_kind(map)->name, *at;
     size_t name_bytes = strlen(name), token_bytes = sizeof token - 1, length = strlen(path);
-    for (const char *at = strstr(path, token); at; at = strstr(at + token_bytes, token))
+    for (at = strstr(path, token); at; at = strstr(at + token_bytes, token))
         length += name_bytes;
-    int status = bsq_alloc(ctx, "path", length + 1, 1, out);
-    if (status < 0)
-        return status;
-    char *to = *out;
-    const char *at;
-    while ((at = strstr(path, token))) {
+    char *out = malloc(length + 1), *to = out;
+    while (out && (at = strstr(path, token))) {
         to = mempcpy(to, path, (size_t)(at - path));
         to = mempcpy(to, name, name_bytes);
         path = at + token_bytes;
     }
-    strcpy(to, path);
-    return 0;
+    if (out)
+        strcpy(to, path);
+    return out;
 }
 
 /* ---- opening ---- */
@@ -179,10 +185,10 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options,
                      enum bake_format format, const struct bake_traced *traced,
                      struct map_file *file)
 {
-    char *path;
-    int status = expand_path(ctx, options->output_path, file->kind->name, &path);
-    if (status < 0)
-        return status;
+    char *path = bake_map_path(options->output_path, file->kind->map);
+    int status;
+    if (!path)
+        return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
     if (format == BAKE_PNG8 || format == BAKE_PNG16) {
         status = open_png(ctx, path, options, format, file);
     } else {
@@ -190,7 +196,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options,
         describe(options, file->kind, traced, &attributes);
         status = open_exr(ctx, path, options, format, &attributes, file);
     }
-    bsq_free(ctx, path);
+    free(path);
     return status;
 }
 
@@ -221,7 +227,9 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
     files->padding = options->padding;
     files->green =
         options->green_down && options->normal_space == BAKE_TANGENT_SPACE ? -1.0f : 1.0f;
-    status = expand_path(ctx, options->output_path, "map", &files->beside);
+    files->beside = bake_map_path(options->output_path, (enum bake_map)(maps & -maps));
+    if (!files->beside)
+        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
     uint32_t offset = 1;
     for (int i = 0; status == 0 && i < MAP_KINDS; ++i) {
         if (!(maps & kinds[i].map))
@@ -420,6 +428,6 @@ void bake_map_files_discard(struct bake_map_files *files)
         fmt_exr_discard(files->files[i].exr);
         fmt_png_discard(files->files[i].png);
     }
-    bsq_free(files->ctx, files->beside);
+    free(files->beside);
     bsq_free(files->ctx, files);
 }

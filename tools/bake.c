@@ -332,26 +332,13 @@ static int list_devices(struct cli *cli)
 
 /* ---- outputs ---- */
 
-/* Name of one map's file, to be freed; NULL: no memory. */
-static char *map_path(const char *pattern, const char *map)
-{
-    char *path = NULL;
-    const char *place = strstr(pattern, "<MAP>");
-    if (!place)
-        return strdup(pattern);
-    if (asprintf(&path, "%.*s%s%s", (int)(place - pattern), pattern, map, place + strlen("<MAP>")) <
-        0)
-        return NULL;
-    return path;
-}
-
 /* Names of all outputs, `paths` of MAP_KINDS; those of maps that are not asked for are NULL. */
 static int name_outputs(struct cli *cli, const struct bake_options *bake, char **paths)
 {
     for (unsigned i = 0; i < MAP_KINDS; i++) {
         if (!(bake->maps & map_names[i].map))
             continue;
-        paths[i] = map_path(bake->output_path, map_names[i].name);
+        paths[i] = bake_map_path(bake->output_path, map_names[i].map);
         if (!paths[i])
             return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
     }
