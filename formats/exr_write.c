@@ -207,8 +207,8 @@ static int write_chunks(struct fmt_exr_writer *writer, const float *samples, uin
 static int allocate(struct fmt_exr_writer *writer)
 {
     struct bsq_ctx *ctx = writer->stream.ctx;
-    uint64_t chunk_bytes;
-    int32_t chunk_rows;
+    uint64_t chunk_bytes = 0;
+    int32_t chunk_rows = 1;
     exr_result_t r = exr_get_chunk_unpacked_size(writer->file, 0, &chunk_bytes);
     if (r == EXR_ERR_SUCCESS)
         r = exr_get_scanlines_per_chunk(writer->file, 0, &chunk_rows);

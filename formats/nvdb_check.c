@@ -240,7 +240,7 @@ int nvdb_check_head(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     status = check_file_header(&h);
     if (status == 0)
         status = check_grid_data(&h);
-    struct nvdb_counts counts;
+    struct nvdb_counts counts = {0};
     if (status == 0)
         status = read_counts(&h, &counts);
     if (status)

@@ -96,7 +96,7 @@ struct quoted {
 
 static struct quoted quote_word(const struct parser *parser, const char *p)
 {
-    struct quoted quoted;
+    struct quoted quoted = {0};
     const char *end = p, *limit = parser->block->text + parser->block->size;
     while (end < limit && !is_blank(*end) && !line_end_size(end))
         end++;

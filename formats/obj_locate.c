@@ -60,8 +60,8 @@ int fmt_obj_fail_index(struct fmt_obj_reader *reader, uint64_t face, const char 
                        uint64_t index)
 {
     const struct obj_place *place = find_place(reader, face);
-    const char *path;
-    uint64_t line;
+    const char *path = NULL;
+    uint64_t line = 0;
     int status = fmt_obj_locate_face(reader, face, &path, &line);
     if (status)
         return status;

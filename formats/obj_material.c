@@ -173,7 +173,7 @@ static int read_materials_of(struct fmt_obj_reader *reader, uint32_t source,
         uint32_t number = fmt_mtl_find(&found, name->text);
         struct fmt_material *material = &out->list[i];
         status = fmt_string_copy(ctx, name->text, &material->name);
-        if (status || number == UINT32_MAX)
+        if (status || number >= found.count)
             continue;
         const struct fmt_material *from = &found.list[number];
         memcpy(material->diffuse, from->diffuse, sizeof material->diffuse);

@@ -396,7 +396,7 @@ int fmt_obj_read(struct fmt_obj_reader *reader,
                  int (*on_block)(void *arg, const struct fmt_obj_block *block), void *arg,
                  struct fmt_obj_totals *totals)
 {
-    struct fmt_obj_totals unused;
+    struct fmt_obj_totals unused = {0};
     struct job job = {
         .reader = reader,
         .on_block = on_block,

@@ -81,7 +81,7 @@ int obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t ind
     if (status)
         return status;
     uint64_t start = first ? find_line_start(&window, first) : 0;
-    uint64_t end = start;
+    uint64_t end;
     if (start < behind) {
         while ((end = find_line_start(&window, behind)) == UINT64_MAX) {
             uint64_t have = window.end - window.offset;

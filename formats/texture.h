@@ -15,7 +15,7 @@ struct fmt_textures;
 
 /* Opens `count` images (entries may be NULL: no image; equal ones are opened once). Every image is
  * read through once, on all threads, so this must not be called from parallel work. cache_bytes (at
- * least 12 MiB) is reserved from the budget; scanline files that exceed it go to temporary files.
+ * least 12 MiB) is reserved from the budget, less where the images are small; scanline files that exceed it go to temporary files.
  * A file that is missing, no image or damaged: BSQ_ENOINPUT or BSQ_EDATA with its name. */
 int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out);

@@ -172,10 +172,18 @@ int describe(Textures *textures, const char *path, Image &image)
     return 0;
 }
 
-// Divides the cache between the pyramids, from a level that fits, and tiles.
-int share_cache(Textures *textures)
+// Reserves the cache, at most cache_bytes, and divides it between the pyramids, from a level that fits, and tiles.
+int share_cache(Textures *textures, uint64_t cache_bytes)
 {
     uint64_t bytes = 0, decoded = 0;
+    for (const Image &image : textures->images)
+        decoded += decoded_bytes(image);
+    // Small images cannot use a generous cache: a third for pyramids, and tiles stand over at the edges.
+    uint64_t wanted = std::min(std::max(cache_bytes, smallest_cache), smallest_cache + 3 * decoded);
+    int status = textures->host->reserve(textures->ctx, "texture cache", wanted);
+    if (status)
+        return status;
+    textures->reserved = wanted;
     for (int level = first_pyramid_level;; level++) {
         bytes = 0;
         for (const Image &image : textures->images)
@@ -189,8 +197,6 @@ int share_cache(Textures *textures)
                                     "textures need a cache of more than %llu bytes",
                                     static_cast<unsigned long long>(textures->reserved));
     textures->tile_bytes = textures->reserved - bytes;
-    for (const Image &image : textures->images)
-        decoded += decoded_bytes(image);
     textures->rewrite = decoded > textures->tile_bytes / 4 * 3;
     return 0;
 }
@@ -345,11 +351,12 @@ int describe_all(Textures *textures, const char *const *paths, uint32_t count)
     return 0;
 }
 
-int open_all(Textures *textures, const char *const *paths, uint32_t count)
+int open_all(Textures *textures, const char *const *paths, uint32_t count,
+             uint64_t cache_bytes)
 {
     int status = describe_all(textures, paths, count);
     if (!status)
-        status = share_cache(textures);
+        status = share_cache(textures, cache_bytes);
     if (!status)
         status = textures->host->parallel_for(textures->ctx, textures->images.size(),
                                               pass_over_image, textures);
@@ -510,13 +517,9 @@ int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *
     textures->module = &bisque_module;
     textures->host = host;
     textures->ctx = ctx;
-    uint64_t bytes = std::max(cache_bytes, smallest_cache);
-    int status = host->reserve(ctx, "texture cache", bytes);
-    if (!status)
-        textures->reserved = bytes;
+    int status = 0;
     try {
-        if (!status)
-            status = open_all(textures, paths, count);
+        status = open_all(textures, paths, count, cache_bytes);
     } catch (const std::bad_alloc &) {
         status = host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
     }
