@@ -151,12 +151,33 @@ $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash -lm
 
+# Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME. Elsewhere than in config=fuzz they
+# become programs that replay files.
+fuzz_names := $(patsubst tests/fuzz/fuzz_%.c,%,$(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c)))
+replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
+$(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(BUILD)/obj/tests/fuzz/fuzz_file.c.o \
+    $(BUILD)/obj/tests/fuzz/replay.c.o $(archive.formats) $(archive.base)
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
+$(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(BUILD)/obj/tests/fuzz/fuzz_file.c.o $(archive.formats) $(archive.base)
+	@mkdir -p $(@D)
+	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
+
+fuzz_seconds ?= 60
+.PHONY: $(fuzz_names:%=fuzz-%)
+## fuzz-NAME: fuzz a reader (obj, mtl, tris, nvdb, exr) for fuzz_seconds=60; new inputs go to build/fuzz/corpus
+$(fuzz_names:%=fuzz-%): fuzz-%:
+	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
+	@mkdir -p build/fuzz/corpus/$*
+	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 \
+	    build/fuzz/corpus/$* tests/fuzz/corpus/$*
+
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
 unit: $(unit_bins) $(module_files)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers) $(naive)
+tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays)
 
 ## test: build and run all tests, with what is installed
 test: tests-build
@@ -230,7 +251,7 @@ lint: $(BUILD)/gen/kernel_source.inc
 	tests/lint/includes.sh
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
-	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -n 1 -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
+	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
 	    -std=c11 $(CPPFLAGS) $(formats_cppflags) $(module_cppflags)
 
 # ---- installation ----

@@ -1,6 +1,7 @@
 /* exr_common.c - errors and memory of the EXR writer and reader. */
 #include "formats/exr_internal.h"
 
+/* A failed read means a file that ends too early: had the disk failed, the file layer would have said so first. */
 static int status_of(exr_result_t result)
 {
     switch (result) {
@@ -8,7 +9,6 @@ static int status_of(exr_result_t result)
         return BSQ_OK;
     case EXR_ERR_OUT_OF_MEMORY:
         return BSQ_ENOMEM;
-    case EXR_ERR_READ_IO:
     case EXR_ERR_WRITE_IO:
     case EXR_ERR_FILE_ACCESS:
         return BSQ_EIO;

@@ -59,6 +59,10 @@ $compare a_normal.exr small.exr
 refused 65 "$p a_normal.exr has 64 x 64 texels, small.exr has 32 x 32"
 $compare a_normal.exr missing.exr
 code 66
+: >empty.exr
+$compare a_normal.exr empty.exr
+refused 65 "$p empty.exr: Unable to read magic and version flags"
+rm empty.exr
 $compare a_normal.exr low.obj
 code 65
 $compare a_normal.exr a_normal.exr --heatmap a_normal.exr

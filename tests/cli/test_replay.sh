@@ -1,0 +1,12 @@
+#!/bin/sh
+# test_replay.sh - runs every fuzz target over its seeds, and over what once broke it.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+corpus=$(cd "$(dirname "$0")/../fuzz/corpus" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+for directory in "$corpus"/*/; do
+    name=$(basename "$directory")
+    command="replay-$name" code=0
+    "$TESTS/replay-$name" "$directory"* >"$out" 2>"$err" || code=$?
+    check "$name: $(ls "$directory" | wc -l) files" "$code"
+done
+finish

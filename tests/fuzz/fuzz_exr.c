@@ -1,0 +1,19 @@
+/* fuzz_exr.c - fuzz target for the maps that are compared. */
+#include "formats/exr.h"
+#include "tests/fuzz/fuzz_file.h"
+
+static int use(struct bsq_ctx *ctx, const char *path)
+{
+    struct fmt_exr_image image;
+    int status = fmt_exr_read(ctx, path, &image);
+    if (status)
+        return status;
+    require(image.width > 0 && image.height > 0 && image.channel_count > 0, "an image without size");
+    fmt_exr_image_free(ctx, &image);
+    return 0;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    return fuzz_file(data, size, "fuzz.exr", use);
+}

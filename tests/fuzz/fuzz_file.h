@@ -1,0 +1,17 @@
+/* fuzz_file.h - what the fuzz targets share: bytes become a file that is read in a fresh context. */
+#ifndef FUZZ_FILE_H
+#define FUZZ_FILE_H
+
+#include "base/context.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+/* Stops the run with the reason, so that the fuzzer keeps the input. */
+void require(bool good, const char *what);
+
+/* Writes the bytes to a file in memory and calls `use` with its path, under a budget of 64 MiB. A failure must be
+ * bad data or too little memory, in one line; nothing may be left allocated. Returns 0. */
+int fuzz_file(const uint8_t *data, size_t size, const char *name,
+              int (*use)(struct bsq_ctx *ctx, const char *path));
+
+#endif

@@ -1,0 +1,25 @@
+/* fuzz_mtl.c - fuzz target for material libraries. */
+#include "formats/mtl.h"
+#include "tests/fuzz/fuzz_file.h"
+
+#include <math.h>
+
+static int use(struct bsq_ctx *ctx, const char *path)
+{
+    struct fmt_materials materials = {0};
+    int status = fmt_mtl_read(ctx, path, &materials);
+    for (uint32_t i = 0; !status && i < materials.count; i++) {
+        const struct fmt_material *m = &materials.list[i];
+        require(m->name != NULL, "a material without name");
+        for (int k = 0; k < 3; k++)
+            require(isfinite(m->diffuse[k]), "a colour that is not finite");
+        require(fmt_mtl_find(&materials, m->name) <= i, "a name that is not found");
+    }
+    fmt_mtl_free(ctx, &materials);
+    return status;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    return fuzz_file(data, size, "fuzz.mtl", use);
+}
