@@ -78,6 +78,8 @@ $(BUILD)/obj/%.c.o: %.c
 $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
+# The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
+$(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 

@@ -142,6 +142,10 @@ static void clip(struct ring *ring, uint32_t corner)
         if (was_reflex[i] && turn_at(ring, sides[i]) > 0)
             drop_reflex(ring, sides[i]);
 }
+static bool is_same_place(const double *a, const double *b)
+{
+    return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
+}
 
 /* Whether another corner lies in the triangle at a convex corner, or on its border. Corners at the
  * same place as one of the triangle's do not count: polygons with holes have a bridge to each hole
@@ -158,8 +162,7 @@ static bool is_blocked(const struct ring *ring, uint32_t corner)
         if (dot(inward[2], difference(q, p[2])) < 0 || dot(inward[0], difference(q, p[0])) < 0 ||
             dot(inward[1], difference(q, p[1])) < 0)
             continue;
-        if (memcmp(q, p[0], sizeof(double[3])) && memcmp(q, p[1], sizeof(double[3])) &&
-            memcmp(q, p[2], sizeof(double[3])))
+        if (!is_same_place(q, p[0]) && !is_same_place(q, p[1]) && !is_same_place(q, p[2]))
             return true;
     }
     return false;

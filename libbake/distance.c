@@ -131,7 +131,7 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
         status = bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits);
     if (status == 0)
         status = bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances);
-    if (status < 0)
+    if (status)
         goto done;
     place_probes(surface, mesh, rays);
     struct bake_surface_rays probes = {.rays = rays,
@@ -141,7 +141,7 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
                                        .t_max = reach,
                                        .distances_only = true};
     status = bake_surface_trace(surface, params, &probes);
-    if (status < 0)
+    if (status)
         goto done;
     size_t count = take_distances(hits, distances);
     if (count >= PROBES / 100) {

@@ -117,8 +117,9 @@ static void sample_position(const struct job *job, const struct bk_tile *tile, u
                             uint32_t row, float *x, float *y)
 {
     const uint32_t n = job->tiles->samples;
-    *x = (float)(tile->x + column / n) + ((float)(column % n) + 0.5f) / (float)n;
-    *y = (float)(tile->y + row / n) + ((float)(row % n) + 0.5f) / (float)n;
+    const uint32_t texel_x = tile->x + column / n, texel_y = tile->y + row / n;
+    *x = (float)texel_x + ((float)(column % n) + 0.5f) / (float)n;
+    *y = (float)texel_y + ((float)(row % n) + 0.5f) / (float)n;
 }
 
 static int cast_tile(void *arg, uint64_t index, unsigned number)

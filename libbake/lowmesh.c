@@ -6,6 +6,7 @@
  * and by position index, so that texture seams do not show in them. */
 #include "libbake/lowmesh_internal.h"
 
+#include <assert.h>
 #include <math.h>
 #include <string.h>
 
@@ -126,7 +127,7 @@ static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
     if (!lacks_normals(mesh))
         return 0;
     int rc = bsq_calloc(ctx, "smooth normals", mesh->vertex_count, sizeof(*sums), &sums);
-    if (rc < 0)
+    if (rc)
         return rc;
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         double cross[3];
@@ -147,6 +148,7 @@ static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[3]
 {
     uint32_t index = mesh->corner_normals ? mesh->corner_normals[t][i] : UINT32_MAX;
 
+    assert(index != UINT32_MAX || smooth);
     if (index != UINT32_MAX) {
         const float *n = mesh->normals[index];
         if (store_unit((const double[3]){n[0], n[1], n[2]}, out))
@@ -162,7 +164,7 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
     double(*smooth)[3] = NULL;
 
     int rc = sum_vertex_normals(ctx, mesh, out, &smooth);
-    if (rc < 0)
+    if (rc)
         return rc;
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         float face_normal[3] = {0, 0, 1};

@@ -144,7 +144,7 @@ int mikkt_find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input, const
         rc = bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both);
     if (rc == 0)
         rc = bsq_alloc(ctx, "edge order", (uint64_t)corner_count + 1, sizeof(*starts), &starts);
-    if (rc < 0)
+    if (rc)
         goto done;
     sort_edges(corner_count, vertices, true, NULL, by_high, starts);
     sort_edges(corner_count, vertices, false, by_high, by_both, starts);

@@ -24,8 +24,8 @@ static int cast_row(void *arg, uint64_t index, unsigned worker)
     struct bake_exact_ray *ray = strip->rays + index * ROW_RAYS;
     for (uint32_t i = 0; i < ROW_RAYS; ++i, ++ray) {
         const double x = i % PREVIEW_SAMPLES + 0.5;
-        const double y =
-            (double)((strip->first_row + index) * PREVIEW_GRID + i / PREVIEW_SAMPLES) + 0.5;
+        const uint64_t row = (strip->first_row + index) * PREVIEW_GRID + i / PREVIEW_SAMPLES;
+        const double y = (double)row + 0.5;
         const double right = (x - 0.5 * PREVIEW_SAMPLES) / view->scale;
         const double up = (0.5 * PREVIEW_SAMPLES - y) / view->scale;
         for (int k = 0; k < 3; ++k) {

@@ -188,7 +188,7 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     int rc = check_options(ctx, mesh, options);
     if (rc == 0)
         rc = bsq_calloc(ctx, "raster", 1, sizeof(*raster), &raster);
-    if (rc < 0)
+    if (rc)
         return rc;
     raster->ctx = ctx;
     raster->mesh = mesh;

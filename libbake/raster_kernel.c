@@ -77,8 +77,9 @@ static void set_weights(const struct bake_raster *raster, uint64_t triangle,
                         const struct raster_window *samples, struct bk_triangle *out)
 {
     const uint32_t n = raster->options.samples;
-    const double x0 = (samples->begin_x / 2 + samples->end_x / 2) / n;
-    const double y0 = (samples->begin_y / 2 + samples->end_y / 2) / n;
+    const uint32_t texel_x = (samples->begin_x / 2 + samples->end_x / 2) / n;
+    const uint32_t texel_y = (samples->begin_y / 2 + samples->end_y / 2) / n;
+    const double x0 = texel_x, y0 = texel_y;
     const double step = 1.0 / ((double)n * ((uint32_t)1 << raster->lattice.shift));
     const struct corners c = map_corners(raster, triangle);
     const double area = corner_area(&c);

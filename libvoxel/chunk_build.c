@@ -97,13 +97,16 @@ static inline uint64_t hash_vertex(const struct chunk_builder *b, const struct v
     return mix(mix(h, uv), (uint64_t)v->normal << 32 | v->color);
 }
 
+/* Bit by bit, so that 0 and -0 are both kept. */
 static inline bool same_vertex(const struct chunk_builder *b, uint32_t number,
                                const struct vertex *v)
 {
+    /* NOLINTBEGIN(bugprone-suspicious-memory-comparison): see above */
     return memcmp(b->positions[number], v->position, 12) == 0 &&
            (!b->normals || b->normals[number] == v->normal) &&
            (!b->texcoords || memcmp(b->texcoords[number], v->texcoord, 8) == 0) &&
            (!b->colors || b->colors[number] == v->color);
+    /* NOLINTEND(bugprone-suspicious-memory-comparison) */
 }
 
 static uint64_t hash_stored(const struct chunk_builder *b, uint32_t number)

@@ -408,7 +408,7 @@ CLIP_INLINE bool clip_cut_once(const struct clip_state *c, int axis, vox_piece_s
     weight[last] = t / 3.0;
     weight[lone] = 1.0 - weight[next] - weight[last];
     double scale = 1.0 / rest;
-    struct vox_piece lower, upper;
+    struct vox_piece lower = {0}, upper = {0};
     struct vox_piece *small = mask >> lone & 1 ? &upper : &lower;
     struct vox_piece *large = mask >> lone & 1 ? &lower : &upper;
     small->fraction = fraction;

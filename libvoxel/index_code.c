@@ -28,7 +28,7 @@ static inline uint64_t get(const uint8_t **from, unsigned code)
 
 static inline uint64_t zigzag(uint64_t difference)
 {
-    return difference << 1 ^ (uint64_t)((int64_t)difference >> 63);
+    return difference << 1 ^ (0 - (difference >> 63));
 }
 
 static inline uint64_t unzigzag(uint64_t value)

@@ -65,7 +65,8 @@ static int distribute(struct join *join, enum face_kind kind, uint32_t shift, st
     int status = bsq_alloc(join->scan->ctx, "faces", face_store_decode_bytes(faces), 1, &room);
     for (uint64_t g = 0; status == 0 && g < faces->group_count; g++) {
         struct face_group group;
-        if ((status = bsq_check(join->scan->ctx)) == 0)
+        status = bsq_check(join->scan->ctx);
+        if (status == 0)
             status = face_store_decode(faces, g, room, &group);
         if (status == 0 && group.indices[kind])
             status = distribute_group(buckets, group.indices[kind], group.corner_count, shift);

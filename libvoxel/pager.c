@@ -3,6 +3,7 @@
  * Multics System", 1968). */
 #include "libvoxel/pager.h"
 
+#include <assert.h>
 #include <string.h>
 
 static uint64_t page_bytes(const struct pager *pager)
@@ -14,6 +15,7 @@ int pager_open(struct pager *pager, const struct column *column, uint64_t bytes)
 {
     struct bsq_ctx *ctx = column->spool.ctx;
     int status;
+    assert(column->element_bytes > 0);
     memset(pager, 0, sizeof *pager);
     pager->column = column;
     pager->page_count = (column_count(column) >> PAGER_SHIFT) + 1;

@@ -52,7 +52,7 @@ static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
 static int use_single_texture(struct scan *scan, const char *texture_path)
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};
-    char *path;
+    char *path = NULL;
     int status = resolve_texture(scan, texture_path, &path);
     if (status < 0)
         return status;
@@ -72,7 +72,7 @@ static int add_from_mtl(struct scan *scan, const struct fmt_material *from, uint
         textured = false;
     }
     if (textured) {
-        char *path;
+        char *path = NULL;
         int status = resolve_texture(scan, from->texture_path, &path);
         if (status < 0)
             return status;

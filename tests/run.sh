@@ -3,6 +3,8 @@
 # the counts. A program that fails without saying which test did counts as one failure.
 set -u
 export CMOCKA_MESSAGE_OUTPUT=TAP
+# Only programs that were built with config=tsan read this.
+export TSAN_OPTIONS="suppressions=$(cd "$(dirname "$0")" && pwd)/lint/tsan.supp ${TSAN_OPTIONS-}"
 log=$(mktemp) || exit 1
 trap 'rm -f "$log"' EXIT
 passed=0 failed=0 skipped=0

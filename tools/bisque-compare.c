@@ -239,7 +239,7 @@ static int check_limits(struct cli *cli, const struct arguments *arguments,
 
 static int compare_maps(struct cli *cli, const struct arguments *arguments, int *failures)
 {
-    struct bake_compare_report report;
+    struct bake_compare_report report = {0};
     int status = check_outputs(cli, &arguments->compare);
     if (status == 0)
         status = bake_compare(cli->ctx, &arguments->compare, &report);

@@ -228,6 +228,26 @@ static void test_convex_quad_is_cut_at_its_first_corner(void **state)
     assert_memory_equal(triangles, expected, sizeof expected);
 }
 
+/* Corners at one place are told by value: 0 and -0 are the same. */
+static void test_sign_of_zero_changes_nothing(void **state)
+{
+    (void)state;
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 20000; i++) {
+        double plain[8][3] = {{0}}, negative[8][3];
+        uint32_t expected[18], triangles[18], scratch[16];
+        for (uint32_t k = 0; k < 8; k++) {
+            for (int c = 0; c < 2; c++)
+                plain[k][c] = floor(3 * random_unit()) - 1;
+            for (int c = 0; c < 3; c++)
+                negative[k][c] = plain[k][c] == 0 && random_unit() < 0.5 ? -0.0 : plain[k][c];
+        }
+        bsq_triangulate((const double(*)[3])plain, 8, expected, scratch);
+        bsq_triangulate((const double(*)[3])negative, 8, triangles, scratch);
+        assert_memory_equal(triangles, expected, sizeof expected);
+    }
+}
+
 /* Input without a meaning still gives n - 2 triangles of valid corners. */
 static void test_degenerate(void **state)
 {
@@ -283,6 +303,7 @@ int main(void)
         cmocka_unit_test(test_known_shapes),
         cmocka_unit_test(test_arrowhead),
         cmocka_unit_test(test_convex_quad_is_cut_at_its_first_corner),
+        cmocka_unit_test(test_sign_of_zero_changes_nothing),
         cmocka_unit_test(test_degenerate),
         cmocka_unit_test(test_large_polygon_is_quick),
     };
