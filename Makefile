@@ -139,13 +139,14 @@ $(BUILD)/tests/lib:
 # The scan generator and the checkers of maps.
 scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
 generator := $(BUILD)/tests/generate-scan
-checkers  := $(BUILD)/tests/check-vase $(BUILD)/tests/check-mesh
+checkers  := $(addprefix $(BUILD)/tests/check-,vase mesh tangent)
 $(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generate*.c))) text_writer vase)
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lm
-$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.formats) $(archive.base) | $(module_files)
+$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.libbake) $(archive.formats) \
+    $(archive.base) | $(module_files)
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 
 # The naive readers of formats/FORMATS.md: no -I, they include nothing of Bisque.
 naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
@@ -244,6 +245,12 @@ bench: deps
 	@tests/install-packages.sh $(packages_bench) || echo "bench: goes on without tinyobjloader"
 	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/run.sh $(BENCH)
+
+.PHONY: bench-accuracy
+## bench-accuracy: how far maps from voxels are from exact ones, BENCH=small or medium (default)
+bench-accuracy: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(checkers) >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/accuracy.sh $(BENCH)
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)

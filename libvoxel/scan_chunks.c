@@ -91,8 +91,8 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
     }
 }
 
-/* Mean square of an edge above which facets would show: half a voxel. */
-#define COARSE_EDGE_SQUARE 0.25
+/* Mean square of an edge, in voxels, above which facets show: below, a voxel averages over several. */
+#define COARSE_EDGE_SQUARE 1.0
 
 /* Are the triangles large enough for their facets to show in the grid? */
 static bool is_coarse(const struct fmt_tris_chunk *source, const double (*points)[3])

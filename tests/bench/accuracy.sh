@@ -2,8 +2,9 @@
 # Measures how far maps baked from voxels are from exact ones, and prints tables in Markdown.
 # tests/bench/ACCURACY.md says how to read them.
 #
-#   BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium
+#   BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny]...
 #
+#   sine, vase, bunny: these scans only
 #   BIN, TESTS     directories with the programs and with generate-scan
 #   BENCH_DIR      where maps and heat maps stay; without it they go to a temporary directory beside
 #                  BIN, which is removed in the end
@@ -17,12 +18,15 @@ case ${1:-medium} in
 small) scan_triangles=2000000 bunny_triangles=2000000 size=1024 ;;
 medium) scan_triangles=10000000 bunny_triangles=10000000 size=2048 ;;
 *)
-    echo "usage: BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium" >&2
+    echo "usage: BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny]..." >&2
     exit 64
     ;;
 esac
+shift $(($# > 0))
+[ $# -gt 0 ] || set -- sine vase bunny
 samples=4
 ratios="2 1 0.5 0.25"
+finer=", against four times the triangles"
 BIN=$(cd "${BIN:?is the directory with the programs}" && pwd) || exit 66
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 66
 here=$(cd "$(dirname "$0")" && pwd) || exit 66
@@ -45,8 +49,10 @@ say()
 
 run()
 {
-    "$BIN/$@" >log 2>&1 && return
-    say "failed: $*"
+    program=$1
+    shift
+    "$BIN/$program" "$@" >log 2>&1 && return
+    say "failed: $program $*"
     cat log >&2
     exit 70
 }
@@ -65,41 +71,53 @@ calc()
 # bake SCAN LOW NAME OPTION...: object-space normals and the mask as floats; the report is NAME.json.
 bake()
 {
-    scan=$1 low=$2 name=$3
+    from=$1 onto=$2 map=$3
     shift 3
-    run bisque-bake "$scan" "$low" -o "${name}_<MAP>.exr" --maps normal,mask --normal-space object \
+    run bisque-bake "$from" "$onto" -o "${map}_<MAP>.exr" --maps normal,mask --normal-space object \
         --float --size "$map_size" --samples $samples --padding 0 --json "$@"
-    mv log "$name.json"
+    mv log "$map.json"
 }
 
 # prepare NAME SCAN.obj LOW.obj SIZE: chunks, their exact maps, texel (world units).
 prepare()
 {
-    name=$1 scan_low=$3 map_size=$4
+    scan_low=$3 map_size=$4
     texel=$(calc "$(awk -f "$here/accuracy_texel.awk" "$scan_low") / $map_size") || exit 65
-    say "$name: $map_size x $map_size texels of $texel"
-    run bisque-voxelize "$2" -o "$name.nvdb" --voxel-size "$(calc "4 * $texel")"
-    rm "$name.nvdb"
-    bake "$name.tris" "$scan_low" "$name-exact"
-    reach="--front $(number front "$name-exact.json") --back $(number back "$name-exact.json")"
+    say "$1: $map_size x $map_size texels of $texel"
+    run bisque-voxelize "$2" -o "$1.nvdb" --voxel-size "$(calc "4 * $texel")"
+    rm "$1.nvdb"
+    bake "$1.tris" "$scan_low" "$1-exact"
+    reach="--front $(number front "$1-exact.json") --back $(number back "$1-exact.json")"
 }
 
-# against_exact NAME RATIO DETAIL METHOD: DETAIL is the wavelength in voxels, or "-".
-against_exact()
+# compare A B TITLE RATIO DETAIL KIND: records how far map A is from the reference B, and draws it.
+compare()
 {
-    map=$1-$2-$4
-    # shellcheck disable=SC2086 # two options with a value each
-    bake "$1.nvdb" "$scan_low" "$map" --sampling "$4" $reach
-    run bisque-compare "${map}_normal.exr" "$1-exact_normal.exr" --mask-a "${map}_mask.exr" \
-        --mask-b "$1-exact_mask.exr" --heatmap "$map-heat.png" --histogram "$map-histogram.png" \
-        --scale 5 --json
-    line="$5	$2	$3	$4"
+    pictures=$1-against-${2##*-}
+    run bisque-compare "$1_normal.exr" "$2_normal.exr" --mask-a "$1_mask.exr" --mask-b "$2_mask.exr" \
+        --heatmap "$pictures-heat.png" --histogram "$pictures-histogram.png" --scale 5 --json
+    mv log comparison
+    line="voxel	$3	$4	$5	$6"
     for key in mean p95 p99 max share_above_1 share_above_5 agreement; do
-        line="$line	$(number $key log)"
+        line="$line	$(number $key comparison)"
     done
     printf '%s\n' "$line" >>"$records"
-    mv log "$map.json"
-    [ -n "${BENCH_DIR:-}" ] || rm -f "$map"*
+}
+
+# discard NAME: what is no longer needed, unless it is to stay.
+discard()
+{
+    [ -n "${BENCH_DIR:-}" ] || rm -f "$1"*
+}
+
+# against_exact NAME RATIO DETAIL SAMPLING TITLE: DETAIL is the wavelength in voxels, or "-".
+against_exact()
+{
+    # shellcheck disable=SC2086 # two options with a value each
+    bake "$1.nvdb" "$scan_low" "$1-$2-$4" --sampling "$4" $reach
+    compare "$1-$2-$4" "$1-exact" "$5" "$2" "$3" "$4"
+    [ ! -f "$1-flat_normal.exr" ] || compare "$1-$2-$4" "$1-flat" "$5, against facets" "$2" "$3" "$4"
+    [ ! -f "$1-fine_normal.exr" ] || compare "$1-$2-$4" "$1-fine" "$5$finer" "$2" "$3" "$4"
 }
 
 # both_samplings NAME RATIO DETAIL TITLE: at one ratio of voxel to texel.
@@ -112,21 +130,51 @@ both_samplings()
     rm "$1.nvdb"
 }
 
-# whole_scan NAME TITLE: at all ratios.
+# whole_scan NAME TITLE: at all ratios, against all references: triangles with smooth normals, facets, and where
+# prepared a finer scan of the same surface.
 whole_scan()
 {
+    # shellcheck disable=SC2086 # two options with a value each
+    bake "$1.tris" "$scan_low" "$1-flat" --scan-normals flat $reach
+    compare "$1-flat" "$1-exact" "$2" 0 - flat
+    if [ -f "$1-fine_normal.exr" ]; then
+        compare "$1-exact" "$1-fine" "$2$finer" 0 - smooth
+        compare "$1-flat" "$1-fine" "$2$finer" 0 - flat
+    fi
     for ratio in $ratios; do
         both_samplings "$1" "$ratio" - "$2"
     done
-    [ -n "${BENCH_DIR:-}" ] || rm -f "$1"*
 }
 
-# The wavelength is chosen in texels; what it is in voxels follows from the ratio. 24 triangles a wave.
+# truth NAME TITLE LABEL: a map of the vase against its formula, every 149th texel.
+truth()
+{
+    "$TESTS/check-vase" -s $samples -e 149 "$1_normal.exr" "$1_mask.exr" >log || exit 70
+    sed -n 's/.*mean angle: \([0-9.e-]*\).*/\1/p; s/.*95th percentile: \([0-9.e-]*\).*/\1/p
+        s/.*99th \([0-9.e-]*\), largest \([0-9.e-]*\) .*/\1\t\2/p' log | paste -s - >numbers
+    printf 'truth\t%s\t%s\t%s\n' "$2" "$3" "$(cat numbers)" >>"$records"
+}
+
+# truths NAME TITLE
+truths()
+{
+    truth "$1-exact" "$2" "exact, smooth normals"
+    truth "$1-flat" "$2" "exact, facets"
+    for ratio in $ratios; do
+        for sampling in trilinear nearest; do
+            truth "$1-$ratio-$sampling" "$2" "voxel / texel $ratio, $sampling"
+        done
+    done
+}
+
+# The wavelength is chosen in texels; what it is in voxels follows from the ratio. 64 cells a wave, or a few less
+# where waves are shortest: the triangles' own error is far below that of the voxels.
 sine()
 {
     waves=$1 map_size=128
-    cells=$(calc "int(24 * 108 / (100 / $map_size * $waves))")
-    [ "$cells" -lt 1600 ] || cells=1600
+    [ "$waves" -gt 2 ] || map_size=64
+    cells=$(calc "int(64 * 1.08 * $map_size / $waves)")
+    [ "$cells" -le 2300 ] || cells=2300
     "$TESTS/generate-scan" --triangles $((2 * cells * cells)) --normals \
         --wavelength "$(calc "100 / $map_size * $waves")" sine -o sine.obj || exit 73
     prepare "sine$waves" sine.obj sine_low.obj $map_size
@@ -137,28 +185,60 @@ sine()
         4 | 8 | 16 | 32) both_samplings "sine$waves" "$ratio" "$detail" sine ;;
         esac
     done
-    [ -n "${BENCH_DIR:-}" ] || rm -f "sine$waves"*
+    discard "sine$waves"
 }
 
-"$TESTS/generate-scan" sine-low -o sine_low.obj || exit 73
-for waves in 1 2 4 8 16 32 64; do
-    sine $waves
-done
+sines()
+{
+    "$TESTS/generate-scan" sine-low -o sine_low.obj || exit 73
+    for waves in 1 2 4 8 16 32 64; do
+        sine $waves
+    done
+}
 
-"$TESTS/generate-scan" --triangles $scan_triangles vase -o vase.obj &&
-    "$TESTS/generate-scan" vase-low -o vase_low.obj || exit 73
-prepare vase vase.obj vase_low.obj $size
-rm vase.obj
-whole_scan vase "vase, $((scan_triangles / 1000000))M triangles, $size²"
+vase()
+{
+    "$TESTS/generate-scan" --triangles $scan_triangles vase -o vase.obj &&
+        "$TESTS/generate-scan" vase-low -o vase_low.obj || exit 73
+    prepare vase vase.obj vase_low.obj $size
+    rm vase.obj
+    title="vase, $((scan_triangles / 1000000))M triangles, $size²"
+    whole_scan vase "$title"
+    truths vase "$title"
+    discard vase
+}
 
-if [ -n "$SCANS" ] && [ -f "$SCANS/bunny.obj" ]; then
+bunny()
+{
+    if [ -z "$SCANS" ] || [ ! -f "$SCANS/bunny.obj" ]; then
+        say "no bunny.obj in SCANS: left out"
+        return
+    fi
     "$TESTS/generate-scan" --triangles $bunny_triangles "$SCANS/bunny.obj" -o bunny.obj || exit 73
     prepare bunny bunny.obj "$SCANS/bunny_low.obj" $size
     rm bunny.obj
+    # The displacement is a formula, so more triangles are nearer to the same surface.
+    "$TESTS/generate-scan" --triangles $((4 * bunny_triangles)) "$SCANS/bunny.obj" -o fine.obj || exit 73
+    run bisque-voxelize fine.obj -o fine.nvdb --voxel-size "$(calc "4 * $texel")"
+    rm fine.obj fine.nvdb
+    # shellcheck disable=SC2086 # two options with a value each
+    bake fine.tris "$scan_low" bunny-fine $reach
+    rm fine.tris
     whole_scan bunny "bunny, $((bunny_triangles / 1000000))M triangles, $size²"
-else
-    say "no bunny.obj in SCANS: left out"
-fi
+    discard bunny
+}
+
+for scan; do
+    case $scan in
+    sine) sines ;;
+    vase) vase ;;
+    bunny) bunny ;;
+    *)
+        say "$scan is not sine, vase or bunny"
+        exit 64
+        ;;
+    esac
+done
 
 echo "Date: $(date -u +%Y-%m-%d), $("$BIN/bisque-bake" --version), $samples x $samples samples a texel"
 awk -F '\t' -f "$here/accuracy_table.awk" "$records"

@@ -9,15 +9,18 @@
 static const char usage[] =
     "usage: generate-scan [options] vase -o FILE.obj          analytic vase with relief\n"
     "       generate-scan [options] vase-low -o FILE.obj      its low mesh (40 x 64 quads)\n"
+    "       generate-scan [options] sine -o FILE.obj          crossed sine waves on a square of side 100\n"
+    "       generate-scan [options] sine-low -o FILE.obj      the square\n"
     "       generate-scan [options] SMALL.obj -o FILE.obj     a small scan, amplified\n"
     "  -n, --triangles N     about N triangles (default 2000000)\n"
     "  -c, --colors          vertex colours (vase)\n"
-    "      --normals         vertex normals (vase)\n"
+    "      --normals         vertex normals (vase, sine)\n"
     "      --uvs             texture coordinates (vase)\n"
     "      --corners N       polygons with N corners, 3 or an even number (vase; default 3)\n"
     "      --shuffle SEED    faces in random order\n"
     "      --offset X,Y,Z    added to every position\n"
-    "      --amplitude A     displacement as a share of the diagonal (default 0.002)\n";
+    "      --amplitude A     displacement as a share of the diagonal (default 0.002)\n"
+    "      --wavelength W    of the sine (default 10)\n";
 
 static int bad_usage(void)
 {
@@ -27,12 +30,14 @@ static int bad_usage(void)
 
 int main(int argc, char **argv)
 {
-    struct generate_options options = {.triangles = 2000000, .corners = 3, .amplitude = 0.002};
-    enum { NORMALS = 256, UVS, CORNERS, SHUFFLE, OFFSET, AMPLITUDE };
+    struct generate_options options = {.triangles = 2000000, .corners = 3, .amplitude = 0.002,
+                                       .wavelength = 10};
+    enum { NORMALS = 256, UVS, CORNERS, SHUFFLE, OFFSET, AMPLITUDE, WAVELENGTH };
     static const struct option table[] = {
         {"triangles", 1, 0, 'n'}, {"colors", 0, 0, 'c'},     {"normals", 0, 0, NORMALS},
         {"uvs", 0, 0, UVS},       {"corners", 1, 0, CORNERS}, {"shuffle", 1, 0, SHUFFLE},
-        {"offset", 1, 0, OFFSET}, {"output", 1, 0, 'o'},     {"amplitude", 1, 0, AMPLITUDE}, {0}};
+        {"offset", 1, 0, OFFSET}, {"output", 1, 0, 'o'},     {"amplitude", 1, 0, AMPLITUDE},
+        {"wavelength", 1, 0, WAVELENGTH}, {0}};
     for (int c; (c = getopt_long(argc, argv, "n:co:", table, NULL)) != -1;) {
         switch (c) {
         case 'n': options.triangles = strtoull(optarg, NULL, 10); break;
@@ -43,6 +48,7 @@ int main(int argc, char **argv)
         case CORNERS: options.corners = (unsigned)strtoul(optarg, NULL, 10); break;
         case SHUFFLE: options.shuffle = 1, options.seed = strtoull(optarg, NULL, 10); break;
         case AMPLITUDE: options.amplitude = strtod(optarg, NULL); break;
+        case WAVELENGTH: options.wavelength = strtod(optarg, NULL); break;
         case OFFSET:
             if (sscanf(optarg, "%lf,%lf,%lf", options.offset, options.offset + 1,
                        options.offset + 2) != 3)
@@ -52,12 +58,17 @@ int main(int argc, char **argv)
         }
     }
     if (optind + 1 != argc || !options.output || options.triangles < 1 ||
+        !(options.wavelength > 0) ||
         (options.corners != 3 && (options.corners < 4 || options.corners % 2)))
         return bad_usage();
     if (!strcmp(argv[optind], "vase"))
         generate_vase(&options);
     else if (!strcmp(argv[optind], "vase-low"))
         generate_vase_low(&options, 40, 64);
+    else if (!strcmp(argv[optind], "sine"))
+        generate_sine(&options);
+    else if (!strcmp(argv[optind], "sine-low"))
+        generate_sine_low(&options);
     else
         generate_amplified(&options, argv[optind]);
     return 0;

@@ -12,6 +12,7 @@ struct generate_options {
     uint64_t seed;
     double offset[3];     /* added to every position: geo-referenced scans */
     double amplitude;     /* amplify: height of the displacement as a share of the diagonal */
+    double wavelength;    /* sine: in world units */
     const char *output;
 };
 
@@ -21,5 +22,8 @@ void generate_vase(const struct generate_options *options);
 void generate_vase_low(const struct generate_options *options, unsigned nu, unsigned ns);
 /* Any small scan, each triangle split into k x k and displaced along its normals. */
 void generate_amplified(const struct generate_options *options, const char *input);
+/* Crossed sine waves with slopes up to 20 degrees, and the square of side 100 under them as a low mesh. */
+void generate_sine(const struct generate_options *options);
+void generate_sine_low(const struct generate_options *options);
 
 #endif

@@ -1,6 +1,6 @@
-/* A patch of z = a sin(k x) sin(k y) over a plane that is turned against all axes, so that voxels meet it at every
- * angle. One wavelength everywhere and a steepest slope of 20 degrees: the detail's length in voxels is all
- * that differs between two of them. */
+/* A patch of z = a sin(k x) sin(k y) over a plane that is turned against all axes, so that voxels
+ * meet it at every angle. One wavelength everywhere and a steepest slope of 20 degrees: the
+ * detail's length in voxels is all that differs between two of them. */
 #include "tests/scan/generate_options.h"
 #include "tests/scan/permutation.h"
 #include "tests/scan/text_writer.h"
@@ -51,7 +51,8 @@ static void put_grid(struct patch *patch, int normals)
             const double x = (double)i * step - MARGIN, y = (double)j * step - MARGIN;
             const double sx = sin(patch->k * x), cx = cos(patch->k * x);
             const double sy = sin(patch->k * y), cy = cos(patch->k * y);
-            const double slope = patch->height * patch->k, dx = slope * cx * sy, dy = slope * sx * cy;
+            const double slope = patch->height * patch->k, dx = slope * cx * sy,
+                         dy = slope * sx * cy;
             const double length = sqrt(dx * dx + dy * dy + 1);
             if (normals)
                 put_vector(patch, "vn", -dx / length, -dy / length, 1 / length, nowhere);

@@ -1,0 +1,143 @@
+#!/bin/sh
+# test_accuracy.sh - how near maps come to the truth: thin plates, exact maps against a formula and against voxels,
+# tangent space against object space.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+# holds NAME CHECKER ARGUMENT...: the checker's limits hold.
+holds()
+{
+    name=$1 checker=$2
+    shift 2
+    command="$checker $*" code=0
+    "$TESTS/$checker" "$@" >"$out" 2>"$err" || code=$?
+    check "$name" "$code"
+    sed 's/^/# /' "$out"
+}
+
+# within NAME ARGUMENT...: bisque-compare's limits hold.
+within()
+{
+    name=$1
+    shift
+    run bisque-compare "$@"
+    check "$name" "$code"
+    sed 's/^/# /' "$out"
+}
+
+# ---- a plate thinner than a voxel: red above, blue below ----
+
+# place TILT HEIGHT: an AWK function that turns (x, y, z) by TILT degrees about the y axis and lifts it by HEIGHT.
+place()
+{
+    echo "function place(x, y, z,    a) {
+        a = $1 * 3.14159265358979 / 180
+        return sprintf(\"%.6f %.6f %.6f\", x * cos(a) - z * sin(a), y, x * sin(a) + z * cos(a) + $2) }"
+}
+
+# plate TILT HEIGHT THICKNESS: both faces as squares of side 40, without a rim.
+plate()
+{
+    awk "$(place "$1" "$2")
+        function face(z, color) {
+            print \"v\", place(-20, -20, z), color; print \"v\", place(20, -20, z), color
+            print \"v\", place(20, 20, z), color; print \"v\", place(-20, 20, z), color }
+        BEGIN { face($3 / 2, \"1 0 0\"); face(-$3 / 2, \"0 0 1\"); print \"f 1 2 3 4\"; print \"f 5 8 7 6\" }"
+}
+
+# plate_low TILT HEIGHT: two squares of side 30 in the middle plane, one faces up, one down, in charts side by side.
+plate_low()
+{
+    awk "$(place "$1" "$2")
+        BEGIN { print \"v\", place(-15, -15, 0); print \"v\", place(15, -15, 0); print \"v\", place(15, 15, 0)
+            print \"v\", place(-15, 15, 0)
+            for (u = 0; u < 1; u += 0.5) {
+                print \"vt\", u + 0.05, 0.1; print \"vt\", u + 0.45, 0.1; print \"vt\", u + 0.45, 0.9
+                print \"vt\", u + 0.05, 0.9 }
+            print \"f 1/1 2/2 3/3 4/4\"; print \"f 1/5 4/8 3/7 2/6\" }"
+}
+
+# bake_plate SCAN NAME
+bake_plate()
+{
+    run bisque-bake "$1" plate_low.obj -o "$2_<MAP>.exr" --maps normal,color,mask --normal-space object \
+        --float --size 64x32 --samples 2 --front 6 --back 6 --device cpu
+}
+
+# Along the grid between two layers of voxels, within one and anywhere; across it.
+for pose in "0 0" "0 0.25" "0 0.5" "33 0.25"; do
+    tilt=${pose% *} height=${pose#* }
+    plate_low "$tilt" "$height" >plate_low.obj
+    # The reference: the same sides, four voxels from the low mesh, where nothing can be mistaken.
+    plate "$tilt" "$height" 8 >thick.obj
+    run bisque-voxelize thick.obj -o thick.nvdb --voxel-size 1
+    bake_plate thick.tris thick
+    for thickness in 0.9 0.5 0.1; do
+        plate "$tilt" "$height" $thickness >plate.obj
+        run bisque-voxelize plate.obj -o plate.nvdb --voxel-size 1
+        for scan in nvdb tris; do
+            bake_plate plate.$scan plate
+            what="plate of $thickness voxels at $height, tilted by $tilt degrees, from .$scan"
+            within "$what: red above, blue below" plate_color.exr thick_color.exr --mask-a plate_mask.exr \
+                --mask-b thick_mask.exr --max-error 0.5 --min-agreement 1
+            within "$what: normals" plate_normal.exr thick_normal.exr --mask-a plate_mask.exr \
+                --mask-b thick_mask.exr --max-error 0.1 --min-agreement 1
+        done
+    done
+done
+# The comparison above would notice sides that are swapped.
+sed 's/1 0 0$/x/; s/0 0 1$/1 0 0/; s/x$/0 0 1/' plate.obj >swapped.obj
+run bisque-voxelize swapped.obj -o swapped.nvdb --voxel-size 1
+bake_plate swapped.nvdb swapped
+run bisque-compare swapped_color.exr thick_color.exr --mask thick_mask.exr --json
+json '.mean > 30'
+
+# ---- the vase, 13 triangles to the finest wave of its relief: exact maps against the formula, voxels against exact maps ----
+
+"$TESTS/generate-scan" --triangles 3000000 --normals vase -o vase.obj
+"$TESTS/generate-scan" vase-low -o low.obj
+run bisque-voxelize vase.obj -o vase.nvdb --resolution 1024
+code 0
+options="--maps normal,mask --size 256 --samples 2 --normal-space object --float"
+run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
+code 0
+holds "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
+    exact_mask.exr
+for setting in "--threads 1 --memory 96M" "--threads 3 --memory 1G"; do
+    run bisque-bake vase.tris low.obj $options $setting -o 'other_<MAP>.exr'
+    code 0
+    same exact_normal.exr other_normal.exr
+    same exact_mask.exr other_mask.exr
+done
+run bisque-bake vase.nvdb low.obj $options -o 'voxel_<MAP>.exr'
+code 0
+# A texel is 6 voxels wide.
+within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
+    --mask-b exact_mask.exr --max-mean 0.2 --max-p95 0.5 --max-p99 1.5 --min-agreement 0.999
+
+# ---- tangent space through a shader's arithmetic against object space ----
+
+write_box >box.obj
+run bisque-voxelize box.obj -o box.nvdb --resolution 96
+code 0
+awk '$1 == "vt" { $2 = 1 - $2 } { print }' low.obj >low_mirrored.obj
+# Without normals in the file, those of the box's corners are smooth: far apart over each face, and frames are far
+# from right angles. In a frame at right angles rounding to halves turns a normal by at most 0.0485 degrees.
+for mesh in low low_mirrored box; do
+    case $mesh in
+    box) scan=box limit=0.15 ;;
+    *) scan=vase limit=0.05 ;;
+    esac
+    for source in nvdb tris; do
+        bake="run bisque-bake $scan.$source $mesh.obj --size 256 --samples 1 --device cpu"
+        $bake --maps normal,mask --normal-space object --float -o 'object_<MAP>.exr'
+        code 0
+        $bake --maps normal --float -o tangent.exr
+        holds "$mesh from $scan.$source: tangent space of floats is object space" check-tangent -x 0.01 -h 0.5 \
+            $mesh.obj tangent.exr object_normal.exr object_mask.exr
+        $bake --maps normal --half -o tangent.exr
+        holds "$mesh from $scan.$source: tangent space of halves is object space" check-tangent -x $limit -m 0.03 \
+            -h 0.5 $mesh.obj tangent.exr object_normal.exr object_mask.exr
+    done
+done
+finish
