@@ -14,7 +14,7 @@ extern "C" {
 struct fmt_nvdb_record {
     uint32_t normal; /* octahedral 2 x 16, mean of area-weighted normals */
     uint32_t plane;  /* bits 0-15: signed offset d of the plane n.(x - centre) = d in voxels, d * 32767;
-                        16-23: coverage |sum area n| / sum area * 255; 24: has a second record;
+                        16-23: coverage |sum area n'| / sum area * 255, with n' = n |n . facet's normal|; 24: has a second record;
                         25: shaded, the normal does not go with the plane: it is interpolated over a facet */
     uint32_t color;  /* RGBA8 sRGB, R in the low byte; 0 where the scan has no colour */
 };

@@ -162,8 +162,8 @@ static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
     static const struct {
         uint32_t resolution;
         uint64_t voxels;
-    } table[] = {{4, 56},     {8, 272},     {16, 1160},    {32, 4760},
-                 {64, 19232}, {128, 77096}, {256, 308576}, {512, 1235144}};
+    } table[] = {{4, 56},      {8, 272},      {16, 1160},     {32, 4760},     {64, 19232},
+                 {128, 77096}, {256, 308576}, {512, 1235144}, {1024, 4940816}};
     for (size_t i = 0; i < sizeof table / sizeof table[0]; i++) {
         assert_int_equal(exact_sphere_voxels(table[i].resolution), table[i].voxels);
         struct scan_mesh mesh = scan_sphere(table[i].resolution / 2.0, 1.5);
