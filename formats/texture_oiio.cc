@@ -29,6 +29,7 @@
 #include <half.h>
 #include <unistd.h>
 
+#include "base/srgb.h"
 #include "formats/texture_pyramid.h"
 
 extern "C" {
@@ -85,11 +86,6 @@ struct Textures : fmt_textures {
 
 // ---- colour ----
 
-double linear_from_srgb(double s)
-{
-    return s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4);
-}
-
 const float *find_table(Textures *textures, unsigned bits, double gamma)
 {
     for (const auto &transfer : textures->transfers)
@@ -102,7 +98,7 @@ const float *find_table(Textures *textures, unsigned bits, double gamma)
     transfer->table.resize(count);
     for (size_t i = 0; i < count; i++) {
         double s = double(i) / double(count - 1);
-        transfer->table[i] = float(gamma == 0 ? linear_from_srgb(s) : std::pow(s, gamma));
+        transfer->table[i] = float(gamma == 0 ? bsq_srgb_to_linear(s) : std::pow(s, gamma));
     }
     textures->transfers.push_back(std::move(transfer));
     return textures->transfers.back()->table.data();

@@ -11,6 +11,7 @@
 
 extern "C" {
 #include "base/octahedral.h"
+#include "base/srgb.h"
 }
 #include "formats/module_internal.h"
 #include "formats/nvdb_layout_internal.h"
@@ -158,10 +159,8 @@ int write_file(const fmt_host *host, bsq_ctx *ctx, const fmt_nvdb_grid *grid, co
                const char *path)
 {
     source from = {host, ctx, grid, {}};
-    for (int i = 0; i < 256; i++) {
-        double s = i / 255.0;
-        from.linear[i] = float(s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4));
-    }
+    for (int i = 0; i < 256; i++)
+        from.linear[i] = float(bsq_srgb_to_linear(i / 255.0));
     return export_to(from, temp_path, path);
 }
 

@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "libbake/clock_internal.h"
+#include "base/clock.h"
 #include "libbake/device_internal.h"
 #include "libbake/distance_internal.h"
 #include "libbake/exact_tiles_internal.h"
@@ -352,7 +352,7 @@ static int commit(struct job *job)
 
 static int run(struct job *job)
 {
-    double started = bake_clock();
+    double started = bsq_seconds_now();
     int status = open_inputs(job);
     if (status == 0)
         status = set_params(job);
@@ -364,24 +364,24 @@ static int run(struct job *job)
         status = open_device(job);
     if (status == 0)
         status = create_image(job);
-    double opened = bake_clock();
+    double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
     if (status == 0)
         status = trace(job);
     end_tracing(job);
-    job->report->seconds_trace = bake_clock() - opened;
+    job->report->seconds_trace = bsq_seconds_now() - opened;
     if (status == 0)
         status = write_maps(job);
     bake_image_free(job->image);
     job->image = NULL;
-    double written = bake_clock();
+    double written = bsq_seconds_now();
     if (status == 0)
         status = write_preview(job);
-    double committing = bake_clock();
+    double committing = bsq_seconds_now();
     job->report->seconds_preview = committing - written;
     if (status == 0)
         status = commit(job);
-    job->report->seconds_write += bake_clock() - committing;
+    job->report->seconds_write += bsq_seconds_now() - committing;
     return status;
 }
 

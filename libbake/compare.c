@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/srgb.h"
 #include "libbake/colour_difference_internal.h"
 #include "libbake/compare_internal.h"
 
@@ -260,12 +261,6 @@ static void sum_errors(const struct bake_comparison *c, struct bake_compare_repo
     r->agreement = count / (count + (double)r->only_a + (double)r->only_b);
 }
 
-static double srgb_encode(double linear)
-{
-    linear = fmin(fmax(linear, 0), 1);
-    return linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1 / 2.4) - 0.055;
-}
-
 static void measure_noise(const struct bake_comparison *c, struct bake_compare_report *r)
 {
     uint64_t texels = (uint64_t)r->width * r->height;
@@ -277,7 +272,7 @@ static void measure_noise(const struct bake_comparison *c, struct bake_compare_r
         read_rgb(&c->a, c->a_rgb, i, a);
         read_rgb(&c->b, c->b_rgb, i, b);
         for (int k = 0; k < 3; k++) {
-            double d = srgb_encode((double)a[k]) - srgb_encode((double)b[k]);
+            double d = bsq_linear_to_srgb((double)a[k]) - bsq_linear_to_srgb((double)b[k]);
             squares += d * d;
         }
     }

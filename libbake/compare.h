@@ -40,6 +40,9 @@ struct bake_compare_report {
     double relative_mean, relative_max; /* data: |a - b| / max(|a|, |b|) */
 };
 
+/* Unit of the error, for legends: "degrees", "dE2000", "difference"; static storage. */
+const char *bake_compare_unit(enum bake_compare_kind kind);
+
 /* Compares two maps. Holds both in memory, from the budget. Errors: BSQ_ENOINPUT, BSQ_EDATA where sizes
  * or channels differ or no texel is covered by both. */
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,

@@ -13,9 +13,6 @@ struct bake_comparison {
     float *errors;               /* height x width */
 };
 
-/* Unit of the error, for legends: "degrees", "dE2000", "difference". */
-const char *bake_compare_unit(enum bake_compare_kind kind);
-
 /* Draws the errors in place, with a scale from 0 to `top` below. */
 int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
                        const char *path);

@@ -1,4 +1,5 @@
 /* exact.c - opening a chunk file for exact rays: bounds of all chunks, materials, textures. */
+#include "base/srgb.h"
 #include "libbake/exact_scene_internal.h"
 
 #include <inttypes.h>
@@ -99,15 +100,6 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
 
 /* ---- colour ---- */
 
-static double linear(double srgb)
-{
-    if (!(srgb > 0.0))
-        return 0.0;
-    if (srgb >= 1.0)
-        return 1.0;
-    return srgb <= 0.04045 ? srgb / 12.92 : pow((srgb + 0.055) / 1.055, 2.4);
-}
-
 static int open_textures(struct bake_exact *exact)
 {
     const struct fmt_tris_header *h = exact->header;
@@ -141,7 +133,7 @@ int bake_exact_use_color(struct bake_exact *exact)
         return status;
     for (uint32_t m = 0; m < h->material_count; m++)
         for (int k = 0; k < 3; k++)
-            exact->diffuse[m][k] = (float)linear((double)h->materials[m].diffuse[k]);
+            exact->diffuse[m][k] = (float)bsq_srgb_to_linear((double)h->materials[m].diffuse[k]);
     return h->attributes & FMT_TRIS_TEXCOORDS ? open_textures(exact) : 0;
 }
 

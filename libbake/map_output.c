@@ -15,7 +15,7 @@
 #include "base/parallel.h"
 #include "formats/exr.h"
 #include "formats/png_image.h"
-#include "libbake/clock_internal.h"
+#include "base/clock.h"
 #include "libbake/padding_internal.h"
 
 enum { MAP_KINDS = 3, ATTRIBUTES = 16, BAND_STEP = 64 };
@@ -375,7 +375,7 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
 {
     struct encoding encoding = {files, bake_image_channels(image)};
     uint32_t band_rows = choose_band_rows(files, image);
-    double start = bake_clock();
+    double start = bsq_seconds_now();
     int status = allocate_rows(files, band_rows);
     if (status == 0)
         status = bake_padding_create(files->ctx, image, band_rows, files->padding, files->beside,
@@ -387,11 +387,11 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
         if (status < 0 || rows == 0)
             break;
         status = bsq_parallel_for(files->ctx, rows, encode_row, &encoding);
-        double encoded = bake_clock();
+        double encoded = bsq_seconds_now();
         *resolve += encoded - start;
         if (status == 0)
             status = write_band(files, first_row, rows, normal, color);
-        start = bake_clock();
+        start = bsq_seconds_now();
         *write += start - encoded;
         bsq_progress_add(files->ctx, rows);
     }

@@ -1,6 +1,7 @@
 /* shade.c - interpolates what is linear over a triangle at the centroid of a piece, which gives the
  * piece's mean exactly; a texture is averaged over the piece's extent instead. */
 #include "libvoxel/shade.h"
+#include "base/srgb.h"
 
 #include <math.h>
 #include <string.h>
@@ -54,7 +55,7 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
         return status;
     for (uint32_t i = 0; i < header->material_count; i++)
         for (int k = 0; k < 3; k++)
-            out->diffuse[i][k] = vox_srgb_to_linear((double)header->materials[i].diffuse[k]);
+            out->diffuse[i][k] = bsq_srgb_to_linear((double)header->materials[i].diffuse[k]);
     if (vox_shading_needs_textures(header) &&
         (status = open_textures(ctx, header, texture_bytes, &out->textures)) < 0)
         vox_shading_free(ctx, out);

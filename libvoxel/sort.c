@@ -4,10 +4,10 @@
  * into triangles, collected by cell of a coarse Morton grid (scatter.h). Batches of cells are
  * sorted, cut into chunks and written (batches.h). Every step streams, and what does not fit in
  * memory goes to temporary files, so that the budget bounds memory and nothing else. */
+#include "base/clock.h"
 #include "libvoxel/batches.h"
 
 #include <sys/stat.h>
-#include <time.h>
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -37,13 +37,6 @@ void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limi
     uint64_t scattering = limits->page_memory + 12 * MIB + rest / 16;
     if (limits->store_bytes > budget - scattering)
         limits->store_bytes = budget - scattering;
-}
-
-static double seconds_now(void)
-{
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
 }
 
 /* For progress only: files that cannot be read are the reader's to report. */
@@ -80,7 +73,7 @@ int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t o
 {
     struct fmt_obj_reader *reader;
     struct fmt_obj_totals totals = {0};
-    double start = seconds_now();
+    double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
     int status = fmt_obj_open(ctx, obj_paths, obj_count, &reader);
     if (status < 0)
@@ -90,7 +83,7 @@ int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t o
     bsq_progress_end(ctx);
     report_totals(report, &totals);
     report->triangles = totals.corners - 2 * totals.faces;
-    report->seconds_read = seconds_now() - start;
+    report->seconds_read = bsq_seconds_now() - start;
     fmt_obj_close(reader);
     return status;
 }
@@ -102,7 +95,7 @@ static int read_scan(struct scan *scan, const struct vox_sort_options *options,
 {
     struct fmt_obj_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
-    double start = seconds_now();
+    double start = bsq_seconds_now();
     int status = fmt_obj_open(ctx, options->obj_paths, options->obj_count, &reader);
     if (status < 0)
         return status;
@@ -120,7 +113,7 @@ static int read_scan(struct scan *scan, const struct vox_sort_options *options,
     report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
-    report->seconds_read = seconds_now() - start;
+    report->seconds_read = bsq_seconds_now() - start;
     return status;
 }
 
@@ -154,7 +147,7 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
 static int sort_scan(struct scan *scan, const char *path, struct vox_sort_report *report)
 {
     struct scattered scattered;
-    double start = seconds_now();
+    double start = bsq_seconds_now();
     int status = scatter_scan(scan, path, &scattered);
     face_store_free(&scan->faces);
     if (status == 0 && scattered.triangles == 0)
@@ -169,7 +162,7 @@ static int sort_scan(struct scan *scan, const char *path, struct vox_sort_report
     report->degenerate_triangles = scattered.degenerate_triangles;
     report->unused_vertices = scattered.unused_vertices;
     cells_free(&scattered.cells);
-    report->seconds_sort = seconds_now() - start;
+    report->seconds_sort = bsq_seconds_now() - start;
     return status;
 }
 

@@ -14,9 +14,6 @@ struct vox_color_tables {
 
 void vox_color_tables_init(struct vox_color_tables *tables);
 
-/* Linear value of an sRGB value in [0, 1]; others are clamped. */
-double vox_srgb_to_linear(double srgb);
-
 /* Nearest 8-bit sRGB code of a linear value; values outside of [0, 1] are clamped, NaN gives 0. */
 static inline uint32_t vox_color_encode(const struct vox_color_tables *t, double linear)
 {

@@ -10,8 +10,8 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
-#include <time.h>
 
+#include "base/clock.h"
 #include "base/parallel.h"
 #include "formats/vdb_export.h"
 #include "libvoxel/region_work.h"
@@ -388,13 +388,6 @@ static int run_pipeline(struct job *job)
 
 /* ---- the whole ---- */
 
-static double seconds_now(void)
-{
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
-}
-
 static void fill_report(const struct job *job, const struct fmt_nvdb_totals *totals,
                         struct vox_voxelize_report *report)
 {
@@ -448,11 +441,11 @@ static int export_vdb(struct bsq_ctx *ctx, const struct vox_voxelize_options *op
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report)
 {
-    double start = seconds_now();
+    double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
     int status = make_grid(ctx, options, report);
     if (status == 0 && options->vdb_path)
         status = export_vdb(ctx, options);
-    report->seconds = seconds_now() - start;
+    report->seconds = bsq_seconds_now() - start;
     return status;
 }

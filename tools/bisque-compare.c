@@ -70,7 +70,6 @@ static const struct {
 };
 
 static const char *const kind_names[] = {"auto", "normal", "color", "data", NULL};
-static const char *const kind_units[] = {"", "degrees", "dE2000", "difference"};
 
 struct arguments {
     struct bake_compare_options compare;
@@ -183,7 +182,7 @@ static int count_failures(struct cli *cli, const struct arguments *arguments,
 static void print_report(const struct arguments *arguments,
                          const struct bake_compare_report *report)
 {
-    const char *unit = kind_units[report->kind];
+    const char *unit = bake_compare_unit(report->kind);
     char compared[CLI_TEXT];
     printf("%s against %s: %s texels of %ux%u compared as %s\n", arguments->compare.a_path,
            arguments->compare.b_path, cli_count_text(report->compared, compared), report->width,
@@ -211,7 +210,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
         " s:f, s:f, s:b}",
         "a_path", cli_json_text(arguments->compare.a_path), "b_path",
         cli_json_text(arguments->compare.b_path), "type", kind_names[report->kind], "unit",
-        kind_units[report->kind], "width", (int)report->width, "height", (int)report->height,
+        bake_compare_unit(report->kind), "width", (int)report->width, "height", (int)report->height,
         "compared", (json_int_t)report->compared, "only_a", (json_int_t)report->only_a, "only_b",
         (json_int_t)report->only_b, "agreement", report->agreement, "mean", report->mean, "rms",
         report->rms, "median", report->median, "p95", report->p95, "p99", report->p99, "max",
