@@ -83,6 +83,11 @@ $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 
+# One source of the kernel for processors with AVX2; fused operations would round otherwise.
+ifneq ($(findstring x86-64,$(ARCH)),)
+$(patsubst %,$(BUILD)/%/libbake/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 -mbmi -mbmi2 -mlzcnt -mno-fma
+endif
+
 define archive_rule
 $(archive.$(1)): $$(call objs,$(1))
 	@mkdir -p $$(@D)
@@ -236,6 +241,22 @@ $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 $(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
 	@mkdir -p $(@D)
 	$(CXX) $(common) -o $@ $^ -ltinyobjloader
+
+rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
+rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
+$(BUILD)/tests/bench-rays: $(call rays_objs,rays) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+# The native devices once more, with counters; their objects come before the library's.
+counted := device_native native_lanes4 native_lanes8
+$(BUILD)/counted/%.c.o: %.c
+	@mkdir -p $(@D)
+	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@
+$(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
+$(BUILD)/tests/bench-rays-counters: $(call rays_objs) $(BUILD)/counted/tests/bench/rays_counters.c.o \
+    $(counted:%=$(BUILD)/counted/libbake/%.c.o) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 
 .PHONY: bench bench-build
 bench-build: all $(generator) $(bench_bins)

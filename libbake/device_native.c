@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include "libbake/kernel/bk_sample.h"
+#include "libbake/native_internal.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 152, "layout shared with devices");
 _Static_assert(sizeof(struct bk_texel) == 32, "layout shared with devices");
@@ -18,7 +19,18 @@ struct native {
     struct bk_grid grid;
     struct bk_params params;
     const struct bk_triangle *triangles;
+    bake_native_tile *tile;
 };
+
+/* The widest code that this processor can run. */
+static bake_native_tile *choose_code(void)
+{
+#if defined(__x86_64__)
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
+        return bake_native_tile_8;
+#endif
+    return bake_native_tile_4;
+}
 
 static void split(uint64_t value, bk_uint words[2])
 {
@@ -70,9 +82,20 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
     struct bk_grid native = native_grid(grid, params);
     struct bk_cache cache = bk_cache_empty();
 
-    bk_trace(&native, params, &cache, bk_v3(origin[0], origin[1], origin[2]),
-             bk_v3(direction[0], direction[1], direction[2]), t_min, t_max,
-             bk_v3(facing[0], facing[1], facing[2]), hit);
+    const bk_vec3w d = bk_v3w(direction[0], direction[1], direction[2]);
+    const bk_lines line = {.count = 1,
+                           .origin = bk_v3w(origin[0], origin[1], origin[2]),
+                           .direction = d,
+                           .facing = bk_v3w(facing[0], facing[1], facing[2]),
+                           .t_min = t_min,
+                           .t_max = t_max};
+    bk_hits hits;
+
+    bk_trace(&native, params, &cache, &line, &hits);
+    *hit = (struct bk_hit){.found = hits.found,
+                           .t = hits.t,
+                           .normal = {hits.normal.x, hits.normal.y, hits.normal.z},
+                           .color = {hits.color.x, hits.color.y, hits.color.z}};
 }
 
 static int native_trace(struct bake_backend *backend, const struct bk_tile *tile,
@@ -80,14 +103,10 @@ static int native_trace(struct bake_backend *backend, const struct bk_tile *tile
                         char *why)
 {
     struct native *native = (struct native *)backend;
-    struct bk_cache cache = bk_cache_empty();
 
     (void)worker;
     (void)why;
-    for (uint32_t row = 0; row < tile->height; row++)
-        for (uint32_t column = 0; column < tile->width; column++)
-            *texels++ = bk_sample_texel(&native->grid, &native->params, &cache, native->triangles,
-                                        tile, sample_triangles, column, row);
+    native->tile(&native->grid, &native->params, native->triangles, tile, sample_triangles, texels);
     return 0;
 }
 
@@ -123,6 +142,7 @@ int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     native->grid = native_grid(job->grid, &job->params);
     native->params = job->params;
     native->triangles = job->triangles;
+    native->tile = choose_code();
     *out = &native->base;
     return 0;
 }

@@ -140,7 +140,7 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
                 continue;
             sample_position(job, &tile, column, row, &x, &y);
             const bk_point point = bk_point_at(&job->tiles->triangles[*sample], x, y);
-            const bk_vec3 direction = bk_unit(point.normal);
+            const bk_vec3w direction = bk_unitw(point.normal);
             job->rays[ray] =
                 (struct bake_exact_ray){{point.position.x, point.position.y, point.position.z},
                                         {direction.x, direction.y, direction.z}};
@@ -174,7 +174,7 @@ static void add_hit(const struct job *job, const struct bake_exact_hit *hit, uin
     texel->covered++;
     if (hit->triangle == BAKE_EXACT_NONE)
         return;
-    bk_vec3 normal = bk_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
+    bk_vec3w normal = bk_v3w(hit->normal[0], hit->normal[1], hit->normal[2]);
     if (!job->tiles->object_space) {
         const bk_point point = bk_point_at(&job->tiles->triangles[triangle], x, y);
         normal = bk_to_tangent_space(&point, normal);

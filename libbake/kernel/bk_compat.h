@@ -3,9 +3,10 @@
  * Results have to agree between devices, bit for bit where a device rounds as IEEE 754 asks: the
  * kernel uses only + - * / sqrt floor and comparisons in float, and contraction is off.
  *
- * bk_f4 and bk_i4 are four floats and four 32-bit integers with element-wise operators; comparing
- * two bk_f4 gives a bk_i4 of all ones or zeros. Processors have instructions for them; on GPUs they
- * are four independent variables. */
+ * bk_fw and bk_iw are BK_WIDTH floats and 32-bit integers with element-wise operators. A processor
+ * has instructions for several; on GPUs, and where BK_WIDTH is 1, they are plain scalars. What is
+ * true of a lane is told by a mask of bk_less(); it is only for bk_select() and its kin. Each lane
+ * gets the same bits for any width. */
 #ifndef BK_COMPAT_H
 #define BK_COMPAT_H
 
@@ -24,14 +25,8 @@ typedef ulong bk_ulong;
 #define bk_popcount32(x) popcount((bk_uint)(x))
 #define bk_popcount64(x) ((bk_uint)popcount((bk_ulong)(x)))
 
-typedef float4 bk_f4;
-typedef int4 bk_i4;
-#define bk_lane(v, n)        ((v).s##n)
-#define bk_set4(a, b, c, d)  ((float4)(a, b, c, d))
-#define bk_seti4(a, b, c, d) ((int4)(a, b, c, d))
-#define bk_to_f4(i)          convert_float4(i)
-#define bk_mask4(mask, f)    as_float4((mask)&as_int4(f))
-#define bk_sqrt4(f)          sqrt(f)
+#define BK_WIDTH         1
+#define BK_NATIVE_LANES  0
 
 #elif defined(__CUDACC__)
 
@@ -47,59 +42,8 @@ typedef unsigned long long bk_ulong;
 #define bk_popcount32(x) ((bk_uint)__popc(x))
 #define bk_popcount64(x) ((bk_uint)__popcll(x))
 
-struct bk_f4 {
-    float l0, l1, l2, l3;
-};
-struct bk_i4 {
-    bk_int l0, l1, l2, l3;
-};
-#define bk_lane(v, n)    ((v).l##n)
-#define BK_OPERATOR(type, element, op)                                                             \
-    BK_FN type operator op(type a, type b)                                                         \
-    {                                                                                              \
-        return type{a.l0 op b.l0, a.l1 op b.l1, a.l2 op b.l2, a.l3 op b.l3};                       \
-    }                                                                                              \
-    BK_FN type operator op(type a, element b)                                                      \
-    {                                                                                              \
-        return type{a.l0 op b, a.l1 op b, a.l2 op b, a.l3 op b};                                   \
-    }                                                                                              \
-    BK_FN type operator op(element a, type b)                                                      \
-    {                                                                                              \
-        return type{a op b.l0, a op b.l1, a op b.l2, a op b.l3};                                   \
-    }
-BK_OPERATOR(bk_f4, float, +)
-BK_OPERATOR(bk_f4, float, -)
-BK_OPERATOR(bk_f4, float, *)
-BK_OPERATOR(bk_f4, float, /)
-BK_OPERATOR(bk_i4, bk_int, -)
-BK_OPERATOR(bk_i4, bk_int, &)
-BK_OPERATOR(bk_i4, bk_int, ^)
-BK_OPERATOR(bk_i4, bk_int, >>)
-#undef BK_OPERATOR
-BK_FN bk_i4 operator<(bk_f4 a, bk_f4 b)
-{
-    return bk_i4{-(a.l0 < b.l0), -(a.l1 < b.l1), -(a.l2 < b.l2), -(a.l3 < b.l3)};
-}
-BK_FN bk_f4 bk_set4(float a, float b, float c, float d)
-{
-    return bk_f4{a, b, c, d};
-}
-BK_FN bk_i4 bk_seti4(bk_int a, bk_int b, bk_int c, bk_int d)
-{
-    return bk_i4{a, b, c, d};
-}
-BK_FN bk_f4 bk_to_f4(bk_i4 i)
-{
-    return bk_f4{(float)i.l0, (float)i.l1, (float)i.l2, (float)i.l3};
-}
-BK_FN bk_f4 bk_mask4(bk_i4 m, bk_f4 f)
-{
-    return bk_f4{m.l0 ? f.l0 : 0.0f, m.l1 ? f.l1 : 0.0f, m.l2 ? f.l2 : 0.0f, m.l3 ? f.l3 : 0.0f};
-}
-BK_FN bk_f4 bk_sqrt4(bk_f4 f)
-{
-    return bk_f4{sqrtf(f.l0), sqrtf(f.l1), sqrtf(f.l2), sqrtf(f.l3)};
-}
+#define BK_WIDTH         1
+#define BK_NATIVE_LANES  0
 
 #else
 
@@ -117,17 +61,107 @@ typedef uint64_t bk_ulong;
 #define bk_popcount32(x)     ((bk_uint)__builtin_popcount(x))
 #define bk_popcount64(x)     ((bk_uint)__builtin_popcountll(x))
 
-typedef float bk_f4 __attribute__((vector_size(16)));
-typedef int32_t bk_i4 __attribute__((vector_size(16)));
-#define bk_lane(v, n)        ((v)[n])
-#define bk_set4(a, b, c, d)  ((bk_f4){(a), (b), (c), (d)})
-#define bk_seti4(a, b, c, d) ((bk_i4){(a), (b), (c), (d)})
-#define bk_to_f4(i)          __builtin_convertvector((i), bk_f4)
-#define bk_mask4(mask, f)    ((bk_f4)((mask) & (bk_i4)(f)))
-BK_FN bk_f4 bk_sqrt4(bk_f4 f)
+#ifndef BK_WIDTH
+#define BK_WIDTH 1
+#endif
+#define BK_NATIVE_LANES (BK_WIDTH > 1)
+
+#endif
+
+#if BK_NATIVE_LANES
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+typedef float bk_fw __attribute__((vector_size(4 * BK_WIDTH)));
+typedef int32_t bk_iw __attribute__((vector_size(4 * BK_WIDTH)));
+typedef bk_iw bk_mask;
+#define bk_lane(v, n)            ((v)[n])
+#define bk_set_lane(v, n, value) ((v)[n] = (value))
+#define bk_splat(a)              ((a) - (bk_fw){0})
+#define bk_splati(a)             ((a) - (bk_iw){0})
+#define bk_to_fw(i)              __builtin_convertvector((i), bk_fw)
+#define bk_to_iw(f)              __builtin_convertvector((f), bk_iw)
+#define bk_less(a, b)            ((a) < (b))
+#define bk_not(mask)             (~(mask))
+#define bk_keep(mask, f)         ((bk_fw)((mask) & (bk_iw)(f)))
+#define bk_select(mask, a, b)    ((bk_fw)(((mask) & (bk_iw)(a)) | (~(mask) & (bk_iw)(b))))
+#define bk_selecti(mask, a, b)   (((mask) & (a)) | (~(mask) & (b)))
+#define bk_first(bits)           ((bk_uint)__builtin_ctz(bits))
+BK_FN bk_iw bk_load_lanes(const bk_int words[BK_WIDTH])
 {
-    return bk_set4(sqrtf(f[0]), sqrtf(f[1]), sqrtf(f[2]), sqrtf(f[3]));
+    bk_iw lanes;
+    __builtin_memcpy(&lanes, words, sizeof lanes);
+    return lanes;
 }
+BK_FN bk_fw bk_sqrtw(bk_fw f)
+{
+#if BK_WIDTH == 4 && defined(__SSE__)
+    return (bk_fw)_mm_sqrt_ps((__m128)f);
+#elif BK_WIDTH == 8 && defined(__AVX__)
+    return (bk_fw)_mm256_sqrt_ps((__m256)f);
+#else
+    for (int i = 0; i < BK_WIDTH; i++)
+        f[i] = sqrtf(f[i]);
+    return f;
+#endif
+}
+BK_FN bk_fw bk_floorw(bk_fw f)
+{
+#if BK_WIDTH == 4 && defined(__SSE4_1__)
+    return (bk_fw)_mm_floor_ps((__m128)f);
+#elif BK_WIDTH == 8 && defined(__AVX__)
+    return (bk_fw)_mm256_floor_ps((__m256)f);
+#else
+    for (int i = 0; i < BK_WIDTH; i++)
+        f[i] = floorf(f[i]);
+    return f;
+#endif
+}
+/* The lanes that the mask is true for, lane 0 in the lowest bit, and back. */
+BK_FN bk_uint bk_bits(bk_mask mask)
+{
+#if BK_WIDTH == 4 && defined(__SSE__)
+    return (bk_uint)_mm_movemask_ps((__m128)mask);
+#elif BK_WIDTH == 8 && defined(__AVX__)
+    return (bk_uint)_mm256_movemask_ps((__m256)mask);
+#else
+    bk_uint bits = 0;
+    for (int i = 0; i < BK_WIDTH; i++)
+        bits |= ((bk_uint)mask[i] & 1u) << i;
+    return bits;
+#endif
+}
+BK_FN bk_mask bk_mask_of(bk_uint bits)
+{
+    bk_iw lanes;
+    for (int i = 0; i < BK_WIDTH; i++)
+        lanes[i] = 1 << i;
+    return (lanes & (bk_int)bits) != 0;
+}
+
+#else
+
+typedef float bk_fw;
+typedef bk_int bk_iw;
+typedef bk_int bk_mask;
+#define bk_lane(v, n)            (v)
+#define bk_set_lane(v, n, value) ((v) = (value))
+#define bk_splat(a)              (a)
+#define bk_splati(a)             (a)
+#define bk_to_fw(i)              ((float)(i))
+#define bk_to_iw(f)              ((bk_int)(f))
+#define bk_less(a, b)            ((a) < (b))
+#define bk_not(mask)             (!(mask))
+#define bk_keep(mask, f)         ((mask) ? (f) : 0.0f)
+#define bk_select(mask, a, b)    ((mask) ? (a) : (b))
+#define bk_selecti(mask, a, b)   ((mask) ? (a) : (b))
+#define bk_first(bits)           0u
+#define bk_load_lanes(words)     ((words)[0])
+#define bk_sqrtw(f)              bk_sqrt(f)
+#define bk_floorw(f)             bk_floor(f)
+#define bk_bits(mask)            ((mask) ? 1u : 0u)
+#define bk_mask_of(bits)         ((bk_mask)((bits) & 1u))
 
 #endif
 

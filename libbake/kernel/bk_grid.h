@@ -38,10 +38,32 @@ typedef struct bk_grid {
     bk_ulong second_base;
 } bk_grid;
 
+/* With BK_COUNTERS defined, the kernel counts what it does in its cache. */
+#ifdef BK_COUNTERS
+typedef struct bk_counts {
+    bk_ulong rays;     /* pairs */
+    bk_ulong steps;    /* voxels gone through */
+    bk_ulong skips;    /* empty nodes gone through */
+    bk_ulong fetches;  /* of nodes other than those of the lookup before */
+    bk_ulong planes;   /* records tested against a ray */
+    bk_ulong blends;   /* gathers of 2x2x2 records */
+    bk_ulong packets;  /* groups of up to BK_WIDTH pairs */
+} bk_counts;
+#define BK_COUNT(cache, what, n) ((cache)->counts->what += (n))
+bk_counts *bk_counts_of_thread(void); /* where this thread counts */
+#else
+#define BK_COUNT(cache, what, n) ((void)0)
+#endif
+
 /* Nodes around voxel (x, y, z), BK_NONE where there is none. */
 typedef struct bk_cache {
     bk_int x, y, z;
     bk_uint upper, lower, leaf;
+    bk_uint level, side; /* of the last lookup: its result, log2 of the side of what it found */
+    bk_uint inward;      /* the last ray's hit was behind its origin */
+#ifdef BK_COUNTERS
+    bk_counts *counts;
+#endif
 } bk_cache;
 
 BK_FN bk_ulong bk_join(const bk_uint words[2])
@@ -62,8 +84,12 @@ BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
 BK_FN bk_cache bk_cache_empty(void)
 {
     bk_cache cache;
-    cache.x = cache.y = cache.z = 0;
+    cache.x = cache.y = cache.z = 0x7fffffff; /* no ray comes here */
+    cache.level = cache.side = cache.inward = 0;
     cache.upper = cache.lower = cache.leaf = BK_NONE;
+#ifdef BK_COUNTERS
+    cache.counts = bk_counts_of_thread();
+#endif
     return cache;
 }
 
@@ -100,32 +126,38 @@ BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
     bk_ulong node, child;
     bk_uint n;
 
-    if (differ < 8u && cache->leaf != BK_NONE)
-        return 0;
+    if (differ >> cache->side == 0)
+        return cache->level;
     cache->x = x;
     cache->y = y;
     cache->z = z;
     cache->leaf = BK_NONE;
     if (differ >= 128u || cache->lower == BK_NONE) {
         cache->lower = BK_NONE;
-        if (differ >= 4096u || cache->upper == BK_NONE)
+        if (differ >= 4096u || cache->upper == BK_NONE) {
+            BK_COUNT(cache, fetches, 1);
             cache->upper = bk_find_upper(grid, x, y, z);
+        }
         if (cache->upper == BK_NONE)
-            return BK_UPPER_LOG2;
+            return cache->level = cache->side = BK_UPPER_LOG2;
+        BK_COUNT(cache, fetches, 1);
         n = (bk_uint)(x >> 7 & 31) << 10 | (bk_uint)(y >> 7 & 31) << 5 | (bk_uint)(z >> 7 & 31);
         node = (bk_ulong)cache->upper * BK_UPPER_WORDS;
         if (!(grid->uppers[node + BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63u) & 1u))
-            return BK_LOWER_LOG2;
+            return cache->level = cache->side = BK_LOWER_LOG2;
         child = node * 8u + grid->uppers[node + BK_UPPER_TABLE + n] - grid->lower_offset;
         cache->lower = (bk_uint)(child / (BK_LOWER_WORDS * 8u));
     }
+    BK_COUNT(cache, fetches, 1);
     n = (bk_uint)(x >> 3 & 15) << 8 | (bk_uint)(y >> 3 & 15) << 4 | (bk_uint)(z >> 3 & 15);
     node = (bk_ulong)cache->lower * BK_LOWER_WORDS;
     if (!(grid->lowers[node + BK_LOWER_CHILD_MASK + (n >> 6)] >> (n & 63u) & 1u))
-        return BK_LEAF_LOG2;
+        return cache->level = cache->side = BK_LEAF_LOG2;
     child = node * 8u + grid->lowers[node + BK_LOWER_TABLE + n] - grid->leaf_offset;
+    BK_COUNT(cache, fetches, 1);
     cache->leaf = (bk_uint)(child / (BK_LEAF_WORDS * 8u));
-    return 0;
+    cache->side = BK_LEAF_LOG2;
+    return cache->level = 0;
 }
 
 /* Value index that the first active voxel at or after a place of a leaf has. */

@@ -4,26 +4,26 @@
 
 #include "bk_trace.h"
 
-/* A point of the low mesh; normal and tangent as interpolated, not unit. */
+/* Points of the low mesh; normal and tangent as interpolated, not unit. */
 typedef struct bk_point {
-    bk_vec3 position, normal, tangent;
-    float handedness;
+    bk_vec3w position, normal, tangent;
+    bk_fw handedness;
 } bk_point;
 
-BK_FN bk_vec3 bk_mix(const BK_GLOBAL float *a, const BK_GLOBAL float *b, const BK_GLOBAL float *c,
-                     float wa, float wb, float wc)
+BK_FN bk_vec3w bk_mix(const BK_GLOBAL float *a, const BK_GLOBAL float *b, const BK_GLOBAL float *c,
+                      bk_fw wa, bk_fw wb, bk_fw wc)
 {
-    return bk_v3((wa * a[0] + wb * b[0]) + wc * c[0], (wa * a[1] + wb * b[1]) + wc * c[1],
-                 (wa * a[2] + wb * b[2]) + wc * c[2]);
+    return bk_v3w((wa * a[0] + wb * b[0]) + wc * c[0], (wa * a[1] + wb * b[1]) + wc * c[1],
+                  (wa * a[2] + wb * b[2]) + wc * c[2]);
 }
 
-/* Point of a triangle at map position (x, y) in texels. */
-BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, float x, float y)
+/* Points of one triangle at map positions (x, y) in texels. */
+BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, bk_fw x, bk_fw y)
 {
-    float dx = x - triangle->x0, dy = y - triangle->y0;
-    float w1 = (triangle->b1[0] * dx + triangle->b1[1] * dy) + triangle->b1[2];
-    float w2 = (triangle->b2[0] * dx + triangle->b2[1] * dy) + triangle->b2[2];
-    float w0 = (1.0f - w1) - w2;
+    const bk_fw dx = x - triangle->x0, dy = y - triangle->y0;
+    const bk_fw w1 = (triangle->b1[0] * dx + triangle->b1[1] * dy) + triangle->b1[2];
+    const bk_fw w2 = (triangle->b2[0] * dx + triangle->b2[1] * dy) + triangle->b2[2];
+    const bk_fw w0 = (1.0f - w1) - w2;
     bk_point point;
 
     point.position =
@@ -32,54 +32,123 @@ BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, float x, float
         bk_mix(triangle->normal[0], triangle->normal[1], triangle->normal[2], w0, w1, w2);
     point.tangent =
         bk_mix(triangle->tangent[0], triangle->tangent[1], triangle->tangent[2], w0, w1, w2);
-    point.handedness = triangle->tangent[0][3];
+    point.handedness = bk_splat(triangle->tangent[0][3]);
     return point;
 }
 
-/* The map value m from which a MikkTSpace shader gets back `normal`: it computes
+/* The map values m from which a MikkTSpace shader gets back `normal`: it computes
  * normalize(m.x T + m.y B + m.z N) with B = handedness * cross(N, T) and interpolated T and N, so
  * [T B N] m is parallel to the normal. Cramer's rule; the determinant's size drops out. */
-BK_FN bk_vec3 bk_to_tangent_space(const bk_point *point, bk_vec3 normal)
+BK_FN bk_vec3w bk_to_tangent_space(const bk_point *point, bk_vec3w normal)
 {
-    bk_vec3 t = point->tangent, n = point->normal;
-    bk_vec3 b = bk_scale(bk_cross(n, t), point->handedness);
-    bk_vec3 bn = bk_cross(b, n);
-    float determinant = bk_dot(t, bn);
-    bk_vec3 m;
+    const bk_fw zero = bk_splat(0.0f);
+    const bk_vec3w t = point->tangent, n = point->normal;
+    const bk_vec3w nt = bk_crossw(n, t), b = bk_scalew(nt, point->handedness);
+    const bk_vec3w bn = bk_crossw(b, n);
+    const bk_fw determinant = bk_dotw(t, bn);
+    const bk_vec3w m =
+        bk_v3w(bk_dotw(normal, bn), bk_dotw(normal, nt), bk_dotw(normal, bk_crossw(t, b)));
+    const bk_mask mirrored = bk_less(determinant, zero);
+    const bk_vec3w unit = bk_unitw(bk_select3(mirrored, bk_v3w(-m.x, -m.y, -m.z), m));
 
-    if (determinant == 0.0f)
-        return bk_v3(0.0f, 0.0f, 1.0f);
-    m = bk_v3(bk_dot(normal, bn), bk_dot(normal, bk_cross(n, t)), bk_dot(normal, bk_cross(t, b)));
-    return bk_unit(determinant < 0.0f ? bk_scale(m, -1.0f) : m);
+    /* Without a frame, straight out. */
+    return bk_select3(determinant == zero, bk_v3w(zero, zero, bk_splat(1.0f)), unit);
 }
 
-/* Traces one sample and adds it to its texel. */
-BK_FN void bk_add_sample(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                         const BK_GLOBAL bk_triangle *triangle, float x, float y, bk_texel *texel)
+/* Samples to trace: lane by lane the triangle and the map position in texels. Lanes from `count`
+ * on are not traced. */
+typedef struct bk_samples {
+    bk_uint count;
+    bk_uint triangle[BK_WIDTH];
+    float x[BK_WIDTH], y[BK_WIDTH];
+} bk_samples;
+
+/* Where the samples lie on the low mesh: mostly all on one triangle. */
+BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples)
 {
-    bk_point point = bk_point_at(triangle, x, y);
-    bk_vec3 direction = bk_unit(point.normal), normal;
-    bk_hit hit;
+    const bk_uint first = samples->triangle[0];
+    bk_fw x = bk_splat(0.0f), y = x;
+    bk_point points;
+    bk_uint lane;
+
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        const bk_uint used = lane < samples->count ? lane : 0;
+        bk_set_lane(x, lane, samples->x[used]);
+        bk_set_lane(y, lane, samples->y[used]);
+    }
+    points = bk_point_at(&triangles[first], x, y);
+    for (lane = 1; lane < samples->count; lane++) {
+        bk_point point;
+        if (samples->triangle[lane] == first)
+            continue;
+        point = bk_point_at(&triangles[samples->triangle[lane]], x, y);
+        bk_set_lane3(&points.position, lane, bk_lane3(&point.position, lane));
+        bk_set_lane3(&points.normal, lane, bk_lane3(&point.normal, lane));
+        bk_set_lane3(&points.tangent, lane, bk_lane3(&point.tangent, lane));
+        bk_set_lane(points.handedness, lane, bk_lane(point.handedness, lane));
+    }
+    return points;
+}
+
+/* Traces samples; the hits' normals are in the space asked for, and 0 where nothing was found, as
+ * colours are. */
+BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                            const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
+                            bk_hits *hits)
+{
+    const bk_point points = bk_points_at(triangles, samples);
+    bk_lines lines;
+
+    lines.count = samples->count;
+    lines.origin = points.position;
+    lines.direction = lines.facing = bk_unitw(points.normal);
+    lines.t_min = -params->back;
+    lines.t_max = params->front;
+    bk_trace(grid, params, cache, &lines, hits);
+    if (!(params->flags & BK_OBJECT_SPACE))
+        hits->normal = bk_to_tangent_space(&points, hits->normal);
+}
+
+/* Adds one lane's hit to its texel. */
+BK_FN void bk_add_hit(const bk_hits *hits, bk_uint lane, bk_texel *texel)
+{
+    const bk_vec3 normal = bk_lane3(&hits->normal, lane), color = bk_lane3(&hits->color, lane);
 
     texel->covered++;
-    if (!(bk_dot(direction, direction) > 0.0f))
+    if (!(hits->found >> lane & 1u))
         return;
-    bk_trace(grid, params, cache, point.position, direction, -params->back, params->front,
-             direction, &hit);
-    if (!hit.found)
-        return;
-    normal = bk_v3(hit.normal[0], hit.normal[1], hit.normal[2]);
-    if (!(params->flags & BK_OBJECT_SPACE))
-        normal = bk_to_tangent_space(&point, normal);
     texel->hits++;
     texel->normal[0] += normal.x;
     texel->normal[1] += normal.y;
     texel->normal[2] += normal.z;
-    texel->color[0] += hit.color[0];
-    texel->color[1] += hit.color[1];
-    texel->color[2] += hit.color[2];
+    texel->color[0] += color.x;
+    texel->color[1] += color.y;
+    texel->color[2] += color.z;
 }
 
+BK_FN bk_texel bk_texel_empty(void)
+{
+    bk_texel texel;
+    texel.normal[0] = texel.normal[1] = texel.normal[2] = 0.0f;
+    texel.color[0] = texel.color[1] = texel.color[2] = 0.0f;
+    texel.covered = texel.hits = 0;
+    return texel;
+}
+
+/* Number of a texel's sample (i, j) among the tile's. */
+BK_FN bk_ulong bk_sample_index(const bk_tile *tile, bk_uint n, bk_uint column, bk_uint row,
+                               bk_uint i, bk_uint j)
+{
+    return (bk_ulong)(row * n + j) * (tile->width * n) + column * n + i;
+}
+
+/* A sample's place along one axis of the map. */
+BK_FN float bk_sample_place(bk_uint texel, bk_uint i, bk_uint n)
+{
+    return (float)texel + ((float)i + 0.5f) / (float)n;
+}
+
+#if BK_WIDTH == 1
 /* Texel (column, row) of a tile. */
 BK_FN bk_texel bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                                const BK_GLOBAL bk_triangle *triangles, const bk_tile *tile,
@@ -87,23 +156,25 @@ BK_FN bk_texel bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_
                                bk_uint row)
 {
     const bk_uint n = params->samples;
-    bk_texel texel;
+    bk_texel texel = bk_texel_empty();
+    bk_samples samples;
+    bk_hits hits;
     bk_uint i, j;
 
-    texel.normal[0] = texel.normal[1] = texel.normal[2] = 0.0f;
-    texel.color[0] = texel.color[1] = texel.color[2] = 0.0f;
-    texel.covered = texel.hits = 0;
+    samples.count = 1;
     for (j = 0; j < n; j++) {
-        bk_ulong first = (bk_ulong)(row * n + j) * (tile->width * n) + column * n;
-        float y = (float)(tile->y + row) + ((float)j + 0.5f) / (float)n;
+        samples.y[0] = bk_sample_place(tile->y + row, j, n);
         for (i = 0; i < n; i++) {
-            bk_uint triangle = sample_triangles[first + i];
-            float x = (float)(tile->x + column) + ((float)i + 0.5f) / (float)n;
-            if (triangle != BK_NO_TRIANGLE)
-                bk_add_sample(grid, params, cache, &triangles[triangle], x, y, &texel);
+            samples.x[0] = bk_sample_place(tile->x + column, i, n);
+            samples.triangle[0] = sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
+            if (samples.triangle[0] == BK_NO_TRIANGLE)
+                continue;
+            bk_trace_samples(grid, params, cache, triangles, &samples, &hits);
+            bk_add_hit(&hits, 0, &texel);
         }
     }
     return texel;
 }
+#endif
 
 #endif

@@ -24,390 +24,544 @@
 /* Cosine below which a ray is too flat for its hit to be moved onto the blended surface. */
 #define BK_GRAZING 0.1f
 
+/* A hit is less than this many voxels behind the border that it was found on. */
+#define BK_BEHIND 1.001f
+
 /* Coordinates from here on are no ray. */
 #define BK_FAR 1.0e9f
 
-/* A half ray. Position relative to the lowest corner of the voxel that holds the origin, so that
- * distances keep their precision in large grids; t in voxels. */
+/* Lines, looked along one way. Positions are relative to the lowest corner of the voxel that holds
+ * the origin, so that distances keep their precision in large grids; t in voxels. */
 typedef struct bk_ray {
-    bk_int bx, by, bz; /* that voxel */
-    bk_vec3 start;     /* 0 .. 1 */
-    bk_vec3 direction;
-    bk_vec3 inverse;
+    bk_iw bx, by, bz; /* that voxel */
+    bk_vec3w start;   /* 0 .. 1 */
+    bk_vec3w direction;
+    bk_vec3w inverse;
+    bk_vec3w facing;
+    bk_mask some; /* what is traced at all */
 } bk_ray;
 
-/* Where a ray crosses a record's plane. */
+/* Where rays cross a record's plane. */
 typedef struct bk_crossing {
-    bk_uint found;
-    float t;
-    bk_record record;
+    bk_mask found;
+    bk_fw t;
+    bk_vec3w normal; /* of the record */
+    bk_iw low, high; /* words of its number */
 } bk_crossing;
 
+/* On which side of the sheet in the voxel just left a ray is. */
 enum { BK_APART, BK_BELOW, BK_ABOVE };
+
+/* Walks along half rays. */
+typedef struct bk_walk {
+    bk_fw t_start, t_limit;
+    bk_mask two_sided;
+    bk_crossing hit;
+    bk_iw side;
+    bk_mask falling;   /* the plane's own distance falls along the ray */
+    bk_fw outside;     /* -f on leaving, where side is BK_BELOW */
+    bk_crossing ahead; /* of that plane beyond the voxel */
+    bk_fw ahead_margin;
+} bk_walk;
+
+/* Voxels that rays are in, or empty aligned nodes around them: what the tree says of them. */
+typedef struct bk_place {
+    bk_iw x, y, z;
+    bk_int mask[BK_WIDTH]; /* side - 1 of the voxel or the node */
+    bk_int apart[BK_WIDTH]; /* coordinates differ in these bits from those of another leaf's or empty node's */
+    bk_int node_x[BK_WIDTH], node_y[BK_WIDTH], node_z[BK_WIDTH]; /* in that leaf or node */
+    const BK_GLOBAL bk_ulong *words[BK_WIDTH];                   /* the leaf's */
+} bk_place;
 
 BK_FN bk_crossing bk_no_crossing(void)
 {
+    const bk_fw zero = bk_splat(0.0f);
     bk_crossing none;
-    none.found = 0;
-    none.t = 0.0f;
-    none.record.normal = bk_v3(0.0f, 0.0f, 0.0f);
-    none.record.offset = none.record.margin = 0.0f;
-    none.record.number = 0;
+
+    none.found = bk_mask_of(0);
+    none.t = zero;
+    none.normal = bk_v3w(zero, zero, zero);
+    none.low = none.high = bk_splati(0);
     return none;
 }
 
-/* A walk along a half ray. */
-typedef struct bk_walk {
+BK_FN bk_crossing bk_select_crossing(bk_mask mask, const bk_crossing *a, const bk_crossing *b)
+{
+    bk_crossing c;
+
+    c.found = bk_selecti(mask, a->found, b->found);
+    c.t = bk_select(mask, a->t, b->t);
+    c.normal = bk_select3(mask, a->normal, b->normal);
+    c.low = bk_selecti(mask, a->low, b->low);
+    c.high = bk_selecti(mask, a->high, b->high);
+    return c;
+}
+
+BK_FN bk_fw bk_inverse(bk_fw d)
+{
+    const bk_fw far = bk_select(bk_less(d, bk_splat(0.0f)), bk_splat(-1.0e30f), bk_splat(1.0e30f));
+
+    return bk_select(bk_less(bk_absw(d), bk_splat(1.0e-9f)), far, 1.0f / d);
+}
+
+/* Lines from origins that are numbers along unit directions, and none elsewhere. */
+BK_FN bk_ray bk_ray_along(bk_vec3w origin, bk_vec3w direction, bk_vec3w facing, bk_mask some)
+{
+    const bk_fw far = bk_splat(BK_FAR);
+    bk_vec3w o, v;
     bk_ray ray;
-    float t_start, t_limit;
-    bk_vec3 facing;
-    bk_uint two_sided;
-    bk_crossing hit;
-    /* The sheet in the voxel just left: on which side of it the ray is, and which way it is
-     * crossed. */
-    bk_uint side;
-    bk_uint falling;   /* the plane's own distance falls along the ray */
-    float outside;     /* -f on leaving, where side is BK_BELOW */
-    bk_crossing ahead; /* of that plane beyond the voxel */
-} bk_walk;
 
-BK_FN float bk_inverse(float d)
-{
-    if (bk_abs(d) < 1.0e-9f)
-        return d < 0.0f ? -1.0e30f : 1.0e30f;
-    return 1.0f / d;
+    ray.some = some & bk_less(bk_absw(origin.x), far) & bk_less(bk_absw(origin.y), far) &
+               bk_less(bk_absw(origin.z), far) &
+               bk_less(bk_absw(bk_dotw(direction, direction) - 1.0f), bk_splat(0.01f));
+    o = bk_v3w(bk_keep(ray.some, origin.x), bk_keep(ray.some, origin.y),
+               bk_keep(ray.some, origin.z));
+    v = bk_v3w(bk_floorw(o.x + 0.5f), bk_floorw(o.y + 0.5f), bk_floorw(o.z + 0.5f));
+    ray.bx = bk_to_iw(v.x);
+    ray.by = bk_to_iw(v.y);
+    ray.bz = bk_to_iw(v.z);
+    ray.start = bk_v3w(o.x - v.x + 0.5f, o.y - v.y + 0.5f, o.z - v.z + 0.5f);
+    ray.direction = direction;
+    ray.inverse =
+        bk_v3w(bk_inverse(direction.x), bk_inverse(direction.y), bk_inverse(direction.z));
+    ray.facing = facing;
+    return ray;
 }
 
-BK_FN void bk_ray_set(bk_ray *ray, bk_vec3 origin, bk_vec3 direction)
+/* t at which rays meet the lower face of voxel layer `layer` of an axis. */
+BK_FN bk_fw bk_border(bk_iw layer, bk_iw base, bk_fw start, bk_fw inverse)
 {
-    float x = bk_floor(origin.x + 0.5f), y = bk_floor(origin.y + 0.5f);
-    float z = bk_floor(origin.z + 0.5f);
-
-    ray->bx = (bk_int)x;
-    ray->by = (bk_int)y;
-    ray->bz = (bk_int)z;
-    ray->start = bk_v3(origin.x - x + 0.5f, origin.y - y + 0.5f, origin.z - z + 0.5f);
-    ray->direction = direction;
-    ray->inverse = bk_v3(bk_inverse(direction.x), bk_inverse(direction.y), bk_inverse(direction.z));
+    return (bk_to_fw(layer - base) - start) * inverse;
 }
 
-/* t at which the ray meets the lower face of voxel layer `layer` of an axis. */
-BK_FN float bk_border(bk_int layer, bk_int base, float start, float inverse)
+/* Voxel of a coordinate at t, kept inside bounds that are known to hold it. */
+BK_FN bk_iw bk_voxel_at(bk_fw start, bk_fw direction, bk_fw t, bk_iw base, bk_iw low, bk_iw high)
 {
-    return ((float)(layer - base) - start) * inverse;
-}
+    const bk_iw v = base + bk_to_iw(bk_floorw(start + direction * t));
+    const bk_iw raised = bk_selecti(bk_less(v, low), low, v);
 
-/* Layer whose lower face a ray leaves an aligned node through; mask = side - 1. */
-BK_FN bk_int bk_exit_layer(bk_int v, bk_int mask, float inverse)
-{
-    return inverse >= 0.0f ? (v | mask) + 1 : v & ~mask;
-}
-
-/* Voxel of a coordinate at t, kept inside a node that is known to hold it. */
-BK_FN bk_int bk_voxel_at(float start, float direction, float t, bk_int base, bk_int low,
-                         bk_int high)
-{
-    return bk_clamp_int(base + (bk_int)bk_floor(start + direction * t), low, high);
+    return bk_selecti(bk_less(high, raised), high, raised);
 }
 
 /* Shortens [*t_near, *t_far] to the part between two layers. */
-BK_FN void bk_clip(bk_int low, bk_int high, bk_int base, float start, float inverse, float *t_near,
-                   float *t_far)
+BK_FN void bk_clip(bk_int low, bk_int high, bk_iw base, bk_fw start, bk_fw inverse, bk_fw *t_near,
+                   bk_fw *t_far)
 {
-    float a = bk_border(low, base, start, inverse), b = bk_border(high + 1, base, start, inverse);
-    *t_near = bk_max(*t_near, bk_min(a, b));
-    *t_far = bk_min(*t_far, bk_max(a, b));
+    const bk_fw a = bk_border(bk_splati(low), base, start, inverse);
+    const bk_fw b = bk_border(bk_splati(high + 1), base, start, inverse);
+
+    *t_near = bk_maxw(*t_near, bk_minw(a, b));
+    *t_far = bk_minw(*t_far, bk_maxw(a, b));
 }
 
-/* Where the ray's line is inside the bounds of the grid's active voxels; t_near > t_far: nowhere.
- */
-BK_FN void bk_bounds(const bk_ray *ray, const bk_params *params, float *t_near, float *t_far)
+/* Where lines are inside the bounds of the grid's active voxels; t_near > t_far: nowhere. */
+BK_FN void bk_bounds(const bk_ray *ray, const bk_params *params, bk_fw *t_near, bk_fw *t_far)
 {
     const bk_int *low = params->index_min, *high = params->index_max;
 
-    *t_near = -BK_FAR;
-    *t_far = BK_FAR;
+    *t_near = bk_splat(-BK_FAR);
+    *t_far = bk_splat(BK_FAR);
     bk_clip(low[0], high[0], ray->bx, ray->start.x, ray->inverse.x, t_near, t_far);
     bk_clip(low[1], high[1], ray->by, ray->start.y, ray->inverse.y, t_near, t_far);
     bk_clip(low[2], high[2], ray->bz, ray->start.z, ray->inverse.z, t_near, t_far);
 }
 
-BK_FN void bk_take(bk_walk *walk, float t, const bk_record *record)
+/* ---- crossing planes ---- */
+
+BK_FN void bk_take(bk_walk *walk, bk_mask lanes, bk_fw t, const bk_record *record)
 {
-    if (t <= walk->t_limit && (!walk->hit.found || t < walk->hit.t)) {
-        walk->hit.found = 1;
-        walk->hit.t = t;
-        walk->hit.record = *record;
-    }
+    const bk_mask better = bk_not(walk->hit.found) | bk_less(t, walk->hit.t);
+    const bk_mask taken = lanes & better & bk_not(bk_less(walk->t_limit, t));
+
+    walk->hit.found = walk->hit.found | taken;
+    walk->hit.t = bk_select(taken, t, walk->hit.t);
+    walk->hit.normal = bk_select3(taken, record->normal, walk->hit.normal);
+    walk->hit.low = bk_selecti(taken, record->low, walk->hit.low);
+    walk->hit.high = bk_selecti(taken, record->high, walk->hit.high);
 }
 
-/* The run of occupied voxels ends: its last plane may pass just outside. */
-BK_FN void bk_end_run(bk_walk *walk)
+/* Runs of occupied voxels end: their last plane may pass just outside. */
+BK_FN void bk_end_run(bk_walk *walk, bk_mask lanes)
 {
-    if (walk->side == BK_BELOW && walk->outside <= walk->ahead.record.margin)
-        bk_take(walk, walk->ahead.t, &walk->ahead.record);
-    walk->side = BK_APART;
+    const bk_mask taken = lanes & (walk->side == BK_BELOW) & bk_not(walk->hit.found) &
+                          bk_not(bk_less(walk->t_limit, walk->ahead.t)) &
+                          bk_not(bk_less(walk->ahead_margin, walk->outside));
+
+    walk->hit = bk_select_crossing(taken, &walk->ahead, &walk->hit);
+    walk->hit.found = walk->hit.found | taken;
+    walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
 }
 
-/* Tests one record of voxel (x, y, z), which the ray is in from t_in to t_out. side and
- * was_falling: what the walk knew when it left the voxel before. */
-BK_FN void bk_cross_record(bk_walk *walk, const bk_record *record, bk_int x, bk_int y, bk_int z,
-                           float t_in, float t_out, bk_uint side, bk_uint was_falling)
+/* Tests a record of the voxels that rays are in from t_in to t_out. side and was_falling: what the
+ * walk knew when it left the voxels before. */
+BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, const bk_record *record,
+                           const bk_place *place, bk_fw t_in, bk_fw t_out, bk_iw side,
+                           bk_mask was_falling)
 {
-    const bk_ray *ray = &walk->ray;
-    bk_vec3 from;
-    float f, slope, f_in, f_out;
-    bk_uint falling;
+    const bk_fw zero = bk_splat(0.0f);
+    const bk_mask faces = bk_less(zero, bk_dotw(record->normal, ray->facing)) | walk->two_sided;
+    const bk_mask tested = lanes & faces;
+    const bk_vec3w from = bk_v3w(bk_to_fw(ray->bx - place->x) + (ray->start.x - 0.5f),
+                                 bk_to_fw(ray->by - place->y) + (ray->start.y - 0.5f),
+                                 bk_to_fw(ray->bz - place->z) + (ray->start.z - 0.5f));
+    bk_fw f = bk_dotw(record->normal, from) - record->offset;
+    bk_fw slope = bk_dotw(record->normal, ray->direction), f_in, f_out, at, t;
+    const bk_mask falling = bk_less(slope, zero);
+    const bk_mask same = bk_not(falling ^ was_falling);
+    bk_mask above, crossed, below, begun, sloped;
 
-    if (!walk->two_sided && !(bk_dot(record->normal, walk->facing) > 0.0f))
-        return;
-    from = bk_v3((float)(ray->bx - x) + (ray->start.x - 0.5f),
-                 (float)(ray->by - y) + (ray->start.y - 0.5f),
-                 (float)(ray->bz - z) + (ray->start.z - 0.5f));
-    f = bk_dot(record->normal, from) - record->offset;
-    slope = bk_dot(record->normal, ray->direction);
-    falling = slope < 0.0f;
-    if (falling) {
-        f = -f;
-        slope = -slope;
-    }
+    f = bk_select(falling, -f, f);
+    slope = bk_select(falling, -slope, slope);
+    sloped = bk_less(zero, slope);
     f_in = f + slope * t_in;
     f_out = f + slope * t_out;
-    if (falling != was_falling)
-        side = BK_APART;
-    walk->falling = falling;
-    if (f_in > 0.0f) {
-        walk->side = BK_ABOVE;
-        if (side == BK_BELOW)
-            bk_take(walk, t_in, record);
-        else if (side == BK_APART && f_in <= record->margin && f_in < slope && t_in > walk->t_start)
-            bk_take(walk, bk_max(t_in - f_in / slope, 0.0f), record);
-    } else if (f_out >= 0.0f) {
-        walk->side = BK_ABOVE;
-        bk_take(walk, slope > 0.0f ? bk_max(t_in, bk_min(t_out, -f / slope)) : t_in, record);
-    } else {
-        walk->side = BK_BELOW;
-        walk->outside = -f_out < slope ? -f_out : 1.0f;
-        walk->ahead.t = slope > 0.0f ? t_out - f_out / slope : t_out;
-        walk->ahead.record = *record;
+    above = bk_less(zero, f_in);
+    crossed = bk_not(above) & bk_not(bk_less(f_out, zero));
+    below = bk_not(above) & bk_less(f_out, zero);
+    /* A run begins behind its plane, but near it. */
+    begun = bk_not(same & (side != BK_APART)) & bk_less(f_in, slope) &
+            bk_less(walk->t_start, t_in) & bk_not(bk_less(record->margin, f_in));
+    at = bk_select(sloped, bk_maxw(t_in, bk_minw(t_out, -f / slope)), t_in);
+    t = bk_select(crossed, at,
+                  bk_select(same & (side == BK_BELOW), t_in,
+                            bk_maxw(t_in - f_in / slope, zero)));
+    bk_take(walk, tested & (crossed | (above & ((same & (side == BK_BELOW)) | begun))), t, record);
+    walk->falling = bk_selecti(tested, falling, walk->falling);
+    walk->side = bk_selecti(tested, bk_selecti(below, bk_splati(BK_BELOW), bk_splati(BK_ABOVE)),
+                            walk->side);
+    below = below & tested;
+    walk->outside = bk_select(below, bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f)),
+                              walk->outside);
+    walk->ahead.t =
+        bk_select(below, bk_select(sloped, t_out - f_out / slope, t_out), walk->ahead.t);
+    walk->ahead.normal = bk_select3(below, record->normal, walk->ahead.normal);
+    walk->ahead.low = bk_selecti(below, record->low, walk->ahead.low);
+    walk->ahead.high = bk_selecti(below, record->high, walk->ahead.high);
+    walk->ahead_margin = bk_select(below, record->margin, walk->ahead_margin);
+}
+
+/* Loads the first or second records of lanes with these value indices; returns the lanes that have
+ * one. */
+BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong values[BK_WIDTH],
+                              bk_uint second, bk_record *record, bk_uint *seconds)
+{
+    bk_int normals[BK_WIDTH], planes[BK_WIDTH], low[BK_WIDTH], high[BK_WIDTH];
+    bk_uint lane, found = 0;
+
+    *seconds = 0;
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        bk_ulong number = 0;
+        if (bits >> lane & 1u)
+            number = second ? bk_second(grid, values[lane]) : values[lane];
+        normals[lane] = (bk_int)grid->normals[number];
+        planes[lane] = (bk_int)grid->planes[number];
+        low[lane] = (bk_int)(bk_uint)number;
+        high[lane] = (bk_int)(bk_uint)(number >> 32);
+        found |= (bk_uint)(number != 0) << lane;
+        *seconds |= ((bk_uint)planes[lane] / BK_PLANE_SECOND & 1u) << lane;
+    }
+    *seconds &= found;
+    bk_decode_record(bk_load_lanes(normals), bk_load_lanes(planes), record);
+    record->low = bk_load_lanes(low);
+    record->high = bk_load_lanes(high);
+    return found;
+}
+
+/* Occupied voxels with these value indices, in the lanes of `bits`. */
+BK_FN void bk_cross_voxels(const bk_grid *grid, bk_cache *cache, bk_walk *walk, const bk_ray *ray,
+                           bk_uint bits, const bk_ulong values[BK_WIDTH], const bk_place *place,
+                           bk_fw t_in, bk_fw t_out)
+{
+    const bk_iw side = walk->side;
+    const bk_mask falling = walk->falling, lanes = bk_mask_of(bits);
+    bk_uint seconds, none;
+    bk_record record;
+
+    (void)cache;
+    BK_COUNT(cache, planes, bk_popcount32(bits));
+    bk_load_records(grid, bits, values, 0, &record, &seconds);
+    walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
+    bk_cross_record(walk, ray, lanes, &record, place, t_in, t_out, side, falling);
+    if (seconds) {
+        seconds = bk_load_records(grid, seconds, values, 1, &record, &none);
+        BK_COUNT(cache, planes, bk_popcount32(seconds));
+        bk_cross_record(walk, ray, bk_mask_of(seconds), &record, place, t_in, t_out, side, falling);
     }
 }
 
-/* An occupied voxel with value index v. */
-BK_FN void bk_cross_voxel(const bk_grid *grid, bk_walk *walk, bk_ulong v, bk_int x, bk_int y,
-                          bk_int z, float t_in, float t_out)
-{
-    bk_uint side = walk->side, falling = walk->falling;
-    bk_uint plane = grid->planes[v];
-    bk_record record = bk_load(grid, v, plane);
+/* ---- walking ---- */
 
-    walk->side = BK_APART;
-    bk_cross_record(walk, &record, x, y, z, t_in, t_out, side, falling);
-    if (plane & BK_PLANE_SECOND) {
-        bk_ulong number = bk_second(grid, v);
-        if (number) {
-            record = bk_load(grid, number, grid->planes[number]);
-            bk_cross_record(walk, &record, x, y, z, t_in, t_out, side, falling);
+/* Looks up the leaves or empty nodes of lanes that have left theirs. */
+BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place *place)
+{
+    for (; bits; bits &= bits - 1u) {
+        const bk_uint lane = bk_first(bits);
+        const bk_int x = bk_lane(place->x, lane), y = bk_lane(place->y, lane);
+        const bk_int z = bk_lane(place->z, lane);
+        const bk_uint level = bk_locate(grid, cache, x, y, z);
+
+        place->mask[lane] = ((bk_int)1 << level) - 1;
+        place->apart[lane] = -((bk_int)1 << cache->side);
+        place->node_x[lane] = x;
+        place->node_y[lane] = y;
+        place->node_z[lane] = z;
+        place->words[lane] =
+            level == 0 ? grid->leaves + (bk_ulong)cache->leaf * BK_LEAF_WORDS : grid->leaves;
+    }
+}
+
+/* Lanes whose voxel is occupied, and its value index. */
+BK_FN bk_uint bk_occupied(bk_uint bits, const bk_place *place, bk_ulong values[BK_WIDTH])
+{
+    const bk_iw layers = place->x & 7, within = (place->y & 7) << 3 | (place->z & 7);
+    bk_uint occupied = 0;
+
+    for (; bits; bits &= bits - 1u) {
+        const bk_uint lane = bk_first(bits);
+        const BK_GLOBAL bk_ulong *words = place->words[lane];
+        const bk_uint layer = (bk_uint)bk_lane(layers, lane), bit = (bk_uint)bk_lane(within, lane);
+        if (words[BK_LEAF_MASK + layer] >> bit & 1u) {
+            occupied |= 1u << lane;
+            values[lane] = bk_leaf_rank(words, layer, bit);
         }
     }
-    if (walk->side == BK_APART && side == BK_BELOW && !walk->hit.found) {
-        /* No sheet here faces the right way: for the one before, the run has ended. */
-        walk->side = side;
-        bk_end_run(walk);
-    }
+    return occupied;
 }
 
-/* Goes through a leaf from voxel (*px, *py, *pz) at *pt on; ends in the first voxel outside the
- * leaf, or where the walk has a hit or *pt reaches t_end. */
-BK_FN void bk_walk_leaf(const bk_grid *grid, bk_walk *walk, bk_uint leaf, bk_int *px, bk_int *py,
-                        bk_int *pz, float *pt, float t_end)
+/* Layer whose lower face a ray leaves an aligned node through; mask = side - 1. */
+BK_FN bk_iw bk_exit_layer(bk_iw v, bk_iw mask, bk_mask up)
 {
-    const bk_ray *ray = &walk->ray;
-    const bk_vec3 start = ray->start, inverse = ray->inverse;
-    const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)leaf * BK_LEAF_WORDS;
-    /* 1 where the ray goes up the axis: it leaves a voxel through the lower face of the next. */
-    const bk_int ax = inverse.x >= 0.0f, ay = inverse.y >= 0.0f;
-    const bk_int az = inverse.z >= 0.0f;
-    /* Low bits of the first layer outside the leaf. */
-    const bk_int end_x = ax ? 0 : 7, end_y = ay ? 0 : 7, end_z = az ? 0 : 7;
-    bk_int x = *px, y = *py, z = *pz, inside = 1;
-    float tx = bk_border(x + ax, ray->bx, start.x, inverse.x);
-    float ty = bk_border(y + ay, ray->by, start.y, inverse.y);
-    float tz = bk_border(z + az, ray->bz, start.z, inverse.z);
-    float t = *pt;
-
-    do {
-        const float t_out = bk_max(t, bk_min(tx, bk_min(ty, tz)));
-        const bk_uint layer = (bk_uint)x & 7u, bit = ((bk_uint)y & 7u) << 3 | ((bk_uint)z & 7u);
-        if (words[BK_LEAF_MASK + layer] >> bit & 1u)
-            bk_cross_voxel(grid, walk, bk_leaf_rank(words, layer, bit), x, y, z, t,
-                           bk_min(t_out, walk->t_limit));
-        else if (walk->side != BK_APART)
-            bk_end_run(walk);
-        if (walk->hit.found)
-            return;
-        t = t_out;
-        if (tx <= ty && tx <= tz) {
-            x += 2 * ax - 1;
-            tx = bk_border(x + ax, ray->bx, start.x, inverse.x);
-            inside = (x & 7) != end_x;
-        } else if (ty <= tz) {
-            y += 2 * ay - 1;
-            ty = bk_border(y + ay, ray->by, start.y, inverse.y);
-            inside = (y & 7) != end_y;
-        } else {
-            z += 2 * az - 1;
-            tz = bk_border(z + az, ray->bz, start.z, inverse.z);
-            inside = (z & 7) != end_z;
-        }
-    } while (inside && t < t_end);
-    *px = x;
-    *py = y;
-    *pz = z;
-    *pt = t;
+    return bk_selecti(up, (v | mask) + 1, v & ~mask);
 }
 
-/* Moves (*px, *py, *pz) to where the ray leaves the empty aligned node of 1 << level voxels around
- * it. */
-BK_FN void bk_skip(const bk_ray *ray, bk_uint level, bk_int *px, bk_int *py, bk_int *pz, float *pt)
+/* Coordinate after a step: in the next layer where this is the axis it is taken along. */
+BK_FN bk_iw bk_step(bk_iw v, bk_iw mask, bk_iw layer, bk_mask up, bk_mask along, bk_fw start,
+                    bk_fw direction, bk_fw t, bk_iw base)
 {
-    const bk_int mask = ((bk_int)1 << level) - 1;
-    const bk_vec3 start = ray->start, direction = ray->direction, inverse = ray->inverse;
-    bk_int x = *px, y = *py, z = *pz;
-    bk_int fx = bk_exit_layer(x, mask, inverse.x), fy = bk_exit_layer(y, mask, inverse.y);
-    bk_int fz = bk_exit_layer(z, mask, inverse.z);
-    float tx = bk_border(fx, ray->bx, start.x, inverse.x);
-    float ty = bk_border(fy, ray->by, start.y, inverse.y);
-    float tz = bk_border(fz, ray->bz, start.z, inverse.z);
-    float t = bk_max(*pt, bk_min(tx, bk_min(ty, tz)));
-
-    if (tx <= ty && tx <= tz) {
-        *px = inverse.x >= 0.0f ? fx : fx - 1;
-        *py = bk_voxel_at(start.y, direction.y, t, ray->by, y & ~mask, y | mask);
-        *pz = bk_voxel_at(start.z, direction.z, t, ray->bz, z & ~mask, z | mask);
-    } else if (ty <= tz) {
-        *px = bk_voxel_at(start.x, direction.x, t, ray->bx, x & ~mask, x | mask);
-        *py = inverse.y >= 0.0f ? fy : fy - 1;
-        *pz = bk_voxel_at(start.z, direction.z, t, ray->bz, z & ~mask, z | mask);
-    } else {
-        *px = bk_voxel_at(start.x, direction.x, t, ray->bx, x & ~mask, x | mask);
-        *py = bk_voxel_at(start.y, direction.y, t, ray->by, y & ~mask, y | mask);
-        *pz = inverse.z >= 0.0f ? fz : fz - 1;
-    }
-    *pt = t;
+    return bk_selecti(along, bk_selecti(up, layer, layer - 1),
+                      bk_voxel_at(start, direction, t, base, v & ~mask, v | mask));
 }
 
-/* Walks a half ray from walk->t_start to walk->t_limit; the outcome is walk->hit. t_near, t_far:
- * where the ray is inside the grid's bounds. */
-BK_FN void bk_walk_ray(const bk_grid *grid, const bk_params *params, bk_cache *cache, bk_walk *walk,
-                       float t_near, float t_far)
+/* Walks half rays from walk->t_start to walk->t_limit, or to `t_stop` where that is nearer; the
+ * outcome is walk->hit. t_near, t_far: where the rays are inside the grid's bounds. A step goes
+ * through a voxel, or through an empty node. */
+BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                        const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far, bk_fw t_stop)
 {
-    const bk_ray *ray = &walk->ray;
     const bk_int *low = params->index_min, *high = params->index_max;
-    const float t_end = bk_min(walk->t_limit, t_far);
-    float t = bk_max(walk->t_start, t_near);
-    bk_int x, y, z;
+    const bk_vec3w start = ray->start, direction = ray->direction, inverse = ray->inverse;
+    const bk_mask up_x = bk_not(bk_less(inverse.x, bk_splat(0.0f)));
+    const bk_mask up_y = bk_not(bk_less(inverse.y, bk_splat(0.0f)));
+    const bk_mask up_z = bk_not(bk_less(inverse.z, bk_splat(0.0f)));
+    const bk_fw t_end = bk_minw(t_stop, bk_minw(walk->t_limit, t_far));
+    bk_fw t = bk_maxw(walk->t_start, t_near);
+    const bk_mask walked = ray->some & bk_not(bk_less(t_end, t));
+    bk_ulong values[BK_WIDTH];
+    bk_place place;
+    bk_uint active = bk_bits(walked), lane;
 
-    walk->hit.found = 0;
-    walk->side = BK_APART;
-    walk->falling = 0;
-    if (!(t <= t_end))
+    walk->hit = walk->ahead = bk_no_crossing();
+    walk->side = bk_splati(BK_APART);
+    walk->falling = bk_mask_of(0);
+    walk->outside = walk->ahead_margin = bk_splat(0.0f);
+    if (!active)
         return;
-    x = bk_voxel_at(ray->start.x, ray->direction.x, t, ray->bx, low[0], high[0]);
-    y = bk_voxel_at(ray->start.y, ray->direction.y, t, ray->by, low[1], high[1]);
-    z = bk_voxel_at(ray->start.z, ray->direction.z, t, ray->bz, low[2], high[2]);
-    do {
-        bk_uint level = bk_locate(grid, cache, x, y, z);
-        if (level == 0) {
-            bk_walk_leaf(grid, walk, cache->leaf, &x, &y, &z, &t, t_end);
-        } else {
-            bk_end_run(walk);
-            if (!walk->hit.found)
-                bk_skip(ray, level, &x, &y, &z, &t);
-        }
-    } while (!walk->hit.found && t < t_end);
-    if (!walk->hit.found)
-        bk_end_run(walk);
-}
-
-/* Normal, colour and final distance of a plane crossing, on the blended surface. */
-BK_FN void bk_shade(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                    const bk_ray *ray, const bk_crossing *crossing, bk_hit *hit)
-{
-    const bk_uint has_color = params->flags & BK_HAS_COLOR;
-    bk_vec3 normal = crossing->record.normal;
-    bk_vec3 color = bk_v3(0.0f, 0.0f, 0.0f);
-    float t = crossing->t;
-    bk_uint blended = 0;
-
-    if (!(params->flags & BK_NEAREST)) {
-        const bk_vec3 at = bk_add_scaled(ray->start, t, ray->direction);
-        const bk_blend blend =
-            bk_blend_around(grid, cache, ray->bx, ray->by, ray->bz, at, normal, has_color);
-        blended = blend.found;
-        if (blended) {
-            float slope = bk_dot(blend.normal, ray->direction);
-            if (bk_abs(slope) > BK_GRAZING)
-                t -= bk_max(-0.5f, bk_min(0.5f, blend.distance / slope));
-            normal = blend.normal;
-            color = blend.color;
-        }
+    t = bk_keep(walked, t);
+    place.x = bk_voxel_at(start.x, direction.x, t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
+    place.y = bk_voxel_at(start.y, direction.y, t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
+    place.z = bk_voxel_at(start.z, direction.z, t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        place.mask[lane] = place.node_x[lane] = place.node_y[lane] = place.node_z[lane] = 0;
+        place.apart[lane] = 0;
+        place.words[lane] = grid->leaves;
+        values[lane] = 0;
     }
-    if (has_color && !blended)
-        color = bk_decode_color(grid->colors[crossing->record.number]);
-    hit->found = 1;
-    hit->t = t;
-    hit->normal[0] = normal.x;
-    hit->normal[1] = normal.y;
-    hit->normal[2] = normal.z;
-    hit->color[0] = color.x;
-    hit->color[1] = color.y;
-    hit->color[2] = color.z;
+    bk_enter(grid, cache, active, &place);
+    do {
+        const bk_iw mask = bk_load_lanes(place.mask);
+        const bk_uint in_leaf = active & bk_bits(mask == 0);
+        const bk_iw fx = bk_exit_layer(place.x, mask, up_x);
+        const bk_iw fy = bk_exit_layer(place.y, mask, up_y);
+        const bk_iw fz = bk_exit_layer(place.z, mask, up_z);
+        const bk_fw tx = bk_border(fx, ray->bx, start.x, inverse.x);
+        const bk_fw ty = bk_border(fy, ray->by, start.y, inverse.y);
+        const bk_fw tz = bk_border(fz, ray->bz, start.z, inverse.z);
+        const bk_fw t_out = bk_maxw(t, bk_minw(tx, bk_minw(ty, tz)));
+        const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
+        const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
+        const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
+        const bk_uint occupied = bk_occupied(in_leaf, &place, values);
+        bk_mask ended = bk_mask_of(active & ~occupied);
+
+        BK_COUNT(cache, steps, bk_popcount32(in_leaf));
+        BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
+        if (occupied) {
+            const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
+            bk_mask over;
+            bk_cross_voxels(grid, cache, walk, ray, occupied, values, &place, t,
+                            bk_minw(t_out, walk->t_limit));
+            /* No sheet here faces the right way: for the one before, the run has ended. */
+            over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
+            walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
+            ended = ended | over;
+        }
+        if (bk_bits(ended & (walk->side != BK_APART)))
+            bk_end_run(walk, ended);
+        place.x = bk_step(place.x, mask, fx, up_x, along_x, start.x, direction.x, t_out, ray->bx);
+        place.y = bk_step(place.y, mask, fy, up_y, along_y, start.y, direction.y, t_out, ray->by);
+        place.z = bk_step(place.z, mask, fz, up_z, along_z, start.z, direction.z, t_out, ray->bz);
+        t = t_out;
+        active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
+        bk_enter(grid, cache,
+                 active & bk_bits((((place.x ^ bk_load_lanes(place.node_x)) |
+                                    (place.y ^ bk_load_lanes(place.node_y)) |
+                                    (place.z ^ bk_load_lanes(place.node_z))) &
+                                   bk_load_lanes(place.apart)) != 0),
+                 &place);
+    } while (active);
+    bk_end_run(walk, walked);
 }
 
-/* The surface at the smallest |t| in [t_min, t_max] along a line through `origin` with unit
- * direction. The line is walked from its origin both ways; the second walk ends where the first one
- * hit. Surfaces whose normal has no positive dot product with `facing` are passed unless
- * BK_TWO_SIDED is set. */
-BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cache, bk_vec3 origin,
-                    bk_vec3 direction, float t_min, float t_max, bk_vec3 facing, bk_hit *hit)
+/* Walks the outer or, in the lanes of `inward`, the inner half of lines. */
+BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                        const bk_ray *ray, bk_mask inward, float t_min, float t_max, bk_fw t_stop,
+                        bk_walk *walk)
 {
-    bk_walk walk;
-    bk_crossing nearest;
-    float t_near, t_far;
-    bk_uint inward;
+    const bk_fw zero = bk_splat(0.0f);
+    bk_fw t_near, t_far;
 
-    hit->found = 0;
-    hit->t = 0.0f;
-    hit->normal[0] = hit->normal[1] = hit->normal[2] = 0.0f;
-    hit->color[0] = hit->color[1] = hit->color[2] = 0.0f;
-    if (!(bk_abs(origin.x) < BK_FAR && bk_abs(origin.y) < BK_FAR && bk_abs(origin.z) < BK_FAR &&
-          bk_abs(bk_dot(direction, direction) - 1.0f) < 0.01f))
-        return;
-    bk_ray_set(&walk.ray, origin, direction);
-    bk_bounds(&walk.ray, params, &t_near, &t_far);
-    walk.facing = facing;
-    walk.two_sided = params->flags & BK_TWO_SIDED;
-    walk.hit = nearest = bk_no_crossing();
-    walk.t_start = bk_max(t_min, 0.0f);
-    walk.t_limit = t_max;
-    bk_walk_ray(grid, params, cache, &walk, t_near, t_far);
-    nearest = walk.hit;
-    walk.t_start = bk_max(-t_max, 0.0f);
-    walk.t_limit = nearest.found ? bk_min(-t_min, nearest.t) : -t_min;
-    walk.ray.direction = bk_scale(direction, -1.0f);
-    walk.ray.inverse = bk_scale(walk.ray.inverse, -1.0f);
-    bk_walk_ray(grid, params, cache, &walk, -t_far, -t_near);
-    inward = walk.hit.found && !(nearest.found && nearest.t <= walk.hit.t);
-    if (inward)
-        nearest = walk.hit;
-    else
-        walk.ray.direction = direction;
-    if (!nearest.found)
-        return;
-    bk_shade(grid, params, cache, &walk.ray, &nearest, hit);
-    if (inward)
-        hit->t = -hit->t;
+    bk_bounds(ray, params, &t_near, &t_far);
+    walk->t_start = bk_maxw(bk_select(inward, bk_splat(-t_max), bk_splat(t_min)), zero);
+    walk->t_limit = bk_select(inward, bk_splat(-t_min), bk_splat(t_max));
+    walk->two_sided = bk_mask_of(params->flags & BK_TWO_SIDED ? ~0u : 0u);
+    bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far, t_stop);
+}
+
+BK_FN void bk_turn(bk_ray *ray, bk_mask lanes)
+{
+    const bk_vec3w d = ray->direction, i = ray->inverse;
+
+    ray->direction = bk_select3(lanes, bk_v3w(-d.x, -d.y, -d.z), d);
+    ray->inverse = bk_select3(lanes, bk_v3w(-i.x, -i.y, -i.z), i);
+}
+
+/* The crossings at the smallest |t| in [t_min, t_max], their t as distance; of two at the same
+ * distance the outer one. Lines are walked from their origins both ways, first the way on which
+ * the last lines' crossing was: mostly that is right again, and the other way need not be walked
+ * any further. Surfaces whose normal has no positive dot product with `facing` are passed unless
+ * BK_TWO_SIDED is set. On return the rays look towards the crossings; *inward: against the
+ * direction that they came with. */
+BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                             float t_min, float t_max, bk_ray *ray, bk_mask *inward)
+{
+    const bk_mask guess = bk_mask_of(cache->inward ? ~0u : 0u), all = bk_mask_of(~0u);
+    bk_crossing first, second;
+    bk_mask better;
+    bk_walk walk;
+
+    bk_turn(ray, guess);
+    bk_walk_half(grid, params, cache, ray, guess, t_min, t_max, bk_splat(BK_FAR), &walk);
+    first = walk.hit;
+    bk_turn(ray, all);
+    bk_walk_half(grid, params, cache, ray, bk_not(guess), t_min, t_max,
+                 bk_select(first.found, first.t + BK_BEHIND, bk_splat(BK_FAR)), &walk);
+    second = walk.hit;
+    better = bk_less(second.t, first.t) | (guess & bk_not(bk_less(first.t, second.t)));
+    better = second.found & (better | bk_not(first.found));
+    bk_turn(ray, bk_not(better));
+    *inward = guess ^ better;
+    first = bk_select_crossing(better, &second, &first);
+    better = first.found & *inward;
+    if (bk_bits(first.found))
+        cache->inward = 2u * bk_popcount32(bk_bits(better)) > bk_popcount32(bk_bits(first.found));
+    return first;
+}
+
+/* ---- tracing ---- */
+
+/* Lines to trace, in index space; lanes from `count` on are not traced. */
+typedef struct bk_lines {
+    bk_uint count;
+    bk_vec3w origin, direction, facing;
+    float t_min, t_max;
+} bk_lines;
+
+/* What they found. */
+typedef struct bk_hits {
+    bk_uint found;   /* bit by bit */
+    bk_fw t;         /* signed distance in voxels along the direction */
+    bk_vec3w normal; /* unit, object space */
+    bk_vec3w color;  /* linear RGB, 0..1 */
+} bk_hits;
+
+/* Moves hits onto the blended surface, and gives them its normals and colours. */
+BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                         const bk_ray *ray, bk_fw sign, bk_fw distance, bk_hits *hits)
+{
+    const bk_vec3w point = bk_add_scaledw(ray->start, distance, ray->direction);
+    const bk_fw cx = bk_floorw(point.x - 0.5f), cy = bk_floorw(point.y - 0.5f);
+    const bk_fw cz = bk_floorw(point.z - 0.5f);
+    const bk_iw vx = ray->bx + bk_to_iw(cx), vy = ray->by + bk_to_iw(cy);
+    const bk_iw vz = ray->bz + bk_to_iw(cz);
+    const bk_sides x = bk_sides_at(point.x - 0.5f - cx), y = bk_sides_at(point.y - 0.5f - cy);
+    const bk_sides z = bk_sides_at(point.z - 0.5f - cz);
+    bk_corner corners[8];
+    bk_cell cell;
+    bk_blend blend;
+    bk_fw slope, shift;
+    bk_mask steep;
+    bk_uint lane, i;
+
+    for (lane = 0; lane < BK_WIDTH; lane++)
+        if (hits->found >> lane & 1u)
+            bk_cell_load(grid, cache, bk_lane(vx, lane), bk_lane(vy, lane), bk_lane(vz, lane),
+                         bk_lane3(&hits->normal, lane), lane, &cell);
+        else
+            bk_cell_clear(lane, &cell);
+    for (i = 0; i < 8; i++)
+        corners[i] = bk_corner_at(&cell, i, hits->normal, &x, &y, &z);
+    blend = bk_blend_corners(corners);
+    slope = bk_dotw(blend.normal, ray->direction);
+    shift = bk_maxw(bk_splat(-0.5f), bk_minw(bk_splat(0.5f), blend.distance / slope));
+    steep = bk_less(bk_splat(BK_GRAZING), bk_absw(slope)) & blend.found;
+    hits->t = bk_select(steep, hits->t - sign * shift, hits->t);
+    hits->normal = bk_select3(blend.found, blend.normal, hits->normal);
+    if (params->flags & BK_HAS_COLOR)
+        for (lane = 0; lane < BK_WIDTH; lane++)
+            if (hits->found & bk_bits(blend.found) & 1u << lane)
+                bk_set_lane3(&hits->color, lane,
+                             bk_blend_color(grid, &cell, corners, lane, bk_lane(blend.weight, lane)));
+}
+
+/* Traces lines to the surfaces nearest to their origins. */
+BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                    const bk_lines *lines, bk_hits *hits)
+{
+    const bk_fw zero = bk_splat(0.0f);
+    bk_ray ray = bk_ray_along(lines->origin, lines->direction, lines->facing,
+                              bk_mask_of((1u << lines->count) - 1u));
+    bk_mask inward;
+    const bk_crossing crossing =
+        bk_nearest(grid, params, cache, lines->t_min, lines->t_max, &ray, &inward);
+    const bk_fw sign = bk_select(inward, bk_splat(-1.0f), bk_splat(1.0f));
+    bk_uint lane;
+
+    BK_COUNT(cache, rays, lines->count);
+    BK_COUNT(cache, packets, 1);
+    hits->found = bk_bits(crossing.found);
+    hits->t = sign * crossing.t;
+    hits->normal = crossing.normal;
+    hits->color = bk_v3w(zero, zero, zero);
+    if (params->flags & BK_HAS_COLOR)
+        for (lane = 0; lane < BK_WIDTH; lane++)
+            if (hits->found >> lane & 1u) {
+                const bk_ulong number =
+                    (bk_ulong)(bk_uint)bk_lane(crossing.high, lane) << 32 |
+                    (bk_uint)bk_lane(crossing.low, lane);
+                bk_set_lane3(&hits->color, lane, bk_decode_color(grid->colors[number]));
+            }
+    if (hits->found && !(params->flags & BK_NEAREST))
+        bk_blend_hits(grid, params, cache, &ray, sign, crossing.t, hits);
 }
 
 #endif

@@ -1,0 +1,20 @@
+/* native_internal.h - the kernel on native threads, compiled for several sets of instructions. All
+ * of them give the same bits. */
+#ifndef BAKE_NATIVE_INTERNAL_H
+#define BAKE_NATIVE_INTERNAL_H
+
+#include "libbake/device_internal.h"
+
+struct bk_grid;
+
+/* Traces a tile on the calling thread: sample_triangles in, width * height texels out. */
+typedef void bake_native_tile(const struct bk_grid *grid, const struct bk_params *params,
+                              const struct bk_triangle *triangles, const struct bk_tile *tile,
+                              const uint32_t *sample_triangles, struct bk_texel *texels);
+
+bake_native_tile bake_native_tile_4; /* four lanes, for any processor */
+#if defined(__x86_64__)
+bake_native_tile bake_native_tile_8; /* eight lanes, AVX2 */
+#endif
+
+#endif

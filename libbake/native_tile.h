@@ -1,0 +1,68 @@
+/* native_tile.h - traces a tile BK_WIDTH samples at a time. Included by one source for each set of
+ * instructions, with BK_WIDTH and NATIVE_TILE defined. */
+#include "libbake/kernel/bk_sample.h"
+#include "libbake/native_internal.h"
+
+/* Texels are taken in squares of this side: what they share of the grid stays in the first cache. */
+enum { SQUARE = 8 };
+
+struct group {
+    const struct bk_grid *grid;
+    const struct bk_params *params;
+    const struct bk_triangle *triangles;
+    bk_cache cache;
+    bk_samples samples;
+    struct bk_texel *texels[BK_WIDTH]; /* of the samples */
+};
+
+static void trace_group(struct group *group)
+{
+    bk_hits hits;
+
+    if (group->samples.count == 0)
+        return;
+    bk_trace_samples(group->grid, group->params, &group->cache, group->triangles, &group->samples,
+                     &hits);
+    for (bk_uint lane = 0; lane < group->samples.count; lane++)
+        bk_add_hit(&hits, lane, group->texels[lane]);
+    group->samples.count = 0;
+}
+
+static void add_texel(struct group *group, const struct bk_tile *tile,
+                      const uint32_t *sample_triangles, bk_uint column, bk_uint row,
+                      struct bk_texel *texel)
+{
+    const bk_uint n = group->params->samples;
+    bk_samples *samples = &group->samples;
+
+    *texel = bk_texel_empty();
+    for (bk_uint j = 0; j < n; j++)
+        for (bk_uint i = 0; i < n; i++) {
+            const bk_uint triangle =
+                sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
+            if (triangle == BK_NO_TRIANGLE)
+                continue;
+            samples->triangle[samples->count] = triangle;
+            samples->x[samples->count] = bk_sample_place(tile->x + column, i, n);
+            samples->y[samples->count] = bk_sample_place(tile->y + row, j, n);
+            group->texels[samples->count] = texel;
+            if (++samples->count == BK_WIDTH)
+                trace_group(group);
+        }
+}
+
+void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
+                 const struct bk_triangle *triangles, const struct bk_tile *tile,
+                 const uint32_t *sample_triangles, struct bk_texel *texels)
+{
+    struct group group = {
+        .grid = grid, .params = params, .triangles = triangles, .cache = bk_cache_empty()};
+
+    for (uint32_t y = 0; y < tile->height; y += SQUARE)
+        for (uint32_t x = 0; x < tile->width; x += SQUARE)
+            for (uint32_t row = y; row < y + SQUARE && row < tile->height; row++)
+                for (uint32_t column = x; column < x + SQUARE && column < tile->width; column++)
+                    add_texel(&group, tile, sample_triangles, column, row,
+                              &texels[(uint64_t)row * tile->width + column]);
+    trace_group(&group);
+}

@@ -1,0 +1,55 @@
+/* rays_counters.c - what the kernel counts when it is built with BK_COUNTERS: how much work the rays
+ * of a map are. One thread. */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "libbake/kernel/bk_grid.h"
+#include "tests/bench/rays.h"
+
+static bk_counts counts;
+
+bk_counts *bk_counts_of_thread(void)
+{
+    return &counts;
+}
+
+static void print(const char *name, uint64_t count)
+{
+    printf("%s=%.4f\n", name, (double)count / (double)counts.rays);
+}
+
+int main(int argc, char **argv)
+{
+    struct bsq_ctx *ctx;
+    struct rays_scene scene;
+    struct bake_device *device = NULL;
+    struct rays_cost cost;
+    if (argc != 5) {
+        fputs("usage: bench-rays-counters SCAN.nvdb LOW.obj SIZE SAMPLES\n", stderr);
+        return 64;
+    }
+    if (bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) < 0)
+        return 71;
+    int status = rays_open(ctx, argv[1], argv[2], (uint32_t)atoi(argv[3]),
+                           (uint32_t)atoi(argv[4]), &scene);
+    if (status == 0)
+        status = bake_device_open(ctx, "cpu", &scene.job, &device);
+    counts = (bk_counts){0};
+    if (status == 0)
+        status = rays_trace(&scene, device, &cost);
+    if (status < 0) {
+        fprintf(stderr, "bench-rays-counters: %s\n", bsq_error(ctx));
+    } else {
+        printf("rays=%llu\n", (unsigned long long)counts.rays);
+        print("steps", counts.steps);
+        print("skips", counts.skips);
+        print("fetches", counts.fetches);
+        print("planes", counts.planes);
+        print("blends", counts.blends);
+        print("packets", counts.packets);
+    }
+    bake_device_close(device);
+    rays_close(&scene);
+    bsq_ctx_destroy(ctx);
+    return -status;
+}

@@ -1,0 +1,197 @@
+/* rays_scene.c - prepares rays as bisque-bake does, and hands them out tile by tile. */
+#include <string.h>
+#include <sys/resource.h>
+
+#include "base/clock.h"
+#include "base/parallel.h"
+#include "libbake/distance_internal.h"
+#include "libbake/tiles_internal.h"
+#include "tests/bench/rays.h"
+
+static int choose_distances(struct rays_scene *scene)
+{
+    struct bk_params *params = &scene->job.params;
+    double front, back;
+    int status = bake_measure_distances(&scene->surface, params, &scene->mesh, &front, &back);
+    if (status == 0) {
+        params->front = (float)(front / scene->surface.unit);
+        params->back = (float)(back / scene->surface.unit);
+    }
+    return status;
+}
+
+static int make_raster(struct rays_scene *scene, uint32_t size)
+{
+    scene->tile_size = bake_tile_size(scene->ctx, size, size, scene->samples);
+    const struct bake_raster_options options = {.width = size,
+                                                .height = size,
+                                                .samples = scene->samples,
+                                                .tile_size = scene->tile_size};
+    struct bake_raster_report report = {0};
+    int status =
+        bake_raster_create(scene->ctx, &scene->mesh, &options, &report, &scene->raster);
+    if (status == 0)
+        status = bsq_alloc(scene->ctx, "triangles", scene->mesh.triangle_count,
+                           sizeof *scene->triangles, &scene->triangles);
+    if (status < 0)
+        return status;
+    bake_raster_kernel_triangles(scene->raster, scene->surface.translation, scene->surface.unit,
+                                 scene->triangles);
+    scene->tile_count = bake_raster_tile_count(scene->raster);
+    return 0;
+}
+
+int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t size,
+              uint32_t samples, struct rays_scene *out)
+{
+    struct bake_options options;
+    memset(out, 0, sizeof *out);
+    out->ctx = ctx;
+    out->samples = samples;
+    bake_defaults(&options);
+    options.scan_path = scan;
+    int status = bake_surface_open(ctx, &options, &out->surface);
+    if (status == 0 && out->surface.exact)
+        status = bsq_fail(ctx, BSQ_EDATA, "%s is no grid", scan);
+    if (status == 0)
+        status = bake_lowmesh_load(ctx, mesh, &out->mesh);
+    if (status < 0)
+        return status;
+    bake_params_from_grid(&out->surface.grid, &out->job.params);
+    out->job.params.samples = samples;
+    status = choose_distances(out);
+    if (status == 0)
+        status = make_raster(out, size);
+    out->job.grid = &out->surface.grid;
+    out->job.triangles = out->triangles;
+    out->job.triangle_count = (uint32_t)out->mesh.triangle_count;
+    out->job.tile_texels = out->tile_size * out->tile_size;
+    return status;
+}
+
+void rays_close(struct rays_scene *scene)
+{
+    bsq_free(scene->ctx, scene->triangles);
+    bake_raster_free(scene->raster);
+    bake_lowmesh_free(scene->ctx, &scene->mesh);
+    bake_surface_close(&scene->surface);
+}
+
+/* ---- tiles ---- */
+
+struct tile_loop {
+    struct rays_scene *scene;
+    uint32_t **sample_triangles; /* a worker */
+    struct bk_texel **texels;
+    int (*fn)(void *arg, const struct rays_tile *tile);
+    void *arg;
+};
+
+static int do_tile(void *arg, uint64_t index, unsigned worker)
+{
+    struct tile_loop *loop = arg;
+    uint64_t overlaps;
+    const struct rays_tile tile = {.index = (uint32_t)index,
+                                   .worker = worker,
+                                   .tile = bake_raster_tile(loop->scene->raster, (uint32_t)index),
+                                   .sample_triangles = loop->sample_triangles[worker],
+                                   .texels = loop->texels[worker]};
+    bake_raster_fill(loop->scene->raster, (uint32_t)index, loop->sample_triangles[worker],
+                     &overlaps);
+    return loop->fn(loop->arg, &tile);
+}
+
+int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_tile *tile),
+                   void *arg)
+{
+    struct bsq_ctx *ctx = scene->ctx;
+    const unsigned threads = bsq_threads(ctx);
+    const uint64_t texels = scene->job.tile_texels;
+    struct tile_loop loop = {.scene = scene, .fn = fn, .arg = arg};
+    int status = bsq_calloc(ctx, "workers", threads, sizeof(void *), &loop.sample_triangles);
+    if (status == 0)
+        status = bsq_calloc(ctx, "workers", threads, sizeof(void *), &loop.texels);
+    for (unsigned w = 0; status == 0 && w < threads; w++) {
+        status = bsq_alloc(ctx, "samples", texels * scene->samples,
+                           scene->samples * sizeof(uint32_t), &loop.sample_triangles[w]);
+        if (status == 0)
+            status = bsq_alloc(ctx, "texels", texels, sizeof(struct bk_texel), &loop.texels[w]);
+    }
+    if (status == 0)
+        status = bsq_parallel_for(ctx, scene->tile_count, do_tile, &loop);
+    for (unsigned w = 0; w < threads; w++) {
+        if (loop.sample_triangles)
+            bsq_free(ctx, loop.sample_triangles[w]);
+        if (loop.texels)
+            bsq_free(ctx, loop.texels[w]);
+    }
+    bsq_free(ctx, loop.sample_triangles);
+    bsq_free(ctx, loop.texels);
+    return status;
+}
+
+/* ---- tracing on a device ---- */
+
+struct device_tally {
+    uint64_t samples, hits, checksum;
+};
+
+struct device_loop {
+    struct bake_device *device;
+    struct device_tally *tallies; /* a worker */
+};
+
+static uint64_t hash_words(uint64_t hash, const void *data, size_t words)
+{
+    const uint32_t *word = data;
+    for (size_t i = 0; i < words; i++)
+        hash = (hash ^ word[i]) * UINT64_C(0x100000001b3);
+    return hash;
+}
+
+static int trace_tile(void *arg, const struct rays_tile *tile)
+{
+    struct device_loop *loop = arg;
+    struct device_tally *tally = &loop->tallies[tile->worker];
+    const uint64_t count = (uint64_t)tile->tile.width * tile->tile.height;
+    int status = bake_device_trace(loop->device, &tile->tile, tile->sample_triangles, tile->texels,
+                                   tile->worker);
+    if (status < 0)
+        return status;
+    for (uint64_t i = 0; i < count; i++) {
+        tally->samples += tile->texels[i].covered;
+        tally->hits += tile->texels[i].hits;
+    }
+    tally->checksum +=
+        hash_words(tile->index, tile->texels, count * sizeof(struct bk_texel) / sizeof(uint32_t));
+    return 0;
+}
+
+static double processor_seconds(void)
+{
+    struct rusage usage;
+    getrusage(RUSAGE_SELF, &usage);
+    return (double)usage.ru_utime.tv_sec + (double)usage.ru_stime.tv_sec +
+           1e-6 * (double)(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
+}
+
+int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays_cost *cost)
+{
+    struct device_loop loop = {.device = device};
+    const unsigned threads = bsq_threads(scene->ctx);
+    int status = bsq_calloc(scene->ctx, "tallies", threads, sizeof *loop.tallies, &loop.tallies);
+    if (status < 0)
+        return status;
+    const double wall = bsq_seconds_now(), processor = processor_seconds();
+    status = rays_for_tiles(scene, trace_tile, &loop);
+    *cost = (struct rays_cost){.wall = bsq_seconds_now() - wall,
+                               .processor = processor_seconds() - processor};
+    scene->count = 0;
+    for (unsigned w = 0; w < threads; w++) {
+        scene->count += loop.tallies[w].samples;
+        cost->hits += loop.tallies[w].hits;
+        cost->checksum += loop.tallies[w].checksum;
+    }
+    bsq_free(scene->ctx, loop.tallies);
+    return status;
+}
