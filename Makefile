@@ -110,7 +110,23 @@ kernel_sources := $(wildcard libbake/kernel/*.h libbake/kernel/*.cl)
 $(BUILD)/gen/kernel_source.inc: libbake/kernel/embed.awk $(kernel_sources)
 	@mkdir -p $(@D)
 	awk -f libbake/kernel/embed.awk libbake/kernel/bake.cl > $@
-$(call objs,libbake): | $(BUILD)/gen/kernel_source.inc
+$(call objs,libbake): | $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.inc
+
+# The kernel for NVIDIA GPUs, as PTX: by Clang, or by nvcc. Clang's is preferred: its PTX is older, so that older
+# drivers take it. Without them, or where the PTX would not round as the processor does, the program has no CUDA.
+ptx_clang := $(firstword $(foreach c,clang $(foreach v,21 20 19 18 17 16 15 14,clang-$(v)),$(shell command -v $(c))))
+ptx_nvcc  := $(firstword $(shell command -v nvcc) $(wildcard /usr/local/cuda/bin/nvcc))
+PTX ?= $(if $(ptx_clang),clang,$(if $(ptx_nvcc),nvcc,none))
+ptx.clang = $(ptx_clang) -x cl -cl-std=CL1.2 --target=nvptx64-nvidia-cuda -Xclang -target-cpu -Xclang sm_50 -DBK_PTX \
+    -O3 -mllvm -unroll-threshold=3000 -ffp-contract=off -cl-fp32-correctly-rounded-divide-sqrt -S -o $@.tmp $<
+ptx.nvcc  = $(ptx_nvcc) -x cu -ptx -arch=compute_75 -O3 --fmad=false -prec-div=true -prec-sqrt=true -ftz=false -o $@.tmp $<
+ptx.none  = false
+$(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.awk $(kernel_sources)
+	@mkdir -p $(@D)
+	@{ $(ptx.$(PTX)) && awk -f libbake/kernel/check_ptx.awk $@.tmp && mv $@.tmp $@; } || \
+	    { echo "libbake: no PTX, so that --device cuda will not work (PTX=$(PTX))"; rm -f $@.tmp; : > $@; }
+$(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
+	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
 tool_common := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out tools/bisque-%,$(wildcard tools/*.c)))
 $(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/bisque-%.c.o $(tool_common) $(archives)
@@ -153,6 +169,12 @@ $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(ar
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 
+# A CUDA driver without a GPU, which tests open instead of a real one.
+fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
+$(fake_cuda): $(BUILD)/obj/tests/fake/fake_cuda.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libcuda.so.1 -o $@ $^ -lm
+
 # The naive readers of formats/FORMATS.md: no -I, they include nothing of Bisque.
 naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
 $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
@@ -185,7 +207,7 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays)
+tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda)
 
 ## test: build and run all tests, with what is installed
 test: tests-build

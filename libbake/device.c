@@ -17,27 +17,45 @@ struct bake_device {
     atomic_bool lost; /* backend failed, fallback goes on */
 };
 
-/* Parses "opencl" or "opencl:N". */
-static bool parse_opencl(const char *name, int64_t *index)
+/* Parses "KIND" (*index stays) or "KIND:N". */
+static bool parse(const char *name, const char *kind, int64_t *index)
 {
+    size_t length = strlen(kind);
     char *end;
     unsigned long number;
 
-    if (strcmp(name, "opencl") == 0) {
-        *index = BAKE_OPENCL_FIRST;
+    if (strncmp(name, kind, length) != 0)
+        return false;
+    if (name[length] == '\0')
         return true;
-    }
-    if (strncmp(name, "opencl:", 7) != 0 || name[7] < '0' || name[7] > '9')
+    if (name[length] != ':' || name[length + 1] < '0' || name[length + 1] > '9')
         return false;
     errno = 0;
-    number = strtoul(name + 7, &end, 10);
+    number = strtoul(name + length + 1, &end, 10);
     if (*end || errno || number > INT32_MAX)
         return false;
     *index = (int64_t)number;
     return true;
 }
 
-/* Numbers of the GPUs among the OpenCL devices. */
+/* A kind of devices with GPUs among them. */
+struct kind {
+    const char *name;
+    int (*open)(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                struct bake_backend **out);
+    int (*list)(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
+                void *arg);
+    int64_t first; /* number that the name alone stands for */
+};
+
+/* In the order in which "auto" looks for a GPU. */
+static const struct kind kinds[] = {
+    {"cuda", bake_cuda_open, bake_cuda_list, 0},
+    {"opencl", bake_opencl_open, bake_opencl_list, BAKE_OPENCL_FIRST},
+};
+enum { KINDS = sizeof kinds / sizeof kinds[0] };
+
+/* Looks for GPUs among the devices of a kind. */
 struct gpu_search {
     int64_t next;  /* number of the device that comes next */
     int64_t after; /* look for a GPU with a number above this */
@@ -53,8 +71,9 @@ static void search_gpu(void *arg, const struct bake_device_info *info)
     search->next++;
 }
 
-/* Opens the first GPU that works; *out stays NULL where there is none. */
-static int open_any_gpu(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out)
+/* Opens the first GPU of a kind that works; *out stays NULL where there is none. */
+static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct bake_job *job,
+                    struct bake_backend **out)
 {
     struct gpu_search search = {.after = -1};
 
@@ -62,13 +81,13 @@ static int open_any_gpu(struct bsq_ctx *ctx, const struct bake_job *job, struct 
         int status;
         search.next = 0;
         search.found = -1;
-        status = bake_opencl_list(ctx, search_gpu, &search);
+        status = kind->list(ctx, search_gpu, &search);
         if (status < 0 || search.found < 0)
             return 0;
-        status = bake_opencl_open(ctx, search.found, job, out);
+        status = kind->open(ctx, search.found, job, out);
         if (status == BSQ_OK || status == BSQ_EINTR)
             return status;
-        bsq_warn(ctx, "opencl:%" PRId64 " is not used: %s", search.found, bsq_error(ctx));
+        bsq_warn(ctx, "%s:%" PRId64 " is not used: %s", kind->name, search.found, bsq_error(ctx));
         bsq_clear_error(ctx);
         search.after = search.found;
     }
@@ -77,19 +96,22 @@ static int open_any_gpu(struct bsq_ctx *ctx, const struct bake_job *job, struct 
 static int open_backends(struct bake_device *device, const char *name, const struct bake_job *job)
 {
     struct bsq_ctx *ctx = device->ctx;
-    int64_t index;
-    int status;
 
     if (strcmp(name, "cpu") == 0)
         return bake_native_open(ctx, job, &device->backend);
-    if (parse_opencl(name, &index))
-        return bake_opencl_open(ctx, index, job, &device->backend);
+    for (int i = 0; i < KINDS; i++) {
+        int64_t index = kinds[i].first;
+        if (parse(name, kinds[i].name, &index))
+            return kinds[i].open(ctx, index, job, &device->backend);
+    }
     if (strcmp(name, "auto") != 0)
-        return bsq_fail(ctx, BSQ_ENODEVICE, "device \"%s\" is not auto, cpu, opencl or opencl:N",
-                        name);
-    status = open_any_gpu(ctx, job, &device->backend);
-    if (status < 0)
-        return status;
+        return bsq_fail(ctx, BSQ_ENODEVICE,
+                        "device \"%s\" is not auto, cpu, cuda, cuda:N, opencl or opencl:N", name);
+    for (int i = 0; i < KINDS && !device->backend; i++) {
+        int status = open_gpu(ctx, &kinds[i], job, &device->backend);
+        if (status < 0)
+            return status;
+    }
     return bake_native_open(ctx, job, device->backend ? &device->fallback : &device->backend);
 }
 
@@ -157,5 +179,10 @@ int bake_list_devices(struct bsq_ctx *ctx,
 
     bake_native_info(ctx, &info);
     fn(arg, &info);
-    return bake_opencl_list(ctx, fn, arg);
+    for (int i = 0; i < KINDS; i++) {
+        int status = kinds[i].list(ctx, fn, arg);
+        if (status < 0)
+            return status;
+    }
+    return 0;
 }

@@ -4,6 +4,14 @@
 
 #include "libbake/device_internal.h"
 
+/* What a device did, on its own clock. Spans of several queues that overlap count once. */
+struct bake_device_times {
+    double upload;     /* of the grid, wall time */
+    double copies;     /* of tiles' samples to the device and of texels back */
+    double kernels;
+    uint64_t launches; /* kernel calls */
+};
+
 /* An opened device of some kind; the kind's own structure begins with it. */
 struct bake_backend {
     char name[128];
@@ -12,14 +20,44 @@ struct bake_backend {
     int (*trace)(struct bake_backend *backend, const struct bk_tile *tile,
                  const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
                  char *why);
+    /* NULL where the device is the processor. Not while trace() runs. */
+    void (*times)(struct bake_backend *backend, struct bake_device_times *out);
     void (*close)(struct bake_backend *backend);
 };
 
 enum { BAKE_WHY_BYTES = 512 };
 
+/* What goes to a device once, in the order of the kernel's arguments. */
+enum {
+    BAKE_TILES,
+    BAKE_UPPERS,
+    BAKE_LOWERS,
+    BAKE_LEAVES,
+    BAKE_NORMALS,
+    BAKE_PLANES,
+    BAKE_COLORS,
+    BAKE_SECONDS,
+    BAKE_TRIANGLES,
+    BAKE_ARRAYS
+};
+struct bake_array {
+    const char *what;
+    const void *data;
+    uint64_t bytes; /* 0: the kernel does not read it */
+};
+void bake_job_arrays(const struct bake_job *job, struct bake_array arrays[BAKE_ARRAYS]);
+
 /* Opens the native device. Errors: BSQ_ENOMEM. */
 int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out);
 void bake_native_info(struct bsq_ctx *ctx, struct bake_device_info *info);
+
+/* Opens CUDA device number `index` and uploads the job's grid. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
+int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                   struct bake_backend **out);
+/* Calls fn for each CUDA device in the order of their numbers; not at all where there is no CUDA. Warns of a
+ * driver that does not start. */
+int bake_cuda_list(struct bsq_ctx *ctx,
+                   void (*fn)(void *arg, const struct bake_device_info *device), void *arg);
 
 /* Which OpenCL device to open. */
 enum { BAKE_OPENCL_FIRST = -1 /* the first GPU, else the first device */ };

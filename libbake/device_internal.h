@@ -21,7 +21,7 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
 
 struct bake_device;
 
-/* Opens the device named as on the command line ("auto", "cpu", "opencl", "opencl:N") for a job and makes the
+/* Opens the device named as on the command line ("auto", "cpu", "cuda", "cuda:N", "opencl", "opencl:N") for a job and makes the
  * grid available to it. "auto" takes a GPU that works, else cpu. Errors: BSQ_ENODEVICE with what is there. */
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
                      struct bake_device **out);

@@ -21,15 +21,7 @@ enum {
     SLICE_SAMPLES = 1 << 19  /* samples in one kernel call: some 50 ms on a slow GPU */
 };
 
-/* What is uploaded once, in the order of the kernel's arguments. */
-enum { TILES, UPPERS, LOWERS, LEAVES, NORMALS, PLANES, COLORS, SECONDS, TRIANGLES, ARRAYS };
-enum { ARG_PARAMS = ARRAYS, ARG_TILE, ARG_FIRST_ROW, ARG_SAMPLES, ARG_TEXELS };
-
-struct array {
-    const char *what;
-    const void *data;
-    uint64_t bytes;
-};
+enum { ARG_PARAMS = BAKE_ARRAYS, ARG_TILE, ARG_FIRST_ROW, ARG_END_ROW, ARG_SAMPLES, ARG_TEXELS };
 
 /* What one worker uses; made by its first tile. */
 struct worker {
@@ -45,7 +37,7 @@ struct opencl {
     struct bake_opencl_device device;
     cl_context context;
     cl_program program;
-    cl_mem arrays[ARRAYS];
+    cl_mem arrays[BAKE_ARRAYS];
     struct bk_params params;
     uint32_t tile_texels;
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
@@ -60,32 +52,12 @@ static int fail_open(const struct opencl *cl, const char *call, cl_int code)
                     bake_opencl_error(code, number));
 }
 
-static void job_arrays(const struct bake_job *job, struct array arrays[ARRAYS])
-{
-    const struct fmt_nvdb_grid *g = job->grid;
-    uint64_t channel = g->record_count * sizeof(uint32_t);
-
-    arrays[TILES] = (struct array){"root tiles", g->tiles, g->tile_count * UINT64_C(32)};
-    arrays[UPPERS] =
-        (struct array){"upper nodes", g->uppers, (uint64_t)g->upper_count * g->upper_bytes};
-    arrays[LOWERS] =
-        (struct array){"lower nodes", g->lowers, (uint64_t)g->lower_count * g->lower_bytes};
-    arrays[LEAVES] =
-        (struct array){"leaves", g->leaves, (uint64_t)g->leaf_count * FMT_NVDB_LEAF_BYTES};
-    arrays[NORMALS] = (struct array){"normals", g->normals, channel};
-    arrays[PLANES] = (struct array){"planes", g->planes, channel};
-    arrays[COLORS] = (struct array){"colors", g->colors, g->colors ? channel : 0};
-    arrays[SECONDS] = (struct array){"second records", g->seconds, (g->voxel_count / 32 + 1) * 8};
-    arrays[TRIANGLES] = (struct array){"triangles", job->triangles,
-                                       job->triangle_count * (uint64_t)sizeof *job->triangles};
-}
-
 /* Refuses what the device cannot hold, before anything is allocated. */
-static int check_memory(struct opencl *cl, const struct array arrays[ARRAYS], uint64_t tile_bytes)
+static int check_memory(struct opencl *cl, const struct bake_array arrays[BAKE_ARRAYS], uint64_t tile_bytes)
 {
     uint64_t total = tile_bytes;
 
-    for (int i = 0; i < ARRAYS; i++) {
+    for (int i = 0; i < BAKE_ARRAYS; i++) {
         if (arrays[i].bytes > cl->device.buffer_bytes)
             return bsq_fail(
                 cl->ctx, BSQ_ENODEVICE,
@@ -106,7 +78,7 @@ static int check_memory(struct opencl *cl, const struct array arrays[ARRAYS], ui
     return 0;
 }
 
-static int upload(struct opencl *cl, cl_command_queue queue, int index, const struct array *array)
+static int upload(struct opencl *cl, cl_command_queue queue, int index, const struct bake_array *array)
 {
     /* Empty arrays are never read, but an argument has to be a buffer. */
     size_t bytes = array->bytes ? array->bytes : 8;
@@ -128,7 +100,7 @@ static int upload(struct opencl *cl, cl_command_queue queue, int index, const st
     return 0;
 }
 
-static int upload_all(struct opencl *cl, const struct array arrays[ARRAYS])
+static int upload_all(struct opencl *cl, const struct bake_array arrays[BAKE_ARRAYS])
 {
     cl_int code;
     cl_command_queue queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
@@ -136,7 +108,7 @@ static int upload_all(struct opencl *cl, const struct array arrays[ARRAYS])
 
     if (code != CL_SUCCESS)
         return fail_open(cl, "clCreateCommandQueue", code);
-    for (int i = 0; i < ARRAYS && status == 0; i++)
+    for (int i = 0; i < BAKE_ARRAYS && status == 0; i++)
         status = upload(cl, queue, i, &arrays[i]);
     cl->api.clReleaseCommandQueue(queue);
     return status;
@@ -203,7 +175,7 @@ static void close_worker(struct opencl *cl, struct worker *worker)
 /* Sets the arguments that are the same for all tiles. */
 static const char *set_job_arguments(struct opencl *cl, struct worker *worker, cl_int *code)
 {
-    for (cl_uint i = 0; i < ARRAYS && *code == CL_SUCCESS; i++)
+    for (cl_uint i = 0; i < BAKE_ARRAYS && *code == CL_SUCCESS; i++)
         *code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &cl->arrays[i]);
     if (*code == CL_SUCCESS)
         *code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof cl->params, &cl->params);
@@ -246,8 +218,11 @@ static const char *enqueue_slices(struct opencl *cl, struct worker *worker,
     if (*code != CL_SUCCESS)
         return "clSetKernelArg";
     for (cl_uint row = 0; row < tile->height; row += rows) {
-        size_t size[2] = {tile->width, tile->height - row < rows ? tile->height - row : rows};
+        const cl_uint end = row + (tile->height - row < rows ? tile->height - row : rows);
+        size_t size[2] = {tile->width, end - row};
         *code = cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW, sizeof row, &row);
+        if (*code == CL_SUCCESS)
+            *code = cl->api.clSetKernelArg(worker->kernel, ARG_END_ROW, sizeof end, &end);
         if (*code != CL_SUCCESS)
             return "clSetKernelArg";
         *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size, NULL,
@@ -318,7 +293,7 @@ static void opencl_close(struct bake_backend *backend)
 
     for (unsigned i = 0; cl->workers && i < cl->worker_count; i++)
         close_worker(cl, &cl->workers[i]);
-    for (int i = 0; i < ARRAYS; i++)
+    for (int i = 0; i < BAKE_ARRAYS; i++)
         if (cl->arrays[i])
             cl->api.clReleaseMemObject(cl->arrays[i]);
     if (cl->program)
@@ -363,7 +338,7 @@ static int prepare(struct opencl *cl, const struct bake_job *job)
 {
     cl_context_properties properties[] = {CL_CONTEXT_PLATFORM,
                                           (cl_context_properties)cl->device.platform, 0};
-    struct array arrays[ARRAYS];
+    struct bake_array arrays[BAKE_ARRAYS];
     cl_int code;
     int status;
 
@@ -375,7 +350,7 @@ static int prepare(struct opencl *cl, const struct bake_job *job)
         bsq_calloc(cl->ctx, "OpenCL workers", cl->worker_count, sizeof *cl->workers, &cl->workers);
     if (status < 0)
         return status;
-    job_arrays(job, arrays);
+    bake_job_arrays(job, arrays);
     status = check_memory(cl, arrays, cl->worker_count * (sample_bytes(cl) + texel_bytes(cl)));
     if (status < 0)
         return status;

@@ -1,20 +1,25 @@
-/* bake.cl - the kernel's entry for OpenCL: one work item a texel of a tile. */
+/* bake.cl - the kernel's entry on devices, as OpenCL C or CUDA: one work item a texel of a tile. */
 #include "bk_sample.h"
 
-/* Work items are (column, row - first_row); `texels` holds the whole tile. */
-__kernel void bake_tile(const __global ulong *tiles, const __global ulong *uppers,
-                        const __global ulong *lowers, const __global ulong *leaves,
-                        const __global uint *normals, const __global uint *planes,
-                        const __global uint *colors, const __global uint *seconds,
-                        const __global bk_triangle *triangles, bk_params params, bk_tile tile,
-                        uint first_row, const __global uint *sample_triangles,
-                        __global bk_texel *texels)
+/* Work items are (column, row - first_row), rows up to end_row - 1; `texels` holds the whole tile. */
+BK_KERNEL bake_tile(const BK_GLOBAL bk_ulong *BK_RESTRICT tiles,
+                    const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,
+                    const BK_GLOBAL bk_ulong *BK_RESTRICT lowers,
+                    const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,
+                    const BK_GLOBAL bk_uint *BK_RESTRICT normals,
+                    const BK_GLOBAL bk_uint *BK_RESTRICT planes,
+                    const BK_GLOBAL bk_uint *BK_RESTRICT colors,
+                    const BK_GLOBAL bk_uint *BK_RESTRICT seconds,
+                    const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_params params,
+                    bk_tile tile, bk_uint first_row, bk_uint end_row,
+                    const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles,
+                    BK_GLOBAL bk_texel *BK_RESTRICT texels)
 {
-    const uint column = (uint)get_global_id(0), row = first_row + (uint)get_global_id(1);
+    const bk_uint column = bk_work_x(), row = first_row + bk_work_y();
     bk_cache cache = bk_cache_empty();
     bk_grid grid;
 
-    if (column >= tile.width || row >= tile.height)
+    if (column >= tile.width || row >= end_row)
         return;
     bk_grid_from_params(&grid, &params);
     grid.tiles = tiles;
@@ -25,6 +30,6 @@ __kernel void bake_tile(const __global ulong *tiles, const __global ulong *upper
     grid.planes = planes;
     grid.colors = colors;
     grid.seconds = seconds;
-    texels[(ulong)row * tile.width + column] =
+    texels[(bk_ulong)row * tile.width + column] =
         bk_sample_texel(&grid, &params, &cache, triangles, &tile, sample_triangles, column, row);
 }

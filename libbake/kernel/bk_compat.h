@@ -18,12 +18,32 @@ typedef uint bk_uint;
 typedef ulong bk_ulong;
 #define BK_GLOBAL        __global
 #define BK_CONSTANT      __constant
+#define BK_KERNEL        __kernel void
+
+#ifdef BK_PTX
+/* Compiled to PTX when the program is built, with Clang's own functions: a library of OpenCL's is not needed. */
+#define BK_FN            static inline __attribute__((always_inline))
+#define BK_RESTRICT      restrict
+#define bk_sqrt(x)       __nvvm_sqrt_rn_f(x)
+#define bk_floor(x)      __builtin_floorf(x)
+#define bk_abs(x)        __builtin_fabsf(x)
+#define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
+#define bk_popcount64(x) ((bk_uint)__builtin_popcountl(x))
+#define bk_work_x()                                                                                \
+    (__nvvm_read_ptx_sreg_ctaid_x() * __nvvm_read_ptx_sreg_ntid_x() + __nvvm_read_ptx_sreg_tid_x())
+#define bk_work_y()                                                                                \
+    (__nvvm_read_ptx_sreg_ctaid_y() * __nvvm_read_ptx_sreg_ntid_y() + __nvvm_read_ptx_sreg_tid_y())
+#else
 #define BK_FN            static
+#define BK_RESTRICT
 #define bk_sqrt(x)       sqrt(x)
 #define bk_floor(x)      floor(x)
 #define bk_abs(x)        fabs(x)
 #define bk_popcount32(x) popcount((bk_uint)(x))
 #define bk_popcount64(x) ((bk_uint)popcount((bk_ulong)(x)))
+#define bk_work_x()      ((bk_uint)get_global_id(0))
+#define bk_work_y()      ((bk_uint)get_global_id(1))
+#endif
 
 #define BK_WIDTH         1
 #define BK_NATIVE_LANES  0
@@ -36,6 +56,10 @@ typedef unsigned long long bk_ulong;
 #define BK_GLOBAL
 #define BK_CONSTANT      static __constant__ const
 #define BK_FN            static __device__ __forceinline__
+#define BK_KERNEL        extern "C" __global__ void
+#define BK_RESTRICT      __restrict__
+#define bk_work_x()      (blockIdx.x * blockDim.x + threadIdx.x)
+#define bk_work_y()      (blockIdx.y * blockDim.y + threadIdx.y)
 #define bk_sqrt(x)       sqrtf(x)
 #define bk_floor(x)      floorf(x)
 #define bk_abs(x)        fabsf(x)

@@ -1,0 +1,19 @@
+# Checks that PTX rounds as IEEE 754 asks, as the kernel's C build does, so that a GPU gives the processor's bits:
+# no approximations, no flushing of denormals, nothing contracted or that ptxas may contract (an add or mul without
+# a rounding mode), no double. And that the one kernel is there and calls nothing. Prints each offence.
+/^[ \t]*\/\// { next }
+/\.(approx|ftz|full)[. ]/ || /[ \t](fma|mad[a-z.]*|rsqrt|ex2|lg2|sin|cos|tanh)\.[a-z.]*f32/ || /\.f64/ || /\.f16/ ||
+/[ \t](add|sub|mul)\.f32/ || /[ \t](div|rcp|sqrt)\.f32/ || /[ \t]call/ {
+    print FILENAME ":" FNR ": " $0 > "/dev/stderr"
+    bad = 1
+}
+/\.entry bake_tile/ { kernels++ }
+/[ \t]sqrt\.rn\.f32/ { roots++ }
+/[ \t](div|rcp)\.rn\.f32/ { divisions++ }
+END {
+    if (kernels != 1 || !roots || !divisions) {
+        print FILENAME ": " kernels + 0 " kernels, " roots + 0 " square roots, " divisions + 0 " divisions" > "/dev/stderr"
+        bad = 1
+    }
+    exit bad
+}

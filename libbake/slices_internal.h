@@ -1,0 +1,29 @@
+/* slices_internal.h - how many rows of a tile one kernel call traces.
+ *
+ * A device does nothing else during a call, and desktop drivers end calls that take seconds. The
+ * rule: a call is to take BAKE_SLICE_SECONDS. What a ray costs is not known beforehand (it depends
+ * on the device, the lengths of rays, the grid), so each worker begins with BAKE_SLICE_FIRST
+ * samples, measures each tile, and grows at most fourfold from one to the next; a tile whose rays
+ * are four times as dear as those of the one before still takes calls of no more than 0.2 s. A row
+ * of a tile is the least. */
+#ifndef BAKE_SLICES_INTERNAL_H
+#define BAKE_SLICES_INTERNAL_H
+
+#include <stdint.h>
+
+#define BAKE_SLICE_SECONDS 0.05
+
+enum { BAKE_SLICE_FIRST = 1 << 17 };
+
+/* Zero at first; one for each worker. */
+struct bake_slices {
+    uint64_t samples; /* in the next call; 0: BAKE_SLICE_FIRST */
+};
+
+/* Rows in one call, of a tile with `height` rows of row_samples samples: 1 to height. */
+uint32_t bake_slice_rows(const struct bake_slices *slices, uint64_t row_samples, uint32_t height);
+
+/* `samples` took `seconds` on the device. */
+void bake_slices_learn(struct bake_slices *slices, uint64_t samples, double seconds);
+
+#endif

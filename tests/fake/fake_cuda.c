@@ -1,0 +1,617 @@
+/* fake_cuda.c - a libcuda.so.1 without a GPU: what libbake/cuda_api_internal.h uses of the driver,
+ * with the kernel compiled as C. It is stricter than a driver, so that tests find what a GPU would
+ * forgive on most days:
+ *  - work in streams happens only when somebody waits for it, or frees memory;
+ *  - device addresses are no host addresses, and copies are held against the allocations;
+ *  - the PTX's entry has to have the parameters that launches pass;
+ *  - whatever is not freed at the end is counted on standard error.
+ * It obeys the environment, read by cuInit():
+ *  FAKE_CUDA_DEVICES=N        how many there are (1)
+ *  FAKE_CUDA_MEMORY=BYTES     of each (1 GiB)
+ *  FAKE_CUDA_CAPABILITY=NN    of each (90)
+ *  FAKE_CUDA_FAIL=CALL:N:CODE the Nth call of a function fails so, and all after it where CODE is
+ * 700 or more FAKE_CUDA_NS=N             a sample takes N nanoseconds of the time that events tell;
+ * else events tell real time */
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/clock.h"
+#include "libbake/cuda_api_internal.h"
+#include "libbake/kernel/bk_sample.h"
+
+/* What is exported has the types that the program calls it with. */
+#define DECLARE(name, symbol, parameters) CUresult symbol parameters;
+BAKE_CUDA_FUNCTIONS(DECLARE)
+#undef DECLARE
+
+enum {
+    INVALID_VALUE = 1,
+    NOT_INITIALIZED = 3,
+    NO_DEVICE = CUDA_ERROR_NO_DEVICE,
+    INVALID_DEVICE = 101,
+    INVALID_PTX = 218,
+    INVALID_HANDLE = 400,
+    NOT_FOUND = 500,
+    NOT_READY = 600,
+    STICKY = 700
+};
+
+#define DEVICE_ADDRESS (1ull << 62)
+
+struct allocation {
+    char *memory;
+    size_t bytes;
+    struct allocation *next;
+};
+
+/* What a launch passes, in the kernel's order. */
+struct arguments {
+    CUdeviceptr arrays[9];
+    bk_params params;
+    bk_tile tile;
+    bk_uint first_row, end_row;
+    CUdeviceptr samples, texels;
+};
+static const size_t argument_bytes[] = {
+    8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_tile), 4, 4, 8, 8};
+enum { ARGUMENTS = sizeof argument_bytes / sizeof argument_bytes[0] };
+
+struct work {
+    enum { COPY, LAUNCH, RECORD } kind;
+    void *to;
+    const void *from;
+    size_t bytes;
+    struct arguments arguments;
+    unsigned width, height; /* of the grid, in threads */
+    CUevent event;
+    struct work *next;
+};
+
+struct CUstream_st {
+    pthread_mutex_t lock; /* of the work and its execution */
+    struct work *first, *last;
+    CUstream next;
+};
+
+struct CUevent_st {
+    CUstream stream; /* recorded there */
+    int pending;
+    double at;
+};
+
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of all below */
+static struct allocation *allocations;
+static CUstream streams;
+static struct CUstream_st default_stream = {.lock = PTHREAD_MUTEX_INITIALIZER};
+static int device_count = -1, capability, live, failing_code, sticky;
+static size_t memory_bytes, used_bytes;
+static double sample_seconds, virtual_now;
+static char failing_call[64];
+static unsigned calls_left;
+
+static unsigned long long setting(const char *name, unsigned long long otherwise)
+{
+    const char *text = getenv(name);
+    return text ? strtoull(text, NULL, 10) : otherwise;
+}
+
+/* The code that a call has to fail with, or 0. */
+static CUresult begin(const char *call)
+{
+    CUresult code = CUDA_SUCCESS;
+    pthread_mutex_lock(&lock);
+    if (device_count < 0)
+        code = NOT_INITIALIZED;
+    else if (sticky)
+        code = sticky;
+    else if (calls_left > 0 && strcmp(call, failing_call) == 0 && --calls_left == 0)
+        code = failing_code;
+    if (code >= STICKY)
+        sticky = code;
+    pthread_mutex_unlock(&lock);
+    return code;
+}
+#define BEGIN                                                                                      \
+    do {                                                                                           \
+        CUresult begin_code = begin(__func__);                                                     \
+        if (begin_code != CUDA_SUCCESS)                                                            \
+            return begin_code;                                                                     \
+    } while (0)
+
+static void count_live(int change)
+{
+    pthread_mutex_lock(&lock);
+    live += change;
+    pthread_mutex_unlock(&lock);
+}
+
+__attribute__((destructor)) static void report(void)
+{
+    if (live)
+        fprintf(stderr, "fake CUDA: %d objects are left\n", live);
+}
+
+/* ---- devices ---- */
+
+static const struct {
+    CUresult code;
+    const char *name, *text;
+} errors[] = {
+    {INVALID_VALUE, "CUDA_ERROR_INVALID_VALUE", "invalid argument"},
+    {CUDA_ERROR_OUT_OF_MEMORY, "CUDA_ERROR_OUT_OF_MEMORY", "out of memory"},
+    {NO_DEVICE, "CUDA_ERROR_NO_DEVICE", "no CUDA-capable device is detected"},
+    {INVALID_PTX, "CUDA_ERROR_INVALID_PTX", "a PTX JIT compilation failed"},
+    {719, "CUDA_ERROR_LAUNCH_FAILED", "unspecified launch failure"},
+    {803, "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH",
+     "system has unsupported display driver / cuda driver combination"},
+};
+
+static const char *find_error(CUresult code, int text)
+{
+    for (size_t i = 0; i < sizeof errors / sizeof errors[0]; i++)
+        if (errors[i].code == code)
+            return text ? errors[i].text : errors[i].name;
+    return NULL;
+}
+
+CUresult cuGetErrorName(CUresult code, const char **text)
+{
+    *text = find_error(code, 0);
+    return *text ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuGetErrorString(CUresult code, const char **text)
+{
+    *text = find_error(code, 1);
+    return *text ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuInit(unsigned flags)
+{
+    const char *fail = getenv("FAKE_CUDA_FAIL");
+
+    pthread_mutex_lock(&lock);
+    device_count = (int)setting("FAKE_CUDA_DEVICES", 1);
+    memory_bytes = setting("FAKE_CUDA_MEMORY", 1u << 30);
+    capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
+    sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
+    sticky = 0;
+    calls_left = 0;
+    if (fail && sscanf(fail, "%63[^:]:%u:%d", failing_call, &calls_left, &failing_code) != 3)
+        abort();
+    pthread_mutex_unlock(&lock);
+    BEGIN;
+    if (device_count == 0)
+        return NO_DEVICE;
+    return flags == 0 ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuDeviceGetCount(int *count)
+{
+    BEGIN;
+    *count = device_count;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuDeviceGet(CUdevice *device, int number)
+{
+    BEGIN;
+    *device = 100 + number; /* no number, lest they be mixed up */
+    return number >= 0 && number < device_count ? CUDA_SUCCESS : INVALID_DEVICE;
+}
+
+static int is_device(CUdevice device)
+{
+    return device >= 100 && device < 100 + device_count;
+}
+
+CUresult cuDeviceGetName(char *name, int bytes, CUdevice device)
+{
+    BEGIN;
+    snprintf(name, (size_t)bytes, "Fake GPU %d", device - 100);
+    return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
+}
+
+CUresult cuDeviceTotalMem_v2(size_t *bytes, CUdevice device)
+{
+    BEGIN;
+    *bytes = memory_bytes;
+    return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
+}
+
+CUresult cuDeviceGetAttribute(int *value, int attribute, CUdevice device)
+{
+    BEGIN;
+    if (attribute == CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR)
+        *value = capability / 10;
+    else if (attribute == CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR)
+        *value = capability % 10;
+    else
+        return INVALID_VALUE;
+    return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
+}
+
+static _Thread_local CUcontext current;
+
+CUresult cuDevicePrimaryCtxRetain(CUcontext *context, CUdevice device)
+{
+    BEGIN;
+    *context = (CUcontext)&device_count;
+    count_live(1);
+    return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
+}
+
+CUresult cuDevicePrimaryCtxRelease_v2(CUdevice device)
+{
+    count_live(-1);
+    return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
+}
+
+CUresult cuCtxSetCurrent(CUcontext context)
+{
+    current = context;
+    BEGIN;
+    return CUDA_SUCCESS;
+}
+
+/* Of a thread that has no context. */
+#define BEGIN_IN_CONTEXT                                                                           \
+    BEGIN;                                                                                         \
+    if (!current)                                                                                  \
+    return 201
+
+/* ---- memory ---- */
+
+CUresult cuMemGetInfo_v2(size_t *free_bytes, size_t *total)
+{
+    BEGIN_IN_CONTEXT;
+    *free_bytes = memory_bytes - used_bytes;
+    *total = memory_bytes;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemAlloc_v2(CUdeviceptr *memory, size_t bytes)
+{
+    struct allocation *allocation;
+
+    BEGIN_IN_CONTEXT;
+    if (bytes == 0)
+        return INVALID_VALUE;
+    if (bytes > memory_bytes - used_bytes)
+        return CUDA_ERROR_OUT_OF_MEMORY;
+    allocation = calloc(1, sizeof *allocation);
+    allocation->memory = malloc(bytes);
+    allocation->bytes = bytes;
+    memset(allocation->memory, 0xa5, bytes);
+    pthread_mutex_lock(&lock);
+    allocation->next = allocations;
+    allocations = allocation;
+    used_bytes += bytes;
+    pthread_mutex_unlock(&lock);
+    count_live(1);
+    *memory = (CUdeviceptr)(uintptr_t)allocation->memory + DEVICE_ADDRESS;
+    return CUDA_SUCCESS;
+}
+
+/* Host address of `bytes` bytes of device memory; NULL where they are not all of one allocation. */
+static void *device_memory(CUdeviceptr address, size_t bytes)
+{
+    char *at = (char *)(uintptr_t)(address - DEVICE_ADDRESS); // NOLINT: the fake's own addresses
+    void *found = NULL;
+
+    pthread_mutex_lock(&lock);
+    for (struct allocation *a = allocations; a && !found; a = a->next)
+        if (at >= a->memory && at + bytes <= a->memory + a->bytes)
+            found = at;
+    pthread_mutex_unlock(&lock);
+    return found;
+}
+
+static void run_stream(CUstream stream, CUevent until);
+
+CUresult cuMemFree_v2(CUdeviceptr memory)
+{
+    char *at = device_memory(memory, 1);
+
+    for (CUstream stream = streams; stream; stream = stream->next)
+        run_stream(stream, NULL);
+    pthread_mutex_lock(&lock);
+    for (struct allocation **link = &allocations; *link; link = &(*link)->next) {
+        struct allocation *gone = *link;
+        if (gone->memory != at)
+            continue;
+        *link = gone->next;
+        used_bytes -= gone->bytes;
+        live--;
+        free(gone->memory);
+        free(gone);
+        pthread_mutex_unlock(&lock);
+        return CUDA_SUCCESS;
+    }
+    pthread_mutex_unlock(&lock);
+    return INVALID_VALUE;
+}
+
+CUresult cuMemAllocHost_v2(void **memory, size_t bytes)
+{
+    BEGIN_IN_CONTEXT;
+    *memory = malloc(bytes);
+    count_live(1);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemFreeHost(void *memory)
+{
+    free(memory);
+    count_live(-1);
+    return CUDA_SUCCESS;
+}
+
+/* ---- streams ---- */
+
+static void append(CUstream stream, const struct work *work)
+{
+    struct work *copy = malloc(sizeof *copy);
+
+    *copy = *work;
+    copy->next = NULL;
+    pthread_mutex_lock(&stream->lock);
+    if (stream->last)
+        stream->last->next = copy;
+    else
+        stream->first = copy;
+    stream->last = copy;
+    pthread_mutex_unlock(&stream->lock);
+}
+
+#define ARRAY(type, n) ((const type *)device_memory(a->arrays[n], 1))
+
+static void run_kernel(const struct work *work)
+{
+    const struct arguments *a = &work->arguments;
+    const bk_uint *samples = device_memory(a->samples, 1);
+    bk_texel *texels = device_memory(a->texels, 1);
+    bk_grid grid;
+
+    bk_grid_from_params(&grid, &a->params);
+    grid.tiles = ARRAY(bk_ulong, 0);
+    grid.uppers = ARRAY(bk_ulong, 1);
+    grid.lowers = ARRAY(bk_ulong, 2);
+    grid.leaves = ARRAY(bk_ulong, 3);
+    grid.normals = ARRAY(bk_uint, 4);
+    grid.planes = ARRAY(bk_uint, 5);
+    grid.colors = a->arrays[6] ? ARRAY(bk_uint, 6) : NULL;
+    grid.seconds = ARRAY(bk_uint, 7);
+    for (bk_uint y = 0; y < work->height; y++)
+        for (bk_uint x = 0; x < work->width; x++) {
+            bk_cache cache = bk_cache_empty();
+            bk_uint row = a->first_row + y;
+            if (x < a->tile.width && row < a->end_row)
+                texels[(size_t)row * a->tile.width + x] = bk_sample_texel(
+                    &grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->tile, samples, x, row);
+        }
+    if (sample_seconds > 0) {
+        uint64_t texel_count = (uint64_t)a->tile.width * (a->end_row - a->first_row);
+        pthread_mutex_lock(&lock);
+        virtual_now +=
+            sample_seconds * (double)(texel_count * a->params.samples * a->params.samples);
+        pthread_mutex_unlock(&lock);
+    }
+}
+
+static void run_work(const struct work *work)
+{
+    if (work->kind == COPY) {
+        memcpy(work->to, work->from, work->bytes);
+    } else if (work->kind == LAUNCH) {
+        run_kernel(work);
+    } else {
+        pthread_mutex_lock(&lock);
+        work->event->at = sample_seconds > 0 ? virtual_now : bsq_seconds_now();
+        pthread_mutex_unlock(&lock);
+        work->event->pending = 0;
+    }
+}
+
+/* Does a stream's work, up to an event where one is given. */
+static void run_stream(CUstream stream, CUevent until)
+{
+    pthread_mutex_lock(&stream->lock);
+    while (stream->first && !(until && !until->pending)) {
+        struct work *work = stream->first;
+        stream->first = work->next;
+        if (!stream->first)
+            stream->last = NULL;
+        run_work(work);
+        free(work);
+    }
+    pthread_mutex_unlock(&stream->lock);
+}
+
+CUresult cuStreamCreate(CUstream *stream, unsigned flags)
+{
+    BEGIN_IN_CONTEXT;
+    *stream = calloc(1, sizeof **stream);
+    pthread_mutex_init(&(*stream)->lock, NULL);
+    pthread_mutex_lock(&lock);
+    (*stream)->next = streams;
+    streams = *stream;
+    live++;
+    pthread_mutex_unlock(&lock);
+    return flags <= CU_STREAM_NON_BLOCKING ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuStreamSynchronize(CUstream stream)
+{
+    run_stream(stream, NULL);
+    BEGIN_IN_CONTEXT;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuStreamDestroy_v2(CUstream stream)
+{
+    run_stream(stream, NULL);
+    pthread_mutex_lock(&lock);
+    for (CUstream *link = &streams; *link; link = &(*link)->next)
+        if (*link == stream) {
+            *link = stream->next;
+            break;
+        }
+    live--;
+    pthread_mutex_unlock(&lock);
+    pthread_mutex_destroy(&stream->lock);
+    free(stream);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemcpyHtoDAsync_v2(CUdeviceptr to, const void *from, size_t bytes, CUstream stream)
+{
+    struct work work = {.kind = COPY, .to = device_memory(to, bytes), .from = from, .bytes = bytes};
+
+    BEGIN_IN_CONTEXT;
+    if (!work.to)
+        return INVALID_VALUE;
+    append(stream, &work);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemcpyDtoHAsync_v2(void *to, CUdeviceptr from, size_t bytes, CUstream stream)
+{
+    struct work work = {.kind = COPY, .to = to, .from = device_memory(from, bytes), .bytes = bytes};
+
+    BEGIN_IN_CONTEXT;
+    if (!work.from)
+        return INVALID_VALUE;
+    append(stream, &work);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuEventCreate(CUevent *event, unsigned flags)
+{
+    BEGIN_IN_CONTEXT;
+    *event = calloc(1, sizeof **event);
+    count_live(1);
+    return flags <= CU_EVENT_BLOCKING_SYNC ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuEventDestroy_v2(CUevent event)
+{
+    free(event);
+    count_live(-1);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuEventRecord(CUevent event, CUstream stream)
+{
+    struct work work = {.kind = RECORD, .event = event};
+
+    BEGIN_IN_CONTEXT;
+    event->stream = stream ? stream : &default_stream;
+    event->pending = 1;
+    append(event->stream, &work);
+    if (!stream)
+        run_stream(&default_stream, NULL);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuEventSynchronize(CUevent event)
+{
+    if (event->pending)
+        run_stream(event->stream, event);
+    BEGIN_IN_CONTEXT;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuEventElapsedTime(float *milliseconds, CUevent from, CUevent to)
+{
+    BEGIN_IN_CONTEXT;
+    if (!from->stream || !to->stream)
+        return INVALID_HANDLE;
+    if (from->pending || to->pending)
+        return NOT_READY;
+    *milliseconds = (float)(1e3 * (to->at - from->at));
+    return CUDA_SUCCESS;
+}
+
+/* ---- kernels ---- */
+
+/* Whether the entry's parameters have the sizes of argument_bytes. */
+static int entry_fits(const char *ptx)
+{
+    const char *at = strstr(ptx, ".entry bake_tile(");
+    const char *end = at ? strchr(at, ')') : NULL;
+
+    for (int i = 0; i < ARGUMENTS; i++) {
+        char type[8], declaration[200] = "";
+        size_t bytes = 1;
+        if (!at || !(at = strstr(at, ".param ")) || at > end)
+            return 0;
+        at += strlen(".param ");
+        sscanf(at, "%199[^,)]", declaration);
+        if (sscanf(declaration, ".align %*d .b8 %*[^[][%zu", &bytes) == 1)
+            ;
+        else if (sscanf(declaration, ".u%7[0-9]", type) == 1)
+            bytes = strtoul(type, NULL, 10) / 8;
+        if (bytes != argument_bytes[i])
+            return 0;
+    }
+    at = strstr(at, ".param ");
+    return !at || at > end;
+}
+
+CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count, int *options,
+                            void **values)
+{
+    const char *ptx = image, *target = strstr(ptx, ".target sm_");
+    char *log = NULL;
+
+    BEGIN_IN_CONTEXT;
+    for (unsigned i = 0; i < count; i++)
+        if (options[i] == CU_JIT_ERROR_LOG_BUFFER)
+            log = values[i];
+    if (!target || atoi(target + strlen(".target sm_")) > capability || !entry_fits(ptx)) {
+        if (log)
+            strcpy(log, "ptxas fatal\nnot for this GPU");
+        return INVALID_PTX;
+    }
+    *module = (CUmodule)&allocations;
+    count_live(1);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuModuleUnload(CUmodule module)
+{
+    count_live(-1);
+    return module ? CUDA_SUCCESS : INVALID_HANDLE;
+}
+
+CUresult cuModuleGetFunction(CUfunction *function, CUmodule module, const char *name)
+{
+    BEGIN_IN_CONTEXT;
+    *function = (CUfunction)module;
+    return strcmp(name, "bake_tile") == 0 ? CUDA_SUCCESS : NOT_FOUND;
+}
+
+CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, unsigned grid_z,
+                        unsigned block_x, unsigned block_y, unsigned block_z, unsigned shared_bytes,
+                        CUstream stream, void **parameters, void **extra)
+{
+    struct work work = {.kind = LAUNCH, .width = grid_x * block_x, .height = grid_y * block_y};
+    struct arguments *a = &work.arguments;
+    void *to[ARGUMENTS] = {&a->arrays[0], &a->arrays[1], &a->arrays[2], &a->arrays[3],
+                           &a->arrays[4], &a->arrays[5], &a->arrays[6], &a->arrays[7],
+                           &a->arrays[8], &a->params,    &a->tile,      &a->first_row,
+                           &a->end_row,   &a->samples,   &a->texels};
+
+    BEGIN_IN_CONTEXT;
+    if (!function || grid_x * grid_y != grid_x * grid_y * grid_z ||
+        block_x * block_y * block_z > 1024 || block_x * block_y * block_z % 32 != 0 ||
+        grid_y > 65535 || shared_bytes || extra)
+        return INVALID_VALUE;
+    for (int i = 0; i < ARGUMENTS; i++)
+        memcpy(to[i], parameters[i], argument_bytes[i]);
+    append(stream, &work);
+    return CUDA_SUCCESS;
+}
