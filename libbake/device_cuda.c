@@ -82,10 +82,13 @@ static uint64_t texel_bytes(const struct cuda *cuda)
 
 /* ---- choosing ---- */
 
-/* Why there is no CUDA, for a line. */
+enum { LINE_BYTES = BAKE_CUDA_TEXT + 32 };
+/* Why there is no CUDA, for a line. buffer: LINE_BYTES bytes. */
 static const char *describe_lack(const struct bake_cuda_api *api, enum bake_cuda_lack lack,
                                  CUresult code, char *buffer)
 {
+    char text[BAKE_CUDA_TEXT];
+
     switch (lack) {
     case BAKE_CUDA_NOT_INSTALLED:
         return "CUDA is not installed (libcuda.so.1, a part of NVIDIA's driver)";
@@ -94,7 +97,8 @@ static const char *describe_lack(const struct bake_cuda_api *api, enum bake_cuda
     case BAKE_CUDA_NO_GPU:
         return "CUDA has no devices";
     default:
-        return bake_cuda_error(api, code, buffer);
+        snprintf(buffer, LINE_BYTES, "CUDA does not start: %s", bake_cuda_error(api, code, text));
+        return buffer;
     }
 }
 
@@ -126,7 +130,7 @@ static int fail_absent(struct cuda *cuda, int64_t index, int count)
 /* Finds the device asked for; the error lists what is there. */
 static int choose(struct cuda *cuda, int64_t index)
 {
-    char text[BAKE_CUDA_TEXT];
+    char text[LINE_BYTES];
     enum bake_cuda_lack lack;
     CUresult code;
     int count;
@@ -572,7 +576,7 @@ int bake_cuda_list(struct bsq_ctx *ctx,
                    void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
 {
     struct bake_cuda_api api;
-    char text[BAKE_CUDA_TEXT];
+    char text[LINE_BYTES];
     CUresult code;
     int count;
     enum bake_cuda_lack lack = bake_cuda_load(&api, &count, &code);
@@ -580,11 +584,11 @@ int bake_cuda_list(struct bsq_ctx *ctx,
     if (lack == BAKE_CUDA_NOT_INSTALLED || lack == BAKE_CUDA_NO_GPU)
         return 0;
     if (lack == BAKE_CUDA_WORKS && !kernel_ptx[0]) {
-        bsq_warn(ctx, "CUDA is not used: %s", no_kernel);
+        bsq_warn(ctx, "NVIDIA's driver is not used: %s", no_kernel);
         return 0;
     }
     if (lack != BAKE_CUDA_WORKS) {
-        bsq_warn(ctx, "CUDA is not used: %s", describe_lack(&api, lack, code, text));
+        bsq_warn(ctx, "%s", describe_lack(&api, lack, code, text));
         return 0;
     }
     for (int i = 0; i < count; i++) {

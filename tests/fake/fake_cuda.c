@@ -127,6 +127,13 @@ static void count_live(int change)
     pthread_mutex_unlock(&lock);
 }
 
+/* Objects that exist, for tests in the same process. */
+int fake_cuda_live(void);
+int fake_cuda_live(void)
+{
+    return live;
+}
+
 __attribute__((destructor)) static void report(void)
 {
     if (live)

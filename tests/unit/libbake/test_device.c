@@ -9,11 +9,7 @@
 
 #include <cmocka.h>
 
-#include "libbake/device_internal.h"
-#include "tests/unit/libbake/analytic_grid.h"
-
-/* Width and height differ and are no multiples of a work group; N = 2. */
-enum { WIDTH = 93, HEIGHT = 71, SAMPLES = 2, TEXELS = WIDTH * HEIGHT };
+#include "tests/unit/libbake/traced_sheet.h"
 
 /* OpenCL's division and square root may be 3 ulp off, and positions with them; a ray that grazes a
  * voxel's edge may then take its neighbour's plane. So: nearly all texels agree closely, the others
@@ -22,126 +18,10 @@ enum { WIDTH = 93, HEIGHT = 71, SAMPLES = 2, TEXELS = WIDTH * HEIGHT };
 #define ROUGH          0.1f
 #define ROUGH_FRACTION 0.001
 
-struct fixture {
-    struct bsq_ctx *ctx;
-    struct fmt_nvdb_grid grid;
-    struct bk_triangle triangles[2];
-    uint32_t *samples;
-    struct bake_job job;
-};
-
-static void color_at(double u, double v, float color[3])
-{
-    color[0] = (float)(0.5 + 0.5 * sin(u / 5));
-    color[1] = (float)(0.5 + 0.5 * cos(v / 7));
-    color[2] = 0.25f;
-}
-
-/* A wavy sheet of colours; the low mesh is a square slightly below it, in the sheet's frame. */
-static void add_sheet(struct analytic_grid *grid, const struct analytic_sine *sine)
-{
-    const int n = (int)(2 * sine->half * 8);
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) {
-            double u = -sine->half + (i + 0.5) / 8, v = -sine->half + (j + 0.5) / 8;
-            double point[3], normal[3];
-            float color[3];
-            analytic_sine_point(sine, u, v, analytic_sine_height(sine, u, v), point);
-            analytic_sine_normal(sine, u, v, normal);
-            color_at(u, v, color);
-            analytic_grid_add(grid, point, normal, 1 / 64., color);
-        }
-}
-
-static void set_corner(struct bk_triangle *triangle, int corner, const struct analytic_sine *sine,
-                       double u, double v)
-{
-    double point[3];
-    analytic_sine_point(sine, u, v, -0.7, point);
-    for (int k = 0; k < 3; k++) {
-        triangle->position[corner][k] = (float)point[k];
-        triangle->normal[corner][k] = (float)sine->axes[2][k];
-        triangle->tangent[corner][k] = (float)sine->axes[0][k];
-    }
-    triangle->tangent[corner][3] = -1; /* the map's y runs against v */
-}
-
-static void make_square(struct fixture *f, const struct analytic_sine *sine, double half)
-{
-    struct bk_triangle *a = &f->triangles[0], *b = &f->triangles[1];
-    *a = (struct bk_triangle){.b1 = {1.f / WIDTH, 0, 0}, .b2 = {0, 1.f / HEIGHT, 0}};
-    *b = (struct bk_triangle){
-        .x0 = WIDTH, .y0 = HEIGHT, .b1 = {-1.f / WIDTH, 0, 0}, .b2 = {0, -1.f / HEIGHT, 0}};
-    set_corner(a, 0, sine, -half, -half);
-    set_corner(a, 1, sine, half, -half);
-    set_corner(a, 2, sine, -half, half);
-    set_corner(b, 0, sine, half, half);
-    set_corner(b, 1, sine, -half, half);
-    set_corner(b, 2, sine, half, -half);
-}
-
-static int setup(void **state)
-{
-    struct fixture *f = calloc(1, sizeof *f);
-    const double centre[3] = {60, -40, 20};
-    struct analytic_sine sine = analytic_sine_make(16, 30, centre);
-    struct analytic_grid *grid = analytic_grid_create();
-    const uint32_t row = WIDTH * SAMPLES;
-
-    assert_int_equal(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 2}, &f->ctx), 0);
-    add_sheet(grid, &sine);
-    analytic_grid_open(f->ctx, grid, true, &f->grid);
-    analytic_grid_free(grid);
-    /* Larger than the sheet, so that some rays miss. */
-    make_square(f, &sine, 32);
-    f->samples = malloc(sizeof *f->samples * row * HEIGHT * SAMPLES);
-    for (uint32_t j = 0; j < HEIGHT * SAMPLES; j++)
-        for (uint32_t i = 0; i < row; i++) {
-            bool upper = i * HEIGHT * SAMPLES + j * row < row * HEIGHT * SAMPLES;
-            f->samples[j * row + i] = i < 3 ? BK_NO_TRIANGLE : upper ? 0 : 1;
-        }
-    f->job = (struct bake_job){.grid = &f->grid,
-                               .triangles = f->triangles,
-                               .triangle_count = 2,
-                               .tile_texels = TEXELS,
-                               .params = {.samples = SAMPLES, .front = 5, .back = 5}};
-    bake_params_from_grid(&f->grid, &f->job.params);
-    *state = f;
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    struct fixture *f = *state;
-    fmt_nvdb_close(f->ctx, &f->grid);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
-    free(f->samples);
-    free(f);
-    return 0;
-}
-
-/* Traces the whole map on a device; NULL where there is none. */
-static struct bk_texel *trace(struct fixture *f, const char *name, unsigned worker)
-{
-    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
-    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
-    struct bake_device *device;
-
-    if (bake_device_open(f->ctx, name, &f->job, &device) < 0) {
-        print_message("%s\n", bsq_error(f->ctx));
-        free(texels);
-        return NULL;
-    }
-    assert_int_equal(bake_device_trace(device, &tile, f->samples, texels, worker), 0);
-    bake_device_close(device);
-    return texels;
-}
-
 static void test_native_map(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *texels = trace(f, "cpu", 0);
+    struct bk_texel *texels = traced_sheet_trace(f, "cpu", 0);
     uint64_t covered = 0, hits = 0;
     double color_error = 0;
 
@@ -157,7 +37,7 @@ static void test_native_map(void **state)
             continue;
         assert_int_equal(t->hits, SAMPLES * SAMPLES);
         assert_true(t->normal[2] > 0.85 * t->hits); /* slopes are up to 20 degrees: cos = 0.94 */
-        color_at(u, v, color);
+        traced_sheet_color(u, v, color);
         for (int k = 0; k < 3; k++)
             color_error = fmax(color_error, fabsf(t->color[k] / t->hits - color[k]));
     }
@@ -174,10 +54,10 @@ static void test_native_map(void **state)
 static void test_object_space(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *tangent = trace(f, "cpu", 0), *object;
+    struct bk_texel *tangent = traced_sheet_trace(f, "cpu", 0), *object;
 
     f->job.params.flags |= BK_OBJECT_SPACE;
-    object = trace(f, "cpu", 0);
+    object = traced_sheet_trace(f, "cpu", 0);
     f->job.params.flags &= ~(uint32_t)BK_OBJECT_SPACE;
     for (int i = 0; i < TEXELS; i++) {
         const struct bk_triangle *a = &f->triangles[0];
@@ -205,7 +85,7 @@ static double difference(const struct bk_texel *a, const struct bk_texel *b)
 static void test_opencl_agrees(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *native = trace(f, "cpu", 0), *opencl = trace(f, "opencl", 1);
+    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0), *opencl = traced_sheet_trace(f, "opencl", 1);
     uint64_t rough = 0, differing_hits = 0;
 
     if (!opencl) {
@@ -311,5 +191,5 @@ int main(void)
         cmocka_unit_test(test_opencl_agrees), cmocka_unit_test(test_opencl_small_tile),
         cmocka_unit_test(test_names),         cmocka_unit_test(test_list_and_auto),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, traced_sheet_setup, traced_sheet_teardown);
 }
