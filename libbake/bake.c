@@ -257,9 +257,21 @@ static int trace_grid(struct job *job)
     return bake_trace_tiles(job->ctx, &tiles, job->report);
 }
 
+static void note_device_times(struct job *job)
+{
+    struct bake_device_times times;
+    bake_device_times(job->device, &times);
+    job->report->seconds_upload = times.upload;
+    job->report->seconds_kernels = times.kernels;
+    job->report->seconds_copies = times.copies;
+    job->report->kernel_calls = times.launches;
+}
+
 static int trace(struct job *job)
 {
     int status = job->surface.exact ? trace_exact(job) : trace_grid(job);
+    if (job->device)
+        note_device_times(job);
     if (status == 0 && job->report->hits == 0)
         status = fail_without_hit(job);
     return status;
@@ -321,7 +333,8 @@ static int write_maps(struct job *job)
         color = job->maps & BAKE_MAP_COLOR ? &job->preview.color : NULL;
     }
     return bake_map_files_write(job->files, job->image, normal, color,
-                                &job->report->seconds_resolve, &job->report->seconds_write);
+                                &job->report->seconds_padding, &job->report->seconds_resolve,
+                                &job->report->seconds_write);
 }
 
 static int write_preview(struct job *job)

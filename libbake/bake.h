@@ -51,7 +51,7 @@ struct bake_options {
     enum bake_sampling sampling;  /* of a grid */
     enum bake_scan_normals scan_normals; /* of a chunk file */
     bool two_sided;          /* also take surfaces that face away from the low mesh */
-    const char *device;      /* "auto", "cpu", "opencl", "opencl:N" */
+    const char *device;      /* "auto", "cpu", "cuda", "cuda:N", "opencl", "opencl:N" */
     const char *preview_path; /* PNG, or NULL */
 };
 
@@ -68,7 +68,13 @@ struct bake_report {
     uint64_t samples, hits, misses;
     uint64_t overlapping_samples; /* inside more than one triangle: the first takes them */
     double front, back;        /* as used */
-    double seconds_open, seconds_trace, seconds_resolve, seconds_write, seconds_preview;
+    /* Wall times. open has what comes before the first ray, the upload of the grid too; trace also rasterises and
+     * averages texels; resolve encodes pixels. */
+    double seconds_open, seconds_trace, seconds_padding, seconds_resolve, seconds_write, seconds_preview;
+    /* Of a device other than the processor, else 0: upload of the grid (wall time), and on the device's clock
+     * how long kernels and copies of tiles ran; those of several threads at once count once. */
+    double seconds_upload, seconds_kernels, seconds_copies;
+    uint64_t kernel_calls;
 };
 
 /* Bakes and writes the maps. They are all written before the first takes its final name, so a failure leaves

@@ -161,6 +161,13 @@ int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
     return backend->trace(backend, tile, sample_triangles, texels, worker, why);
 }
 
+void bake_device_times(struct bake_device *device, struct bake_device_times *out)
+{
+    *out = (struct bake_device_times){0};
+    if (device->backend->times)
+        device->backend->times(device->backend, out);
+}
+
 void bake_device_close(struct bake_device *device)
 {
     if (!device)

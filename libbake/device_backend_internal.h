@@ -4,14 +4,6 @@
 
 #include "libbake/device_internal.h"
 
-/* What a device did, on its own clock. Spans of several queues that overlap count once. */
-struct bake_device_times {
-    double upload;     /* of the grid, wall time */
-    double copies;     /* of tiles' samples to the device and of texels back */
-    double kernels;
-    uint64_t launches; /* kernel calls */
-};
-
 /* An opened device of some kind; the kind's own structure begins with it. */
 struct bake_backend {
     char name[128];

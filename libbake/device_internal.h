@@ -32,6 +32,14 @@ const char *bake_device_name(const struct bake_device *device);
  * others keep a queue and buffers per worker. */
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
                       const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker);
+/* What the device did so far; zeros for the processor. Not while tiles are traced. */
+struct bake_device_times {
+    double upload;     /* of the grid, wall time */
+    double copies;     /* of tiles' samples to the device and of texels back, on the device's clock */
+    double kernels;    /* likewise; what several queues do at once counts once */
+    uint64_t launches; /* kernel calls */
+};
+void bake_device_times(struct bake_device *device, struct bake_device_times *out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */
 
 /* Traces single rays on the calling thread with the same kernel code (for previews and tests). origin and

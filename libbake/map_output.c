@@ -371,7 +371,7 @@ static int finish_files(struct bake_map_files *files)
 
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
                          struct bake_thumbnail *normal, struct bake_thumbnail *color,
-                         double *resolve, double *write)
+                         double *padding, double *resolve, double *write)
 {
     struct encoding encoding = {files, bake_image_channels(image)};
     uint32_t band_rows = choose_band_rows(files, image);
@@ -386,9 +386,11 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
         status = bake_padding_next_band(files->source, &first_row, &rows);
         if (status < 0 || rows == 0)
             break;
+        double padded = bsq_seconds_now();
+        *padding += padded - start;
         status = bsq_parallel_for(files->ctx, rows, encode_row, &encoding);
         double encoded = bsq_seconds_now();
-        *resolve += encoded - start;
+        *resolve += encoded - padded;
         if (status == 0)
             status = write_band(files, first_row, rows, normal, color);
         start = bsq_seconds_now();

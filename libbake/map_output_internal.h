@@ -28,10 +28,10 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
                         const struct bake_traced *traced, struct bake_map_files **out);
 
 /* Pads, encodes and writes all rows of the image; adds them to the thumbnails, each of which may be
- * NULL. Adds to *resolve and *write the seconds that went into either. */
+ * NULL. Adds to *padding, *resolve and *write the seconds that went into padding, encoding and files. */
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
                          struct bake_thumbnail *normal, struct bake_thumbnail *color,
-                         double *resolve, double *write);
+                         double *padding, double *resolve, double *write);
 
 /* Gives all files their final names; frees in any case. */
 int bake_map_files_commit(struct bake_map_files *files);

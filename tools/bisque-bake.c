@@ -29,7 +29,7 @@ static const char help[] =
     "      --half, --float     type of OpenEXR samples (default: half)\n"
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
-    "      --device NAME       auto, cpu, opencl or opencl:N (default: auto)\n"
+    "      --device NAME       auto, cpu, cuda, cuda:N, opencl or opencl:N (default: auto)\n"
     "      --list-devices      print the devices and end\n" CLI_COMMON_HELP;
 
 enum {
@@ -428,9 +428,13 @@ static void print_report(const struct cli *cli, const struct arguments *argument
     }
     if (bake->preview_path)
         printf("%s: preview\n", bake->preview_path);
-    printf("seconds: open %.2f, trace %.2f, resolve %.2f, write %.2f, preview %.2f\n",
-           report->seconds_open, report->seconds_trace, report->seconds_resolve,
-           report->seconds_write, report->seconds_preview);
+    printf("seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
+           report->seconds_open, report->seconds_trace, report->seconds_padding,
+           report->seconds_resolve, report->seconds_write, report->seconds_preview);
+    if (report->kernel_calls > 0)
+        printf("device: upload %.2f, kernels %.3f in %s calls, copies %.3f\n",
+               report->seconds_upload, report->seconds_kernels,
+               cli_count_text(report->kernel_calls, samples), report->seconds_copies);
     cli_print_cost(cli);
 }
 
@@ -453,7 +457,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
         "{s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
         "maps", maps_json(paths), "preview_path", cli_json_text(bake->preview_path), "width",
         (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
@@ -464,8 +468,11 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
         (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
         (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,
         "seconds_open", report->seconds_open, "seconds_trace", report->seconds_trace,
-        "seconds_resolve", report->seconds_resolve, "seconds_write", report->seconds_write,
-        "seconds_preview", report->seconds_preview);
+        "seconds_padding", report->seconds_padding, "seconds_resolve", report->seconds_resolve,
+        "seconds_write", report->seconds_write, "seconds_preview", report->seconds_preview,
+        "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
+        "seconds_copies", report->seconds_copies, "kernel_calls",
+        (json_int_t)report->kernel_calls);
     return cli_print_json(cli, root);
 }
 
