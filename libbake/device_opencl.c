@@ -5,11 +5,15 @@
  * buffers, so workers overlap each other's transfers and never wait for a lock. A tile is enqueued
  * in slices of rows that are short enough for the watchdogs of desktop drivers. */
 #include <inttypes.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "base/clock.h"
+#include "libbake/busy_internal.h"
 #include "libbake/device_backend_internal.h"
 #include "libbake/opencl_api_internal.h"
+#include "libbake/slices_internal.h"
 
 /* The flattened kernel source. */
 static const char kernel_source[] =
@@ -18,7 +22,9 @@ static const char kernel_source[] =
 
 enum {
     UPLOAD_BYTES = 64 << 20, /* of the grid at a time */
-    SLICE_SAMPLES = 1 << 19  /* samples in one kernel call: some 50 ms on a slow GPU */
+    /* Side of a work group. It is the same for all tiles: some drivers compile once for each size.
+     */
+    GROUP = 8
 };
 
 enum { ARG_PARAMS = BAKE_ARRAYS, ARG_TILE, ARG_FIRST_ROW, ARG_END_ROW, ARG_SAMPLES, ARG_TEXELS };
@@ -28,7 +34,12 @@ struct worker {
     cl_command_queue queue;
     cl_kernel kernel;
     cl_mem samples, texels;
+    struct bake_slices slices;
+    uint64_t launches;
 };
+
+/* Events of a tile, in the order of the queue. */
+enum { COPIED_SAMPLES, FIRST_KERNEL, LAST_KERNEL, COPIED_TEXELS, EVENTS };
 
 struct opencl {
     struct bake_backend base;
@@ -43,6 +54,9 @@ struct opencl {
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
     unsigned worker_count;
     struct worker *workers;
+    double upload_seconds;
+    pthread_mutex_t lock; /* of what follows */
+    struct bake_busy copies, kernels;
 };
 
 static int fail_open(const struct opencl *cl, const char *call, cl_int code)
@@ -53,7 +67,8 @@ static int fail_open(const struct opencl *cl, const char *call, cl_int code)
 }
 
 /* Refuses what the device cannot hold, before anything is allocated. */
-static int check_memory(struct opencl *cl, const struct bake_array arrays[BAKE_ARRAYS], uint64_t tile_bytes)
+static int check_memory(struct opencl *cl, const struct bake_array arrays[BAKE_ARRAYS],
+                        uint64_t tile_bytes)
 {
     uint64_t total = tile_bytes;
 
@@ -78,7 +93,8 @@ static int check_memory(struct opencl *cl, const struct bake_array arrays[BAKE_A
     return 0;
 }
 
-static int upload(struct opencl *cl, cl_command_queue queue, int index, const struct bake_array *array)
+static int upload(struct opencl *cl, cl_command_queue queue, int index,
+                  const struct bake_array *array)
 {
     /* Empty arrays are never read, but an argument has to be a buffer. */
     size_t bytes = array->bytes ? array->bytes : 8;
@@ -104,6 +120,7 @@ static int upload_all(struct opencl *cl, const struct bake_array arrays[BAKE_ARR
 {
     cl_int code;
     cl_command_queue queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
+    double started = bsq_seconds_now();
     int status = 0;
 
     if (code != CL_SUCCESS)
@@ -111,6 +128,7 @@ static int upload_all(struct opencl *cl, const struct bake_array arrays[BAKE_ARR
     for (int i = 0; i < BAKE_ARRAYS && status == 0; i++)
         status = upload(cl, queue, i, &arrays[i]);
     cl->api.clReleaseCommandQueue(queue);
+    cl->upload_seconds = bsq_seconds_now() - started;
     return status;
 }
 
@@ -190,7 +208,8 @@ static const char *set_job_arguments(struct opencl *cl, struct worker *worker, c
 /* Returns the call that failed with its code. */
 static const char *open_worker(struct opencl *cl, struct worker *worker, cl_int *code)
 {
-    worker->queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, code);
+    worker->queue =
+        cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, code);
     if (*code != CL_SUCCESS)
         return "clCreateCommandQueue";
     worker->kernel = cl->api.clCreateKernel(cl->program, "bake_tile", code);
@@ -207,26 +226,37 @@ static const char *open_worker(struct opencl *cl, struct worker *worker, cl_int 
     return set_job_arguments(cl, worker, code);
 }
 
+static size_t round_up(size_t count, size_t step)
+{
+    return (count + step - 1) / step * step;
+}
+
 /* Enqueues a tile's rows slice by slice. */
 static const char *enqueue_slices(struct opencl *cl, struct worker *worker,
-                                  const struct bk_tile *tile, cl_int *code)
+                                  const struct bk_tile *tile, cl_event events[EVENTS], cl_int *code)
 {
     uint64_t row_samples = (uint64_t)tile->width * cl->params.samples * cl->params.samples;
-    uint32_t rows = row_samples < SLICE_SAMPLES ? (uint32_t)(SLICE_SAMPLES / row_samples) : 1;
+    uint32_t rows = bake_slice_rows(&worker->slices, row_samples, tile->height);
+
+    const size_t group[2] = {GROUP, GROUP};
 
     *code = cl->api.clSetKernelArg(worker->kernel, ARG_TILE, sizeof *tile, tile);
     if (*code != CL_SUCCESS)
         return "clSetKernelArg";
     for (cl_uint row = 0; row < tile->height; row += rows) {
         const cl_uint end = row + (tile->height - row < rows ? tile->height - row : rows);
-        size_t size[2] = {tile->width, end - row};
+        const size_t size[2] = {round_up(tile->width, GROUP), round_up(end - row, GROUP)};
         *code = cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW, sizeof row, &row);
         if (*code == CL_SUCCESS)
             *code = cl->api.clSetKernelArg(worker->kernel, ARG_END_ROW, sizeof end, &end);
         if (*code != CL_SUCCESS)
             return "clSetKernelArg";
-        *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size, NULL,
-                                               0, NULL, NULL);
+        *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size, group,
+                                               0, NULL,
+                                               row == 0              ? &events[FIRST_KERNEL]
+                                               : end == tile->height ? &events[LAST_KERNEL]
+                                                                     : NULL);
+        worker->launches++;
         if (*code != CL_SUCCESS)
             return "clEnqueueNDRangeKernel";
         *code = cl->api.clFlush(worker->queue);
@@ -236,12 +266,76 @@ static const char *enqueue_slices(struct opencl *cl, struct worker *worker,
     return "";
 }
 
+static cl_ulong event_time(const struct opencl *cl, cl_event event, cl_profiling_info what,
+                           cl_int *code)
+{
+    cl_ulong nanoseconds = 0;
+    if (*code == CL_SUCCESS)
+        *code =
+            cl->api.clGetEventProfilingInfo(event, what, sizeof nanoseconds, &nanoseconds, NULL);
+    return nanoseconds;
+}
+
+static const char *note_times(struct opencl *cl, struct worker *worker, uint64_t samples,
+                              const cl_event events[EVENTS], cl_int *code)
+{
+    /* A tile of one slice has one kernel. */
+    cl_event last = events[LAST_KERNEL] ? events[LAST_KERNEL] : events[FIRST_KERNEL];
+    double times[6];
+
+    times[0] =
+        1e-9 * (double)event_time(cl, events[COPIED_SAMPLES], CL_PROFILING_COMMAND_START, code);
+    times[1] =
+        1e-9 * (double)event_time(cl, events[COPIED_SAMPLES], CL_PROFILING_COMMAND_END, code);
+    times[2] =
+        1e-9 * (double)event_time(cl, events[FIRST_KERNEL], CL_PROFILING_COMMAND_START, code);
+    times[3] = 1e-9 * (double)event_time(cl, last, CL_PROFILING_COMMAND_END, code);
+    times[4] =
+        1e-9 * (double)event_time(cl, events[COPIED_TEXELS], CL_PROFILING_COMMAND_START, code);
+    times[5] = 1e-9 * (double)event_time(cl, events[COPIED_TEXELS], CL_PROFILING_COMMAND_END, code);
+    if (*code != CL_SUCCESS)
+        return "clGetEventProfilingInfo";
+    bake_slices_learn(&worker->slices, samples, times[3] - times[2]);
+    pthread_mutex_lock(&cl->lock);
+    bake_busy_add(&cl->copies, times[0], times[1]);
+    bake_busy_add(&cl->kernels, times[2], times[3]);
+    bake_busy_add(&cl->copies, times[4], times[5]);
+    pthread_mutex_unlock(&cl->lock);
+    return "";
+}
+
+/* Puts a tile's copies and kernels into the worker's queue and waits for them. */
+static const char *run_tile(struct opencl *cl, struct worker *worker, const struct bk_tile *tile,
+                            const uint32_t *sample_triangles, struct bk_texel *texels,
+                            cl_event events[EVENTS], cl_int *code)
+{
+    uint64_t texel_count = (uint64_t)tile->width * tile->height;
+    uint64_t samples = texel_count * cl->params.samples * cl->params.samples;
+    const char *call;
+
+    *code = cl->api.clEnqueueWriteBuffer(worker->queue, worker->samples, CL_FALSE, 0,
+                                         samples * sizeof *sample_triangles, sample_triangles, 0,
+                                         NULL, &events[COPIED_SAMPLES]);
+    if (*code != CL_SUCCESS)
+        return "clEnqueueWriteBuffer";
+    call = enqueue_slices(cl, worker, tile, events, code);
+    if (*code != CL_SUCCESS)
+        return call;
+    *code = cl->api.clEnqueueReadBuffer(worker->queue, worker->texels, CL_TRUE, 0,
+                                        texel_count * sizeof *texels, texels, 0, NULL,
+                                        &events[COPIED_TEXELS]);
+    if (*code == CL_SUCCESS)
+        *code = cl->api.clWaitForEvents(1, &events[COPIED_TEXELS]);
+    if (*code != CL_SUCCESS)
+        return "clEnqueueReadBuffer";
+    return note_times(cl, worker, samples, events, code);
+}
+
 static const char *trace_tile(struct opencl *cl, struct worker *worker, const struct bk_tile *tile,
                               const uint32_t *sample_triangles, struct bk_texel *texels,
                               cl_int *code)
 {
-    uint64_t texel_count = (uint64_t)tile->width * tile->height;
-    uint64_t samples = texel_count * cl->params.samples * cl->params.samples;
+    cl_event events[EVENTS] = {NULL};
     const char *call;
 
     if (!worker->queue) {
@@ -251,17 +345,14 @@ static const char *trace_tile(struct opencl *cl, struct worker *worker, const st
             return call;
         }
     }
-    *code = cl->api.clEnqueueWriteBuffer(worker->queue, worker->samples, CL_FALSE, 0,
-                                         samples * sizeof *sample_triangles, sample_triangles, 0,
-                                         NULL, NULL);
+    call = run_tile(cl, worker, tile, sample_triangles, texels, events, code);
+    /* The caller's buffers are in use until the queue is empty. */
     if (*code != CL_SUCCESS)
-        return "clEnqueueWriteBuffer";
-    call = enqueue_slices(cl, worker, tile, code);
-    if (*code != CL_SUCCESS)
-        return call;
-    *code = cl->api.clEnqueueReadBuffer(worker->queue, worker->texels, CL_TRUE, 0,
-                                        texel_count * sizeof *texels, texels, 0, NULL, NULL);
-    return "clEnqueueReadBuffer";
+        cl->api.clFinish(worker->queue);
+    for (int i = 0; i < EVENTS; i++)
+        if (events[i])
+            cl->api.clReleaseEvent(events[i]);
+    return call;
 }
 
 static int opencl_trace(struct bake_backend *backend, const struct bk_tile *tile,
@@ -281,10 +372,19 @@ static int opencl_trace(struct bake_backend *backend, const struct bk_tile *tile
     call = trace_tile(cl, &cl->workers[worker], tile, sample_triangles, texels, &code);
     if (code == CL_SUCCESS)
         return 0;
-    if (cl->workers[worker].queue)
-        cl->api.clFinish(cl->workers[worker].queue);
     snprintf(why, BAKE_WHY_BYTES, "%s: %s", call, bake_opencl_error(code, number));
     return BSQ_ENODEVICE;
+}
+
+static void opencl_times(struct bake_backend *backend, struct bake_device_times *out)
+{
+    struct opencl *cl = (struct opencl *)backend;
+
+    *out = (struct bake_device_times){.upload = cl->upload_seconds,
+                                      .copies = bake_busy_seconds(&cl->copies),
+                                      .kernels = bake_busy_seconds(&cl->kernels)};
+    for (unsigned i = 0; i < cl->worker_count; i++)
+        out->launches += cl->workers[i].launches;
 }
 
 static void opencl_close(struct bake_backend *backend)
@@ -302,6 +402,7 @@ static void opencl_close(struct bake_backend *backend)
         cl->api.clReleaseContext(cl->context);
     bsq_release(cl->ctx, cl->reserved_bytes);
     bsq_free(cl->ctx, cl->workers);
+    pthread_mutex_destroy(&cl->lock);
     bsq_free(cl->ctx, cl);
 }
 
@@ -371,7 +472,9 @@ int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *
     if (status < 0)
         return status;
     cl->ctx = ctx;
+    pthread_mutex_init(&cl->lock, NULL);
     cl->base.trace = opencl_trace;
+    cl->base.times = opencl_times;
     cl->base.close = opencl_close;
     status = choose(cl, index);
     if (status == 0)

@@ -30,6 +30,9 @@
     X(clEnqueueWriteBuffer)                                                                        \
     X(clEnqueueReadBuffer)                                                                         \
     X(clEnqueueNDRangeKernel)                                                                      \
+    X(clWaitForEvents)                                                                             \
+    X(clReleaseEvent)                                                                              \
+    X(clGetEventProfilingInfo)                                                                     \
     X(clFlush)                                                                                     \
     X(clFinish)
 

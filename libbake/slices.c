@@ -28,5 +28,5 @@ void bake_slices_learn(struct bake_slices *slices, uint64_t samples, double seco
         wanted = limit;
     if (wanted > most)
         wanted = most;
-    slices->samples = wanted > 1 ? (uint64_t)wanted : 1;
+    slices->samples = wanted > BAKE_SLICE_LEAST ? (uint64_t)wanted : BAKE_SLICE_LEAST;
 }

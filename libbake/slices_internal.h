@@ -5,7 +5,8 @@
  * on the device, the lengths of rays, the grid), so each worker begins with BAKE_SLICE_FIRST
  * samples, measures each tile, and grows at most fourfold from one to the next; a tile whose rays
  * are four times as dear as those of the one before still takes calls of no more than 0.2 s. A row
- * of a tile is the least. */
+ * of a tile, and BAKE_SLICE_LEAST samples, are the least: smaller calls would measure what a call
+ * costs. */
 #ifndef BAKE_SLICES_INTERNAL_H
 #define BAKE_SLICES_INTERNAL_H
 
@@ -13,7 +14,7 @@
 
 #define BAKE_SLICE_SECONDS 0.05
 
-enum { BAKE_SLICE_FIRST = 1 << 17 };
+enum { BAKE_SLICE_FIRST = 1 << 17, BAKE_SLICE_LEAST = 1 << 14 };
 
 /* Zero at first; one for each worker. */
 struct bake_slices {
