@@ -21,7 +21,6 @@
 #include "libbake/tiles_internal.h"
 
 enum {
-    MOST_SAMPLES = 256,    /* N; 65536 a texel */
     PREVIEW_TEXTURE = 2048 /* side */
 };
 
@@ -69,9 +68,9 @@ static int check_options(struct bsq_ctx *ctx, const struct bake_options *options
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low mesh and an output are needed");
     if (options->maps & ~(uint32_t)(BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK))
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
-    if (options->samples < 1 || options->samples > MOST_SAMPLES)
+    if (options->samples < 1 || options->samples > BAKE_MOST_SAMPLES)
         return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
-                        options->samples, options->samples, MOST_SAMPLES);
+                        options->samples, options->samples, BAKE_MOST_SAMPLES);
     if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
         isinf(options->back))
         return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,

@@ -7,6 +7,8 @@
 #include "libbake/bake.h"
 #include "libbake/kernel/bk_types.h"
 
+enum { BAKE_MOST_SAMPLES = 256 }; /* N; 65536 a texel */
+
 /* Everything that stays the same over a job; pointers stay valid until the device is closed. */
 struct bake_job {
     const struct fmt_nvdb_grid *grid;

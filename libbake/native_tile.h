@@ -13,6 +13,7 @@ struct group {
     bk_cache cache;
     bk_samples samples;
     struct bk_texel *texels[BK_WIDTH]; /* of the samples */
+    float places[BAKE_MOST_SAMPLES];                 /* of a texel's samples along an axis, from its corner */
 };
 
 static void trace_group(struct group *group)
@@ -36,19 +37,21 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
     bk_samples *samples = &group->samples;
 
     *texel = bk_texel_empty();
-    for (bk_uint j = 0; j < n; j++)
+    for (bk_uint j = 0; j < n; j++) {
+        const uint32_t *row_triangles =
+            sample_triangles + bk_sample_index(tile, n, column, row, 0, j);
+        const float y = (float)(tile->y + row) + group->places[j];
         for (bk_uint i = 0; i < n; i++) {
-            const bk_uint triangle =
-                sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
-            if (triangle == BK_NO_TRIANGLE)
+            if (row_triangles[i] == BK_NO_TRIANGLE)
                 continue;
-            samples->triangle[samples->count] = triangle;
-            samples->x[samples->count] = bk_sample_place(tile->x + column, i, n);
-            samples->y[samples->count] = bk_sample_place(tile->y + row, j, n);
+            samples->triangle[samples->count] = row_triangles[i];
+            samples->x[samples->count] = (float)(tile->x + column) + group->places[i];
+            samples->y[samples->count] = y;
             group->texels[samples->count] = texel;
             if (++samples->count == BK_WIDTH)
                 trace_group(group);
         }
+    }
 }
 
 void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
@@ -58,6 +61,8 @@ void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
     struct group group = {
         .grid = grid, .params = params, .triangles = triangles, .cache = bk_cache_empty()};
 
+    for (bk_uint i = 0; i < params->samples; i++)
+        group.places[i] = bk_sample_place(0, i, params->samples);
     for (uint32_t y = 0; y < tile->height; y += SQUARE)
         for (uint32_t x = 0; x < tile->width; x += SQUARE)
             for (uint32_t row = y; row < y + SQUARE && row < tile->height; row++)

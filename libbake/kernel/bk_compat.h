@@ -109,8 +109,6 @@ typedef bk_iw bk_mask;
 #define bk_less(a, b)            ((a) < (b))
 #define bk_not(mask)             (~(mask))
 #define bk_keep(mask, f)         ((bk_fw)((mask) & (bk_iw)(f)))
-#define bk_select(mask, a, b)    ((bk_fw)(((mask) & (bk_iw)(a)) | (~(mask) & (bk_iw)(b))))
-#define bk_selecti(mask, a, b)   (((mask) & (a)) | (~(mask) & (b)))
 #define bk_first(bits)           ((bk_uint)__builtin_ctz(bits))
 BK_FN bk_iw bk_load_lanes(const bk_int words[BK_WIDTH])
 {
@@ -118,6 +116,34 @@ BK_FN bk_iw bk_load_lanes(const bk_int words[BK_WIDTH])
     __builtin_memcpy(&lanes, words, sizeof lanes);
     return lanes;
 }
+BK_FN void bk_store_lanes(bk_int words[BK_WIDTH], bk_iw lanes)
+{
+    __builtin_memcpy(words, &lanes, sizeof lanes);
+}
+/* Compilers do not find the instructions for these by themselves. */
+#if BK_WIDTH == 4 && defined(__SSE4_1__)
+#define bk_select(mask, a, b)  ((bk_fw)_mm_blendv_ps((__m128)(b), (__m128)(a), (__m128)(mask)))
+#define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
+#define bk_minw(a, b)          ((bk_fw)_mm_min_ps((__m128)(a), (__m128)(b)))
+#define bk_maxw(a, b)          ((bk_fw)_mm_max_ps((__m128)(a), (__m128)(b)))
+#define bk_mini(a, b)          ((bk_iw)_mm_min_epi32((__m128i)(a), (__m128i)(b)))
+#define bk_maxi(a, b)          ((bk_iw)_mm_max_epi32((__m128i)(a), (__m128i)(b)))
+#elif BK_WIDTH == 8 && defined(__AVX2__)
+#define bk_select(mask, a, b)                                                                      \
+    ((bk_fw)_mm256_blendv_ps((__m256)(b), (__m256)(a), (__m256)(mask)))
+#define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
+#define bk_minw(a, b)          ((bk_fw)_mm256_min_ps((__m256)(a), (__m256)(b)))
+#define bk_maxw(a, b)          ((bk_fw)_mm256_max_ps((__m256)(a), (__m256)(b)))
+#define bk_mini(a, b)          ((bk_iw)_mm256_min_epi32((__m256i)(a), (__m256i)(b)))
+#define bk_maxi(a, b)          ((bk_iw)_mm256_max_epi32((__m256i)(a), (__m256i)(b)))
+#else
+#define bk_select(mask, a, b)  ((bk_fw)(((mask) & (bk_iw)(a)) | (~(mask) & (bk_iw)(b))))
+#define bk_selecti(mask, a, b) (((mask) & (a)) | (~(mask) & (b)))
+#define bk_minw(a, b)          bk_select((a) < (b), a, b)
+#define bk_maxw(a, b)          bk_select((a) > (b), a, b)
+#define bk_mini(a, b)          bk_selecti((a) < (b), a, b)
+#define bk_maxi(a, b)          bk_selecti((a) > (b), a, b)
+#endif
 BK_FN bk_fw bk_sqrtw(bk_fw f)
 {
 #if BK_WIDTH == 4 && defined(__SSE__)
@@ -180,8 +206,13 @@ typedef bk_int bk_mask;
 #define bk_keep(mask, f)         ((mask) ? (f) : 0.0f)
 #define bk_select(mask, a, b)    ((mask) ? (a) : (b))
 #define bk_selecti(mask, a, b)   ((mask) ? (a) : (b))
+#define bk_minw(a, b)            ((a) < (b) ? (a) : (b))
+#define bk_maxw(a, b)            ((a) > (b) ? (a) : (b))
+#define bk_mini(a, b)            ((a) < (b) ? (a) : (b))
+#define bk_maxi(a, b)            ((a) > (b) ? (a) : (b))
 #define bk_first(bits)           0u
 #define bk_load_lanes(words)     ((words)[0])
+#define bk_store_lanes(words, v) ((words)[0] = (v))
 #define bk_sqrtw(f)              bk_sqrt(f)
 #define bk_floorw(f)             bk_floor(f)
 #define bk_bits(mask)            ((mask) ? 1u : 0u)

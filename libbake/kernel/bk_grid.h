@@ -48,6 +48,7 @@ typedef struct bk_counts {
     bk_ulong planes;   /* records tested against a ray */
     bk_ulong blends;   /* gathers of 2x2x2 records */
     bk_ulong packets;  /* groups of up to BK_WIDTH pairs */
+    bk_ulong rounds;   /* of a group: a step of all lanes that are not done */
 } bk_counts;
 #define BK_COUNT(cache, what, n) ((cache)->counts->what += (n))
 bk_counts *bk_counts_of_thread(void); /* where this thread counts */
@@ -180,19 +181,6 @@ BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int
     if (!(words[BK_LEAF_MASK + layer] >> bit & 1u))
         return 0;
     return bk_leaf_rank(words, layer, bit);
-}
-
-/* Value indices of voxels z and z + 1, both in the leaf. */
-BK_FN void bk_leaf_pair(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int y, bk_int z,
-                        bk_ulong values[2])
-{
-    const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)leaf * BK_LEAF_WORDS;
-    const bk_uint layer = (bk_uint)x & 7u, bit = ((bk_uint)y & 7u) << 3 | ((bk_uint)z & 7u);
-    const bk_uint active = (bk_uint)(words[BK_LEAF_MASK + layer] >> bit) & 3u;
-    const bk_ulong rank = bk_leaf_rank(words, layer, bit);
-
-    values[0] = active & 1u ? rank : 0;
-    values[1] = active & 2u ? rank + (active & 1u) : 0;
 }
 
 /* Number of the second record of the voxel with value index v; 0 where there is none, whatever the flag in a damaged

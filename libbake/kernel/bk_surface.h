@@ -14,7 +14,6 @@
 
 #define BK_PLANE_SECOND (1u << 24)
 #define BK_PLANE_SHADED (1 << 25)
-#define BK_PLANE_ABSENT (1 << 26) /* a corner without a record; not in files */
 
 #define BK_MARGIN_SMOOTH 0.2f
 #define BK_MARGIN_FOLD   0.4f
@@ -98,7 +97,8 @@ BK_FN void bk_decode_record(bk_iw normals, bk_iw planes, bk_record *record)
 
 /* The records around a point in each lane, in the order of the corners' (x, y, z) = 000, 001, ... */
 typedef struct bk_cell {
-    bk_int normals[8][BK_WIDTH], planes[8][BK_WIDTH]; /* as stored, and BK_PLANE_ABSENT */
+    bk_int normals[8][BK_WIDTH], planes[8][BK_WIDTH]; /* as stored */
+    bk_int present[BK_WIDTH]; /* bit i: corner i has a record */
     bk_ulong numbers[8][BK_WIDTH];
 } bk_cell;
 
@@ -116,30 +116,59 @@ BK_FN bk_ulong bk_choose_record(const bk_grid *grid, bk_ulong v, bk_vec3 normal)
     return b > a ? second : v;
 }
 
-/* Value indices of the eight corners of a cell with lowest voxel (x, y, z), 0 where not active. */
-BK_FN void bk_cell_values(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,
-                          bk_ulong values[8])
+/* Value indices of corners (x, y, z) and (x, y, z + 1) of a layer of a leaf; returns which are
+ * active. base: the value index of the layer's first active voxel. */
+BK_FN bk_uint bk_layer_pair(bk_ulong layer, bk_ulong base, bk_uint bit, bk_ulong values[2])
 {
-    bk_uint i;
+    const bk_uint active = (bk_uint)(layer >> bit) & 3u;
+    const bk_ulong first = base + bk_popcount64(layer & (((bk_ulong)1 << bit) - 1u));
 
-    if ((x & 7) < 7 && (y & 7) < 7 && (z & 7) < 7) {
-        /* The usual case: one leaf holds all. */
-        const bk_uint present = bk_locate(grid, cache, x, y, z) == 0;
-        for (i = 0; i < 4; i++) {
-            values[2 * i] = values[2 * i + 1] = 0;
-            if (present)
-                bk_leaf_pair(grid, cache->leaf, x + (bk_int)(i >> 1), y + (bk_int)(i & 1u), z,
-                             values + 2 * i);
-        }
-        return;
-    }
-    for (i = 0; i < 8; i++) {
-        const bk_int cx = x + (bk_int)(i >> 2), cy = y + (bk_int)(i >> 1 & 1u);
-        const bk_int cz = z + (bk_int)(i & 1u);
+    values[0] = active & 1u ? first : 0;
+    values[1] = active & 2u ? first + (active & 1u) : 0;
+    return active;
+}
+
+/* Value indices of the eight corners of a cell with lowest voxel (x, y, z), 0 where not active;
+ * returns which are active, bit by bit. */
+BK_FN bk_uint bk_cell_values(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,
+                             bk_ulong values[8])
+{
+    /* The axes along which the corners lie in two leaves, and the others; as bits of corners. */
+    const bk_uint across = ((x & 7) == 7 ? 4u : 0u) | ((y & 7) == 7 ? 2u : 0u) | ((z & 7) == 7);
+    const bk_uint within = 7u & ~across;
+    bk_uint i, side = 0, active = 0;
+
+    for (i = 0; i < 8; i++)
         values[i] = 0;
-        if (bk_locate(grid, cache, cx, cy, cz) == 0)
-            values[i] = bk_leaf_value(grid, cache->leaf, cx, cy, cz);
+    if (across == 0) {
+        /* The usual case. */
+        const bk_uint layer = (bk_uint)x & 7u, bit = ((bk_uint)y & 7u) << 3 | ((bk_uint)z & 7u);
+        if (bk_locate(grid, cache, x, y, z) != 0)
+            return 0;
+        for (i = 0; i < 2; i++) {
+            const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)cache->leaf * BK_LEAF_WORDS;
+            const bk_ulong base = bk_leaf_rank(words, layer + i, 0);
+            const bk_ulong voxels = words[BK_LEAF_MASK + layer + i];
+            active |= bk_layer_pair(voxels, base, bit, values + 4 * i) << 4 * i;
+            active |= bk_layer_pair(voxels, base, bit + 8u, values + 4 * i + 2) << (4 * i + 2);
+        }
+        return active;
     }
+    do {
+        i = 0;
+        if (bk_locate(grid, cache, x + (bk_int)(side >> 2), y + (bk_int)(side >> 1 & 1u),
+                      z + (bk_int)(side & 1u)) != 0)
+            continue;
+        do {
+            const bk_uint corner = side | i;
+            values[corner] =
+                bk_leaf_value(grid, cache->leaf, x + (bk_int)(corner >> 2),
+                              y + (bk_int)(corner >> 1 & 1u), z + (bk_int)(corner & 1u));
+            active |= (bk_uint)(values[corner] != 0) << corner;
+            i = (i - within) & within; /* the next subset */
+        } while (i);
+    } while ((side = (side - across) & across));
+    return active;
 }
 
 BK_FN void bk_cell_clear(bk_uint lane, bk_cell *cell)
@@ -148,14 +177,10 @@ BK_FN void bk_cell_clear(bk_uint lane, bk_cell *cell)
 
     for (i = 0; i < 8; i++) {
         cell->normals[i][lane] = 0;
-        cell->planes[i][lane] = BK_PLANE_ABSENT;
+        cell->planes[i][lane] = 0;
         cell->numbers[i][lane] = 0;
     }
-}
-
-BK_FN bk_int bk_mark_absent(bk_uint plane, bk_ulong number)
-{
-    return (bk_int)(plane & ~(bk_uint)BK_PLANE_ABSENT) | (number ? 0 : BK_PLANE_ABSENT);
+    cell->present[lane] = 0;
 }
 
 /* Fills one lane: of voxels with two records, the one whose orientation is nearer to `sheet`. */
@@ -166,12 +191,12 @@ BK_FN void bk_cell_load(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
     bk_uint i, planes = 0;
 
     BK_COUNT(cache, blends, 1);
-    bk_cell_values(grid, cache, x, y, z, values);
+    cell->present[lane] = (bk_int)bk_cell_values(grid, cache, x, y, z, values);
     for (i = 0; i < 8; i++) {
         const bk_uint plane = grid->planes[values[i]];
         planes |= plane;
         cell->normals[i][lane] = (bk_int)grid->normals[values[i]];
-        cell->planes[i][lane] = bk_mark_absent(plane, values[i]);
+        cell->planes[i][lane] = (bk_int)plane;
         cell->numbers[i][lane] = values[i];
     }
     if (!(planes & BK_PLANE_SECOND))
@@ -180,7 +205,7 @@ BK_FN void bk_cell_load(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
         if (values[i] != 0 && ((bk_uint)cell->planes[i][lane] & BK_PLANE_SECOND)) {
             const bk_ulong number = bk_choose_record(grid, values[i], sheet);
             cell->normals[i][lane] = (bk_int)grid->normals[number];
-            cell->planes[i][lane] = bk_mark_absent(grid->planes[number], number);
+            cell->planes[i][lane] = (bk_int)grid->planes[number];
             cell->numbers[i][lane] = number;
         }
 }
@@ -233,8 +258,8 @@ BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, con
     const bk_fw near = bk_maxw(1.0f - f * f * (1.0f / (BK_SHEET_DISTANCE * BK_SHEET_DISTANCE)), zero);
     /* A facet's plane says nothing of a normal that was interpolated over it. */
     const bk_fw trust = 1.0f - bk_to_fw((planes & BK_PLANE_SHADED) >> 25);
-    const bk_fw there = 1.0f - bk_to_fw((planes & BK_PLANE_ABSENT) >> 26);
-    const bk_fw gate = bk_keep(bk_less(zero, agreement), near * there);
+    const bk_mask there = (bk_load_lanes(cell->present) & (bk_int)(1u << i)) != 0;
+    const bk_fw gate = bk_keep(bk_less(zero, agreement) & there, near);
     const bk_fw syz = gate * (y->smooth[iy] * z->smooth[iz]);
     bk_corner corner;
 

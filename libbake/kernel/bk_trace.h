@@ -137,10 +137,7 @@ BK_FN bk_fw bk_border(bk_iw layer, bk_iw base, bk_fw start, bk_fw inverse)
 /* Voxel of a coordinate at t, kept inside bounds that are known to hold it. */
 BK_FN bk_iw bk_voxel_at(bk_fw start, bk_fw direction, bk_fw t, bk_iw base, bk_iw low, bk_iw high)
 {
-    const bk_iw v = base + bk_to_iw(bk_floorw(start + direction * t));
-    const bk_iw raised = bk_selecti(bk_less(v, low), low, v);
-
-    return bk_selecti(bk_less(high, raised), high, raised);
+    return bk_mini(bk_maxi(base + bk_to_iw(bk_floorw(start + direction * t)), low), high);
 }
 
 /* Shortens [*t_near, *t_far] to the part between two layers. */
@@ -246,24 +243,27 @@ BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong 
                               bk_uint second, bk_record *record, bk_uint *seconds)
 {
     bk_int normals[BK_WIDTH], planes[BK_WIDTH], low[BK_WIDTH], high[BK_WIDTH];
-    bk_uint lane, found = 0;
+    bk_uint found = 0;
 
-    *seconds = 0;
-    for (lane = 0; lane < BK_WIDTH; lane++) {
-        bk_ulong number = 0;
-        if (bits >> lane & 1u)
-            number = second ? bk_second(grid, values[lane]) : values[lane];
+    bk_store_lanes(normals, bk_splati(0));
+    bk_store_lanes(planes, bk_splati(0));
+    bk_store_lanes(low, bk_splati(0));
+    bk_store_lanes(high, bk_splati(0));
+    for (; bits; bits &= bits - 1u) {
+        const bk_uint lane = bk_first(bits);
+        const bk_ulong number = second ? bk_second(grid, values[lane]) : values[lane];
+        if (number == 0)
+            continue;
+        found |= 1u << lane;
         normals[lane] = (bk_int)grid->normals[number];
         planes[lane] = (bk_int)grid->planes[number];
         low[lane] = (bk_int)(bk_uint)number;
         high[lane] = (bk_int)(bk_uint)(number >> 32);
-        found |= (bk_uint)(number != 0) << lane;
-        *seconds |= ((bk_uint)planes[lane] / BK_PLANE_SECOND & 1u) << lane;
     }
-    *seconds &= found;
     bk_decode_record(bk_load_lanes(normals), bk_load_lanes(planes), record);
     record->low = bk_load_lanes(low);
     record->high = bk_load_lanes(high);
+    *seconds = bk_bits((bk_load_lanes(planes) & BK_PLANE_SECOND) != 0);
     return found;
 }
 
@@ -310,36 +310,48 @@ BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place
     }
 }
 
-/* Lanes whose voxel is occupied, and its value index. */
+/* Lanes of `bits` whose voxel is occupied, and its value index; 0 in the others. Whether a voxel is
+ * occupied is hard to predict, so there are no branches on single lanes. */
 BK_FN bk_uint bk_occupied(bk_uint bits, const bk_place *place, bk_ulong values[BK_WIDTH])
 {
-    const bk_iw layers = place->x & 7, within = (place->y & 7) << 3 | (place->z & 7);
-    bk_uint occupied = 0;
+    bk_int layers[BK_WIDTH], within[BK_WIDTH];
+    bk_uint lane, occupied = 0;
 
-    for (; bits; bits &= bits - 1u) {
-        const bk_uint lane = bk_first(bits);
-        const BK_GLOBAL bk_ulong *words = place->words[lane];
-        const bk_uint layer = (bk_uint)bk_lane(layers, lane), bit = (bk_uint)bk_lane(within, lane);
-        if (words[BK_LEAF_MASK + layer] >> bit & 1u) {
-            occupied |= 1u << lane;
-            values[lane] = bk_leaf_rank(words, layer, bit);
-        }
+    bk_store_lanes(layers, (place->x & 7) + (bk_int)BK_LEAF_MASK);
+    bk_store_lanes(within, (place->y & 7) << 3 | (place->z & 7));
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        values[lane] = 0;
+        occupied |= (bk_uint)(place->words[lane][layers[lane]] >> within[lane] & 1u) << lane;
+    }
+    occupied &= bits;
+    for (bits = occupied; bits; bits &= bits - 1u) {
+        lane = bk_first(bits);
+        values[lane] = bk_leaf_rank(place->words[lane], (bk_uint)layers[lane] - BK_LEAF_MASK,
+                                    (bk_uint)within[lane]);
     }
     return occupied;
 }
 
-/* Layer whose lower face a ray leaves an aligned node through; mask = side - 1. */
-BK_FN bk_iw bk_exit_layer(bk_iw v, bk_iw mask, bk_mask up)
+/* Layer whose lower face a ray leaves an aligned node through; mask = side - 1. up: all bits where
+ * the ray goes up the axis, else none. */
+BK_FN bk_iw bk_exit_layer(bk_iw v, bk_iw mask, bk_iw up)
 {
-    return bk_selecti(up, (v | mask) + 1, v & ~mask);
+    return (v & ~mask) + ((mask + 1) & up);
 }
 
 /* Coordinate after a step: in the next layer where this is the axis it is taken along. */
-BK_FN bk_iw bk_step(bk_iw v, bk_iw mask, bk_iw layer, bk_mask up, bk_mask along, bk_fw start,
+BK_FN bk_iw bk_step(bk_iw v, bk_iw mask, bk_iw layer, bk_iw up, bk_mask along, bk_fw start,
                     bk_fw direction, bk_fw t, bk_iw base)
 {
-    return bk_selecti(along, bk_selecti(up, layer, layer - 1),
-                      bk_voxel_at(start, direction, t, base, v & ~mask, v | mask));
+    const bk_iw low = v & ~mask;
+
+    return bk_selecti(along, layer + ~up,
+                      bk_voxel_at(start, direction, t, base, low, low + mask));
+}
+
+BK_FN bk_iw bk_upwards(bk_fw inverse)
+{
+    return bk_selecti(bk_less(inverse, bk_splat(0.0f)), bk_splati(0), bk_splati(-1));
 }
 
 /* Walks half rays from walk->t_start to walk->t_limit, or to `t_stop` where that is nearer; the
@@ -350,14 +362,15 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
 {
     const bk_int *low = params->index_min, *high = params->index_max;
     const bk_vec3w start = ray->start, direction = ray->direction, inverse = ray->inverse;
-    const bk_mask up_x = bk_not(bk_less(inverse.x, bk_splat(0.0f)));
-    const bk_mask up_y = bk_not(bk_less(inverse.y, bk_splat(0.0f)));
-    const bk_mask up_z = bk_not(bk_less(inverse.z, bk_splat(0.0f)));
+    const bk_iw up_x = bk_upwards(inverse.x);
+    const bk_iw up_y = bk_upwards(inverse.y);
+    const bk_iw up_z = bk_upwards(inverse.z);
     const bk_fw t_end = bk_minw(t_stop, bk_minw(walk->t_limit, t_far));
     bk_fw t = bk_maxw(walk->t_start, t_near);
     const bk_mask walked = ray->some & bk_not(bk_less(t_end, t));
     bk_ulong values[BK_WIDTH];
     bk_place place;
+    const bk_iw none = bk_splati(0);
     bk_uint active = bk_bits(walked), lane;
 
     walk->hit = walk->ahead = bk_no_crossing();
@@ -370,12 +383,13 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     place.x = bk_voxel_at(start.x, direction.x, t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
     place.y = bk_voxel_at(start.y, direction.y, t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
     place.z = bk_voxel_at(start.z, direction.z, t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
-    for (lane = 0; lane < BK_WIDTH; lane++) {
-        place.mask[lane] = place.node_x[lane] = place.node_y[lane] = place.node_z[lane] = 0;
-        place.apart[lane] = 0;
+    bk_store_lanes(place.mask, none);
+    bk_store_lanes(place.apart, none);
+    bk_store_lanes(place.node_x, none);
+    bk_store_lanes(place.node_y, none);
+    bk_store_lanes(place.node_z, none);
+    for (lane = 0; lane < BK_WIDTH; lane++)
         place.words[lane] = grid->leaves;
-        values[lane] = 0;
-    }
     bk_enter(grid, cache, active, &place);
     do {
         const bk_iw mask = bk_load_lanes(place.mask);
@@ -395,6 +409,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
 
         BK_COUNT(cache, steps, bk_popcount32(in_leaf));
         BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
+        BK_COUNT(cache, rounds, 1);
         if (occupied) {
             const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
             bk_mask over;

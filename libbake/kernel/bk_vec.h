@@ -91,16 +91,6 @@ BK_FN void bk_set_lane3(bk_vec3w *v, bk_uint lane, bk_vec3 a)
     bk_set_lane(v->z, lane, a.z);
 }
 
-BK_FN bk_fw bk_maxw(bk_fw a, bk_fw b)
-{
-    return bk_select(bk_less(b, a), a, b);
-}
-
-BK_FN bk_fw bk_minw(bk_fw a, bk_fw b)
-{
-    return bk_select(bk_less(a, b), a, b);
-}
-
 BK_FN bk_fw bk_absw(bk_fw a)
 {
     return bk_maxw(a, 0.0f - a);

@@ -47,6 +47,7 @@ int main(int argc, char **argv)
         print("planes", counts.planes);
         print("blends", counts.blends);
         print("packets", counts.packets);
+        print("rounds", counts.rounds);
     }
     bake_device_close(device);
     rays_close(&scene);
