@@ -174,6 +174,10 @@ fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
 $(fake_cuda): $(BUILD)/obj/tests/fake/fake_cuda.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libcuda.so.1 -o $@ $^ -lm
+crashing_driver := $(BUILD)/tests/fake/crashing_driver.so
+$(crashing_driver): $(BUILD)/obj/tests/fake/crashing_driver.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -shared -o $@ $^
 
 # The naive readers of formats/FORMATS.md: no -I, they include nothing of Bisque.
 naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
@@ -207,7 +211,7 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda)
+tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda) $(crashing_driver)
 
 ## test: build and run all tests, with what is installed
 test: tests-build

@@ -45,52 +45,35 @@ struct kind {
                 struct bake_backend **out);
     int (*list)(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
                 void *arg);
+    int64_t (*next_gpu)(struct bsq_ctx *ctx, int64_t after);
+    /* Fails where loading the drivers would be of no use, or end the process; NULL: never. */
+    int (*check)(struct bsq_ctx *ctx);
     int64_t first; /* number that the name alone stands for */
 };
 
 /* In the order in which "auto" looks for a GPU. */
 static const struct kind kinds[] = {
-    {"cuda", bake_cuda_open, bake_cuda_list, 0},
-    {"opencl", bake_opencl_open, bake_opencl_list, BAKE_OPENCL_FIRST},
+    {"cuda", bake_cuda_open, bake_cuda_list, bake_cuda_next_gpu, NULL, 0},
+    {"opencl", bake_opencl_open, bake_opencl_list, bake_opencl_next_gpu, bake_opencl_check,
+     BAKE_OPENCL_FIRST},
 };
 enum { KINDS = sizeof kinds / sizeof kinds[0] };
-
-/* Looks for GPUs among the devices of a kind. */
-struct gpu_search {
-    int64_t next;  /* number of the device that comes next */
-    int64_t after; /* look for a GPU with a number above this */
-    int64_t found; /* -1: none */
-};
-
-static void search_gpu(void *arg, const struct bake_device_info *info)
-{
-    struct gpu_search *search = arg;
-
-    if (info->is_gpu && search->found < 0 && search->next > search->after)
-        search->found = search->next;
-    search->next++;
-}
 
 /* Opens the first GPU of a kind that works; *out stays NULL where there is none. */
 static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct bake_job *job,
                     struct bake_backend **out)
 {
-    struct gpu_search search = {.after = -1};
+    int64_t number = -1;
 
-    for (;;) {
-        int status;
-        search.next = 0;
-        search.found = -1;
-        status = kind->list(ctx, search_gpu, &search);
-        if (status < 0 || search.found < 0)
-            return 0;
-        status = kind->open(ctx, search.found, job, out);
+    while ((number = kind->next_gpu(ctx, number)) >= 0) {
+        int status = kind->open(ctx, number, job, out);
         if (status == BSQ_OK || status == BSQ_EINTR)
             return status;
-        bsq_warn(ctx, "%s:%" PRId64 " is not used: %s", kind->name, search.found, bsq_error(ctx));
+        bsq_warn(ctx, "%s:%" PRId64 " is not used: %s", kind->name, number, bsq_error(ctx));
         bsq_clear_error(ctx);
-        search.after = search.found;
     }
+    bsq_clear_error(ctx); /* not even the search worked */
+    return 0;
 }
 
 static int open_backends(struct bake_device *device, const char *name, const struct bake_job *job)
@@ -101,8 +84,12 @@ static int open_backends(struct bake_device *device, const char *name, const str
         return bake_native_open(ctx, job, &device->backend);
     for (int i = 0; i < KINDS; i++) {
         int64_t index = kinds[i].first;
-        if (parse(name, kinds[i].name, &index))
-            return kinds[i].open(ctx, index, job, &device->backend);
+        int status = 0;
+        if (!parse(name, kinds[i].name, &index))
+            continue;
+        if (kinds[i].check)
+            status = kinds[i].check(ctx);
+        return status < 0 ? status : kinds[i].open(ctx, index, job, &device->backend);
     }
     if (strcmp(name, "auto") != 0)
         return bsq_fail(ctx, BSQ_ENODEVICE,

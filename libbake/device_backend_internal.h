@@ -43,13 +43,17 @@ void bake_job_arrays(const struct bake_job *job, struct bake_array arrays[BAKE_A
 int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out);
 void bake_native_info(struct bsq_ctx *ctx, struct bake_device_info *info);
 
-/* Opens CUDA device number `index` and uploads the job's grid. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
+/* Opens CUDA device number `index` and uploads the job's grid. Errors: BSQ_ENODEVICE, BSQ_ENOMEM.
+ */
 int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
                    struct bake_backend **out);
-/* Calls fn for each CUDA device in the order of their numbers; not at all where there is no CUDA. Warns of a
- * driver that does not start. */
+/* Calls fn for each CUDA device in the order of their numbers; not at all where there is no CUDA.
+ * Warns of a driver that does not start. Errors: BSQ_ENOMEM, BSQ_ENODEVICE. */
 int bake_cuda_list(struct bsq_ctx *ctx,
                    void (*fn)(void *arg, const struct bake_device_info *device), void *arg);
+
+/* Number of the first CUDA device above `after` (-1: of all), or a negative number. */
+int64_t bake_cuda_next_gpu(struct bsq_ctx *ctx, int64_t after);
 
 /* Which OpenCL device to open. */
 enum { BAKE_OPENCL_FIRST = -1 /* the first GPU, else the first device */ };
@@ -59,8 +63,17 @@ enum { BAKE_OPENCL_FIRST = -1 /* the first GPU, else the first device */ };
 int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
                      struct bake_backend **out);
 /* Calls fn for each OpenCL device in the order of their numbers; not at all where there is no
- * OpenCL. */
+ * OpenCL. Warns of drivers that crash or that libOpenCL does not know. Errors: BSQ_ENOMEM,
+ * BSQ_ENODEVICE. */
 int bake_opencl_list(struct bsq_ctx *ctx,
                      void (*fn)(void *arg, const struct bake_device_info *device), void *arg);
+
+/* Errors: BSQ_ENODEVICE where there is no OpenCL device, or a driver crashes when it is asked for
+ * them. */
+int bake_opencl_check(struct bsq_ctx *ctx);
+
+/* Number of the first GPU above `after` (-1: of all) among the OpenCL devices, or a negative
+ * number. */
+int64_t bake_opencl_next_gpu(struct bsq_ctx *ctx, int64_t after);
 
 #endif

@@ -15,6 +15,7 @@
 #include "libbake/busy_internal.h"
 #include "libbake/cuda_api_internal.h"
 #include "libbake/device_backend_internal.h"
+#include "libbake/device_probe_internal.h"
 #include "libbake/slices_internal.h"
 
 /* "" where the program was built without a compiler for it. */
@@ -82,7 +83,7 @@ static uint64_t texel_bytes(const struct cuda *cuda)
 
 /* ---- choosing ---- */
 
-enum { LINE_BYTES = BAKE_CUDA_TEXT + 32 };
+enum { LINE_BYTES = BAKE_CUDA_TEXT + 96 };
 /* Why there is no CUDA, for a line. buffer: LINE_BYTES bytes. */
 static const char *describe_lack(const struct bake_cuda_api *api, enum bake_cuda_lack lack,
                                  CUresult code, char *buffer)
@@ -572,24 +573,34 @@ int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *jo
     return status;
 }
 
-int bake_cuda_list(struct bsq_ctx *ctx,
-                   void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+/* Opens the driver for a list or "auto". A driver that cannot be used is worth a line, none is not.
+ */
+static bool load_quietly(struct bake_cuda_api *api, int *count, char *warning)
 {
-    struct bake_cuda_api api;
     char text[LINE_BYTES];
     CUresult code;
-    int count;
-    enum bake_cuda_lack lack = bake_cuda_load(&api, &count, &code);
+    enum bake_cuda_lack lack = bake_cuda_load(api, count, &code);
 
+    warning[0] = '\0';
     if (lack == BAKE_CUDA_NOT_INSTALLED || lack == BAKE_CUDA_NO_GPU)
-        return 0;
-    if (lack == BAKE_CUDA_WORKS && !kernel_ptx[0]) {
-        bsq_warn(ctx, "NVIDIA's driver is not used: %s", no_kernel);
-        return 0;
-    }
-    if (lack != BAKE_CUDA_WORKS) {
-        bsq_warn(ctx, "%s", describe_lack(&api, lack, code, text));
-        return 0;
+        return false;
+    if (lack != BAKE_CUDA_WORKS)
+        snprintf(warning, LINE_BYTES, "%s", describe_lack(api, lack, code, text));
+    else if (!kernel_ptx[0])
+        snprintf(warning, LINE_BYTES, "NVIDIA's driver is not used: %s", no_kernel);
+    return !warning[0];
+}
+
+static void ask(struct bake_answers *answers)
+{
+    struct bake_cuda_api api;
+    char warning[LINE_BYTES];
+    int count;
+
+    if (!load_quietly(&api, &count, warning)) {
+        if (warning[0])
+            bake_answer_warning(answers, warning);
+        return;
     }
     for (int i = 0; i < count; i++) {
         struct bake_device_info info = {.is_gpu = true};
@@ -599,7 +610,27 @@ int bake_cuda_list(struct bsq_ctx *ctx,
         info.memory_bytes = device.memory_bytes;
         snprintf(info.id, sizeof info.id, "cuda:%d", i);
         snprintf(info.name, sizeof info.name, "%s", device.name);
-        fn(arg, &info);
+        bake_answer_device(answers, &info);
     }
-    return 0;
+}
+
+/* Not in this process: OpenCL's driver of the same maker, asked in a copy of it, would find CUDA
+ * started already, which copies cannot use. */
+int bake_cuda_list(struct bsq_ctx *ctx,
+                   void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+{
+    return bake_probe(ctx, "CUDA", ask, fn, arg);
+}
+
+int64_t bake_cuda_next_gpu(struct bsq_ctx *ctx, int64_t after)
+{
+    struct bake_cuda_api api;
+    char warning[LINE_BYTES];
+    int count;
+
+    if (load_quietly(&api, &count, warning))
+        return after + 1 < count ? after + 1 : -1;
+    if (warning[0])
+        bsq_warn(ctx, "%s", warning);
+    return -1;
 }

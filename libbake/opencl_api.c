@@ -6,6 +6,8 @@
 #include <string.h>
 
 #include "libbake/device_backend_internal.h"
+#include "libbake/device_probe_internal.h"
+#include "libbake/opencl_drivers_internal.h"
 
 bool bake_opencl_load(struct bake_opencl_api *api)
 {
@@ -131,21 +133,71 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
     return false;
 }
 
-int bake_opencl_list(struct bsq_ctx *ctx,
-                     void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+static void pass_on(void *arg, const char *line)
+{
+    bake_answer_warning(arg, line);
+}
+
+static void ask(struct bake_answers *answers)
 {
     struct bake_opencl_api api;
     struct bake_opencl_device device;
+    bool loaded = bake_opencl_load(&api);
 
-    (void)ctx;
-    if (!bake_opencl_load(&api))
-        return 0;
-    for (uint32_t i = 0; bake_opencl_device(&api, i, &device); i++) {
+    for (uint32_t i = 0; loaded && bake_opencl_device(&api, i, &device); i++) {
         struct bake_device_info info = {.memory_bytes = device.memory_bytes,
                                         .is_gpu = device.is_gpu};
         snprintf(info.id, sizeof info.id, "opencl:%u", (unsigned)i);
         snprintf(info.name, sizeof info.name, "%s", device.name);
-        fn(arg, &info);
+        bake_answer_device(answers, &info);
     }
-    return 0;
+    bake_opencl_idle_drivers(loaded ? dlopen("libOpenCL.so.1", RTLD_NOW | RTLD_LOCAL) : NULL,
+                             pass_on, answers);
+}
+
+int bake_opencl_list(struct bsq_ctx *ctx,
+                     void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+{
+    return bake_probe(ctx, "OpenCL", ask, fn, arg);
+}
+
+static void count_device(void *arg, const struct bake_device_info *info)
+{
+    (void)info;
+    ++*(uint32_t *)arg;
+}
+
+int bake_opencl_check(struct bsq_ctx *ctx)
+{
+    uint32_t count = 0;
+    int status = bake_opencl_list(ctx, count_device, &count);
+
+    if (status < 0 || count > 0)
+        return status;
+    if (!dlopen("libOpenCL.so.1", RTLD_NOW | RTLD_LOCAL))
+        return bsq_fail(ctx, BSQ_ENODEVICE, "OpenCL is not installed (libOpenCL.so.1)");
+    return bsq_fail(ctx, BSQ_ENODEVICE,
+                    "OpenCL has no devices (no driver that works is installed)");
+}
+
+/* Looks for a GPU with a number above `after`. */
+struct gpu_search {
+    int64_t next, after, found;
+};
+
+static void search_gpu(void *arg, const struct bake_device_info *info)
+{
+    struct gpu_search *search = arg;
+
+    if (info->is_gpu && search->found < 0 && search->next > search->after)
+        search->found = search->next;
+    search->next++;
+}
+
+int64_t bake_opencl_next_gpu(struct bsq_ctx *ctx, int64_t after)
+{
+    struct gpu_search search = {.after = after, .found = -1};
+    int status = bake_opencl_list(ctx, search_gpu, &search);
+
+    return status < 0 ? status : search.found;
 }

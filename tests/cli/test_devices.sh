@@ -1,0 +1,129 @@
+#!/bin/sh
+# Devices of bisque-bake: lists, errors, the same maps from all of them, drivers that misbehave, the kernel's PTX. CUDA's
+# driver is tests/fake/fake_cuda.c.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+p=bisque-bake:
+fake=$TESTS/fake
+XDG_CACHE_HOME=$work/cache
+export XDG_CACHE_HOME
+
+bake() { run bisque-bake "$@"; }
+cuda() { LD_LIBRARY_PATH=$fake bake "$@"; }
+
+# warned LINE: a line of standard error is exactly this.
+warned()
+{
+    grep -Fqx -- "$1" "$err"
+    check "warning: $1" $?
+}
+
+# ---- inputs ----
+
+"$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
+    "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
+    "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
+maps="--size 160x96 --float --maps normal,color,mask vase.nvdb low.obj"
+
+# ---- CUDA ----
+
+ptx=$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)
+if [ -s "$ptx" ]; then
+    cuda --list-devices
+    code 0
+    out_like '^cuda:0 +Fake GPU 0, 1\.0 GiB$'
+    FAKE_CUDA_DEVICES=2 cuda --list-devices --json
+    json '.devices | map(select(.is_gpu)) | map(.id) | contains(["cuda:0", "cuda:1"])'
+
+    bake --device cpu $maps -o 'cpu_<MAP>.exr'
+    code 0
+    cuda --device cuda $maps -o 'cuda_<MAP>.exr' --json
+    code 0
+    json '.device == "Fake GPU 0 (CUDA)" and .kernel_calls > 0 and .seconds_kernels > 0 and .seconds_upload > 0'
+    check "nothing is left on the device" "$(wc -l <"$err")"
+    cuda --threads 1 $maps -o 'auto_<MAP>.exr' --json
+    json '.device == "Fake GPU 0 (CUDA)"'
+    for map in normal color mask; do
+        same cpu_$map.exr cuda_$map.exr
+        same cpu_$map.exr auto_$map.exr
+    done
+
+    # A GPU that fails in the middle: "auto" ends on the processor with the same map, "cuda" fails.
+    FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda $maps -o 'lost_<MAP>.exr'
+    code 0
+    grep -q "going on with cpu" "$err"
+    check "the GPU's loss is a warning" $?
+    same cpu_normal.exr lost_normal.exr
+    FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device cuda $maps -o 'gone_<MAP>.exr'
+    refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
+    [ -z "$(ls gone_* 2>/dev/null)" ]
+    check "no map of a failed job" $?
+
+    cuda --device cuda:1 $maps -o 'x_<MAP>.exr'
+    refused 69 "$p there is no device cuda:1; there is cuda:0 Fake GPU 0"
+    FAKE_CUDA_DEVICES=0 cuda --device cuda $maps -o 'x_<MAP>.exr'
+    refused 69 "$p CUDA has no devices"
+    FAKE_CUDA_FAIL=cuInit:1:803 cuda --list-devices
+    code 0
+    warned "$p warning: CUDA does not start: CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (system has unsupported display driver / cuda driver combination)"
+
+    command="awk -f check_ptx.awk $ptx" code=0
+    awk -f "$top/libbake/kernel/check_ptx.awk" "$ptx" >"$out" 2>"$err" || code=$?
+    check "the PTX rounds as the processor does" "$code"
+    for bad in 'fma.rn.f32 %f1, %f2, %f3, %f4;' 'mul.f32 %f1, %f2, %f3;' 'div.full.f32 %f1, %f2, %f3;' \
+        'sqrt.approx.f32 %f1, %f2;' 'add.rn.ftz.f32 %f1, %f2, %f3;' 'add.rn.f64 %fd1, %fd2, %fd3;'; do
+        { cat "$ptx"; printf '\t%s\n' "$bad"; } >bad.ptx
+        ! awk -f "$top/libbake/kernel/check_ptx.awk" bad.ptx 2>/dev/null
+        check "PTX with $bad is refused" $?
+    done
+    ptxas=$(command -v ptxas || ls /usr/local/cuda/bin/ptxas 2>/dev/null)
+    if [ -n "$ptxas" ]; then
+        for sm in 50 60 70 75 80 86 89 90 100 120; do
+            "$ptxas" --help | grep -q "'sm_$sm'" || continue
+            command="ptxas -arch=sm_$sm" code=0
+            "$ptxas" -arch=sm_$sm -v "$ptx" -o kernel.cubin >"$out" 2>"$err" || code=$?
+            grep -q ' 0 bytes stack frame, 0 bytes spill stores' "$err" || code=1
+            check "PTX for sm_$sm needs no local memory: $(grep -o 'Used [0-9]* registers' "$err")" "$code"
+        done
+    else
+        skip "the PTX as machine code" "ptxas is not installed"
+    fi
+else
+    skip "CUDA" "built without clang and nvcc"
+    bake --device cuda $maps -o 'x_<MAP>.exr'
+    refused 69 "$p this program was built without CUDA (neither clang nor nvcc was there)"
+fi
+
+# ---- OpenCL ----
+
+OCL_ICD_VENDORS=$fake/crashing_driver.so
+export OCL_ICD_VENDORS
+crash="$p warning: OpenCL is not used: a driver crashed when it was asked for its devices (Aborted)"
+bake --list-devices
+if [ "$(cat "$err")" = "$crash" ]; then
+    code 0
+    bake --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+    code 0
+    warned "$crash"
+    bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+    code 69
+    warned "$p OpenCL has no devices (no driver that works is installed)"
+else
+    skip "a driver that crashes" "no OpenCL loader that takes it"
+fi
+unset OCL_ICD_VENDORS
+
+# A driver whose .icd file is missing is named, and what is said works.
+mkdir empty
+OPENCL_VENDOR_PATH=$PWD/empty bake --list-devices
+setting=$(sed -n 's/.*libpocl.*this does it: export //p' "$err")
+if [ -n "$setting" ]; then
+    export "${setting?}"
+    bake --list-devices
+    unset OCL_ICD_VENDORS OCL_ICD_FILENAMES
+    out_like '^opencl:0 .*(Portable Computing Language)'
+else
+    skip "a driver without .icd file" "PoCL or a loader that can hide it is not installed"
+fi
+
+finish
