@@ -13,6 +13,7 @@
 
 #include "base/context_internal.h"
 #include "base/file.h"
+#include "base/temp_internal.h"
 
 static int open_retrying(const char *path, int flags, mode_t mode)
 {
@@ -48,6 +49,21 @@ int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
         return status;
     }
     *out = (struct bsq_file){.fd = fd, .size = (uint64_t)info.st_size, .path = copy};
+    return 0;
+}
+
+int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct bsq_file *out)
+{
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    char *path = strdup(file->path);
+    if (!path)
+        return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", file->path);
+    int fd = fcntl(file->fd, F_DUPFD_CLOEXEC, 0);
+    if (fd < 0) {
+        free(path);
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", file->path);
+    }
+    *out = (struct bsq_file){.fd = fd, .size = file->size, .path = path};
     return 0;
 }
 
@@ -148,23 +164,19 @@ static char *temp_directory(const struct bsq_ctx *ctx, const char *beside)
 }
 
 /* A file without a name, or one that loses its name at once where the file system has no such. */
-static int open_unnamed(const char *directory)
+static int open_unnamed(const char *directory, int *fd)
 {
-    int fd = open_retrying(directory, O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
-    if (fd >= 0 || (errno != EOPNOTSUPP && errno != EISDIR && errno != ENOENT && errno != EINVAL))
-        return fd;
-    char *name = NULL;
-    if (asprintf(&name, "%s/.bisque.XXXXXX", directory) < 0) {
-        errno = ENOMEM;
-        return -1;
-    }
-    fd = mkostemp(name, O_CLOEXEC);
-    if (fd >= 0)
-        unlink(name);
-    int error = errno;
-    free(name);
-    errno = error;
-    return fd;
+    static const char name[] = "bisque";
+    char *path;
+    int error = bsq_temp_unnamed(directory, 0600, false, fd);
+    if (error != EOPNOTSUPP && error != EISDIR && error != ENOENT && error != EINVAL)
+        return error;
+    bsq_temp_sweep(directory, name);
+    error = bsq_temp_named(directory, name, 0600, &path, fd);
+    if (error == 0)
+        unlink(path);
+    free(path);
+    return error;
 }
 
 int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out)
@@ -178,9 +190,9 @@ int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, str
     if (asprintf(&label, "%s: temporary file for %s", directory, what) < 0) {
         status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what);
     } else {
-        int fd = open_unnamed(directory);
-        if (fd < 0) {
-            status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s", label);
+        int fd, error = open_unnamed(directory, &fd);
+        if (error) {
+            status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s", label);
             free(label);
         } else {
             *out = (struct bsq_file){.fd = fd, .size = 0, .path = label};

@@ -24,6 +24,9 @@ int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
  * there is none, in the directory of `beside` (an output path; may be NULL: "."). `what` is for messages. */
 int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out);
 
+/* A second descriptor of the same file. Errors: BSQ_ENOINPUT. */
+int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct bsq_file *out);
+
 /* Closes and frees; a closed file is allowed. */
 void bsq_file_close(struct bsq_ctx *ctx, struct bsq_file *file);
 

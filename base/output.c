@@ -1,28 +1,34 @@
 /* output.c - a file that appears whole or not at all.
  *
- * The temporary file is created with open(2) and mode 0666 rather than by mkstemp(3), so that the
- * umask and the directory's access list give it the permissions that a plain new file would have.
- */
+ * Where the file system can (O_TMPFILE), the file has no name until it is complete and on the disk:
+ * whatever ends the process, nothing is left. It gets a temporary name only to be renamed at once,
+ * as a link cannot replace a file. Elsewhere it has a temporary name all the time, which the next
+ * job with this output removes; see temp_internal.h. */
+#include <assert.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/random.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "base/context_internal.h"
 #include "base/output.h"
+#include "base/temp_internal.h"
+
+/* Bytes that are written to the disk between two looks at the interruption flag. */
+#define SYNC_BYTES (UINT64_C(32) << 20)
 
 struct bsq_output {
     struct bsq_ctx *ctx;
-    char *path;      /* final name, symbolic links followed */
-    char *directory; /* of both names */
-    char *temp_path; /* NULL: not created */
+    char *path;      /* final name, symbolic links followed; or what messages call a file without */
+    char *directory; /* of both names; NULL: there is to be no final name */
+    char *temp_path; /* NULL: the file has no name */
     int fd;
     uint64_t position;
-    atomic_int status; /* first failure: such an output cannot be committed */
+    atomic_bool synced; /* all is on the disk, and nothing was written since */
+    atomic_int status;  /* first failure: such an output cannot be committed */
 };
 
 static int fail_memory(struct bsq_ctx *ctx, const char *path)
@@ -64,42 +70,25 @@ static int resolve_path(struct bsq_ctx *ctx, const char *path, char **out)
     return 0;
 }
 
-static int random_name(char name[7])
+static const char *file_name(const char *path)
 {
-    static const char letters[] = "abcdefghijklmnopqrstuvwxyz0123456789";
-    unsigned char bytes[6];
-    if (getrandom(bytes, sizeof bytes, 0) != (ssize_t)sizeof bytes)
-        return errno ? errno : EIO;
-    for (int i = 0; i < 6; i++)
-        name[i] = letters[bytes[i] % (sizeof letters - 1)];
-    name[6] = '\0';
-    return 0;
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
 }
 
-/* Creates ".NAME.XXXXXX.tmp"; NAME is shortened so that the whole stays below NAME_MAX. */
+/* What can be wrong only because the file system, or what runs above it, has no unnamed files. */
+static bool lacks_unnamed(int error)
+{
+    return error == EOPNOTSUPP || error == EISDIR || error == ENOENT || error == EINVAL;
+}
+
 static int create_temp(struct bsq_output *output)
 {
-    const char *slash = strrchr(output->path, '/');
-    const char *name = slash ? slash + 1 : output->path;
-    int error = EEXIST;
-    for (int attempt = 0; attempt < 100 && error == EEXIST; attempt++) {
-        char random[7];
-        error = random_name(random);
-        if (error)
-            break;
-        free(output->temp_path);
-        if (asprintf(&output->temp_path, "%s/.%.200s.%s.tmp", output->directory, name, random) <
-            0) {
-            output->temp_path = NULL;
-            return ENOMEM;
-        }
-        output->fd = open(output->temp_path, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-        error = output->fd >= 0 ? 0 : errno == EINTR ? EEXIST : errno;
-    }
-    if (error) {
-        free(output->temp_path);
-        output->temp_path = NULL;
-    }
+    const char *name = file_name(output->path);
+    bsq_temp_sweep(output->directory, name);
+    int error = bsq_temp_unnamed(output->directory, 0666, true, &output->fd);
+    if (lacks_unnamed(error))
+        error = bsq_temp_named(output->directory, name, 0666, &output->temp_path, &output->fd);
     return error;
 }
 
@@ -129,6 +118,26 @@ int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **o
     return 0;
 }
 
+int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *what,
+                         struct bsq_output **out)
+{
+    struct bsq_file file;
+    *out = NULL;
+    struct bsq_output *output = calloc(1, sizeof *output);
+    if (!output)
+        return fail_memory(ctx, what);
+    int status = bsq_file_temp(ctx, beside, what, &file);
+    if (status < 0) {
+        free(output);
+        return status;
+    }
+    output->ctx = ctx;
+    output->fd = file.fd;
+    output->path = file.path;
+    *out = output;
+    return 0;
+}
+
 /* ---- writing ---- */
 
 static int fail_write(struct bsq_output *output, int error)
@@ -142,6 +151,7 @@ static int fail_write(struct bsq_output *output, int error)
 int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
                         uint64_t offset)
 {
+    atomic_store_explicit(&output->synced, false, memory_order_relaxed);
     int error = bsq_pwrite_all(output->fd, buffer, size, offset);
     return error ? fail_write(output, error) : 0;
 }
@@ -159,6 +169,7 @@ static int copy_in_kernel(struct bsq_output *output, const struct bsq_file *from
                           uint64_t size, uint64_t *copied)
 {
     *copied = 0;
+    atomic_store_explicit(&output->synced, false, memory_order_relaxed);
     while (*copied < size) {
         int status = bsq_check(output->ctx);
         if (status < 0)
@@ -229,56 +240,133 @@ int bsq_output_align(struct bsq_output *output, uint64_t alignment)
     return status;
 }
 
-int bsq_output_fd(const struct bsq_output *output)
-{
-    return output->fd;
-}
-
-const char *bsq_output_temp_path(const struct bsq_output *output)
-{
-    return output->temp_path;
-}
-
 /* ---- the end ---- */
+
+/* Writes what is in the cache to the disk in parts, so that an interruption need not wait for all
+ * of it, as it would in fsync(). A failure that is reported here is not reported by fsync() again.
+ */
+static int write_back(struct bsq_output *output, uint64_t size)
+{
+    const unsigned flags =
+        SYNC_FILE_RANGE_WAIT_BEFORE | SYNC_FILE_RANGE_WRITE | SYNC_FILE_RANGE_WAIT_AFTER;
+    for (uint64_t at = 0; at < size; at += SYNC_BYTES) {
+        int status = bsq_check(output->ctx);
+        if (status < 0)
+            return status;
+        while (sync_file_range(output->fd, (off64_t)at, (off64_t)SYNC_BYTES, flags) != 0) {
+            if (errno == EIO || errno == ENOSPC || errno == EDQUOT)
+                return fail_write(output, errno);
+            if (errno != EINTR)
+                return 0; /* not every file system can; fsync() follows */
+        }
+    }
+    return 0;
+}
+
+int bsq_output_sync(struct bsq_output *output)
+{
+    struct stat info;
+    int status = atomic_load(&output->status);
+    if (status < 0 || output->synced || !output->directory)
+        return status;
+    if (fstat(output->fd, &info) != 0)
+        return fail_write(output, errno);
+    status = write_back(output, (uint64_t)info.st_size);
+    while (status == 0 && fsync(output->fd) != 0) {
+        if (errno != EINTR)
+            status = fail_write(output, errno);
+    }
+    output->synced = status == 0;
+    return status;
+}
 
 static int sync_directory(const char *directory)
 {
     int fd = open(directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (fd < 0)
         return errno == EACCES ? 0 : errno; /* one may write to a directory that one cannot list */
-    int error = fsync(fd) == 0 ? 0 : errno;
+    int error;
+    do
+        error = fsync(fd) == 0 ? 0 : errno;
+    while (error == EINTR);
     close(fd);
     return error == EINVAL || error == EROFS ? 0 : error; /* not every file system can */
 }
 
-static int sync_temp(struct bsq_output *output)
+static int fail_create(struct bsq_output *output, int error)
 {
-    int fd = output->fd;
-    output->fd = -1;
-    int error = fsync(fd) == 0 ? 0 : errno;
-    if (close(fd) != 0 && error == 0 && errno != EINTR)
-        error = errno;
-    return error;
+    return bsq_fail_errno(output->ctx, BSQ_ECANTCREAT, error, "%s: cannot be created",
+                          output->path);
 }
 
+/* For file systems that have unnamed files but cannot name them later. */
+static int copy_to_named(struct bsq_output *output)
+{
+    struct bsq_file unnamed = {.fd = output->fd, .path = output->path};
+    struct stat info;
+    if (fstat(unnamed.fd, &info) != 0)
+        return fail_write(output, errno);
+    int error = bsq_temp_named(output->directory, file_name(output->path), 0666, &output->temp_path,
+                               &output->fd);
+    int status;
+    if (error) {
+        output->fd = unnamed.fd;
+        return fail_create(output, error);
+    }
+    output->position = 0;
+    status = bsq_output_copy(output, &unnamed, 0, (uint64_t)info.st_size);
+    close(unnamed.fd);
+    return status == 0 ? bsq_output_sync(output) : status;
+}
+
+static int name_temp(struct bsq_output *output)
+{
+    if (output->temp_path)
+        return 0;
+    int error =
+        bsq_temp_link(output->fd, output->directory, file_name(output->path), &output->temp_path);
+    if (error == ENOSPC || error == EDQUOT || error == EIO || error == ENOMEM || error == EROFS)
+        return fail_create(output, error);
+    return error ? copy_to_named(output) : 0;
+}
+
+/* The descriptor stays open, and with it the lock on the temporary name, until that is gone. What
+ * close() could report, fsync() has reported. */
 int bsq_output_commit(struct bsq_output *output)
 {
-    struct bsq_ctx *ctx = output->ctx;
-    int status = output->status;
-    if (status == 0) {
-        int error = sync_temp(output);
-        if (error)
-            status = fail_write(output, error);
-    }
+    assert(output->directory);
+    int status = bsq_output_sync(output);
+    if (status == 0)
+        status = name_temp(output);
     if (status == 0 && rename(output->temp_path, output->path) != 0)
-        status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s: cannot be created", output->path);
+        status = fail_create(output, errno);
     if (status < 0) {
         bsq_output_discard(output);
         return status;
     }
     int error = sync_directory(output->directory);
     if (error)
-        status = bsq_fail_errno(ctx, BSQ_EIO, error, "%s: syncing the directory", output->path);
+        status =
+            bsq_fail_errno(output->ctx, BSQ_EIO, error, "%s: syncing the directory", output->path);
+    free_output(output);
+    return status;
+}
+
+int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out)
+{
+    assert(!output->directory);
+    int status = atomic_load(&output->status);
+    struct stat info;
+    if (status == 0 && fstat(output->fd, &info) != 0)
+        status = fail_write(output, errno);
+    if (status == 0) {
+        *out = (struct bsq_file){
+            .fd = output->fd, .size = (uint64_t)info.st_size, .path = output->path};
+        output->fd = -1;
+        output->path = NULL;
+    } else {
+        *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    }
     free_output(output);
     return status;
 }

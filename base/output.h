@@ -1,8 +1,10 @@
 /* output.h - output files that appear whole or not at all.
  *
- * The file is written under a temporary name in the directory of its final name, checked, synced
- * and renamed by bsq_output_commit(). bsq_output_discard() removes it; so does process exit through
- * a caught signal, since tools turn signals into bsq_interrupt() and unwind. */
+ * The file is written without a name in the directory of its final name, or, on file systems that
+ * have no such files, under the name ".NAME.XXXXXX.tmp". bsq_output_commit() syncs it and gives it
+ * its final name in one step; a process that ends before that, however it ends, leaves nothing, or
+ * a temporary name that the next bsq_output_open() of this output removes. Several jobs may write
+ * to one directory, and even the same output, at the same time. */
 #ifndef BSQ_OUTPUT_H
 #define BSQ_OUTPUT_H
 
@@ -16,6 +18,12 @@ struct bsq_output;
 
 /* Errors: BSQ_ECANTCREAT where the directory is missing or not writable. */
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out);
+
+/* A temporary file, as bsq_file_temp() makes it, to be written as an output;
+ * bsq_output_keep_temp() turns it into *out and frees the output in any case. */
+int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *what,
+                         struct bsq_output **out);
+int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out);
 
 /* Appends, or writes at an offset. Errors: BSQ_EIO. bsq_output_write_at is thread-safe for disjoint
  * ranges; it does not move the append position. */
@@ -31,13 +39,13 @@ int bsq_output_copy(struct bsq_output *output, const struct bsq_file *from, uint
 uint64_t bsq_output_tell(const struct bsq_output *output);
 int bsq_output_align(struct bsq_output *output, uint64_t alignment);
 
-/* For libraries that write by descriptor or by name: both refer to the temporary file. */
-int bsq_output_fd(const struct bsq_output *output);
-const char *bsq_output_temp_path(const struct bsq_output *output);
-
-/* Syncs and renames to the final name; frees the output in any case. */
+/* Brings everything to the disk; where several outputs belong together, do this for all before the
+ * first is committed. Errors: BSQ_EIO, BSQ_EINTR. */
+int bsq_output_sync(struct bsq_output *output);
+/* Syncs what is not synced yet, and gives the file its final name; frees the output in any case.
+ * Errors: BSQ_EIO, BSQ_EINTR, BSQ_ECANTCREAT. */
 int bsq_output_commit(struct bsq_output *output);
-/* Removes the temporary file and frees the output; NULL is allowed. */
+/* Removes the file and frees the output; NULL is allowed. */
 void bsq_output_discard(struct bsq_output *output);
 
 #ifdef __cplusplus

@@ -354,7 +354,8 @@ int fmt_exr_finish(struct fmt_exr_writer *writer)
     if (writer->rows_written != writer->height)
         return bsq_fail(writer->stream.ctx, BSQ_EBUG, "%s: %u of %u rows were written",
                         writer->path, writer->rows_written, writer->height);
-    return fmt_exr_status(&writer->stream, close_file(writer));
+    int status = fmt_exr_status(&writer->stream, close_file(writer));
+    return status < 0 ? status : bsq_output_sync(writer->output);
 }
 
 int fmt_exr_commit(struct fmt_exr_writer *writer)

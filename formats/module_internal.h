@@ -7,6 +7,7 @@
 #define FMT_MODULE_INTERNAL_H
 
 #include "base/file.h"
+#include "base/output.h"
 #include "base/parallel.h"
 #include "formats/nvdb.h"
 #include "formats/texture.h"
@@ -27,7 +28,10 @@ extern "C" {
     X(release)                                                                                     \
     X(parallel_for)                                                                                \
     X(file_temp)                                                                                   \
-    X(file_close)
+    X(file_close)                                                                                  \
+    X(file_read_some)                                                                              \
+    X(file_write)                                                                                  \
+    X(output_write_at)
 
 struct fmt_host {
 #define MEMBER(name) __typeof__(bsq_##name) *name;
@@ -64,9 +68,9 @@ struct fmt_vdb_module {
     struct fmt_module module;
     /* Bytes of memory that write() takes. */
     uint64_t (*memory)(const struct fmt_nvdb_grid *grid);
-    /* Writes the file at temp_path; messages name `path`. */
+    /* Writes the whole file; messages name `path`. */
     int (*write)(const struct fmt_host *host, struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
-                 const char *temp_path, const char *path);
+                 struct bsq_output *output, const char *path);
 };
 
 /* Opens the module bisque-NAME.so, for good; opening it again is cheap. `purpose` begins the

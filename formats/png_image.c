@@ -333,6 +333,8 @@ int fmt_png_finish(struct fmt_png_writer *writer)
     int status = write_chunk(writer, "IDAT", trailer, sizeof trailer);
     if (status == 0)
         status = write_chunk(writer, "IEND", NULL, 0);
+    if (status == 0)
+        status = bsq_output_sync(writer->output);
     writer->finished = status == 0;
     return status;
 }

@@ -80,6 +80,11 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
 /* Writes table and header (counts and bounds from the chunks), syncs, renames. Frees the writer. */
 int fmt_tris_commit(struct fmt_tris_writer *writer);
 void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
+/* The same for chunks that only this process needs: a temporary file, see bsq_file_temp(), that is
+ * handed over in *out when it is complete. */
+int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
+                         const struct fmt_tris_header *header, struct fmt_tris_writer **out);
+int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out);
 /* Total bytes written so far. */
 uint64_t fmt_tris_written(const struct fmt_tris_writer *writer);
 
@@ -89,6 +94,9 @@ struct fmt_tris_file;
 /* Opens and checks header and chunk table (sizes against the file before anything is allocated).
  * Errors: BSQ_ENOINPUT, BSQ_EDATA naming what is wrong, the version where it is unknown. */
 int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out);
+/* From fmt_tris_keep_temp(); *temp may be closed at any time afterwards. */
+int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
+                       struct fmt_tris_file **out);
 void fmt_tris_close(struct fmt_tris_file *file);
 /* true where the file's first bytes are those of a chunk file. Unreadable files: false. */
 bool fmt_tris_recognise(const char *path);

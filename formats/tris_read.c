@@ -197,16 +197,15 @@ static int check_bounds(const struct fmt_tris_file *file)
     return 0;
 }
 
-static int open_parts(struct fmt_tris_file *file, const char *path)
+static int open_parts(struct fmt_tris_file *file)
 {
     struct tris_file_header h;
     uint64_t got;
-    int status;
-    if ((status = bsq_file_open(file->ctx, path, &file->file)) < 0 ||
-        (status = bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got)) < 0)
+    int status = bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got);
+    if (status < 0)
         return status;
     if (got < sizeof h.magic || memcmp(h.magic, TRIS_MAGIC, sizeof h.magic) != 0)
-        return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", path);
+        return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got < sizeof h)
         return damaged(file, "the header is cut off");
     if ((status = check_header(file, &h)) < 0)
@@ -218,16 +217,19 @@ static int open_parts(struct fmt_tris_file *file, const char *path)
     return check_bounds(file);
 }
 
-int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out)
+/* Takes `input` over, in any case. */
+static int open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
 {
     struct fmt_tris_file *file;
     *out = NULL;
     int status = bsq_calloc(ctx, "chunk file", 1, sizeof *file, &file);
-    if (status < 0)
+    if (status < 0) {
+        bsq_file_close(ctx, input);
         return status;
+    }
     file->ctx = ctx;
-    file->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    if ((status = open_parts(file, path)) < 0) {
+    file->file = *input;
+    if ((status = open_parts(file)) < 0) {
         fmt_tris_close(file);
         return status;
     }
@@ -235,6 +237,22 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
     file->tail = NULL;
     *out = file;
     return 0;
+}
+
+int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out)
+{
+    struct bsq_file input;
+    *out = NULL;
+    int status = bsq_file_open(ctx, path, &input);
+    return status < 0 ? status : open_file(ctx, &input, out);
+}
+
+int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp, struct fmt_tris_file **out)
+{
+    struct bsq_file input;
+    *out = NULL;
+    int status = bsq_file_duplicate(ctx, temp, &input);
+    return status < 0 ? status : open_file(ctx, &input, out);
 }
 
 void fmt_tris_close(struct fmt_tris_file *file)

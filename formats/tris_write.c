@@ -56,8 +56,9 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
     return 0;
 }
 
-int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
-                    struct fmt_tris_writer **out)
+/* `beside` where the file is to have no name, else `path`. */
+static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
+                  const struct fmt_tris_header *header, struct fmt_tris_writer **out)
 {
     struct fmt_tris_writer *writer;
     *out = NULL;
@@ -76,13 +77,26 @@ int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris
     struct tris_file_header placeholder;
     memset(&placeholder, 0, sizeof placeholder);
     if ((status = encode_materials(writer, header)) < 0 ||
-        (status = bsq_output_open(ctx, path, &writer->output)) < 0 ||
+        (status = path ? bsq_output_open(ctx, path, &writer->output)
+                       : bsq_output_open_temp(ctx, beside, "chunks", &writer->output)) < 0 ||
         (status = bsq_output_write(writer->output, &placeholder, sizeof placeholder)) < 0) {
         fmt_tris_discard(writer);
         return status;
     }
     *out = writer;
     return 0;
+}
+
+int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
+                    struct fmt_tris_writer **out)
+{
+    return create(ctx, path, NULL, header, out);
+}
+
+int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
+                         const struct fmt_tris_header *header, struct fmt_tris_writer **out)
+{
+    return create(ctx, NULL, beside, header, out);
 }
 
 static void extend_bounds(struct tris_file_header *header, const struct fmt_tris_chunk_info *info)
@@ -125,7 +139,8 @@ uint64_t fmt_tris_written(const struct fmt_tris_writer *writer)
     return bsq_output_tell(writer->output);
 }
 
-int fmt_tris_commit(struct fmt_tris_writer *writer)
+/* Writes materials, table and header. */
+static int finish(struct fmt_tris_writer *writer)
 {
     struct tris_file_header *h = &writer->header;
     uint64_t table_bytes = h->chunk_count * sizeof *writer->table;
@@ -139,11 +154,32 @@ int fmt_tris_commit(struct fmt_tris_writer *writer)
     if ((status = bsq_output_write(writer->output, writer->materials, writer->materials_bytes)) <
             0 ||
         (status = bsq_output_write(writer->output, writer->table, table_bytes)) < 0 ||
-        (status = bsq_output_write_at(writer->output, h, sizeof *h, 0)) < 0) {
+        (status = bsq_output_write_at(writer->output, h, sizeof *h, 0)) < 0)
+        return status;
+    return 0;
+}
+
+int fmt_tris_commit(struct fmt_tris_writer *writer)
+{
+    int status = finish(writer);
+    if (status < 0) {
         fmt_tris_discard(writer);
         return status;
     }
     status = bsq_output_commit(writer->output);
+    writer_free(writer);
+    return status;
+}
+
+int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out)
+{
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    int status = finish(writer);
+    if (status < 0) {
+        fmt_tris_discard(writer);
+        return status;
+    }
+    status = bsq_output_keep_temp(writer->output, out);
     writer_free(writer);
     return status;
 }

@@ -40,7 +40,7 @@ int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const 
     uint64_t bytes = vdb->memory(grid);
     status = bsq_reserve(ctx, "the grids of the OpenVDB export", bytes);
     if (status == 0) {
-        status = vdb->write(&fmt_host_functions, ctx, grid, bsq_output_temp_path(output), path);
+        status = vdb->write(&fmt_host_functions, ctx, grid, output, path);
         bsq_release(ctx, bytes);
     }
     if (status == 0)

@@ -1,11 +1,17 @@
 /* vdb_export_openvdb.cc - a grid as an OpenVDB file; the module bisque-openvdb.so.
  *
- * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets some fifty. */
+ * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets some fifty. Its own
+ * file class ignores write errors; here an archive is written to a stream that reports them. */
+#include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <exception>
 #include <new>
+#include <ostream>
+#include <streambuf>
+#include <vector>
 
-#include <openvdb/io/File.h>
+#include <openvdb/io/Archive.h>
 #include <openvdb/openvdb.h>
 #include <tbb/task_arena.h>
 
@@ -117,7 +123,84 @@ typename ValueT::grid_type::Ptr make_grid(const source &from, const char *name)
     return grid;
 }
 
-void write_archive(const source &from, const char *path)
+/* Buffered bytes on their way to the output. Failures are thrown, which the stream passes on. */
+class output_buffer : public std::streambuf
+{
+  public:
+    output_buffer(const source &from, bsq_output *output)
+        : from_(from), output_(output), bytes_(size_t(1) << 20)
+    {
+        setp(bytes_.data(), bytes_.data() + bytes_.size());
+    }
+
+    void write_out()
+    {
+        uint64_t size = uint64_t(pptr() - pbase());
+        int status = from_.host->check(from_.ctx);
+        if (!status)
+            status = from_.host->output_write_at(output_, pbase(), size, start_);
+        if (status)
+            throw described{status};
+        start_ += size;
+        setp(bytes_.data(), bytes_.data() + bytes_.size());
+    }
+
+  protected:
+    int_type overflow(int_type c) override
+    {
+        write_out();
+        if (!traits_type::eq_int_type(c, traits_type::eof()))
+            sputc(traits_type::to_char_type(c));
+        return traits_type::not_eof(c);
+    }
+
+    std::streamsize xsputn(const char *data, std::streamsize size) override
+    {
+        for (std::streamsize done = 0; done < size;) {
+            if (pptr() == epptr())
+                write_out();
+            std::streamsize part = std::min<std::streamsize>(size - done, epptr() - pptr());
+            std::memcpy(pptr(), data + done, size_t(part));
+            pbump(int(part));
+            done += part;
+        }
+        return size;
+    }
+
+    /* OpenVDB asks where it is, and goes back to fill in where things came to lie. */
+    pos_type seekoff(off_type offset, std::ios_base::seekdir way, std::ios_base::openmode) override
+    {
+        uint64_t here = start_ + uint64_t(pptr() - pbase());
+        end_ = std::max(end_, here);
+        off_type base = way == std::ios_base::beg   ? 0
+                        : way == std::ios_base::cur ? off_type(here)
+                                                    : off_type(end_);
+        if (base + offset < 0)
+            return pos_type(off_type(-1));
+        if (uint64_t(base + offset) != here) {
+            write_out();
+            start_ = uint64_t(base + offset);
+        }
+        return base + offset;
+    }
+
+    pos_type seekpos(pos_type position, std::ios_base::openmode mode) override
+    {
+        return seekoff(off_type(position), std::ios_base::beg, mode);
+    }
+
+  private:
+    const source &from_;
+    bsq_output *output_;
+    uint64_t start_ = 0, end_ = 0; /* of the buffer in the file; of the file, as far as known */
+    std::vector<char> bytes_;
+};
+
+struct archive : openvdb::io::Archive {
+    using Archive::write;
+};
+
+void write_archive(const source &from, bsq_output *output)
 {
     openvdb::initialize();
     openvdb::GridCPtrVec grids;
@@ -132,16 +215,19 @@ void write_archive(const source &from, const char *path)
     }
     openvdb::MetaMap meta;
     meta.insertMeta("creator", openvdb::StringMetadata("Bisque " BSQ_VERSION));
-    openvdb::io::File file(path);
-    file.write(grids, meta);
+    output_buffer buffer(from, output);
+    std::ostream stream(&buffer);
+    stream.exceptions(std::ios_base::badbit | std::ios_base::failbit);
+    archive().write(stream, grids, true, meta);
+    buffer.write_out();
 }
 
 /* Nothing may be thrown past here. */
-int export_to(source &from, const char *temp_path, const char *path) noexcept
+int export_to(source &from, bsq_output *output, const char *path) noexcept
 {
     try {
         tbb::task_arena arena(int(from.host->threads(from.ctx)));
-        arena.execute([&] { write_archive(from, temp_path); });
+        arena.execute([&] { write_archive(from, output); });
         return 0;
     } catch (const described &failure) {
         return failure.status;
@@ -155,13 +241,13 @@ int export_to(source &from, const char *temp_path, const char *path) noexcept
     }
 }
 
-int write_file(const fmt_host *host, bsq_ctx *ctx, const fmt_nvdb_grid *grid, const char *temp_path,
+int write_file(const fmt_host *host, bsq_ctx *ctx, const fmt_nvdb_grid *grid, bsq_output *output,
                const char *path)
 {
     source from = {host, ctx, grid, {}};
     for (int i = 0; i < 256; i++)
         from.linear[i] = float(bsq_srgb_to_linear(i / 255.0));
-    return export_to(from, temp_path, path);
+    return export_to(from, output, path);
 }
 
 } // namespace

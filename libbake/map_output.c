@@ -404,7 +404,10 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
         bsq_free(files->ctx, files->files[i].rows);
         files->files[i].rows = NULL;
     }
-    return status < 0 ? status : finish_files(files);
+    if (status == 0)
+        status = finish_files(files);
+    *write += bsq_seconds_now() - start;
+    return status;
 }
 
 /* ---- ending ---- */

@@ -117,8 +117,23 @@ static int read_scan(struct scan *scan, const struct vox_sort_options *options,
     return status;
 }
 
+static int commit(const struct vox_sort_options *options, struct fmt_tris_writer *writer,
+                  struct vox_sort_report *report)
+{
+    if (options->tris_file) {
+        int status = fmt_tris_keep_temp(writer, options->tris_file);
+        report->tris_bytes = options->tris_file->size;
+        return status;
+    }
+    int status = fmt_tris_commit(writer);
+    struct stat info;
+    if (status == 0 && stat(options->tris_path, &info) == 0)
+        report->tris_bytes = (uint64_t)info.st_size;
+    return status;
+}
+
 static int write_chunks(const struct scan *scan, const struct scattered *scattered,
-                        const char *path, struct vox_sort_report *report)
+                        const struct vox_sort_options *options, struct vox_sort_report *report)
 {
     struct fmt_tris_header header = {
         .attributes = scan->attributes,
@@ -129,33 +144,32 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
         .materials = scan->materials,
     };
     struct fmt_tris_writer *writer;
-    int status = fmt_tris_create(scan->ctx, path, &header, &writer);
+    int status = options->tris_file
+                     ? fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer)
+                     : fmt_tris_create(scan->ctx, options->tris_path, &header, &writer);
     if (status < 0)
         return status;
-    status = batches_write(scan, scattered, path, writer, &report->chunks);
+    status = batches_write(scan, scattered, options->tris_path, writer, &report->chunks);
     if (status < 0) {
         fmt_tris_discard(writer);
         return status;
     }
-    status = fmt_tris_commit(writer);
-    struct stat info;
-    if (status == 0 && stat(path, &info) == 0)
-        report->tris_bytes = (uint64_t)info.st_size;
-    return status;
+    return commit(options, writer, report);
 }
 
-static int sort_scan(struct scan *scan, const char *path, struct vox_sort_report *report)
+static int sort_scan(struct scan *scan, const struct vox_sort_options *options,
+                     struct vox_sort_report *report)
 {
     struct scattered scattered;
     double start = bsq_seconds_now();
-    int status = scatter_scan(scan, path, &scattered);
+    int status = scatter_scan(scan, options->tris_path, &scattered);
     face_store_free(&scan->faces);
     if (status == 0 && scattered.triangles == 0)
         status = bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area",
                           scan->obj_paths[0], (unsigned long long)scattered.degenerate_triangles);
     if (status == 0) {
         bsq_progress_begin(scan->ctx, "writing", "triangles", scattered.triangles);
-        status = write_chunks(scan, &scattered, path, report);
+        status = write_chunks(scan, &scattered, options, report);
         bsq_progress_end(scan->ctx);
     }
     report->triangles = scattered.triangles;
@@ -175,7 +189,7 @@ int sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options
     scan_init(&scan, ctx, limits, options->obj_paths, options->tris_path);
     int status = read_scan(&scan, options, report);
     if (status == 0)
-        status = sort_scan(&scan, options->tris_path, report);
+        status = sort_scan(&scan, options, report);
     scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;

@@ -14,11 +14,16 @@
 extern "C" {
 #endif
 
+struct bsq_file; /* base/file.h */
+
 struct vox_sort_options {
     const char *const *obj_paths; /* read as one scan */
     uint32_t obj_count;
     const char *texture_path; /* image for every face with texture coordinates; NULL: from the MTL files */
     const char *tris_path;    /* output */
+    /* NULL, or where to put the chunks instead: a temporary file, to be closed by the caller with
+     * bsq_file_close(). tris_path then only says beside what. */
+    struct bsq_file *tris_file;
 };
 
 struct vox_sort_report {
@@ -56,6 +61,7 @@ enum vox_grid_type { VOX_GRID_MASK, VOX_GRID_ONINDEX };
 
 struct vox_voxelize_options {
     const char *tris_path;
+    const struct bsq_file *tris_file; /* NULL, or that of vox_sort(), read instead of tris_path */
     const char *grid_path;   /* output */
     uint32_t resolution;     /* voxels along the longest side; 0: use voxel_size */
     double voxel_size;       /* world units; the lattice is then aligned to its multiples */

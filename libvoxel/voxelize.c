@@ -96,7 +96,9 @@ static int make_plan(const struct job *job, struct plan *plan)
 static int open_input(struct job *job)
 {
     const char *path = job->options->tris_path;
-    int status = fmt_tris_open(job->ctx, path, &job->file);
+    const struct bsq_file *temp = job->options->tris_file;
+    int status = temp ? fmt_tris_open_temp(job->ctx, temp, &job->file)
+                      : fmt_tris_open(job->ctx, path, &job->file);
     if (status < 0)
         return status;
     job->header = fmt_tris_get_header(job->file);

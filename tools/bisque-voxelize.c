@@ -1,11 +1,10 @@
 /* voxelize.c - bisque-voxelize: a scan becomes a chunk file and a voxel grid. */
 #include <assert.h>
 #include <errno.h>
-#include <fcntl.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
+#include "base/file.h"
 #include "formats/tris.h"
 #include "libvoxel/voxel.h"
 #include "tools/cli.h"
@@ -78,7 +77,8 @@ struct job {
     const struct arguments *arguments;
     bool sorted_input; /* the input is a chunk file */
     char *tris_path;   /* owned; of the chunk file that is read in the end */
-    bool remove_tris;
+    bool temporary_tris; /* the chunk file has no name: tris_path is that of none */
+    struct bsq_file tris_file;
     struct vox_sort_report sort;
     struct vox_voxelize_report grid;
 };
@@ -201,33 +201,10 @@ static char *default_tris_path(const char *output)
     return path;
 }
 
-/* A new file in the temporary directory, or beside the output. */
-static int make_temporary_tris(struct job *job)
-{
-    const char *output = job->arguments->output, *directory = bsq_tmpdir(job->cli->ctx);
-    const char *slash = strrchr(output, '/');
-    const char *name = slash ? slash + 1 : output;
-    int length = directory ? (int)strlen(directory) : slash ? (int)(slash - output) : 1;
-    if (!directory)
-        directory = slash ? output : ".";
-    if (asprintf(&job->tris_path, "%.*s/.%.200s.XXXXXX.tris", length, directory, name) < 0) {
-        job->tris_path = NULL;
-        return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, errno, "%s", output);
-    }
-    int fd = mkostemps(job->tris_path, (int)strlen(".tris"), O_CLOEXEC);
-    if (fd < 0)
-        return bsq_fail_errno(job->cli->ctx, BSQ_ECANTCREAT, errno, "%s: cannot be created",
-                              job->tris_path);
-    close(fd);
-    job->remove_tris = true;
-    return 0;
-}
-
 static int choose_tris_path(struct job *job)
 {
     const struct arguments *arguments = job->arguments;
-    if (arguments->no_tris && !job->sorted_input)
-        return make_temporary_tris(job);
+    job->temporary_tris = arguments->no_tris && !job->sorted_input;
     if (job->sorted_input)
         job->tris_path = strdup(arguments->inputs[0]);
     else if (arguments->tris)
@@ -242,8 +219,8 @@ static int choose_tris_path(struct job *job)
 static int check_outputs(struct job *job)
 {
     const struct arguments *arguments = job->arguments;
-    const char *outputs[] = {arguments->output, job->sorted_input ? NULL : job->tris_path,
-                             arguments->vdb};
+    bool makes_tris = !job->sorted_input && !job->temporary_tris;
+    const char *outputs[] = {arguments->output, makes_tris ? job->tris_path : NULL, arguments->vdb};
     for (unsigned i = 0; i < 3; i++) {
         if (!outputs[i])
             continue;
@@ -259,6 +236,15 @@ static int check_outputs(struct job *job)
             return status;
     }
     return 0;
+}
+
+/* Sorting and voxelizing both need temporary files. */
+static int check_temporary_files(struct job *job)
+{
+    struct bsq_file file;
+    int status = bsq_file_temp(job->cli->ctx, job->arguments->output, "chunks", &file);
+    bsq_file_close(job->cli->ctx, &file);
+    return status;
 }
 
 static int check_memory(struct cli *cli)
@@ -310,7 +296,7 @@ static void print_grid(const struct job *job)
     const struct vox_voxelize_report *grid = &job->grid;
     const struct arguments *arguments = job->arguments;
     char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
-    if (!job->sorted_input && !job->remove_tris)
+    if (!job->sorted_input && !job->temporary_tris)
         printf("%s: %s chunks, %s, %.2f s\n", job->tris_path,
                cli_count_text(job->sort.chunks, chunks), cli_size_text(job->sort.tris_bytes, size),
                job->sort.seconds_sort);
@@ -369,7 +355,7 @@ static json_t *grid_json(const struct vox_voxelize_report *grid)
 static int print_json(const struct job *job)
 {
     const struct arguments *arguments = job->arguments;
-    bool keeps_tris = !arguments->parse_only && !job->remove_tris;
+    bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
     json_t *root = json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments),
                              "grid_path", cli_json_text(arguments->output), "tris_path",
                              cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
@@ -401,6 +387,7 @@ static int sort_scan(struct job *job)
         .obj_count = arguments->input_count,
         .texture_path = arguments->texture,
         .tris_path = job->tris_path,
+        .tris_file = job->temporary_tris ? &job->tris_file : NULL,
     };
     return vox_sort(job->cli->ctx, &options, &job->sort);
 }
@@ -410,6 +397,7 @@ static int make_grid(struct job *job)
     const struct arguments *arguments = job->arguments;
     struct vox_voxelize_options options = {
         .tris_path = job->tris_path,
+        .tris_file = job->temporary_tris ? &job->tris_file : NULL,
         .grid_path = arguments->output,
         .resolution = (uint32_t)arguments->resolution,
         .voxel_size = arguments->voxel_size,
@@ -433,6 +421,8 @@ static int do_work(struct job *job)
         status = choose_tris_path(job);
     if (status == 0)
         status = check_outputs(job);
+    if (status == 0)
+        status = check_temporary_files(job);
     if (status == 0 && !job->sorted_input)
         status = sort_scan(job);
     if (status == 0)
@@ -442,12 +432,11 @@ static int do_work(struct job *job)
 
 static int run(struct cli *cli, const struct arguments *arguments)
 {
-    struct job job = {.cli = cli, .arguments = arguments};
+    struct job job = {.cli = cli, .arguments = arguments, .tris_file = BSQ_FILE_CLOSED};
     int status = recognise_inputs(&job);
     if (status == 0)
         status = do_work(&job);
-    if (job.tris_path && job.remove_tris)
-        unlink(job.tris_path);
+    bsq_file_close(cli->ctx, &job.tris_file);
     if (status == 0)
         status = report(&job);
     free(job.tris_path);

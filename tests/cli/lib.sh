@@ -119,14 +119,29 @@ man_page()
     done
 }
 
-# await PATTERN: until a file whose name matches is here, for at most 20 seconds.
-await()
+# interrupted SIGNAL STAGE PROGRAM ARGUMENT...: sends the signal while the stage runs; the program ends within two
+# seconds with exit code 75 and says so.
+interrupted()
 {
-    tries=0
-    while [ $tries -lt 200 ] && ! ls -A | grep -Eq -- "$1"; do
+    signal=$1 stage=$2
+    shift 2
+    command="$* ended by SIG$signal while $stage" code=0 tries=0
+    program=$1
+    shift
+    "$BIN/$program" "$@" --progress json >"$out" 2>"$err" &
+    while [ $tries -lt 1000 ] && ! grep -q "\"stage\": *\"$stage\"" "$err"; do
         tries=$((tries + 1))
-        sleep 0.1
+        sleep 0.02
     done
+    sent=$(date +%s%N)
+    kill -"$signal" $!
+    wait $! || code=$?
+    late=$((($(date +%s%N) - sent) / 1000000))
+    code 75
+    [ "$(tail -n 1 "$err")" = "$program: interrupted" ] && [ ! -s "$out" ]
+    check "one line says that $program was interrupted" $?
+    [ "$late" -lt 2000 ]
+    check "$program ended $late ms after SIG$signal while $stage" $?
 }
 
 skip()

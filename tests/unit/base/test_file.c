@@ -220,10 +220,7 @@ static void test_output_appears_on_commit(void **state)
     assert_int_equal(bsq_output_tell(output), 8);
     assert_int_equal(bsq_output_write(output, "x", 1), 0);
     assert_content("out", "old", 3);
-    struct stat named, open_file;
-    assert_int_equal(stat(bsq_output_temp_path(output), &named), 0);
-    assert_int_equal(fstat(bsq_output_fd(output), &open_file), 0);
-    assert_int_equal(named.st_ino, open_file.st_ino);
+    assert_int_equal(files_here(), 1);
     assert_int_equal(bsq_output_commit(output), 0);
     assert_content("out", "0AB3\0\0\0\0x", 9);
     assert_int_equal(files_here(), 1);
@@ -238,7 +235,7 @@ static void test_output_is_discarded(void **state)
     struct bsq_output *output;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
     assert_int_equal(bsq_output_write(output, "0123", 4), 0);
-    assert_int_equal(files_here(), 1);
+    assert_int_equal(files_here(), 0);
     bsq_output_discard(output);
     bsq_output_discard(NULL);
     assert_int_equal(files_here(), 0);

@@ -1,0 +1,177 @@
+/* temp.c - names of temporary files, and the locks that say whether their owner lives.
+ *
+ * Files are created with open(2) and mode 0666 rather than by mkstemp(3), so that the umask and the
+ * directory's access list give them the permissions that a plain new file would have. */
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/random.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "base/temp_internal.h"
+
+enum { RANDOM_LETTERS = 6, NAME_BYTES = 200, ATTEMPTS = 100 };
+
+static const char suffix[] = ".tmp";
+
+/* ---- names ---- */
+
+static int random_name(char name[RANDOM_LETTERS + 1])
+{
+    static const char letters[] = "abcdefghijklmnopqrstuvwxyz0123456789";
+    unsigned char bytes[RANDOM_LETTERS];
+    if (getrandom(bytes, sizeof bytes, 0) != (ssize_t)sizeof bytes)
+        return errno ? errno : EIO;
+    for (int i = 0; i < RANDOM_LETTERS; i++)
+        name[i] = letters[bytes[i] % (sizeof letters - 1)];
+    name[RANDOM_LETTERS] = '\0';
+    return 0;
+}
+
+static int new_path(const char *directory, const char *name, char **path)
+{
+    char random[RANDOM_LETTERS + 1];
+    int error = random_name(random);
+    if (error == 0 &&
+        asprintf(path, "%s/.%.*s.%s%s", directory, NAME_BYTES, name, random, suffix) < 0)
+        error = ENOMEM;
+    if (error)
+        *path = NULL;
+    return error;
+}
+
+/* Is `entry` what new_path() makes of `name`? */
+static bool is_temp_name(const char *entry, const char *name)
+{
+    size_t length = strnlen(name, NAME_BYTES);
+    return entry[0] == '.' && strlen(entry) == length + RANDOM_LETTERS + 2 + strlen(suffix) &&
+           strncmp(entry + 1, name, length) == 0 && entry[length + 1] == '.' &&
+           strcmp(entry + length + RANDOM_LETTERS + 2, suffix) == 0;
+}
+
+/* ---- locks ---- */
+
+/* 0 where this descriptor holds the lock now, or the file system has none. */
+static int lock(int fd)
+{
+    int result;
+    do
+        result = flock(fd, LOCK_EX | LOCK_NB);
+    while (result != 0 && errno == EINTR);
+    return result != 0 && errno == EWOULDBLOCK ? EWOULDBLOCK : 0;
+}
+
+static bool names_file(int directory_fd, const char *path, int fd)
+{
+    struct stat named, opened;
+    return fstatat(directory_fd, path, &named, AT_SYMLINK_NOFOLLOW) == 0 &&
+           fstat(fd, &opened) == 0 && named.st_dev == opened.st_dev &&
+           named.st_ino == opened.st_ino;
+}
+
+/* Removes one file, if it can be locked and is still the one that was locked. Opened for writing,
+ * as NFS wants it for an exclusive lock. */
+static void remove_unowned(int directory_fd, const char *entry)
+{
+    struct stat info;
+    int fd = openat(directory_fd, entry, O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+    if (fd < 0)
+        return;
+    if (fstat(fd, &info) == 0 && S_ISREG(info.st_mode) && flock(fd, LOCK_EX | LOCK_NB) == 0 &&
+        names_file(directory_fd, entry, fd))
+        unlinkat(directory_fd, entry, 0);
+    close(fd);
+}
+
+void bsq_temp_sweep(const char *directory, const char *name)
+{
+    DIR *list = opendir(directory);
+    if (!list)
+        return;
+    for (struct dirent *entry; (entry = readdir(list));) {
+        if (is_temp_name(entry->d_name, name))
+            remove_unowned(dirfd(list), entry->d_name);
+    }
+    closedir(list);
+}
+
+/* ---- files ---- */
+
+static void descriptor_path(int fd, char path[32])
+{
+    snprintf(path, 32, "/proc/self/fd/%d", fd);
+}
+
+int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd)
+{
+    char path[32];
+    int error = 0;
+    do
+        *fd = open(directory, O_TMPFILE | O_RDWR | O_CLOEXEC, mode);
+    while (*fd < 0 && errno == EINTR);
+    if (*fd < 0)
+        return errno;
+    descriptor_path(*fd, path);
+    if (linkable && access(path, F_OK) != 0) { /* /proc is not mounted */
+        error = EOPNOTSUPP;
+        close(*fd);
+        *fd = -1;
+    }
+    return error;
+}
+
+/* Between creating a file and locking it another process may take it for a left one. */
+static int create_locked(const char *path, mode_t mode, int *fd)
+{
+    *fd = open(path, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, mode);
+    if (*fd < 0)
+        return errno == EINTR ? EEXIST : errno;
+    if (lock(*fd) == 0 && names_file(AT_FDCWD, path, *fd))
+        return 0;
+    close(*fd);
+    *fd = -1;
+    return EEXIST;
+}
+
+int bsq_temp_named(const char *directory, const char *name, mode_t mode, char **path, int *fd)
+{
+    int error = EEXIST;
+    *path = NULL;
+    *fd = -1;
+    for (int attempt = 0; attempt < ATTEMPTS && error == EEXIST; attempt++) {
+        free(*path);
+        error = new_path(directory, name, path);
+        if (error == 0)
+            error = create_locked(*path, mode, fd);
+    }
+    if (error) {
+        free(*path);
+        *path = NULL;
+    }
+    return error;
+}
+
+int bsq_temp_link(int fd, const char *directory, const char *name, char **path)
+{
+    char source[32];
+    int error = lock(fd) == 0 ? EEXIST : EWOULDBLOCK;
+    descriptor_path(fd, source);
+    *path = NULL;
+    for (int attempt = 0; attempt < ATTEMPTS && error == EEXIST; attempt++) {
+        free(*path);
+        error = new_path(directory, name, path);
+        if (error == 0 && linkat(AT_FDCWD, source, AT_FDCWD, *path, AT_SYMLINK_FOLLOW) != 0)
+            error = errno == EINTR ? EEXIST : errno;
+    }
+    if (error) {
+        free(*path);
+        *path = NULL;
+    }
+    return error;
+}
