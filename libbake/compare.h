@@ -23,6 +23,7 @@ struct bake_compare_options {
     const char *heatmap_path;   /* PNG of the error in place with its scale, or NULL */
     const char *histogram_path; /* PNG of its distribution, or NULL */
     double scale;               /* error at the top of the scale; 0: automatic */
+    bool force;                 /* compare maps whose attributes say that they hold different things */
 };
 
 struct bake_compare_report {
@@ -44,7 +45,9 @@ struct bake_compare_report {
 const char *bake_compare_unit(enum bake_compare_kind kind);
 
 /* Compares two maps. Holds both in memory, from the budget. Errors: BSQ_ENOINPUT, BSQ_EDATA where sizes
- * or channels differ or no texel is covered by both. */
+ * or channels differ, no texel is covered by
+ * both, or, without `force`, where the attributes of both say what the values mean and differ: kind of map, space, tangents,
+ * green, encoding. */
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                  struct bake_compare_report *report);
 

@@ -85,24 +85,47 @@ static void heat(double value, float color[3])
 
 /* ---- the scale: a bar with five ticks ---- */
 
+static bool overlap(const struct bake_scale_label *a, const struct bake_scale_label *b, int64_t gap)
+{
+    return a->left < b->left + b->width + gap && b->left < a->left + a->width + gap;
+}
+
+void bake_scale_layout(int64_t width, unsigned scale, double top, const char *unit,
+                       struct bake_scale_label labels[BAKE_SCALE_TICKS])
+{
+    static const int by_weight[BAKE_SCALE_TICKS] = {4, 0, 2, 1, 3};
+    int64_t margin = BAKE_SCALE_MARGIN * scale, bar = width - 2 * margin, gap = BAKE_GLYPH_WIDTH * scale;
+    for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
+        int tick = by_weight[i];
+        bool last = tick == BAKE_SCALE_TICKS - 1;
+        struct bake_scale_label *label = &labels[tick];
+        snprintf(label->text, sizeof label->text, "%.3g%s%s", top * tick / (BAKE_SCALE_TICKS - 1), last ? "+ " : "",
+                 last ? unit : "");
+        label->tick = margin + bar * tick / (BAKE_SCALE_TICKS - 1);
+        label->width = text_width(label->text, scale) - scale;
+        label->left = last ? width - label->width - 2 * scale : label->tick - label->width / 2;
+        label->shown = true;
+        for (int j = 0; j < i; j++)
+            if (labels[by_weight[j]].shown && overlap(label, &labels[by_weight[j]], gap))
+                label->shown = false;
+    }
+}
+
 static void draw_scale(struct canvas *canvas, int64_t y, unsigned scale, double top,
                        const char *unit, bool colored)
 {
-    int64_t margin = 24 * scale, width = (int64_t)canvas->width - 2 * margin, bar = 8 * scale;
+    struct bake_scale_label labels[BAKE_SCALE_TICKS];
+    int64_t margin = BAKE_SCALE_MARGIN * scale, width = (int64_t)canvas->width - 2 * margin, bar = 8 * scale;
     for (int64_t x = 0; colored && x < width; x++) {
         float color[3];
         heat((double)x / (double)width, color);
         fill(canvas, margin + x, y, 1, bar, color);
     }
-    for (int tick = 0; tick <= 4; tick++) {
-        char label[48];
-        int64_t x = margin + width * tick / 4;
-        fill(canvas, x, y + bar, scale, 3 * scale, ink);
-        snprintf(label, sizeof label, "%.3g%s%s", top * tick / 4, tick == 4 ? "+ " : "",
-                 tick == 4 ? unit : "");
-        int64_t shift = text_width(label, scale);
-        int64_t left = tick == 4 ? (int64_t)canvas->width - shift - 2 * scale : x - shift / 2;
-        write_text(canvas, left > 0 ? left : 0, y + bar + 5 * scale, scale, label);
+    bake_scale_layout(canvas->width, scale, top, unit, labels);
+    for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
+        fill(canvas, labels[i].tick, y + bar, scale, 3 * scale, ink);
+        if (labels[i].shown)
+            write_text(canvas, labels[i].left, y + bar + 5 * scale, scale, labels[i].text);
     }
 }
 

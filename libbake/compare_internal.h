@@ -20,4 +20,16 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
 int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
                          const struct bake_compare_report *report, double top, const char *path);
 
+/* The labels of a scale from 0 to `top` over a picture of `width` pixels, `scale` pixels to a dot: where they and their
+ * ticks are, in pixels from the left. Labels that have no room beside more important ones (the last, the first, the
+ * middle one) are not shown. */
+enum { BAKE_SCALE_TICKS = 5, BAKE_SCALE_MARGIN = 24 /* dots beside the bar */ };
+struct bake_scale_label {
+    char text[48];
+    int64_t tick, left, width;
+    bool shown;
+};
+void bake_scale_layout(int64_t width, unsigned scale, double top, const char *unit,
+                       struct bake_scale_label labels[BAKE_SCALE_TICKS]);
+
 #endif

@@ -15,6 +15,7 @@ static const char help[] =
     "      --mask FILE         texels that count, for both maps: those above 0\n"
     "      --mask-a FILE       texels that A covers; with --mask-b, hit agreement is reported too\n"
     "      --mask-b FILE       texels that B covers\n"
+    "      --force             compare maps whose attributes say that they hold different things\n"
     "      --heatmap FILE.png  the error in place, with its scale\n"
     "      --histogram FILE.png\n"
     "                          the distribution of the error\n"
@@ -29,6 +30,7 @@ enum {
     OPT_MASK,
     OPT_MASK_A,
     OPT_MASK_B,
+    OPT_FORCE,
     OPT_HEATMAP,
     OPT_HISTOGRAM,
     OPT_SCALE,
@@ -42,6 +44,7 @@ static const struct option long_options[] = {
     {"mask", required_argument, NULL, OPT_MASK},
     {"mask-a", required_argument, NULL, OPT_MASK_A},
     {"mask-b", required_argument, NULL, OPT_MASK_B},
+    {"force", no_argument, NULL, OPT_FORCE},
     {"heatmap", required_argument, NULL, OPT_HEATMAP},
     {"histogram", required_argument, NULL, OPT_HISTOGRAM},
     {"scale", required_argument, NULL, OPT_SCALE},
@@ -97,6 +100,9 @@ static int parse_own_option(struct cli *cli, struct arguments *arguments, int op
         return 0;
     case OPT_MASK_B:
         compare->b_mask_path = optarg;
+        return 0;
+    case OPT_FORCE:
+        compare->force = true;
         return 0;
     case OPT_HEATMAP:
         compare->heatmap_path = optarg;

@@ -14,7 +14,7 @@ start="a_mask.exr a_normal.exr box.nvdb low.obj small.exr"
 
 $compare --help
 code 0
-options="type mask mask-a mask-b heatmap histogram scale max-mean max-median max-p95 max-p99 max-error min-psnr
+options="type mask mask-a mask-b force heatmap histogram scale max-mean max-median max-p95 max-p99 max-error min-psnr
     min-agreement memory threads progress json help version"
 for option in $options; do
     out_like "--$option"
@@ -32,15 +32,31 @@ $compare a_normal.exr a_normal.exr --type color --json
 code 0
 json '.psnr == null and .mean == 0'
 
-# Tangent space against object space: far apart, and the limits say so.
+# Tangent space against object space does not compare; forced to, they are far apart, and the limits say so.
 run bisque-bake box.nvdb low.obj --size 64 --maps normal --float -o t.exr
-$compare t.exr a_normal.exr --mask a_mask.exr --max-mean 1 --max-p95 5 --json
+$compare t.exr a_normal.exr --mask a_mask.exr
+refused 65 "$p t.exr has bisque:normalSpace \"tangent\", a_normal.exr has \"object\": these maps do not compare"
+$compare t.exr a_normal.exr --mask a_mask.exr --force --max-mean 1 --max-p95 5 --json
 code 1
 json '.mean > 20 and (.within_limits | not)'
 grep -q "^$p mean .* is above --max-mean 1$" "$err"
 check "the limit that does not hold is named" $?
-$compare t.exr a_normal.exr --max-mean 180
+$compare t.exr a_normal.exr --force --max-mean 180
 code 0
+
+# Green up against green down is another convention, not an error of some degrees; nor is a mask a map of normals.
+run bisque-bake box.nvdb low.obj --size 64 --maps normal --green down --float -o d.exr
+$compare t.exr d.exr
+refused 65 "$p t.exr has bisque:green \"up\", d.exr has \"down\": these maps do not compare"
+$compare d.exr t.exr --type data
+refused 65 "$p d.exr has bisque:green \"down\", t.exr has \"up\": these maps do not compare"
+$compare d.exr t.exr --force
+code 0
+$compare d.exr d.exr
+code 0
+$compare a_mask.exr a_normal.exr
+refused 65 "$p a_mask.exr has bisque:map \"mask\", a_normal.exr has \"normal\": these maps do not compare"
+rm d.exr
 
 $compare a_normal.exr a_normal.exr --mask-a a_mask.exr --mask-b a_mask.exr --heatmap h.png --histogram g.png
 code 0

@@ -6,6 +6,7 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <unistd.h>
 
 #include <cmocka.h>
@@ -13,6 +14,7 @@
 #include "formats/exr.h"
 #include "libbake/colour_difference_internal.h"
 #include "libbake/compare.h"
+#include "libbake/compare_internal.h"
 
 /* Pairs and differences from table 1 of Sharma, Wu & Dalal 2005. */
 static void ciede2000_matches_published_values(void **state)
@@ -229,11 +231,40 @@ static void different_sizes_and_channels_are_refused(void **state)
     free(a), free(b);
 }
 
+/* A map of 128 texels has a chart of 256 pixels, where five labels have no room beside each other. */
+static void labels_of_scales_do_not_collide(void **state)
+{
+    (void)state;
+    static const double tops[] = {1.2345e-7, 0.000123456, 0.0125, 0.3333, 1, 12.34, 179.99, 123456.7};
+    static const char *const units[] = {"degrees", "dE2000", "difference"};
+    unsigned all_shown = 0;
+    for (int64_t width = 256; width <= 8192; width *= 2)
+        for (unsigned t = 0; t < sizeof tops / sizeof *tops; t++)
+            for (unsigned u = 0; u < 3; u++) {
+                struct bake_scale_label l[BAKE_SCALE_TICKS];
+                unsigned scale = width < 512 ? 1 : (unsigned)(width / 512), shown = 0;
+                bake_scale_layout(width, scale, tops[t], units[u], l);
+                int64_t end = 0; /* of the label before */
+                for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
+                    if (!l[i].shown)
+                        continue;
+                    assert_true(l[i].left >= end && l[i].left + l[i].width <= width);
+                    end = l[i].left + l[i].width + 3 * (int64_t)scale;
+                    shown++;
+                }
+                assert_true(l[0].shown && l[BAKE_SCALE_TICKS - 1].shown);
+                assert_non_null(strstr(l[BAKE_SCALE_TICKS - 1].text, units[u]));
+                all_shown += shown == BAKE_SCALE_TICKS;
+            }
+    assert_true(all_shown > 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(ciede2000_matches_published_values),
         cmocka_unit_test(lab_of_known_colours),
+        cmocka_unit_test(labels_of_scales_do_not_collide),
         cmocka_unit_test_setup_teardown(angles_have_the_right_distribution, set_up, tear_down),
         cmocka_unit_test_setup_teardown(masks_give_the_agreement, set_up, tear_down),
         cmocka_unit_test_setup_teardown(data_has_absolute_and_relative_errors, set_up, tear_down),
