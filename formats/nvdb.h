@@ -104,7 +104,8 @@ struct fmt_nvdb_grid {
  * threads; channels are not touched. Errors: BSQ_ENOINPUT, BSQ_EDATA naming what is wrong. */
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out);
 void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
-/* Verifies the checksums of the whole file. */
+/* Verifies the whole file: the checksums of its sections, that padding is zero, and that every record is one that a
+ * writer may write (FORMATS.md, "Channels"). Errors: BSQ_EDATA naming the section or the record. */
 int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 
 /* Value index of the voxel at index coordinates, 0 where it is not active. */

@@ -58,13 +58,32 @@ static int fail_foreign(const struct head *h)
     copy_name((const char *)h->file + start,
               h->meta->name_bytes < available ? h->meta->name_bytes : available, name);
     uint32_t type = h->meta->grid_type;
+    if (type == 0 || type >= sizeof(types) / sizeof(*types))
+        return bsq_fail(h->ctx, BSQ_EDATA,
+                        "%s: grid \"%s\" of type number %" PRIu32 " is not a Bisque surface grid",
+                        h->path, name, type);
     return bsq_fail(h->ctx, BSQ_EDATA, "%s: grid \"%s\" of type %s is not a Bisque surface grid",
-                    h->path, name, type < sizeof(types) / sizeof(*types) ? types[type] : "?");
+                    h->path, name, types[type]);
+}
+
+/* A surface grid that another program has packed; it cannot be used in place. */
+static int fail_compressed(const struct head *h)
+{
+    static const char *const codecs[] = {"none", "ZIP", "BLOSC"};
+    uint16_t codec = h->header->codec;
+    return bsq_fail(h->ctx, BSQ_EDATA,
+                    "%s: compressed NanoVDB file (codec %s): Bisque reads uncompressed ones",
+                    h->path, codec < 3 ? codecs[codec] : "unknown");
 }
 
 /* File header: decides whose file it is, so its messages are for files that are merely others. */
 static int check_file_header(struct head *h)
 {
+    if (h->size >= sizeof(uint64_t) && (__builtin_bswap64(h->header->magic) == NVDB_MAGIC ||
+                                        __builtin_bswap64(h->header->magic) == NVDB_MAGIC_FILE))
+        return bsq_fail(h->ctx, BSQ_EDATA,
+                        "%s: NanoVDB file of a big-endian machine: Bisque reads little-endian ones",
+                        h->path);
     if (h->size < sizeof(uint64_t) ||
         (h->header->magic != NVDB_MAGIC && h->header->magic != NVDB_MAGIC_GRID &&
          h->header->magic != NVDB_MAGIC_FILE))
@@ -82,8 +101,11 @@ static int check_file_header(struct head *h)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: %u grids: a Bisque surface grid stands alone",
                         h->path, h->header->grid_count);
     uint32_t type = h->meta->grid_type;
-    if ((type != FMT_NVDB_MASK && type != FMT_NVDB_ONINDEX) ||
-        h->meta->name_bytes != NVDB_NAME_BYTES || h->header->codec != 0)
+    if (type != FMT_NVDB_MASK && type != FMT_NVDB_ONINDEX)
+        return fail_foreign(h);
+    if (h->header->codec != 0)
+        return fail_compressed(h);
+    if (h->meta->name_bytes != NVDB_NAME_BYTES)
         return fail_foreign(h);
     if (h->header->version != nvdb_version((enum fmt_nvdb_type)type))
         return fail_version(h);

@@ -4,6 +4,8 @@
  * changed between 32.4 and 32.6, so a full one would be refused by one or the other. The record
  * has an XXH3-64 of every section instead. */
 #include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
 #include <xxhash.h>
 #include <zlib.h>
 
@@ -25,7 +27,14 @@ uint64_t nvdb_record_checksum(const struct nvdb_record *record)
     return XXH3_64bits(record, offsetof(struct nvdb_record, record_checksum));
 }
 
-static int hash_range(struct bsq_ctx *ctx, const uint8_t *data, uint64_t size, uint64_t *hash)
+void nvdb_forget_pages(const void *from, uint64_t size)
+{
+    uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE), begin = (uintptr_t)from / page * page;
+    madvise((void *)begin, (uintptr_t)from + size - begin, MADV_DONTNEED);
+}
+
+static int hash_range(struct bsq_ctx *ctx, const uint8_t *data, uint64_t size, bool forget,
+                      uint64_t *hash)
 {
     XXH3_state_t *state = XXH3_createState();
     if (!state)
@@ -35,7 +44,10 @@ static int hash_range(struct bsq_ctx *ctx, const uint8_t *data, uint64_t size, u
     for (uint64_t done = 0; done < size && status == 0;) {
         uint64_t piece = size - done < PIECE_BYTES ? size - done : PIECE_BYTES;
         XXH3_64bits_update(state, data + done, (size_t)piece);
+        if (forget)
+            nvdb_forget_pages(data + done, piece);
         done += piece;
+        bsq_progress_add(ctx, piece);
         status = bsq_check(ctx);
     }
     *hash = XXH3_64bits_digest(state);
@@ -49,6 +61,7 @@ struct verify {
     const uint8_t *file;
     struct nvdb_layout layout;
     const struct nvdb_record *record;
+    bool forget;
 };
 
 static int verify_section(void *arg, uint64_t index, unsigned worker)
@@ -59,7 +72,7 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     const struct verify *v = arg;
     const struct nvdb_range *range = &v->layout.section[index];
     uint64_t hash = 0;
-    int status = hash_range(v->ctx, v->file + range->offset, range->size, &hash);
+    int status = hash_range(v->ctx, v->file + range->offset, range->size, v->forget, &hash);
     if (status)
         return status;
     if (hash != v->record->checksum[index])
@@ -83,11 +96,18 @@ static int verify_padding(const struct verify *v)
     return 0;
 }
 
-int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+int nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget)
 {
-    struct verify v = {.ctx = ctx, .grid = grid, .file = grid->map.data};
+    struct verify v = {.ctx = ctx, .grid = grid, .file = grid->map.data, .forget = forget};
     nvdb_layout_of(grid, &v.layout);
     v.record = nvdb_record_of(grid, &v.layout);
     int status = bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &v);
-    return status ? status : verify_padding(&v);
+    if (status == 0)
+        status = verify_padding(&v);
+    return status ? status : nvdb_check_records(ctx, grid, forget);
+}
+
+int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    return nvdb_verify(ctx, grid, false);
 }

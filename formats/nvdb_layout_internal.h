@@ -276,6 +276,12 @@ uint64_t nvdb_record_checksum(const struct nvdb_record *record);
  * (fills in everything of `grid`), then all nodes. Both describe the failure. */
 int nvdb_check_head(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
 int nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+/* Checks for fmt_nvdb_verify() that every record is one that a writer may write. */
+int nvdb_check_records(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget);
+/* fmt_nvdb_verify(); with `forget` the pages of the map are given back to the system as it goes, so that little of the file
+ * is resident at a time. The grid must be one that fmt_nvdb_open() mapped, then. */
+int nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget);
+void nvdb_forget_pages(const void *from, uint64_t size);
 /* The layout of a grid that nvdb_check_head() accepted, and its record. */
 void nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);
 const struct nvdb_record *nvdb_record_of(const struct fmt_nvdb_grid *grid,

@@ -110,6 +110,10 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file);
  * index is in range; *out points into scratch. Thread-safe for distinct scratch. */
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out);
+/* Checks everything that FORMATS.md says of the file beyond what opening it does: loads every chunk, on all threads where the
+ * budget has room for a chunk each, and holds it against its entry in the table. *vertices (may be NULL) is the sum of the chunks'
+ * vertices. Errors: BSQ_EDATA naming the chunk and what is wrong with it. */
+int fmt_tris_verify(const struct fmt_tris_file *file, uint64_t *vertices);
 
 #ifdef __cplusplus
 }

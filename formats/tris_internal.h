@@ -70,6 +70,11 @@ struct tris_layout {
     bool short_indices;
 };
 
+/* Describe damage of an open file, or of one of its chunks; return BSQ_EDATA. */
+int tris_damaged(const struct fmt_tris_file *file, const char *what);
+int tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
+struct bsq_ctx *tris_context(const struct fmt_tris_file *file);
+
 static inline uint64_t tris_align8(uint64_t bytes)
 {
     return (bytes + 7) & ~(uint64_t)7;

@@ -26,39 +26,48 @@ struct fmt_tris_file {
 
 /* ---- opening ---- */
 
-static int damaged(const struct fmt_tris_file *file, const char *what)
+int tris_damaged(const struct fmt_tris_file *file, const char *what)
 {
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
 }
 
+struct bsq_ctx *tris_context(const struct fmt_tris_file *file)
+{
+    return file->ctx;
+}
+
 static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
 {
+    if (h->version == __builtin_bswap32(TRIS_VERSION))
+        return bsq_fail(file->ctx, BSQ_EDATA,
+                        "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
+                        file->file.path);
     if (h->version != TRIS_VERSION)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32 ", this program reads version %u",
                         file->file.path, h->version, TRIS_VERSION);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
-        return damaged(file, "the header's checksum does not match");
+        return tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: damaged chunk file: it has %" PRIu64
                         " bytes, its header says %" PRIu64,
                         file->file.path, file->file.size, h->file_bytes);
     if ((h->attributes & ~TRIS_ATTRIBUTES) != 0 || h->reserved != 0)
-        return damaged(file, "unknown attributes");
+        return tris_damaged(file, "unknown attributes");
     if (h->materials_offset < sizeof *h || h->table_offset < h->materials_offset ||
         h->file_bytes < h->table_offset || h->materials_offset % 8 != 0 || h->table_offset % 8 != 0)
-        return damaged(file, "parts of the file overlap");
+        return tris_damaged(file, "parts of the file overlap");
     uint64_t table_bytes = h->file_bytes - h->table_offset;
     if (table_bytes % sizeof(struct tris_table_entry) != 0 ||
         table_bytes / sizeof(struct tris_table_entry) != h->chunk_count)
-        return damaged(file, "the chunk table has another length");
+        return tris_damaged(file, "the chunk table has another length");
     if ((h->table_offset - h->materials_offset) / sizeof(struct tris_material_record) <
         h->material_count)
-        return damaged(file, "too many materials");
+        return tris_damaged(file, "too many materials");
     for (int axis = 0; axis < 3; axis++)
         if (!isfinite(h->origin[axis]))
-            return damaged(file, "the origin is not finite");
+            return tris_damaged(file, "the origin is not finite");
     return 0;
 }
 
@@ -86,9 +95,9 @@ static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *
         return status;
     uint64_t materials_bytes = h->table_offset - h->materials_offset;
     if (XXH3_64bits(file->tail, materials_bytes) != h->materials_checksum)
-        return damaged(file, "the materials' checksum does not match");
+        return tris_damaged(file, "the materials' checksum does not match");
     if (XXH3_64bits(file->tail + materials_bytes, bytes - materials_bytes) != h->table_checksum)
-        return damaged(file, "the chunk table's checksum does not match");
+        return tris_damaged(file, "the chunk table's checksum does not match");
     return 0;
 }
 
@@ -106,16 +115,16 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         struct tris_material_record record;
         struct fmt_tris_material *m = &file->header.materials[i];
         if (bytes - at < sizeof record)
-            return damaged(file, "the materials are cut off");
+            return tris_damaged(file, "the materials are cut off");
         memcpy(&record, file->tail + at, sizeof record);
         at += sizeof record;
         memcpy(m->diffuse, record.diffuse, sizeof m->diffuse);
         if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
-            return damaged(file, "a material's colour is not finite");
+            return tris_damaged(file, "a material's colour is not finite");
         if (record.path_bytes == TRIS_NO_PATH)
             continue;
         if (bytes - at < record.path_bytes || memchr(file->tail + at, 0, record.path_bytes))
-            return damaged(file, "a texture's path is cut off");
+            return tris_damaged(file, "a texture's path is cut off");
         m->texture_path = text;
         memcpy(text, file->tail + at, record.path_bytes);
         text[record.path_bytes] = '\0';
@@ -123,7 +132,7 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         at += record.path_bytes;
     }
     if (tris_align8(at) != bytes)
-        return damaged(file, "the materials have another length");
+        return tris_damaged(file, "the materials have another length");
     return 0;
 }
 
@@ -180,7 +189,7 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
             file->load_size_max = bytes;
     }
     if (offset != h->materials_offset || triangles != h->triangle_count)
-        return damaged(file, "the chunk table does not cover the file");
+        return tris_damaged(file, "the chunk table does not cover the file");
     return 0;
 }
 
@@ -188,12 +197,12 @@ static int check_bounds(const struct fmt_tris_file *file)
 {
     const struct fmt_tris_header *h = &file->header;
     if (!bounds_valid(h->bounds_min, h->bounds_max))
-        return damaged(file, "the bounds are not valid");
+        return tris_damaged(file, "the bounds are not valid");
     for (uint64_t i = 0; i < h->chunk_count; i++)
         for (int axis = 0; axis < 3; axis++)
             if (file->chunks[i].bounds_min[axis] < h->bounds_min[axis] ||
                 file->chunks[i].bounds_max[axis] > h->bounds_max[axis])
-                return damaged(file, "a chunk is outside of the bounds");
+                return tris_damaged(file, "a chunk is outside of the bounds");
     return 0;
 }
 
@@ -207,7 +216,7 @@ static int open_parts(struct fmt_tris_file *file)
     if (got < sizeof h.magic || memcmp(h.magic, TRIS_MAGIC, sizeof h.magic) != 0)
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got < sizeof h)
-        return damaged(file, "the header is cut off");
+        return tris_damaged(file, "the header is cut off");
     if ((status = check_header(file, &h)) < 0)
         return status;
     copy_header(&file->header, &h);
@@ -351,7 +360,7 @@ static bool materials_known(const struct fmt_tris_chunk *chunk, uint32_t materia
     return !unknown;
 }
 
-static int damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
+int tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
 {
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: chunk %" PRIu64 ": %s",
                     file->file.path, index, what);
@@ -388,21 +397,21 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     struct tris_chunk_header header;
     memcpy(&header, bytes, sizeof header);
     if (XXH3_64bits(bytes + 8, l.bytes - 8) != header.checksum)
-        return damaged_chunk(file, index, "the checksum does not match");
+        return tris_damaged_chunk(file, index, "the checksum does not match");
     if (header.triangle_count != info->triangle_count || header.vertex_count != info->vertex_count)
-        return damaged_chunk(file, index, "its counts are not those of the table");
+        return tris_damaged_chunk(file, index, "its counts are not those of the table");
     out->triangle_count = info->triangle_count;
     out->vertex_count = info->vertex_count;
     place_chunk(out, bytes, &l, attributes);
     uint32_t max = take_indices(bytes + l.triangles, l.short_indices,
                                 (uint32_t *)(void *)(bytes + l.bytes), 3 * info->triangle_count);
     if (max >= info->vertex_count)
-        return damaged_chunk(file, index, "an index is out of range");
+        return tris_damaged_chunk(file, index, "an index is out of range");
     if (!positions_inside(out, info))
-        return damaged_chunk(file, index, "a vertex is outside of the bounds");
+        return tris_damaged_chunk(file, index, "a vertex is outside of the bounds");
     if (out->texcoords && !texcoords_finite(out))
-        return damaged_chunk(file, index, "a texture coordinate is not finite");
+        return tris_damaged_chunk(file, index, "a texture coordinate is not finite");
     if (out->materials && !materials_known(out, file->header.material_count))
-        return damaged_chunk(file, index, "a material number is out of range");
+        return tris_damaged_chunk(file, index, "a material number is out of range");
     return 0;
 }

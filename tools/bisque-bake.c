@@ -8,6 +8,7 @@
 static const char help[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
+    "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-polygon mesh: fast from a\n"
     "voxel grid (SCAN.nvdb), or exact from the scan's own triangles (SCAN.tris).\n"
     "<MAP> in the output's name is replaced by normal, color or mask. A name that ends in .png\n"
@@ -30,7 +31,8 @@ static const char help[] =
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
     "      --device NAME       auto, cpu, cuda, cuda:N, opencl or opencl:N (default: auto)\n"
-    "      --list-devices      print the devices and end\n" CLI_COMMON_HELP;
+    "      --list-devices      print the devices and end\n"
+    "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
 
 enum {
     OPT_MAPS = CLI_OWN,
@@ -49,7 +51,8 @@ enum {
     OPT_PNG_BITS,
     OPT_PREVIEW,
     OPT_DEVICE,
-    OPT_LIST_DEVICES
+    OPT_LIST_DEVICES,
+    OPT_VERIFY
 };
 
 static const struct option long_options[] = {
@@ -71,6 +74,7 @@ static const struct option long_options[] = {
     {"preview", required_argument, NULL, OPT_PREVIEW},
     {"device", required_argument, NULL, OPT_DEVICE},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
+    {"verify", no_argument, NULL, OPT_VERIFY},
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
 };
@@ -92,7 +96,10 @@ enum { MAP_KINDS = sizeof map_names / sizeof map_names[0] };
 
 struct arguments {
     struct bake_options bake;
-    bool exr_type_given, list_devices;
+    bool exr_type_given, list_devices, verify;
+    const char *job_option; /* name of one that is of no use to --verify, NULL: none given */
+    char **files;           /* to verify */
+    int file_count;
     uint64_t png_bits; /* 0: not given */
 };
 
@@ -250,6 +257,9 @@ static int parse_option(struct cli *cli, struct arguments *arguments, int option
     case OPT_LIST_DEVICES:
         arguments->list_devices = true;
         return 0;
+    case OPT_VERIFY:
+        arguments->verify = true;
+        return 0;
     default:
         return cli_common_option(cli, option, help);
     }
@@ -271,6 +281,12 @@ static int choose_format(struct cli *cli, struct arguments *arguments)
 static int check_arguments(struct cli *cli, struct arguments *arguments, int count, char **inputs)
 {
     struct bake_options *bake = &arguments->bake;
+    arguments->files = inputs;
+    arguments->file_count = count;
+    if (arguments->verify && arguments->job_option)
+        return cli_usage(cli, "--verify only checks files: leave out --%s", arguments->job_option);
+    if (arguments->verify)
+        return count > 0 ? 0 : cli_usage(cli, "no input file given (see --help)");
     if (arguments->list_devices)
         return count == 0 ? 0 : cli_usage(cli, "--list-devices takes no files");
     if (count != 2)
@@ -293,6 +309,8 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
         int status = parse_option(cli, arguments, option);
         if (status != 0)
             return status;
+        if (option >= CLI_OWN || option == 'o')
+            arguments->job_option = option == OPT_VERIFY ? arguments->job_option : cli_option_name(long_options, option);
     }
     return check_arguments(cli, arguments, argc - optind, argv + optind);
 }
@@ -509,7 +527,9 @@ int main(int argc, char **argv)
     int status = parse_arguments(&cli, &arguments, argc, argv);
     if (status == 0)
         status = cli_create_context(&cli);
-    if (status == 0)
+    if (status == 0 && arguments.verify)
+        status = cli_verify(&cli, arguments.files, arguments.file_count);
+    else if (status == 0)
         status = arguments.list_devices ? list_devices(&cli) : bake_maps(&cli, &arguments);
     return cli_end(&cli, status);
 }

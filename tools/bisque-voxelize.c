@@ -12,6 +12,7 @@
 static const char help[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris -o SCAN.nvdb\n"
+    "       bisque-voxelize --verify FILE...\n"
     "Turns a scan of any size into a sparse grid of surface voxels with normals and colours.\n"
     "Several OBJ files are read as one scan. The scan's sorted triangles are kept in a chunk file\n"
     "(SCAN.tris), from which grids of other resolutions can be made without reading the OBJ "
@@ -28,7 +29,8 @@ static const char help[] =
     "      --no-tris           do not keep the chunk file\n"
     "      --parse-only        read the OBJ files and keep nothing, to measure the reader\n"
     "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the "
-    "output's)\n" CLI_COMMON_HELP;
+    "output's)\n"
+    "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
 
 enum {
     OPT_RESOLUTION = CLI_OWN,
@@ -39,7 +41,8 @@ enum {
     OPT_TEXTURE,
     OPT_TRIS,
     OPT_NO_TRIS,
-    OPT_PARSE_ONLY
+    OPT_PARSE_ONLY,
+    OPT_VERIFY
 };
 
 static const struct option long_options[] = {
@@ -54,6 +57,7 @@ static const struct option long_options[] = {
     {"no-tris", no_argument, NULL, OPT_NO_TRIS},
     {"parse-only", no_argument, NULL, OPT_PARSE_ONLY},
     CLI_TMPDIR_OPTION,
+    {"verify", no_argument, NULL, OPT_VERIFY},
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
 };
@@ -69,7 +73,8 @@ struct arguments {
     enum vox_grid_type grid_type;
     enum vox_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
-    bool no_tris, parse_only;
+    bool no_tris, parse_only, verify;
+    const char *job_option; /* name of one that is of no use to --verify, NULL: none given */
 };
 
 struct job {
@@ -135,6 +140,9 @@ static int parse_option(struct cli *cli, struct arguments *arguments, int option
     case OPT_PARSE_ONLY:
         arguments->parse_only = true;
         return 0;
+    case OPT_VERIFY:
+        arguments->verify = true;
+        return 0;
     default:
         return cli_common_option(cli, option, help);
     }
@@ -144,6 +152,10 @@ static int check_arguments(struct cli *cli, const struct arguments *arguments)
 {
     if (arguments->input_count == 0)
         return cli_usage(cli, "no input file given (see --help)");
+    if (arguments->verify && arguments->job_option)
+        return cli_usage(cli, "--verify only checks files: leave out --%s", arguments->job_option);
+    if (arguments->verify)
+        return 0;
     if (arguments->parse_only && arguments->output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
     if (!arguments->parse_only && !arguments->output)
@@ -162,6 +174,8 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
         int status = parse_option(cli, arguments, option);
         if (status != 0)
             return status;
+        if (option >= CLI_OWN || option == 'o')
+            arguments->job_option = option == OPT_VERIFY ? arguments->job_option : cli_option_name(long_options, option);
     }
     arguments->inputs = (const char *const *)argv + optind;
     arguments->input_count = (uint32_t)(argc - optind);
@@ -433,6 +447,8 @@ static int do_work(struct job *job)
 static int run(struct cli *cli, const struct arguments *arguments)
 {
     struct job job = {.cli = cli, .arguments = arguments, .tris_file = BSQ_FILE_CLOSED};
+    if (arguments->verify)
+        return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
     int status = recognise_inputs(&job);
     if (status == 0)
         status = do_work(&job);

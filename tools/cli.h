@@ -112,6 +112,13 @@ bool cli_same_file(const char *a, const char *b);
 int cli_check_output(struct cli *cli, const char *path, const char *const *inputs,
                      uint32_t input_count);
 
+/* Name of the last option that getopt_long() returned with `option`; of a short one that of its long form. */
+const char *cli_option_name(const struct option *options, int option);
+
+/* Checks whole files, .tris or .nvdb, each alone, and prints a line on each: what a sound one is on standard output, what is
+ * wrong with another on standard error. All are checked; returns the status of the first that is not sound. */
+int cli_verify(struct cli *cli, char *const *paths, int count);
+
 /* ---- reports ---- */
 
 /* Callbacks of the context; `user` is the struct cli. */

@@ -45,19 +45,26 @@ static int compare_voxels(const void *a, const void *b)
     return compare(((const struct scene_voxel *)a)->ijk, ((const struct scene_voxel *)b)->ijk);
 }
 
+/* Any record that a writer may write: no half of a normal and no offset is -32768, and colours are opaque. */
+static struct fmt_nvdb_record random_record(uint64_t *state)
+{
+    struct fmt_nvdb_record r = {(uint32_t)scene_next(state), (uint32_t)scene_next(state) & 0xffffff,
+                                (uint32_t)scene_next(state) | 0xff000000u};
+    r.normal ^= (r.normal & 0xffff) == 0x8000;
+    r.normal ^= r.normal >> 16 == 0x8000 ? 0x10000 : 0;
+    r.plane ^= (r.plane & 0xffff) == 0x8000;
+    return r;
+}
+
 static void fill_records(struct scene *scene, uint64_t *state)
 {
     scene->second_count = 0;
     for (uint64_t i = 0; i < scene->count; i++) {
         struct scene_voxel *v = &scene->voxels[i];
-        v->first.normal = (uint32_t)scene_next(state);
-        v->first.plane = (uint32_t)scene_next(state) & 0xffffff;
-        v->first.color = (uint32_t)scene_next(state);
+        v->first = random_record(state);
         if (scene_next(state) % 5 == 0) {
             v->first.plane |= FMT_NVDB_PLANE_SECOND;
-            v->second.normal = (uint32_t)scene_next(state);
-            v->second.plane = (uint32_t)scene_next(state) & 0xffffff;
-            v->second.color = (uint32_t)scene_next(state);
+            v->second = random_record(state);
             scene->second_count++;
         }
     }

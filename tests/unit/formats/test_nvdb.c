@@ -559,8 +559,8 @@ static void flip_bytes(enum fmt_nvdb_type type, bool forged, uint64_t stride)
                 assert_int_equal(fmt_nvdb_verify(file.ctx, &grid), BSQ_EDATA);
         } else if (at >= file.layout.section[NVDB_NORMALS].offset &&
                    at < file.layout.section[NVDB_SECONDS].offset) {
-            fail_msg("channels are not read on opening, but byte %llu matters",
-                     (unsigned long long)at);
+            fail_msg("channels are not read on opening, but byte %llu matters: %s",
+                     (unsigned long long)at, bsq_error(file.ctx));
         }
         memcpy(bytes + at, file.bytes + at, 1);
         if (forged)

@@ -1,0 +1,79 @@
+/* verify.c - tells the kind of a file, and runs the checks of that kind over all of it. */
+#include "formats/verify.h"
+#include "base/file.h"
+#include "formats/nvdb_layout_internal.h"
+#include "formats/tris_internal.h"
+
+#include <string.h>
+
+static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
+{
+    struct fmt_tris_file *file;
+    int status = fmt_tris_open(ctx, path, &file);
+    if (status < 0)
+        return status;
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
+    report->kind = FMT_VERIFY_TRIS;
+    report->version = TRIS_VERSION;
+    report->triangles = header->triangle_count;
+    report->chunks = header->chunk_count;
+    bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
+    status = fmt_tris_verify(file, &report->vertices);
+    bsq_progress_end(ctx);
+    fmt_tris_close(file);
+    return status;
+}
+
+static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
+{
+    struct fmt_nvdb_grid grid;
+    int status = fmt_nvdb_open(ctx, path, &grid);
+    if (status < 0)
+        return status;
+    uint32_t version = nvdb_version(grid.info.type);
+    report->kind = FMT_VERIFY_NVDB;
+    report->version = NVDB_RECORD_VERSION;
+    report->nanovdb_version[0] = version >> 21;
+    report->nanovdb_version[1] = version >> 10 & 2047;
+    report->nanovdb_version[2] = version & 1023;
+    report->type = grid.info.type;
+    report->triangles = grid.info.source_triangles;
+    report->voxels = grid.voxel_count;
+    report->second_records = grid.record_count - 1 - grid.voxel_count;
+    report->voxel_size = grid.info.voxel_size;
+    report->has_color = grid.info.has_color;
+    nvdb_forget_pages(grid.map.data, grid.map.size);
+    bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
+    status = nvdb_verify(ctx, &grid, true);
+    bsq_progress_end(ctx);
+    fmt_nvdb_close(ctx, &grid);
+    return status;
+}
+
+/* Both kinds, and the file of a machine with the other order of bytes, whose own check names it. */
+static bool is_nanovdb(const char magic[8])
+{
+    return memcmp(magic, "NanoVDB", 7) == 0 || memcmp(magic + 1, "BDVonaN", 7) == 0;
+}
+
+int fmt_verify(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
+{
+    struct bsq_file file;
+    char magic[8] = {0};
+    uint64_t got;
+    memset(report, 0, sizeof *report);
+    int status = bsq_file_open(ctx, path, &file);
+    if (status < 0)
+        return status;
+    status = bsq_file_read_some(ctx, &file, magic, sizeof magic, 0, &got);
+    report->file_bytes = file.size;
+    bsq_file_close(ctx, &file);
+    if (status < 0)
+        return status;
+    if (memcmp(magic, TRIS_MAGIC, sizeof magic) == 0)
+        return verify_tris(ctx, path, report);
+    if (is_nanovdb(magic))
+        return verify_nvdb(ctx, path, report);
+    return bsq_fail(ctx, BSQ_EDATA, "%s: neither a chunk file nor a NanoVDB file%s", path,
+                    memcmp(magic, " BDV", 4) == 0 ? ", but one of OpenVDB" : "");
+}

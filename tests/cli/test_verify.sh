@@ -1,0 +1,204 @@
+#!/bin/sh
+# test_verify.sh - --verify of both programs: sound files, damage anywhere, other versions, other machines' and other
+# programs' files.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+p=bisque-voxelize:
+verify="run bisque-voxelize --verify"
+
+# put FILE OFFSET BYTE...: bytes as numbers.
+put()
+{
+    file=$1 at=$2
+    shift 2
+    for byte; do
+        printf "\\$(printf %o "$byte")"
+    done | dd of="$file" bs=1 seek="$at" conv=notrunc status=none
+}
+
+# byte FILE OFFSET
+byte()
+{
+    od -An -tu1 -j "$2" -N 1 "$1" | tr -d ' '
+}
+
+write_box >box.obj
+run bisque-voxelize box.obj -o box.nvdb --resolution 24 --scan-normals flat
+run bisque-voxelize box.tris -o on.nvdb --resolution 24 --grid-type onindex
+code 0
+
+# ---- sound files, alone and together, by both programs ----
+
+tris_line="box.tris: ok (chunk file of version 1: 12 triangles and 8 vertices in 1 chunk, $(wc -c <box.tris) B)"
+for program in bisque-voxelize bisque-bake; do
+    run $program --verify box.tris
+    code 0
+    [ "$(cat "$out")" = "$tris_line" ] && [ ! -s "$err" ]
+    check "$program: $tris_line" $?
+done
+$verify box.nvdb on.nvdb box.tris
+code 0
+out_like '^box\.nvdb: ok \(surface grid of version 1, NanoVDB 32\.4\.2 mask: 1,224 voxels and 0 second records of 12 triangles, '
+out_like '^on\.nvdb: ok \(surface grid of version 1, NanoVDB 32\.6\.0 onindex: 1,224 voxels and 0 second records of 12 triangles, '
+out_like '^box\.tris: ok '
+$verify box.tris box.nvdb --json
+code 0
+json '.files | map(.ok) == [true, true]'
+json '.files[0] | .kind == "tris" and .version == 1 and .triangles == 12 and .vertices == 8 and .chunks == 1'
+json '.files[1] | .kind == "nvdb" and .nanovdb_version == [32, 4, 2] and .voxels == 1224 and .voxel_size == 0.125'
+files box.obj box.nvdb box.tris on.nvdb
+
+# Attributes, several chunks, second records; the memory of one chunk is enough.
+"$TESTS/generate-scan" --triangles 150000 --colors --normals --uvs vase -o vase.obj
+printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
+printf 'P3 1 1 255 9 9 9\n' >dot.ppm
+{ printf 'mtllib vase.mtl\nusemtl glaze\n'; cat vase.obj; } >full.obj
+run bisque-voxelize full.obj -o full.nvdb --resolution 300 --vdb full.vdb
+code 0
+$verify full.tris full.nvdb --json --threads 4 --memory 12M
+code 0
+json '.files[0].chunks > 2 and .files[1].has_color and .cost.memory_high_bytes < 12 * 1048576'
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 .02\nv 1 0 .02\nv 1 1 .02\nf 3 2 1\nf 4 5 6\n' >sheet.obj
+run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
+$verify sheet.nvdb
+code 0
+out_like ' and [1-9][0-9]* second records of 2 triangles, '
+
+# ---- one damaged file does not hide another; the first one's code counts ----
+
+cp box.tris bad.tris
+put bad.tris 200 $((255 - $(byte bad.tris 200)))
+$verify bad.tris missing box.nvdb
+code 65
+[ "$(cat "$err")" = "$p bad.tris: damaged chunk file: chunk 0: the checksum does not match
+$p missing: No such file or directory" ]
+check "both failures are reported" $?
+grep -q '^box\.nvdb: ok ' "$out" && [ "$(wc -l <"$out")" -eq 1 ]
+check "and the sound file too" $?
+$verify missing bad.tris
+code 66
+$verify bad.tris --json
+code 65
+json '.files == [{path: "bad.tris", ok: false, status: 65, error: "bad.tris: damaged chunk file: chunk 0: the checksum does not match"}]'
+
+# ---- no byte can change unseen ----
+
+# damage FILE OFFSET...
+damage()
+{
+    file=$1 unseen= count=0
+    shift
+    for offset; do
+        before=$(byte "$file" "$offset")
+        put "$file" "$offset" $((before ^ 64))
+        $verify "$file"
+        [ "$code" -eq 65 ] && [ "$(wc -l <"$err")" -eq 1 ] && [ ! -s "$out" ] || unseen="$unseen $offset"
+        put "$file" "$offset" "$before"
+        count=$((count + 1))
+    done
+    $verify "$file"
+    [ "$code" -eq 0 ] && [ -z "$unseen" ]
+    check "each of $count damaged bytes of $file is found${unseen:+, not$unseen}" $?
+}
+
+end=$(wc -c <box.tris)
+damage box.tris $(seq 0 3 $((end - 1)))
+end=$(wc -c <box.nvdb)
+damage box.nvdb $(seq 0 23 1100) $(seq 1101 9001 $((end - 2200))) $(seq $((end - 2199)) 47 $((end - 1)))
+for file in box.tris box.nvdb; do
+    size=$(wc -c <$file) unseen=
+    for length in 0 7 8 100 223 224 1000 $((size / 2)) $((size - 192)) $((size - 1)) $((size + 1)); do
+        [ "$length" -gt "$size" ] && { cat $file; echo; } >part || head -c "$length" $file >part
+        $verify part
+        [ "$code" -eq 65 ] || unseen="$unseen $length"
+    done
+    [ -z "$unseen" ]
+    check "$file of any other length is refused${unseen:+, not$unseen}" $?
+done
+
+# ---- what it is instead ----
+
+# other FILE LINE: refused with this line.
+other()
+{
+    $verify "$1"
+    refused 65 "$p $1: $2"
+}
+reads='Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)'
+cp box.tris x.tris
+put x.tris 8 7
+other x.tris 'chunk file of version 7, this program reads version 1'
+put x.tris 8 0 0 0 1
+other x.tris 'chunk file with its bytes in big-endian order: Bisque reads little-endian ones'
+# A version is major << 21 | minor << 10 | patch.
+cp box.nvdb x.nvdb
+put x.nvdb 8 0 36 0 5
+other x.nvdb "NanoVDB file of version 40.9.0: $reads"
+put x.nvdb 8 0 28 0 4
+other x.nvdb "NanoVDB file of version 32.7.0: $reads"
+put x.nvdb 7 50 # "NanoVDB2", as newer files begin
+other x.nvdb "NanoVDB file of version 32.7.0: $reads"
+put x.nvdb 7 49
+other x.nvdb 'a NanoVDB grid without file header'
+printf '0BDVonaN' | dd of=x.nvdb conv=notrunc status=none
+other x.nvdb 'NanoVDB file of a big-endian machine: Bisque reads little-endian ones'
+cp box.nvdb x.nvdb
+put x.nvdb $(($(wc -c <box.nvdb) - 184)) 9
+other x.nvdb 'surface grid of version 9: this Bisque reads version 1'
+
+for type in 1:float 6:Vec3f 19:Index 21:IndexMask; do
+    cp box.nvdb x.nvdb
+    put x.nvdb 48 "${type%:*}"
+    other x.nvdb "grid \"surface\" of type ${type#*:} is not a Bisque surface grid"
+done
+cp box.nvdb x.nvdb
+put x.nvdb 48 99 # a type that NanoVDB may have some day
+other x.nvdb 'grid "surface" of type number 99 is not a Bisque surface grid'
+cp box.nvdb x.nvdb
+put x.nvdb 48 20
+other x.nvdb "NanoVDB file of version 32.4.2: $reads"
+cp on.nvdb y.nvdb # another program's OnIndex grid: the name has no padding
+put y.nvdb 152 8
+other y.nvdb 'grid "surface" of type OnIndex is not a Bisque surface grid'
+
+# Grids that NanoVDB's own tool wrote: of another type, of the same type, compressed, several.
+if command -v nanovdb_convert >/dev/null; then
+    nanovdb_convert -f -g N full.vdb n.nvdb >/dev/null 2>&1
+    other n.nvdb 'grid "N" of type Vec3f is not a Bisque surface grid'
+    nanovdb_convert -f -g surface full.vdb m.nvdb >/dev/null 2>&1
+    other m.nvdb 'grid "surface" of type Mask is not a Bisque surface grid'
+    nanovdb_convert -f -z -g surface full.vdb z.nvdb >/dev/null 2>&1
+    other z.nvdb 'compressed NanoVDB file (codec ZIP): Bisque reads uncompressed ones'
+else
+    skip "grids of NanoVDB's own tool" "nanovdb_convert is not installed"
+fi
+other full.vdb 'neither a chunk file nor a NanoVDB file, but one of OpenVDB'
+other box.obj 'neither a chunk file nor a NanoVDB file'
+: >empty
+other empty 'neither a chunk file nor a NanoVDB file'
+$verify .
+code 66
+
+# The baker says the same of such a file.
+run bisque-bake y.nvdb box.obj -o map.exr
+refused 65 'bisque-bake: y.nvdb: grid "surface" of type OnIndex is not a Bisque surface grid'
+
+# ---- usage ----
+
+$verify
+refused 64 "$p no input file given (see --help)"
+$verify box.tris -o out.nvdb
+refused 64 "$p --verify only checks files: leave out --output"
+$verify box.tris --resolution 9
+refused 64 "$p --verify only checks files: leave out --resolution"
+run bisque-bake --verify
+refused 64 "bisque-bake: no input file given (see --help)"
+run bisque-bake --size 9 --verify box.nvdb
+refused 64 "bisque-bake: --verify only checks files: leave out --size"
+for program in bisque-voxelize bisque-bake; do
+    run $program --help
+    out_like --verify
+    man_page $program verify
+done
+finish

@@ -1,0 +1,87 @@
+/* cli_verify.c - --verify: are these files whole? */
+#include "formats/verify.h"
+#include "tools/cli.h"
+
+const char *cli_option_name(const struct option *options, int option)
+{
+    while (options->name && options->val != option)
+        options++;
+    return options->name;
+}
+
+static void print_sound(const char *path, const struct fmt_verify_report *r)
+{
+    char triangles[CLI_TEXT], parts[CLI_TEXT], more[CLI_TEXT], size[CLI_TEXT];
+    cli_count_text(r->triangles, triangles);
+    cli_size_text(r->file_bytes, size);
+    if (r->kind == FMT_VERIFY_TRIS)
+        printf("%s: ok (chunk file of version %u: %s triangles and %s vertices in %s chunk%s, %s)\n", path, r->version,
+               triangles, cli_count_text(r->vertices, more), cli_count_text(r->chunks, parts), r->chunks == 1 ? "" : "s",
+               size);
+    else
+        printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s voxels and %s second records of %s triangles%s, "
+               "%s)\n",
+               path, r->version, r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
+               r->type == FMT_NVDB_MASK ? "mask" : "onindex", cli_count_text(r->voxels, parts),
+               cli_count_text(r->second_records, more), triangles, r->has_color ? ", with colour" : "", size);
+}
+
+static json_t *sound_json(const char *path, const struct fmt_verify_report *r)
+{
+    if (r->kind == FMT_VERIFY_TRIS)
+        return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I}", "path", cli_json_text(path), "ok", 1, "kind", "tris",
+                         "version", (int)r->version, "file_bytes", (json_int_t)r->file_bytes, "triangles",
+                         (json_int_t)r->triangles, "vertices", (json_int_t)r->vertices, "chunks", (json_int_t)r->chunks);
+    return json_pack("{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path", cli_json_text(path),
+                     "ok", 1, "kind", "nvdb", "version", (int)r->version, "nanovdb_version", (int)r->nanovdb_version[0],
+                     (int)r->nanovdb_version[1], (int)r->nanovdb_version[2], "grid_type",
+                     r->type == FMT_NVDB_MASK ? "mask" : "onindex", "file_bytes", (json_int_t)r->file_bytes, "triangles",
+                     (json_int_t)r->triangles, "voxels", (json_int_t)r->voxels, "second_records",
+                     (json_int_t)r->second_records, "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
+}
+
+/* Checks one file. The entry for the list, NULL where there is no list or no memory. */
+static int verify_file(struct cli *cli, const char *path, json_t **entry)
+{
+    struct fmt_verify_report report;
+    int status = fmt_verify(cli->ctx, path, &report);
+    *entry = NULL;
+    cli_clear_bar(cli);
+    if (status < 0)
+        fprintf(stderr, "%s: %s\n", cli->program, bsq_error(cli->ctx));
+    else if (!cli->json)
+        print_sound(path, &report);
+    if (cli->json && status == 0)
+        *entry = sound_json(path, &report);
+    else if (cli->json)
+        *entry = json_pack("{s:o, s:b, s:i, s:o}", "path", cli_json_text(path), "ok", 0, "status", -status, "error",
+                           cli_json_text(bsq_error(cli->ctx)));
+    return status;
+}
+
+int cli_verify(struct cli *cli, char *const *paths, int count)
+{
+    json_t *list = cli->json ? json_array() : NULL;
+    bool complete = true;
+    int result = 0;
+    for (int i = 0; i < count; i++) {
+        json_t *entry;
+        int status = verify_file(cli, paths[i], &entry);
+        if (cli->json && (!list || !entry || json_array_append_new(list, entry) != 0))
+            complete = false;
+        result = result < 0 ? result : status;
+        if (status == BSQ_EINTR)
+            break;
+        if (status < 0)
+            bsq_clear_error(cli->ctx);
+    }
+    cli->reported = result < 0;
+    if (cli->json) {
+        int status = cli_print_json(cli, complete ? json_pack("{s:O}", "files", list) : NULL);
+        if (status < 0)
+            cli->reported = false;
+        result = result < 0 ? result : status;
+        json_decref(list);
+    }
+    return result;
+}
