@@ -15,9 +15,9 @@ ARCH ?= $(if $(filter x86_64,$(shell uname -m)),-march=x86-64-v2)
 WARN := -Wall -Wextra -Wshadow -Wpointer-arith -Wstrict-prototypes -Wmissing-prototypes -Wvla
 opt.release := -O3 -g
 opt.debug   := -O0 -g3
-opt.asan    := -O1 -g -fsanitize=address,undefined -fno-omit-frame-pointer -fno-sanitize-recover=undefined
+opt.asan    := -O1 -g -fsanitize=address,undefined,float-cast-overflow -fno-omit-frame-pointer -fno-sanitize-recover=all
 opt.tsan    := -O1 -g -fsanitize=thread
-opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=undefined
+opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined,float-cast-overflow -fno-sanitize-recover=all
 ifndef opt.$(config)
 $(error config=$(config) is not one of release, debug, asan, tsan, fuzz)
 endif
@@ -185,17 +185,20 @@ $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash -lm
 
-# Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME. Elsewhere than in config=fuzz they
-# become programs that replay files.
+# Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.OTHER has what they share. Elsewhere than
+# in config=fuzz they become programs that replay files.
 fuzz_names := $(patsubst tests/fuzz/fuzz_%.c,%,$(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c)))
+fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
+fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o $(BUILD)/obj/tests/unit/formats/nvdb_scene.c.o
+fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
-$(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(BUILD)/obj/tests/fuzz/fuzz_file.c.o \
-    $(BUILD)/obj/tests/fuzz/replay.c.o $(archive.formats) $(archive.base)
+$(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \
+    $(BUILD)/obj/tests/fuzz/replay.c.o $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
-$(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(BUILD)/obj/tests/fuzz/fuzz_file.c.o $(archive.formats) $(archive.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+$(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.base)
+	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)

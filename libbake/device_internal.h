@@ -18,6 +18,11 @@ struct bake_job {
     struct bk_params params;
 };
 
+/* Voxels that can be traced have indices in -BAKE_INDEX_LIMIT .. BAKE_INDEX_LIMIT - 1, so that neither neighbours
+ * nor distances from a ray's origin overflow 32 bits. Bisque writes no others, but its format allows them: BSQ_EDATA. */
+#define BAKE_INDEX_LIMIT (1 << 30)
+int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+
 /* Fills the grid part of params (bounds, counts, second_base, BK_HAS_COLOR). */
 void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params);
 

@@ -22,6 +22,17 @@ struct native {
     bake_native_tile *tile;
 };
 
+int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    for (int k = 0; k < 3; k++)
+        if (grid->index_min[k] < -BAKE_INDEX_LIMIT || grid->index_max[k] >= BAKE_INDEX_LIMIT)
+            return bsq_fail(ctx, BSQ_EDATA,
+                            "%s: voxels from index %d to %d along %c: rays reach those from %d to %d",
+                            grid->map.path, grid->index_min[k], grid->index_max[k], "xyz"[k],
+                            -BAKE_INDEX_LIMIT, BAKE_INDEX_LIMIT - 1);
+    return 0;
+}
+
 /* The widest code that this processor can run. */
 static bake_native_tile *choose_code(void)
 {

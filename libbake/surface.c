@@ -23,6 +23,11 @@ static int open_grid(struct bake_surface *surface, const struct bake_options *op
     int status = fmt_nvdb_open(surface->ctx, options->scan_path, &surface->grid);
     if (status < 0)
         return status;
+    status = bake_check_grid(surface->ctx, &surface->grid);
+    if (status < 0) {
+        fmt_nvdb_close(surface->ctx, &surface->grid);
+        return status;
+    }
     const struct fmt_nvdb_info *info = &surface->grid.info;
     surface->has_color = surface->color = info->has_color;
     memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);

@@ -19,7 +19,7 @@ struct bake_surface {
 };
 
 /* Opens the scan by what the file holds. options: of the whole job. *out must stay where it is.
- * Errors: those of fmt_nvdb_open() and bake_exact_open(); BSQ_EUSAGE for options that the kind of
+ * Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for options that the kind of
  * file does not know. */
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out);

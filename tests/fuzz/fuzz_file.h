@@ -9,8 +9,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 /* Stops the run with the reason, so that the fuzzer keeps the input. */
 void require(bool good, const char *what);
 
-/* Writes the bytes to a file in memory and calls `use` with its path, under a budget of 64 MiB. A failure must be
- * bad data or too little memory, in one line; nothing may be left allocated. Returns 0. */
+/* Calls `use` in a context of one thread and 64 MiB. A failure must be bad data or too little memory, in one line;
+ * nothing may be left allocated. */
+void fuzz_in_context(int (*use)(struct bsq_ctx *ctx));
+
+/* The same with a file in memory that holds the bytes. Returns 0. */
 int fuzz_file(const uint8_t *data, size_t size, const char *name,
               int (*use)(struct bsq_ctx *ctx, const char *path));
 

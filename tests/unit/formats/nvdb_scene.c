@@ -70,6 +70,16 @@ static void fill_records(struct scene *scene, uint64_t *state)
     }
 }
 
+void scene_sort(struct scene *scene)
+{
+    qsort(scene->voxels, scene->count, sizeof(*scene->voxels), compare_voxels);
+    uint64_t kept = 0;
+    for (uint64_t i = 0; i < scene->count; i++)
+        if (kept == 0 || compare(scene->voxels[kept - 1].ijk, scene->voxels[i].ijk) != 0)
+            scene->voxels[kept++] = scene->voxels[i];
+    scene->count = kept;
+}
+
 void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster, bool extremes)
 {
     static const int32_t centres[][3] = {
@@ -91,12 +101,7 @@ void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster, bool
             }
         }
     }
-    qsort(scene->voxels, scene->count, sizeof(*scene->voxels), compare_voxels);
-    uint64_t kept = 0;
-    for (uint64_t i = 0; i < scene->count; i++)
-        if (kept == 0 || compare(scene->voxels[kept - 1].ijk, scene->voxels[i].ijk) != 0)
-            scene->voxels[kept++] = scene->voxels[i];
-    scene->count = kept;
+    scene_sort(scene);
     fill_records(scene, &state);
     scene->info = (struct fmt_nvdb_info){
         .type = FMT_NVDB_MASK,

@@ -22,6 +22,8 @@ struct scene {
 /* About `per_cluster` voxels around each of several points: several root tiles, both signs, borders
  * of nodes, and (with `extremes`) the ends of the coordinate range. */
 void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster, bool extremes);
+/* Puts voxels into the order of the file; of several in one place the first stays. */
+void scene_sort(struct scene *scene);
 void scene_free(struct scene *scene);
 
 /* Number of the voxel in scene->voxels, or UINT64_MAX. */

@@ -304,12 +304,41 @@ static void test_range(void **state)
     fmt_nvdb_close(context, &grid);
 }
 
+/* Overflowed the kernel's integers before such grids were refused: layers of voxels minus a ray's origin. */
+static void test_voxels_at_the_ends_of_the_index_range_are_refused(void **state)
+{
+    (void)state;
+    static const struct {
+        double low, high;
+        int status;
+    } cases[] = {{-2147483648.0, 2147483647.0, BSQ_EDATA},
+                 {0, 2147483647.0, BSQ_EDATA},
+                 {-1073741825.0, 0, BSQ_EDATA},
+                 {0, 1073741824.0, BSQ_EDATA},
+                 {-1073741824.0, 1073741823.0, 0}};
+
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct analytic_grid *source = analytic_grid_create();
+        const double low[3] = {3, cases[i].low, 5}, high[3] = {3, cases[i].high, 5};
+        const double up[3] = {0, 1, 0};
+        struct fmt_nvdb_grid grid;
+        analytic_grid_add(source, low, up, 1, NULL);
+        analytic_grid_add(source, high, up, 1, NULL);
+        analytic_grid_open(context, source, false, &grid);
+        analytic_grid_free(source);
+        assert_int_equal(bake_check_grid(context, &grid), cases[i].status);
+        fmt_nvdb_close(context, &grid);
+        bsq_clear_error(context);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_sphere),       cmocka_unit_test(test_sine_accuracy),
         cmocka_unit_test(test_sine_nearest), cmocka_unit_test(test_thin_plate),
         cmocka_unit_test(test_range),
+        cmocka_unit_test(test_voxels_at_the_ends_of_the_index_range_are_refused),
     };
     return cmocka_run_group_tests(tests, make_context, free_context);
 }

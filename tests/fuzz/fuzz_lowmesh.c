@@ -1,0 +1,80 @@
+/* fuzz_lowmesh.c - fuzz target for low meshes: what loads has unit frames and can be rasterised, in small tiles and
+ * with several samples a texel. */
+#include "tests/fuzz/fuzz_file.h"
+
+#include <math.h>
+
+#include "libbake/raster_internal.h"
+
+enum { SIDE = 12, SAMPLES = 2, TILE = 5 };
+
+static float length(const float v[3])
+{
+    return sqrtf(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+}
+
+static void check_mesh(const struct bake_lowmesh *mesh)
+{
+    require(mesh->triangle_count > 0, "a mesh without triangles");
+    for (uint64_t t = 0; t < mesh->triangle_count; t++)
+        for (int i = 0; i < 3; i++) {
+            float tangent = length(mesh->tangents[t][i]), sign = mesh->tangents[t][i][3];
+            require(fabsf(length(mesh->normals[t][i]) - 1.0f) < 1e-3f, "a normal that is no unit vector");
+            require(tangent == 0.0f || fabsf(tangent - 1.0f) < 1e-3f, "a tangent that is no unit vector");
+            require(sign == 1.0f || sign == -1.0f, "a bitangent without sign");
+            require(isfinite(mesh->texcoords[t][i][0]) && isfinite(mesh->texcoords[t][i][1]),
+                    "a texture coordinate that is not finite");
+        }
+}
+
+static void check_tile(const struct bake_raster *raster, const struct bake_lowmesh *mesh, uint32_t index)
+{
+    uint32_t samples[TILE * TILE * SAMPLES * SAMPLES];
+    struct bk_tile tile = bake_raster_tile(raster, index);
+    uint64_t overlaps = 0;
+    require(tile.width > 0 && tile.width <= TILE && tile.x + tile.width <= SIDE, "a tile out of range");
+    require(tile.height > 0 && tile.height <= TILE && tile.y + tile.height <= SIDE - 1, "a tile out of range");
+    bake_raster_fill(raster, index, samples, &overlaps);
+    for (uint32_t i = 0; i < tile.width * tile.height * SAMPLES * SAMPLES; i++)
+        require(samples[i] == BK_NO_TRIANGLE || samples[i] < mesh->triangle_count, "a sample of no triangle");
+}
+
+static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
+{
+    const struct bake_raster_options options = {
+        .width = SIDE, .height = SIDE - 1, .samples = SAMPLES, .tile_size = TILE};
+    const double translation[3] = {0.5, -2, 1e3};
+    struct bake_raster_report report;
+    struct bake_raster *raster;
+    struct bk_triangle *triangles = NULL;
+    int status = bake_raster_create(ctx, mesh, &options, &report, &raster);
+    if (status)
+        return status;
+    require(report.degenerate_triangles + report.outside_triangles <= mesh->triangle_count,
+            "more odd triangles than triangles");
+    for (uint32_t i = 0; i < bake_raster_tile_count(raster); i++)
+        check_tile(raster, mesh, i);
+    status = bsq_alloc(ctx, "triangles", mesh->triangle_count, sizeof *triangles, &triangles);
+    if (status == 0)
+        bake_raster_kernel_triangles(raster, translation, 0.125, triangles);
+    bsq_free(ctx, triangles);
+    bake_raster_free(raster);
+    return status;
+}
+
+static int use(struct bsq_ctx *ctx, const char *path)
+{
+    struct bake_lowmesh mesh;
+    int status = bake_lowmesh_load(ctx, path, &mesh);
+    if (status)
+        return status;
+    check_mesh(&mesh);
+    status = rasterise(ctx, &mesh);
+    bake_lowmesh_free(ctx, &mesh);
+    return status;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    return fuzz_file(data, size, "fuzz.obj", use);
+}
