@@ -7,6 +7,7 @@
 #include "libbake/lowmesh_internal.h"
 
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -98,8 +99,10 @@ static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fm
             uint32_t index = mesh->corner_texcoords[t][i];
             if (index == UINT32_MAX)
                 return fail_texcoords(ctx, path, mesh->faces[t]);
-            out->texcoords[t][i][0] = (float)mesh->texcoords[index][0];
-            out->texcoords[t][i][1] = (float)mesh->texcoords[index][1];
+            for (int k = 0; k < 2; k++) {
+                double value = mesh->texcoords[index][k];
+                out->texcoords[t][i][k] = (float)fmin(fmax(value, -FLT_MAX), FLT_MAX);
+            }
         }
     }
     return 0;

@@ -1,5 +1,6 @@
 /* Loading of the low mesh: what the file says, what is filled in where it says nothing, and
  * messages. */
+#include <float.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -251,6 +252,18 @@ static void test_missing_file(void **state)
     assert_null(f->mesh.positions);
 }
 
+/* Became infinite. */
+static void test_texture_coordinates_beyond_float_are_the_largest_float(void **state)
+{
+    struct fixture *f = *state;
+    load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 6e38 -1e300\nvt .5 .5\nvt -1 2\nf 1/1 2/2 3/3\n");
+    assert_true(f->mesh.texcoords[0][0][0] == FLT_MAX);
+    assert_true(f->mesh.texcoords[0][0][1] == -FLT_MAX);
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 4; k++)
+            assert_true(isfinite(f->mesh.tangents[0][i][k]));
+}
+
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
 
 int main(void)
@@ -266,6 +279,7 @@ int main(void)
         TEST(test_no_texture_coordinates),
         TEST(test_a_face_without_texture_coordinates),
         TEST(test_missing_file),
+        TEST(test_texture_coordinates_beyond_float_are_the_largest_float),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
