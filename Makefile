@@ -190,6 +190,8 @@ $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
 fuzz_names := $(patsubst tests/fuzz/fuzz_%.c,%,$(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c)))
 fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
 fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o $(BUILD)/obj/tests/unit/formats/nvdb_scene.c.o
+fuzz.tris  := $(BUILD)/obj/tests/fuzz/tris_mend.c.o
+fuzz.scan  := $(fuzz.tris)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
 $(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \

@@ -26,7 +26,8 @@ void require(bool good, const char *what)
 static void check_end(struct bsq_ctx *ctx, int status)
 {
     if (status) {
-        require(status == BSQ_EDATA || status == BSQ_ENOMEM, "an unexpected status");
+        require(status == BSQ_EDATA || status == BSQ_ENOINPUT || status == BSQ_ENOMEM,
+                bsq_error(ctx));
         require(bsq_error(ctx)[0] && !strchr(bsq_error(ctx), '\n'), "not one line of error");
     }
     require(bsq_memory_used(ctx) == 0, "memory is left");
@@ -41,10 +42,12 @@ static struct bsq_ctx *new_context(void)
     return ctx;
 }
 
-void fuzz_in_context(int (*use)(struct bsq_ctx *ctx))
+int fuzz_in_context(int (*use)(struct bsq_ctx *ctx))
 {
     struct bsq_ctx *ctx = new_context();
-    check_end(ctx, use(ctx));
+    int status = use(ctx);
+    check_end(ctx, status);
+    return status;
 }
 
 int fuzz_file(const uint8_t *data, size_t size, const char *name,
