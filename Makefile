@@ -204,11 +204,12 @@ $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)
-## fuzz-NAME: fuzz a reader (obj, mtl, tris, nvdb, exr) for fuzz_seconds=60; new inputs go to build/fuzz/corpus
+## fuzz-NAME: fuzz a reader (obj, mtl, tris, nvdb, exr, lowmesh) or both stages (scan) for fuzz_seconds=60
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
 	@mkdir -p build/fuzz/corpus/$*
-	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 \
+	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 -timeout=20 -malloc_limit_mb=256 \
+	    -rss_limit_mb=1500 $(patsubst %,-dict=%,$(wildcard tests/fuzz/dict/$*.dict)) \
 	    build/fuzz/corpus/$* tests/fuzz/corpus/$*
 
 .PHONY: unit tests-build test check

@@ -344,6 +344,31 @@ static void test_sizes_are_held_against_the_budget(void **state)
     free_context(ctx);
 }
 
+/* Made OpenEXR allocate a table of 256 MiB for a file of 10 KB. */
+static void test_a_table_of_blocks_is_held_against_the_file(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = new_context(1, UINT64_C(1) << 40);
+    float *samples = random_samples(64 * 64 * 3, 3);
+    write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
+    size_t size;
+    uint8_t *bytes = read_bytes(path, &size);
+    static const char name[] = "dataWindow\0box2i";
+    uint8_t *window = memmem(bytes, size, name, sizeof name);
+    assert_non_null(window);
+    /* One texel wide, 2^29 lines high, 16 lines a block. */
+    static const int32_t box[4] = {0, 0, 0, (1 << 29) - 1};
+    memcpy(window + sizeof name + 4, box, sizeof box);
+    write_bytes(path, bytes, size);
+    struct fmt_exr_image image;
+    assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(ctx), "table of blocks"));
+    assert_true(bsq_memory_high(ctx) < 1 << 20);
+    free(bytes);
+    free(samples);
+    free_context(ctx);
+}
+
 static void test_nothing_is_left_of_a_discarded_file(void **state)
 {
     (void)state;
@@ -380,6 +405,7 @@ int main(void)
         cmocka_unit_test(test_truncated_files_are_refused),
         cmocka_unit_test(test_flipped_bytes_do_no_harm),
         cmocka_unit_test(test_sizes_are_held_against_the_budget),
+        cmocka_unit_test(test_a_table_of_blocks_is_held_against_the_file),
         cmocka_unit_test(test_nothing_is_left_of_a_discarded_file),
     };
     return cmocka_run_group_tests(tests, make_directory, remove_directory);

@@ -405,6 +405,34 @@ static void sign(uint8_t *bytes, size_t size)
     memcpy(bytes + 144, &header, 8);
 }
 
+/* Whatever a header and a table say, with right checksums, no more is allocated than a few times the file. */
+static void sizes_are_held_against_the_file(void **state)
+{
+    static const uint32_t values[] = {UINT32_MAX, INT32_MAX, 1u << 31, 65536, 4096};
+    struct fixture *f = *state;
+    size_t size;
+    fill(f->samples[0], 15, 5, 7, 4);
+    fill(f->samples[1], 15, 9, 4, 5);
+    write_sample_file(f, 15, 2);
+    uint8_t *good = read_bytes(f->path, &size), *bytes = malloc(size);
+    const size_t table = u64_at(good, 104);
+    for (size_t at = 8; at < size; at = at + 4 == 152 ? table : at + 4)
+        for (size_t i = 0; i < sizeof values / sizeof *values; i++) {
+            memcpy(bytes, good, size);
+            memcpy(bytes + at, &values[i], 4);
+            if (at < 96 || at >= 112)
+                sign(bytes, size);
+            uint64_t sum = XXH3_64bits(bytes, 144);
+            memcpy(bytes + 144, &sum, 8);
+            write_bytes(f->path, bytes, size);
+            read_all(f);
+        }
+    assert_true(size < 1024);
+    assert_true(bsq_memory_high(f->ctx) < 16384);
+    free(bytes);
+    free(good);
+}
+
 static void values_out_of_range_are_found(void **state)
 {
     static const struct {
@@ -482,6 +510,7 @@ int main(void)
         TEST(every_set_of_attributes_comes_back),  TEST(large_chunks_come_back),
         TEST(a_file_without_chunks_is_valid),      TEST(bytes_are_those_of_the_specification),
         TEST(every_truncated_length_is_found),     TEST(every_flipped_bit_is_found),
+        TEST(sizes_are_held_against_the_file),
         TEST(values_out_of_range_are_found),       TEST(other_files_are_refused),
         TEST(nothing_remains_of_a_discarded_file),
     };
