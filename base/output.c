@@ -330,6 +330,15 @@ static int name_temp(struct bsq_output *output)
     return error ? copy_to_named(output) : 0;
 }
 
+static int rename_retrying(const char *from, const char *to)
+{
+    int result;
+    do
+        result = rename(from, to);
+    while (result != 0 && errno == EINTR);
+    return result;
+}
+
 /* The descriptor stays open, and with it the lock on the temporary name, until that is gone. What
  * close() could report, fsync() has reported. */
 int bsq_output_commit(struct bsq_output *output)
@@ -338,7 +347,7 @@ int bsq_output_commit(struct bsq_output *output)
     int status = bsq_output_sync(output);
     if (status == 0)
         status = name_temp(output);
-    if (status == 0 && rename(output->temp_path, output->path) != 0)
+    if (status == 0 && rename_retrying(output->temp_path, output->path) != 0)
         status = fail_create(output, errno);
     if (status < 0) {
         bsq_output_discard(output);

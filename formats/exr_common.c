@@ -1,7 +1,7 @@
 /* exr_common.c - errors and memory of the EXR writer and reader. */
 #include "formats/exr_internal.h"
 
-/* A failed read means a file that ends too early: had the disk failed, the file layer would have said so first. */
+/* A failed read means a file that ends too early: had the disk failed, the stream would know. */
 static int status_of(exr_result_t result)
 {
     switch (result) {
@@ -21,8 +21,18 @@ int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result)
 {
     if (result == EXR_ERR_SUCCESS)
         return BSQ_OK;
+    int below = atomic_load(&stream->status);
+    if (below < 0)
+        return below;
     return bsq_fail(stream->ctx, status_of(result), "%s: %s", stream->path,
                     exr_get_default_error_message(result));
+}
+
+void fmt_exr_set_status(struct fmt_exr_stream *stream, int status)
+{
+    int none = 0;
+    if (status < 0)
+        atomic_compare_exchange_strong(&stream->status, &none, status);
 }
 
 void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message)

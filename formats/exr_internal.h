@@ -3,6 +3,7 @@
 #define FMT_EXR_INTERNAL_H
 
 #include <openexr.h>
+#include <stdatomic.h>
 
 #include "base/context.h"
 
@@ -10,11 +11,16 @@
 struct fmt_exr_stream {
     struct bsq_ctx *ctx;
     const char *path; /* the final name, for messages */
+    atomic_int
+        status; /* first failure of the file below OpenEXR, which knows only that there was one */
 };
 
 /* Turns a result of OpenEXR into a status. The library has described the failure through
  * fmt_exr_on_error() already; this catches results that came without a description. */
 int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result);
+
+/* For callbacks that read or write: keeps a failure, which is described already. */
+void fmt_exr_set_status(struct fmt_exr_stream *stream, int status);
 
 /* Error callback: records the message with the file's name. */
 void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message);

@@ -41,9 +41,9 @@ static int64_t read_bytes(exr_const_context_t file, void *user, void *buffer, ui
     (void)on_error;
     struct reader *reader = user;
     uint64_t got;
-    if (bsq_file_read_some(reader->stream.ctx, &reader->input, buffer, size, offset, &got) < 0)
-        return -1;
-    return (int64_t)got;
+    int status = bsq_file_read_some(reader->stream.ctx, &reader->input, buffer, size, offset, &got);
+    fmt_exr_set_status(&reader->stream, status);
+    return status < 0 ? -1 : (int64_t)got;
 }
 
 static int64_t file_size(exr_const_context_t file, void *user)
@@ -315,7 +315,8 @@ static int read_image(struct reader *reader)
 int fmt_exr_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out)
 {
     memset(out, 0, sizeof *out);
-    struct reader reader = {.stream = {ctx, path}, .input = BSQ_FILE_CLOSED, .image = out};
+    struct reader reader = {
+        .stream = {.ctx = ctx, .path = path}, .input = BSQ_FILE_CLOSED, .image = out};
     int status = bsq_file_open(ctx, path, &reader.input);
     if (status == 0)
         status = read_image(&reader);

@@ -47,7 +47,9 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
     (void)file;
     (void)on_error;
     struct fmt_exr_writer *writer = user;
-    return bsq_output_write_at(writer->output, buffer, size, offset) < 0 ? -1 : (int64_t)size;
+    int status = bsq_output_write_at(writer->output, buffer, size, offset);
+    fmt_exr_set_status(&writer->stream, status);
+    return status < 0 ? -1 : (int64_t)size;
 }
 
 /* Stands for the encoder's own write step, so that blocks reach the file in order. */

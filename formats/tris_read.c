@@ -7,11 +7,9 @@
 #include "formats/tris_internal.h"
 #include "base/file.h"
 
-#include <fcntl.h>
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
-#include <unistd.h>
 #include <xxhash.h>
 
 struct fmt_tris_file {
@@ -277,16 +275,17 @@ void fmt_tris_close(struct fmt_tris_file *file)
     bsq_free(ctx, file);
 }
 
-bool fmt_tris_recognise(const char *path)
+int fmt_tris_recognise(struct bsq_ctx *ctx, const char *path, bool *out)
 {
-    char magic[8];
-    int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-    if (fd < 0)
-        return false;
-    bool same = pread(fd, magic, sizeof magic, 0) == (ssize_t)sizeof magic &&
-                memcmp(magic, TRIS_MAGIC, sizeof magic) == 0;
-    close(fd);
-    return same;
+    char magic[sizeof TRIS_MAGIC - 1];
+    struct bsq_file input;
+    uint64_t got = 0;
+    int status = bsq_file_open(ctx, path, &input);
+    if (status == 0)
+        status = bsq_file_read_some(ctx, &input, magic, sizeof magic, 0, &got);
+    *out = status == 0 && got == sizeof magic && memcmp(magic, TRIS_MAGIC, sizeof magic) == 0;
+    bsq_file_close(ctx, &input);
+    return status;
 }
 
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file)

@@ -77,8 +77,10 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     memset(out, 0, sizeof *out);
     out->ctx = ctx;
-    int status =
-        fmt_tris_recognise(options->scan_path) ? open_exact(out, options) : open_grid(out, options);
+    bool chunks;
+    int status = fmt_tris_recognise(ctx, options->scan_path, &chunks);
+    if (status == 0)
+        status = chunks ? open_exact(out, options) : open_grid(out, options);
     if (status < 0)
         memset(out, 0, sizeof *out);
     return status;

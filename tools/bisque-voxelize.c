@@ -188,7 +188,11 @@ static int recognise_inputs(struct job *job)
 {
     const struct arguments *arguments = job->arguments;
     for (uint32_t i = 0; i < arguments->input_count; i++) {
-        if (!fmt_tris_recognise(arguments->inputs[i]))
+        bool chunks;
+        int status = fmt_tris_recognise(job->cli->ctx, arguments->inputs[i], &chunks);
+        if (status < 0)
+            return status;
+        if (!chunks)
             continue;
         if (arguments->input_count > 1)
             return cli_usage(job->cli, "%s: a chunk file must be the only input",

@@ -1,0 +1,360 @@
+/* faults.c - a library for LD_PRELOAD that lets one call to the system fail, or the process die
+ * there.
+ *
+ * FAULT_UNDER   only files under this directory (absolute, no links) count; required
+ * FAULT_CALLS   which calls count: words of open, read, map, write, sync, size, name, remove, close
+ * FAULT_PATH    only files whose path contains this text
+ * FAULT_AT      number of the call that fails, from 1; 0 or not given: none
+ * FAULT_STICKY  1: all calls from that one on fail
+ * FAULT_DO      name of an errno (ENOSPC ...); short: a transfer does half; kill: SIGKILL before
+ * the call; pause: makes the file FAULT_FLAG and goes on when it is gone FAULT_LOG     file to
+ * which a line is appended for every call that counts FAULT_PLAIN   1: opening a file without a
+ * name (O_TMPFILE) fails with EOPNOTSUPP, as on file systems without it
+ *
+ * Works by symbol: calls that libc makes to itself, those of stdio for example, are not seen. */
+#include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <sys/uio.h>
+#include <unistd.h>
+
+static atomic_ulong calls;
+
+static const struct {
+    const char *name;
+    int number;
+} errors[] = {{"ENOSPC", ENOSPC}, {"EIO", EIO},     {"EINTR", EINTR},   {"EDQUOT", EDQUOT},
+              {"EMFILE", EMFILE}, {"EPERM", EPERM}, {"ENOMEM", ENOMEM}, {"EOPNOTSUPP", EOPNOTSUPP}};
+
+/* ---- what is to be done ---- */
+
+static const char *setting(const char *name)
+{
+    const char *value = getenv(name);
+    return value ? value : "";
+}
+
+static void log_call(unsigned long number, const char *call, const char *path)
+{
+    char line[5000];
+    const char *log = setting("FAULT_LOG");
+    if (!*log)
+        return;
+    int size = snprintf(line, sizeof line, "%lu %s %s\n", number, call, path);
+    int fd = (int)syscall(SYS_openat, AT_FDCWD, log, O_WRONLY | O_CREAT | O_APPEND, 0600);
+    syscall(SYS_write, fd, line, (size_t)size);
+    syscall(SYS_close, fd);
+}
+
+static void pause_here(void)
+{
+    const char *flag = setting("FAULT_FLAG");
+    syscall(SYS_close, syscall(SYS_openat, AT_FDCWD, flag, O_WRONLY | O_CREAT, 0600));
+    while (syscall(SYS_faccessat, AT_FDCWD, flag, F_OK) == 0)
+        usleep(1000);
+}
+
+enum { GO_ON, SHORT, FAIL };
+
+/* Counts a call; what is to become of it. Sets errno for FAIL. */
+static int fault(const char *kind, const char *call, const char *path)
+{
+    const char *under = setting("FAULT_UNDER");
+    size_t length = strlen(under);
+    if (length == 0 || strncmp(path, under, length) != 0 ||
+        (path[length] != '/' && path[length] != '\0') || !strstr(path, setting("FAULT_PATH")) ||
+        !strstr(setting("FAULT_CALLS"), kind))
+        return GO_ON;
+    unsigned long number = atomic_fetch_add(&calls, 1) + 1;
+    unsigned long at = strtoul(setting("FAULT_AT"), NULL, 10);
+    log_call(number, call, path);
+    if (at == 0 || number < at || (number > at && !*setting("FAULT_STICKY")))
+        return GO_ON;
+    const char *what = setting("FAULT_DO");
+    if (strcmp(what, "kill") == 0)
+        syscall(SYS_kill, getpid(), SIGKILL);
+    if (strcmp(what, "pause") == 0)
+        pause_here();
+    if (strcmp(what, "short") == 0)
+        return SHORT;
+    for (size_t i = 0; i < sizeof errors / sizeof *errors; i++) {
+        if (strcmp(what, errors[i].name) == 0) {
+            errno = errors[i].number;
+            return FAIL;
+        }
+    }
+    return GO_ON;
+}
+
+static int fault_fd(const char *kind, const char *call, int fd)
+{
+    char name[32], path[4096];
+    struct stat info;
+    int before = errno;
+    if (fd <= STDERR_FILENO || fstat(fd, &info) != 0 ||
+        (!S_ISREG(info.st_mode) && !S_ISDIR(info.st_mode)))
+        return errno = before, GO_ON;
+    snprintf(name, sizeof name, "/proc/self/fd/%d", fd);
+    ssize_t size = readlink(name, path, sizeof path - 1);
+    errno = before;
+    if (size < 0)
+        return GO_ON;
+    path[size] = '\0';
+    return fault(kind, call, path);
+}
+
+static int fault_path(const char *kind, const char *call, const char *path)
+{
+    char absolute[8192], directory[4096];
+    if (path[0] != '/' && getcwd(directory, sizeof directory)) {
+        while (strncmp(path, "./", 2) == 0)
+            path += 2;
+        bool here = strcmp(path, ".") == 0;
+        snprintf(absolute, sizeof absolute, "%s%s%s", directory, here ? "" : "/", here ? "" : path);
+        path = absolute;
+    }
+    return fault(kind, call, path);
+}
+
+/* ---- transfers ---- */
+
+#define TRANSFER(kind, name, number, data)                                                         \
+    ssize_t name(int fd, data *buffer, size_t size, off_t offset)                                  \
+    {                                                                                              \
+        int what = fault_fd(kind, #name, fd);                                                      \
+        if (what == FAIL)                                                                          \
+            return -1;                                                                             \
+        return syscall(number, fd, buffer, what == SHORT ? (size + 1) / 2 : size, offset);         \
+    }
+
+TRANSFER("write", pwrite, SYS_pwrite64, const void)
+TRANSFER("write", pwrite64, SYS_pwrite64, const void)
+TRANSFER("read", pread, SYS_pread64, void)
+TRANSFER("read", pread64, SYS_pread64, void)
+
+ssize_t write(int fd, const void *buffer, size_t size)
+{
+    int what = fault_fd("write", "write", fd);
+    return what == FAIL ? -1
+                        : syscall(SYS_write, fd, buffer, what == SHORT ? (size + 1) / 2 : size);
+}
+
+ssize_t read(int fd, void *buffer, size_t size)
+{
+    int what = fault_fd("read", "read", fd);
+    return what == FAIL ? -1 : syscall(SYS_read, fd, buffer, what == SHORT ? (size + 1) / 2 : size);
+}
+
+ssize_t writev(int fd, const struct iovec *parts, int count)
+{
+    int what = fault_fd("write", "writev", fd);
+    if (what == SHORT)
+        return syscall(SYS_write, fd, parts[0].iov_base, (parts[0].iov_len + 1) / 2);
+    return what == FAIL ? -1 : syscall(SYS_writev, fd, parts, count);
+}
+
+static ssize_t write_parts_at(const char *name, int fd, const struct iovec *parts, int count,
+                              off_t offset)
+{
+    int what = fault_fd("write", name, fd);
+    if (what == SHORT)
+        return syscall(SYS_pwrite64, fd, parts[0].iov_base, (parts[0].iov_len + 1) / 2, offset);
+    return what == FAIL ? -1 : syscall(SYS_pwritev, fd, parts, count, offset, 0);
+}
+
+ssize_t pwritev(int fd, const struct iovec *parts, int count, off_t offset)
+{
+    return write_parts_at("pwritev", fd, parts, count, offset);
+}
+
+ssize_t pwritev64(int fd, const struct iovec *parts, int count, off_t offset)
+{
+    return write_parts_at("pwritev64", fd, parts, count, offset);
+}
+
+ssize_t copy_file_range(int in, off64_t *from, int out, off64_t *to, size_t size, unsigned flags)
+{
+    int what = fault_fd("write", "copy_file_range", out);
+    if (what == FAIL)
+        return -1;
+    return syscall(SYS_copy_file_range, in, from, out, to, what == SHORT ? (size + 1) / 2 : size,
+                   flags);
+}
+
+void *mmap(void *address, size_t size, int protection, int flags, int fd, off_t offset)
+{
+    if (fd >= 0 && fault_fd("map", "mmap", fd) == FAIL)
+        return MAP_FAILED;
+    return (void *)syscall(SYS_mmap, address, size, protection, flags, fd, offset);
+}
+
+void *mmap64(void *address, size_t size, int protection, int flags, int fd, off_t offset)
+{
+    return mmap(address, size, protection, flags, fd, offset);
+}
+
+/* ---- the state of a file ---- */
+
+int fsync(int fd)
+{
+    return fault_fd("sync", "fsync", fd) == FAIL ? -1 : (int)syscall(SYS_fsync, fd);
+}
+
+int fdatasync(int fd)
+{
+    return fault_fd("sync", "fdatasync", fd) == FAIL ? -1 : (int)syscall(SYS_fdatasync, fd);
+}
+
+int sync_file_range(int fd, off64_t offset, off64_t size, unsigned flags)
+{
+    if (fault_fd("sync", "sync_file_range", fd) == FAIL)
+        return -1;
+    return (int)syscall(SYS_sync_file_range, fd, offset, size, flags);
+}
+
+int fallocate(int fd, int mode, off_t offset, off_t size)
+{
+    if (fault_fd("size", "fallocate", fd) == FAIL)
+        return -1;
+    return (int)syscall(SYS_fallocate, fd, mode, offset, size);
+}
+
+int fallocate64(int fd, int mode, off64_t offset, off64_t size)
+{
+    return fallocate(fd, mode, offset, size);
+}
+
+int posix_fallocate(int fd, off_t offset, off_t size)
+{
+    return fallocate(fd, 0, offset, size) == 0 ? 0 : errno;
+}
+
+int posix_fallocate64(int fd, off64_t offset, off64_t size)
+{
+    return posix_fallocate(fd, offset, size);
+}
+
+int ftruncate(int fd, off_t size)
+{
+    return fault_fd("size", "ftruncate", fd) == FAIL ? -1 : (int)syscall(SYS_ftruncate, fd, size);
+}
+
+int ftruncate64(int fd, off64_t size)
+{
+    return ftruncate(fd, size);
+}
+
+/* A descriptor is gone even where closing it fails. */
+int close(int fd)
+{
+    int what = fault_fd("close", "close", fd), error = errno;
+    int result = (int)syscall(SYS_close, fd);
+    if (what != FAIL)
+        return result;
+    errno = error;
+    return -1;
+}
+
+/* ---- names ---- */
+
+static int open_at(const char *call, int directory, const char *path, int flags, mode_t mode)
+{
+    if ((flags & O_TMPFILE) == O_TMPFILE && *setting("FAULT_PLAIN")) {
+        errno = EOPNOTSUPP;
+        return -1;
+    }
+    if (directory == AT_FDCWD && fault_path("open", call, path) == FAIL)
+        return -1;
+    return (int)syscall(SYS_openat, directory, path, flags, mode);
+}
+
+#define OPEN_MODE(flags, mode)                                                                     \
+    mode_t mode = 0;                                                                               \
+    if ((flags) & (O_CREAT | O_TMPFILE)) {                                                         \
+        va_list arguments;                                                                         \
+        va_start(arguments, flags);                                                                \
+        mode = va_arg(arguments, mode_t);                                                          \
+        va_end(arguments);                                                                         \
+    }
+
+int open(const char *path, int flags, ...)
+{
+    OPEN_MODE(flags, mode)
+    return open_at("open", AT_FDCWD, path, flags, mode);
+}
+
+int open64(const char *path, int flags, ...)
+{
+    OPEN_MODE(flags, mode)
+    return open_at("open64", AT_FDCWD, path, flags, mode);
+}
+
+int openat(int directory, const char *path, int flags, ...)
+{
+    OPEN_MODE(flags, mode)
+    return open_at("openat", directory, path, flags, mode);
+}
+
+int openat64(int directory, const char *path, int flags, ...)
+{
+    OPEN_MODE(flags, mode)
+    return open_at("openat64", directory, path, flags, mode);
+}
+
+static FILE *open_stream(const char *call, const char *path, const char *mode)
+{
+    static FILE *(*real)(const char *, const char *);
+    if (fault_path("open", call, path) == FAIL)
+        return NULL;
+    if (!real)
+        *(void **)&real = dlsym(RTLD_NEXT, "fopen64");
+    return real(path, mode);
+}
+
+FILE *fopen(const char *path, const char *mode)
+{
+    return open_stream("fopen", path, mode);
+}
+
+FILE *fopen64(const char *path, const char *mode)
+{
+    return open_stream("fopen64", path, mode);
+}
+
+int rename(const char *from, const char *to)
+{
+    if (fault_path("name", "rename", to) == FAIL)
+        return -1;
+    return (int)syscall(SYS_renameat2, AT_FDCWD, from, AT_FDCWD, to, 0);
+}
+
+int renameat(int from_directory, const char *from, int to_directory, const char *to)
+{
+    if (fault_path("name", "renameat", to) == FAIL)
+        return -1;
+    return (int)syscall(SYS_renameat2, from_directory, from, to_directory, to, 0);
+}
+
+int linkat(int from_directory, const char *from, int to_directory, const char *to, int flags)
+{
+    if (fault_path("name", "linkat", to) == FAIL)
+        return -1;
+    return (int)syscall(SYS_linkat, from_directory, from, to_directory, to, flags);
+}
+
+int unlink(const char *path)
+{
+    return fault_path("remove", "unlink", path) == FAIL
+               ? -1
+               : (int)syscall(SYS_unlinkat, AT_FDCWD, path, 0);
+}
