@@ -138,10 +138,15 @@ $(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/bisque-%.c.o $(tool_common) $(archives
 # tests/unit/LIB/test_NAME.c is one cmocka program; it links LIB and what LIB may include.
 unit_sources := $(wildcard tests/unit/*/test_*.c tests/unit/*/test_*.cc)
 unit_bins    := $(patsubst tests/unit/%,$(BUILD)/tests/%,$(basename $(unit_sources)))
+comma := ,
 needs.base     := $(archive.base)
 needs.formats  := $(archive.formats) $(archive.base)
 needs.libvoxel := $(archive.libvoxel) $(archive.formats) $(archive.base)
 needs.libbake  := $(archive.libbake) $(archive.formats) $(archive.base)
+# Whole jobs of both stages with memory and threads that run out.
+needs.exhaustion := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
+sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--wrap=,malloc calloc realloc pthread_create))
+$(filter $(BUILD)/tests/exhaustion/%,$(unit_bins)): LDFLAGS += $(sanitizer_wraps)
 # Helpers that several tests of one library share: tests/unit/LIB/*.c that do not begin with test_.
 helpers = $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(unit_sources),$(wildcard tests/unit/$(1)/*.c)))
 .SECONDEXPANSION:

@@ -21,9 +21,9 @@ int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result)
 {
     if (result == EXR_ERR_SUCCESS)
         return BSQ_OK;
-    int below = atomic_load(&stream->status);
-    if (below < 0)
-        return below;
+    int described = atomic_load(&stream->status);
+    if (described < 0)
+        return described;
     return bsq_fail(stream->ctx, status_of(result), "%s: %s", stream->path,
                     exr_get_default_error_message(result));
 }
@@ -38,9 +38,12 @@ void fmt_exr_set_status(struct fmt_exr_stream *stream, int status)
 void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message)
 {
     void *user = NULL;
+    if (result == EXR_ERR_CORRUPT_CHUNK) /* may be tried again: the caller's to describe */
+        return;
     if (!file || exr_get_user_data(file, &user) != EXR_ERR_SUCCESS || !user)
         return;
-    const struct fmt_exr_stream *stream = user;
+    struct fmt_exr_stream *stream = user;
+    fmt_exr_set_status(stream, status_of(result));
     bsq_fail(stream->ctx, status_of(result), "%s: %s", stream->path, message);
 }
 

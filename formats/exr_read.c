@@ -6,11 +6,14 @@
 #include "formats/exr.h"
 
 #include <half.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/file.h"
 #include "base/parallel.h"
 #include "formats/exr_internal.h"
+
+enum { UNPACKING_BYTES = 64 << 10 }; /* what zlib needs at least to unpack */
 
 struct reader {
     struct fmt_exr_stream stream; /* first: OpenEXR's user data */
@@ -216,6 +219,18 @@ static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
     return EXR_ERR_SUCCESS;
 }
 
+/* OpenEXR says the same of a damaged block and of memory that ran out while it was unpacked, so the latter is looked for
+ * before the file is blamed. Volatile, or a compiler may leave the look out. */
+static exr_result_t run_decoder(struct reader *reader, exr_decode_pipeline_t *decoder)
+{
+    exr_result_t r = exr_decoding_run(reader->file, 0, decoder);
+    if (r != EXR_ERR_CORRUPT_CHUNK)
+        return r;
+    void *volatile probe = malloc(UNPACKING_BYTES);
+    free(probe);
+    return probe ? exr_decoding_run(reader->file, 0, decoder) : EXR_ERR_OUT_OF_MEMORY;
+}
+
 static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 {
     struct reader *reader = arg;
@@ -254,7 +269,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
     if (r == EXR_ERR_SUCCESS) {
         decoder->decoding_user_data = &target;
         decoder->unpack_and_convert_fn = unpack_chunk;
-        r = exr_decoding_run(reader->file, 0, decoder);
+        r = run_decoder(reader, decoder);
     }
     return fmt_exr_status(&reader->stream, r);
 }

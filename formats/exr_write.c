@@ -61,6 +61,15 @@ static exr_result_t keep_packed(exr_encode_pipeline_t *encoder)
     return EXR_ERR_SUCCESS;
 }
 
+/* OpenEXR calls this with the file's lock held, where asking the file for its user data would wait for ever; so
+ * failures are described from their codes, by fmt_exr_status(). */
+static void leave_to_caller(exr_const_context_t file, exr_result_t result, const char *message)
+{
+    (void)file;
+    (void)result;
+    (void)message;
+}
+
 /* ---- header ---- */
 
 static exr_result_t set_color_attributes(exr_context_t file, bool data)
@@ -177,6 +186,9 @@ static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsig
     exr_result_t r = prepare_encoder(writer, slot);
     if (r == EXR_ERR_SUCCESS)
         r = exr_encoding_run(writer->file, 0, &slot->encoder);
+    /* All that zlib can fail for when it packs into a buffer that is large enough. */
+    if (r == EXR_ERR_CORRUPT_CHUNK)
+        r = EXR_ERR_OUT_OF_MEMORY;
     return fmt_exr_status(&writer->stream, r);
 }
 
@@ -240,7 +252,7 @@ static int allocate(struct fmt_exr_writer *writer)
 static int start(struct fmt_exr_writer *writer, const struct fmt_exr_options *options)
 {
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
-    init.error_handler_fn = fmt_exr_on_error;
+    init.error_handler_fn = leave_to_caller;
     init.user_data = writer;
     init.write_fn = write_bytes;
     exr_result_t r = exr_start_write(&writer->file, writer->path, EXR_WRITE_FILE_DIRECTLY, &init);

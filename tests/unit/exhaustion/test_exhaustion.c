@@ -1,0 +1,318 @@
+/* test_exhaustion.c - every allocation of every job fails once, then every allocation from each on; every thread that is
+ * started fails to. Nothing crashes, leaks, stays open or stays behind, and the failure is BSQ_ENOMEM with a text; where a
+ * job can do without, its result is right. */
+#include <dirent.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+#include "formats/obj.h"
+#include "formats/verify.h"
+#include "libbake/bake.h"
+#include "libbake/compare.h"
+#include "libvoxel/voxel.h"
+#include "tests/unit/exhaustion/failing.h"
+
+enum { SIDE = 12, THREADS = 2 };
+
+/* ---- files, in a directory of their own ---- */
+
+static char directory[] = "/tmp/bsq-exhaustion-XXXXXX";
+
+static FILE *create(const char *name)
+{
+    FILE *file = fopen(name, "w");
+    assert_non_null(file);
+    return file;
+}
+
+/* A sheet of small hills with vertex colours, and with materials; a square below it. */
+static void write_inputs(void)
+{
+    FILE *file = create("scan.obj");
+    fprintf(file, "mtllib scan.mtl\nusemtl clay\n");
+    for (int y = 0; y <= SIDE; y++)
+        for (int x = 0; x <= SIDE; x++)
+            fprintf(file, "v %g %g %g %g 0.5 0.25\n", x / (double)SIDE, y / (double)SIDE,
+                    0.05 + 0.02 * sin(x) * cos(y), x / (double)SIDE);
+    for (int y = 0; y < SIDE; y++)
+        for (int x = 0; x < SIDE; x++) {
+            int v = y * (SIDE + 1) + x + 1;
+            fprintf(file, "f %d %d %d %d\n", v, v + 1, v + SIDE + 2, v + SIDE + 1);
+        }
+    fclose(file);
+    file = create("scan.mtl");
+    fprintf(file, "newmtl clay\nKd 0.5 0.4 0.3\n");
+    fclose(file);
+    file = create("low.obj");
+    fprintf(file, "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0.1 0.1\nvt 0.9 0.1\nvt 0.9 0.9\nvt 0.1 0.9\n"
+                  "f 1/1 2/2 3/3 4/4\n");
+    fclose(file);
+}
+
+static bool expected_name(const char *name)
+{
+    static const char *const names[] = {".",          "..",          "scan.obj",   "scan.mtl",  "low.obj",
+                                        "scan.tris",  "scan.nvdb",   "g_normal.exr", "g_color.exr", "g_mask.exr",
+                                        "e_normal.png", "e_color.png", "a_normal.exr", "heat.png",  "hist.png",
+                                        "preview.png", "out.tris", "out.nvdb"};
+    for (unsigned i = 0; i < sizeof names / sizeof *names; i++)
+        if (strcmp(names[i], name) == 0)
+            return true;
+    return false;
+}
+
+/* Number of open descriptors; fails the test where a job left a file behind. */
+static int count_open(void)
+{
+    int count = 0;
+    DIR *list = opendir("/proc/self/fd");
+    assert_non_null(list);
+    while (readdir(list))
+        count++;
+    closedir(list);
+    list = opendir(".");
+    assert_non_null(list);
+    for (struct dirent *entry; (entry = readdir(list));)
+        if (!expected_name(entry->d_name))
+            fail_msg("%s was left behind", entry->d_name);
+    closedir(list);
+    return count;
+}
+
+/* ---- jobs ---- */
+
+static int parse(struct bsq_ctx *ctx)
+{
+    const char *path = "scan.obj";
+    struct vox_sort_report report;
+    int status = vox_parse_only(ctx, &path, 1, &report);
+    if (status == 0)
+        assert_int_equal(report.faces, SIDE * SIDE);
+    return status;
+}
+
+static int load_mesh(struct bsq_ctx *ctx)
+{
+    struct fmt_mesh mesh;
+    int status = fmt_mesh_load(ctx, "scan.obj", &mesh);
+    if (status == 0) {
+        assert_int_equal(mesh.triangle_count, 2 * SIDE * SIDE);
+        fmt_mesh_free(ctx, &mesh);
+    }
+    return status;
+}
+
+static int sort_to(struct bsq_ctx *ctx, const char *tris_path)
+{
+    const char *path = "scan.obj";
+    struct vox_sort_report report;
+    struct vox_sort_options options = {.obj_paths = &path, .obj_count = 1, .tris_path = tris_path};
+    int status = vox_sort(ctx, &options, &report);
+    if (status == 0)
+        assert_int_equal(report.triangles, 2 * SIDE * SIDE);
+    return status;
+}
+
+static int sort(struct bsq_ctx *ctx)
+{
+    return sort_to(ctx, "out.tris");
+}
+
+static int voxelize_to(struct bsq_ctx *ctx, const char *grid_path)
+{
+    struct vox_voxelize_report report;
+    struct vox_voxelize_options options = {.tris_path = "scan.tris", .grid_path = grid_path, .resolution = 40};
+    return vox_voxelize(ctx, &options, &report);
+}
+
+static int voxelize(struct bsq_ctx *ctx)
+{
+    return voxelize_to(ctx, "out.nvdb");
+}
+
+static int verify_tris(struct bsq_ctx *ctx)
+{
+    struct fmt_verify_report report;
+    int status = fmt_verify(ctx, "scan.tris", &report);
+    if (status == 0)
+        assert_int_equal(report.triangles, 2 * SIDE * SIDE);
+    return status;
+}
+
+static int verify_nvdb(struct bsq_ctx *ctx)
+{
+    struct fmt_verify_report report;
+    return fmt_verify(ctx, "scan.nvdb", &report);
+}
+
+static int bake(struct bsq_ctx *ctx, const char *scan, const char *output, uint32_t maps, const char *preview)
+{
+    struct bake_options options;
+    struct bake_report report;
+    bake_defaults(&options);
+    options.scan_path = scan;
+    options.mesh_path = "low.obj";
+    options.output_path = output;
+    options.maps = maps;
+    options.width = options.height = 20;
+    options.padding = 3;
+    options.device = "cpu";
+    options.preview_path = preview;
+    int status = bake_run(ctx, &options, &report);
+    if (status == 0)
+        assert_int_equal(report.misses, 0);
+    return status;
+}
+
+static int bake_grid(struct bsq_ctx *ctx)
+{
+    return bake(ctx, "scan.nvdb", "g_<MAP>.exr", BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK, NULL);
+}
+
+static int bake_preview(struct bsq_ctx *ctx)
+{
+    return bake(ctx, "scan.nvdb", "a_<MAP>.exr", BAKE_MAP_NORMAL, "preview.png");
+}
+
+static int bake_exact(struct bsq_ctx *ctx)
+{
+    return bake(ctx, "scan.tris", "e_<MAP>.png", BAKE_MAP_NORMAL | BAKE_MAP_COLOR, NULL);
+}
+
+static int compare(struct bsq_ctx *ctx)
+{
+    struct bake_compare_report report;
+    struct bake_compare_options options = {.a_path = "g_normal.exr",
+                                           .b_path = "g_normal.exr",
+                                           .a_mask_path = "g_mask.exr",
+                                           .b_mask_path = "g_mask.exr",
+                                           .heatmap_path = "heat.png",
+                                           .histogram_path = "hist.png"};
+    int status = bake_compare(ctx, &options, &report);
+    if (status == 0)
+        assert_true(report.max == 0);
+    return status;
+}
+
+/* ---- running them ---- */
+
+/* Runs a job in a context of its own. */
+static int run(int (*job)(struct bsq_ctx *))
+{
+    struct bsq_ctx_options options = {.memory_bytes = UINT64_C(256) << 20, .threads = THREADS};
+    struct bsq_ctx *ctx;
+    int status = bsq_ctx_create(&options, &ctx);
+    if (status < 0)
+        return status;
+    status = job(ctx);
+    if (status < 0 && !*bsq_error(ctx))
+        status = BSQ_EBUG;
+    if (status < 0 && status != BSQ_ENOMEM)
+        fprintf(stderr, "# %d: %s\n", status, bsq_error(ctx));
+    if (bsq_memory_used(ctx) != 0)
+        fprintf(stderr, "# %llu bytes are still in use\n", (unsigned long long)bsq_memory_used(ctx));
+    bsq_ctx_destroy(ctx);
+    return status;
+}
+
+/* One run with call number `first` failing; false where there was no such call. */
+static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_t first, bool all_after)
+{
+    int open_before = count_open();
+    failing_begin(what, first, all_after);
+    int status = run(job);
+    struct failing_result result = failing_end();
+    if (status != 0 && (status != BSQ_ENOMEM || what != FAILING_MEMORY || result.failed == 0))
+        fail_msg("call %llu failed: status %d", (unsigned long long)first, status);
+    if (result.leaked != 0)
+        fail_msg("call %llu failed: %lld blocks were not freed", (unsigned long long)first, (long long)result.leaked);
+    if (count_open() != open_before)
+        fail_msg("call %llu failed: a file stayed open", (unsigned long long)first);
+    return result.failed > 0;
+}
+
+/* Tries each of `stride` calls. */
+static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
+{
+    /* What libraries and the C library keep from their first use is no leak. */
+    for (int i = 0; i < 2; i++)
+        assert_int_equal(run(job), 0);
+    uint64_t calls = 0;
+    for (int all_after = 0; all_after < 2; all_after++)
+        for (calls = 0; run_failing(job, FAILING_MEMORY, calls, all_after); calls += stride)
+            ;
+    assert_true(calls > 5);
+    uint64_t threads = 0;
+    while (run_failing(job, FAILING_THREADS, threads, false))
+        assert_true(++threads < THREADS);
+    assert_int_equal(run_failing(job, FAILING_THREADS, 0, true), threads > 0);
+    assert_int_equal(run(job), 0);
+}
+
+#define TEST(job, stride)                                                                                              \
+    static void test_##job(void **state)                                                                               \
+    {                                                                                                                  \
+        (void)state;                                                                                                   \
+        exhaust(job, stride);                                                                                          \
+    }
+TEST(parse, 1)
+TEST(sort, 1)
+TEST(voxelize, 1)
+TEST(verify_tris, 1)
+TEST(verify_nvdb, 1)
+TEST(bake_grid, 1)
+TEST(bake_preview, 41) /* a large picture; most of its calls are those of bake_grid */
+TEST(bake_exact, 1)
+TEST(compare, 1)
+
+/* A small mesh is read by one thread. */
+static void test_load_mesh(void **state)
+{
+    (void)state;
+    assert_int_equal(run(load_mesh), 0);
+    for (int all_after = 0; all_after < 2; all_after++)
+        for (uint64_t i = 0; run_failing(load_mesh, FAILING_MEMORY, i, all_after); i++)
+            ;
+}
+
+static int prepare(struct bsq_ctx *ctx)
+{
+    int status = sort_to(ctx, "scan.tris");
+    return status ? status : voxelize_to(ctx, "scan.nvdb");
+}
+
+static int set_up(void **state)
+{
+    (void)state;
+    if (!mkdtemp(directory) || chdir(directory) != 0)
+        return -1;
+    write_inputs();
+    return run(prepare);
+}
+
+static int tear_down(void **state)
+{
+    char command[64];
+    (void)state;
+    snprintf(command, sizeof command, "rm -r %s", directory);
+    return chdir("/") == 0 ? system(command) : -1;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_parse),       cmocka_unit_test(test_load_mesh),    cmocka_unit_test(test_sort),
+        cmocka_unit_test(test_voxelize),    cmocka_unit_test(test_verify_tris),  cmocka_unit_test(test_verify_nvdb),
+        cmocka_unit_test(test_bake_grid),   cmocka_unit_test(test_bake_preview), cmocka_unit_test(test_bake_exact),
+        cmocka_unit_test(test_compare),
+    };
+    return cmocka_run_group_tests(tests, set_up, tear_down);
+}
