@@ -1,0 +1,49 @@
+#!/bin/sh
+# test_threads.sh - all that the programs write has the same bytes on one thread and on eight: a textured scan of
+# several chunks and regions through both stages, previews, comparisons. Built with config=tsan it shows races.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+"$TESTS/generate-scan" --triangles 150000 --uvs vase -o vase.obj
+"$TESTS/generate-scan" vase-low -o low.obj
+
+# Any image is a texture: here a map.
+run bisque-voxelize vase.obj -o plain.nvdb --resolution 64 --no-tris
+code 0
+run bisque-bake plain.nvdb low.obj -o texture.png --maps normal --size 128 --device cpu
+code 0
+
+for threads in 1 8; do
+    mkdir $threads
+    run bisque-voxelize vase.obj --texture texture.png -o $threads/vase.nvdb --resolution 300 --threads $threads
+    code 0
+    run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 150 --grid-type onindex \
+        --threads $threads
+    code 0
+    for scan in vase.nvdb vase.tris; do
+        to=$threads/${scan#*.}
+        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.exr" --maps normal,color,mask --size 200x150 \
+            --samples 2 --preview "${to}_preview.png" --device cpu --threads $threads
+        code 0
+        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.png" --maps normal,color --size 200x150 \
+            --samples 1 --png-bits 8 --device cpu --threads $threads
+        code 0
+    done
+    run bisque-compare $threads/nvdb_normal.exr $threads/tris_normal.exr --mask-a $threads/nvdb_mask.exr \
+        --mask-b $threads/tris_mask.exr --heatmap $threads/heat.png --histogram $threads/histogram.png --json \
+        --threads $threads
+    code 0
+    jq -S 'del(.cost) | walk(if type == "string" then sub("^[18]/"; "") else . end)' "$out" \
+        >$threads/compared.json
+done
+(cd 1 && ls) >names
+for name in $(cat names); do
+    same 1/$name 8/$name
+done
+[ "$(wc -l <names)" -eq 18 ]
+check "all files were compared: $(tr '\n' ' ' <names)" $?
+# They are files of something: a share of texels was hit, and the texture is in the colours.
+cmp -s 1/nvdb_normal.exr 1/tris_normal.exr
+[ $? -eq 1 ]
+check "the grid's map is not that of the triangles" $?
+finish
