@@ -219,7 +219,7 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
-unit: $(unit_bins) $(module_files)
+unit: $(unit_bins) $(module_files) $(fake_cuda) $(crashing_driver)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda) $(crashing_driver)
