@@ -7,11 +7,13 @@
 #include <inttypes.h>
 #include <pthread.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/clock.h"
 #include "libbake/busy_internal.h"
 #include "libbake/device_backend_internal.h"
+#include "libbake/kernel_cache_internal.h"
 #include "libbake/opencl_api_internal.h"
 #include "libbake/slices_internal.h"
 
@@ -152,19 +154,69 @@ static int fail_build(struct opencl *cl, cl_int code)
                     bake_opencl_error(code, number), line);
 }
 
+/* Makes the program from what an earlier run compiled. */
+static bool build_from_cache(struct opencl *cl, const char *key, const char *options)
+{
+    void *binary;
+    uint64_t bytes;
+    cl_int code, status = CL_SUCCESS;
+
+    if (!bake_kernel_cache_get(key, &binary, &bytes))
+        return false;
+    cl->program =
+        cl->api.clCreateProgramWithBinary(cl->context, 1, &cl->device.id, &(size_t){bytes},
+                                          &(const unsigned char *){binary}, &status, &code);
+    free(binary);
+    if (code == CL_SUCCESS)
+        code = status;
+    if (code == CL_SUCCESS)
+        code = cl->api.clBuildProgram(cl->program, 1, &cl->device.id, options, NULL, NULL);
+    if (code == CL_SUCCESS)
+        return true;
+    if (cl->program)
+        cl->api.clReleaseProgram(cl->program);
+    cl->program = NULL;
+    return false;
+}
+
+static void keep_binary(struct opencl *cl, const char *key)
+{
+    size_t bytes = 0;
+    unsigned char *binary = NULL;
+
+    if (cl->api.clGetProgramInfo(cl->program, CL_PROGRAM_BINARY_SIZES, sizeof bytes, &bytes,
+                                 NULL) != CL_SUCCESS ||
+        bytes == 0)
+        return;
+    binary = malloc(bytes);
+    if (binary && cl->api.clGetProgramInfo(cl->program, CL_PROGRAM_BINARIES, sizeof binary, &binary,
+                                           NULL) == CL_SUCCESS)
+        bake_kernel_cache_put(key, binary, bytes);
+    free(binary);
+}
+
 static int build(struct opencl *cl)
 {
     const char *source = kernel_source;
     const char *options = cl->device.rounds_correctly
                               ? "-cl-std=CL1.2 -cl-fp32-correctly-rounded-divide-sqrt"
                               : "-cl-std=CL1.2";
+    char key[1024];
     cl_int code;
 
+    snprintf(key, sizeof key, "%016" PRIx64 "\n%s\n%s\n%s",
+             bake_kernel_hash(kernel_source, sizeof kernel_source), options, cl->device.name,
+             cl->device.driver);
+    if (build_from_cache(cl, key, options))
+        return 0;
     cl->program = cl->api.clCreateProgramWithSource(cl->context, 1, &source, NULL, &code);
     if (code != CL_SUCCESS)
         return fail_open(cl, "clCreateProgramWithSource", code);
     code = cl->api.clBuildProgram(cl->program, 1, &cl->device.id, options, NULL, NULL);
-    return code == CL_SUCCESS ? 0 : fail_build(cl, code);
+    if (code != CL_SUCCESS)
+        return fail_build(cl, code);
+    keep_binary(cl, key);
+    return 0;
 }
 
 static uint64_t sample_bytes(const struct opencl *cl)

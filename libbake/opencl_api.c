@@ -81,6 +81,16 @@ static void tidy(char *text)
     *to = '\0';
 }
 
+static void describe_driver(const struct bake_opencl_api *api, struct bake_opencl_device *out)
+{
+    char platform[80] = "", device[80] = "", driver[80] = "";
+
+    api->clGetPlatformInfo(out->platform, CL_PLATFORM_VERSION, sizeof platform - 1, platform, NULL);
+    api->clGetDeviceInfo(out->id, CL_DEVICE_VERSION, sizeof device - 1, device, NULL);
+    api->clGetDeviceInfo(out->id, CL_DRIVER_VERSION, sizeof driver - 1, driver, NULL);
+    snprintf(out->driver, sizeof out->driver, "%s\n%s\n%s", platform, device, driver);
+}
+
 static void describe(const struct bake_opencl_api *api, cl_platform_id platform, cl_device_id id,
                      struct bake_opencl_device *out)
 {
@@ -94,6 +104,7 @@ static void describe(const struct bake_opencl_api *api, cl_platform_id platform,
     tidy(name);
     tidy(vendor);
     snprintf(out->name, sizeof out->name, "%.80s (%.40s)", name, vendor);
+    describe_driver(api, out);
     out->is_gpu = device_number(api, id, CL_DEVICE_TYPE, 8) & CL_DEVICE_TYPE_GPU;
     out->host_memory = device_number(api, id, CL_DEVICE_HOST_UNIFIED_MEMORY, 4);
     out->rounds_correctly =

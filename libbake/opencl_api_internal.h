@@ -20,6 +20,8 @@
     X(clReleaseCommandQueue)                                                                       \
     X(clCreateBuffer)                                                                              \
     X(clReleaseMemObject)                                                                          \
+    X(clCreateProgramWithBinary)                                                                   \
+    X(clGetProgramInfo)                                                                            \
     X(clCreateProgramWithSource)                                                                   \
     X(clBuildProgram)                                                                              \
     X(clGetProgramBuildInfo)                                                                       \
@@ -54,6 +56,7 @@ struct bake_opencl_device {
     cl_platform_id platform;
     cl_device_id id;
     char name[128];
+    char driver[256]; /* versions of platform, device and driver */
     bool is_gpu, host_memory, rounds_correctly;
     uint64_t memory_bytes, buffer_bytes; /* of the device; of one buffer at most */
 };

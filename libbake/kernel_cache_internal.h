@@ -1,0 +1,21 @@
+/* kernel_cache_internal.h - compiled kernels kept from one run to the next, in $XDG_CACHE_HOME/bisque or ~/.cache/bisque.
+ *
+ * An entry belongs to a key: a text that names all that the code depends on. Nothing here fails: a cache that
+ * cannot be read or written, and an entry that is damaged or belongs to another key, are as if it were not there. Several
+ * processes may use it at once. */
+#ifndef BAKE_KERNEL_CACHE_INTERNAL_H
+#define BAKE_KERNEL_CACHE_INTERNAL_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* Number that stands for some bytes in a key or a name: FNV-1a. */
+uint64_t bake_kernel_hash(const void *data, uint64_t bytes);
+
+/* Gets the entry of a key, at most 64 MiB; the caller frees *out with free(). */
+bool bake_kernel_cache_get(const char *key, void **out, uint64_t *bytes);
+
+/* Puts or replaces the entry of a key. Others see it whole or not at all. */
+void bake_kernel_cache_put(const char *key, const void *data, uint64_t bytes);
+
+#endif
