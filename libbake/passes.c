@@ -1,0 +1,246 @@
+/* passes.c - what tiles reach is found on all threads; a serial step puts tile after tile into a
+ * pass while they fit. Neighbouring tiles mostly lie on the same part of the surface. */
+#include "libbake/passes_internal.h"
+
+#include <inttypes.h>
+
+#include "base/parallel.h"
+
+enum { STACK = 64 /* a tile is halved at most once for each bit of its sides */ };
+
+struct slot {
+    uint32_t tile;
+    struct bake_leaf_set reached;
+};
+
+struct planner {
+    struct bsq_ctx *ctx;
+    const struct bake_plan_options *options;
+    struct bake_plan *plan;
+    struct bake_leaf_set pass; /* of the pieces of the pass that is being filled */
+    uint64_t first_piece;      /* of that pass */
+    uint32_t **samples;        /* a tile's, for each worker and one more */
+    unsigned workers;
+    struct slot *slots;
+    unsigned slot_count;
+    struct bake_leaf_set split; /* of a piece of a tile */
+};
+
+static uint64_t total(const uint64_t bytes[BAKE_PART_ARRAYS], uint64_t *largest)
+{
+    uint64_t sum = 0;
+    *largest = 0;
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
+        sum += bytes[i];
+        *largest = bytes[i] > *largest ? bytes[i] : *largest;
+    }
+    return sum;
+}
+
+/* Whether the pass can take what a piece reaches. */
+static bool fits(const struct planner *p, const struct bake_leaf_set *reached)
+{
+    struct bake_leaf_set counts;
+    uint64_t bytes[BAKE_PART_ARRAYS], largest;
+    bake_leaf_set_preview(&p->pass, reached, &counts);
+    bake_part_sizes(p->pass.grid, &counts, bytes);
+    return total(bytes, &largest) <= p->options->part_bytes && largest <= p->options->buffer_bytes;
+}
+
+static int end_pass(struct planner *p)
+{
+    struct bake_plan *plan = p->plan;
+    if (plan->piece_count == p->first_piece)
+        return 0;
+    int status = bsq_grow(p->ctx, "passes", plan->pass_count + 1, sizeof *plan->passes,
+                          &plan->passes, &plan->pass_capacity);
+    if (status < 0)
+        return status;
+    struct bake_pass *pass = &plan->passes[plan->pass_count++];
+    *pass = (struct bake_pass){.first_piece = p->first_piece,
+                               .piece_count = plan->piece_count - p->first_piece};
+    status = bake_part_create(p->ctx, &p->pass, &p->options->job->params, &pass->part);
+    p->first_piece = plan->piece_count;
+    bake_leaf_set_clear(&p->pass);
+    return status;
+}
+
+/* Puts a piece into this pass or the next; *placed is false where it is too much for any. */
+static int place(struct planner *p, uint32_t tile, const struct bake_rectangle *texels,
+                 const struct bake_leaf_set *reached, bool *placed)
+{
+    struct bake_plan *plan = p->plan;
+    int status = 0;
+    *placed = fits(p, reached);
+    if (!*placed) {
+        status = end_pass(p);
+        *placed = status == 0 && fits(p, reached);
+    }
+    if (status < 0 || !*placed)
+        return status;
+    status = bsq_grow(p->ctx, "pieces of the map", plan->piece_count + 1, sizeof *plan->pieces,
+                      &plan->pieces, &plan->piece_capacity);
+    if (status == 0)
+        status = bake_leaf_set_add(p->ctx, &p->pass, reached);
+    if (status == 0)
+        plan->pieces[plan->piece_count++] = (struct bake_piece){tile, *texels};
+    return status;
+}
+
+static int fail_too_small(const struct planner *p)
+{
+    uint64_t bytes[BAKE_PART_ARRAYS], largest, needed;
+    bake_part_sizes(p->pass.grid, &p->split, bytes);
+    needed = total(bytes, &largest);
+    if (needed > p->options->part_bytes)
+        return bsq_fail(p->ctx, BSQ_ENODEVICE,
+                        "the device's memory leaves %" PRIu64
+                        " bytes for a part of the grid, a texel's rays reach %" PRIu64
+                        ": give at least %" PRIu64 " bytes more, or shorter rays",
+                        p->options->part_bytes, needed, 2 * (needed - p->options->part_bytes));
+    return bsq_fail(p->ctx, BSQ_ENODEVICE,
+                    "a buffer of the device holds %" PRIu64
+                    " bytes, the part of the grid that a texel's rays reach needs one of %" PRIu64,
+                    p->options->buffer_bytes, largest);
+}
+
+/* Halves a tile that is too much for a pass until its pieces are not. */
+static int place_split(struct planner *p, uint32_t index)
+{
+    const struct bk_tile tile = bake_raster_tile(p->options->raster, index);
+    uint32_t *samples = p->samples[p->workers];
+    struct bake_rectangle stack[STACK] = {{0, 0, tile.width, tile.height}};
+    uint64_t overlaps;
+    unsigned depth = 1;
+    int status = 0;
+    bake_raster_fill(p->options->raster, index, samples, &overlaps);
+    while (depth > 0 && status == 0) {
+        const struct bake_rectangle whole = stack[--depth];
+        struct bake_rectangle first = whole, second = whole;
+        bool placed;
+        bake_leaf_set_clear(&p->split);
+        status = bake_reach(p->ctx, p->options->job, &tile, samples, &whole, &p->split);
+        if (status == 0)
+            status = place(p, index, &whole, &p->split, &placed);
+        if (status < 0 || placed)
+            continue;
+        if (whole.width == 1 && whole.height == 1)
+            return fail_too_small(p);
+        if (whole.width >= whole.height) {
+            first.width /= 2;
+            second.x += first.width;
+            second.width -= first.width;
+        } else {
+            first.height /= 2;
+            second.y += first.height;
+            second.height -= first.height;
+        }
+        stack[depth++] = second;
+        stack[depth++] = first;
+    }
+    return status;
+}
+
+/* ---- the pipeline ---- */
+
+static int next_tile(void *arg, void *slot, uint64_t sequence)
+{
+    const struct planner *p = arg;
+    ((struct slot *)slot)->tile = (uint32_t)sequence;
+    return sequence < bake_raster_tile_count(p->options->raster);
+}
+
+static int reach_tile(void *arg, void *data, uint64_t sequence, unsigned worker)
+{
+    const struct planner *p = arg;
+    struct slot *slot = data;
+    const struct bk_tile tile = bake_raster_tile(p->options->raster, slot->tile);
+    const struct bake_rectangle all = {0, 0, tile.width, tile.height};
+    uint64_t overlaps;
+    (void)sequence;
+    bake_raster_fill(p->options->raster, slot->tile, p->samples[worker], &overlaps);
+    bake_leaf_set_clear(&slot->reached);
+    return bake_reach(p->ctx, p->options->job, &tile, p->samples[worker], &all, &slot->reached);
+}
+
+static int place_tile(void *arg, void *data, uint64_t sequence)
+{
+    struct planner *p = arg;
+    struct slot *slot = data;
+    const struct bk_tile tile = bake_raster_tile(p->options->raster, slot->tile);
+    const struct bake_rectangle all = {0, 0, tile.width, tile.height};
+    bool placed;
+    (void)sequence;
+    int status = place(p, slot->tile, &all, &slot->reached, &placed);
+    if (status == 0 && !placed)
+        status = place_split(p, slot->tile);
+    bsq_progress_add(p->ctx, 1);
+    return status;
+}
+
+static int allocate(struct planner *p)
+{
+    const struct bake_job *job = p->options->job;
+    const uint64_t samples = (uint64_t)job->params.samples * job->params.samples;
+    p->workers = bsq_threads(p->ctx);
+    const unsigned slots = 2 * p->workers;
+    int status =
+        bsq_calloc(p->ctx, "planning", p->workers + 1, sizeof *p->samples, &p->samples);
+    for (unsigned i = 0; i <= p->workers && status == 0; i++)
+        status = bsq_alloc(p->ctx, "samples of a tile", job->tile_texels * samples,
+                           sizeof **p->samples, &p->samples[i]);
+    if (status == 0)
+        status = bsq_calloc(p->ctx, "planning", slots, sizeof *p->slots, &p->slots);
+    for (; p->slot_count < slots && status == 0; p->slot_count++)
+        status = bake_leaf_set_create(p->ctx, job->grid, &p->slots[p->slot_count].reached);
+    if (status == 0)
+        status = bake_leaf_set_create(p->ctx, job->grid, &p->pass);
+    if (status == 0)
+        status = bake_leaf_set_create(p->ctx, job->grid, &p->split);
+    return status;
+}
+
+static void release(struct planner *p)
+{
+    for (unsigned i = 0; p->samples && i <= p->workers; i++)
+        bsq_free(p->ctx, p->samples[i]);
+    for (unsigned i = 0; i < p->slot_count; i++)
+        bake_leaf_set_free(p->ctx, &p->slots[i].reached);
+    bake_leaf_set_free(p->ctx, &p->pass);
+    bake_leaf_set_free(p->ctx, &p->split);
+    bsq_free(p->ctx, p->samples);
+    bsq_free(p->ctx, p->slots);
+}
+
+int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
+                     struct bake_plan *out)
+{
+    struct planner p = {.ctx = ctx, .options = options, .plan = out};
+    *out = (struct bake_plan){0};
+    int status = allocate(&p);
+    if (status == 0) {
+        const struct bsq_pipeline pipeline = {.produce = next_tile,
+                                              .work = reach_tile,
+                                              .emit = place_tile,
+                                              .arg = &p,
+                                              .slots = p.slots,
+                                              .slot_size = sizeof *p.slots,
+                                              .slot_count = p.slot_count};
+        bsq_progress_begin(ctx, "planning", "tiles", bake_raster_tile_count(options->raster));
+        status = bsq_pipeline_run(ctx, &pipeline);
+        bsq_progress_end(ctx);
+    }
+    if (status == 0)
+        status = end_pass(&p);
+    release(&p);
+    return status;
+}
+
+void bake_plan_free(struct bsq_ctx *ctx, struct bake_plan *plan)
+{
+    for (uint64_t i = 0; i < plan->pass_count; i++)
+        bake_part_free(ctx, &plan->passes[i].part);
+    bsq_free(ctx, plan->passes);
+    bsq_free(ctx, plan->pieces);
+    *plan = (struct bake_plan){0};
+}
