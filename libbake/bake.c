@@ -15,6 +15,7 @@
 #include "libbake/image_internal.h"
 #include "libbake/lowmesh_internal.h"
 #include "libbake/map_output_internal.h"
+#include "libbake/passes_internal.h"
 #include "libbake/preview_internal.h"
 #include "libbake/raster_internal.h"
 #include "libbake/surface_internal.h"
@@ -192,6 +193,7 @@ static int open_device(struct job *job)
     job->traced.triangles = job->triangles;
     job->traced.triangle_count = (uint32_t)job->mesh.triangle_count;
     job->traced.tile_texels = job->tile_size * job->tile_size;
+    job->traced.device_memory = job->options->gpu_memory_bytes;
     const char *name = job->options->device ? job->options->device : "auto";
     int status = bake_device_open(job->ctx, name, &job->traced, &job->device);
     if (status == 0)
@@ -245,15 +247,40 @@ static int trace_exact(struct job *job)
     return bake_exact_trace_tiles(job->ctx, &tiles, job->report);
 }
 
+/* Plans passes where the device does not hold the grid: *planned. */
+static int plan_passes(struct job *job, struct bake_plan *plan, bool *planned)
+{
+    struct bake_plan_options options = {.raster = job->raster, .job = &job->traced};
+    job->report->passes = 1;
+    *planned = !bake_device_holds_grid(job->device, &options.part_bytes, &options.buffer_bytes);
+    if (!*planned)
+        return 0;
+    int status = bake_plan_passes(job->ctx, &options, plan);
+    if (status == BSQ_ENODEVICE && bake_device_give_up(job->device, bsq_error(job->ctx))) {
+        bsq_clear_error(job->ctx);
+        *planned = false;
+        return 0;
+    }
+    job->report->passes = plan->pass_count;
+    return status;
+}
+
 static int trace_grid(struct job *job)
 {
+    struct bake_plan plan = {0};
+    bool planned;
+    int status = plan_passes(job, &plan, &planned);
     struct bake_tiles tiles = {.raster = job->raster,
                                .device = job->device,
+                               .plan = planned ? &plan : NULL,
                                .image = job->image,
                                .maps = job->maps,
                                .samples = job->options->samples,
                                .tile_size = job->tile_size};
-    return bake_trace_tiles(job->ctx, &tiles, job->report);
+    if (status == 0)
+        status = bake_trace_tiles(job->ctx, &tiles, job->report);
+    bake_plan_free(job->ctx, &plan);
+    return status;
 }
 
 static void note_device_times(struct job *job)

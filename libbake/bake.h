@@ -52,6 +52,9 @@ struct bake_options {
     enum bake_scan_normals scan_normals; /* of a chunk file */
     bool two_sided;          /* also take surfaces that face away from the low mesh */
     const char *device;      /* "auto", "cpu", "cuda", "cuda:N", "opencl", "opencl:N" */
+    /* Most bytes to use of a GPU's memory, 0: all that is free. A grid that needs more is baked in passes. The
+     * processor reads the grid from its file and uses none. */
+    uint64_t gpu_memory_bytes;
     const char *preview_path; /* PNG, or NULL */
 };
 
@@ -75,6 +78,7 @@ struct bake_report {
      * how long kernels and copies of tiles ran; those of several threads at once count once. */
     double seconds_upload, seconds_kernels, seconds_copies;
     uint64_t kernel_calls;
+    uint64_t passes; /* over the map, each with a part of the grid; 1: the device holds all of it */
 };
 
 /* Bakes and writes the maps. They are all written before the first takes its final name, so a failure leaves

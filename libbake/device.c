@@ -15,6 +15,7 @@ struct bake_device {
     struct bake_backend
         *fallback;    /* native, where the device was chosen automatically; else NULL */
     atomic_bool lost; /* backend failed, fallback goes on */
+    unsigned slot;    /* that tiles are traced from */
 };
 
 /* Parses "KIND" (*index stays) or "KIND:N". */
@@ -59,6 +60,43 @@ static const struct kind kinds[] = {
 };
 enum { KINDS = sizeof kinds / sizeof kinds[0] };
 
+/* Loads the whole grid where there is room. */
+static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend *backend)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    struct bake_part whole;
+    uint64_t total = 0;
+    int status;
+
+    if (!backend->load)
+        return 0;
+    bake_part_whole(job->grid, &job->params, &whole);
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
+        total += whole.bytes[i];
+        if (whole.bytes[i] > backend->buffer_bytes)
+            return 0;
+    }
+    if (total > backend->memory_bytes)
+        return 0;
+    status = backend->load(backend, 0, &whole, why);
+    backend->holds_grid = status == 0;
+    return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
+}
+
+static int open_loaded(struct bsq_ctx *ctx, const struct kind *kind, int64_t index,
+                       const struct bake_job *job, struct bake_backend **out)
+{
+    int status = kind->open(ctx, index, job, out);
+
+    if (status == 0)
+        status = load_grid(ctx, job, *out);
+    if (status < 0 && *out) {
+        (*out)->close(*out);
+        *out = NULL;
+    }
+    return status;
+}
+
 /* Opens the first GPU of a kind that works; *out stays NULL where there is none. */
 static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct bake_job *job,
                     struct bake_backend **out)
@@ -66,7 +104,7 @@ static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct b
     int64_t number = -1;
 
     while ((number = kind->next_gpu(ctx, number)) >= 0) {
-        int status = kind->open(ctx, number, job, out);
+        int status = open_loaded(ctx, kind, number, job, out);
         if (status == BSQ_OK || status == BSQ_EINTR)
             return status;
         bsq_warn(ctx, "%s:%" PRId64 " is not used: %s", kind->name, number, bsq_error(ctx));
@@ -89,7 +127,7 @@ static int open_backends(struct bake_device *device, const char *name, const str
             continue;
         if (kinds[i].check)
             status = kinds[i].check(ctx);
-        return status < 0 ? status : kinds[i].open(ctx, index, job, &device->backend);
+        return status < 0 ? status : open_loaded(ctx, &kinds[i], index, job, &device->backend);
     }
     if (strcmp(name, "auto") != 0)
         return bsq_fail(ctx, BSQ_ENODEVICE,
@@ -127,6 +165,49 @@ const char *bake_device_name(const struct bake_device *device)
     return device->backend->name;
 }
 
+bool bake_device_holds_grid(const struct bake_device *device, uint64_t *part_bytes,
+                            uint64_t *buffer_bytes)
+{
+    const struct bake_backend *backend = device->backend;
+
+    *part_bytes = backend->memory_bytes / BAKE_SLOTS;
+    *buffer_bytes = backend->buffer_bytes;
+    return !backend->load || backend->holds_grid || atomic_load(&device->lost);
+}
+
+bool bake_device_give_up(struct bake_device *device, const char *why)
+{
+    if (!device->fallback)
+        return false;
+    if (!atomic_exchange(&device->lost, true))
+        bsq_warn(device->ctx, "%s: %s; going on with %s", device->backend->name, why,
+                 device->fallback->name);
+    return true;
+}
+
+int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_part *part)
+{
+    char why[BAKE_WHY_BYTES] = "";
+    struct bake_backend *backend = device->backend;
+    int status;
+
+    if (atomic_load(&device->lost))
+        return 0;
+    status = backend->load(backend, slot, part, why);
+    if (status == 0)
+        return 0;
+    if (status != BSQ_EINTR && bake_device_give_up(device, why)) {
+        bsq_clear_error(device->ctx);
+        return 0;
+    }
+    return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
+}
+
+void bake_device_use(struct bake_device *device, unsigned slot)
+{
+    device->slot = slot;
+}
+
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
                       const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker)
 {
@@ -136,16 +217,13 @@ int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
 
     if (atomic_load(&device->lost))
         backend = device->fallback;
-    status = backend->trace(backend, tile, sample_triangles, texels, worker, why);
+    status = backend->trace(backend, device->slot, tile, sample_triangles, texels, worker, why);
     if (status == BSQ_OK)
         return 0;
-    if (status == BSQ_EINTR || !device->fallback || backend == device->fallback)
+    if (status == BSQ_EINTR || backend == device->fallback || !bake_device_give_up(device, why))
         return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
-    if (!atomic_exchange(&device->lost, true))
-        bsq_warn(device->ctx, "%s: %s; going on with %s", backend->name, why,
-                 device->fallback->name);
     backend = device->fallback;
-    return backend->trace(backend, tile, sample_triangles, texels, worker, why);
+    return backend->trace(backend, device->slot, tile, sample_triangles, texels, worker, why);
 }
 
 void bake_device_times(struct bake_device *device, struct bake_device_times *out)

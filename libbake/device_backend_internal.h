@@ -3,13 +3,22 @@
 #define BAKE_DEVICE_BACKEND_INTERNAL_H
 
 #include "libbake/device_internal.h"
+#include "libbake/part_internal.h"
 
 /* An opened device of some kind; the kind's own structure begins with it. */
 struct bake_backend {
     char name[128];
+    /* Where load is not NULL: what parts of the grid may take of the device's memory, all arrays
+     * together and each. */
+    uint64_t memory_bytes, buffer_bytes;
+    bool holds_grid; /* all of it, in slot 0; set by device.c */
+    /* Puts a part of the grid into a slot, instead of what was there; its tiles can be traced from
+     * then on. From one thread at a time, while other threads trace tiles of the other slot. NULL:
+     * the device reads the mapped file. Failures as for trace(). */
+    int (*load)(struct bake_backend *backend, unsigned slot, const struct bake_part *part, char *why);
     /* As bake_device_trace(). A failure is described in `why` (BAKE_WHY_BYTES) instead of being
      * recorded, since the caller may go on with another device. */
-    int (*trace)(struct bake_backend *backend, const struct bk_tile *tile,
+    int (*trace)(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
                  const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
                  char *why);
     /* NULL where the device is the processor. Not while trace() runs. */
@@ -19,31 +28,14 @@ struct bake_backend {
 
 enum { BAKE_WHY_BYTES = 512 };
 
-/* What goes to a device once, in the order of the kernel's arguments. */
-enum {
-    BAKE_TILES,
-    BAKE_UPPERS,
-    BAKE_LOWERS,
-    BAKE_LEAVES,
-    BAKE_NORMALS,
-    BAKE_PLANES,
-    BAKE_COLORS,
-    BAKE_SECONDS,
-    BAKE_TRIANGLES,
-    BAKE_ARRAYS
-};
-struct bake_array {
-    const char *what;
-    const void *data;
-    uint64_t bytes; /* 0: the kernel does not read it */
-};
-void bake_job_arrays(const struct bake_job *job, struct bake_array arrays[BAKE_ARRAYS]);
+/* Longest buffer that is asked of a device: some promise more than they can give in one piece. */
+#define BAKE_BUFFER_MOST (UINT64_C(1) << 30)
 
 /* Opens the native device. Errors: BSQ_ENOMEM. */
 int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend **out);
 void bake_native_info(struct bsq_ctx *ctx, struct bake_device_info *info);
 
-/* Opens CUDA device number `index` and uploads the job's grid. Errors: BSQ_ENODEVICE, BSQ_ENOMEM.
+/* Opens CUDA device number `index`; the grid is loaded afterwards. Errors: BSQ_ENODEVICE, BSQ_ENOMEM.
  */
 int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
                    struct bake_backend **out);
@@ -58,7 +50,7 @@ int64_t bake_cuda_next_gpu(struct bsq_ctx *ctx, int64_t after);
 /* Which OpenCL device to open. */
 enum { BAKE_OPENCL_FIRST = -1 /* the first GPU, else the first device */ };
 
-/* Opens OpenCL device number `index`, or BAKE_OPENCL_FIRST, and uploads the job's grid. Errors:
+/* Opens OpenCL device number `index`, or BAKE_OPENCL_FIRST; the grid is loaded afterwards. Errors:
  * BSQ_ENODEVICE, BSQ_ENOMEM. */
 int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
                      struct bake_backend **out);

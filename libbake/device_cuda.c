@@ -1,7 +1,8 @@
 /* device_cuda.c - the kernel on an NVIDIA GPU, through the driver API.
  *
  * The kernel comes as PTX that was made when the program was built; the driver turns it into code
- * for the card and keeps that. The grid goes up once, each array into memory of its own. Every
+ * for the card and keeps that. The grid, or two parts of it at a time, go up
+ * through two page-locked pieces of host memory in turn, each array into memory of its own. Every
  * worker has its own stream, tile memory on the device, and page-locked memory on the host, from
  * and to which the device copies by itself; so workers overlap each other's copies and kernels and
  * never wait for a lock. */
@@ -33,14 +34,34 @@ enum {
 /* Marks in a worker's stream. */
 enum { BEFORE_SAMPLES, BEFORE_KERNELS, AFTER_KERNELS, AFTER_TEXELS, EVENTS };
 
+struct loaded;
+
 /* What one worker uses; made by its first tile. */
 struct worker {
     CUstream stream;
     CUevent events[EVENTS];
     CUdeviceptr samples, texels;
     void *host_samples, *host_texels; /* page-locked */
+    struct loaded *part; /* that it traces */
     struct bake_slices slices;
     uint64_t launches;
+};
+
+/* A part of the grid on the device. */
+struct loaded {
+    CUdeviceptr arrays[BAKE_PART_ARRAYS];
+    struct bk_params params;
+};
+
+/* Two page-locked pieces: one is filled while the device takes the other. */
+struct stage {
+    CUstream stream;
+    char *pieces[2];
+    CUevent taken[2];
+    unsigned turn;
+    uint64_t used; /* of the piece whose turn it is */
+    CUdeviceptr to;
+    CUresult code; /* of the call that failed */
 };
 
 struct cuda {
@@ -52,7 +73,9 @@ struct cuda {
     CUmodule module;
     CUfunction kernel;
     CUevent origin; /* of the clock that times are told on */
-    CUdeviceptr arrays[BAKE_ARRAYS];
+    CUdeviceptr triangles;
+    struct loaded loaded[BAKE_SLOTS];
+    struct stage stage;
     struct bk_params params;
     uint32_t tile_texels;
     uint64_t reserved_bytes; /* of host memory */
@@ -182,34 +205,34 @@ static int load_kernel(struct cuda *cuda)
     return code == CUDA_SUCCESS ? 0 : fail_open(cuda, "cuModuleGetFunction", code);
 }
 
-/* Refuses what the device cannot hold, before anything is allocated. */
-static int check_memory(struct cuda *cuda, const struct bake_array arrays[BAKE_ARRAYS])
+/* Sets aside what is there for the whole job; the rest is for the grid. */
+static int share_memory(struct cuda *cuda, const struct bake_job *job)
 {
-    uint64_t total = cuda->worker_count * (sample_bytes(cuda) + texel_bytes(cuda));
+    const uint64_t triangles = job->triangle_count * (uint64_t)sizeof *job->triangles;
+    const uint64_t fixed =
+        cuda->worker_count * (sample_bytes(cuda) + texel_bytes(cuda)) + triangles;
     size_t free_bytes = 0, all_bytes = 0;
     CUresult code = cuda->api.cuMemGetInfo(&free_bytes, &all_bytes);
+    uint64_t limit = free_bytes;
 
     if (code != CUDA_SUCCESS)
         return fail_open(cuda, "cuMemGetInfo", code);
-    for (int i = 0; i < BAKE_ARRAYS; i++)
-        total += arrays[i].bytes;
-    if (total > free_bytes)
+    if (job->device_memory && job->device_memory < limit)
+        limit = job->device_memory;
+    if (fixed >= limit)
         return bsq_fail(cuda->ctx, BSQ_ENODEVICE,
-                        "%s: the job takes %" PRIu64 " bytes, the device has %zu free of %zu",
-                        cuda->device.name, total, free_bytes, all_bytes);
+                        "%s: tiles and the low mesh take %" PRIu64 " bytes of the device's memory, "
+                        "%" PRIu64 " are allowed: give more, or fewer --threads",
+                        cuda->device.name, fixed, limit);
+    cuda->base.memory_bytes = limit - fixed;
+    cuda->base.buffer_bytes = UINT64_MAX; /* no limit but the memory's */
     return 0;
 }
 
-/* Two page-locked pieces: one is filled while the device takes the other. */
-struct stage {
-    CUstream stream;
-    char *pieces[2];
-    CUevent taken[2];
-    unsigned turn;
-};
-
-static void close_stage(struct cuda *cuda, struct stage *stage)
+static void close_stage(struct cuda *cuda)
 {
+    struct stage *stage = &cuda->stage;
+
     if (stage->stream) {
         cuda->api.cuStreamSynchronize(stage->stream);
         cuda->api.cuStreamDestroy(stage->stream);
@@ -220,10 +243,12 @@ static void close_stage(struct cuda *cuda, struct stage *stage)
         if (stage->pieces[i])
             cuda->api.cuMemFreeHost(stage->pieces[i]);
     }
+    *stage = (struct stage){0};
 }
 
-static CUresult open_stage(struct cuda *cuda, struct stage *stage)
+static CUresult open_stage(struct cuda *cuda)
 {
+    struct stage *stage = &cuda->stage;
     CUresult code = cuda->api.cuStreamCreate(&stage->stream, CU_STREAM_NON_BLOCKING);
 
     for (int i = 0; i < 2 && code == CUDA_SUCCESS; i++) {
@@ -234,66 +259,126 @@ static CUresult open_stage(struct cuda *cuda, struct stage *stage)
     return code;
 }
 
-static CUresult send_piece(struct cuda *cuda, struct stage *stage, CUdeviceptr to, const void *data,
-                           size_t bytes)
+static int flush_stage(struct cuda *cuda)
 {
-    unsigned turn = stage->turn++ & 1;
+    struct stage *stage = &cuda->stage;
+
+    if (stage->used == 0)
+        return 0;
+    stage->code = cuda->api.cuMemcpyHtoDAsync(stage->to, stage->pieces[stage->turn], stage->used,
+                                              stage->stream);
+    if (stage->code == CUDA_SUCCESS)
+        stage->code = cuda->api.cuEventRecord(stage->taken[stage->turn], stage->stream);
+    stage->to += stage->used;
+    stage->used = 0;
+    stage->turn ^= 1;
     /* An event that was never recorded is over. */
-    CUresult code = cuda->api.cuEventSynchronize(stage->taken[turn]);
-
-    if (code != CUDA_SUCCESS)
-        return code;
-    memcpy(stage->pieces[turn], data, bytes);
-    code = cuda->api.cuMemcpyHtoDAsync(to, stage->pieces[turn], bytes, stage->stream);
-    if (code == CUDA_SUCCESS)
-        code = cuda->api.cuEventRecord(stage->taken[turn], stage->stream);
-    return code;
+    if (stage->code == CUDA_SUCCESS)
+        stage->code = cuda->api.cuEventSynchronize(stage->taken[stage->turn]);
+    return stage->code == CUDA_SUCCESS ? bsq_check(cuda->ctx) : BSQ_ENODEVICE;
 }
 
-static int upload(struct cuda *cuda, struct stage *stage, int index, const struct bake_array *array)
+static int put_in_stage(void *arg, const void *data, uint64_t bytes)
 {
-    CUresult code;
+    struct cuda *cuda = arg;
+    struct stage *stage = &cuda->stage;
+    const char *from = data;
+    int status = 0;
 
-    if (array->bytes == 0)
-        return 0; /* never read */
-    code = cuda->api.cuMemAlloc(&cuda->arrays[index], array->bytes);
-    if (code != CUDA_SUCCESS)
-        return fail_open(cuda, array->what, code);
-    for (uint64_t at = 0; at < array->bytes; at += STAGE_BYTES) {
-        uint64_t piece = array->bytes - at < STAGE_BYTES ? array->bytes - at : STAGE_BYTES;
-        int status = bsq_check(cuda->ctx);
-        if (status < 0)
-            return status;
-        code = send_piece(cuda, stage, cuda->arrays[index] + at, (const char *)array->data + at,
-                          piece);
-        if (code != CUDA_SUCCESS)
-            return fail_open(cuda, array->what, code);
+    while (bytes > 0 && status == 0) {
+        const uint64_t room = STAGE_BYTES - stage->used, piece = bytes < room ? bytes : room;
+        memcpy(stage->pieces[stage->turn] + stage->used, from, piece);
+        stage->used += piece;
+        from += piece;
+        bytes -= piece;
+        if (stage->used == STAGE_BYTES)
+            status = flush_stage(cuda);
     }
-    return 0;
+    return status;
 }
 
-static int upload_all(struct cuda *cuda, const struct bake_array arrays[BAKE_ARRAYS])
+/* Memory that what is put into the stage from now on goes to; empty arrays are never read. */
+static int begin_upload(struct cuda *cuda, uint64_t bytes, CUdeviceptr *to)
 {
-    double started = bsq_seconds_now();
-    struct stage stage = {0};
-    CUresult code;
-    int status = bsq_reserve(cuda->ctx, "staging of the grid", 2 * STAGE_BYTES);
+    struct stage *stage = &cuda->stage;
+
+    stage->code = bytes ? cuda->api.cuMemAlloc(to, bytes) : CUDA_SUCCESS;
+    stage->to = *to;
+    stage->used = 0;
+    return stage->code == CUDA_SUCCESS ? 0 : BSQ_ENODEVICE;
+}
+
+static int finish_upload(struct cuda *cuda)
+{
+    int status = flush_stage(cuda);
+
+    if (status == 0) {
+        cuda->stage.code = cuda->api.cuStreamSynchronize(cuda->stage.stream);
+        status = cuda->stage.code == CUDA_SUCCESS ? 0 : BSQ_ENODEVICE;
+    }
+    return status;
+}
+
+static int upload_triangles(struct cuda *cuda, const struct bake_job *job)
+{
+    const uint64_t bytes = job->triangle_count * (uint64_t)sizeof *job->triangles;
+    CUresult code = open_stage(cuda);
+
+    if (code != CUDA_SUCCESS)
+        return fail_open(cuda, "page-locked memory", code);
+    int status = begin_upload(cuda, bytes, &cuda->triangles);
+    if (status == 0)
+        status = put_in_stage(cuda, job->triangles, bytes);
+    if (status == 0)
+        status = finish_upload(cuda);
+    return status == BSQ_ENODEVICE ? fail_open(cuda, "triangles", cuda->stage.code) : status;
+}
+
+static void unload(struct cuda *cuda, struct loaded *loaded)
+{
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        if (loaded->arrays[i])
+            cuda->api.cuMemFree(loaded->arrays[i]);
+    *loaded = (struct loaded){0};
+}
+
+static int load_part(struct cuda *cuda, struct loaded *loaded, const struct bake_part *part,
+                     const char **what)
+{
+    int status = 0;
+
+    *what = "cuCtxSetCurrent";
+    cuda->stage.code = cuda->api.cuCtxSetCurrent(cuda->context);
+    if (cuda->stage.code != CUDA_SUCCESS)
+        return BSQ_ENODEVICE;
+    unload(cuda, loaded);
+    loaded->params = part->params;
+    for (int i = 0; i < BAKE_PART_ARRAYS && status == 0; i++) {
+        *what = bake_part_array_name(i);
+        status = begin_upload(cuda, part->bytes[i], &loaded->arrays[i]);
+        if (status == 0)
+            status = bake_part_send(part, i, put_in_stage, cuda);
+        if (status == 0)
+            status = flush_stage(cuda);
+    }
+    return status == 0 ? finish_upload(cuda) : status;
+}
+
+static int cuda_load(struct bake_backend *backend, unsigned slot, const struct bake_part *part,
+                     char *why)
+{
+    struct cuda *cuda = (struct cuda *)backend;
+    const double started = bsq_seconds_now();
+    char text[BAKE_CUDA_TEXT];
+    const char *what;
+    int status = load_part(cuda, &cuda->loaded[slot], part, &what);
 
     if (status < 0)
-        return status;
-    code = open_stage(cuda, &stage);
-    if (code != CUDA_SUCCESS)
-        status = fail_open(cuda, "page-locked memory", code);
-    for (int i = 0; i < BAKE_ARRAYS && status == 0; i++)
-        status = upload(cuda, &stage, i, &arrays[i]);
-    if (status == 0) {
-        code = cuda->api.cuStreamSynchronize(stage.stream);
-        if (code != CUDA_SUCCESS)
-            status = fail_open(cuda, "cuStreamSynchronize", code);
-    }
-    close_stage(cuda, &stage);
-    bsq_release(cuda->ctx, 2 * STAGE_BYTES);
-    cuda->upload_seconds = bsq_seconds_now() - started;
+        snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
+                 cuda->stage.code == CUDA_SUCCESS
+                     ? bsq_error(cuda->ctx)
+                     : bake_cuda_error(&cuda->api, cuda->stage.code, text));
+    cuda->upload_seconds += bsq_seconds_now() - started;
     return status;
 }
 
@@ -315,7 +400,6 @@ static int open_context(struct cuda *cuda)
 
 static int prepare(struct cuda *cuda, const struct bake_job *job)
 {
-    struct bake_array arrays[BAKE_ARRAYS];
     uint64_t host_bytes;
     int status;
 
@@ -327,7 +411,8 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
                         &cuda->workers);
     if (status < 0)
         return status;
-    host_bytes = cuda->worker_count * (sample_bytes(cuda) + texel_bytes(cuda));
+    host_bytes =
+        cuda->worker_count * (sample_bytes(cuda) + texel_bytes(cuda)) + 2 * (uint64_t)STAGE_BYTES;
     status = bsq_reserve(cuda->ctx, "page-locked memory for tiles", host_bytes);
     if (status < 0)
         return status;
@@ -337,9 +422,8 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
         status = load_kernel(cuda);
     if (status < 0)
         return status;
-    bake_job_arrays(job, arrays);
-    status = check_memory(cuda, arrays);
-    return status < 0 ? status : upload_all(cuda, arrays);
+    status = share_memory(cuda, job);
+    return status < 0 ? status : upload_triangles(cuda, job);
 }
 
 /* ---- tracing ---- */
@@ -389,10 +473,11 @@ static const char *open_worker(struct cuda *cuda, struct worker *worker, CUresul
 static CUresult launch(struct cuda *cuda, struct worker *worker, struct bk_tile tile,
                        uint32_t first_row, uint32_t end_row)
 {
-    CUdeviceptr *a = cuda->arrays;
+    struct loaded *part = worker->part;
+    CUdeviceptr *a = part->arrays;
     void *arguments[] = {&a[BAKE_TILES],     &a[BAKE_UPPERS],  &a[BAKE_LOWERS], &a[BAKE_LEAVES],
                          &a[BAKE_NORMALS],   &a[BAKE_PLANES],  &a[BAKE_COLORS], &a[BAKE_SECONDS],
-                         &a[BAKE_TRIANGLES], &cuda->params,    &tile,           &first_row,
+                         &cuda->triangles, &part->params,    &tile,           &first_row,
                          &end_row,           &worker->samples, &worker->texels};
 
     worker->launches++;
@@ -493,7 +578,7 @@ static const char *trace_tile(struct cuda *cuda, struct worker *worker, const st
     return "cuEventElapsedTime";
 }
 
-static int cuda_trace(struct bake_backend *backend, const struct bk_tile *tile,
+static int cuda_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
                       const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
                       char *why)
 {
@@ -507,6 +592,7 @@ static int cuda_trace(struct bake_backend *backend, const struct bk_tile *tile,
                  (unsigned)tile->width, (unsigned)tile->height);
         return BSQ_EBUG;
     }
+    cuda->workers[worker].part = &cuda->loaded[slot];
     call = trace_tile(cuda, &cuda->workers[worker], tile, sample_triangles, texels, &code);
     if (code == CUDA_SUCCESS)
         return 0;
@@ -533,9 +619,11 @@ static void cuda_close(struct bake_backend *backend)
         cuda->api.cuCtxSetCurrent(cuda->context);
         for (unsigned i = 0; i < cuda->worker_count; i++)
             close_worker(cuda, &cuda->workers[i]);
-        for (int i = 0; i < BAKE_ARRAYS; i++)
-            if (cuda->arrays[i])
-                cuda->api.cuMemFree(cuda->arrays[i]);
+        close_stage(cuda);
+        for (int i = 0; i < BAKE_SLOTS; i++)
+            unload(cuda, &cuda->loaded[i]);
+        if (cuda->triangles)
+            cuda->api.cuMemFree(cuda->triangles);
         if (cuda->origin)
             cuda->api.cuEventDestroy(cuda->origin);
         if (cuda->module)
@@ -561,6 +649,7 @@ int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *jo
     cuda->ctx = ctx;
     pthread_mutex_init(&cuda->lock, NULL);
     cuda->base.trace = cuda_trace;
+    cuda->base.load = cuda_load;
     cuda->base.times = cuda_times;
     cuda->base.close = cuda_close;
     status = choose(cuda, index);

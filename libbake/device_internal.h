@@ -15,6 +15,7 @@ struct bake_job {
     const struct bk_triangle *triangles;
     uint32_t triangle_count;
     uint32_t tile_texels; /* largest width * height of a tile */
+    uint64_t device_memory; /* most bytes of a device's own memory to use; 0: what it has */
     struct bk_params params;
 };
 
@@ -27,12 +28,27 @@ int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params);
 
 struct bake_device;
+struct bake_part;
+
+/* Parts of a grid that a device can hold at a time. */
+enum { BAKE_SLOTS = 2 };
 
 /* Opens the device named as on the command line ("auto", "cpu", "cuda", "cuda:N", "opencl", "opencl:N") for a job and makes the
- * grid available to it. "auto" takes a GPU that works, else cpu. Errors: BSQ_ENODEVICE with what is there. */
+ * grid available to it, where it has room for all of it: see bake_device_holds_grid(). "auto" takes a GPU that works, else cpu. Errors: BSQ_ENODEVICE with what is there. */
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
                      struct bake_device **out);
 const char *bake_device_name(const struct bake_device *device);
+
+/* Whether any tile can be traced. Otherwise parts have to be loaded first: in each slot one whose arrays
+ * take no more than *part_bytes together and *buffer_bytes each. */
+bool bake_device_holds_grid(const struct bake_device *device, uint64_t *part_bytes,
+                            uint64_t *buffer_bytes);
+/* Puts a part of the grid into a slot, while other threads may trace tiles from the other one. */
+int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_part *part);
+/* From now on tiles are traced from this slot (at first 0). Not while tiles are traced. */
+void bake_device_use(struct bake_device *device, unsigned slot);
+/* A device that was chosen automatically is given up with a warning for native threads: true. */
+bool bake_device_give_up(struct bake_device *device, const char *why);
 
 /* Traces one tile: sample_triangles in, width * height texels out, row 0 at the top. Called from several
  * workers at a time with distinct `worker` (< bsq_threads): native code traces on the calling thread,

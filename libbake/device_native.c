@@ -109,12 +109,13 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                            .color = {hits.color.x, hits.color.y, hits.color.z}};
 }
 
-static int native_trace(struct bake_backend *backend, const struct bk_tile *tile,
+static int native_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
                         const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
                         char *why)
 {
     struct native *native = (struct native *)backend;
 
+    (void)slot;
     (void)worker;
     (void)why;
     native->tile(&native->grid, &native->params, native->triangles, tile, sample_triangles, texels);

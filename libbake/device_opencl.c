@@ -1,6 +1,7 @@
 /* device_opencl.c - the kernel on an OpenCL device.
  *
- * One context a job. The grid goes up once, in pieces, each array into a buffer of its own. Every
+ * One context a job. The grid, or two parts of it at a time, go up through two small pieces of host
+ * memory in turn, each array into a buffer of its own. Every
  * worker has its own in-order queue, kernel object (setting arguments is not thread-safe) and tile
  * buffers, so workers overlap each other's transfers and never wait for a lock. A tile is enqueued
  * in slices of rows that are short enough for the watchdogs of desktop drivers. */
@@ -23,13 +24,13 @@ static const char kernel_source[] =
     ;
 
 enum {
-    UPLOAD_BYTES = 64 << 20, /* of the grid at a time */
+    STAGE_BYTES = 8 << 20, /* of the grid at a time */
     /* Side of a work group. It is the same for all tiles: some drivers compile once for each size.
      */
     GROUP = 8
 };
 
-enum { ARG_PARAMS = BAKE_ARRAYS, ARG_TILE, ARG_FIRST_ROW, ARG_END_ROW, ARG_SAMPLES, ARG_TEXELS };
+enum { ARG_TRIANGLES = BAKE_PART_ARRAYS, ARG_PARAMS, ARG_TILE, ARG_FIRST_ROW, ARG_END_ROW, ARG_SAMPLES, ARG_TEXELS };
 
 /* What one worker uses; made by its first tile. */
 struct worker {
@@ -43,6 +44,25 @@ struct worker {
 /* Events of a tile, in the order of the queue. */
 enum { COPIED_SAMPLES, FIRST_KERNEL, LAST_KERNEL, COPIED_TEXELS, EVENTS };
 
+/* A part of the grid on the device. */
+struct loaded {
+    cl_mem arrays[BAKE_PART_ARRAYS];
+    struct bk_params params;
+    uint64_t reserved_bytes; /* of host memory, on devices that share it */
+};
+
+/* One piece is filled while the device takes the other. */
+struct stage {
+    cl_command_queue queue;
+    char *pieces[2];
+    cl_event taken[2];
+    unsigned turn;
+    uint64_t used; /* of the piece whose turn it is */
+    cl_mem to;
+    uint64_t at;
+    cl_int code; /* of the call that failed */
+};
+
 struct opencl {
     struct bake_backend base;
     struct bsq_ctx *ctx;
@@ -50,7 +70,9 @@ struct opencl {
     struct bake_opencl_device device;
     cl_context context;
     cl_program program;
-    cl_mem arrays[BAKE_ARRAYS];
+    cl_mem triangles;
+    struct loaded loaded[BAKE_SLOTS];
+    struct stage stage;
     struct bk_params params;
     uint32_t tile_texels;
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
@@ -68,69 +90,237 @@ static int fail_open(const struct opencl *cl, const char *call, cl_int code)
                     bake_opencl_error(code, number));
 }
 
-/* Refuses what the device cannot hold, before anything is allocated. */
-static int check_memory(struct opencl *cl, const struct bake_array arrays[BAKE_ARRAYS],
-                        uint64_t tile_bytes)
+static uint64_t sample_bytes(const struct opencl *cl)
 {
-    uint64_t total = tile_bytes;
+    return (uint64_t)cl->tile_texels * cl->params.samples * cl->params.samples * sizeof(uint32_t);
+}
 
-    for (int i = 0; i < BAKE_ARRAYS; i++) {
-        if (arrays[i].bytes > cl->device.buffer_bytes)
-            return bsq_fail(
-                cl->ctx, BSQ_ENODEVICE,
-                "%s: the grid's %s take %" PRIu64 " bytes, a buffer of this device holds %" PRIu64,
-                cl->device.name, arrays[i].what, arrays[i].bytes, cl->device.buffer_bytes);
-        total += arrays[i].bytes;
-    }
-    if (total > cl->device.memory_bytes)
-        return bsq_fail(cl->ctx, BSQ_ENODEVICE,
-                        "%s: the job takes %" PRIu64 " bytes, the device has %" PRIu64,
-                        cl->device.name, total, cl->device.memory_bytes);
+static uint64_t texel_bytes(const struct opencl *cl)
+{
+    return (uint64_t)cl->tile_texels * sizeof(struct bk_texel);
+}
+
+/* ---- memory ---- */
+
+/* What the job may use of the device's memory. Drivers and the desktop need some too, and there is
+ * no asking how much. */
+static uint64_t memory_limit(const struct opencl *cl, const struct bake_job *job)
+{
+    uint64_t limit = cl->device.memory_bytes / 8 * 7;
+
     if (cl->device.host_memory) {
-        int status = bsq_reserve(cl->ctx, "grid on a device that shares host memory", total);
-        if (status < 0)
-            return status;
-        cl->reserved_bytes = total;
+        const uint64_t budget = bsq_memory_limit(cl->ctx), used = bsq_memory_used(cl->ctx);
+        const uint64_t left = used < budget ? (budget - used) / 4 * 3 : 0;
+        limit = left < limit ? left : limit;
     }
-    return 0;
+    return job->device_memory && job->device_memory < limit ? job->device_memory : limit;
 }
 
-static int upload(struct opencl *cl, cl_command_queue queue, int index,
-                  const struct bake_array *array)
+/* Sets aside what is there for the whole job; the rest is for the grid. */
+static int share_memory(struct opencl *cl, const struct bake_job *job)
 {
-    /* Empty arrays are never read, but an argument has to be a buffer. */
-    size_t bytes = array->bytes ? array->bytes : 8;
-    cl_int code;
-
-    cl->arrays[index] = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, bytes, NULL, &code);
-    if (code != CL_SUCCESS)
-        return fail_open(cl, array->what, code);
-    for (uint64_t at = 0; at < array->bytes; at += UPLOAD_BYTES) {
-        uint64_t piece = array->bytes - at < UPLOAD_BYTES ? array->bytes - at : UPLOAD_BYTES;
-        int status = bsq_check(cl->ctx);
-        if (status < 0)
-            return status;
-        code = cl->api.clEnqueueWriteBuffer(queue, cl->arrays[index], CL_TRUE, at, piece,
-                                            (const char *)array->data + at, 0, NULL, NULL);
-        if (code != CL_SUCCESS)
-            return fail_open(cl, array->what, code);
-    }
-    return 0;
-}
-
-static int upload_all(struct opencl *cl, const struct bake_array arrays[BAKE_ARRAYS])
-{
-    cl_int code;
-    cl_command_queue queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
-    double started = bsq_seconds_now();
+    const uint64_t triangles = job->triangle_count * (uint64_t)sizeof *job->triangles;
+    const uint64_t fixed = cl->worker_count * (sample_bytes(cl) + texel_bytes(cl)) + triangles;
+    const uint64_t limit = memory_limit(cl, job), buffer = cl->device.buffer_bytes;
     int status = 0;
 
+    if (triangles > buffer || sample_bytes(cl) > buffer)
+        return bsq_fail(cl->ctx, BSQ_ENODEVICE,
+                        "%s: the low mesh's triangles take %" PRIu64 " bytes and a tile's samples "
+                        "%" PRIu64 ", a buffer of this device holds %" PRIu64,
+                        cl->device.name, triangles, sample_bytes(cl), buffer);
+    if (fixed >= limit)
+        return bsq_fail(cl->ctx, BSQ_ENODEVICE,
+                        "%s: tiles and the low mesh take %" PRIu64 " bytes of the device's memory, "
+                        "%" PRIu64 " are allowed: give more, or fewer --threads",
+                        cl->device.name, fixed, limit);
+    cl->base.memory_bytes = limit - fixed;
+    cl->base.buffer_bytes = buffer < BAKE_BUFFER_MOST ? buffer : BAKE_BUFFER_MOST;
+    if (cl->device.host_memory) {
+        status = bsq_reserve(cl->ctx, "tiles on a device that shares host memory", fixed);
+        cl->reserved_bytes = status == 0 ? fixed : 0;
+    }
+    return status;
+}
+
+static void close_stage(struct opencl *cl)
+{
+    struct stage *stage = &cl->stage;
+
+    if (stage->queue)
+        cl->api.clFinish(stage->queue);
+    for (int i = 0; i < 2; i++) {
+        if (stage->taken[i])
+            cl->api.clReleaseEvent(stage->taken[i]);
+        bsq_free(cl->ctx, stage->pieces[i]);
+    }
+    if (stage->queue)
+        cl->api.clReleaseCommandQueue(stage->queue);
+    *stage = (struct stage){0};
+}
+
+static int open_stage(struct opencl *cl)
+{
+    struct stage *stage = &cl->stage;
+    cl_int code;
+
+    stage->queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
     if (code != CL_SUCCESS)
         return fail_open(cl, "clCreateCommandQueue", code);
-    for (int i = 0; i < BAKE_ARRAYS && status == 0; i++)
-        status = upload(cl, queue, i, &arrays[i]);
-    cl->api.clReleaseCommandQueue(queue);
-    cl->upload_seconds = bsq_seconds_now() - started;
+    for (int i = 0; i < 2; i++) {
+        int status = bsq_alloc(cl->ctx, "staging of the grid", STAGE_BYTES, 1, &stage->pieces[i]);
+        if (status < 0)
+            return status;
+    }
+    return 0;
+}
+
+/* Waits until the piece whose turn it is may be filled. */
+static cl_int wait_for_piece(struct opencl *cl)
+{
+    struct stage *stage = &cl->stage;
+    cl_event *taken = &stage->taken[stage->turn];
+    cl_int code = CL_SUCCESS;
+
+    if (*taken) {
+        code = cl->api.clWaitForEvents(1, taken);
+        cl->api.clReleaseEvent(*taken);
+        *taken = NULL;
+    }
+    return code;
+}
+
+static int flush_stage(struct opencl *cl)
+{
+    struct stage *stage = &cl->stage;
+
+    if (stage->used == 0)
+        return 0;
+    stage->code = cl->api.clEnqueueWriteBuffer(stage->queue, stage->to, CL_FALSE, stage->at,
+                                               stage->used, stage->pieces[stage->turn], 0, NULL,
+                                               &stage->taken[stage->turn]);
+    if (stage->code == CL_SUCCESS)
+        stage->code = cl->api.clFlush(stage->queue);
+    stage->at += stage->used;
+    stage->used = 0;
+    stage->turn ^= 1;
+    if (stage->code == CL_SUCCESS)
+        stage->code = wait_for_piece(cl);
+    return stage->code == CL_SUCCESS ? bsq_check(cl->ctx) : BSQ_ENODEVICE;
+}
+
+static int put_in_stage(void *arg, const void *data, uint64_t bytes)
+{
+    struct opencl *cl = arg;
+    struct stage *stage = &cl->stage;
+    const char *from = data;
+    int status = 0;
+
+    while (bytes > 0 && status == 0) {
+        const uint64_t room = STAGE_BYTES - stage->used, piece = bytes < room ? bytes : room;
+        memcpy(stage->pieces[stage->turn] + stage->used, from, piece);
+        stage->used += piece;
+        from += piece;
+        bytes -= piece;
+        if (stage->used == STAGE_BYTES)
+            status = flush_stage(cl);
+    }
+    return status;
+}
+
+/* Makes a buffer and fills it with what `send` puts into the stage. */
+static int upload(struct opencl *cl, uint64_t bytes, cl_mem *buffer)
+{
+    struct stage *stage = &cl->stage;
+
+    /* Empty arrays are never read, but an argument has to be a buffer. */
+    *buffer = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, bytes ? bytes : 8, NULL,
+                                     &stage->code);
+    stage->to = *buffer;
+    stage->at = stage->used = 0;
+    return stage->code == CL_SUCCESS ? 0 : BSQ_ENODEVICE;
+}
+
+static int finish_upload(struct opencl *cl)
+{
+    int status = flush_stage(cl);
+
+    if (status == 0) {
+        cl->stage.code = cl->api.clFinish(cl->stage.queue);
+        status = cl->stage.code == CL_SUCCESS ? 0 : BSQ_ENODEVICE;
+    }
+    return status;
+}
+
+static int upload_triangles(struct opencl *cl, const struct bake_job *job)
+{
+    const uint64_t bytes = job->triangle_count * (uint64_t)sizeof *job->triangles;
+    int status = open_stage(cl);
+
+    if (status < 0)
+        return status;
+    status = upload(cl, bytes, &cl->triangles);
+    if (status == 0)
+        status = put_in_stage(cl, job->triangles, bytes);
+    if (status == 0)
+        status = finish_upload(cl);
+    return status == BSQ_ENODEVICE ? fail_open(cl, "triangles", cl->stage.code) : status;
+}
+
+static void unload(struct opencl *cl, struct loaded *loaded)
+{
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        if (loaded->arrays[i])
+            cl->api.clReleaseMemObject(loaded->arrays[i]);
+    bsq_release(cl->ctx, loaded->reserved_bytes);
+    *loaded = (struct loaded){0};
+}
+
+static int load_part(struct opencl *cl, struct loaded *loaded, const struct bake_part *part,
+                     const char **what)
+{
+    uint64_t total = 0;
+    int status = 0;
+
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        total += part->bytes[i];
+    *what = "memory that the device shares";
+    if (cl->device.host_memory) {
+        status = bsq_reserve(cl->ctx, "grid on a device that shares host memory", total);
+        if (status < 0)
+            return status;
+        loaded->reserved_bytes = total;
+    }
+    loaded->params = part->params;
+    for (int i = 0; i < BAKE_PART_ARRAYS && status == 0; i++) {
+        *what = bake_part_array_name(i);
+        status = upload(cl, part->bytes[i], &loaded->arrays[i]);
+        if (status == 0)
+            status = bake_part_send(part, i, put_in_stage, cl);
+        if (status == 0)
+            status = flush_stage(cl);
+    }
+    return status == 0 ? finish_upload(cl) : status;
+}
+
+static int opencl_load(struct bake_backend *backend, unsigned slot, const struct bake_part *part,
+                       char *why)
+{
+    struct opencl *cl = (struct opencl *)backend;
+    const double started = bsq_seconds_now();
+    char number[32];
+    const char *what;
+
+    cl->stage.code = CL_SUCCESS;
+    unload(cl, &cl->loaded[slot]);
+    int status = load_part(cl, &cl->loaded[slot], part, &what);
+    if (status < 0) {
+        cl->api.clFinish(cl->stage.queue);
+        snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
+                 cl->stage.code == CL_SUCCESS ? bsq_error(cl->ctx)
+                                              : bake_opencl_error(cl->stage.code, number));
+    }
+    cl->upload_seconds += bsq_seconds_now() - started;
     return status;
 }
 
@@ -219,16 +409,6 @@ static int build(struct opencl *cl)
     return 0;
 }
 
-static uint64_t sample_bytes(const struct opencl *cl)
-{
-    return (uint64_t)cl->tile_texels * cl->params.samples * cl->params.samples * sizeof(uint32_t);
-}
-
-static uint64_t texel_bytes(const struct opencl *cl)
-{
-    return (uint64_t)cl->tile_texels * sizeof(struct bk_texel);
-}
-
 static void close_worker(struct opencl *cl, struct worker *worker)
 {
     if (worker->texels)
@@ -242,13 +422,18 @@ static void close_worker(struct opencl *cl, struct worker *worker)
     *worker = (struct worker){0};
 }
 
-/* Sets the arguments that are the same for all tiles. */
-static const char *set_job_arguments(struct opencl *cl, struct worker *worker, cl_int *code)
+/* Sets the arguments that are the same for all tiles of a part. */
+static const char *set_part_arguments(const struct opencl *cl, const struct worker *worker,
+                                      const struct loaded *loaded, cl_int *code)
 {
-    for (cl_uint i = 0; i < BAKE_ARRAYS && *code == CL_SUCCESS; i++)
-        *code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &cl->arrays[i]);
+    *code = CL_SUCCESS;
+    for (cl_uint i = 0; i < BAKE_PART_ARRAYS && *code == CL_SUCCESS; i++)
+        *code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &loaded->arrays[i]);
     if (*code == CL_SUCCESS)
-        *code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof cl->params, &cl->params);
+        *code = cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof(cl_mem), &cl->triangles);
+    if (*code == CL_SUCCESS)
+        *code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof loaded->params,
+                                       &loaded->params);
     if (*code == CL_SUCCESS)
         *code =
             cl->api.clSetKernelArg(worker->kernel, ARG_SAMPLES, sizeof(cl_mem), &worker->samples);
@@ -275,7 +460,7 @@ static const char *open_worker(struct opencl *cl, struct worker *worker, cl_int 
         cl->api.clCreateBuffer(cl->context, CL_MEM_WRITE_ONLY, texel_bytes(cl), NULL, code);
     if (*code != CL_SUCCESS)
         return "clCreateBuffer";
-    return set_job_arguments(cl, worker, code);
+    return "";
 }
 
 static size_t round_up(size_t count, size_t step)
@@ -383,7 +568,8 @@ static const char *run_tile(struct opencl *cl, struct worker *worker, const stru
     return note_times(cl, worker, samples, events, code);
 }
 
-static const char *trace_tile(struct opencl *cl, struct worker *worker, const struct bk_tile *tile,
+static const char *trace_tile(struct opencl *cl, struct worker *worker, const struct loaded *loaded,
+                              const struct bk_tile *tile,
                               const uint32_t *sample_triangles, struct bk_texel *texels,
                               cl_int *code)
 {
@@ -397,6 +583,9 @@ static const char *trace_tile(struct opencl *cl, struct worker *worker, const st
             return call;
         }
     }
+    call = set_part_arguments(cl, worker, loaded, code);
+    if (*code != CL_SUCCESS)
+        return call;
     call = run_tile(cl, worker, tile, sample_triangles, texels, events, code);
     /* The caller's buffers are in use until the queue is empty. */
     if (*code != CL_SUCCESS)
@@ -407,7 +596,7 @@ static const char *trace_tile(struct opencl *cl, struct worker *worker, const st
     return call;
 }
 
-static int opencl_trace(struct bake_backend *backend, const struct bk_tile *tile,
+static int opencl_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
                         const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
                         char *why)
 {
@@ -421,7 +610,7 @@ static int opencl_trace(struct bake_backend *backend, const struct bk_tile *tile
                  (unsigned)tile->width, (unsigned)tile->height);
         return BSQ_EBUG;
     }
-    call = trace_tile(cl, &cl->workers[worker], tile, sample_triangles, texels, &code);
+    call = trace_tile(cl, &cl->workers[worker], &cl->loaded[slot], tile, sample_triangles, texels, &code);
     if (code == CL_SUCCESS)
         return 0;
     snprintf(why, BAKE_WHY_BYTES, "%s: %s", call, bake_opencl_error(code, number));
@@ -445,9 +634,11 @@ static void opencl_close(struct bake_backend *backend)
 
     for (unsigned i = 0; cl->workers && i < cl->worker_count; i++)
         close_worker(cl, &cl->workers[i]);
-    for (int i = 0; i < BAKE_ARRAYS; i++)
-        if (cl->arrays[i])
-            cl->api.clReleaseMemObject(cl->arrays[i]);
+    close_stage(cl);
+    for (int i = 0; i < BAKE_SLOTS; i++)
+        unload(cl, &cl->loaded[i]);
+    if (cl->triangles)
+        cl->api.clReleaseMemObject(cl->triangles);
     if (cl->program)
         cl->api.clReleaseProgram(cl->program);
     if (cl->context)
@@ -491,7 +682,6 @@ static int prepare(struct opencl *cl, const struct bake_job *job)
 {
     cl_context_properties properties[] = {CL_CONTEXT_PLATFORM,
                                           (cl_context_properties)cl->device.platform, 0};
-    struct bake_array arrays[BAKE_ARRAYS];
     cl_int code;
     int status;
 
@@ -503,15 +693,14 @@ static int prepare(struct opencl *cl, const struct bake_job *job)
         bsq_calloc(cl->ctx, "OpenCL workers", cl->worker_count, sizeof *cl->workers, &cl->workers);
     if (status < 0)
         return status;
-    bake_job_arrays(job, arrays);
-    status = check_memory(cl, arrays, cl->worker_count * (sample_bytes(cl) + texel_bytes(cl)));
+    status = share_memory(cl, job);
     if (status < 0)
         return status;
     cl->context = cl->api.clCreateContext(properties, 1, &cl->device.id, NULL, NULL, &code);
     if (code != CL_SUCCESS)
         return fail_open(cl, "clCreateContext", code);
     status = build(cl);
-    return status < 0 ? status : upload_all(cl, arrays);
+    return status < 0 ? status : upload_triangles(cl, job);
 }
 
 int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
@@ -526,6 +715,7 @@ int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *
     cl->ctx = ctx;
     pthread_mutex_init(&cl->lock, NULL);
     cl->base.trace = opencl_trace;
+    cl->base.load = opencl_load;
     cl->base.times = opencl_times;
     cl->base.close = opencl_close;
     status = choose(cl, index);

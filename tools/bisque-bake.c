@@ -31,6 +31,7 @@ static const char help[] =
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
     "      --device NAME       auto, cpu, cuda, cuda:N, opencl or opencl:N (default: auto)\n"
+    "      --gpu-memory SIZE   most memory to use of a GPU, e.g. 2G (default: what is free)\n"
     "      --list-devices      print the devices and end\n"
     "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
 
@@ -51,6 +52,7 @@ enum {
     OPT_PNG_BITS,
     OPT_PREVIEW,
     OPT_DEVICE,
+    OPT_GPU_MEMORY,
     OPT_LIST_DEVICES,
     OPT_VERIFY
 };
@@ -73,6 +75,7 @@ static const struct option long_options[] = {
     {"png-bits", required_argument, NULL, OPT_PNG_BITS},
     {"preview", required_argument, NULL, OPT_PREVIEW},
     {"device", required_argument, NULL, OPT_DEVICE},
+    {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
     {"verify", no_argument, NULL, OPT_VERIFY},
     CLI_COMMON_OPTIONS,
@@ -251,6 +254,8 @@ static int parse_option(struct cli *cli, struct arguments *arguments, int option
     case OPT_PREVIEW:
         bake->preview_path = optarg;
         return 0;
+    case OPT_GPU_MEMORY:
+        return cli_parse_size(cli, "--gpu-memory", optarg, &bake->gpu_memory_bytes);
     case OPT_DEVICE:
         bake->device = optarg;
         return 0;
@@ -453,6 +458,9 @@ static void print_report(const struct cli *cli, const struct arguments *argument
         printf("device: upload %.2f, kernels %.3f in %s calls, copies %.3f\n",
                report->seconds_upload, report->seconds_kernels,
                cli_count_text(report->kernel_calls, samples), report->seconds_copies);
+    if (report->passes > 1)
+        printf("passes: %s, the grid is larger than what may be used of the device's memory\n",
+               cli_count_text(report->passes, samples));
     cli_print_cost(cli);
 }
 
@@ -475,7 +483,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
         "{s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
         "maps", maps_json(paths), "preview_path", cli_json_text(bake->preview_path), "width",
         (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
@@ -490,7 +498,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
         "seconds_write", report->seconds_write, "seconds_preview", report->seconds_preview,
         "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
         "seconds_copies", report->seconds_copies, "kernel_calls",
-        (json_int_t)report->kernel_calls);
+        (json_int_t)report->kernel_calls, "passes", (json_int_t)report->passes);
     return cli_print_json(cli, root);
 }
 
