@@ -290,6 +290,9 @@ $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
 	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@
 $(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
+$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 $(BUILD)/tests/bench-rays-counters: $(call rays_objs) $(BUILD)/counted/tests/bench/rays_counters.c.o \
     $(counted:%=$(BUILD)/counted/libbake/%.c.o) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
@@ -309,6 +312,21 @@ bench: deps
 bench-accuracy: deps
 	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(checkers) >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/accuracy.sh $(BENCH)
+
+# Programs, and the shared libraries that they need besides those of C and C++, for machines without development packages.
+gpu_bundle := build/gpu
+.PHONY: bench-gpu gpu-bundle
+## bench-gpu: measure bisque-bake on the GPUs of this machine, BENCH=small or full (default); see tests/bench/gpu.sh
+bench-gpu: gpu-bundle
+	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
+
+## gpu-bundle: collect in build/gpu what tests/bench/gpu.sh needs on a machine that cannot build
+gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
+	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib
+	cp $^ $(gpu_bundle)/bin
+	strip $(gpu_bundle)/bin/*
+	ldd $(gpu_bundle)/bin/* | awk '/=> \// && $$3 !~ /\/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc\+\+)\.so/ { print $$3 }' | sort -u | \
+	    xargs -I LIB cp LIB $(gpu_bundle)/lib
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)

@@ -25,11 +25,14 @@ static const char kernel_ptx[] =
     ;
 
 enum {
-    STAGE_BYTES = 16 << 20, /* of the grid at a time */
-    /* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. */
-    BLOCK_WIDTH = 8,
-    BLOCK_HEIGHT = 16
+    STAGE_BYTES = 16 << 20 /* of the grid at a time */
 };
+
+/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. The compiler likes some 185
+ * registers, which leaves room for 8 warps on a multiprocessor; with 128 there are 16, which hide
+ * more of the memory's latency. */
+static const struct bake_cuda_tuning default_tuning = {
+    .registers = 128, .block_width = 8, .block_height = 16};
 
 /* Marks in a worker's stream. */
 enum { BEFORE_SAMPLES, BEFORE_KERNELS, AFTER_KERNELS, AFTER_TEXELS, EVENTS };
@@ -69,6 +72,7 @@ struct cuda {
     struct bsq_ctx *ctx;
     struct bake_cuda_api api;
     struct bake_cuda_device device;
+    struct bake_cuda_tuning tuning;
     CUcontext context;
     CUmodule module;
     CUfunction kernel;
@@ -195,9 +199,12 @@ static int fail_compile(struct cuda *cuda, CUresult code, char *log)
 static int load_kernel(struct cuda *cuda)
 {
     char log[1024] = "";
-    int options[] = {CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES};
-    void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1)};
-    CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, kernel_ptx, 2, options, values);
+    int options[] = {CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES,
+                     CU_JIT_MAX_REGISTERS};
+    void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1),
+                      (void *)(uintptr_t)cuda->tuning.registers};
+    CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, kernel_ptx,
+                                                 cuda->tuning.registers ? 3 : 2, options, values);
 
     if (code != CUDA_SUCCESS)
         return fail_compile(cuda, code, log);
@@ -405,6 +412,7 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
 
     snprintf(cuda->base.name, sizeof cuda->base.name, "%.110s (CUDA)", cuda->device.name);
     cuda->params = job->params;
+    cuda->tuning = job->cuda_tuning ? *job->cuda_tuning : default_tuning;
     cuda->tile_texels = job->tile_texels;
     cuda->worker_count = bsq_threads(cuda->ctx);
     status = bsq_calloc(cuda->ctx, "CUDA workers", cuda->worker_count, sizeof *cuda->workers,
@@ -480,11 +488,13 @@ static CUresult launch(struct cuda *cuda, struct worker *worker, struct bk_tile 
                          &cuda->triangles, &part->params,    &tile,           &first_row,
                          &end_row,           &worker->samples, &worker->texels};
 
+    const struct bake_cuda_tuning *tuning = &cuda->tuning;
+
     worker->launches++;
-    return cuda->api.cuLaunchKernel(cuda->kernel, (tile.width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
-                                    (end_row - first_row + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT, 1,
-                                    BLOCK_WIDTH, BLOCK_HEIGHT, 1, 0, worker->stream, arguments,
-                                    NULL);
+    return cuda->api.cuLaunchKernel(
+        cuda->kernel, (tile.width + tuning->block_width - 1) / tuning->block_width,
+        (end_row - first_row + tuning->block_height - 1) / tuning->block_height, 1,
+        tuning->block_width, tuning->block_height, 1, 0, worker->stream, arguments, NULL);
 }
 
 static CUresult launch_slices(struct cuda *cuda, struct worker *worker, const struct bk_tile *tile)

@@ -9,6 +9,12 @@
 
 enum { BAKE_MOST_SAMPLES = 256 }; /* N; 65536 a texel */
 
+/* How kernels are run on a CUDA device; measurements try others than the default. */
+struct bake_cuda_tuning {
+    unsigned registers; /* of a thread at most; 0: as many as the compiler likes */
+    unsigned block_width, block_height; /* threads; a multiple of 32 together, at most 1024 */
+};
+
 /* Everything that stays the same over a job; pointers stay valid until the device is closed. */
 struct bake_job {
     const struct fmt_nvdb_grid *grid;
@@ -17,6 +23,7 @@ struct bake_job {
     uint32_t tile_texels; /* largest width * height of a tile */
     uint64_t device_memory; /* most bytes of a device's own memory to use; 0: what it has */
     struct bk_params params;
+    const struct bake_cuda_tuning *cuda_tuning; /* NULL: the default */
 };
 
 /* Voxels that can be traced have indices in -BAKE_INDEX_LIMIT .. BAKE_INDEX_LIMIT - 1, so that neither neighbours
