@@ -114,7 +114,8 @@ $(call objs,libbake): | $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.i
 
 # The kernel for NVIDIA GPUs, as PTX: by Clang, or by nvcc. Clang's is preferred: its PTX is older, so that older
 # drivers take it. Without them, or where the PTX would not round as the processor does, the program has no CUDA.
-ptx_clang := $(firstword $(foreach c,clang $(foreach v,21 20 19 18 17 16 15 14,clang-$(v)),$(shell command -v $(c))))
+ptx_clang := $(shell for c in clang clang-21 clang-20 clang-19 clang-18 clang-17 clang-16 clang-15 clang-14; do \
+    command -v $$c && break; done)
 ptx_nvcc  := $(firstword $(shell command -v nvcc) $(wildcard /usr/local/cuda/bin/nvcc))
 PTX ?= $(if $(ptx_clang),clang,$(if $(ptx_nvcc),nvcc,none))
 ptx.clang = $(ptx_clang) -x cl -cl-std=CL1.2 --target=nvptx64-nvidia-cuda -Xclang -target-cpu -Xclang sm_50 -DBK_PTX \
@@ -237,6 +238,8 @@ check: deps
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
     libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 jq mandoc
+# Compiles the kernel for NVIDIA GPUs; the build does without, and without CUDA then.
+packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)
 jobs ?= $(shell nproc)
 
@@ -244,6 +247,7 @@ jobs ?= $(shell nproc)
 ## deps: install the Debian packages that are missing (asks sudo where needed)
 deps:
 	@tests/install-packages.sh $(packages)
+	@tests/install-packages.sh $(packages_cuda) || echo "deps: goes on without clang, so that there will be no CUDA"
 
 # ---- demo ----
 demo_dir ?= demo
@@ -322,6 +326,7 @@ bench-gpu: gpu-bundle
 
 ## gpu-bundle: collect in build/gpu what tests/bench/gpu.sh needs on a machine that cannot build
 gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
+	rm -rf $(gpu_bundle)
 	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib
 	cp $^ $(gpu_bundle)/bin
 	strip $(gpu_bundle)/bin/*

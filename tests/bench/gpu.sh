@@ -90,7 +90,9 @@ echo
 bake()
 {
     best=
-    for round in $(seq "$rounds"); do
+    left=$rounds
+    while [ "$left" -gt 0 ]; do
+        left=$((left - 1))
         bisque-bake --progress none --json --device "$1" --size $size --samples $samples --float \
             --maps normal,color,mask "$scan" low.obj -o "$1_<MAP>.exr" >round.json 2>round.err || {
             say "$1: $(cat round.err)"
