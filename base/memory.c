@@ -1,22 +1,33 @@
 /* memory.c - the budget, and allocation that counts against it.
  *
- * A block is [slack][64-byte header][payload], the payload aligned to 64 bytes. The header
- * remembers what malloc() returned, so that calloc() and realloc() of the C library can be used:
- * for large blocks the first gives zero pages that cost nothing until they are touched, and the
- * second moves pages instead of copying them. The budget counts payloads. */
+ * A small block is [slack][64-byte header][payload], the payload aligned to 64 bytes. The header
+ * remembers what malloc() returned, so that calloc() and realloc() of the C library can be used.
+ *
+ * A large block is a mapping of its own whose payload begins at a huge page and may consist of
+ * such: touching memory for the first time costs more than most of what is done to it then, and
+ * most of that cost is per page. Its header ends the small page before the payload. Nothing behind
+ * the payload's last small page belongs to the mapping, so that what is resident stays within what
+ * is counted. Growing moves pages instead of copying them. The budget counts payloads. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
 #include "base/context_internal.h"
 
 enum { ALIGNMENT = 64, HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + ALIGNMENT };
 
+/* Of a huge page; where the system has others this is only an alignment. A header has a page of the
+ * smallest size before the payload; systems with larger pages use the C library's blocks alone. */
+#define HUGE_BYTES ((size_t)2 << 20)
+#define PAGE_BYTES ((size_t)4096)
+
 struct header {
-    void *base;      /* what malloc() returned */
+    void *base;      /* what malloc() returned, or the mapping */
     uint64_t size;   /* of the payload, as counted */
     uint64_t offset; /* of the payload from base */
+    size_t mapped;   /* bytes of the mapping; 0: from malloc() */
 };
 _Static_assert(sizeof(struct header) <= HEADER_BYTES, "the header must fit before the payload");
 
@@ -90,17 +101,17 @@ static size_t payload_offset(const void *base)
     return aligned - (uintptr_t)base;
 }
 
-static void *place_header(void *base, uint64_t size)
+static void *place_header(void *base, uint64_t offset, uint64_t size, size_t mapped)
 {
-    uint64_t offset = payload_offset(base);
     void *payload = (char *)base + offset;
-    *header_of(payload) = (struct header){.base = base, .size = size, .offset = offset};
+    *header_of(payload) =
+        (struct header){.base = base, .size = size, .offset = offset, .mapped = mapped};
     return payload;
 }
 
 static bool size_of_array(uint64_t count, uint64_t size, uint64_t *bytes)
 {
-    return !__builtin_mul_overflow(count, size, bytes) && *bytes <= PTRDIFF_MAX - OVERHEAD;
+    return !__builtin_mul_overflow(count, size, bytes) && *bytes <= PTRDIFF_MAX - 2 * HUGE_BYTES;
 }
 
 static int fail_overflow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size)
@@ -117,6 +128,77 @@ static int fail_system(struct bsq_ctx *ctx, const char *what, uint64_t bytes)
                     (unsigned long long)bsq_memory_limit(ctx));
 }
 
+/* ---- large blocks ---- */
+
+/* Under a checker of addresses all blocks are the C library's, which it watches. */
+#if defined(__SANITIZE_ADDRESS__)
+#define WATCHED 1
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(memory_sanitizer)
+#define WATCHED 1
+#endif
+#endif
+
+static bool is_large(uint64_t bytes)
+{
+#ifdef WATCHED
+    (void)bytes;
+    return false;
+#else
+    return bytes >= HUGE_BYTES && sysconf(_SC_PAGE_SIZE) == (long)PAGE_BYTES;
+#endif
+}
+
+/* The mapping of a large block, one page more than its payload. */
+static size_t mapping_bytes(uint64_t bytes)
+{
+    return PAGE_BYTES + (((size_t)bytes + PAGE_BYTES - 1) & ~(PAGE_BYTES - 1));
+}
+
+/* Maps `size` bytes, the first page just before a huge one; NULL where there is no room. */
+static char *map_aligned(size_t size, int protection)
+{
+    size_t room = size + HUGE_BYTES;
+    char *at = mmap(NULL, room, protection, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (at == MAP_FAILED)
+        return NULL;
+    uintptr_t start = (uintptr_t)at + PAGE_BYTES;
+    size_t before = (size_t)(-start & (HUGE_BYTES - 1)), after = room - before - size;
+    if (before > 0)
+        munmap(at, before);
+    if (after > 0)
+        munmap(at + before + size, after);
+    return at + before;
+}
+
+static void *allocate_large(uint64_t bytes)
+{
+    size_t size = mapping_bytes(bytes);
+    char *base = map_aligned(size, PROT_READ | PROT_WRITE);
+    if (!base)
+        return NULL;
+    /* A wish. Of the first page too, as what is advised differently cannot be moved at once. */
+    madvise(base, size, MADV_HUGEPAGE);
+    return place_header(base, PAGE_BYTES, bytes, size);
+}
+
+/* Moves the pages to where there is room behind them and the alignment is the same. */
+static void *grow_large(void *payload, uint64_t bytes)
+{
+    struct header old = *header_of(payload);
+    size_t size = mapping_bytes(bytes);
+    char *base = map_aligned(size, PROT_NONE);
+    if (!base)
+        return NULL;
+    if (mremap(old.base, old.mapped, size, MREMAP_MAYMOVE | MREMAP_FIXED, base) == MAP_FAILED) {
+        munmap(base, size);
+        return NULL;
+    }
+    return place_header(base, PAGE_BYTES, bytes, size);
+}
+
+/* ---- all blocks ---- */
+
 static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size,
                     bool zeroed, void *out)
 {
@@ -127,12 +209,19 @@ static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint6
     int status = bsq_reserve(ctx, what, bytes);
     if (status < 0)
         return status;
-    void *base = zeroed ? calloc(1, bytes + OVERHEAD) : malloc(bytes + OVERHEAD);
-    if (!base) {
+    void *payload = NULL;
+    if (is_large(bytes)) {
+        payload = allocate_large(bytes);
+    } else {
+        void *base = zeroed ? calloc(1, bytes + OVERHEAD) : malloc(bytes + OVERHEAD);
+        if (base)
+            payload = place_header(base, payload_offset(base), bytes, 0);
+    }
+    if (!payload) {
         bsq_release(ctx, bytes);
         return fail_system(ctx, what, bytes);
     }
-    set_pointer(out, place_header(base, bytes));
+    set_pointer(out, payload);
     return 0;
 }
 
@@ -146,17 +235,25 @@ int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t s
     return allocate(ctx, what, count, size, true, out);
 }
 
+static void free_block(void *payload)
+{
+    struct header header = *header_of(payload);
+    if (header.mapped > 0)
+        munmap(header.base, header.mapped);
+    else
+        free(header.base);
+}
+
 void bsq_free(struct bsq_ctx *ctx, void *memory)
 {
     if (!memory)
         return;
-    struct header header = *header_of(memory);
-    free(header.base);
-    bsq_release(ctx, header.size);
+    uint64_t size = header_of(memory)->size;
+    free_block(memory);
+    bsq_release(ctx, size);
 }
 
-/* Moves a block whose extra bytes are reserved already; NULL where the system has no memory. */
-static void *resize(void *payload, uint64_t bytes)
+static void *resize_small(void *payload, uint64_t bytes)
 {
     struct header old = {0};
     if (payload)
@@ -164,9 +261,25 @@ static void *resize(void *payload, uint64_t bytes)
     char *base = realloc(old.base, bytes + OVERHEAD);
     if (!base)
         return NULL;
-    if (old.size && payload_offset(base) != old.offset)
-        memmove(base + payload_offset(base), base + old.offset, old.size);
-    return place_header(base, bytes);
+    uint64_t offset = payload_offset(base);
+    if (old.size && offset != old.offset)
+        memmove(base + offset, base + old.offset, old.size);
+    return place_header(base, offset, bytes, 0);
+}
+
+/* Moves a block whose extra bytes are reserved already; NULL where the system has no memory. */
+static void *resize(void *payload, uint64_t bytes)
+{
+    if (!is_large(bytes))
+        return resize_small(payload, bytes);
+    if (payload && header_of(payload)->mapped > 0)
+        return grow_large(payload, bytes);
+    void *grown = allocate_large(bytes);
+    if (grown && payload) {
+        memcpy(grown, payload, header_of(payload)->size);
+        free_block(payload);
+    }
+    return grown;
 }
 
 int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
