@@ -207,25 +207,37 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
 
 /* ---- pipelines ----
  *
- * Sequences move through three counters: emitted <= begun <= produced, where `begun` counts those
- * whose work was taken up. Slot s % slot_count belongs to sequence s from its production until its
- * emission, so a slot only has to tell whether its work is done. All state is guarded by one lock
- * that is free while the callbacks run. A thread that takes a step and sees another one possible
- * wakes one sleeper, which does the same in turn: nobody is woken for nothing and no step is left
- * lying while somebody sleeps. */
+ * A pipeline is two stages one behind the other, of which the second may be missing: each has a
+ * concurrent step and then a serial one. Sequences move through counters, finished[1] <= begun[1]
+ * <= finished[0] <= begun[0] <= produced, where `begun` counts those whose concurrent step was
+ * taken up and `finished` those whose serial step has returned. Slot s % slot_count belongs to
+ * sequence s from its production until its last step, so a slot only has to tell for each stage
+ * whether its concurrent step is done. All state is guarded by one lock that is free while the
+ * callbacks run. A thread that takes a step and sees another one possible wakes one sleeper, which
+ * does the same in turn: nobody is woken for nothing and no step is left lying while somebody
+ * sleeps. */
 
-enum step { STEP_NONE, STEP_EMIT, STEP_WORK, STEP_PRODUCE };
+enum step { STEP_NONE, STEP_FINISH, STEP_EMIT, STEP_FOLLOW, STEP_WORK, STEP_PRODUCE };
+
+struct stage {
+    int (*concurrent)(void *arg, void *slot, uint64_t sequence, unsigned worker); /* or NULL */
+    int (*serial)(void *arg, void *slot, uint64_t sequence);
+    uint64_t begun, finished;
+    bool busy;  /* the serial step is being run */
+    bool *done; /* per slot: the concurrent step has returned */
+};
 
 struct run {
     struct bsq_ctx *ctx;
     const struct bsq_pipeline *pipeline;
     pthread_mutex_t lock;
     pthread_cond_t changed;
-    uint64_t produced, begun, emitted;
-    bool producing, emitting, ended;
+    struct stage stages[2];
+    unsigned stage_count;
+    uint64_t produced;
+    bool producing, ended;
     unsigned sleepers;
     int status;
-    bool *done; /* per slot: ready to be emitted */
 };
 
 static void *slot_of(const struct run *run, uint64_t sequence)
@@ -234,49 +246,65 @@ static void *slot_of(const struct run *run, uint64_t sequence)
     return (char *)pipeline->slots + (sequence % pipeline->slot_count) * pipeline->slot_size;
 }
 
+/* Sequences that have passed the whole pipeline. */
+static uint64_t passed(const struct run *run)
+{
+    return run->stages[run->stage_count - 1].finished;
+}
+
+static bool can_finish(const struct run *run, const struct stage *stage)
+{
+    return !stage->busy && stage->finished < stage->begun &&
+           stage->done[stage->finished % run->pipeline->slot_count];
+}
+
+/* What is furthest along comes first, so that slots become free. */
 static enum step possible_step(const struct run *run)
 {
-    unsigned slot_count = run->pipeline->slot_count;
-    if (!run->emitting && run->emitted < run->produced && run->done[run->emitted % slot_count])
+    const struct stage *first = &run->stages[0], *second = &run->stages[1];
+    if (run->stage_count == 2 && can_finish(run, second))
+        return STEP_FINISH;
+    if (can_finish(run, first))
         return STEP_EMIT;
-    if (run->begun < run->produced)
+    if (run->stage_count == 2 && second->begun < first->finished)
+        return STEP_FOLLOW;
+    if (first->begun < run->produced)
         return STEP_WORK;
-    if (!run->producing && !run->ended && run->produced - run->emitted < slot_count)
+    if (!run->producing && !run->ended && run->produced - passed(run) < run->pipeline->slot_count)
         return STEP_PRODUCE;
     return STEP_NONE;
 }
 
 static bool is_over(const struct run *run)
 {
-    return run->status < 0 || (run->ended && run->emitted == run->produced);
+    return run->status < 0 || (run->ended && passed(run) == run->produced);
 }
 
-/* The three steps are entered and left with the lock held. */
+/* The steps are entered and left with the lock held. */
 
-static int emit_next(struct run *run)
+static int run_serial(struct run *run, struct stage *stage)
 {
-    uint64_t sequence = run->emitted;
-    run->emitting = true;
+    uint64_t sequence = stage->finished;
+    stage->busy = true;
     pthread_mutex_unlock(&run->lock);
-    int status = run->pipeline->emit(run->pipeline->arg, slot_of(run, sequence), sequence);
+    int status = stage->serial(run->pipeline->arg, slot_of(run, sequence), sequence);
     pthread_mutex_lock(&run->lock);
-    run->emitting = false;
-    run->done[sequence % run->pipeline->slot_count] = false;
-    run->emitted++;
+    stage->busy = false;
+    stage->done[sequence % run->pipeline->slot_count] = false;
+    stage->finished++;
     return status;
 }
 
-static int work_next(struct run *run, unsigned worker)
+static int run_concurrent(struct run *run, struct stage *stage, unsigned worker)
 {
-    const struct bsq_pipeline *pipeline = run->pipeline;
-    uint64_t sequence = run->begun++;
+    uint64_t sequence = stage->begun++;
     int status = 0;
-    if (pipeline->work) {
+    if (stage->concurrent) {
         pthread_mutex_unlock(&run->lock);
-        status = pipeline->work(pipeline->arg, slot_of(run, sequence), sequence, worker);
+        status = stage->concurrent(run->pipeline->arg, slot_of(run, sequence), sequence, worker);
         pthread_mutex_lock(&run->lock);
     }
-    run->done[sequence % pipeline->slot_count] = true;
+    stage->done[sequence % run->pipeline->slot_count] = true;
     return status;
 }
 
@@ -298,10 +326,14 @@ static int produce_next(struct run *run)
 static int take_step(struct run *run, enum step step, unsigned worker)
 {
     switch (step) {
+    case STEP_FINISH:
+        return run_serial(run, &run->stages[1]);
     case STEP_EMIT:
-        return emit_next(run);
+        return run_serial(run, &run->stages[0]);
+    case STEP_FOLLOW:
+        return run_concurrent(run, &run->stages[1], worker);
     case STEP_WORK:
-        return work_next(run, worker);
+        return run_concurrent(run, &run->stages[0], worker);
     default:
         return produce_next(run);
     }
@@ -311,12 +343,22 @@ static int take_step(struct run *run, enum step step, unsigned worker)
 static bool another_step(const struct run *run, enum step taken)
 {
     struct run after = *run;
-    if (taken == STEP_EMIT)
-        after.emitting = true;
-    else if (taken == STEP_WORK)
-        after.begun++;
-    else
+    switch (taken) {
+    case STEP_FINISH:
+        after.stages[1].busy = true;
+        break;
+    case STEP_EMIT:
+        after.stages[0].busy = true;
+        break;
+    case STEP_FOLLOW:
+        after.stages[1].begun++;
+        break;
+    case STEP_WORK:
+        after.stages[0].begun++;
+        break;
+    default:
         after.producing = true;
+    }
     return possible_step(&after) != STEP_NONE;
 }
 
@@ -346,17 +388,27 @@ static void pipeline_worker(void *arg, unsigned worker)
 
 int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline)
 {
-    assert(pipeline->slot_count > 0);
-    struct run run = {.ctx = ctx, .pipeline = pipeline};
-    int status = bsq_calloc(ctx, "pipeline", pipeline->slot_count, sizeof run.done[0], &run.done);
+    assert(pipeline->slot_count > 0 && !pipeline->follow == !pipeline->finish);
+    struct run run = {
+        .ctx = ctx,
+        .pipeline = pipeline,
+        .stages = {{.concurrent = pipeline->work, .serial = pipeline->emit},
+                   {.concurrent = pipeline->follow, .serial = pipeline->finish}},
+        .stage_count = pipeline->finish ? 2 : 1,
+    };
+    bool *done;
+    int status =
+        bsq_calloc(ctx, "pipeline", 2 * (uint64_t)pipeline->slot_count, sizeof done[0], &done);
     if (status < 0)
         return status;
+    run.stages[0].done = done;
+    run.stages[1].done = done + pipeline->slot_count;
     pthread_mutex_init(&run.lock, NULL);
     pthread_cond_init(&run.changed, NULL);
     int status_before = bsq_error_status(ctx);
     pool_run(ctx, bsq_threads(ctx), pipeline_worker, &run);
     pthread_cond_destroy(&run.changed);
     pthread_mutex_destroy(&run.lock);
-    bsq_free(ctx, run.done);
+    bsq_free(ctx, done);
     return first_failure(ctx, run.status, status_before);
 }

@@ -22,12 +22,17 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
  * produce: serial, in sequence; returns 1 with the slot filled, 0 at the end, < 0 on failure.
  * work:    concurrent, any order; `worker` as above.
  * emit:    serial, in sequence; may run concurrently with produce and work of other slots.
- * produce and emit never run concurrently with themselves; sequence starts at 0. produce of
- * sequence s runs only after emit of s - slot_count has returned. work may be NULL. */
+ * follow:  concurrent, any order; after emit of the same and all earlier sequences.
+ * finish:  serial, in sequence; may run concurrently with all others.
+ * produce, emit and finish never run concurrently with themselves; sequence starts at 0. produce of
+ * sequence s runs only after the last step of s - slot_count has returned. work may be NULL, and
+ * follow and finish together. */
 struct bsq_pipeline {
     int (*produce)(void *arg, void *slot, uint64_t sequence);
     int (*work)(void *arg, void *slot, uint64_t sequence, unsigned worker);
     int (*emit)(void *arg, void *slot, uint64_t sequence);
+    int (*follow)(void *arg, void *slot, uint64_t sequence, unsigned worker);
+    int (*finish)(void *arg, void *slot, uint64_t sequence);
     void *arg;
     void *slots;
     size_t slot_size;

@@ -85,6 +85,25 @@ int fmt_obj_read(struct fmt_obj_reader *reader,
                  int (*on_block)(void *arg, const struct fmt_obj_block *block), void *arg,
                  struct fmt_obj_totals *totals);
 
+/* More that can be done with a block while it is in memory. */
+struct fmt_obj_steps {
+    /* As on_block of fmt_obj_read(). */
+    int (*on_block)(void *arg, const struct fmt_obj_block *block);
+    /* On all threads, in any order, but after on_block of this block and of all before it. No two
+     * calls at a time share a `slot`, which is below fmt_obj_max_slots(). */
+    int (*follow)(void *arg, const struct fmt_obj_block *block, unsigned slot);
+    /* Serially in order, after follow of the same block. */
+    int (*finish)(void *arg, const struct fmt_obj_block *block, unsigned slot);
+};
+/* fmt_obj_read() with all three steps. */
+int fmt_obj_read_steps(struct fmt_obj_reader *reader, const struct fmt_obj_steps *steps, void *arg,
+                       struct fmt_obj_totals *totals);
+unsigned fmt_obj_max_slots(const struct fmt_obj_reader *reader);
+
+/* Looks at samples of the file: false where elements follow faces, or where there is more than one
+ * file. True says only that none was seen. */
+bool fmt_obj_faces_come_last(const struct fmt_obj_reader *reader);
+
 /* Names of materials met by usemtl so far, index = material number. Owned by the reader. */
 uint32_t fmt_obj_material_count(const struct fmt_obj_reader *reader);
 const char *fmt_obj_material_name(const struct fmt_obj_reader *reader, uint32_t material);

@@ -22,14 +22,16 @@ struct slot {
     struct obj_block block;
     struct fmt_obj_material_change *changes;
     uint64_t change_count, change_capacity;
+    struct fmt_obj_block view; /* of the block as callers see it, where it has text */
 };
 
 /* One fmt_obj_read() call. */
 struct job {
     struct fmt_obj_reader *reader;
-    int (*on_block)(void *arg, const struct fmt_obj_block *block);
+    const struct fmt_obj_steps *steps;
     void *arg;
     struct fmt_obj_totals *totals;
+    struct slot *slots;
     /* produce's */
     uint32_t next_source;
     uint64_t next_index;
@@ -258,10 +260,10 @@ static int check_is_obj(struct job *job, const struct slot *slot)
     return 0;
 }
 
-static int call_on_block(struct job *job, const struct slot *slot)
+static int call_on_block(struct job *job, struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
-    struct fmt_obj_block view = {
+    slot->view = (struct fmt_obj_block){
         .sequence = job->sequence,
         .file = slot->source,
         .byte_offset = slot->offset,
@@ -287,7 +289,7 @@ static int call_on_block(struct job *job, const struct slot *slot)
         .material_changes = slot->changes,
         .material_at_start = job->material,
     };
-    return job->on_block ? job->on_block(job->arg, &view) : 0;
+    return job->steps->on_block ? job->steps->on_block(job->arg, &slot->view) : 0;
 }
 
 /* Adds the block to all counts. */
@@ -352,24 +354,47 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     return status;
 }
 
+/* ---- follow, finish ---- */
+
+static int follow(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
+{
+    const struct job *job = arg;
+    const struct slot *slot = slot_memory;
+    (void)sequence, (void)worker;
+    if (slot->block.size == 0)
+        return 0;
+    return job->steps->follow(job->arg, &slot->view, (unsigned)(slot - job->slots));
+}
+
+static int finish(void *arg, void *slot_memory, uint64_t sequence)
+{
+    const struct job *job = arg;
+    const struct slot *slot = slot_memory;
+    (void)sequence;
+    if (slot->block.size == 0)
+        return 0;
+    return job->steps->finish(job->arg, &slot->view, (unsigned)(slot - job->slots));
+}
+
 /* ---- reading ---- */
 
-/* Two slots a thread keep all busy; fewer where the budget is small or the files are. */
-static unsigned choose_slot_count(const struct bsq_ctx *ctx, uint64_t blocks)
+/* Two slots a thread keep all busy; fewer where the budget is small. */
+unsigned fmt_obj_max_slots(const struct fmt_obj_reader *reader)
 {
+    const struct bsq_ctx *ctx = reader->ctx;
     uint64_t affordable = bsq_memory_limit(ctx) / 8 / (slot_text_multiple * OBJ_BLOCK_BYTES);
     uint64_t count = 2 * (uint64_t)bsq_threads(ctx);
     if (count > affordable)
         count = affordable > 2 ? affordable : 2;
-    if (count > blocks)
-        count = blocks > 1 ? blocks : 1;
     return (unsigned)count;
 }
 
 static int run_job(struct job *job, uint64_t blocks)
 {
     struct bsq_ctx *ctx = job->reader->ctx;
-    unsigned slot_count = choose_slot_count(ctx, blocks);
+    unsigned slot_count = fmt_obj_max_slots(job->reader);
+    if (slot_count > blocks)
+        slot_count = blocks > 1 ? (unsigned)blocks : 1;
     struct slot *slots;
     int status = bsq_calloc(ctx, "OBJ blocks", slot_count, sizeof *slots, &slots);
     if (status)
@@ -378,11 +403,14 @@ static int run_job(struct job *job, uint64_t blocks)
         .produce = produce,
         .work = work,
         .emit = emit,
+        .follow = job->steps->follow ? follow : NULL,
+        .finish = job->steps->follow ? finish : NULL,
         .arg = job,
         .slots = slots,
         .slot_size = sizeof *slots,
         .slot_count = slot_count,
     };
+    job->slots = slots;
     status = bsq_pipeline_run(ctx, &pipeline);
     for (unsigned i = 0; i < slot_count; i++) {
         obj_block_free(ctx, &slots[i].block);
@@ -392,14 +420,13 @@ static int run_job(struct job *job, uint64_t blocks)
     return status;
 }
 
-int fmt_obj_read(struct fmt_obj_reader *reader,
-                 int (*on_block)(void *arg, const struct fmt_obj_block *block), void *arg,
-                 struct fmt_obj_totals *totals)
+int fmt_obj_read_steps(struct fmt_obj_reader *reader, const struct fmt_obj_steps *steps, void *arg,
+                       struct fmt_obj_totals *totals)
 {
     struct fmt_obj_totals unused = {0};
     struct job job = {
         .reader = reader,
-        .on_block = on_block,
+        .steps = steps,
         .arg = arg,
         .totals = totals ? totals : &unused,
         .material = FMT_OBJ_NO_MATERIAL,
@@ -413,4 +440,12 @@ int fmt_obj_read(struct fmt_obj_reader *reader,
     for (uint32_t i = 0; i < reader->source_count; i++)
         bsq_file_close(reader->ctx, &reader->sources[i].file);
     return status;
+}
+
+int fmt_obj_read(struct fmt_obj_reader *reader,
+                 int (*on_block)(void *arg, const struct fmt_obj_block *block), void *arg,
+                 struct fmt_obj_totals *totals)
+{
+    const struct fmt_obj_steps steps = {.on_block = on_block};
+    return fmt_obj_read_steps(reader, &steps, arg, totals);
 }
