@@ -10,14 +10,13 @@
 
 #define CHILD_LEVELS     2u
 #define CHILD_PAGE_BYTES 8192u
-#define MOVE_RECORDS     4096u
 
-/* Records of one cell, or a part of them, in the batch. */
+/* Triangles of one cell, or a part of them, in the batch. */
 struct part {
     const struct cells *cells;
     uint32_t cell;
     uint32_t levels; /* by which the cell is known */
-    uint64_t first;  /* record of the cell */
+    uint64_t offset; /* of its first run in the cell's bytes */
     uint64_t record; /* where in the batch's records */
     uint64_t at;     /* where in its entries */
     uint64_t count;
@@ -34,6 +33,8 @@ struct batches {
     uint64_t part_limit; /* triangles in a part */
     uint8_t *records, *spare_records;
     struct entry *entries, *scratch;
+    struct run_reader *readers; /* one a thread, and one more for dividing cells */
+    unsigned reader_count;
     struct part *parts;
     uint64_t part_count, part_capacity;
     uint64_t count;       /* triangles in the batch; the sorted ones carried over come first */
@@ -105,6 +106,10 @@ static int allocate(struct batches *b)
         (status = bsq_calloc(b->ctx, what, b->slot_count, sizeof *b->slots, &b->slots)) < 0)
         return status;
     memset(b->records + b->capacity * bytes, 0, RECORD_SLACK);
+    b->reader_count = bsq_threads(b->ctx) + 1;
+    status = bsq_calloc(b->ctx, what, b->reader_count, sizeof *b->readers, &b->readers);
+    for (unsigned i = 0; status == 0 && i < b->reader_count; i++)
+        status = run_reader_init(&b->readers[i], b->scan, &b->scattered->layout);
     for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
         status = chunk_builder_init(&b->slots[i].builder, b->scan, &b->scattered->layout);
     return status;
@@ -115,6 +120,9 @@ static void release(struct batches *b)
     for (unsigned i = 0; b->slots && i < b->slot_count; i++)
         chunk_builder_free(&b->slots[i].builder);
     bsq_free(b->ctx, b->slots);
+    for (unsigned i = 0; b->readers && i < b->reader_count; i++)
+        run_reader_free(&b->readers[i]);
+    bsq_free(b->ctx, b->readers);
     bsq_free(b->ctx, b->parts);
     bsq_free(b->ctx, b->scratch);
     bsq_free(b->ctx, b->entries);
@@ -129,17 +137,19 @@ static int sort_part(void *arg, uint64_t index, unsigned worker)
     struct batches *b = arg;
     const struct part *part = &b->parts[index];
     const uint32_t bytes = b->scattered->layout.bytes;
-    struct cell_cursor cursor = {0};
-    (void)worker;
-    int status = cells_read(part->cells, part->cell, part->first, part->count,
-                            b->records + part->record * bytes, &cursor);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; i < part->count; i++) {
-        const uint8_t *record = b->records + (part->record + i) * bytes;
-        b->entries[part->at + i] =
-            (struct entry){.key = scattered_key(b->scattered, b->scan, record),
-                           .record = (uint32_t)(part->record + i)};
+    struct run_reader *reader = &b->readers[worker];
+    run_reader_seek(reader, part->cells, part->cell, part->offset);
+    for (uint64_t done = 0; done < part->count;) {
+        uint8_t *records = b->records + (part->record + done) * bytes;
+        uint32_t count;
+        int status = run_reader_next(reader, records, &count);
+        if (status < 0)
+            return status;
+        for (uint32_t i = 0; i < count; i++)
+            b->entries[part->at + done + i] =
+                (struct entry){.key = scattered_key(b->scattered, b->scan, records + i * bytes),
+                               .record = (uint32_t)(part->record + done + i)};
+        done += count;
     }
     order_sort(b->entries + part->at, b->scratch + part->at, part->count,
                MORTON_KEY_BITS - 3 * part->levels);
@@ -238,42 +248,74 @@ static int add_part(struct batches *b, struct part part)
     return 0;
 }
 
-/* All triangles of the cell have the same key: their order is the scan's. */
+/* All triangles of the cell have the same key: their order is the scan's. Parts end where runs do.
+ */
 static int add_in_parts(struct batches *b, const struct part *whole)
 {
+    struct run_reader *reader = &b->readers[b->reader_count - 1];
     int status = 0;
+    run_reader_seek(reader, whole->cells, whole->cell, 0);
     for (uint64_t done = 0; status == 0 && done < whole->count;) {
         struct part part = *whole;
-        part.first = whole->first + done;
-        part.count = whole->count - done < b->part_limit ? whole->count - done : b->part_limit;
-        status = add_part(b, part);
+        part.offset = run_reader_tell(reader);
+        part.count = 0;
+        while (status == 0 && part.count + RUN_TRIANGLES <= b->part_limit &&
+               done + part.count < whole->count) {
+            uint32_t count = 0;
+            status = run_reader_next(reader, NULL, &count);
+            part.count += count;
+        }
+        if (status == 0)
+            status = add_part(b, part);
         done += part.count;
     }
     return status;
 }
 
-/* Distributes the records of a cell to the cells inside of it. */
+/* Distributes a run of records to the children of its cell; `mask` is for their numbers. */
+static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
+                      uint32_t mask, uint8_t *coded, struct cells *children)
+{
+    const uint32_t bytes = b->scattered->layout.bytes;
+    int status = 0;
+    for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
+        uint32_t child = CELLS_NONE;
+        for (end = first; end < count; end++) {
+            uint64_t key = scattered_key(b->scattered, b->scan, records + end * bytes);
+            uint32_t number = (uint32_t)(key >> (MORTON_KEY_BITS - 3 * levels)) & mask;
+            if (end > first && number != child)
+                break;
+            child = number;
+        }
+        uint8_t *coded_end =
+            run_put_records(&b->scattered->layout, records + first * bytes, end - first, coded);
+        status = cells_add(children, child, coded, (uint64_t)(coded_end - coded), end - first);
+    }
+    return status;
+}
+
+/* Distributes the triangles of a cell to the cells inside of it. */
 static int divide_cell(struct batches *b, const struct part *whole, uint32_t levels,
                        struct cells *children)
 {
-    const uint32_t bytes = b->scattered->layout.bytes;
+    const uint64_t room = RUN_TRIANGLES * (uint64_t)b->scattered->layout.bytes + RECORD_SLACK;
     const uint32_t mask = (1u << 3 * (levels - whole->levels)) - 1;
-    struct cell_cursor cursor = {0};
-    uint8_t *buffer;
-    int status =
-        bsq_alloc(b->ctx, "sorting", MOVE_RECORDS * (uint64_t)bytes + RECORD_SLACK, 1, &buffer);
+    struct run_reader *reader = &b->readers[b->reader_count - 1];
+    uint8_t *records, *coded = NULL;
+    int status = bsq_calloc(b->ctx, "sorting", room, 1, &records);
+    if (status == 0)
+        status = bsq_alloc(b->ctx, "sorting", room + sizeof(struct run_header), 1, &coded);
+    run_reader_seek(reader, whole->cells, whole->cell, 0);
     for (uint64_t done = 0; status == 0 && done < whole->count;) {
-        uint64_t count = whole->count - done < MOVE_RECORDS ? whole->count - done : MOVE_RECORDS;
+        uint32_t count = 0;
         if ((status = bsq_check(b->ctx)) == 0)
-            status = cells_read(whole->cells, whole->cell, done, count, buffer, &cursor);
-        for (uint64_t i = 0; status == 0 && i < count; i++) {
-            uint64_t key = scattered_key(b->scattered, b->scan, buffer + i * bytes);
-            uint32_t child = (uint32_t)(key >> (MORTON_KEY_BITS - 3 * levels)) & mask;
-            status = cells_add(children, child, buffer + i * bytes, 1);
-        }
+            status = run_reader_next(reader, records, &count);
+        if (status == 0)
+            status = divide_run(b, records, count, levels, mask, coded, children);
         done += count;
     }
-    bsq_free(b->ctx, buffer);
+    bsq_free(b->ctx, coded);
+    bsq_free(b->ctx, records);
     return status;
 }
 
@@ -288,7 +330,7 @@ static int add_large_cell(struct batches *b, const struct part *whole)
     if (levels > MORTON_AXIS_BITS)
         levels = MORTON_AXIS_BITS;
     int status = cells_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
-                            b->scattered->layout.bytes, CHILD_PAGE_BYTES, 0);
+                            CHILD_PAGE_BYTES, 0);
     if (status == 0)
         status = divide_cell(b, whole, levels, &children);
     if (status == 0)
@@ -304,7 +346,7 @@ static int add_cells(struct batches *b, const struct cells *cells, uint32_t leve
     int status = 0;
     for (uint32_t c = 0; status == 0 && c < cells->cell_count; c++) {
         struct part part = {
-            .cells = cells, .cell = c, .levels = levels, .count = cells->list[c].records};
+            .cells = cells, .cell = c, .levels = levels, .count = cells->list[c].items};
         if (part.count == 0)
             continue;
         status = part.count <= b->part_limit ? add_part(b, part) : add_large_cell(b, &part);

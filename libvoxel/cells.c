@@ -3,25 +3,25 @@
 
 #include <string.h>
 
-#define SLAB_BYTES ((uint64_t)256 << 10)
-
-static uint64_t page_bytes(const struct cells *cells)
+/* Memory comes in slabs of at least one page, huge pages where there is much of it. */
+static uint64_t slab_bytes(uint64_t page_memory)
 {
-    return (uint64_t)cells->page_records * cells->record_bytes;
+    return page_memory >= (uint64_t)64 << 20 ? (uint64_t)2 << 20 : (uint64_t)256 << 10;
 }
 
 int cells_init(struct cells *cells, struct bsq_ctx *ctx, const char *beside, uint32_t cell_count,
-               uint32_t record_bytes, uint64_t bytes, uint64_t page_memory)
+               uint64_t page_bytes, uint64_t page_memory)
 {
     memset(cells, 0, sizeof *cells);
     cells->ctx = ctx;
     cells->beside = beside;
     cells->file = (struct bsq_file)BSQ_FILE_CLOSED;
     cells->cell_count = cell_count;
-    cells->record_bytes = record_bytes;
-    cells->page_records = bytes > record_bytes ? (uint32_t)(bytes / record_bytes) : 1;
-    cells->slab_pages = SLAB_BYTES / page_bytes(cells) + 1;
-    cells->page_limit = page_memory / page_bytes(cells);
+    cells->page_bytes = (uint32_t)page_bytes;
+    cells->slab_pages = slab_bytes(page_memory) / page_bytes;
+    if (cells->slab_pages == 0)
+        cells->slab_pages = 1;
+    cells->page_limit = page_memory / page_bytes;
     cells->cells_without = cell_count;
     int status = bsq_calloc(ctx, "cells", cell_count, sizeof *cells->list, &cells->list);
     for (uint32_t i = 0; status == 0 && i < cell_count; i++)
@@ -47,7 +47,7 @@ void cells_free(struct cells *cells)
 static uint8_t *memory_page(const struct cells *cells, uint64_t number)
 {
     return cells->slabs[number / cells->slab_pages] +
-           number % cells->slab_pages * page_bytes(cells);
+           number % cells->slab_pages * cells->page_bytes;
 }
 
 /* Gives a cell an empty page to fill. */
@@ -58,7 +58,7 @@ static int take_page(struct cells *cells, struct cell *cell)
         status = bsq_grow(cells->ctx, "cells", cells->slab_count + 1, sizeof *cells->slabs,
                           &cells->slabs, &cells->slab_capacity);
         if (status == 0)
-            status = bsq_alloc(cells->ctx, "cells", cells->slab_pages, page_bytes(cells),
+            status = bsq_alloc(cells->ctx, "cells", cells->slab_pages, cells->page_bytes,
                                &cells->slabs[cells->slab_count]);
         if (status < 0)
             return status;
@@ -75,8 +75,8 @@ static int list_page(struct cells *cells, struct cell *cell, uint64_t place)
 {
     if (cells->page_count >= CELLS_NONE)
         return bsq_fail(cells->ctx, BSQ_EUSAGE,
-                        "the scan is too large for pages of %llu bytes; more memory is needed",
-                        (unsigned long long)page_bytes(cells));
+                        "the scan is too large for pages of %u bytes; more memory is needed",
+                        cells->page_bytes);
     int status = bsq_grow(cells->ctx, "cells", cells->page_count + 1, sizeof *cells->pages,
                           &cells->pages, &cells->page_capacity);
     if (status < 0)
@@ -104,27 +104,29 @@ static int retire_page(struct cells *cells, struct cell *cell)
             return status;
         status = list_page(cells, cell, CELLS_IN_FILE + cells->file.size);
         if (status == 0)
-            status = bsq_file_append(cells->ctx, &cells->file, cell->buffer, page_bytes(cells));
+            status = bsq_file_append(cells->ctx, &cells->file, cell->buffer, cells->page_bytes);
     }
     cell->fill = 0;
     return status;
 }
 
-int cells_add(struct cells *cells, uint32_t number, const uint8_t *records, uint64_t count)
+int cells_add(struct cells *cells, uint32_t number, const void *bytes, uint64_t size,
+              uint64_t items)
 {
     struct cell *cell = &cells->list[number];
+    const uint8_t *from = bytes;
     int status = 0;
-    while (status == 0 && count > 0) {
+    cell->bytes += size;
+    cell->items += items;
+    while (status == 0 && size > 0) {
         if (!cell->buffer && (status = take_page(cells, cell)) < 0)
             return status;
-        uint64_t room = cells->page_records - cell->fill, part = count < room ? count : room;
-        memcpy(cell->buffer + (uint64_t)cell->fill * cells->record_bytes, records,
-               part * cells->record_bytes);
+        uint64_t room = cells->page_bytes - cell->fill, part = size < room ? size : room;
+        memcpy(cell->buffer + cell->fill, from, part);
         cell->fill += (uint32_t)part;
-        cell->records += part;
-        records += part * cells->record_bytes;
-        count -= part;
-        if (cell->fill == cells->page_records)
+        from += part;
+        size -= part;
+        if (cell->fill == cells->page_bytes)
             status = retire_page(cells, cell);
     }
     return status;
@@ -132,17 +134,16 @@ int cells_add(struct cells *cells, uint32_t number, const uint8_t *records, uint
 
 /* ---- reading ---- */
 
-static int read_page(const struct cells *cells, uint64_t place, uint64_t first, uint64_t count,
+static int read_page(const struct cells *cells, uint64_t place, uint64_t offset, uint64_t size,
                      uint8_t *to)
 {
-    uint64_t offset = first * cells->record_bytes, bytes = count * cells->record_bytes;
     if (place & CELLS_IN_FILE)
-        return bsq_file_read(cells->ctx, &cells->file, to, bytes, place - CELLS_IN_FILE + offset);
-    memcpy(to, memory_page(cells, place) + offset, bytes);
+        return bsq_file_read(cells->ctx, &cells->file, to, size, place - CELLS_IN_FILE + offset);
+    memcpy(to, memory_page(cells, place) + offset, size);
     return 0;
 }
 
-int cells_read(const struct cells *cells, uint32_t number, uint64_t first, uint64_t count, void *to,
+int cells_read(const struct cells *cells, uint32_t number, uint64_t offset, uint64_t size, void *to,
                struct cell_cursor *cursor)
 {
     const struct cell *cell = &cells->list[number];
@@ -150,18 +151,18 @@ int cells_read(const struct cells *cells, uint32_t number, uint64_t first, uint6
     int status = 0;
     if (!cursor->valid)
         *cursor = (struct cell_cursor){.page = cell->first_page, .valid = true};
-    while (status == 0 && count > 0) {
-        uint64_t wanted = first / cells->page_records, within = first % cells->page_records;
-        uint64_t room = cells->page_records - within, part = count < room ? count : room;
+    while (status == 0 && size > 0) {
+        uint64_t wanted = offset / cells->page_bytes, within = offset % cells->page_bytes;
+        uint64_t room = cells->page_bytes - within, part = size < room ? size : room;
         for (; cursor->page_number < wanted; cursor->page_number++)
             cursor->page = cells->pages[cursor->page].next;
         if (cursor->page == CELLS_NONE)
-            memcpy(at, cell->buffer + within * cells->record_bytes, part * cells->record_bytes);
+            memcpy(at, cell->buffer + within, part);
         else
             status = read_page(cells, cells->pages[cursor->page].place, within, part, at);
-        at += part * cells->record_bytes;
-        first += part;
-        count -= part;
+        at += part;
+        offset += part;
+        size -= part;
     }
     return status;
 }

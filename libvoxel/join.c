@@ -53,7 +53,7 @@ static int distribute_group(struct cells *buckets, const uint64_t *indices, uint
         if (indices[c] == FMT_OBJ_NONE)
             continue;
         uint32_t local = (uint32_t)(indices[c] & mask);
-        status = cells_add(buckets, (uint32_t)(indices[c] >> shift), (const uint8_t *)&local, 1);
+        status = cells_add(buckets, (uint32_t)(indices[c] >> shift), &local, sizeof local, 1);
     }
     return status;
 }
@@ -114,14 +114,15 @@ static int gather_bucket(struct gather *gather, uint32_t bucket)
 {
     struct joined *joined = gather->joined;
     struct stream *stream = &joined->streams[bucket];
-    const uint64_t total = gather->buckets->list[bucket].records;
+    const uint64_t total = gather->buckets->list[bucket].items;
     struct cell_cursor cursor = {0};
     int status = load_range(gather, bucket);
     stream->offset = joined->file.size;
     for (uint64_t done = 0; status == 0 && done < total;) {
         uint32_t count = total - done < ID_BATCH ? (uint32_t)(total - done) : ID_BATCH;
         if ((status = bsq_check(gather->join->scan->ctx)) < 0 ||
-            (status = cells_read(gather->buckets, bucket, done, count, gather->ids, &cursor)) < 0)
+            (status = cells_read(gather->buckets, bucket, 4 * done, 4 * (uint64_t)count,
+                                 gather->ids, &cursor)) < 0)
             break;
         look_up(gather, count);
         status = bsq_file_append(gather->join->scan->ctx, &joined->file, gather->values,
@@ -180,8 +181,9 @@ static int join_kind(struct join *join, enum face_kind kind)
         shift++;
     uint64_t bucket_count = (count >> shift) + 1, page = budget / 2 / bucket_count;
     struct cells buckets;
-    int status = cells_init(&buckets, join->scan->ctx, join->beside, (uint32_t)bucket_count, 4,
-                            page < 65536 ? page : 65536, budget / 2);
+    page = page < 8 ? 4 : page < 65536 ? page / 4 * 4 : 65536;
+    int status = cells_init(&buckets, join->scan->ctx, join->beside, (uint32_t)bucket_count, page,
+                            budget / 2);
     if (status == 0)
         status = distribute(join, kind, shift, &buckets);
     for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)

@@ -1,8 +1,9 @@
 /* record.h - private to the sorter: a triangle on its way into the sorted file.
  *
  * Three corners and a material. While all columns are in memory a corner is its indices, each in as
- * few bytes as the scan's counts need; else it is its values, as columns in files cannot be looked
- * up in any order. Records are packed; loads may read RECORD_SLACK bytes past the end. */
+ * few bytes as the scan's counts need, four at least; else it is its values, as columns in files
+ * cannot be looked up in any order. Records are packed; loads may read RECORD_SLACK bytes past the
+ * end. Outside of batches they are coded, see run.h. */
 #ifndef VOX_RECORD_H
 #define VOX_RECORD_H
 
@@ -10,6 +11,8 @@
 
 #include "libvoxel/cells.h"
 #include "libvoxel/scan.h"
+
+#define RECORD_SLACK 8
 
 struct record_layout {
     bool by_value;

@@ -49,7 +49,10 @@ void scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits 
                const char *const *obj_paths, const char *tris_path);
 void scan_free(struct scan *scan);
 
-/* Adds one block; struct scan is `arg`. For fmt_obj_read(). */
+/* Add what one block says, in the order of the file. */
+int scan_add_elements(struct scan *scan, const struct fmt_obj_block *block);
+int scan_add_faces(struct scan *scan, const struct fmt_obj_block *block);
+/* Both, for fmt_obj_read(); struct scan is `arg`. */
 int scan_add_block(void *arg, const struct fmt_obj_block *block);
 /* Call after the last block. Checks all indices; the first one out of range is the error. */
 int scan_finish(struct scan *scan, struct fmt_obj_reader *reader);

@@ -267,7 +267,7 @@ static int add_vertices(struct scan *scan, const struct fmt_obj_block *block)
     return status;
 }
 
-static int add_faces(struct scan *scan, const struct fmt_obj_block *block)
+int scan_add_faces(struct scan *scan, const struct fmt_obj_block *block)
 {
     int status = 0;
     if (!scan->faces.bytes.spilled &&
@@ -278,18 +278,26 @@ static int add_faces(struct scan *scan, const struct fmt_obj_block *block)
     return status;
 }
 
-int scan_add_block(void *arg, const struct fmt_obj_block *block)
+int scan_add_elements(struct scan *scan, const struct fmt_obj_block *block)
 {
-    struct scan *scan = arg;
-    int status = bsq_check(scan->ctx);
-    if (status == 0 && block->vertex_count > 0)
+    int status = 0;
+    if (block->vertex_count > 0)
         status = add_vertices(scan, block);
     if (status == 0 && block->texcoord_count > 0)
         status = add_texcoords(scan, block);
     if (status == 0 && block->normal_count > 0)
         status = add_normals(scan, block);
+    return status;
+}
+
+int scan_add_block(void *arg, const struct fmt_obj_block *block)
+{
+    struct scan *scan = arg;
+    int status = bsq_check(scan->ctx);
+    if (status == 0)
+        status = scan_add_elements(scan, block);
     if (status == 0 && block->face_count > 0)
-        status = add_faces(scan, block);
+        status = scan_add_faces(scan, block);
     bsq_progress_add(scan->ctx, block->byte_size);
     return status;
 }

@@ -1,22 +1,28 @@
-/* scatter.h - private to the sorter: faces become records of triangles, collected by cell. */
+/* scatter.h - private to the sorter: faces become triangles, collected by cell. */
 #ifndef VOX_SCATTER_H
 #define VOX_SCATTER_H
 
-#include "libvoxel/morton.h"
-#include "libvoxel/record.h"
+#include "libvoxel/split.h"
 
 struct scattered {
     struct record_layout layout;
     struct morton_cube cube;
-    uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
-    uint64_t page_bytes;
-    struct cells cells;
+    uint32_t levels;    /* cells are named by the first 3 * levels bits of the key */
+    struct cells cells; /* of runs, see run.h; items are triangles */
     uint64_t triangles; /* in the cells */
     uint64_t degenerate_triangles, unused_vertices;
 };
 
-/* Free with cells_free(&out->cells), also after failure. */
+/* Scatters the faces of the store. Free with cells_free(&out->cells), also after failure. */
 int scatter_scan(struct scan *scan, const char *beside, struct scattered *out);
+
+/* Makes the cells for about this many triangles. */
+int scatter_begin(const struct scan *scan, const char *beside, uint64_t triangles,
+                  uint64_t page_memory, struct scattered *out);
+/* Moves what a splitter made to the cells. Serial, in the order of the file. */
+int scatter_collect(struct scattered *out, const struct splitter *splitter);
+/* Vertices of the scan without a bit in `used`. */
+uint64_t scatter_unused(const struct scan *scan, const atomic_uint_least64_t *used);
 
 /* Key of a record's triangle. */
 static inline uint64_t scattered_key(const struct scattered *scattered, const struct scan *scan,

@@ -1,11 +1,13 @@
 /* sort.c - OBJ files to a chunk file.
  *
- * Reading keeps vertices as columns and faces as compact bytes (scan.h). Scattering turns faces
- * into triangles, collected by cell of a coarse Morton grid (scatter.h). Batches of cells are
+ * Reading keeps vertices as columns (scan.h). Faces become triangles, collected by cell of a coarse
+ * Morton grid: at once where all vertices are in memory by then (direct.h), else they are kept as
+ * compact bytes until they can (face_store.h, scatter.h). Batches of cells are
  * sorted, cut into chunks and written (batches.h). Every step streams, and what does not fit in
  * memory goes to temporary files, so that the budget bounds memory and nothing else. */
 #include "base/clock.h"
 #include "libvoxel/batches.h"
+#include "libvoxel/direct.h"
 
 #include <sys/stat.h>
 
@@ -25,12 +27,13 @@ void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limi
         .column_bytes = 8 * MIB + rest / 4 * 3,
         .store_bytes = budget > reading + 16 * MIB ? budget - reading - 16 * MIB : 8 * MIB,
         .page_memory = 8 * MIB + rest / 8,
+        .direct_memory = UINT64_MAX,
         .join_bytes = 8 * MIB + rest / 4,
         .reserve_bytes = 8 * MIB + MIB / 2 * threads,
         .batch_triangles = 2 << 20,
         .page_bytes = 32768,
         .cell_levels = 4,
-        .index_bytes = 1,
+        .index_bytes = 4,
         .slots = 2 * threads,
     };
     /* Columns, faces and pages are in memory together while scattering. */
@@ -90,23 +93,52 @@ int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t o
 
 /* ---- sorting ---- */
 
-static int read_scan(struct scan *scan, const struct vox_sort_options *options,
-                     struct vox_sort_report *report)
+/* Reads everything; *scattered: the faces are in `out`, not in the scan's store. */
+static int read_blocks(struct scan *scan, struct fmt_obj_reader *reader,
+                       const struct vox_sort_options *options, bool try_direct,
+                       struct scattered *out, bool *scattered, bool *again)
 {
-    struct fmt_obj_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
-    double start = bsq_seconds_now();
-    int status = fmt_obj_open(ctx, options->obj_paths, options->obj_count, &reader);
-    if (status < 0)
-        return status;
+    struct direct *direct = NULL;
+    int status = 0;
     bsq_progress_begin(ctx, "reading", "bytes",
                        total_bytes(options->obj_paths, options->obj_count));
-    status = fmt_obj_read(reader, scan_add_block, scan, &scan->totals);
+    if (try_direct)
+        status = direct_open(scan, reader, options->tris_path, out, &direct);
+    if (status == 0)
+        status = direct ? fmt_obj_read_steps(reader, &direct_steps, direct, &scan->totals)
+                        : fmt_obj_read(reader, scan_add_block, scan, &scan->totals);
     bsq_progress_end(ctx);
+    *again = direct_gave_up(direct);
+    *scattered = direct_is_active(direct);
     if (status == 0)
         status = scan_finish(scan, reader);
     if (status == 0)
         status = scan_find_materials(scan, reader, options->texture_path);
+    if (status == 0 && *scattered)
+        direct_finish(direct);
+    direct_close(direct);
+    return status;
+}
+
+static int read_scan(struct scan *scan, const struct sort_limits *limits,
+                     const struct vox_sort_options *options, struct vox_sort_report *report,
+                     struct scattered *out, bool *scattered)
+{
+    struct fmt_obj_reader *reader;
+    struct bsq_ctx *ctx = scan->ctx;
+    double start = bsq_seconds_now();
+    bool again;
+    int status = fmt_obj_open(ctx, options->obj_paths, options->obj_count, &reader);
+    if (status < 0)
+        return status;
+    status = read_blocks(scan, reader, options, limits->direct_memory > 0, out, scattered, &again);
+    if (status < 0 && again) {
+        cells_free(&out->cells);
+        scan_free(scan);
+        scan_init(scan, ctx, limits, options->obj_paths, options->tris_path);
+        status = read_blocks(scan, reader, options, false, out, scattered, &again);
+    }
     fmt_obj_close(reader);
     report_totals(report, &scan->totals);
     memcpy(report->origin, scan->origin, sizeof report->origin);
@@ -158,24 +190,22 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
 }
 
 static int sort_scan(struct scan *scan, const struct vox_sort_options *options,
-                     struct vox_sort_report *report)
+                     struct scattered *scattered, bool is_scattered, struct vox_sort_report *report)
 {
-    struct scattered scattered;
     double start = bsq_seconds_now();
-    int status = scatter_scan(scan, options->tris_path, &scattered);
+    int status = is_scattered ? 0 : scatter_scan(scan, options->tris_path, scattered);
     face_store_free(&scan->faces);
-    if (status == 0 && scattered.triangles == 0)
+    if (status == 0 && scattered->triangles == 0)
         status = bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area",
-                          scan->obj_paths[0], (unsigned long long)scattered.degenerate_triangles);
+                          scan->obj_paths[0], (unsigned long long)scattered->degenerate_triangles);
     if (status == 0) {
-        bsq_progress_begin(scan->ctx, "writing", "triangles", scattered.triangles);
-        status = write_chunks(scan, &scattered, options, report);
+        bsq_progress_begin(scan->ctx, "writing", "triangles", scattered->triangles);
+        status = write_chunks(scan, scattered, options, report);
         bsq_progress_end(scan->ctx);
     }
-    report->triangles = scattered.triangles;
-    report->degenerate_triangles = scattered.degenerate_triangles;
-    report->unused_vertices = scattered.unused_vertices;
-    cells_free(&scattered.cells);
+    report->triangles = scattered->triangles;
+    report->degenerate_triangles = scattered->degenerate_triangles;
+    report->unused_vertices = scattered->unused_vertices;
     report->seconds_sort = bsq_seconds_now() - start;
     return status;
 }
@@ -184,12 +214,15 @@ int sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options
                      const struct sort_limits *limits, struct vox_sort_report *report)
 {
     struct scan scan;
+    struct scattered scattered = {0};
+    bool is_scattered = false;
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
     scan_init(&scan, ctx, limits, options->obj_paths, options->tris_path);
-    int status = read_scan(&scan, options, report);
+    int status = read_scan(&scan, limits, options, report, &scattered, &is_scattered);
     if (status == 0)
-        status = sort_scan(&scan, options, report);
+        status = sort_scan(&scan, options, &scattered, is_scattered, report);
+    cells_free(&scattered.cells);
     scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;

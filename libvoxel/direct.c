@@ -1,0 +1,264 @@
+/* direct.c - see direct.h.
+ *
+ * The serial step stores vertices; when the first faces come, the cube around the scan is known.
+ * From then on blocks are split on all threads and collected in order. */
+#include "libvoxel/direct.h"
+
+#include <string.h>
+
+#define MIB ((uint64_t)1 << 20)
+/* What a block of faces takes in the reader and in the splitter. */
+#define BLOCK_BYTES (5 * MIB)
+
+struct block_slot {
+    struct splitter splitter;
+    struct face_change *changes;
+    uint64_t change_capacity;
+    bool lacks_texcoord;
+};
+
+struct direct {
+    struct scan *scan;
+    const char *beside;
+    struct scattered *out;
+    struct block_slot *slots;
+    unsigned slot_count;
+    atomic_uint_least64_t *used;
+    struct split_plan plan;
+    bool decided, active;
+    atomic_bool gave_up;
+};
+
+int direct_open(struct scan *scan, const struct fmt_obj_reader *reader, const char *beside,
+                struct scattered *out, struct direct **direct)
+{
+    struct direct *d;
+    *direct = NULL;
+    if (!fmt_obj_faces_come_last(reader))
+        return 0;
+    int status = bsq_calloc(scan->ctx, "faces", 1, sizeof *d, &d);
+    if (status < 0)
+        return status;
+    d->scan = scan;
+    d->beside = beside;
+    d->out = out;
+    d->slot_count = fmt_obj_max_slots(reader);
+    status = bsq_calloc(scan->ctx, "faces", d->slot_count, sizeof *d->slots, &d->slots);
+    if (status < 0) {
+        direct_close(d);
+        return status;
+    }
+    *direct = d;
+    return 0;
+}
+
+void direct_close(struct direct *direct)
+{
+    if (!direct)
+        return;
+    struct bsq_ctx *ctx = direct->scan->ctx;
+    for (unsigned i = 0; direct->slots && i < direct->slot_count; i++) {
+        splitter_free(&direct->slots[i].splitter);
+        bsq_free(ctx, direct->slots[i].changes);
+    }
+    bsq_free(ctx, direct->slots);
+    bsq_free(ctx, direct->used);
+    bsq_free(ctx, direct);
+}
+
+bool direct_gave_up(const struct direct *direct)
+{
+    return direct && atomic_load(&direct->gave_up);
+}
+
+bool direct_is_active(const struct direct *direct)
+{
+    return direct && direct->active;
+}
+
+void direct_finish(struct direct *direct)
+{
+    record_layout_for(direct->scan, &direct->out->layout);
+    direct->out->unused_vertices = scatter_unused(direct->scan, direct->used);
+}
+
+static int give_up(struct direct *direct)
+{
+    atomic_store(&direct->gave_up, true);
+    return BSQ_EBUG;
+}
+
+/* ---- the decision ---- */
+
+static uint64_t unused_memory(const struct bsq_ctx *ctx)
+{
+    uint64_t used = bsq_memory_used(ctx), limit = bsq_memory_limit(ctx);
+    return limit > used ? limit - used : 0;
+}
+
+/* Memory for pages of cells, 0 where there is too little. A third of what is left, within bounds,
+ * stays for the batches that follow. */
+static uint64_t affordable_pages(const struct direct *direct)
+{
+    const struct scan *scan = direct->scan;
+    uint64_t left = unused_memory(scan->ctx), batches = left / 3;
+    batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
+    uint64_t keep = batches + scan->limits->reserve_bytes + direct->slot_count * BLOCK_BYTES +
+                    scan_count(scan, SCAN_POSITIONS) / 8;
+    uint64_t pages = left > keep + 16 * MIB ? left - keep : 0;
+    return pages < scan->limits->direct_memory ? pages : scan->limits->direct_memory;
+}
+
+static int begin(struct direct *direct, uint64_t page_memory)
+{
+    struct scan *scan = direct->scan;
+    uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
+    int status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, direct->out);
+    if (status == 0)
+        status = bsq_calloc(scan->ctx, "vertices in use", vertices / 64 + 1, 8, &direct->used);
+    direct->plan = (struct split_plan){
+        .scan = scan,
+        .cube = direct->out->cube,
+        .levels = direct->out->levels,
+        .used = direct->used,
+    };
+    for (unsigned i = 0; status == 0 && i < direct->slot_count; i++)
+        status = splitter_init(&direct->slots[i].splitter, scan->ctx, &direct->plan);
+    return status;
+}
+
+/* Called for the first block with faces. */
+static int decide(struct direct *direct)
+{
+    const struct scan *scan = direct->scan;
+    uint64_t page_memory = affordable_pages(direct);
+    bool possible = scan_count(scan, SCAN_POSITIONS) > 0 && page_memory > 0;
+    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+        possible &= !scan->columns[i].spool.spilled;
+    direct->decided = true;
+    direct->active = possible;
+    return possible ? begin(direct, page_memory) : 0;
+}
+
+/* ---- the steps ---- */
+
+static bool has_elements(const struct fmt_obj_block *block)
+{
+    return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0;
+}
+
+static int on_block(void *arg, const struct fmt_obj_block *block)
+{
+    struct direct *direct = arg;
+    int status = bsq_check(direct->scan->ctx);
+    if (status == 0 && direct->active && has_elements(block))
+        return give_up(direct);
+    if (status == 0)
+        status = scan_add_elements(direct->scan, block);
+    if (status == 0 && block->face_count > 0 && !direct->decided)
+        status = decide(direct);
+    if (status == 0 && block->face_count > 0 && !direct->active)
+        status = scan_add_faces(direct->scan, block);
+    bsq_progress_add(direct->scan->ctx, block->byte_size);
+    return status;
+}
+
+/* Largest index but "none", plus one; *none: whether there is one. */
+static uint64_t index_end(const uint64_t *indices, uint64_t count, bool *none)
+{
+    uint64_t end = 0, any_none = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        uint64_t next = indices[i] + 1;
+        end = next > end ? next : end;
+        any_none |= next == 0;
+    }
+    *none = any_none != 0;
+    return end;
+}
+
+/* All indices of the block are those of elements that were read. */
+static bool indices_are_known(const struct scan *scan, const struct fmt_obj_block *block,
+                              bool *lacks_texcoord)
+{
+    bool none;
+    if (index_end(block->corner_vertices, block->corner_count, &none) >
+        scan_count(scan, SCAN_POSITIONS))
+        return false;
+    if (block->corner_normals && index_end(block->corner_normals, block->corner_count, &none) >
+                                     scan_count(scan, SCAN_NORMALS))
+        return false;
+    *lacks_texcoord = true;
+    return !block->corner_texcoords ||
+           index_end(block->corner_texcoords, block->corner_count, lacks_texcoord) <=
+               scan_count(scan, SCAN_TEXCOORDS);
+}
+
+static int copy_changes(struct block_slot *slot, const struct fmt_obj_block *block)
+{
+    struct bsq_ctx *ctx = slot->splitter.ctx;
+    int status = bsq_grow(ctx, "faces", block->material_change_count, sizeof *slot->changes,
+                          &slot->changes, &slot->change_capacity);
+    for (uint64_t i = 0; status == 0 && i < block->material_change_count; i++)
+        slot->changes[i] = (struct face_change){(uint32_t)block->material_changes[i].face,
+                                                block->material_changes[i].material};
+    return status;
+}
+
+static uint32_t largest_face(const struct fmt_obj_block *block)
+{
+    uint32_t largest = 3;
+    if (block->corner_count == 3 * block->face_count)
+        return largest;
+    for (uint64_t f = 0; f < block->face_count; f++)
+        largest = block->face_sizes[f] > largest ? block->face_sizes[f] : largest;
+    return largest;
+}
+
+static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
+{
+    struct direct *direct = arg;
+    /* direct->active is settled by the first block with faces. */
+    if (block->face_count == 0 || !direct->active)
+        return 0;
+    struct block_slot *slot = &direct->slots[number];
+    uint64_t triangles = block->corner_count - 2 * block->face_count;
+    uint32_t max_size = largest_face(block);
+    /* A block unlike any scan's; groups of the face store are smaller. */
+    if (splitter_bytes(&direct->plan, triangles, max_size) > 2 * BLOCK_BYTES &&
+        splitter_bytes(&direct->plan, triangles, max_size) >
+            unused_memory(direct->scan->ctx) / direct->slot_count)
+        return give_up(direct);
+    if (block->corner_count > UINT32_MAX / 32 ||
+        !indices_are_known(direct->scan, block, &slot->lacks_texcoord))
+        return give_up(direct);
+    int status = copy_changes(slot, block);
+    if (status < 0)
+        return status;
+    const struct face_group group = {
+        .first_face = block->face_base,
+        .face_count = (uint32_t)block->face_count,
+        .corner_count = (uint32_t)block->corner_count,
+        .change_count = (uint32_t)block->material_change_count,
+        .first_material = block->material_at_start,
+        .sizes = max_size > 3 ? block->face_sizes : NULL,
+        .indices = {block->corner_vertices, block->corner_texcoords, block->corner_normals},
+        .changes = slot->changes,
+    };
+    return split_group(&slot->splitter, &group, NULL, max_size);
+}
+
+static int finish(void *arg, const struct fmt_obj_block *block, unsigned number)
+{
+    struct direct *direct = arg;
+    if (block->face_count == 0 || !direct->active)
+        return 0;
+    const struct block_slot *slot = &direct->slots[number];
+    struct scan *scan = direct->scan;
+    scan->faces.face_count += block->face_count;
+    scan->faces.corner_count += block->corner_count;
+    scan->faces.lacks_texcoord |= slot->lacks_texcoord;
+    scan->has_normals |= block->corner_normals != NULL;
+    return scatter_collect(direct->out, &slot->splitter);
+}
+
+const struct fmt_obj_steps direct_steps = {on_block, follow, finish};

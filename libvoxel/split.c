@@ -1,0 +1,359 @@
+/* split.c - see split.h.
+ *
+ * Neighbours in the file mostly are neighbours in space, so triangles of a cell are noted as links
+ * of a chain. Then each cell's chain is coded at one go: in a file without any order a cell's
+ * triangles still share runs. */
+#include "libvoxel/split.h"
+#include "base/polygon.h"
+
+#define NO_LINK UINT32_MAX
+
+/* ---- memory ---- */
+
+/* Bytes of one triangle of this scan, coded, at most: differences of indices take four bytes where
+ * there are fewer than 2^31. */
+static uint32_t coded_bound(const struct split_plan *plan, uint32_t kinds)
+{
+    const struct scan *scan = plan->scan;
+    if (plan->values)
+        return run_triangle_bound(plan->values);
+    uint64_t most = scan_count(scan, SCAN_POSITIONS) | scan_count(scan, SCAN_TEXCOORDS) |
+                    scan_count(scan, SCAN_NORMALS);
+    return kinds * (most >> 31 ? CORNER_CODE_MAX : 13);
+}
+
+uint64_t splitter_bytes(const struct split_plan *plan, uint64_t triangles, uint32_t max_size)
+{
+    uint64_t each = sizeof(struct run_header) + sizeof(struct split_piece) +
+                    sizeof(struct split_link) + sizeof(uint32_t[3]) +
+                    coded_bound(plan, FACE_KIND_COUNT);
+    return each * triangles + 44 * (uint64_t)max_size + ((uint64_t)4 << 3 * plan->levels);
+}
+
+int splitter_init(struct splitter *s, struct bsq_ctx *ctx, const struct split_plan *plan)
+{
+    uint64_t cells = (uint64_t)1 << 3 * plan->levels;
+    *s = (struct splitter){.ctx = ctx, .plan = plan};
+    int status = bsq_alloc(ctx, "faces", cells, sizeof *s->chains, &s->chains);
+    if (status == 0)
+        memset(s->chains, 0xff, cells * sizeof *s->chains);
+    return status;
+}
+
+void splitter_free(struct splitter *s)
+{
+    void *parts[] = {s->pieces, s->bytes,   s->corners,           s->links,
+                     s->chains, s->polygon, s->polygon_triangles, s->polygon_scratch};
+    for (size_t i = 0; s->ctx && i < sizeof parts / sizeof *parts; i++)
+        bsq_free(s->ctx, parts[i]);
+    memset(s, 0, sizeof *s);
+}
+
+static int room_for_triangles(struct splitter *s, uint64_t triangles, uint32_t max_size)
+{
+    const char *what = "faces";
+    int status;
+    if ((status = bsq_grow(s->ctx, what, triangles, sizeof *s->corners, &s->corners,
+                           &s->corners_capacity)) < 0 ||
+        (status = bsq_grow(s->ctx, what, triangles, sizeof *s->links, &s->links,
+                           &s->link_capacity)) < 0 ||
+        max_size <= 3)
+        return status;
+    if ((status = bsq_grow(s->ctx, what, max_size, sizeof *s->polygon, &s->polygon,
+                           &s->polygon_capacity[0])) < 0 ||
+        (status = bsq_grow(s->ctx, what, max_size, 12, &s->polygon_triangles,
+                           &s->polygon_capacity[1])) < 0)
+        return status;
+    return bsq_grow(s->ctx, what, max_size, 8, &s->polygon_scratch, &s->polygon_capacity[2]);
+}
+
+/* ---- triangles ---- */
+
+/* What is being split. */
+struct source {
+    const struct face_group *group;
+    const struct corner_values *values;
+    uint32_t material[2]; /* of triangles with texture coordinates, of others */
+};
+
+static inline const float *corner_position(const struct splitter *s, const struct source *source,
+                                           uint32_t corner)
+{
+    if (source->values)
+        return source->values->positions[corner];
+    return column_at(&s->plan->scan->columns[SCAN_POSITIONS],
+                     source->group->indices[FACE_VERTEX][corner], 12);
+}
+
+/* In double the products of differences of float32 of like size are exact, so that this is zero for
+ * repeated and collinear corners and for nothing else. */
+static inline bool without_area(const float *a, const float *b, const float *c)
+{
+    double u[3], v[3];
+    for (int i = 0; i < 3; i++) {
+        u[i] = (double)b[i] - a[i];
+        v[i] = (double)c[i] - a[i];
+    }
+    return u[1] * v[2] == u[2] * v[1] && u[2] * v[0] == u[0] * v[2] && u[0] * v[1] == u[1] * v[0];
+}
+
+static inline bool lacks_texcoord(const struct face_group *group, uint32_t a, uint32_t b,
+                                  uint32_t c)
+{
+    const uint64_t *t = group->indices[FACE_TEXCOORD];
+    return !t || t[a] == FMT_OBJ_NONE || t[b] == FMT_OBJ_NONE || t[c] == FMT_OBJ_NONE;
+}
+
+static void add_link(struct splitter *s, uint32_t cell, uint32_t material)
+{
+    s->links[s->link_count++] = (struct split_link){
+        .cell = cell, .first = (uint32_t)s->triangles, .material = material, .next = NO_LINK};
+}
+
+static inline void add_triangle(struct splitter *s, const struct source *source, uint32_t a,
+                                uint32_t b, uint32_t c)
+{
+    const float *p[3] = {corner_position(s, source, a), corner_position(s, source, b),
+                         corner_position(s, source, c)};
+    uint32_t cell[3];
+    if (without_area(p[0], p[1], p[2])) {
+        s->degenerate++;
+        return;
+    }
+    morton_cells(&s->plan->cube, p[0], p[1], p[2], cell);
+    for (int k = 0; k < 3; k++)
+        cell[k] >>= MORTON_AXIS_BITS - s->plan->levels;
+    uint32_t number = (uint32_t)morton_key(cell);
+    uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
+    if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
+        s->links[s->link_count - 1].material != material)
+        add_link(s, number, material);
+    s->links[s->link_count - 1].count++;
+    uint32_t *corners = s->corners[s->triangles++];
+    corners[0] = a;
+    corners[1] = b;
+    corners[2] = c;
+}
+
+static void add_polygon(struct splitter *s, const struct source *source, uint32_t first,
+                        uint32_t size)
+{
+    for (uint32_t k = 0; k < size; k++) {
+        const float *p = corner_position(s, source, first + k);
+        for (int axis = 0; axis < 3; axis++)
+            s->polygon[k][axis] = p[axis];
+    }
+    const uint32_t *t = s->polygon_triangles;
+    bsq_triangulate((const double(*)[3])s->polygon, size, s->polygon_triangles, s->polygon_scratch);
+    for (uint32_t i = 0; i < size - 2; i++, t += 3)
+        add_triangle(s, source, first + t[0], first + t[1], first + t[2]);
+}
+
+static void set_material(struct source *source, uint32_t usemtl)
+{
+    source->material[0] = run_material(usemtl, false);
+    source->material[1] = run_material(usemtl, true);
+}
+
+static void add_faces(struct splitter *s, struct source *source)
+{
+    const struct face_group *group = source->group;
+    uint32_t corner = 0, change = 0;
+    s->triangles = s->degenerate = 0;
+    s->link_count = 0;
+    set_material(source, group->first_material);
+    for (uint32_t f = 0; f < group->face_count; f++) {
+        uint32_t size = group->sizes ? group->sizes[f] : 3;
+        while (change < group->change_count && group->changes[change].face <= f)
+            set_material(source, group->changes[change++].material);
+        if (size == 3)
+            add_triangle(s, source, corner, corner + 1, corner + 2);
+        else
+            add_polygon(s, source, corner, size);
+        corner += size;
+    }
+}
+
+static void mark_used(atomic_uint_least64_t *used, const struct face_group *group)
+{
+    const uint64_t *v = group->indices[FACE_VERTEX];
+    for (uint32_t c = 0; c < group->corner_count; c++) {
+        atomic_uint_least64_t *word = &used[v[c] / 64];
+        uint64_t bit = (uint64_t)1 << v[c] % 64;
+        if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
+            atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
+    }
+}
+
+/* ---- coding ---- */
+
+/* A run being written. */
+struct writer {
+    uint8_t *header, *to;
+    struct run_header run;
+    const uint32_t *before; /* corners of the triangle before */
+    struct corner_code codes[FACE_KIND_COUNT];
+};
+
+static void end_run(struct writer *w)
+{
+    if (w->run.triangles == 0)
+        return;
+    w->run.bytes = (uint32_t)(w->to - w->header - (ptrdiff_t)sizeof w->run);
+    memcpy(w->header, &w->run, sizeof w->run);
+    w->run.triangles = 0;
+}
+
+static void begin_run(struct writer *w, unsigned form, uint32_t material)
+{
+    end_run(w);
+    *w = (struct writer){.header = w->to,
+                         .to = w->to + sizeof w->run,
+                         .run = {.form = (uint16_t)form, .material = material}};
+}
+
+static void put_value(const struct record_layout *layout, const struct corner_values *values,
+                      uint32_t corner, uint8_t *to)
+{
+    memcpy(to, values->positions[corner], 12);
+    if (values->colors)
+        memcpy(to + layout->value_at[SCAN_COLORS], &values->colors[corner], 4);
+    if (values->texcoords)
+        memcpy(to + layout->value_at[SCAN_TEXCOORDS], values->texcoords[corner], 8);
+    if (values->normals)
+        memcpy(to + layout->value_at[SCAN_NORMALS], &values->normals[corner], 4);
+}
+
+/* Corner of the triangle before that has the same indices. */
+static unsigned match_corner(const struct face_group *group, const uint32_t *before,
+                             uint32_t corner)
+{
+    for (unsigned k = 0; before && k < 3; k++) {
+        bool same = true;
+        for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+            same &= !group->indices[kind] ||
+                    group->indices[kind][before[k]] == group->indices[kind][corner];
+        if (same)
+            return k;
+    }
+    return CORNER_NEW;
+}
+
+static void put_values(struct splitter *s, const struct source *source, struct writer *w,
+                       const uint32_t *before, const uint32_t corners[3])
+{
+    const struct record_layout *layout = s->plan->values;
+    uint8_t *control = w->to++;
+    *control = 0;
+    for (uint32_t k = 0; k < 3; k++) {
+        unsigned match = match_corner(source->group, before, corners[k]);
+        *control |= (uint8_t)(match << 2 * k);
+        if (match == CORNER_NEW) {
+            put_value(layout, source->values, corners[k], w->to);
+            w->to += layout->corner_bytes;
+        }
+    }
+}
+
+static void put_indices(const struct face_group *group, struct writer *w, const uint32_t corners[3])
+{
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
+        const uint64_t *from = group->indices[kind];
+        if (!from)
+            continue;
+        const uint64_t index[3] = {from[corners[0]], from[corners[1]], from[corners[2]]};
+        w->to = corner_code_put(&w->codes[kind], index, w->to);
+    }
+}
+
+static unsigned form_of(const struct source *source)
+{
+    unsigned form = 0;
+    if (source->values)
+        return RUN_VALUES;
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+        form |= (unsigned)(source->group->indices[kind] != NULL) << kind;
+    return form;
+}
+
+/* Writes all links of a cell as runs; returns how many triangles. */
+static uint32_t put_chain(struct splitter *s, const struct source *source, uint32_t link,
+                          struct writer *w)
+{
+    const unsigned form = form_of(source);
+    uint32_t total = 0;
+    for (; link != NO_LINK; link = s->links[link].next) {
+        const struct split_link *l = &s->links[link];
+        for (uint32_t t = l->first; t < l->first + l->count; t++) {
+            if (w->run.triangles == 0 || w->run.triangles == RUN_TRIANGLES ||
+                w->run.material != l->material)
+                begin_run(w, form, l->material);
+            if (source->values)
+                put_values(s, source, w, w->run.triangles > 0 ? w->before : NULL, s->corners[t]);
+            else
+                put_indices(source->group, w, s->corners[t]);
+            w->before = s->corners[t];
+            w->run.triangles++;
+        }
+        total += l->count;
+    }
+    end_run(w);
+    return total;
+}
+
+/* Joins links of the same cell; returns how many chains there are. */
+static uint32_t join_links(struct splitter *s)
+{
+    uint32_t chains = 0;
+    for (uint32_t i = 0; i < s->link_count; i++) {
+        uint32_t *last = &s->chains[s->links[i].cell];
+        s->links[i].is_first = *last == NO_LINK;
+        chains += s->links[i].is_first;
+        if (*last != NO_LINK)
+            s->links[*last].next = i;
+        *last = i;
+    }
+    for (uint32_t i = 0; i < s->link_count; i++)
+        s->chains[s->links[i].cell] = NO_LINK;
+    return chains;
+}
+
+static int code_chains(struct splitter *s, const struct source *source)
+{
+    uint64_t kinds = 0, chains = join_links(s);
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+        kinds += source->group->indices[kind] != NULL;
+    uint64_t runs = s->link_count + s->triangles / RUN_TRIANGLES;
+    uint64_t bound = s->triangles * coded_bound(s->plan, (uint32_t)kinds) +
+                     runs * sizeof(struct run_header) + CORNER_CODE_SLACK;
+    int status = bsq_grow(s->ctx, "faces", bound, 1, &s->bytes, &s->bytes_capacity);
+    if (status == 0)
+        status =
+            bsq_grow(s->ctx, "faces", chains, sizeof *s->pieces, &s->pieces, &s->piece_capacity);
+    struct writer w = {.to = s->bytes};
+    s->piece_count = 0;
+    for (uint32_t i = 0; status == 0 && i < s->link_count; i++) {
+        if (!s->links[i].is_first)
+            continue;
+        struct split_piece *piece = &s->pieces[s->piece_count++];
+        piece->cell = s->links[i].cell;
+        piece->offset = (uint64_t)(w.to - s->bytes);
+        piece->triangles = put_chain(s, source, i, &w);
+        piece->bytes = (uint64_t)(w.to - s->bytes) - piece->offset;
+    }
+    return status;
+}
+
+int split_group(struct splitter *s, const struct face_group *group,
+                const struct corner_values *values, uint32_t max_size)
+{
+    struct source source = {.group = group, .values = values};
+    uint64_t triangles = group->corner_count - 2 * (uint64_t)group->face_count;
+    int status = room_for_triangles(s, triangles, max_size);
+    if (status < 0)
+        return status;
+    if (s->plan->used)
+        mark_used(s->plan->used, group);
+    add_faces(s, &source);
+    return code_chains(s, &source);
+}

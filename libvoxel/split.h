@@ -1,0 +1,64 @@
+/* split.h - private to the sorter: faces become triangles, coded and collected by cell.
+ *
+ * Works on one group of faces at a time and needs nothing but the positions of its corners, so that
+ * groups can be split on all threads. */
+#ifndef VOX_SPLIT_H
+#define VOX_SPLIT_H
+
+#include <stdatomic.h>
+
+#include "libvoxel/morton.h"
+#include "libvoxel/run.h"
+
+/* What all groups of a scan have in common. */
+struct split_plan {
+    const struct scan *scan;
+    struct morton_cube cube;
+    uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
+    const struct record_layout *values; /* corners are coded by value; NULL: by index */
+    atomic_uint_least64_t *used; /* a bit for each vertex, set where a face refers to it; or NULL */
+};
+
+/* The runs of one cell from one group. */
+struct split_piece {
+    uint32_t cell, triangles;
+    uint64_t offset, bytes; /* in the splitter's bytes */
+};
+
+/* Some triangles of the group one behind the other in one cell, and the next ones in that cell. */
+struct split_link {
+    uint32_t cell, first, count, material, next;
+    bool is_first;
+};
+
+struct splitter {
+    struct bsq_ctx *ctx;
+    const struct split_plan *plan;
+    /* Results. */
+    struct split_piece *pieces;
+    uint32_t piece_count;
+    uint8_t *bytes;
+    uint64_t triangles, degenerate;
+    /* Buffers; capacities in elements. */
+    uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity;
+    uint32_t (*corners)[3]; /* of the triangles, numbers in the group */
+    struct split_link *links;
+    uint32_t link_count;
+    uint32_t *chains; /* for each cell its last link; UINT32_MAX between groups */
+    /* Of the largest polygon. */
+    double (*polygon)[3];
+    uint32_t *polygon_triangles, *polygon_scratch;
+    uint64_t polygon_capacity[3];
+};
+
+/* Bytes that splitting groups of at most this size takes, as a rule. */
+uint64_t splitter_bytes(const struct split_plan *plan, uint64_t triangles, uint32_t max_size);
+int splitter_init(struct splitter *splitter, struct bsq_ctx *ctx, const struct split_plan *plan);
+void splitter_free(struct splitter *splitter);
+
+/* Splits a group; `values` are its corners', NULL where columns are in memory. max_size: of its
+ * largest face. */
+int split_group(struct splitter *splitter, const struct face_group *group,
+                const struct corner_values *values, uint32_t max_size);
+
+#endif
