@@ -17,7 +17,8 @@
 #define NUMBER_MASK ((1u << NUMBER_BITS) - 1)
 _Static_assert(MAX_VERTICES < NUMBER_MASK, "a vertex number must fit");
 
-#define CACHE_BITS 11u
+#define CACHE_BITS       11u
+#define PLAIN_CACHE_BITS 12u
 /* Records lie in the order of their cell, so the next ones are asked for ahead of time. */
 #define PREFETCH_AHEAD 8u
 
@@ -31,6 +32,7 @@ uint64_t chunk_builder_bytes(uint32_t attributes)
     uint64_t triangle = 12 + (attributes & FMT_TRIS_MATERIALS ? 4 : 0);
     return vertex * MAX_VERTICES + triangle * FMT_TRIS_CHUNK_TRIANGLES +
            ((uint64_t)4 << MAX_TABLE_BITS) + (sizeof(struct corner_cache) << CACHE_BITS) +
+           (sizeof(struct plain_cache) << PLAIN_CACHE_BITS) +
            fmt_tris_encoded_bound(attributes, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES);
 }
 
@@ -47,6 +49,8 @@ int chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
         (status = bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table)) < 0 ||
         (status = bsq_alloc(b->ctx, what, (uint64_t)1 << CACHE_BITS, sizeof *b->cache, &b->cache)) <
             0 ||
+        (status = bsq_alloc(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, sizeof *b->plain,
+                            &b->plain)) < 0 ||
         (status = bsq_alloc(b->ctx, what, bound, 1, &b->encoded)) < 0)
         return status;
     if (attributes & FMT_TRIS_NORMALS)
@@ -65,7 +69,7 @@ void chunk_builder_free(struct chunk_builder *b)
     if (!b->ctx)
         return;
     void *parts[] = {b->positions, b->normals, b->texcoords, b->colors, b->triangles,
-                     b->materials, b->table,   b->cache,     b->encoded};
+                     b->materials, b->table,   b->cache,     b->plain,  b->encoded};
     for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
         bsq_free(b->ctx, parts[i]);
     memset(b, 0, sizeof *b);
@@ -247,12 +251,10 @@ static inline void add_triangle(struct chunk_builder *b, const uint8_t *record, 
         number_corners(b, record, known, cached, tags, numbers);
 }
 
-int chunk_builder_run(struct chunk_builder *b, const uint8_t *records, const struct entry *entries,
-                      uint32_t count)
+static void build_triangles(struct chunk_builder *b, const uint8_t *records,
+                            const struct entry *entries, uint32_t count)
 {
     const struct record_layout *layout = b->layout;
-    b->vertex_count = 0;
-    clear_table(b, MIN_TABLE_BITS);
     memset(b->cache, 0xff, sizeof *b->cache << CACHE_BITS);
     for (uint32_t t = 0; t < count; t++) {
         const uint8_t *record = records + (uint64_t)entries[t].record * layout->bytes;
@@ -263,6 +265,47 @@ int chunk_builder_run(struct chunk_builder *b, const uint8_t *records, const str
         if (b->materials)
             b->materials[t] = record_material(layout, record);
     }
+}
+
+/* ---- plain triangles ---- */
+
+/* Number of a vertex of plain records. A free place of the cache holds an index that no scan has.
+ */
+static inline uint32_t number_plain(struct chunk_builder *b, uint32_t index)
+{
+    struct plain_cache *cached = &b->plain[index * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
+    if (cached->index != index) {
+        struct vertex v = {0};
+        memcpy(v.position, column_at(&b->scan->columns[SCAN_POSITIONS], index, 12), 12);
+        *cached = (struct plain_cache){index, number_vertex(b, &v)};
+    }
+    return cached->number;
+}
+
+static void build_plain(struct chunk_builder *b, const uint8_t *records,
+                        const struct entry *entries, uint32_t count)
+{
+    memset(b->plain, 0xff, sizeof *b->plain << PLAIN_CACHE_BITS);
+    for (uint32_t t = 0; t < count; t++) {
+        uint32_t index[3];
+        memcpy(index, records + (uint64_t)entries[t].record * sizeof index, sizeof index);
+        if (t + PREFETCH_AHEAD < count)
+            __builtin_prefetch(records +
+                               (uint64_t)entries[t + PREFETCH_AHEAD].record * sizeof index);
+        for (int k = 0; k < 3; k++)
+            b->triangles[t][k] = number_plain(b, index[k]);
+    }
+}
+
+int chunk_builder_run(struct chunk_builder *b, const uint8_t *records, const struct entry *entries,
+                      uint32_t count)
+{
+    b->vertex_count = 0;
+    clear_table(b, MIN_TABLE_BITS);
+    if (b->layout->plain)
+        build_plain(b, records, entries, count);
+    else
+        build_triangles(b, records, entries, count);
     struct fmt_tris_chunk chunk = {
         .triangle_count = count,
         .vertex_count = b->vertex_count,

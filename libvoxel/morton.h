@@ -25,6 +25,20 @@ static inline uint64_t morton_key(const uint32_t cell[3])
     return morton_spread(cell[0]) << 2 | morton_spread(cell[1]) << 1 | morton_spread(cell[2]);
 }
 
+/* The same of coordinates below 32. */
+static inline uint32_t morton_short_spread(uint32_t x)
+{
+    x = (x | x << 8) & 0x100fu;
+    x = (x | x << 4) & 0x10c3u;
+    return (x | x << 2) & 0x1249u;
+}
+
+static inline uint32_t morton_short_key(const uint32_t cell[3])
+{
+    return morton_short_spread(cell[0]) << 2 | morton_short_spread(cell[1]) << 1 |
+           morton_short_spread(cell[2]);
+}
+
 /* A cube with 2^21 cells an axis over the bounds of a scan. */
 struct morton_cube {
     double min[3];

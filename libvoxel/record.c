@@ -35,6 +35,8 @@ void record_layout_for(const struct scan *scan, struct record_layout *layout)
     if (scan->material_count > 0)
         layout->material_bytes = record_index_width(scan->material_count, 1);
     layout->bytes = 3 * layout->corner_bytes + layout->material_bytes;
+    layout->plain = !layout->by_value && scan->attributes == 0 &&
+                    layout->index_bytes[FACE_VERTEX] == 4 && layout->bytes == 12;
 }
 
 static void vertex_by_value(const struct record_layout *layout, uint32_t attributes,

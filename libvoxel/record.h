@@ -16,6 +16,7 @@
 
 struct record_layout {
     bool by_value;
+    bool plain; /* a record is three four-byte vertex numbers and vertices are positions */
     /* Of an index; 0: the kind is not stored. Only where !by_value. */
     uint32_t index_bytes[FACE_KIND_COUNT];
     /* Where in a corner: an index by its kind, or a value by its column. */

@@ -141,8 +141,7 @@ static void decode(const struct run_reader *reader, const struct run_header *hea
     }
     if (header->form == RUN_VALUES)
         decode_values(layout, from, count, to);
-    else if (header->form == 1u << FACE_VERTEX && layout->bytes == 12 &&
-             layout->index_bytes[FACE_VERTEX] == 4)
+    else if (header->form == 1u << FACE_VERTEX && layout->plain)
         decode_plain(from, count, to);
     else
         decode_indices(layout, header->form, from, count, to);

@@ -17,10 +17,11 @@ void scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits 
     scan->ctx = ctx;
     scan->limits = limits;
     scan->obj_paths = obj_paths;
-    column_init(&scan->columns[SCAN_POSITIONS], ctx, "vertices", tris_path, 12);
-    column_init(&scan->columns[SCAN_COLORS], ctx, "colours", tris_path, 4);
-    column_init(&scan->columns[SCAN_TEXCOORDS], ctx, "texture coordinates", tris_path, 8);
-    column_init(&scan->columns[SCAN_NORMALS], ctx, "normals", tris_path, 4);
+    const uint32_t shift = limits->column_shift;
+    column_init(&scan->columns[SCAN_POSITIONS], ctx, "vertices", tris_path, 12, shift);
+    column_init(&scan->columns[SCAN_COLORS], ctx, "colours", tris_path, 4, shift);
+    column_init(&scan->columns[SCAN_TEXCOORDS], ctx, "texture coordinates", tris_path, 8, shift);
+    column_init(&scan->columns[SCAN_NORMALS], ctx, "normals", tris_path, 4, shift);
     face_store_init(&scan->faces, ctx, tris_path);
 }
 

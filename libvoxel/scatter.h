@@ -31,7 +31,14 @@ static inline uint64_t scattered_key(const struct scattered *scattered, const st
     const struct record_layout *layout = &scattered->layout;
     float copies[3][3];
     const float *p[3];
-    uint32_t cell[3];
+    uint32_t cell[3], index[3];
+    if (layout->plain) {
+        memcpy(index, record, sizeof index);
+        for (uint32_t k = 0; k < 3; k++)
+            p[k] = column_at(&scan->columns[SCAN_POSITIONS], index[k], 12);
+        morton_cells(&scattered->cube, p[0], p[1], p[2], cell);
+        return morton_key(cell);
+    }
     for (uint32_t k = 0; k < 3; k++)
         p[k] = record_position(layout, scan, record + k * layout->corner_bytes, copies[k]);
     morton_cells(&scattered->cube, p[0], p[1], p[2], cell);

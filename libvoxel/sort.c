@@ -25,6 +25,7 @@ void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limi
     uint64_t reading = 8 * MIB * threads; /* of the OBJ reader */
     *limits = (struct sort_limits){
         .column_bytes = 8 * MIB + rest / 4 * 3,
+        .column_shift = rest >= 256 * MIB ? COLUMN_LARGE_SHIFT : COLUMN_SMALL_SHIFT,
         .store_bytes = budget > reading + 16 * MIB ? budget - reading - 16 * MIB : 8 * MIB,
         .page_memory = 8 * MIB + rest / 8,
         .direct_memory = UINT64_MAX,
@@ -32,7 +33,7 @@ void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limi
         .reserve_bytes = 8 * MIB + MIB / 2 * threads,
         .batch_triangles = 2 << 20,
         .page_bytes = 32768,
-        .cell_levels = 4,
+        .cell_levels = 5,
         .index_bytes = 4,
         .slots = 2 * threads,
     };

@@ -10,6 +10,7 @@
 struct sort_limits {
     uint64_t store_bytes;     /* columns and faces in memory while reading */
     uint64_t column_bytes;    /* columns in memory, a part of these */
+    uint32_t column_shift;    /* of elements in a segment of a column */
     uint64_t page_bytes;      /* one page of a cell's records, at most */
     uint64_t page_memory;     /* all pages in memory, write buffers included */
     uint64_t direct_memory;   /* the same while faces are scattered as they are read; 0: they are not */

@@ -6,6 +6,8 @@
 #include "libvoxel/split.h"
 #include "base/polygon.h"
 
+#include <math.h>
+
 #define NO_LINK UINT32_MAX
 
 /* ---- memory ---- */
@@ -85,9 +87,24 @@ static inline const float *corner_position(const struct splitter *s, const struc
                      source->group->indices[FACE_VERTEX][corner], 12);
 }
 
+/* True where float32 is enough to see that a component of u x v is not zero. */
+static inline bool product_differs(float x, float y)
+{
+    float size = fabsf(x) + fabsf(y);
+    return fabsf(x - y) > 1e-5f * size && size > 1e-30f;
+}
+
+static inline bool surely_has_area(const float *a, const float *b, const float *c)
+{
+    float u0 = b[0] - a[0], u1 = b[1] - a[1], u2 = b[2] - a[2];
+    float v0 = c[0] - a[0], v1 = c[1] - a[1], v2 = c[2] - a[2];
+    return product_differs(u1 * v2, u2 * v1) || product_differs(u2 * v0, u0 * v2) ||
+           product_differs(u0 * v1, u1 * v0);
+}
+
 /* In double the products of differences of float32 of like size are exact, so that this is zero for
  * repeated and collinear corners and for nothing else. */
-static inline bool without_area(const float *a, const float *b, const float *c)
+static bool without_area(const float *a, const float *b, const float *c)
 {
     double u[3], v[3];
     for (int i = 0; i < 3; i++) {
@@ -116,14 +133,14 @@ static inline void add_triangle(struct splitter *s, const struct source *source,
     const float *p[3] = {corner_position(s, source, a), corner_position(s, source, b),
                          corner_position(s, source, c)};
     uint32_t cell[3];
-    if (without_area(p[0], p[1], p[2])) {
+    if (!surely_has_area(p[0], p[1], p[2]) && without_area(p[0], p[1], p[2])) {
         s->degenerate++;
         return;
     }
     morton_cells(&s->plan->cube, p[0], p[1], p[2], cell);
     for (int k = 0; k < 3; k++)
         cell[k] >>= MORTON_AXIS_BITS - s->plan->levels;
-    uint32_t number = (uint32_t)morton_key(cell);
+    uint32_t number = morton_short_key(cell);
     uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
     if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
         s->links[s->link_count - 1].material != material)
