@@ -128,9 +128,16 @@ std::unique_ptr<ImageInput> open_input(Textures *textures, const std::string &pa
 {
     ImageSpec config;
     config["oiio:UnassociatedAlpha"] = 1;
+    errno = 0;
     auto input = ImageInput::open(path, &config);
     if (!input) {
+        int error = errno;
         std::string reason = OIIO::geterror();
+        if (error == EMFILE || error == ENFILE || error == EIO) { // not the image's fault
+            *status = textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, error, "%s",
+                                                 path.c_str());
+            return nullptr;
+        }
         std::replace(reason.begin(), reason.end(), '\n', ' ');
         *status = textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a readable image: %s",
                                        path.c_str(), reason.c_str());
@@ -217,6 +224,28 @@ void make_linear(const Image &image, const void *row, float *rgb)
             rgb[3 * x + c] = texel_value(image, row, x * channels + (channels == 3 ? c : 0));
 }
 
+// `error` is errno right after the failure; the library's text has no system's reason in it.
+int fail_tiles(Textures *textures, const Image &image, int error, std::string reason)
+{
+    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    if (error == 0)
+        return textures->host->fail(textures->ctx, BSQ_EIO, "%s: %s", image.temporary.path,
+                                    reason.c_str());
+    return textures->host->fail_errno(textures->ctx, BSQ_EIO, error, "%s: %s", image.temporary.path,
+                                      reason.c_str());
+}
+
+// A tile or a row of the image's own file that cannot be read: damaged, unless the disk is.
+int fail_read(Textures *textures, const Image &image, int error, std::string reason)
+{
+    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    if (error == EIO)
+        return textures->host->fail_errno(textures->ctx, BSQ_EIO, error, "%s: %s",
+                                          image.path.c_str(), reason.c_str());
+    return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: damaged image: %s",
+                                image.path.c_str(), reason.c_str());
+}
+
 // A tiled file without a name that rows of tiles are written to; reached as /proc/self/fd/N.
 int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOutput> &output)
 {
@@ -229,10 +258,9 @@ int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOu
     spec.tile_width = spec.tile_height = tile_size;
     spec["compression"] = "none";
     output = OIIO::ImageOutput::create("tiff");
+    errno = 0;
     if (!output || !output->open(image.cached_path, spec))
-        return textures->host->fail(textures->ctx, BSQ_EIO, "%s: cannot write its tiles: %s",
-                                    image.path.c_str(),
-                                    output ? output->geterror().c_str() : OIIO::geterror().c_str());
+        return fail_tiles(textures, image, errno, output ? output->geterror() : OIIO::geterror());
     output->threads(1);
     image.x = image.y = 0;
     return 0;
@@ -242,6 +270,7 @@ int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_
               uint32_t end, void *rows)
 {
     const ImageSpec &spec = input.spec();
+    errno = 0;
     int y0 = spec.y + int(first), y1 = spec.y + int(end);
     bool good =
         spec.tile_width
@@ -250,10 +279,7 @@ int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_
             : input.read_scanlines(0, 0, y0, y1, spec.z, 0, image.channels, image.type, rows);
     if (good)
         return 0;
-    std::string reason = input.geterror();
-    std::replace(reason.begin(), reason.end(), '\n', ' ');
-    return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: damaged image: %s",
-                                image.path.c_str(), reason.c_str());
+    return fail_read(textures, image, errno, input.geterror());
 }
 
 // Makes the pyramid and, where `rewrite`, the tiled copy.
@@ -284,17 +310,17 @@ int pass_over(Textures *textures, Image &image)
             make_linear(image, row, linear.data());
             image.pyramid.add_row(linear.data());
         }
+        errno = 0;
         if (!status && output &&
             !output->write_tiles(0, int(image.width), int(y), int(end), 0, 1, image.type, rows))
-            status = host->fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
-                                output->geterror().c_str());
+            status = fail_tiles(textures, image, errno, output->geterror());
         if (!status)
             status = host->check(ctx);
     }
     host->free(ctx, rows);
+    errno = 0;
     if (!status && output && !output->close())
-        status = host->fail(ctx, BSQ_EIO, "%s: cannot write its tiles: %s", image.path.c_str(),
-                            output->geterror().c_str());
+        status = fail_tiles(textures, image, errno, output->geterror());
     image.pyramid.finish();
     return status;
 }
@@ -394,11 +420,13 @@ int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle 
     int x_end = int(std::ceil(r.x1)), y_end = int(std::ceil(r.y1));
     for (int y = int(std::floor(r.y0)), next_y = y; y < y_end; y = next_y)
         for (int x = int(std::floor(r.x0)); x < x_end;) {
+            errno = 0;
             auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
                                          0, image.channels);
             if (!tile)
-                return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
-                                            cache->geterror().c_str());
+                return image.temporary.fd >= 0
+                           ? fail_tiles(textures, image, errno, cache->geterror())
+                           : fail_read(textures, image, errno, cache->geterror());
             TypeDesc type;
             const void *texels = cache->tile_pixels(tile, type);
             OIIO::ROI roi = cache->tile_roi(tile);
