@@ -4,6 +4,8 @@
 #ifndef BSQ_FILE_H
 #define BSQ_FILE_H
 
+#include <time.h>
+
 #include "base/context.h"
 
 #ifdef __cplusplus
@@ -52,14 +54,31 @@ uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx);
  * bytes needed and available. */
 int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes);
 
-/* A whole file mapped read-only, 4096-byte aligned. */
+/* A whole file mapped read-only, 4096-byte aligned.
+ *
+ * Where the file shrinks while it is mapped, or the disk fails, its memory reads as zeros from
+ * there on instead of ending the process, and bsq_map_check() says so. For that a handler of SIGBUS
+ * is in place while any map is open, for the whole process; what is not about a map it hands to the
+ * handler from before. A program that installs another one meanwhile must do the same, and threads
+ * that read a map must not block SIGBUS. */
 struct bsq_map {
     const void *data;
     uint64_t size;
     char *path; /* owned */
+    int fd;
+    struct timespec modified; /* when it was opened */
+    struct bsq_map_range *range;
 };
+#define BSQ_MAP_CLOSED                                                                             \
+    {                                                                                              \
+        .fd = -1                                                                                   \
+    }
 /* Errors: BSQ_ENOINPUT; an empty file maps to data NULL, size 0. */
 int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out);
+/* BSQ_EIO where what was read cannot be relied on: the file shrank, was written to, or could not be
+ * read. To be called now and then, and before results are given away. Thread-safe. */
+int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map);
+/* A map that is closed, or all zeros, is allowed. */
 void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map);
 
 #ifdef __cplusplus

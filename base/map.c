@@ -1,42 +1,215 @@
-/* map.c - whole files mapped read-only. */
+/* map.c - whole files mapped read-only, and what happens when they shrink under the reader.
+ *
+ * Reading a page that a file no longer has, or that the disk cannot deliver, raises SIGBUS. A
+ * handler for the whole process looks the address up among the open maps, puts pages of zeros there
+ * and marks the map; whoever reads goes on with zeros until bsq_map_check() ends the job. Zeros
+ * only have to be safe to read, so what is in a mapped file must be bounded where it is followed.
+ *
+ * A handler cannot lock. It walks a list of ranges that only grows: an entry is filled in before it
+ * is linked, and used again when its map is closed. mmap() is a plain system call on Linux, and so
+ * can be called there. Signals that are not about a map go to the handler from before. */
 #include <errno.h>
+#include <pthread.h>
+#include <signal.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "base/file.h"
 
-int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
+struct bsq_map_range {
+    atomic_uintptr_t start, end; /* both 0: not in use */
+    atomic_bool lost;            /* zeros have been put there */
+    struct bsq_map_range *next;
+};
+
+static struct bsq_map_range *_Atomic ranges;
+
+/* Guarded by the lock; `before` and `page_bytes` are not changed while the handler is installed. */
+static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
+static unsigned open_maps;
+static bool installed;
+static struct sigaction before;
+static uintptr_t page_bytes;
+
+/* ---- the handler ---- */
+
+static bool put_zeros(uintptr_t address)
 {
-    *out = (struct bsq_map){0};
-    struct bsq_file file;
-    int status = bsq_file_open(ctx, path, &file);
-    if (status < 0)
-        return status;
-    if (file.size > PTRDIFF_MAX) {
-        status = bsq_fail_errno(ctx, BSQ_ENOINPUT, EFBIG, "%s", path);
-        goto done;
+    struct bsq_map_range *range = atomic_load_explicit(&ranges, memory_order_acquire);
+    for (; range; range = range->next) {
+        uintptr_t end = atomic_load(&range->end);
+        if (address < atomic_load(&range->start) || address >= end)
+            continue;
+        uintptr_t page = address & ~(page_bytes - 1);
+        if (mmap((void *)page, end - page, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED, -1,
+                 0) == MAP_FAILED)
+            return false;
+        atomic_store(&range->lost, true);
+        return true;
     }
-    if (file.size > 0) {
-        void *data = mmap(NULL, file.size, PROT_READ, MAP_SHARED, file.fd, 0);
-        if (data == MAP_FAILED) {
-            status = bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s: mapping %llu bytes", path,
-                                    (unsigned long long)file.size);
-            goto done;
+    return false;
+}
+
+/* By default the process is to die of this: a fault comes again when the handler returns, a signal
+ * that somebody sent must be sent again. */
+static void pass_on(int number, siginfo_t *info, void *context)
+{
+    bool fault = info->si_code > 0;
+    if (before.sa_flags & SA_SIGINFO) {
+        before.sa_sigaction(number, info, context);
+    } else if (before.sa_handler == SIG_DFL || (before.sa_handler == SIG_IGN && fault)) {
+        signal(number, SIG_DFL);
+        if (!fault)
+            raise(number);
+    } else if (before.sa_handler != SIG_IGN) {
+        before.sa_handler(number);
+    }
+}
+
+static void on_bus_error(int number, siginfo_t *info, void *context)
+{
+    int error = errno;
+    if (info->si_code <= 0 || !put_zeros((uintptr_t)info->si_addr))
+        pass_on(number, info, context);
+    errno = error;
+}
+
+static bool is_ours(const struct sigaction *action)
+{
+    return (action->sa_flags & SA_SIGINFO) && action->sa_sigaction == on_bus_error;
+}
+
+/* For the first map. If a handler that was installed later has kept ours, it is in place still. */
+static void install(void)
+{
+    struct sigaction action = {.sa_sigaction = on_bus_error, .sa_flags = SA_SIGINFO | SA_ONSTACK};
+    sigemptyset(&action.sa_mask);
+    if (open_maps++ > 0 || installed)
+        return;
+    page_bytes = (uintptr_t)sysconf(_SC_PAGESIZE);
+    installed = sigaction(SIGBUS, NULL, &before) == 0 && sigaction(SIGBUS, &action, NULL) == 0;
+}
+
+/* After the last map; only where nobody has built on our handler. */
+static void uninstall(void)
+{
+    struct sigaction now;
+    if (--open_maps > 0 || !installed)
+        return;
+    if (sigaction(SIGBUS, NULL, &now) == 0 && is_ours(&now))
+        installed = sigaction(SIGBUS, &before, NULL) != 0;
+}
+
+/* ---- ranges ---- */
+
+static struct bsq_map_range *find_free(void)
+{
+    struct bsq_map_range *range = atomic_load(&ranges);
+    while (range && atomic_load(&range->end) != 0)
+        range = range->next;
+    return range;
+}
+
+/* NULL: no memory. */
+static struct bsq_map_range *watch(const void *data, uint64_t size)
+{
+    pthread_mutex_lock(&lock);
+    struct bsq_map_range *range = find_free(), *added = NULL;
+    if (!range)
+        range = added = calloc(1, sizeof *range);
+    if (range) {
+        uintptr_t start = (uintptr_t)data;
+        install();
+        atomic_store(&range->lost, false);
+        atomic_store(&range->start, start);
+        atomic_store(&range->end, (start + size + page_bytes - 1) & ~(page_bytes - 1));
+    }
+    if (added) {
+        added->next = atomic_load(&ranges);
+        atomic_store_explicit(&ranges, added, memory_order_release);
+    }
+    pthread_mutex_unlock(&lock);
+    return range;
+}
+
+static void unwatch(struct bsq_map_range *range)
+{
+    pthread_mutex_lock(&lock);
+    atomic_store(&range->end, 0);
+    atomic_store(&range->start, 0);
+    uninstall();
+    pthread_mutex_unlock(&lock);
+}
+
+/* ---- maps ---- */
+
+static int map_file(struct bsq_ctx *ctx, struct bsq_file *file, struct bsq_map *out)
+{
+    struct stat info;
+    if (file->size > PTRDIFF_MAX)
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, EFBIG, "%s", file->path);
+    if (fstat(file->fd, &info) != 0)
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", file->path);
+    if (file->size > 0) {
+        void *data = mmap(NULL, file->size, PROT_READ, MAP_SHARED, file->fd, 0);
+        if (data == MAP_FAILED)
+            return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s: mapping %llu bytes", file->path,
+                                  (unsigned long long)file->size);
+        out->range = watch(data, file->size);
+        if (!out->range) {
+            munmap(data, file->size);
+            return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", file->path);
         }
         out->data = data;
     }
-    out->size = file.size;
-    out->path = file.path;
-    file.path = NULL;
-done:
+    out->size = file->size;
+    out->path = file->path;
+    out->fd = file->fd;
+    out->modified = info.st_mtim;
+    *file = (struct bsq_file)BSQ_FILE_CLOSED;
+    return 0;
+}
+
+int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
+{
+    *out = (struct bsq_map)BSQ_MAP_CLOSED;
+    struct bsq_file file;
+    int status = bsq_file_open(ctx, path, &file);
+    if (status == 0)
+        status = map_file(ctx, &file, out);
     bsq_file_close(ctx, &file);
     return status;
 }
 
+int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
+{
+    struct stat info;
+    if (!map->range)
+        return 0;
+    if (fstat(map->fd, &info) != 0)
+        return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s", map->path);
+    if ((uint64_t)info.st_size < map->size)
+        return bsq_fail(ctx, BSQ_EIO, "%s: shrank from %llu to %llu bytes while it was read",
+                        map->path, (unsigned long long)map->size, (unsigned long long)info.st_size);
+    if (atomic_load(&map->range->lost))
+        return bsq_fail_errno(ctx, BSQ_EIO, EIO, "%s: reading the mapped file", map->path);
+    if ((uint64_t)info.st_size != map->size || info.st_mtim.tv_sec != map->modified.tv_sec ||
+        info.st_mtim.tv_nsec != map->modified.tv_nsec)
+        return bsq_fail(ctx, BSQ_EIO, "%s: was changed while it was read", map->path);
+    return 0;
+}
+
 void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map)
 {
-    struct bsq_file name_only = {.fd = -1, .path = map->path};
+    struct bsq_file file = {.fd = map->path ? map->fd : -1, .path = map->path};
+    if (map->range)
+        unwatch(map->range);
     if (map->data)
         munmap((void *)map->data, map->size);
-    bsq_file_close(ctx, &name_only);
-    *map = (struct bsq_map){0};
+    bsq_file_close(ctx, &file);
+    *map = (struct bsq_map)BSQ_MAP_CLOSED;
 }

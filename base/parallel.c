@@ -59,11 +59,15 @@ static void *pool_thread_main(void *arg)
     return NULL;
 }
 
-/* Signals are left to the program's own threads. */
+/* Signals are left to the program's own threads, but for those that a thread's own doing raises:
+ * blocked, they would end the process whatever handles them. */
 static void start_threads(struct bsq_pool *pool, unsigned count)
 {
     sigset_t all, before;
     sigfillset(&all);
+    static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
+    for (size_t i = 0; i < sizeof own / sizeof *own; i++)
+        sigdelset(&all, own[i]);
     pthread_sigmask(SIG_SETMASK, &all, &before);
     for (unsigned i = 0; i < count; i++) {
         struct pool_thread *thread = &pool->threads[i];

@@ -15,6 +15,8 @@ int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *o
     status = nvdb_check_head(ctx, out);
     if (status == 0)
         status = nvdb_check_nodes(ctx, out);
+    if (status == 0)
+        status = bsq_map_check(ctx, &out->map);
     if (status)
         fmt_nvdb_close(ctx, out);
     return status;

@@ -46,6 +46,8 @@ int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const 
     if (status == 0)
         status = replace_uuid(output, grid);
     if (status == 0)
+        status = bsq_map_check(ctx, &grid->map);
+    if (status == 0)
         return bsq_output_commit(output);
     bsq_output_discard(output);
     return status;

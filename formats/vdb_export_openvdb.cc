@@ -66,7 +66,8 @@ struct color_value {
     }
 };
 
-/* Leaf bits are numbered as ours are, and leaves come in ascending order. */
+/* Leaf bits are numbered as ours are, and leaves come in ascending order. Indices are bounded, as
+ * the file may shrink under the reader and read as zeros. */
 template <typename ValueT, typename TreeT> void fill_tree(const source &from, TreeT &tree)
 {
     using leaf_type = typename TreeT::LeafNodeType;
@@ -84,9 +85,9 @@ template <typename ValueT, typename TreeT> void fill_tree(const source &from, Tr
         auto *out = new leaf_type(origin, typename TreeT::ValueType(0), false);
         uint64_t index = leaf.offset;
         for (openvdb::Index word = 0; word < 8; word++)
-            for (uint64_t bits = leaf.mask[word]; bits; bits &= bits - 1)
+            for (uint64_t bits = leaf.mask[word]; bits; bits &= bits - 1, index++)
                 out->setValueOn(64 * word + openvdb::Index(__builtin_ctzll(bits)),
-                                value(from, index++));
+                                value(from, index < from.grid->record_count ? index : 0));
         accessor.addLeaf(out); /* the tree owns it now */
     }
 }

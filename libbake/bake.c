@@ -272,6 +272,7 @@ static int trace_grid(struct job *job)
     int status = plan_passes(job, &plan, &planned);
     struct bake_tiles tiles = {.raster = job->raster,
                                .device = job->device,
+                               .surface = &job->surface,
                                .plan = planned ? &plan : NULL,
                                .image = job->image,
                                .maps = job->maps,
@@ -416,6 +417,8 @@ static int run(struct job *job)
     double written = bsq_seconds_now();
     if (status == 0)
         status = write_preview(job);
+    if (status == 0)
+        status = bake_surface_check(&job->surface);
     double committing = bsq_seconds_now();
     job->report->seconds_preview = committing - written;
     if (status == 0)

@@ -87,6 +87,9 @@ int bake_part_create(struct bsq_ctx *ctx, const struct bake_leaf_set *set,
                               .second_count = set->second_count,
                               .params = *params};
     const uint64_t second_base = set->voxel_count + 1;
+    out->params.upper_count = (bk_uint)set->upper_count;
+    out->params.lower_count = (bk_uint)set->lower_count;
+    out->params.leaf_count = (bk_uint)set->leaf_count;
     out->params.second_base_low = (bk_uint)second_base;
     out->params.second_base_high = (bk_uint)(second_base >> 32);
     bake_part_sizes(set->grid, set, out->bytes);

@@ -95,6 +95,11 @@ void bake_surface_close(struct bake_surface *surface)
     memset(surface, 0, sizeof *surface);
 }
 
+int bake_surface_check(const struct bake_surface *surface)
+{
+    return surface->exact ? 0 : bsq_map_check(surface->ctx, &surface->grid.map);
+}
+
 int bake_surface_use_color(struct bake_surface *surface)
 {
     if (!surface->exact || !surface->has_color || surface->color)

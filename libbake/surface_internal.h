@@ -25,6 +25,10 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out);
 void bake_surface_close(struct bake_surface *surface); /* a zeroed one is allowed */
 
+/* BSQ_EIO where the file of a grid has shrunk or was written to since it was opened, so that what
+ * was traced cannot be relied on. Thread-safe. */
+int bake_surface_check(const struct bake_surface *surface);
+
 /* Hits have colours from now on, if the scan has. Not from parallel work. */
 int bake_surface_use_color(struct bake_surface *surface);
 

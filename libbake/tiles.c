@@ -93,6 +93,8 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
     crop_samples(worker->sample_triangles, &whole, tiles->samples, texels);
     int status =
         bake_device_trace(tiles->device, &tile, worker->sample_triangles, worker->texels, number);
+    if (status == 0)
+        status = bake_surface_check(tiles->surface);
     if (status < 0)
         return status;
     uint32_t count = tile.width * tile.height;

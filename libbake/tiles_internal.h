@@ -13,6 +13,7 @@ uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, ui
 struct bake_tiles {
     const struct bake_raster *raster;
     struct bake_device *device;
+    const struct bake_surface *surface; /* that the device traces; checked after every tile */
     const struct bake_plan *plan; /* where the device does not hold the grid, else NULL */
     struct bake_image *image; /* channels as bake_map_channels(maps) */
     uint32_t maps;            /* of enum bake_map */

@@ -3,7 +3,10 @@
  *
  * The arrays of nodes and the channels may be separate buffers, so a child's byte offset is turned
  * into its number in the array. A lookup keeps the nodes that the last one went through:
- * neighbouring voxels mostly share the leaf, as in NanoVDB's ReadAccessor. */
+ * neighbouring voxels mostly share the leaf, as in NanoVDB's ReadAccessor.
+ *
+ * Whatever a word that is followed may hold, nothing outside of the arrays is read: a mapped file
+ * that shrinks turns into zeros under the reader. */
 #ifndef BK_GRID_H
 #define BK_GRID_H
 
@@ -32,7 +35,7 @@
 typedef struct bk_grid {
     const BK_GLOBAL bk_ulong *tiles, *uppers, *lowers, *leaves;
     const BK_GLOBAL bk_uint *normals, *planes, *colors, *seconds;
-    bk_uint tile_count;
+    bk_uint tile_count, upper_count, lower_count, leaf_count;
     /* Byte distances: root to uppers, uppers to lowers, lowers to leaves. */
     bk_ulong upper_offset, lower_offset, leaf_offset;
     bk_ulong second_base;
@@ -76,6 +79,9 @@ BK_FN bk_ulong bk_join(const bk_uint words[2])
 BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
 {
     grid->tile_count = params->tile_count;
+    grid->upper_count = params->upper_count;
+    grid->lower_count = params->lower_count;
+    grid->leaf_count = params->leaf_count;
     grid->upper_offset = bk_join(params->upper_offset);
     grid->lower_offset = bk_join(params->lower_offset);
     grid->leaf_offset = bk_join(params->leaf_offset);
@@ -103,6 +109,7 @@ BK_FN bk_uint bk_find_upper(const bk_grid *grid, bk_int x, bk_int y, bk_int z)
                    (bk_ulong)((bk_uint)z >> BK_UPPER_LOG2);
     bk_uint low = 0, high = grid->tile_count;
     bk_ulong child;
+    bk_uint upper;
 
     while (low < high) {
         bk_uint middle = low + (high - low) / 2;
@@ -116,7 +123,8 @@ BK_FN bk_uint bk_find_upper(const bk_grid *grid, bk_int x, bk_int y, bk_int z)
     child = grid->tiles[(bk_ulong)low * BK_TILE_WORDS + 1];
     if (child == 0)
         return BK_NONE;
-    return (bk_uint)((child - grid->upper_offset) / (BK_UPPER_WORDS * 8u));
+    upper = (bk_uint)((child - grid->upper_offset) / (BK_UPPER_WORDS * 8u));
+    return upper < grid->upper_count ? upper : BK_NONE;
 }
 
 /* Brings the cache to voxel (x, y, z). Returns 0 where a leaf holds it, else log2 of the side of
@@ -148,6 +156,10 @@ BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
             return cache->level = cache->side = BK_LOWER_LOG2;
         child = node * 8u + grid->uppers[node + BK_UPPER_TABLE + n] - grid->lower_offset;
         cache->lower = (bk_uint)(child / (BK_LOWER_WORDS * 8u));
+        if (cache->lower >= grid->lower_count) {
+            cache->lower = BK_NONE;
+            return cache->level = cache->side = BK_LOWER_LOG2;
+        }
     }
     BK_COUNT(cache, fetches, 1);
     n = (bk_uint)(x >> 3 & 15) << 8 | (bk_uint)(y >> 3 & 15) << 4 | (bk_uint)(z >> 3 & 15);
@@ -158,18 +170,25 @@ BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
     BK_COUNT(cache, fetches, 1);
     cache->leaf = (bk_uint)(child / (BK_LEAF_WORDS * 8u));
     cache->side = BK_LEAF_LOG2;
+    if (cache->leaf >= grid->leaf_count) {
+        cache->leaf = BK_NONE;
+        return cache->level = BK_LEAF_LOG2;
+    }
     return cache->level = 0;
 }
 
 /* Value index that the first active voxel at or after a place of a leaf has. */
-BK_FN bk_ulong bk_leaf_rank(const BK_GLOBAL bk_ulong *words, bk_uint layer, bk_uint bit)
+BK_FN bk_ulong bk_leaf_rank(const bk_grid *grid, const BK_GLOBAL bk_ulong *words, bk_uint layer,
+                            bk_uint bit)
 {
     const bk_ulong below = words[BK_LEAF_MASK + layer] & (((bk_ulong)1 << bit) - 1u);
     bk_uint before = 0;
+    bk_ulong rank;
 
     if (layer)
         before = (bk_uint)(words[BK_LEAF_PREFIX] >> (9u * (layer - 1u))) & 511u;
-    return words[BK_LEAF_OFFSET] + before + bk_popcount64(below);
+    rank = words[BK_LEAF_OFFSET] + before + bk_popcount64(below);
+    return rank < grid->second_base ? rank : 0;
 }
 
 /* Value index of a voxel of a leaf, 0 where it is not active. */
@@ -180,7 +199,7 @@ BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int
 
     if (!(words[BK_LEAF_MASK + layer] >> bit & 1u))
         return 0;
-    return bk_leaf_rank(words, layer, bit);
+    return bk_leaf_rank(grid, words, layer, bit);
 }
 
 /* Number of the second record of the voxel with value index v; 0 where there is none, whatever the flag in a damaged

@@ -118,13 +118,15 @@ BK_FN bk_ulong bk_choose_record(const bk_grid *grid, bk_ulong v, bk_vec3 normal)
 
 /* Value indices of corners (x, y, z) and (x, y, z + 1) of a layer of a leaf; returns which are
  * active. base: the value index of the layer's first active voxel. */
-BK_FN bk_uint bk_layer_pair(bk_ulong layer, bk_ulong base, bk_uint bit, bk_ulong values[2])
+BK_FN bk_uint bk_layer_pair(const bk_grid *grid, bk_ulong layer, bk_ulong base, bk_uint bit,
+                            bk_ulong values[2])
 {
     const bk_uint active = (bk_uint)(layer >> bit) & 3u;
     const bk_ulong first = base + bk_popcount64(layer & (((bk_ulong)1 << bit) - 1u));
+    const bk_ulong second = first + (active & 1u);
 
-    values[0] = active & 1u ? first : 0;
-    values[1] = active & 2u ? first + (active & 1u) : 0;
+    values[0] = active & 1u && first < grid->second_base ? first : 0;
+    values[1] = active & 2u && second < grid->second_base ? second : 0;
     return active;
 }
 
@@ -147,10 +149,10 @@ BK_FN bk_uint bk_cell_values(const bk_grid *grid, bk_cache *cache, bk_int x, bk_
             return 0;
         for (i = 0; i < 2; i++) {
             const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)cache->leaf * BK_LEAF_WORDS;
-            const bk_ulong base = bk_leaf_rank(words, layer + i, 0);
+            const bk_ulong base = bk_leaf_rank(grid, words, layer + i, 0);
             const bk_ulong voxels = words[BK_LEAF_MASK + layer + i];
-            active |= bk_layer_pair(voxels, base, bit, values + 4 * i) << 4 * i;
-            active |= bk_layer_pair(voxels, base, bit + 8u, values + 4 * i + 2) << (4 * i + 2);
+            active |= bk_layer_pair(grid, voxels, base, bit, values + 4 * i) << 4 * i;
+            active |= bk_layer_pair(grid, voxels, base, bit + 8u, values + 4 * i + 2) << (4 * i + 2);
         }
         return active;
     }

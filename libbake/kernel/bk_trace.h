@@ -312,7 +312,8 @@ BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place
 
 /* Lanes of `bits` whose voxel is occupied, and its value index; 0 in the others. Whether a voxel is
  * occupied is hard to predict, so there are no branches on single lanes. */
-BK_FN bk_uint bk_occupied(bk_uint bits, const bk_place *place, bk_ulong values[BK_WIDTH])
+BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place,
+                          bk_ulong values[BK_WIDTH])
 {
     bk_int layers[BK_WIDTH], within[BK_WIDTH];
     bk_uint lane, occupied = 0;
@@ -326,7 +327,7 @@ BK_FN bk_uint bk_occupied(bk_uint bits, const bk_place *place, bk_ulong values[B
     occupied &= bits;
     for (bits = occupied; bits; bits &= bits - 1u) {
         lane = bk_first(bits);
-        values[lane] = bk_leaf_rank(place->words[lane], (bk_uint)layers[lane] - BK_LEAF_MASK,
+        values[lane] = bk_leaf_rank(grid, place->words[lane], (bk_uint)layers[lane] - BK_LEAF_MASK,
                                     (bk_uint)within[lane]);
     }
     return occupied;
@@ -404,7 +405,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
         const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
-        const bk_uint occupied = bk_occupied(in_leaf, &place, values);
+        const bk_uint occupied = bk_occupied(grid, in_leaf, &place, values);
         bk_mask ended = bk_mask_of(active & ~occupied);
 
         BK_COUNT(cache, steps, bk_popcount32(in_leaf));

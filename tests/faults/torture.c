@@ -1,7 +1,8 @@
 /* torture.c - runs a program many times, kills it or lets calls fail in it, and looks at what is
  * left.
  *
- *   torture [-p] [-c CALLS] [-e STEP] [-n RUNS] [-s SEED] [-x CODE]... MODE OUTPUT... -- PROGRAM ARGUMENT...
+ *   torture [-p] [-c CALLS] [-m MOST] [-n RUNS] [-s SEED] [-x CODE]... MODE OUTPUT... -- PROGRAM
+ * ARGUMENT...
  *
  * Runs in the current directory, which holds the inputs; OUTPUTs are the files that the program
  * makes there. First it runs undisturbed; what it makes then is what a whole output is, byte by
@@ -19,7 +20,8 @@
  * where it was killed a temporary file that one more run removes. A failure must be one line on
  * standard error that begins with the program's name, names a file and ends with the reason, and
  * one of the exit codes CODE, 74 where none is given. -p
- * takes away files without a name (O_TMPFILE); -e takes every STEP-th call only, and the last. */
+ * takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
+ * with the first and the last. */
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -45,7 +47,7 @@ static struct {
     bool plain;
     const char *calls, *mode;
     unsigned runs;
-    unsigned long step;
+    unsigned long most;
     uint64_t random;
     int codes[MOST_CODES + 1];
     char **outputs;
@@ -384,8 +386,8 @@ static void parse(int argc, char **argv)
     job.calls = "write sync size name";
     job.runs = 200;
     job.random = 1;
-    job.step = 1;
-    while ((option = getopt(argc, argv, "+pc:e:n:s:x:")) != -1) {
+    job.most = (unsigned long)-1;
+    while ((option = getopt(argc, argv, "+pc:m:n:s:x:")) != -1) {
         switch (option) {
         case 'p':
             job.plain = true;
@@ -393,7 +395,9 @@ static void parse(int argc, char **argv)
         case 'c':
             job.calls = optarg;
             break;
-        case 'e': job.step = strtoul(optarg, NULL, 10); break;
+        case 'm':
+            job.most = strtoul(optarg, NULL, 10);
+            break;
         case 'n':
             job.runs = (unsigned)strtoul(optarg, NULL, 10);
             break;
@@ -435,9 +439,10 @@ int main(int argc, char **argv)
     }
     bool by_time = strcmp(job.mode, "kill") == 0, kills = strncmp(job.mode, "kill", 4) == 0;
     unsigned long last = by_time ? job.runs : calls, runs = 0;
+    unsigned long step = by_time || last <= job.most ? 1 : last / job.most;
     for (unsigned long i = 1; i <= last; runs++) {
         good += torture_once(i);
-        i += i < last && last - i < job.step ? last - i : job.step;
+        i += i < last && last - i < step ? last - i : step;
     }
     unlink(job.log);
     bool again = !kills || run_again();

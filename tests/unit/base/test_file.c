@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -16,6 +17,7 @@
 #include <cmocka.h>
 
 #include "base/output.h"
+#include "base/parallel.h"
 
 static char directory[] = "/tmp/bisque-test-file.XXXXXX";
 
@@ -155,6 +157,113 @@ static void test_maps(void **state)
     assert_int_equal(map.size, 0);
     bsq_map_close(ctx, &map);
     bsq_map_close(ctx, &map);
+    unlink("in");
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- maps of files that change ---- */
+
+enum { PAGE = 4096, PAGES = 64 };
+
+static void put_pages(const char *path)
+{
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    for (int i = 0; i < PAGES * PAGE; i++)
+        putc('x', file);
+    assert_int_equal(fclose(file), 0);
+}
+
+/* Reads one byte of a page; returns 1 where it is zero. */
+static int read_page(void *arg, uint64_t page, unsigned worker)
+{
+    (void)worker;
+    const struct bsq_map *map = arg;
+    char byte = ((const volatile char *)map->data)[page * PAGE];
+    return byte == (page == 0 ? 'x' : '\0') ? 0 : BSQ_EBUG;
+}
+
+static void test_map_that_shrinks(void **state)
+{
+    (void)state;
+    struct bsq_ctx_options options = {.threads = 4};
+    struct bsq_ctx *ctx;
+    struct bsq_map map;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    put_pages("in");
+    assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
+    assert_int_equal(bsq_map_check(ctx, &map), 0);
+    assert_int_equal(truncate("in", 100), 0);
+    /* From the pool's threads too, in any order. */
+    assert_int_equal(bsq_parallel_for(ctx, PAGES, read_page, &map), 0);
+    assert_int_equal(bsq_map_check(ctx, &map), BSQ_EIO);
+    assert_string_equal(bsq_error(ctx), "in: shrank from 262144 to 100 bytes while it was read");
+    bsq_map_close(ctx, &map);
+    bsq_clear_error(ctx);
+
+    /* It is whole again in the end, but zeros were read. */
+    put_pages("in");
+    assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
+    assert_int_equal(truncate("in", PAGE), 0);
+    assert_int_equal(read_page(&map, 1, 0), 0);
+    assert_int_equal(truncate("in", PAGES * PAGE), 0);
+    assert_int_equal(bsq_map_check(ctx, &map), BSQ_EIO);
+    assert_string_equal(bsq_error(ctx), "in: reading the mapped file: Input/output error");
+    bsq_map_close(ctx, &map);
+    bsq_clear_error(ctx);
+
+    put_pages("in");
+    assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
+    struct timespec times[2] = {{0, UTIME_OMIT}, {1, 0}};
+    assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
+    assert_int_equal(bsq_map_check(ctx, &map), BSQ_EIO);
+    assert_string_equal(bsq_error(ctx), "in: was changed while it was read");
+    bsq_map_close(ctx, &map);
+    unlink("in");
+    bsq_ctx_destroy(ctx);
+}
+
+static sigjmp_buf after_fault;
+static volatile sig_atomic_t own_faults;
+
+static void on_own_fault(int number)
+{
+    (void)number;
+    own_faults++;
+    siglongjmp(after_fault, 1);
+}
+
+static void fault_elsewhere(const volatile char *byte)
+{
+    if (sigsetjmp(after_fault, 1) == 0)
+        (void)*byte;
+}
+
+/* A handler that was there before gets what is not about a map, and is there again afterwards. */
+static void test_other_bus_errors(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_map first, second;
+    struct sigaction own = {.sa_handler = on_own_fault}, original, now;
+    assert_int_equal(sigaction(SIGBUS, &own, &original), 0);
+    put_pages("in");
+    int fd = open("in", O_RDWR);
+    char *mine = mmap(NULL, PAGES * PAGE, PROT_READ, MAP_SHARED, fd, 0);
+    assert_true(mine != MAP_FAILED);
+    assert_int_equal(bsq_map_open(ctx, "in", &first), 0);
+    assert_int_equal(bsq_map_open(ctx, "in", &second), 0);
+    assert_int_equal(ftruncate(fd, 0), 0);
+    fault_elsewhere(mine + PAGE);
+    assert_int_equal(own_faults, 1);
+    bsq_map_close(ctx, &second);
+    assert_int_equal(((const volatile char *)first.data)[PAGE], 0);
+    assert_int_equal(own_faults, 1);
+    bsq_map_close(ctx, &first);
+    assert_int_equal(sigaction(SIGBUS, &original, &now), 0);
+    assert_true(now.sa_handler == on_own_fault);
+    munmap(mine, PAGES * PAGE);
+    close(fd);
     unlink("in");
     bsq_ctx_destroy(ctx);
 }
@@ -377,6 +486,8 @@ int main(void)
         cmocka_unit_test(test_every_truncated_length),
         cmocka_unit_test(test_what_cannot_be_opened),
         cmocka_unit_test(test_maps),
+        cmocka_unit_test(test_map_that_shrinks),
+        cmocka_unit_test(test_other_bus_errors),
         cmocka_unit_test(test_temporary_files),
         cmocka_unit_test(test_temporary_directory),
         cmocka_unit_test(test_disk_space),

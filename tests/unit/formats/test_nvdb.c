@@ -434,7 +434,7 @@ static int open_bytes(struct bsq_ctx *ctx, const uint8_t *bytes, uint64_t size,
 {
     bsq_clear_error(ctx);
     memset(grid, 0, sizeof(*grid));
-    grid->map = (struct bsq_map){bytes, size, (char *)"x.nvdb"};
+    grid->map = (struct bsq_map){.data = bytes, .size = size, .path = (char *)"x.nvdb"};
     int status = nvdb_check_head(ctx, grid);
     if (status == 0)
         status = nvdb_check_nodes(ctx, grid);
