@@ -4,6 +4,7 @@
  * triangle lie between those of its bounds whatever the rounding. */
 #include "libvoxel/lattice.h"
 
+#include <float.h>
 #include <math.h>
 
 /* Indices keep clear of the ends of int32_t, so that neighbours and region origins do not
@@ -74,9 +75,13 @@ int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, 
 {
     for (int a = 0; a < 3; a++)
         out->origin[a] = header->origin[a];
-    if (resolution > 0)
-        return init_by_resolution(ctx, header, path, resolution, out);
-    return init_by_size(ctx, header, path, voxel_size, out);
+    int status = resolution > 0 ? init_by_resolution(ctx, header, path, resolution, out)
+                                : init_by_size(ctx, header, path, voxel_size, out);
+    if (status == 0 && (out->h < FLT_MIN || 1.0 / out->h < FLT_MIN))
+        status = bsq_fail(ctx, resolution > 0 ? BSQ_EDATA : BSQ_EUSAGE,
+                          "%s: voxels of %g are beyond the 32-bit numbers of a NanoVDB grid, %g to %g", path, out->h,
+                          (double)FLT_MIN, 1.0 / (double)FLT_MIN);
+    return status;
 }
 
 struct vox_box vox_lattice_box(const struct vox_lattice *lattice, const float min[3],

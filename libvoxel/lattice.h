@@ -27,7 +27,8 @@ struct vox_lattice {
 
 /* Lattice of a scan for a resolution (voxels along the longest side) or, where that is 0, a voxel
  * size. Errors: BSQ_EUSAGE with the values where the size is no positive number or an index would
- * leave +-2^30; BSQ_EDATA where the scan has no extent to divide. */
+ * leave +-2^30; BSQ_EDATA where the scan has no extent to divide, or one too small or large for
+ * voxels whose size and its inverse are float32. */
 int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
                      uint32_t resolution, double voxel_size, struct vox_lattice *out);
 

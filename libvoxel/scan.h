@@ -33,6 +33,7 @@ struct scan {
     bool origin_known, has_colors, has_normals;
     float color_scale;       /* file's value to 0..255 */
     uint64_t clamped_colors; /* vertices */
+    uint64_t merged_vertices; /* see precision.h */
     struct fmt_obj_totals totals;
 
     /* Filled by scan_find_materials(). */

@@ -4,6 +4,7 @@
  * appends. When memory runs short the faces go to a file first, as they are only read in sequence;
  * columns follow when they exceed their own share. */
 #include "libvoxel/scan.h"
+#include "libvoxel/precision.h"
 #include "base/octahedral.h"
 
 #include <float.h>
@@ -87,19 +88,15 @@ static void column_advance(struct scan *scan, enum scan_column number, uint64_t 
  * for the scan, so that one pass is enough. */
 static void choose_origin(struct scan *scan, const struct fmt_obj_block *block)
 {
-    double centre[3], half = 0.0;
+    double low[3], high[3];
     for (int axis = 0; axis < 3; axis++) {
-        double low = block->positions[0][axis], high = low;
+        low[axis] = high[axis] = block->positions[0][axis];
         for (uint64_t v = 1; v < block->vertex_count; v++) {
-            low = fmin(low, block->positions[v][axis]);
-            high = fmax(high, block->positions[v][axis]);
+            low[axis] = fmin(low[axis], block->positions[v][axis]);
+            high[axis] = fmax(high[axis], block->positions[v][axis]);
         }
-        centre[axis] = low / 2 + high / 2;
-        half = fmax(half, high / 2 - low / 2);
     }
-    for (int axis = 0; axis < 3; axis++)
-        if (fabs(centre[axis]) >= 8192.0 && fabs(centre[axis]) >= 64.0 * half)
-            scan->origin[axis] = round(centre[axis] / 1024.0) * 1024.0;
+    precision_choose_origin(low, high, scan->origin);
     for (int axis = 0; axis < 3; axis++) {
         scan->bounds_min[axis] = FLT_MAX;
         scan->bounds_max[axis] = -FLT_MAX;
@@ -149,6 +146,7 @@ static int add_positions(struct scan *scan, const struct fmt_obj_block *block)
     }
     memcpy(scan->bounds_min, low, sizeof low);
     memcpy(scan->bounds_max, high, sizeof high);
+    scan->merged_vertices += precision_count_merged(block->positions, block->vertex_count, o);
     return poison == 0.0f ? 0 : fail_vertex(scan, block);
 }
 
@@ -356,6 +354,7 @@ int scan_finish(struct scan *scan, struct fmt_obj_reader *reader)
     if (scan->clamped_colors > 0)
         bsq_warn(scan->ctx, "%s: %llu vertices have colours out of range, they were clamped",
                  scan->obj_paths[0], (unsigned long long)scan->clamped_colors);
+    precision_warn_merged(scan->ctx, scan->obj_paths[0], scan->merged_vertices, scan->bounds_min, scan->bounds_max);
     if (scan->faces.face_count == 0)
         return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->obj_paths[0]);
     return check_indices(scan, reader);

@@ -14,6 +14,7 @@
 #include "base/clock.h"
 #include "base/parallel.h"
 #include "formats/vdb_export.h"
+#include "libvoxel/precision.h"
 #include "libvoxel/region_work.h"
 
 /* Sums of a region's voxels beyond this are better done in parts: they would not stay in a
@@ -107,8 +108,11 @@ static int open_input(struct job *job)
     if (job->header->chunk_count >= UINT32_MAX)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         job->header->chunk_count);
-    return vox_lattice_init(job->ctx, job->header, path, job->options->resolution,
-                            job->options->voxel_size, &job->scan.lattice);
+    status = vox_lattice_init(job->ctx, job->header, path, job->options->resolution, job->options->voxel_size,
+                              &job->scan.lattice);
+    if (status == 0)
+        precision_warn_grid(job->ctx, path, job->header, fmt_tris_chunks(job->file), job->scan.lattice.h);
+    return status;
 }
 
 static int make_smooth(struct job *job)

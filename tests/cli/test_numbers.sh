@@ -1,0 +1,164 @@
+#!/bin/sh
+# test_numbers.sh - coordinates of any size, and shapes at their limits: the right result or one clear line.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+p=bisque-voxelize:
+
+# voxelize NAME ARGUMENT...: NAME.obj, and both files are sound.
+voxelize()
+{
+    name=$1
+    shift
+    run bisque-voxelize "$name.obj" -o "$name.nvdb" --json "$@"
+    code 0
+    cp "$err" "$work/warnings"
+    run bisque-voxelize --verify "$name.tris" "$name.nvdb" --json
+    code 0
+}
+
+# moved SCALE X Y FILE: the vertices of an OBJ file, scaled, then moved.
+moved()
+{
+    awk -v s="$1" -v x="$2" -v y="$3" '$1 == "v" { printf "v %.17g %.17g %.17g\n", s * $2 + x, s * $3 + y, s * $4; next }
+        { print }' "$4"
+}
+
+# maps NAME: normals of NAME.nvdb and exact ones of NAME.tris, on NAME_low.obj.
+maps()
+{
+    for kind in nvdb tris; do
+        run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --float \
+            -o "$1_${kind}_<MAP>.exr"
+        code 0
+    done
+}
+
+# alike A B LIMIT...: maps of both kinds, and their hits.
+alike()
+{
+    a=$1 b=$2
+    shift 2
+    for kind in nvdb tris; do
+        run bisque-compare "${a}_${kind}_normal.exr" "${b}_${kind}_normal.exr" --mask-a "${a}_${kind}_mask.exr" \
+            --mask-b "${b}_${kind}_mask.exr" "$@"
+        code 0
+    done
+}
+
+# ---- the unit of the scan does not matter: 2^100 and 2^-100 are about 1e30 and 1e-30, and scale without rounding ----
+
+"$TESTS/generate-scan" --triangles 5000 vase -o plain.obj
+"$TESTS/generate-scan" vase-low -o plain_low.obj
+voxelize plain --resolution 100
+maps plain
+for scale in 1267650600228229401496703205376 7.8886090522101180541172856528279e-31; do
+    moved $scale 0 0 plain.obj >scaled.obj
+    moved $scale 0 0 plain_low.obj >scaled_low.obj
+    voxelize scaled --resolution 100
+    maps scaled
+    alike plain scaled --max-error 0 --min-agreement 1
+done
+
+# ---- a geo-referenced scan keeps its detail ----
+
+moved 1 500000 5000000 plain.obj >geo.obj
+moved 1 500000 5000000 plain_low.obj >geo_low.obj
+voxelize geo --resolution 100
+[ ! -s "$work/warnings" ]
+check "a geo-referenced scan is no cause for a warning" $?
+maps geo
+alike plain geo --max-p95 0.05 --min-agreement 0.99
+# A detail of a thousandth, far away: two triangles that differ by it are both there.
+printf 'v 500000.123 5000000.456 0\nv 500000.124 5000000.456 0\nv 500000.123 5000000.457 0
+v 500001.123 5000001.456 0\nf 1 2 3\nf 1 2 4\n' >fine.obj
+voxelize fine --resolution 16
+json '.files[0].triangles == 2 and .files[0].vertices == 4'
+
+# ---- what 32-bit positions cannot hold is said, in the scan's units: near 1000 they are 2^-14 apart ----
+
+awk 'BEGIN { print "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3"; n = 4
+    for (i = 0; i < 20; i++) for (j = 0; j < 20; j++) { x = 999 + i * 1e-6; y = 999 + j * 1e-6
+        printf "v %.6f %.6f 0\nv %.6f %.6f 0\nv %.6f %.6f 0\nf %d %d %d\n", x, y, x + 1e-6, y, x, y + 1e-6, n, n + 1, n + 2
+        n += 3 } }' >km.obj
+run bisque-voxelize km.obj -o km.nvdb --resolution 64
+code 0
+grep -Eq "^$p warning: km\.obj: [0-9]+ vertices fell together with the one before: positions are kept to 6\.1e-05 of the scan's units" "$err"
+check "merged vertices are named, with the precision" $?
+printf 'v 1000 0 0\nv 1000.001 0 0\nv 1000 .001 0\nf 1 2 3\nv 0 0 0\nv .001 0 0\nv 0 .001 0\nf 4 5 6\n' >tiny.obj
+run bisque-voxelize tiny.obj -o tiny.nvdb --voxel-size .0005
+code 0
+[ "$(cat "$err")" = "$p warning: tiny.tris: positions are kept to 6.1e-05 of the scan's units, which is coarse for voxels of 0.0005" ]
+check "voxels that are too fine for the scan's precision are named" $?
+
+# ---- numbers that are none, or too large ----
+
+# refuses "COORDINATE" LINE
+refuses()
+{
+    printf 'v 0 0 0\nv 1 0 0\nv 0 %s 0\nf 1 2 3\n' "$1" >bad.obj
+    run bisque-voxelize bad.obj -o bad.nvdb
+    refused 65 "$p bad.obj$2"
+    [ ! -e bad.nvdb ] && [ ! -e bad.tris ]
+    check "nothing was written" $?
+    { cat bad.obj; echo 'vt 0 0'; echo 'f 1/1 2/1 3/1'; } >bad_low.obj
+    case $2 in
+    :[0-9]*) run bisque-bake plain.nvdb bad_low.obj -o map.exr
+        refused 65 "bisque-bake: bad_low.obj$2" ;;
+    esac
+}
+refuses nan ':3: "nan" is not a finite number'
+refuses -inf ':3: "-inf" is not a finite number'
+refuses 1e999 ':3: "1e999" is not a finite number'
+refuses 1e39 ': vertex 3 of the scan: coordinate 1e+39 is too large'
+refuses 1e-60 ": none of the scan's 1 triangles has an area"
+run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e38
+refused 64 "$p plain.tris: voxels of 1e+38 are beyond the 32-bit numbers of a NanoVDB grid, 1.17549e-38 to 8.50706e+37"
+run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e-40
+code 64
+err_like 'plain\.tris: with a voxel size of 1e-40 the scan reaches from index .* beyond the limit of '
+printf 'v 0 0 0\nv 1e-42 0 0\nv 0 1e-42 0\nf 1 2 3\n' >denormal.obj
+run bisque-voxelize denormal.obj -o denormal.nvdb --resolution 64
+code 65
+err_like 'denormal\.tris: voxels of 1\.5.*e-44 are beyond the 32-bit numbers'
+
+# ---- triangles without area ----
+
+for points in '1 2 3|1 2 3|1 2 3' '0 0 0|1 1 1|2 2 2' '5 5 5|5 5 5|7 7 7'; do
+    { echo "$points" | tr '|' '\n' | sed 's/^/v /'; echo 'f 1 2 3'; } >flat.obj
+    run bisque-voxelize flat.obj -o flat.nvdb
+    refused 65 "$p flat.obj: none of the scan's 1 triangles has an area"
+done
+# Voxels of a right triangle over 8 x 8: those with i + j < 8, and the corners of the longest side, but for its ends.
+right=$((36 + 7))
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 1 2\nf 1 2 2\nf 3 3 3\n' >some.obj
+voxelize some --resolution 8
+json ".files[1].voxels == $right and .files[0].triangles == 1"
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
+for resolution in 1 8; do
+    voxelize one --resolution $resolution
+    json ".files[1].voxels == $([ $resolution = 1 ] && echo 1 || echo $right)"
+done
+
+# ---- many in few, few in many ----
+
+# A million triangles in one voxel: as if there were one, and flat: the normal's sum is one a voxel.
+{
+    printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv .5 .5 0\nv .51 .5 0\nv .5 .51 0\nf 1 2 3\n'
+    yes 'f 4 5 6' | head -n 1000000
+} >crowd.obj
+voxelize crowd --resolution 8 --memory 100M
+json ".files[0].triangles == 1000001 and .files[1].voxels == $right"
+command="naive-read-nvdb crowd.nvdb" code=0
+"$TESTS/naive-read-nvdb" crowd.nvdb >"$out" 2>"$err" || code=$?
+sed -n 's/^sum_normal //p' "$out" | awk -v n=$right '{ exit !($1^2 < 1e-6 && $2^2 < 1e-6 && ($3 - n)^2 < 1e-6) }'
+check "all normals are +z" $?
+# Two triangles over all 512 x 512 voxels.
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n' >sheet.obj
+voxelize sheet --resolution 512
+json '.files[1].voxels == 512 * 512'
+# A sliver along the diagonal of 16384^3: at least a voxel a step, at most about 10 for its width of 16 voxels in one axis.
+printf 'v 0 0 0\nv 1 1 1\nv 1 1 .999\nf 1 2 3\n' >diagonal.obj
+voxelize diagonal --resolution 16384
+json '.files[1].voxels >= 16384 and .files[1].voxels < 10 * 16384'
+finish
