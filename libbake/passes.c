@@ -1,12 +1,21 @@
 /* passes.c - what tiles reach is found on all threads; a serial step puts tile after tile into a
- * pass while they fit. Neighbouring tiles mostly lie on the same part of the surface. */
+ * pass while they fit. Tiles come in the order of where they lie in space (Morton 1966), not in the
+ * map, since charts that are neighbours in the map mostly are none on the surface. */
 #include "libbake/passes_internal.h"
 
 #include <inttypes.h>
+#include <stdlib.h>
 
 #include "base/parallel.h"
 
-enum { STACK = 64 /* a tile is halved at most once for each bit of its sides */ };
+enum {
+    STACK = 64, /* a tile is halved at most once for each bit of its sides */
+    STRIDE = 61 /* of samples that tell where a tile lies */
+};
+
+struct tile_key {
+    uint32_t key, tile;
+};
 
 struct slot {
     uint32_t tile;
@@ -21,6 +30,7 @@ struct planner {
     uint64_t first_piece;      /* of that pass */
     uint32_t **samples;        /* a tile's, for each worker and one more */
     unsigned workers;
+    struct tile_key *order;
     struct slot *slots;
     unsigned slot_count;
     struct bake_leaf_set split; /* of a piece of a tile */
@@ -141,13 +151,85 @@ static int place_split(struct planner *p, uint32_t index)
     return status;
 }
 
+/* ---- the order of tiles ---- */
+
+/* Ten bits with two zeros between each and the next. */
+static uint32_t spread(uint32_t v)
+{
+    v = (v | v << 16) & 0x030000ff;
+    v = (v | v << 8) & 0x0300f00f;
+    v = (v | v << 4) & 0x030c30c3;
+    return (v | v << 2) & 0x09249249;
+}
+
+static uint32_t morton(const struct bk_params *params, const double at[3])
+{
+    uint32_t key = 0;
+    double side = 1;
+    for (int k = 0; k < 3; k++) {
+        const double length = (double)params->index_max[k] - (double)params->index_min[k] + 1;
+        side = length > side ? length : side;
+    }
+    for (int k = 0; k < 3; k++) {
+        const double place = (at[k] - (double)params->index_min[k]) / side * 1024;
+        const uint32_t bits = place > 0 ? place < 1023 ? (uint32_t)place : 1023 : 0;
+        key |= spread(bits) << k;
+    }
+    return key;
+}
+
+/* Where the triangles of a few of a tile's samples lie. */
+static int find_key(void *arg, uint64_t index, unsigned worker)
+{
+    struct planner *p = arg;
+    const struct bake_job *job = p->options->job;
+    const struct bk_tile tile = bake_raster_tile(p->options->raster, (uint32_t)index);
+    const uint32_t n = job->params.samples, *samples = p->samples[worker];
+    uint64_t overlaps, count = 0;
+    double at[3] = {0};
+    bake_raster_fill(p->options->raster, (uint32_t)index, p->samples[worker], &overlaps);
+    for (uint64_t i = 0; i < (uint64_t)tile.width * n * tile.height * n; i += STRIDE) {
+        if (samples[i] == BK_NO_TRIANGLE)
+            continue;
+        count++;
+        for (int corner = 0; corner < 3; corner++)
+            for (int k = 0; k < 3; k++)
+                at[k] += (double)job->triangles[samples[i]].position[corner][k] / 3;
+    }
+    for (int k = 0; k < 3 && count > 0; k++)
+        at[k] /= (double)count;
+    p->order[index] = (struct tile_key){morton(&job->params, at), (uint32_t)index};
+    return 0;
+}
+
+static int by_key(const void *a, const void *b)
+{
+    const struct tile_key *x = a, *y = b;
+    if (x->key != y->key)
+        return x->key < y->key ? -1 : 1;
+    return (x->tile > y->tile) - (x->tile < y->tile);
+}
+
+static int order_tiles(struct planner *p)
+{
+    const uint32_t count = bake_raster_tile_count(p->options->raster);
+    int status = bsq_alloc(p->ctx, "order of tiles", count + UINT64_C(1), sizeof *p->order, &p->order);
+    if (status == 0)
+        status = bsq_parallel_for(p->ctx, count, find_key, p);
+    if (status == 0)
+        qsort(p->order, count, sizeof *p->order, by_key);
+    return status;
+}
+
 /* ---- the pipeline ---- */
 
 static int next_tile(void *arg, void *slot, uint64_t sequence)
 {
     const struct planner *p = arg;
-    ((struct slot *)slot)->tile = (uint32_t)sequence;
-    return sequence < bake_raster_tile_count(p->options->raster);
+    if (sequence >= bake_raster_tile_count(p->options->raster))
+        return 0;
+    ((struct slot *)slot)->tile = p->order[sequence].tile;
+    return 1;
 }
 
 static int reach_tile(void *arg, void *data, uint64_t sequence, unsigned worker)
@@ -210,6 +292,7 @@ static void release(struct planner *p)
     bake_leaf_set_free(p->ctx, &p->split);
     bsq_free(p->ctx, p->samples);
     bsq_free(p->ctx, p->slots);
+    bsq_free(p->ctx, p->order);
 }
 
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
@@ -218,6 +301,8 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
     struct planner p = {.ctx = ctx, .options = options, .plan = out};
     *out = (struct bake_plan){0};
     int status = allocate(&p);
+    if (status == 0)
+        status = order_tiles(&p);
     if (status == 0) {
         const struct bsq_pipeline pipeline = {.produce = next_tile,
                                               .work = reach_tile,

@@ -31,7 +31,7 @@ struct bake_plan_options {
     uint64_t part_bytes, buffer_bytes;
 };
 
-/* Plans passes over all tiles, in their order. Fails with
+/* Plans passes over all tiles. Fails with
  * BSQ_ENODEVICE where not even the nodes of a single texel fit. Free with bake_plan_free(), also after a failure. */
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
                      struct bake_plan *out);

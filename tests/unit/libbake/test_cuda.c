@@ -119,11 +119,14 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
     struct bake_backend *backend;
+    struct bake_part whole;
     char why[BAKE_WHY_BYTES];
 
     assert_int_equal(bake_cuda_open(f->ctx, 0, &f->job, &backend), 0);
+    bake_part_whole(&f->grid, &f->job.params, &whole);
+    assert_int_equal(backend->load(backend, 0, &whole, why), 0);
     for (int i = 0; i < tiles; i++)
-        assert_int_equal(backend->trace(backend, &tile, f->samples, texels, 0, why), 0);
+        assert_int_equal(backend->trace(backend, 0, &tile, f->samples, texels, 0, why), 0);
     backend->times(backend, &times);
     backend->close(backend);
     return times;
@@ -201,7 +204,7 @@ static void test_small_device(void **state)
 
     setenv("FAKE_CUDA_MEMORY", "1000", 1);
     assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
-    assert_non_null(strstr(bsq_error(f->ctx), "the device has 1000 free of 1000"));
+    assert_non_null(strstr(bsq_error(f->ctx), "of the device's memory, 1000 are allowed"));
     bsq_clear_error(f->ctx);
 }
 
@@ -235,7 +238,7 @@ static void test_opening_fails(void **state)
  * leave out the calls that opening makes: nine arrays go up through two pieces of host memory. */
 static void test_tracing_fails(void **state)
 {
-    static const char *const calls[] = {"cuCtxSetCurrent:2",       "cuStreamCreate:2",
+    static const char *const calls[] = {"cuCtxSetCurrent:3",       "cuStreamCreate:2",
                                         "cuMemAlloc_v2:10",        "cuMemAllocHost_v2:3",
                                         "cuMemcpyHtoDAsync_v2:10", "cuLaunchKernel:1",
                                         "cuMemcpyDtoHAsync_v2:1",  "cuEventElapsedTime:1"};
