@@ -8,8 +8,8 @@
 #include "libbake/kernel/bk_sample.h"
 
 enum {
-    SQUARE = 8, /* texels whose rays may share a box */
-    SLACK = 32, /* voxels that a shared box may be longer than two of its own */
+    SQUARE = 4, /* texels whose rays may share a box */
+    SLACK = 8, /* voxels that a shared box may be longer than two of its own */
     MARGIN = 2  /* voxels around a ray: the blend takes one, rounding far less than the other */
 };
 
