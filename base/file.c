@@ -207,24 +207,52 @@ uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx)
     return atomic_load(&ctx->temp_bytes);
 }
 
+static int require_free(struct bsq_ctx *ctx, const char *directory, const char *what,
+                        uint64_t bytes)
+{
+    struct statvfs info;
+    uint64_t available;
+    if (statvfs(directory, &info) != 0)
+        return bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s", directory);
+    if (__builtin_mul_overflow((uint64_t)info.f_bavail, (uint64_t)info.f_frsize, &available) ||
+        available >= bytes)
+        return 0;
+    return bsq_fail(ctx, BSQ_EIO, "%s: %llu bytes are needed for %s, %llu are free", directory,
+                    (unsigned long long)bytes, what, (unsigned long long)available);
+}
+
 int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes)
 {
     char *directory = temp_directory(ctx, beside);
     if (!directory)
         return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary files");
+    int status = require_free(ctx, directory, "temporary files", bytes);
+    free(directory);
+    return status;
+}
+
+static bool same_file_system(const char *a, const char *b)
+{
+    struct stat info_a, info_b;
+    return stat(a, &info_a) == 0 && stat(b, &info_b) == 0 && info_a.st_dev == info_b.st_dev;
+}
+
+int bsq_require_space(struct bsq_ctx *ctx, const char *output, uint64_t output_bytes,
+                      uint64_t temp_bytes)
+{
+    char *directory = bsq_dirname(output), *temp = temp_directory(ctx, output);
     int status = 0;
-    struct statvfs info;
-    if (statvfs(directory, &info) != 0) {
-        status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s", directory);
+    if (!directory || !temp) {
+        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", output);
+    } else if (temp_bytes > 0 && same_file_system(directory, temp)) {
+        status =
+            require_free(ctx, directory, "outputs and temporary files", output_bytes + temp_bytes);
     } else {
-        uint64_t available;
-        if (__builtin_mul_overflow((uint64_t)info.f_bavail, (uint64_t)info.f_frsize, &available))
-            available = UINT64_MAX;
-        if (available < bytes)
-            status = bsq_fail(ctx, BSQ_EIO,
-                              "%s: %llu bytes are needed for temporary files, %llu are free",
-                              directory, (unsigned long long)bytes, (unsigned long long)available);
+        status = require_free(ctx, directory, "outputs", output_bytes);
+        if (status == 0 && temp_bytes > 0)
+            status = require_free(ctx, temp, "temporary files", temp_bytes);
     }
+    free(temp);
     free(directory);
     return status;
 }

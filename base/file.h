@@ -54,6 +54,12 @@ uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx);
  * bytes needed and available. */
 int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes);
 
+/* Checks that there is room for an output of about `output_bytes` at path `output` together with
+ * temporary files of about `temp_bytes`; where both are on one file system their sum is asked for.
+ * Errors: BSQ_EIO with the bytes needed and free. */
+int bsq_require_space(struct bsq_ctx *ctx, const char *output, uint64_t output_bytes,
+                      uint64_t temp_bytes);
+
 /* A whole file mapped read-only, 4096-byte aligned.
  *
  * Where the file shrinks while it is mapped, or the disk fails, its memory reads as zeros from

@@ -100,9 +100,13 @@ int fmt_obj_read_steps(struct fmt_obj_reader *reader, const struct fmt_obj_steps
                        struct fmt_obj_totals *totals);
 unsigned fmt_obj_max_slots(const struct fmt_obj_reader *reader);
 
-/* Looks at samples of the file: false where elements follow faces, or where there is more than one
- * file. True says only that none was seen. */
-bool fmt_obj_faces_come_last(const struct fmt_obj_reader *reader);
+/* What samples of the text say of the whole, within some percent of ordinary scans. */
+struct fmt_obj_estimate {
+    uint64_t vertices, texcoords, normals, faces, corners;
+    bool has_colors;
+    bool faces_come_last; /* a single file, and no sample shows elements behind faces */
+};
+int fmt_obj_estimate(const struct fmt_obj_reader *reader, struct fmt_obj_estimate *out);
 
 /* Names of materials met by usemtl so far, index = material number. Owned by the reader. */
 uint32_t fmt_obj_material_count(const struct fmt_obj_reader *reader);

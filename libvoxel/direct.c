@@ -34,8 +34,6 @@ int direct_open(struct scan *scan, const struct fmt_obj_reader *reader, const ch
 {
     struct direct *d;
     *direct = NULL;
-    if (!fmt_obj_faces_come_last(reader))
-        return 0;
     int status = bsq_calloc(scan->ctx, "faces", 1, sizeof *d, &d);
     if (status < 0)
         return status;

@@ -10,7 +10,7 @@
 
 struct direct;
 
-/* `out` is filled while the scan is read. NULL in *direct: not worth trying. */
+/* `out` is filled while the scan is read. */
 int direct_open(struct scan *scan, const struct fmt_obj_reader *reader, const char *beside,
                 struct scattered *out, struct direct **direct);
 void direct_close(struct direct *direct);

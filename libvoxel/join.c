@@ -168,10 +168,12 @@ static int join_kind(struct join *join, enum face_kind kind)
 {
     const uint64_t budget = join->scan->limits->join_bytes;
     uint64_t count = 0;
+    uint64_t each = 0; /* bytes of a corner's values */
     uint32_t widest = 0, shift = 0;
     for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
         if (kind_of[i] == kind && join->columns[i].active) {
             count = scan_count(join->scan, i);
+            each += join->columns[i].element_bytes;
             widest =
                 join->columns[i].element_bytes > widest ? join->columns[i].element_bytes : widest;
         }

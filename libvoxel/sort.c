@@ -8,6 +8,7 @@
 #include "base/clock.h"
 #include "libvoxel/batches.h"
 #include "libvoxel/direct.h"
+#include "libvoxel/space.h"
 
 #include <sys/stat.h>
 
@@ -94,6 +95,13 @@ int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t o
 
 /* ---- sorting ---- */
 
+static int check_disk(struct bsq_ctx *ctx, const struct fmt_obj_estimate *scan,
+                      const struct sort_limits *limits, const char *tris_path)
+{
+    struct space space = space_for(scan, limits);
+    return bsq_require_space(ctx, tris_path, space.output_bytes, space.temp_bytes);
+}
+
 /* Reads everything; *scattered: the faces are in `out`, not in the scan's store. */
 static int read_blocks(struct scan *scan, struct fmt_obj_reader *reader,
                        const struct vox_sort_options *options, bool try_direct,
@@ -129,11 +137,17 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     struct fmt_obj_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
     double start = bsq_seconds_now();
-    bool again;
+    bool again = false;
     int status = fmt_obj_open(ctx, options->obj_paths, options->obj_count, &reader);
     if (status < 0)
         return status;
-    status = read_blocks(scan, reader, options, limits->direct_memory > 0, out, scattered, &again);
+    struct fmt_obj_estimate estimate;
+    status = fmt_obj_estimate(reader, &estimate);
+    if (status == 0)
+        status = check_disk(ctx, &estimate, limits, options->tris_path);
+    bool direct = estimate.faces_come_last && limits->direct_memory > 0;
+    if (status == 0)
+        status = read_blocks(scan, reader, options, direct, out, scattered, &again);
     if (status < 0 && again) {
         cells_free(&out->cells);
         scan_free(scan);

@@ -282,6 +282,38 @@ static void test_growing_keeps_content(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+/* Blocks on both sides of a huge page's size, which are made in different ways. */
+static void test_large_blocks(void **state)
+{
+    (void)state;
+    const uint64_t huge = (uint64_t)2 << 20;
+    struct bsq_ctx *ctx = create(64 << 20, 1);
+    for (uint64_t bytes = huge - 1; bytes < huge + 8192; bytes += bytes < huge + 1 ? 1 : 4095) {
+        uint8_t *block;
+        assert_int_equal(bsq_calloc(ctx, "testing", bytes, 1, &block), 0);
+        assert_int_equal((uintptr_t)block % 64, 0);
+        assert_int_equal(bsq_memory_used(ctx), bytes);
+        assert_int_equal(block[0] | block[bytes / 2] | block[bytes - 1], 0);
+        memset(block, 0xa5, bytes);
+        bsq_free(ctx, block);
+        assert_int_equal(bsq_memory_used(ctx), 0);
+    }
+    uint32_t *numbers = NULL;
+    uint64_t capacity = 0;
+    for (uint64_t count = 1000; count < 12000000; count += count / 3) {
+        uint64_t before = capacity;
+        assert_int_equal(bsq_grow(ctx, "testing", count, 4, &numbers, &capacity), 0);
+        for (uint64_t i = before; i < capacity; i++)
+            numbers[i] = (uint32_t)i * 0x9e3779b1u;
+        for (uint64_t i = 0; i < capacity; i += 97)
+            assert_int_equal(numbers[i], (uint32_t)i * 0x9e3779b1u);
+    }
+    assert_int_equal(bsq_memory_used(ctx), 4 * capacity);
+    bsq_free(ctx, numbers);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
 static void test_growing_up_to_the_budget(void **state)
 {
     (void)state;
@@ -438,6 +470,7 @@ int main(void)
         cmocka_unit_test(test_sizes_that_overflow),
         cmocka_unit_test(test_blocks_are_aligned_and_zeroed),
         cmocka_unit_test(test_growing_keeps_content),
+        cmocka_unit_test(test_large_blocks),
         cmocka_unit_test(test_growing_up_to_the_budget),
         cmocka_unit_test(test_budget_with_threads),
         cmocka_unit_test(test_progress),

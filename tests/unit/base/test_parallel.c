@@ -135,7 +135,7 @@ static void test_loop_runs_concurrently(void **unused)
 
 /* ---- pipelines ---- */
 
-enum stage { NOWHERE, IN_PRODUCE, IN_WORK, IN_EMIT };
+enum stage { NOWHERE, IN_PRODUCE, IN_WORK, IN_EMIT, IN_FOLLOW, IN_FINISH };
 
 struct slot {
     uint64_t sequence, value;
@@ -147,11 +147,12 @@ struct pipe_state {
     unsigned threads, slot_count;
     uint64_t count, seed;
     unsigned longest_pause; /* microseconds */
-    bool has_work;
+    bool has_work, has_second_stage;
     enum stage fail_in, interrupt_in;
     uint64_t fail_at;
     atomic_int producing, emitting, working, inside[MAX_THREADS];
-    atomic_uint_least64_t emitted, produced;
+    atomic_uint_least64_t emitted, produced, finished;
+    atomic_int finishing;
     atomic_int trouble;
     uint64_t sum;
 };
@@ -184,7 +185,9 @@ static int produce(void *arg, void *data, uint64_t sequence)
     struct slot *slot = data;
     check(state, atomic_fetch_add(&state->producing, 1) == 0);
     check(state, sequence == atomic_load(&state->produced));
-    check(state, sequence < atomic_load(&state->emitted) + state->slot_count);
+    check(state,
+          sequence < atomic_load(state->has_second_stage ? &state->finished : &state->emitted) +
+                         state->slot_count);
     int status = 0;
     if (sequence < state->count) {
         check(state, atomic_fetch_add(&slot->owners, 1) == 0);
@@ -225,11 +228,43 @@ static int emit(void *arg, void *data, uint64_t sequence)
     check(state, slot->value == (state->has_work ? scramble(sequence) : sequence));
     idle_a_while(state, sequence, IN_EMIT);
     state->sum = state->sum * 31 + slot->value;
-    slot->value = UINT64_MAX;
+    slot->value = state->has_second_stage ? sequence : UINT64_MAX;
     atomic_fetch_sub(&slot->owners, 1);
     atomic_fetch_add(&state->emitted, 1);
     atomic_fetch_sub(&state->emitting, 1);
     return finish_stage(state, sequence, IN_EMIT);
+}
+
+static int follow(void *arg, void *data, uint64_t sequence, unsigned worker)
+{
+    struct pipe_state *state = arg;
+    struct slot *slot = data;
+    check(state, worker < state->threads);
+    check(state, atomic_fetch_add(&state->inside[worker], 1) == 0);
+    check(state, atomic_fetch_add(&slot->owners, 1) == 0);
+    check(state, sequence < atomic_load(&state->emitted));
+    check(state, slot->sequence == sequence && slot->value == sequence);
+    idle_a_while(state, sequence, IN_FOLLOW);
+    slot->value = scramble(sequence + 1);
+    atomic_fetch_sub(&slot->owners, 1);
+    atomic_fetch_sub(&state->inside[worker], 1);
+    return finish_stage(state, sequence, IN_FOLLOW);
+}
+
+static int finish(void *arg, void *data, uint64_t sequence)
+{
+    struct pipe_state *state = arg;
+    struct slot *slot = data;
+    check(state, atomic_fetch_add(&state->finishing, 1) == 0);
+    check(state, atomic_fetch_add(&slot->owners, 1) == 0);
+    check(state, sequence == atomic_load(&state->finished));
+    check(state, slot->value == scramble(sequence + 1));
+    idle_a_while(state, sequence, IN_FINISH);
+    slot->value = UINT64_MAX;
+    atomic_fetch_sub(&slot->owners, 1);
+    atomic_fetch_add(&state->finished, 1);
+    atomic_fetch_sub(&state->finishing, 1);
+    return finish_stage(state, sequence, IN_FINISH);
 }
 
 static int run(struct pipe_state *state)
@@ -239,6 +274,8 @@ static int run(struct pipe_state *state)
         .produce = produce,
         .work = state->has_work ? work : NULL,
         .emit = emit,
+        .follow = state->has_second_stage ? follow : NULL,
+        .finish = state->has_second_stage ? finish : NULL,
         .arg = state,
         .slots = slots,
         .slot_size = sizeof *slots,
@@ -256,17 +293,18 @@ static void test_pipeline_keeps_order(void **unused)
     static const unsigned pauses[] = {0, 100};
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
         struct bsq_ctx *ctx = create(threads);
-        for (size_t c = 0; c < 5 * 2 * 2 * 3; c++) {
+        for (size_t c = 0; c < 5 * 2 * 2 * 3 * 2; c++) {
             struct pipe_state state = {
                 .ctx = ctx,
                 .threads = threads,
-                .slot_count = c / 20 == 0   ? 1
-                              : c / 20 == 1 ? 2 * threads
-                                            : 3,
+                .slot_count = c / 20 % 3 == 0   ? 1
+                              : c / 20 % 3 == 1 ? 2 * threads
+                                                : 3,
                 .count = counts[c % 5],
                 .seed = c,
                 .longest_pause = pauses[c / 5 % 2],
                 .has_work = c / 10 % 2,
+                .has_second_stage = c / 60,
             };
             uint64_t expected = 0;
             for (uint64_t i = 0; i < state.count; i++)
@@ -274,6 +312,7 @@ static void test_pipeline_keeps_order(void **unused)
             assert_int_equal(run(&state), 0);
             assert_int_equal(state.trouble, 0);
             assert_int_equal(state.emitted, state.count);
+            assert_int_equal(state.finished, state.has_second_stage ? state.count : 0);
             assert_int_equal(state.sum, expected);
         }
         assert_int_equal(bsq_memory_used(ctx), 0);
@@ -287,7 +326,7 @@ static void test_pipeline_failures(void **unused)
     uint64_t seed = (uint64_t)time(NULL);
     print_message("seed %llu\n", (unsigned long long)seed);
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
-        for (enum stage stage = IN_PRODUCE; stage <= IN_EMIT; stage++) {
+        for (enum stage stage = IN_PRODUCE; stage <= IN_FINISH; stage++) {
             for (unsigned round = 0; round < 8; round++) {
                 struct bsq_ctx *ctx = create(threads);
                 struct pipe_state state = {
@@ -298,13 +337,15 @@ static void test_pipeline_failures(void **unused)
                     .seed = seed + round,
                     .longest_pause = round < 4 ? 50 : 0,
                     .has_work = true,
+                    .has_second_stage = stage > IN_EMIT || round % 3 == 0,
                     .fail_in = stage,
                     .fail_at = scramble(seed + round) % 60,
                 };
                 assert_int_equal(run(&state), BSQ_EDATA - (int)stage);
                 assert_int_equal(state.trouble, 0);
-                /* Nothing behind the failure is emitted. */
-                assert_true(state.emitted <= state.fail_at + (stage == IN_EMIT));
+                /* Nothing behind the failure is emitted, or finished. */
+                assert_true(stage > IN_EMIT || state.emitted <= state.fail_at + (stage == IN_EMIT));
+                assert_true(state.finished <= state.fail_at + (stage == IN_FINISH));
                 assert_true(state.produced <= state.fail_at + state.slot_count + 1);
                 bsq_ctx_destroy(ctx);
             }
@@ -316,7 +357,7 @@ static void test_pipeline_is_interrupted(void **unused)
 {
     (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads += 1) {
-        for (enum stage stage = IN_PRODUCE; stage <= IN_EMIT; stage++) {
+        for (enum stage stage = IN_PRODUCE; stage <= IN_FINISH; stage++) {
             struct bsq_ctx *ctx = create(threads);
             struct pipe_state state = {
                 .ctx = ctx,
@@ -324,6 +365,7 @@ static void test_pipeline_is_interrupted(void **unused)
                 .slot_count = 2 * threads,
                 .count = 100000000,
                 .has_work = true,
+                .has_second_stage = stage > IN_EMIT,
                 .interrupt_in = stage,
                 .fail_at = 20,
             };

@@ -1,0 +1,35 @@
+/* space.c - see space.h. The figures are measured ones; what depends on a file's order is taken at
+ * its usual value, so that no scan is refused which would have had room. */
+#include "libvoxel/space.h"
+
+/* Bytes of a triangle, coded by the indices of one kind, or by the values of its new corners. */
+#define BYTES_BY_INDEX     2
+#define VALUES_BY_TRIANGLE 1
+
+static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
+{
+    return 12 + (scan->has_colors ? 4 : 0) + (scan->texcoords > 0 ? 8 : 0) +
+           (scan->normals > 0 ? 4 : 0);
+}
+
+struct space space_for(const struct fmt_obj_estimate *scan, const struct sort_limits *limits)
+{
+    const uint64_t triangles =
+        scan->corners > 2 * scan->faces ? scan->corners - 2 * scan->faces : 0;
+    const uint64_t kinds = 1u + (scan->texcoords > 0) + (scan->normals > 0);
+    const uint64_t columns =
+        scan->vertices * (scan->has_colors ? 16 : 12) + 8 * scan->texcoords + 4 * scan->normals;
+    struct space space = {
+        .output_bytes = 6 * triangles + scan->vertices * vertex_bytes(scan),
+    };
+    if (columns > limits->column_bytes) {
+        space.temp_bytes = columns + BYTES_BY_INDEX * kinds * triangles;
+        uint64_t records = VALUES_BY_TRIANGLE * vertex_bytes(scan) * triangles;
+        space.temp_bytes += records > limits->page_memory ? records - limits->page_memory : 0;
+    } else {
+        uint64_t records = BYTES_BY_INDEX * kinds * triangles;
+        uint64_t memory = limits->store_bytes > columns ? limits->store_bytes - columns : 0;
+        space.temp_bytes += records > memory ? records - memory : 0;
+    }
+    return space;
+}

@@ -1,0 +1,91 @@
+#!/bin/sh
+# test_limits.sh - bisque-voxelize where the system gives it no more than it asked for: a hard limit on memory, and a disk
+# that is too small.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+"$TESTS/generate-scan" --triangles 2000000 --colors vase -o vase.obj
+run bisque-voxelize vase.obj -o vase.nvdb --resolution 512 --threads 2
+code 0
+
+# ---- memory ----
+
+# What a process may use beside its budget, its program and its threads' stacks included.
+limited()
+{
+    kind=$1 kib=$2
+    shift 2
+    command="ulimit $kind $kib; $*" program=$1 code=0
+    shift
+    (ulimit "$kind" "$kib" && exec "$BIN/$program" "$@") >"$out" 2>"$err" || code=$?
+}
+
+if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
+    skip "two million triangles within a hard limit of 96 MiB" "sanitizers need memory of their own"
+else
+    # Of data: anonymous memory, heap and stacks of threads.
+    limited -d 98304 bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory 72M --threads 2 --json
+    code 0
+    json '.cost.memory_high_bytes <= .cost.memory_budget_bytes and .cost.memory_budget_bytes == 75497472'
+    json '.cost.max_rss_bytes <= 100663296'
+    same vase.nvdb small.nvdb
+    same vase.tris small.tris
+    rm -f small.nvdb small.tris
+
+    # A budget above the limit fails with one line, and leaves nothing.
+    limited -d 40960 bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory 1G --threads 2
+    code 71
+    err_like '^bisque-voxelize: the system has no memory left: '
+    files vase.nvdb vase.obj vase.tris
+fi
+
+run bisque-voxelize vase.obj -o small.nvdb --memory 16M --threads 2
+code 64
+err_like '^bisque-voxelize: --memory: 16M is too small, 2 threads need at least [0-9]*MiB$'
+least=$(sed -n 's/.*at least \([0-9]*\)MiB$/\1/p' "$err")
+run bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory "${least}M" --threads 2
+code 0
+same vase.nvdb small.nvdb
+rm -f small.nvdb small.tris
+
+# ---- disk ----
+
+# small_disk MIB ARGUMENT...: runs bisque-voxelize with a disk of that size at "disk".
+small_disk()
+{
+    size=$1
+    shift
+    command="bisque-voxelize $* on a disk of $size MiB" code=0
+    unshare --map-root-user --mount sh -c '
+        mount -t tmpfs -o size="$1"m tmpfs disk || exit 99
+        program=$2
+        shift 2
+        "$program" "$@"
+        code=$?
+        ls -A disk >here.txt
+        exit $code' sh "$size" "$BIN/bisque-voxelize" "$@" >"$out" 2>"$err" || code=$?
+}
+
+mkdir disk
+if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/null; then
+    # Its 2 million triangles take 12 bytes each and their million vertices four more for colours.
+    small_disk 8 vase.obj -o disk/a.nvdb --resolution 512
+    code 74
+    err_like '^bisque-voxelize: disk: 2[0-9]{7} bytes are needed for outputs, 8388608 are free$'
+    [ ! -s here.txt ]
+    check "nothing was written" $?
+
+    # Temporary files count where they go.
+    small_disk 8 vase.obj -o a.nvdb --tmpdir disk --resolution 512 --memory "${least}M" --threads 2
+    code 74
+    err_like '^bisque-voxelize: disk: [0-9]* bytes are needed for temporary files, 8388608 are free$'
+    [ ! -s here.txt ] && [ ! -e a.tris ]
+    check "nothing was written" $?
+
+    small_disk 200 vase.obj -o disk/a.nvdb --resolution 512
+    code 0
+else
+    skip "a disk that is too small is refused at the start" "no file systems can be mounted here"
+fi
+
+finish
