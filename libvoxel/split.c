@@ -127,20 +127,30 @@ static void add_link(struct splitter *s, uint32_t cell, uint32_t material)
         .cell = cell, .first = (uint32_t)s->triangles, .material = material, .next = NO_LINK};
 }
 
+static inline bool has_no_area(const float *const p[3])
+{
+    return !surely_has_area(p[0], p[1], p[2]) && without_area(p[0], p[1], p[2]);
+}
+
+static inline uint32_t cell_of(const struct split_plan *plan, const float *const p[3])
+{
+    uint32_t cell[3];
+    morton_cells(&plan->cube, p[0], p[1], p[2], cell);
+    for (int k = 0; k < 3; k++)
+        cell[k] >>= MORTON_AXIS_BITS - plan->levels;
+    return morton_short_key(cell);
+}
+
 static inline void add_triangle(struct splitter *s, const struct source *source, uint32_t a,
                                 uint32_t b, uint32_t c)
 {
     const float *p[3] = {corner_position(s, source, a), corner_position(s, source, b),
                          corner_position(s, source, c)};
-    uint32_t cell[3];
-    if (!surely_has_area(p[0], p[1], p[2]) && without_area(p[0], p[1], p[2])) {
+    if (has_no_area(p)) {
         s->degenerate++;
         return;
     }
-    morton_cells(&s->plan->cube, p[0], p[1], p[2], cell);
-    for (int k = 0; k < 3; k++)
-        cell[k] >>= MORTON_AXIS_BITS - s->plan->levels;
-    uint32_t number = morton_short_key(cell);
+    uint32_t number = cell_of(s->plan, p);
     uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
     if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
         s->links[s->link_count - 1].material != material)
@@ -191,15 +201,18 @@ static void add_faces(struct splitter *s, struct source *source)
     }
 }
 
+static inline void mark_vertex(atomic_uint_least64_t *used, uint64_t vertex)
+{
+    atomic_uint_least64_t *word = &used[vertex / 64];
+    uint64_t bit = (uint64_t)1 << vertex % 64;
+    if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
+        atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
+}
+
 static void mark_used(atomic_uint_least64_t *used, const struct face_group *group)
 {
-    const uint64_t *v = group->indices[FACE_VERTEX];
-    for (uint32_t c = 0; c < group->corner_count; c++) {
-        atomic_uint_least64_t *word = &used[v[c] / 64];
-        uint64_t bit = (uint64_t)1 << v[c] % 64;
-        if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
-            atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
-    }
+    for (uint32_t c = 0; c < group->corner_count; c++)
+        mark_vertex(used, group->indices[FACE_VERTEX][c]);
 }
 
 /* ---- coding ---- */
@@ -361,12 +374,109 @@ static int code_chains(struct splitter *s, const struct source *source)
     return status;
 }
 
+/* ---- plain groups ----
+ *
+ * Triangles with positions alone and of one material, the groups of most scans. They are coded as
+ * they are keyed, a piece for each link, as long as that makes few pieces. */
+
+static bool is_plain(const struct face_group *group, const struct corner_values *values)
+{
+    return !values && !group->sizes && group->change_count == 0 && !group->indices[FACE_TEXCOORD] &&
+           !group->indices[FACE_NORMAL];
+}
+
+static uint32_t plain_pieces(uint32_t triangles)
+{
+    return 64 + triangles / 16;
+}
+
+static int room_for_plain(struct splitter *s, uint32_t triangles)
+{
+    uint64_t pieces = plain_pieces(triangles), runs = pieces + triangles / RUN_TRIANGLES + 1;
+    uint64_t bound = triangles * (uint64_t)coded_bound(s->plan, 1) +
+                     runs * sizeof(struct run_header) + CORNER_CODE_SLACK;
+    int status = bsq_grow(s->ctx, "faces", bound, 1, &s->bytes, &s->bytes_capacity);
+    if (status == 0)
+        status =
+            bsq_grow(s->ctx, "faces", pieces, sizeof *s->pieces, &s->pieces, &s->piece_capacity);
+    return status;
+}
+
+static void end_piece(struct splitter *s, struct writer *w)
+{
+    end_run(w);
+    if (s->piece_count == 0)
+        return;
+    struct split_piece *piece = &s->pieces[s->piece_count - 1];
+    piece->bytes = (uint64_t)(w->to - s->bytes) - piece->offset;
+    s->triangles += piece->triangles;
+}
+
+static void put_plain(struct splitter *s, struct writer *w, const uint64_t v[3], bool first)
+{
+    const unsigned control_at_first = CORNER_NEW | CORNER_NEW << 2 | CORNER_NEW << 4;
+    const uint8_t *control = w->to;
+    w->to = corner_code_put(&w->codes[FACE_VERTEX], v, w->to);
+    w->run.triangles++;
+    /* The others were new once. */
+    unsigned fresh = first ? control_at_first : *control;
+    for (unsigned k = 0; s->plan->used && k < 3; k++)
+        if ((fresh >> 2 * k & 3) == CORNER_NEW)
+            mark_vertex(s->plan->used, v[k]);
+}
+
+/* False where there would be too many pieces; what is in the splitter then means nothing. */
+static bool split_plain(struct splitter *s, const struct face_group *group)
+{
+    const struct column *positions = &s->plan->scan->columns[SCAN_POSITIONS];
+    const uint32_t material = run_material(group->first_material, true);
+    const uint64_t *v = group->indices[FACE_VERTEX];
+    const uint32_t most = plain_pieces(group->face_count);
+    struct writer w = {.to = s->bytes};
+    uint32_t cell = UINT32_MAX;
+    s->triangles = s->degenerate = 0;
+    s->piece_count = 0;
+    for (uint32_t t = 0; t < group->face_count; t++, v += 3) {
+        const float *p[3];
+        for (int k = 0; k < 3; k++)
+            p[k] = column_at(positions, v[k], 12);
+        if (has_no_area(p)) {
+            s->degenerate++;
+            for (int k = 0; s->plan->used && k < 3; k++)
+                mark_vertex(s->plan->used, v[k]);
+            continue;
+        }
+        uint32_t number = cell_of(s->plan, p);
+        bool first = number != cell || w.run.triangles == RUN_TRIANGLES;
+        if (number != cell) {
+            end_piece(s, &w);
+            if (s->piece_count == most)
+                return false;
+            s->pieces[s->piece_count++] =
+                (struct split_piece){.cell = number, .offset = (uint64_t)(w.to - s->bytes)};
+            cell = number;
+        }
+        if (first)
+            begin_run(&w, 1u << FACE_VERTEX, material);
+        put_plain(s, &w, v, first);
+        s->pieces[s->piece_count - 1].triangles++;
+    }
+    end_piece(s, &w);
+    return true;
+}
+
 int split_group(struct splitter *s, const struct face_group *group,
                 const struct corner_values *values, uint32_t max_size)
 {
     struct source source = {.group = group, .values = values};
     uint64_t triangles = group->corner_count - 2 * (uint64_t)group->face_count;
-    int status = room_for_triangles(s, triangles, max_size);
+    int status = 0;
+    if (is_plain(group, values)) {
+        status = room_for_plain(s, group->face_count);
+        if (status < 0 || split_plain(s, group))
+            return status;
+    }
+    status = room_for_triangles(s, triangles, max_size);
     if (status < 0)
         return status;
     if (s->plan->used)
