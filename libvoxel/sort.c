@@ -8,6 +8,7 @@
 #include "base/clock.h"
 #include "libvoxel/batches.h"
 #include "libvoxel/direct.h"
+#include "libvoxel/job_record.h"
 #include "libvoxel/space.h"
 
 #include <sys/stat.h>
@@ -154,6 +155,8 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
         scan_init(scan, ctx, limits, options->obj_paths, options->tris_path);
         status = read_blocks(scan, reader, options, false, out, scattered, &again);
     }
+    if (status == 0 && options->job)
+        status = job_add_libraries(options->job, reader);
     fmt_obj_close(reader);
     report_totals(report, &scan->totals);
     memcpy(report->origin, scan->origin, sizeof report->origin);

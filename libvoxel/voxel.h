@@ -15,6 +15,7 @@ extern "C" {
 #endif
 
 struct bsq_file; /* base/file.h */
+struct vox_job;
 
 struct vox_sort_options {
     const char *const *obj_paths; /* read as one scan */
@@ -24,6 +25,7 @@ struct vox_sort_options {
     /* NULL, or where to put the chunks instead: a temporary file, to be closed by the caller with
      * bsq_file_close(). tris_path then only says beside what. */
     struct bsq_file *tris_file;
+    struct vox_job *job;      /* to be told of the material libraries that were read; may be NULL */
 };
 
 struct vox_sort_report {
@@ -42,6 +44,30 @@ struct vox_sort_report {
  * triangles with an area; BSQ_EUSAGE where the budget is below vox_memory_min(). */
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
              struct vox_sort_report *report);
+
+/* ---- going on after an interruption ----
+ *
+ * A job that has sorted its scan can go on with the chunk file. What this was made from is recorded beside it, in
+ * tris_path.job, from when it is complete until the job is finished:
+ *
+ *   vox_job_open(), vox_job_resume(); unless sorted: vox_sort(), vox_job_record(); vox_voxelize(), vox_job_finish()
+ *
+ * One thread at a time. */
+
+/* Looks at the inputs as they are now. The options are copied. Errors: BSQ_ENOINPUT. */
+int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out);
+void vox_job_close(struct vox_job *job); /* NULL is allowed */
+
+/* *sorted: the chunk file is there, complete, and what vox_sort() would write. Without a record, or where the chunk file is not
+ * the one that it is about, false. Errors: BSQ_EDATA where an input has changed since or another version made it, BSQ_EUSAGE where
+ * inputs or texture are others; the line says which. */
+int vox_job_resume(struct vox_job *job, bool *sorted);
+
+/* Writes the record, after vox_sort(); none where an input has changed meanwhile, which is a warning. */
+int vox_job_record(struct vox_job *job);
+
+/* Removes the record. NULL is allowed. */
+void vox_job_finish(struct vox_job *job);
 
 /* Smallest budget in bytes that vox_sort and vox_voxelize work with, for this number of threads. */
 uint64_t vox_memory_min(unsigned threads);

@@ -28,6 +28,7 @@ static const char help[] =
     "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
     "      --no-tris           do not keep the chunk file\n"
     "      --parse-only        read the OBJ files and keep nothing, to measure the reader\n"
+    "      --resume            go on with the chunk file of the same job, interrupted after sorting\n"
     "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the "
     "output's)\n"
     "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
@@ -42,6 +43,7 @@ enum {
     OPT_TRIS,
     OPT_NO_TRIS,
     OPT_PARSE_ONLY,
+    OPT_RESUME,
     OPT_VERIFY
 };
 
@@ -57,6 +59,7 @@ static const struct option long_options[] = {
     {"no-tris", no_argument, NULL, OPT_NO_TRIS},
     {"parse-only", no_argument, NULL, OPT_PARSE_ONLY},
     CLI_TMPDIR_OPTION,
+    {"resume", no_argument, NULL, OPT_RESUME},
     {"verify", no_argument, NULL, OPT_VERIFY},
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
@@ -73,7 +76,7 @@ struct arguments {
     enum vox_grid_type grid_type;
     enum vox_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
-    bool no_tris, parse_only, verify;
+    bool no_tris, parse_only, resume, verify;
     const char *job_option; /* name of one that is of no use to --verify, NULL: none given */
 };
 
@@ -81,6 +84,8 @@ struct job {
     struct cli *cli;
     const struct arguments *arguments;
     bool sorted_input; /* the input is a chunk file */
+    bool resumed;      /* the chunk file was there already, see --resume */
+    struct vox_job *record; /* of a job that can be resumed, or NULL */
     char *tris_path;   /* owned; of the chunk file that is read in the end */
     bool temporary_tris; /* the chunk file has no name: tris_path is that of none */
     struct bsq_file tris_file;
@@ -140,6 +145,9 @@ static int parse_option(struct cli *cli, struct arguments *arguments, int option
     case OPT_PARSE_ONLY:
         arguments->parse_only = true;
         return 0;
+    case OPT_RESUME:
+        arguments->resume = true;
+        return 0;
     case OPT_VERIFY:
         arguments->verify = true;
         return 0;
@@ -164,6 +172,9 @@ static int check_arguments(struct cli *cli, const struct arguments *arguments)
         return cli_usage(cli, "--resolution and --voxel-size exclude each other");
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
+    if (arguments->resume && (arguments->no_tris || arguments->parse_only))
+        return cli_usage(cli, "--resume goes on with a chunk file: leave out %s",
+                         arguments->no_tris ? "--no-tris" : "--parse-only");
     return 0;
 }
 
@@ -199,9 +210,10 @@ static int recognise_inputs(struct job *job)
                              arguments->inputs[i]);
         if (arguments->parse_only)
             return cli_usage(job->cli, "%s: --parse-only reads OBJ files", arguments->inputs[i]);
-        if (arguments->texture || arguments->tris)
+        if (arguments->texture || arguments->tris || arguments->resume)
             return cli_usage(job->cli, "%s is a chunk file already: leave out %s",
-                             arguments->inputs[i], arguments->tris ? "--tris" : "--texture");
+                             arguments->inputs[i],
+                             arguments->tris ? "--tris" : arguments->texture ? "--texture" : "--resume");
         job->sorted_input = true;
     }
     return 0;
@@ -314,7 +326,7 @@ static void print_grid(const struct job *job)
     const struct vox_voxelize_report *grid = &job->grid;
     const struct arguments *arguments = job->arguments;
     char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
-    if (!job->sorted_input && !job->temporary_tris)
+    if (!job->sorted_input && !job->resumed && !job->temporary_tris)
         printf("%s: %s chunks, %s, %.2f s\n", job->tris_path,
                cli_count_text(job->sort.chunks, chunks), cli_size_text(job->sort.tris_bytes, size),
                job->sort.seconds_sort);
@@ -374,11 +386,11 @@ static int print_json(const struct job *job)
 {
     const struct arguments *arguments = job->arguments;
     bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
-    json_t *root = json_pack("{s:o, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments),
+    json_t *root = json_pack("{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments), "resumed", (int)job->resumed,
                              "grid_path", cli_json_text(arguments->output), "tris_path",
                              cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
                              cli_json_text(arguments->vdb), "scan",
-                             job->sorted_input ? json_null() : sort_json(&job->sort), "grid",
+                             job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
                              arguments->parse_only ? json_null() : grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
@@ -387,7 +399,9 @@ static int report(const struct job *job)
 {
     if (job->cli->json)
         return print_json(job);
-    if (!job->sorted_input)
+    if (job->resumed)
+        printf("%s: complete from the run before, reading and sorting were skipped\n", job->tris_path);
+    else if (!job->sorted_input)
         print_read(job);
     if (!job->arguments->parse_only)
         print_grid(job);
@@ -407,7 +421,18 @@ static int sort_scan(struct job *job)
         .tris_path = job->tris_path,
         .tris_file = job->temporary_tris ? &job->tris_file : NULL,
     };
-    return vox_sort(job->cli->ctx, &options, &job->sort);
+    struct bsq_ctx *ctx = job->cli->ctx;
+    int status = 0;
+    /* A temporary chunk file is removed whatever happens, so there is nothing to go on with. */
+    if (!job->temporary_tris && (status = vox_job_open(ctx, &options, &job->record)) < 0)
+        return status;
+    if (arguments->resume)
+        status = vox_job_resume(job->record, &job->resumed);
+    if (status < 0 || job->resumed)
+        return status;
+    options.job = job->record;
+    status = vox_sort(ctx, &options, &job->sort);
+    return status == 0 && job->record ? vox_job_record(job->record) : status;
 }
 
 static int make_grid(struct job *job)
@@ -445,6 +470,8 @@ static int do_work(struct job *job)
         status = sort_scan(job);
     if (status == 0)
         status = make_grid(job);
+    if (status == 0)
+        vox_job_finish(job->record);
     return status;
 }
 
@@ -459,6 +486,7 @@ static int run(struct cli *cli, const struct arguments *arguments)
     bsq_file_close(cli->ctx, &job.tris_file);
     if (status == 0)
         status = report(&job);
+    vox_job_close(job.record);
     free(job.tris_path);
     return status;
 }

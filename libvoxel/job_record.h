@@ -1,0 +1,12 @@
+/* job_record.h - private to the sorter: what it tells a job's record. */
+#ifndef VOX_JOB_RECORD_H
+#define VOX_JOB_RECORD_H
+
+#include "libvoxel/voxel.h"
+
+struct fmt_obj_reader;
+
+/* Adds the material libraries that the reader has met. */
+int job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader);
+
+#endif
