@@ -6,6 +6,7 @@
 #include "libbake/image_internal.h"
 #include "libbake/passes_internal.h"
 #include "libbake/raster_internal.h"
+#include "libbake/surface_internal.h"
 
 /* Side of the tiles: large where there is work for all threads, small where memory is short. */
 uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples);

@@ -13,7 +13,15 @@ static struct patched_grid patched;
 int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
 {
     (void)ctx;
-    *out = (struct bsq_map){patched.bytes, patched.size, (char *)(uintptr_t)path};
+    *out = (struct bsq_map){
+        .data = patched.bytes, .size = patched.size, .path = (char *)(uintptr_t)path, .fd = -1};
+    return 0;
+}
+
+int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
+{
+    (void)ctx;
+    (void)map;
     return 0;
 }
 
