@@ -252,7 +252,8 @@ static int plan_passes(struct job *job, struct bake_plan *plan, bool *planned)
 {
     struct bake_plan_options options = {.raster = job->raster, .job = &job->traced};
     job->report->passes = 1;
-    *planned = !bake_device_holds_grid(job->device, &options.part_bytes, &options.buffer_bytes);
+    *planned = !bake_device_holds_grid(job->device, &options.part_bytes, &options.buffer_bytes,
+                                       &options.other_bytes);
     if (!*planned)
         return 0;
     int status = bake_plan_passes(job->ctx, &options, plan);

@@ -166,12 +166,13 @@ const char *bake_device_name(const struct bake_device *device)
 }
 
 bool bake_device_holds_grid(const struct bake_device *device, uint64_t *part_bytes,
-                            uint64_t *buffer_bytes)
+                            uint64_t *buffer_bytes, uint64_t *other_bytes)
 {
     const struct bake_backend *backend = device->backend;
 
     *part_bytes = backend->memory_bytes / BAKE_SLOTS;
     *buffer_bytes = backend->buffer_bytes;
+    *other_bytes = backend->other_bytes;
     return !backend->load || backend->holds_grid || atomic_load(&device->lost);
 }
 

@@ -11,6 +11,7 @@ struct bake_backend {
     /* Where load is not NULL: what parts of the grid may take of the device's memory, all arrays
      * together and each. */
     uint64_t memory_bytes, buffer_bytes;
+    uint64_t other_bytes; /* of the device's memory that the job uses besides */
     bool holds_grid; /* all of it, in slot 0; set by device.c */
     /* Puts a part of the grid into a slot, instead of what was there; its tiles can be traced from
      * then on. From one thread at a time, while other threads trace tiles of the other slot. NULL:

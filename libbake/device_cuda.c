@@ -45,7 +45,7 @@ struct worker {
     CUevent events[EVENTS];
     CUdeviceptr samples, texels;
     void *host_samples, *host_texels; /* page-locked */
-    struct loaded *part; /* that it traces */
+    struct loaded *part;              /* that it traces */
     struct bake_slices slices;
     uint64_t launches;
 };
@@ -232,6 +232,7 @@ static int share_memory(struct cuda *cuda, const struct bake_job *job)
                         "%" PRIu64 " are allowed: give more, or fewer --threads",
                         cuda->device.name, fixed, limit);
     cuda->base.memory_bytes = limit - fixed;
+    cuda->base.other_bytes = fixed;
     cuda->base.buffer_bytes = UINT64_MAX; /* no limit but the memory's */
     return 0;
 }
@@ -483,10 +484,10 @@ static CUresult launch(struct cuda *cuda, struct worker *worker, struct bk_tile 
 {
     struct loaded *part = worker->part;
     CUdeviceptr *a = part->arrays;
-    void *arguments[] = {&a[BAKE_TILES],     &a[BAKE_UPPERS],  &a[BAKE_LOWERS], &a[BAKE_LEAVES],
-                         &a[BAKE_NORMALS],   &a[BAKE_PLANES],  &a[BAKE_COLORS], &a[BAKE_SECONDS],
+    void *arguments[] = {&a[BAKE_TILES],   &a[BAKE_UPPERS],  &a[BAKE_LOWERS], &a[BAKE_LEAVES],
+                         &a[BAKE_NORMALS], &a[BAKE_PLANES],  &a[BAKE_COLORS], &a[BAKE_SECONDS],
                          &cuda->triangles, &part->params,    &tile,           &first_row,
-                         &end_row,           &worker->samples, &worker->texels};
+                         &end_row,         &worker->samples, &worker->texels};
 
     const struct bake_cuda_tuning *tuning = &cuda->tuning;
 

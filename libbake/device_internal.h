@@ -47,9 +47,9 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
 const char *bake_device_name(const struct bake_device *device);
 
 /* Whether any tile can be traced. Otherwise parts have to be loaded first: in each slot one whose arrays
- * take no more than *part_bytes together and *buffer_bytes each. */
+ * take no more than *part_bytes together and *buffer_bytes each. *other_bytes: what the job takes besides. */
 bool bake_device_holds_grid(const struct bake_device *device, uint64_t *part_bytes,
-                            uint64_t *buffer_bytes);
+                            uint64_t *buffer_bytes, uint64_t *other_bytes);
 /* Puts a part of the grid into a slot, while other threads may trace tiles from the other one. */
 int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_part *part);
 /* From now on tiles are traced from this slot (at first 0). Not while tiles are traced. */

@@ -26,10 +26,11 @@ int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     for (int k = 0; k < 3; k++)
         if (grid->index_min[k] < -BAKE_INDEX_LIMIT || grid->index_max[k] >= BAKE_INDEX_LIMIT)
-            return bsq_fail(ctx, BSQ_EDATA,
-                            "%s: voxels from index %d to %d along %c: rays reach those from %d to %d",
-                            grid->map.path, grid->index_min[k], grid->index_max[k], "xyz"[k],
-                            -BAKE_INDEX_LIMIT, BAKE_INDEX_LIMIT - 1);
+            return bsq_fail(
+                ctx, BSQ_EDATA,
+                "%s: voxels from index %d to %d along %c: rays reach those from %d to %d",
+                grid->map.path, grid->index_min[k], grid->index_max[k], "xyz"[k], -BAKE_INDEX_LIMIT,
+                BAKE_INDEX_LIMIT - 1);
     return 0;
 }
 

@@ -30,7 +30,15 @@ enum {
     GROUP = 8
 };
 
-enum { ARG_TRIANGLES = BAKE_PART_ARRAYS, ARG_PARAMS, ARG_TILE, ARG_FIRST_ROW, ARG_END_ROW, ARG_SAMPLES, ARG_TEXELS };
+enum {
+    ARG_TRIANGLES = BAKE_PART_ARRAYS,
+    ARG_PARAMS,
+    ARG_TILE,
+    ARG_FIRST_ROW,
+    ARG_END_ROW,
+    ARG_SAMPLES,
+    ARG_TEXELS
+};
 
 /* What one worker uses; made by its first tile. */
 struct worker {
@@ -135,6 +143,7 @@ static int share_memory(struct opencl *cl, const struct bake_job *job)
                         "%" PRIu64 " are allowed: give more, or fewer --threads",
                         cl->device.name, fixed, limit);
     cl->base.memory_bytes = limit - fixed;
+    cl->base.other_bytes = fixed;
     cl->base.buffer_bytes = buffer < BAKE_BUFFER_MOST ? buffer : BAKE_BUFFER_MOST;
     if (cl->device.host_memory) {
         status = bsq_reserve(cl->ctx, "tiles on a device that shares host memory", fixed);
@@ -430,7 +439,8 @@ static const char *set_part_arguments(const struct opencl *cl, const struct work
     for (cl_uint i = 0; i < BAKE_PART_ARRAYS && *code == CL_SUCCESS; i++)
         *code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &loaded->arrays[i]);
     if (*code == CL_SUCCESS)
-        *code = cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof(cl_mem), &cl->triangles);
+        *code =
+            cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof(cl_mem), &cl->triangles);
     if (*code == CL_SUCCESS)
         *code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof loaded->params,
                                        &loaded->params);
@@ -569,9 +579,8 @@ static const char *run_tile(struct opencl *cl, struct worker *worker, const stru
 }
 
 static const char *trace_tile(struct opencl *cl, struct worker *worker, const struct loaded *loaded,
-                              const struct bk_tile *tile,
-                              const uint32_t *sample_triangles, struct bk_texel *texels,
-                              cl_int *code)
+                              const struct bk_tile *tile, const uint32_t *sample_triangles,
+                              struct bk_texel *texels, cl_int *code)
 {
     cl_event events[EVENTS] = {NULL};
     const char *call;
@@ -610,7 +619,8 @@ static int opencl_trace(struct bake_backend *backend, unsigned slot, const struc
                  (unsigned)tile->width, (unsigned)tile->height);
         return BSQ_EBUG;
     }
-    call = trace_tile(cl, &cl->workers[worker], &cl->loaded[slot], tile, sample_triangles, texels, &code);
+    call = trace_tile(cl, &cl->workers[worker], &cl->loaded[slot], tile, sample_triangles, texels,
+                      &code);
     if (code == CL_SUCCESS)
         return 0;
     snprintf(why, BAKE_WHY_BYTES, "%s: %s", call, bake_opencl_error(code, number));

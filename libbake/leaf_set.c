@@ -1,4 +1,5 @@
-/* leaf_set.c - one 4096-bit mask for each lower node in the set; boxes are or-ed in rows of 16 bits. */
+/* leaf_set.c - one 4096-bit mask for each lower node in the set; boxes are or-ed in rows of 16
+ * bits. */
 #include "libbake/leaf_set_internal.h"
 
 #include <string.h>
@@ -109,7 +110,8 @@ static int find_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t l
     return 0;
 }
 
-static void count_leaves(struct bake_leaf_set *counts, uint32_t lower, uint32_t word, uint64_t added)
+static void count_leaves(struct bake_leaf_set *counts, uint32_t lower, uint32_t word,
+                         uint64_t added)
 {
     const struct fmt_nvdb_grid *grid = counts->grid;
     for (; added; added &= added - 1) {
@@ -171,13 +173,13 @@ static int add_in_upper(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
                 const uint32_t n = x << 10 | y << 5 | z;
                 if (!(words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
                     continue;
-                const uint64_t child = (uint64_t)upper * BK_UPPER_WORDS * 8 +
-                                       words[BK_UPPER_TABLE + n] - distance;
+                const uint64_t child =
+                    (uint64_t)upper * BK_UPPER_WORDS * 8 + words[BK_UPPER_TABLE + n] - distance;
                 const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
                                        origin[1] + (int32_t)(y << BK_LOWER_LOG2),
                                        origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
-                int status = add_in_lower(ctx, set, (uint32_t)(child / (BK_LOWER_WORDS * 8)), at,
-                                          low, high);
+                int status =
+                    add_in_lower(ctx, set, (uint32_t)(child / (BK_LOWER_WORDS * 8)), at, low, high);
                 if (status < 0)
                     return status;
             }

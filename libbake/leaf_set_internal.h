@@ -12,11 +12,11 @@ enum { BAKE_MARK_WORDS = 64 }; /* one bit a child of a lower node, in the order 
 
 struct bake_leaf_set {
     const struct fmt_nvdb_grid *grid;
-    uint8_t *has_upper;          /* for each upper node */
-    uint32_t *place_of_lower;    /* for each lower node: 1 + its place below, 0: not in the set */
+    uint8_t *has_upper;       /* for each upper node */
+    uint32_t *place_of_lower; /* for each lower node: 1 + its place below, 0: not in the set */
     uint64_t lower_count, capacity;
-    uint32_t *lowers;                     /* numbers, in the order in which they came */
-    uint64_t (*marks)[BAKE_MARK_WORDS];   /* their leaves */
+    uint32_t *lowers;                   /* numbers, in the order in which they came */
+    uint64_t (*marks)[BAKE_MARK_WORDS]; /* their leaves */
     uint64_t upper_count, leaf_count, voxel_count, second_count;
 };
 

@@ -3,7 +3,8 @@
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/native_internal.h"
 
-/* Texels are taken in squares of this side: what they share of the grid stays in the first cache. */
+/* Texels are taken in squares of this side: what they share of the grid stays in the first cache.
+ */
 enum { SQUARE = 8 };
 
 struct group {
@@ -13,7 +14,7 @@ struct group {
     bk_cache cache;
     bk_samples samples;
     struct bk_texel *texels[BK_WIDTH]; /* of the samples */
-    float places[BAKE_MOST_SAMPLES];                 /* of a texel's samples along an axis, from its corner */
+    float places[BAKE_MOST_SAMPLES];   /* of a texel's samples along an axis, from its corner */
 };
 
 static void trace_group(struct group *group)

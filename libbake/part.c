@@ -12,17 +12,16 @@ enum { ROOT_TILE_BYTES = BK_TILE_WORDS * 8, ENTRIES = 512 /* of a table at a tim
 
 const char *bake_part_array_name(int array)
 {
-    static const char *const names[BAKE_PART_ARRAYS] = {"root tiles", "upper nodes", "lower nodes",
-                                                        "leaves",     "normals",     "planes",
-                                                        "colors",     "second records"};
+    static const char *const names[BAKE_PART_ARRAYS] = {
+        "root tiles", "upper nodes", "lower nodes", "leaves",
+        "normals",    "planes",      "colors",      "second records"};
     return names[array];
 }
 
 void bake_part_sizes(const struct fmt_nvdb_grid *grid, const struct bake_leaf_set *counts,
                      uint64_t bytes[BAKE_PART_ARRAYS])
 {
-    const uint64_t channel =
-        (1 + counts->voxel_count + counts->second_count) * sizeof(uint32_t);
+    const uint64_t channel = (1 + counts->voxel_count + counts->second_count) * sizeof(uint32_t);
     bytes[BAKE_TILES] = (uint64_t)grid->tile_count * ROOT_TILE_BYTES;
     bytes[BAKE_UPPERS] = counts->upper_count * BK_UPPER_WORDS * 8;
     bytes[BAKE_LOWERS] = counts->lower_count * BK_LOWER_WORDS * 8;
@@ -39,8 +38,7 @@ void bake_part_whole(const struct fmt_nvdb_grid *grid, const struct bk_params *p
                                       .lower_count = grid->lower_count,
                                       .leaf_count = grid->leaf_count,
                                       .voxel_count = grid->voxel_count,
-                                      .second_count =
-                                          grid->record_count - 1 - grid->voxel_count};
+                                      .second_count = grid->record_count - 1 - grid->voxel_count};
     *out = (struct bake_part){.grid = grid, .whole = true, .params = *params};
     bake_part_sizes(grid, &all, out->bytes);
 }
@@ -70,8 +68,7 @@ static void copy_nodes(const struct bake_leaf_set *set, struct bake_part *part)
         for (uint32_t n = 0; n < 64 * BAKE_MARK_WORDS; n++)
             if (part->marks[i][n >> 6] >> (n & 63) & 1) {
                 leaves++;
-                voxels +=
-                    bake_leaf_voxels(set->grid, bake_lower_leaf(set->grid, lower->number, n));
+                voxels += bake_leaf_voxels(set->grid, bake_lower_leaf(set->grid, lower->number, n));
             }
     }
 }
@@ -127,7 +124,8 @@ static int put(const struct sending *s, const void *data, uint64_t bytes)
     return s->sink(s->arg, data, bytes);
 }
 
-/* Calls fn for each leaf of the part in order; `first`: the part's value index of its first voxel. */
+/* Calls fn for each leaf of the part in order; `first`: the part's value index of its first voxel.
+ */
 static int for_leaves(const struct sending *s,
                       int (*fn)(const struct sending *s, void *state, uint32_t leaf,
                                 uint64_t first),
@@ -221,10 +219,10 @@ static uint64_t upper_entry(const struct sending *s, const void *state, uint32_t
     const struct upper_node *node = state;
     const struct fmt_nvdb_grid *grid = s->part->grid;
     const int64_t place = lower_child(s, node, n);
-    return place < 0 ? 0
-                     : (uint64_t)place * BK_LOWER_WORDS * 8 +
-                           (uint64_t)(grid->lowers - grid->uppers) -
-                           node->place * BK_UPPER_WORDS * 8;
+    return place < 0
+               ? 0
+               : (uint64_t)place * BK_LOWER_WORDS * 8 + (uint64_t)(grid->lowers - grid->uppers) -
+                     node->place * BK_UPPER_WORDS * 8;
 }
 
 static int send_uppers(const struct sending *s)
@@ -270,7 +268,8 @@ static int send_lowers(const struct sending *s)
         const struct bake_part_lower *lower = &part->lowers[i];
         struct lower_node node = {i, lower->first_leaf, part->marks[i]};
         uint64_t head[BK_LOWER_TABLE];
-        memcpy(head, part->grid->lowers + (uint64_t)lower->number * BK_LOWER_WORDS * 8, sizeof head);
+        memcpy(head, part->grid->lowers + (uint64_t)lower->number * BK_LOWER_WORDS * 8,
+               sizeof head);
         memcpy(head + BK_LOWER_CHILD_MASK, part->marks[i], sizeof *part->marks);
         status = put(s, head, sizeof head);
         if (status == 0)

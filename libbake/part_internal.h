@@ -35,7 +35,7 @@ struct bake_part {
     struct bake_part_lower *lowers; /* ascending */
     uint64_t (*marks)[BAKE_MARK_WORDS];
     uint64_t upper_count, lower_count, leaf_count, voxel_count, second_count;
-    struct bk_params params; /* the job's, for this part */
+    struct bk_params params;          /* the job's, for this part */
     uint64_t bytes[BAKE_PART_ARRAYS]; /* 0: the kernel does not read it */
 };
 

@@ -34,6 +34,9 @@ struct planner {
     struct slot *slots;
     unsigned slot_count;
     struct bake_leaf_set split; /* of a piece of a tile */
+    /* As the options have it; once a texel did not fit, what the most demanding one so far takes:
+     * the plan is of no use then, and goes on to find out how much is needed. */
+    uint64_t part_bytes;
 };
 
 static uint64_t total(const uint64_t bytes[BAKE_PART_ARRAYS], uint64_t *largest)
@@ -54,7 +57,7 @@ static bool fits(const struct planner *p, const struct bake_leaf_set *reached)
     uint64_t bytes[BAKE_PART_ARRAYS], largest;
     bake_leaf_set_preview(&p->pass, reached, &counts);
     bake_part_sizes(p->pass.grid, &counts, bytes);
-    return total(bytes, &largest) <= p->options->part_bytes && largest <= p->options->buffer_bytes;
+    return total(bytes, &largest) <= p->part_bytes && largest <= p->options->buffer_bytes;
 }
 
 static int end_pass(struct planner *p)
@@ -97,21 +100,30 @@ static int place(struct planner *p, uint32_t tile, const struct bake_rectangle *
     return status;
 }
 
-static int fail_too_small(const struct planner *p)
+/* A single texel does not fit. */
+static int note_too_small(struct planner *p)
 {
     uint64_t bytes[BAKE_PART_ARRAYS], largest, needed;
     bake_part_sizes(p->pass.grid, &p->split, bytes);
     needed = total(bytes, &largest);
-    if (needed > p->options->part_bytes)
-        return bsq_fail(p->ctx, BSQ_ENODEVICE,
-                        "the device's memory leaves %" PRIu64
-                        " bytes for a part of the grid, a texel's rays reach %" PRIu64
-                        ": give at least %" PRIu64 " bytes more, or shorter rays",
-                        p->options->part_bytes, needed, 2 * (needed - p->options->part_bytes));
+    if (largest > p->options->buffer_bytes)
+        return bsq_fail(
+            p->ctx, BSQ_ENODEVICE,
+            "a buffer of the device holds %" PRIu64
+            " bytes, the part of the grid that a texel's rays reach needs one of %" PRIu64,
+            p->options->buffer_bytes, largest);
+    p->part_bytes = needed;
+    return 0;
+}
+
+static int fail_too_small(const struct planner *p)
+{
     return bsq_fail(p->ctx, BSQ_ENODEVICE,
-                    "a buffer of the device holds %" PRIu64
-                    " bytes, the part of the grid that a texel's rays reach needs one of %" PRIu64,
-                    p->options->buffer_bytes, largest);
+                    "the device's memory leaves %" PRIu64
+                    " bytes for a part of the grid, a texel's rays reach %" PRIu64
+                    ": at least --gpu-memory %" PRIu64 ", or shorter rays",
+                    p->options->part_bytes, p->part_bytes,
+                    p->options->other_bytes + BAKE_SLOTS * p->part_bytes);
 }
 
 /* Halves a tile that is too much for a pass until its pieces are not. */
@@ -134,8 +146,10 @@ static int place_split(struct planner *p, uint32_t index)
             status = place(p, index, &whole, &p->split, &placed);
         if (status < 0 || placed)
             continue;
-        if (whole.width == 1 && whole.height == 1)
-            return fail_too_small(p);
+        if (whole.width == 1 && whole.height == 1) {
+            status = note_too_small(p);
+            continue;
+        }
         if (whole.width >= whole.height) {
             first.width /= 2;
             second.x += first.width;
@@ -213,7 +227,8 @@ static int by_key(const void *a, const void *b)
 static int order_tiles(struct planner *p)
 {
     const uint32_t count = bake_raster_tile_count(p->options->raster);
-    int status = bsq_alloc(p->ctx, "order of tiles", count + UINT64_C(1), sizeof *p->order, &p->order);
+    int status =
+        bsq_alloc(p->ctx, "order of tiles", count + UINT64_C(1), sizeof *p->order, &p->order);
     if (status == 0)
         status = bsq_parallel_for(p->ctx, count, find_key, p);
     if (status == 0)
@@ -266,8 +281,7 @@ static int allocate(struct planner *p)
     const uint64_t samples = (uint64_t)job->params.samples * job->params.samples;
     p->workers = bsq_threads(p->ctx);
     const unsigned slots = 2 * p->workers;
-    int status =
-        bsq_calloc(p->ctx, "planning", p->workers + 1, sizeof *p->samples, &p->samples);
+    int status = bsq_calloc(p->ctx, "planning", p->workers + 1, sizeof *p->samples, &p->samples);
     for (unsigned i = 0; i <= p->workers && status == 0; i++)
         status = bsq_alloc(p->ctx, "samples of a tile", job->tile_texels * samples,
                            sizeof **p->samples, &p->samples[i]);
@@ -298,7 +312,8 @@ static void release(struct planner *p)
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
                      struct bake_plan *out)
 {
-    struct planner p = {.ctx = ctx, .options = options, .plan = out};
+    struct planner p = {
+        .ctx = ctx, .options = options, .plan = out, .part_bytes = options->part_bytes};
     *out = (struct bake_plan){0};
     int status = allocate(&p);
     if (status == 0)
@@ -315,6 +330,8 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
         status = bsq_pipeline_run(ctx, &pipeline);
         bsq_progress_end(ctx);
     }
+    if (status == 0 && p.part_bytes > options->part_bytes)
+        status = fail_too_small(&p);
     if (status == 0)
         status = end_pass(&p);
     release(&p);

@@ -29,10 +29,12 @@ struct bake_plan_options {
     const struct bake_job *job;
     /* What the arrays of one pass may take, together and each. */
     uint64_t part_bytes, buffer_bytes;
+    uint64_t other_bytes; /* of the device's memory that the job uses besides; for messages */
 };
 
 /* Plans passes over all tiles. Fails with
- * BSQ_ENODEVICE where not even the nodes of a single texel fit. Free with bake_plan_free(), also after a failure. */
+ * BSQ_ENODEVICE where not even the nodes of a single texel fit. Free with bake_plan_free(), also
+ * after a failure. */
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
                      struct bake_plan *out);
 void bake_plan_free(struct bsq_ctx *ctx, struct bake_plan *plan);

@@ -9,7 +9,7 @@
 
 enum {
     SQUARE = 4, /* texels whose rays may share a box */
-    SLACK = 8, /* voxels that a shared box may be longer than two of its own */
+    SLACK = 8,  /* voxels that a shared box may be longer than two of its own */
     MARGIN = 2  /* voxels around a ray: the blend takes one, rounding far less than the other */
 };
 
@@ -25,7 +25,8 @@ struct reach {
     bk_samples samples;
 };
 
-static const struct box nothing = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+static const struct box nothing = {{INFINITY, INFINITY, INFINITY},
+                                   {-INFINITY, -INFINITY, -INFINITY}};
 
 static int add_box(struct reach *reach)
 {
@@ -104,8 +105,7 @@ static int add_texel(struct reach *reach, const struct bk_tile *tile,
     int status = 0;
     for (uint32_t j = 0; j < n; j++)
         for (uint32_t i = 0; i < n && status == 0; i++) {
-            const uint32_t triangle =
-                sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
+            const uint32_t triangle = sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
             if (triangle == BK_NO_TRIANGLE)
                 continue;
             samples->triangle[samples->count] = triangle;

@@ -1,7 +1,8 @@
 /* tiles.c - tiles are independent: each worker rasterises, traces, resolves and stores one at a
  * time in buffers of its own. A grid that the device does not
- * hold is traced in passes: while one runs, a worker uploads what the next needs. Texels do not depend on the tile that they are in, so the map is the
- * same for any tile size and number of threads. */
+ * hold is traced in passes: while one runs, a worker uploads what the next needs. Texels do not
+ * depend on the tile that they are in, so the map is the same for any tile size and number of
+ * threads. */
 #include "libbake/tiles_internal.h"
 
 #include "base/parallel.h"
@@ -130,8 +131,7 @@ static int do_step(void *arg, uint64_t index, unsigned number)
     struct trace *trace = arg;
     const struct bake_plan *plan = trace->tiles->plan;
     if (index > 0)
-        return trace_piece(trace,
-                           &plan->pieces[plan->passes[trace->pass].first_piece + index - 1],
+        return trace_piece(trace, &plan->pieces[plan->passes[trace->pass].first_piece + index - 1],
                            number);
     return trace->pass + 1 < plan->pass_count ? load_pass(trace, trace->pass + 1) : 0;
 }
@@ -142,8 +142,8 @@ static int run_passes(struct trace *trace)
     int status = plan->pass_count > 0 ? load_pass(trace, 0) : 0;
     for (trace->pass = 0; trace->pass < plan->pass_count && status == 0; trace->pass++) {
         bake_device_use(trace->tiles->device, trace->pass % BAKE_SLOTS);
-        status = bsq_parallel_for(trace->ctx, plan->passes[trace->pass].piece_count + 1, do_step,
-                                  trace);
+        status =
+            bsq_parallel_for(trace->ctx, plan->passes[trace->pass].piece_count + 1, do_step, trace);
     }
     return status;
 }
@@ -194,8 +194,8 @@ int bake_trace_tiles(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
             texels += (uint64_t)tile.width * tile.height;
         }
         bsq_progress_begin(ctx, "tracing", "texels", texels);
-        status = tiles->plan ? run_passes(&trace)
-                             : bsq_parallel_for(ctx, count, trace_tile, &trace);
+        status =
+            tiles->plan ? run_passes(&trace) : bsq_parallel_for(ctx, count, trace_tile, &trace);
         bsq_progress_end(ctx);
     }
     for (unsigned w = 0; w < threads; ++w)

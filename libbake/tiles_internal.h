@@ -16,9 +16,9 @@ struct bake_tiles {
     struct bake_device *device;
     const struct bake_surface *surface; /* that the device traces; checked after every tile */
     const struct bake_plan *plan; /* where the device does not hold the grid, else NULL */
-    struct bake_image *image; /* channels as bake_map_channels(maps) */
-    uint32_t maps;            /* of enum bake_map */
-    uint32_t samples;         /* N: N x N a texel */
+    struct bake_image *image;     /* channels as bake_map_channels(maps) */
+    uint32_t maps;                /* of enum bake_map */
+    uint32_t samples;             /* N: N x N a texel */
     uint32_t tile_size;
 };
 

@@ -16,12 +16,13 @@
 typedef int bk_int;
 typedef uint bk_uint;
 typedef ulong bk_ulong;
-#define BK_GLOBAL        __global
-#define BK_CONSTANT      __constant
-#define BK_KERNEL        __kernel void
+#define BK_GLOBAL   __global
+#define BK_CONSTANT __constant
+#define BK_KERNEL   __kernel void
 
 #ifdef BK_PTX
-/* Compiled to PTX when the program is built, with Clang's own functions: a library of OpenCL's is not needed. */
+/* Compiled to PTX when the program is built, with Clang's own functions: a library of OpenCL's is
+ * not needed. */
 #define BK_FN            static inline __attribute__((always_inline))
 #define BK_RESTRICT      restrict
 #define bk_sqrt(x)       __nvvm_sqrt_rn_f(x)
@@ -34,7 +35,7 @@ typedef ulong bk_ulong;
 #define bk_work_y()                                                                                \
     (__nvvm_read_ptx_sreg_ctaid_y() * __nvvm_read_ptx_sreg_ntid_y() + __nvvm_read_ptx_sreg_tid_y())
 #else
-#define BK_FN            static
+#define BK_FN static
 #define BK_RESTRICT
 #define bk_sqrt(x)       sqrt(x)
 #define bk_floor(x)      floor(x)
@@ -45,8 +46,8 @@ typedef ulong bk_ulong;
 #define bk_work_y()      ((bk_uint)get_global_id(1))
 #endif
 
-#define BK_WIDTH         1
-#define BK_NATIVE_LANES  0
+#define BK_WIDTH        1
+#define BK_NATIVE_LANES 0
 
 #elif defined(__CUDACC__)
 
@@ -66,8 +67,8 @@ typedef unsigned long long bk_ulong;
 #define bk_popcount32(x) ((bk_uint)__popc(x))
 #define bk_popcount64(x) ((bk_uint)__popcll(x))
 
-#define BK_WIDTH         1
-#define BK_NATIVE_LANES  0
+#define BK_WIDTH        1
+#define BK_NATIVE_LANES 0
 
 #else
 
@@ -77,13 +78,13 @@ typedef int32_t bk_int;
 typedef uint32_t bk_uint;
 typedef uint64_t bk_ulong;
 #define BK_GLOBAL
-#define BK_CONSTANT          static const
-#define BK_FN                static inline
-#define bk_sqrt(x)           sqrtf(x)
-#define bk_floor(x)          floorf(x)
-#define bk_abs(x)            fabsf(x)
-#define bk_popcount32(x)     ((bk_uint)__builtin_popcount(x))
-#define bk_popcount64(x)     ((bk_uint)__builtin_popcountll(x))
+#define BK_CONSTANT      static const
+#define BK_FN            static inline
+#define bk_sqrt(x)       sqrtf(x)
+#define bk_floor(x)      floorf(x)
+#define bk_abs(x)        fabsf(x)
+#define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
+#define bk_popcount64(x) ((bk_uint)__builtin_popcountll(x))
 
 #ifndef BK_WIDTH
 #define BK_WIDTH 1
@@ -129,8 +130,7 @@ BK_FN void bk_store_lanes(bk_int words[BK_WIDTH], bk_iw lanes)
 #define bk_mini(a, b)          ((bk_iw)_mm_min_epi32((__m128i)(a), (__m128i)(b)))
 #define bk_maxi(a, b)          ((bk_iw)_mm_max_epi32((__m128i)(a), (__m128i)(b)))
 #elif BK_WIDTH == 8 && defined(__AVX2__)
-#define bk_select(mask, a, b)                                                                      \
-    ((bk_fw)_mm256_blendv_ps((__m256)(b), (__m256)(a), (__m256)(mask)))
+#define bk_select(mask, a, b)  ((bk_fw)_mm256_blendv_ps((__m256)(b), (__m256)(a), (__m256)(mask)))
 #define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
 #define bk_minw(a, b)          ((bk_fw)_mm256_min_ps((__m256)(a), (__m256)(b)))
 #define bk_maxw(a, b)          ((bk_fw)_mm256_max_ps((__m256)(a), (__m256)(b)))
@@ -216,7 +216,7 @@ typedef bk_int bk_mask;
 #define bk_sqrtw(f)              bk_sqrt(f)
 #define bk_floorw(f)             bk_floor(f)
 #define bk_bits(mask)            ((mask) ? 1u : 0u)
-#define bk_mask_of(bits)         ((bk_mask)((bits) & 1u))
+#define bk_mask_of(bits)         ((bk_mask)((bits)&1u))
 
 #endif
 

@@ -44,14 +44,14 @@ typedef struct bk_grid {
 /* With BK_COUNTERS defined, the kernel counts what it does in its cache. */
 #ifdef BK_COUNTERS
 typedef struct bk_counts {
-    bk_ulong rays;     /* pairs */
-    bk_ulong steps;    /* voxels gone through */
-    bk_ulong skips;    /* empty nodes gone through */
-    bk_ulong fetches;  /* of nodes other than those of the lookup before */
-    bk_ulong planes;   /* records tested against a ray */
-    bk_ulong blends;   /* gathers of 2x2x2 records */
-    bk_ulong packets;  /* groups of up to BK_WIDTH pairs */
-    bk_ulong rounds;   /* of a group: a step of all lanes that are not done */
+    bk_ulong rays;    /* pairs */
+    bk_ulong steps;   /* voxels gone through */
+    bk_ulong skips;   /* empty nodes gone through */
+    bk_ulong fetches; /* of nodes other than those of the lookup before */
+    bk_ulong planes;  /* records tested against a ray */
+    bk_ulong blends;  /* gathers of 2x2x2 records */
+    bk_ulong packets; /* groups of up to BK_WIDTH pairs */
+    bk_ulong rounds;  /* of a group: a step of all lanes that are not done */
 } bk_counts;
 #define BK_COUNT(cache, what, n) ((cache)->counts->what += (n))
 bk_counts *bk_counts_of_thread(void); /* where this thread counts */
@@ -202,8 +202,8 @@ BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int
     return bk_leaf_rank(grid, words, layer, bit);
 }
 
-/* Number of the second record of the voxel with value index v; 0 where there is none, whatever the flag in a damaged
- * plane says. */
+/* Number of the second record of the voxel with value index v; 0 where there is none, whatever the
+ * flag in a damaged plane says. */
 BK_FN bk_ulong bk_second(const bk_grid *grid, bk_ulong v)
 {
     const BK_GLOBAL bk_uint *pair = grid->seconds + (v >> 5) * 2u;

@@ -95,10 +95,11 @@ BK_FN void bk_decode_record(bk_iw normals, bk_iw planes, bk_record *record)
 
 /* ---- blending ---- */
 
-/* The records around a point in each lane, in the order of the corners' (x, y, z) = 000, 001, ... */
+/* The records around a point in each lane, in the order of the corners' (x, y, z) = 000, 001, ...
+ */
 typedef struct bk_cell {
     bk_int normals[8][BK_WIDTH], planes[8][BK_WIDTH]; /* as stored */
-    bk_int present[BK_WIDTH]; /* bit i: corner i has a record */
+    bk_int present[BK_WIDTH];                         /* bit i: corner i has a record */
     bk_ulong numbers[8][BK_WIDTH];
 } bk_cell;
 
@@ -257,7 +258,8 @@ BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, con
     const bk_vec3w n = bk_decode_normalw(bk_load_lanes(cell->normals[i]));
     const bk_fw agreement = bk_dotw(n, sheet);
     const bk_fw f = n.x * x->r[ix] + n.y * y->r[iy] + n.z * z->r[iz] - d;
-    const bk_fw near = bk_maxw(1.0f - f * f * (1.0f / (BK_SHEET_DISTANCE * BK_SHEET_DISTANCE)), zero);
+    const bk_fw near =
+        bk_maxw(1.0f - f * f * (1.0f / (BK_SHEET_DISTANCE * BK_SHEET_DISTANCE)), zero);
     /* A facet's plane says nothing of a normal that was interpolated over it. */
     const bk_fw trust = 1.0f - bk_to_fw((planes & BK_PLANE_SHADED) >> 25);
     const bk_mask there = (bk_load_lanes(cell->present) & (bk_int)(1u << i)) != 0;
@@ -286,8 +288,7 @@ BK_FN bk_vec3 bk_blend_color(const bk_grid *grid, const bk_cell *cell, const bk_
     for (i = 0; i < 8; i++) {
         const float w = bk_lane(corners[i].w, lane);
         if (w > 0.0f)
-            color = bk_add_scaled(color, w,
-                                  bk_decode_color(grid->colors[cell->numbers[i][lane]]));
+            color = bk_add_scaled(color, w, bk_decode_color(grid->colors[cell->numbers[i][lane]]));
     }
     return bk_scale(color, 1.0f / weight);
 }

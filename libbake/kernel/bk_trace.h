@@ -14,8 +14,8 @@
  *  - where an unbroken run of occupied voxels begins with 0 < f <= margin or ends with
  *    -margin <= f < 0: the scan touched that voxel and not the empty one beside it, so the
  *    surface is inside the run although its plane passes just outside.
- * The first two leave no pinhole inside a run; the last closes the run's ends. Voxels whose surface faces away
- * from where hits are wanted are no part of a run. */
+ * The first two leave no pinhole inside a run; the last closes the run's ends. Voxels whose surface
+ * faces away from where hits are wanted are no part of a run. */
 #ifndef BK_TRACE_H
 #define BK_TRACE_H
 
@@ -67,8 +67,9 @@ typedef struct bk_walk {
 /* Voxels that rays are in, or empty aligned nodes around them: what the tree says of them. */
 typedef struct bk_place {
     bk_iw x, y, z;
-    bk_int mask[BK_WIDTH]; /* side - 1 of the voxel or the node */
-    bk_int apart[BK_WIDTH]; /* coordinates differ in these bits from those of another leaf's or empty node's */
+    bk_int mask[BK_WIDTH];  /* side - 1 of the voxel or the node */
+    bk_int apart[BK_WIDTH]; /* coordinates differ in these bits from those of another leaf's or
+                               empty node's */
     bk_int node_x[BK_WIDTH], node_y[BK_WIDTH], node_z[BK_WIDTH]; /* in that leaf or node */
     const BK_GLOBAL bk_ulong *words[BK_WIDTH];                   /* the leaf's */
 } bk_place;
@@ -122,8 +123,7 @@ BK_FN bk_ray bk_ray_along(bk_vec3w origin, bk_vec3w direction, bk_vec3w facing, 
     ray.bz = bk_to_iw(v.z);
     ray.start = bk_v3w(o.x - v.x + 0.5f, o.y - v.y + 0.5f, o.z - v.z + 0.5f);
     ray.direction = direction;
-    ray.inverse =
-        bk_v3w(bk_inverse(direction.x), bk_inverse(direction.y), bk_inverse(direction.z));
+    ray.inverse = bk_v3w(bk_inverse(direction.x), bk_inverse(direction.y), bk_inverse(direction.z));
     ray.facing = facing;
     return ray;
 }
@@ -220,15 +220,14 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
             bk_less(walk->t_start, t_in) & bk_not(bk_less(record->margin, f_in));
     at = bk_select(sloped, bk_maxw(t_in, bk_minw(t_out, -f / slope)), t_in);
     t = bk_select(crossed, at,
-                  bk_select(same & (side == BK_BELOW), t_in,
-                            bk_maxw(t_in - f_in / slope, zero)));
+                  bk_select(same & (side == BK_BELOW), t_in, bk_maxw(t_in - f_in / slope, zero)));
     bk_take(walk, tested & (crossed | (above & ((same & (side == BK_BELOW)) | begun))), t, record);
     walk->falling = bk_selecti(tested, falling, walk->falling);
-    walk->side = bk_selecti(tested, bk_selecti(below, bk_splati(BK_BELOW), bk_splati(BK_ABOVE)),
-                            walk->side);
+    walk->side =
+        bk_selecti(tested, bk_selecti(below, bk_splati(BK_BELOW), bk_splati(BK_ABOVE)), walk->side);
     below = below & tested;
-    walk->outside = bk_select(below, bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f)),
-                              walk->outside);
+    walk->outside =
+        bk_select(below, bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f)), walk->outside);
     walk->ahead.t =
         bk_select(below, bk_select(sloped, t_out - f_out / slope, t_out), walk->ahead.t);
     walk->ahead.normal = bk_select3(below, record->normal, walk->ahead.normal);
@@ -346,8 +345,7 @@ BK_FN bk_iw bk_step(bk_iw v, bk_iw mask, bk_iw layer, bk_iw up, bk_mask along, b
 {
     const bk_iw low = v & ~mask;
 
-    return bk_selecti(along, layer + ~up,
-                      bk_voxel_at(start, direction, t, base, low, low + mask));
+    return bk_selecti(along, layer + ~up, bk_voxel_at(start, direction, t, base, low, low + mask));
 }
 
 BK_FN bk_iw bk_upwards(bk_fw inverse)
@@ -545,8 +543,9 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     if (params->flags & BK_HAS_COLOR)
         for (lane = 0; lane < BK_WIDTH; lane++)
             if (hits->found & bk_bits(blend.found) & 1u << lane)
-                bk_set_lane3(&hits->color, lane,
-                             bk_blend_color(grid, &cell, corners, lane, bk_lane(blend.weight, lane)));
+                bk_set_lane3(
+                    &hits->color, lane,
+                    bk_blend_color(grid, &cell, corners, lane, bk_lane(blend.weight, lane)));
 }
 
 /* Traces lines to the surfaces nearest to their origins. */
@@ -571,9 +570,8 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     if (params->flags & BK_HAS_COLOR)
         for (lane = 0; lane < BK_WIDTH; lane++)
             if (hits->found >> lane & 1u) {
-                const bk_ulong number =
-                    (bk_ulong)(bk_uint)bk_lane(crossing.high, lane) << 32 |
-                    (bk_uint)bk_lane(crossing.low, lane);
+                const bk_ulong number = (bk_ulong)(bk_uint)bk_lane(crossing.high, lane) << 32 |
+                                        (bk_uint)bk_lane(crossing.low, lane);
                 bk_set_lane3(&hits->color, lane, bk_decode_color(grid->colors[number]));
             }
     if (hits->found && !(params->flags & BK_NEAREST))

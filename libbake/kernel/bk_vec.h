@@ -128,8 +128,7 @@ BK_FN bk_vec3w bk_unitw(bk_vec3w a)
 
 BK_FN bk_vec3w bk_select3(bk_mask mask, bk_vec3w a, bk_vec3w b)
 {
-    return bk_v3w(bk_select(mask, a.x, b.x), bk_select(mask, a.y, b.y),
-                  bk_select(mask, a.z, b.z));
+    return bk_v3w(bk_select(mask, a.x, b.x), bk_select(mask, a.y, b.y), bk_select(mask, a.z, b.z));
 }
 
 #endif

@@ -1,5 +1,5 @@
-/* rays_counters.c - what the kernel counts when it is built with BK_COUNTERS: how much work the rays
- * of a map are. One thread. */
+/* rays_counters.c - what the kernel counts when it is built with BK_COUNTERS: how much work the
+ * rays of a map are. One thread. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -30,8 +30,8 @@ int main(int argc, char **argv)
     }
     if (bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) < 0)
         return 71;
-    int status = rays_open(ctx, argv[1], argv[2], (uint32_t)atoi(argv[3]),
-                           (uint32_t)atoi(argv[4]), &scene);
+    int status =
+        rays_open(ctx, argv[1], argv[2], (uint32_t)atoi(argv[3]), (uint32_t)atoi(argv[4]), &scene);
     if (status == 0)
         status = bake_device_open(ctx, "cpu", &scene.job, &device);
     counts = (bk_counts){0};

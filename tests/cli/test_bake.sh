@@ -37,7 +37,7 @@ $bake --help
 code 0
 out_like '^Usage: bisque-bake '
 options="output maps size samples front back two-sided sampling normal-space green padding half
-    float png-bits preview device list-devices memory threads progress json help version"
+    float png-bits preview device gpu-memory list-devices memory threads progress json help version"
 for option in $options; do
     out_like "  --$option|, --$option"
 done
@@ -111,6 +111,8 @@ $bake plain.nvdb low.obj -o a.png --png-bits 12
 refused 64 "$p --png-bits: \"12\" is not 8 or 16"
 $bake colored.nvdb low.obj -o a.exr --maps normal,color
 refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
+$bake $good --gpu-memory much
+refused 64 "$p --gpu-memory: \"much\" is not a size such as 512MiB or 4G"
 $bake $good --device abacus
 code 69
 err_like '^bisque-bake: .*abacus'
@@ -156,6 +158,46 @@ $bake plain.nvdb low.obj -o a.png --preview low.obj
 refused 64 "$p low.obj: this output would overwrite an input"
 $bake plain.nvdb low.obj -o a.png --preview ./a.png
 refused 64 "$p a.png: two outputs have this name"
+files $start
+
+# ---- passes ----
+
+# A grid ten times as large as what may be used of the device's memory.
+if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
+    >/dev/null; then
+    run bisque-voxelize low.obj -o large.nvdb --no-tris --resolution 720
+    code 0
+    tenth=$(($(wc -c <large.nvdb) / 10))
+    passes="--device opencl:0 --size 160 --threads 2 large.nvdb low.obj"
+    $bake $passes -o one.exr --json
+    code 0
+    json '.passes == 1'
+    $bake $passes -o many.exr --json --gpu-memory $tenth
+    code 0
+    json '.passes >= 10'
+    same many.exr one.exr
+    # The processor reads the grid from its file: no passes.
+    $bake --size 160 large.nvdb low.obj --device cpu -o many.exr --json --gpu-memory 1M
+    code 0
+    json '.passes == 1'
+    # Room for tiles, but not for what a single texel's rays reach.
+    $bake $passes -o few.exr --gpu-memory 600K
+    code 69
+    err_like '^bisque-bake: the device.s memory leaves [0-9]+ bytes for a part of the grid, a texel.s rays reach [0-9]+'
+    least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p' "$err")
+    # That is indeed the least.
+    $bake $passes -o few.exr --gpu-memory "$((${least:-1} - 2))"
+    code 69
+    $bake $passes -o few.exr --json --gpu-memory "${least:-600K}"
+    code 0
+    same few.exr one.exr
+    $bake $passes -o few2.exr --gpu-memory 1000
+    code 69
+    err_like '^bisque-bake: .*tiles and the low mesh take [0-9]+ bytes'
+    rm large.nvdb one.exr many.exr few.exr
+else
+    echo "# skipped: passes: there is no OpenCL device"
+fi
 files $start
 
 # ---- maps ----

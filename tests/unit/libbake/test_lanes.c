@@ -1,5 +1,5 @@
-/* test_lanes.c - the kernel gives the same bits for any number of lanes and order of samples: groups
- * of four and eight in squares of texels against one sample at a time, row by row. */
+/* test_lanes.c - the kernel gives the same bits for any number of lanes and order of samples:
+ * groups of four and eight in squares of texels against one sample at a time, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -118,8 +118,8 @@ static void one_by_one(const struct fixture *f, const struct bk_params *params,
     bk_cache cache = bk_cache_empty();
     for (uint32_t row = 0; row < HEIGHT; row++)
         for (uint32_t column = 0; column < WIDTH; column++)
-            texels[row * WIDTH + column] = bk_sample_texel(
-                &f->grid, params, &cache, f->triangles, tile, f->samples, column, row);
+            texels[row * WIDTH + column] = bk_sample_texel(&f->grid, params, &cache, f->triangles,
+                                                           tile, f->samples, column, row);
 }
 
 static void compare(const struct fixture *f, uint32_t flags)

@@ -145,8 +145,8 @@ static void load(const struct bake_part *part, struct memory arrays[BAKE_PART_AR
     grid->seconds = (const bk_uint *)(void *)arrays[BAKE_SECONDS].data;
 }
 
-static void trace(const struct fixture *f, const struct bake_part *part,
-                  const struct bk_tile *tile, const uint32_t *samples, struct bk_texel *texels)
+static void trace(const struct fixture *f, const struct bake_part *part, const struct bk_tile *tile,
+                  const uint32_t *samples, struct bk_texel *texels)
 {
     struct memory arrays[BAKE_PART_ARRAYS];
     struct bk_grid grid;
@@ -230,8 +230,7 @@ static void test_whole_set(void **state)
     struct memory a[BAKE_PART_ARRAYS], b[BAKE_PART_ARRAYS];
     struct bk_grid grid;
     assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
-    assert_int_equal(
-        bake_leaf_set_add_box(f->ctx, &set, f->grid.index_min, f->grid.index_max), 0);
+    assert_int_equal(bake_leaf_set_add_box(f->ctx, &set, f->grid.index_min, f->grid.index_max), 0);
     assert_int_equal(set.leaf_count, f->grid.leaf_count);
     assert_int_equal(set.voxel_count, f->grid.voxel_count);
     assert_int_equal(set.second_count, f->grid.record_count - 1 - f->grid.voxel_count);
