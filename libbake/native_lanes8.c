@@ -3,7 +3,7 @@
 #if defined(__x86_64__)
 #define BK_WIDTH    8
 #define NATIVE_TILE bake_native_tile_8
-#include "libbake/native_tile.h"
+#include "libbake/native_tile_internal.h"
 #else
 typedef int native_lanes8_is_for_x86;
 #endif

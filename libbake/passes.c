@@ -139,7 +139,7 @@ static int place_split(struct planner *p, uint32_t index)
     while (depth > 0 && status == 0) {
         const struct bake_rectangle whole = stack[--depth];
         struct bake_rectangle first = whole, second = whole;
-        bool placed;
+        bool placed = false;
         bake_leaf_set_clear(&p->split);
         status = bake_reach(p->ctx, p->options->job, &tile, samples, &whole, &p->split);
         if (status == 0)

@@ -184,7 +184,7 @@ BK_FN bk_uint bk_bits(bk_mask mask)
 }
 BK_FN bk_mask bk_mask_of(bk_uint bits)
 {
-    bk_iw lanes;
+    bk_iw lanes = {0};
     for (int i = 0; i < BK_WIDTH; i++)
         lanes[i] = 1 << i;
     return (lanes & (bk_int)bits) != 0;

@@ -1,4 +1,4 @@
-/* native_tile.h - traces a tile BK_WIDTH samples at a time. Included by one source for each set of
+/* native_tile_internal.h - traces a tile BK_WIDTH samples at a time. Included by one source for each set of
  * instructions, with BK_WIDTH and NATIVE_TILE defined. */
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/native_internal.h"
