@@ -285,9 +285,9 @@ $(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
 
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
 rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
-$(BUILD)/tests/bench-rays: $(call rays_objs,rays) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base) -lembree3
 # The native devices once more, with counters; their objects come before the library's.
 counted := device_native native_lanes4 native_lanes8
 $(BUILD)/counted/%.c.o: %.c
@@ -310,6 +310,12 @@ bench: deps
 	@tests/install-packages.sh $(packages_bench) || echo "bench: goes on without tinyobjloader"
 	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/run.sh $(BENCH)
+
+.PHONY: bench-bake
+## bench-bake: rays a second on every device beside Embree, BENCH=small or medium (default); see tests/bench/BAKE.md
+bench-bake: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays $(BUILD)/tests/bench-rays-counters >&2
+	=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
 
 .PHONY: bench-accuracy
 ## bench-accuracy: how far maps from voxels are from exact ones, BENCH=small or medium (default)

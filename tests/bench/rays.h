@@ -41,6 +41,10 @@ struct rays_tile {
 int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_tile *tile),
                    void *arg);
 
+/* For tracing: between the two the cost is counted, from 0. */
+void rays_cost_begin(struct rays_cost *cost);
+void rays_cost_end(struct rays_cost *cost);
+
 /* Traces all rays on an open device. */
 int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays_cost *cost);
 

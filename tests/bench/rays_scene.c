@@ -172,6 +172,17 @@ static double processor_seconds(void)
            1e-6 * (double)(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
 }
 
+void rays_cost_begin(struct rays_cost *cost)
+{
+    *cost = (struct rays_cost){.wall = -bsq_seconds_now(), .processor = -processor_seconds()};
+}
+
+void rays_cost_end(struct rays_cost *cost)
+{
+    cost->wall += bsq_seconds_now();
+    cost->processor += processor_seconds();
+}
+
 int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays_cost *cost)
 {
     struct device_loop loop = {.device = device};
@@ -179,10 +190,9 @@ int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays
     int status = bsq_calloc(scene->ctx, "tallies", threads, sizeof *loop.tallies, &loop.tallies);
     if (status < 0)
         return status;
-    const double wall = bsq_seconds_now(), processor = processor_seconds();
+    rays_cost_begin(cost);
     status = rays_for_tiles(scene, trace_tile, &loop);
-    *cost = (struct rays_cost){.wall = bsq_seconds_now() - wall,
-                               .processor = processor_seconds() - processor};
+    rays_cost_end(cost);
     scene->count = 0;
     for (unsigned w = 0; w < threads; w++) {
         scene->count += loop.tallies[w].samples;
