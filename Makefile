@@ -343,7 +343,7 @@ gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
 .PHONY: lint
 ## lint: include rules, cppcheck, clang-tidy
-lint: $(BUILD)/gen/kernel_source.inc
+lint: $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.inc
 	tests/lint/includes.sh
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
