@@ -170,9 +170,8 @@ static uint32_t add_vertex(struct chunk_builder *b, const struct vertex *v, uint
 }
 
 /* Number of the vertex in the chunk, entered where it is new. */
-static inline uint32_t number_vertex(struct chunk_builder *b, const struct vertex *v)
+static inline uint32_t number_hashed(struct chunk_builder *b, const struct vertex *v, uint64_t hash)
 {
-    const uint64_t hash = hash_vertex(b, v);
     const uint32_t mask = (1u << b->table_bits) - 1;
     uint32_t slot = table_slot(b, hash), entry;
     while ((entry = b->table[slot]) != 0) {
@@ -182,6 +181,11 @@ static inline uint32_t number_vertex(struct chunk_builder *b, const struct verte
         slot = (slot + 1) & mask;
     }
     return add_vertex(b, v, slot, hash);
+}
+
+static inline uint32_t number_vertex(struct chunk_builder *b, const struct vertex *v)
+{
+    return number_hashed(b, v, hash_vertex(b, v));
 }
 
 /* ---- triangles ---- */
@@ -267,33 +271,81 @@ static void build_triangles(struct chunk_builder *b, const uint8_t *records,
     }
 }
 
-/* ---- plain triangles ---- */
+/* ---- plain triangles ----
+ *
+ * What costs time are a new vertex's position and its place in the table, which no cache holds. So
+ * some triangles are looked at together: first those of their corners are noted that the small
+ * cache does not know, then each step is taken for all of these, having asked for the memory of the
+ * next one. The cache's numbers of noted corners are numbers of notes until then. */
 
-/* Number of a vertex of plain records. A free place of the cache holds an index that no scan has.
- */
-static inline uint32_t number_plain(struct chunk_builder *b, uint32_t index)
+#define GROUP_TRIANGLES 128u
+#define NOTE_FLAG       (1u << 31)
+
+struct note {
+    uint32_t index, number;
+    struct plain_cache *cached;
+    uint64_t hash;
+};
+
+/* A free place of the cache holds an index that no scan has. */
+static uint32_t note_corners(struct chunk_builder *b, const uint8_t *records,
+                             const struct entry *entries, uint32_t count, uint32_t (*out)[3],
+                             struct note *notes)
 {
-    struct plain_cache *cached = &b->plain[index * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
-    if (cached->index != index) {
-        struct vertex v = {0};
-        memcpy(v.position, column_at(&b->scan->columns[SCAN_POSITIONS], index, 12), 12);
-        *cached = (struct plain_cache){index, number_vertex(b, &v)};
+    const struct column *positions = &b->scan->columns[SCAN_POSITIONS];
+    uint32_t noted = 0;
+    for (uint32_t t = 0; t < count; t++) {
+        uint32_t index[3];
+        memcpy(index, records + (uint64_t)entries[t].record * sizeof index, sizeof index);
+        for (int k = 0; k < 3; k++) {
+            struct plain_cache *cached =
+                &b->plain[index[k] * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
+            if (cached->index != index[k]) {
+                __builtin_prefetch(column_at(positions, index[k], 12));
+                *cached = (struct plain_cache){index[k], NOTE_FLAG | noted};
+                notes[noted].index = index[k];
+                notes[noted++].cached = cached;
+            }
+            out[t][k] = cached->number;
+        }
     }
-    return cached->number;
+    return noted;
+}
+
+static void number_notes(struct chunk_builder *b, struct note *notes, uint32_t noted)
+{
+    const struct column *positions = &b->scan->columns[SCAN_POSITIONS];
+    for (uint32_t i = 0; i < noted; i++) {
+        notes[i].hash = hash_position(column_at(positions, notes[i].index, 12));
+        __builtin_prefetch(&b->table[table_slot(b, notes[i].hash)]);
+    }
+    for (uint32_t i = 0; i < noted; i++) {
+        struct vertex v = {0};
+        memcpy(v.position, column_at(positions, notes[i].index, 12), 12);
+        notes[i].number = number_hashed(b, &v, notes[i].hash);
+        if (notes[i].cached->number == (NOTE_FLAG | i))
+            notes[i].cached->number = notes[i].number;
+    }
 }
 
 static void build_plain(struct chunk_builder *b, const uint8_t *records,
                         const struct entry *entries, uint32_t count)
 {
+    struct note notes[3 * GROUP_TRIANGLES];
     memset(b->plain, 0xff, sizeof *b->plain << PLAIN_CACHE_BITS);
-    for (uint32_t t = 0; t < count; t++) {
-        uint32_t index[3];
-        memcpy(index, records + (uint64_t)entries[t].record * sizeof index, sizeof index);
-        if (t + PREFETCH_AHEAD < count)
-            __builtin_prefetch(records +
-                               (uint64_t)entries[t + PREFETCH_AHEAD].record * sizeof index);
-        for (int k = 0; k < 3; k++)
-            b->triangles[t][k] = number_plain(b, index[k]);
+    for (uint32_t first = 0, end; first < count; first = end) {
+        end = count - first < GROUP_TRIANGLES ? count : first + GROUP_TRIANGLES;
+        for (uint32_t t = end; t < count && t < end + GROUP_TRIANGLES; t++)
+            __builtin_prefetch(records + (uint64_t)entries[t].record * sizeof(uint32_t[3]));
+        uint32_t noted =
+            note_corners(b, records, entries + first, end - first, b->triangles + first, notes);
+        number_notes(b, notes, noted);
+        for (uint32_t t = first; t < end; t++)
+            for (int k = 0; k < 3; k++) {
+                uint32_t number = b->triangles[t][k];
+                b->triangles[t][k] =
+                    number & NOTE_FLAG ? notes[number & ~NOTE_FLAG].number : number;
+            }
     }
 }
 
