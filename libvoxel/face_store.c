@@ -1,7 +1,8 @@
 /* face_store.c - see face_store.h. A group's bytes are, for each kind that it has, the indices;
- * then the face sizes where they are not all three; then the material changes. Indices and sizes
- * are coded alike, see index_code.h. */
+ * then the face sizes where they are not all three; then the material changes. Indices of triangles
+ * are coded as corner_code.h says, those of other faces and sizes as index_code.h says. */
 #include "libvoxel/face_store.h"
+#include "libvoxel/corner_code.h"
 #include "libvoxel/index_code.h"
 
 #include <string.h>
@@ -47,8 +48,10 @@ struct face_range {
 static uint64_t encoded_bound(const struct fmt_obj_block *block, const struct face_range *range)
 {
     uint64_t kinds = 1u + !!block->corner_texcoords + !!block->corner_normals;
-    return kinds * index_code_bound(range->corner_count) + index_code_bound(range->face_count) +
-           range->change_count * sizeof(struct face_change);
+    uint64_t triangles =
+        range->corner_count / 3; /* of which each has one byte more when coded as such */
+    return kinds * (index_code_bound(range->corner_count) + triangles) +
+           index_code_bound(range->face_count) + range->change_count * sizeof(struct face_change);
 }
 
 uint64_t face_store_append_cost(const struct face_store *store, const struct fmt_obj_block *block)
@@ -118,6 +121,33 @@ static void describe(struct face_group_info *info, const struct fmt_obj_block *b
     info->triangles = range->triangles;
 }
 
+/* As index_code_encode(), of triangles. */
+static uint8_t *encode_triangles(const uint64_t *indices, uint64_t count, uint8_t *to,
+                                 uint64_t *end, bool *none)
+{
+    struct corner_code code = {0};
+    uint64_t largest = 0, any_none = 0;
+    for (uint64_t i = 0; i < count; i += 3) {
+        for (uint64_t k = i; k < i + 3; k++) {
+            uint64_t next = indices[k] + 1; /* FMT_OBJ_NONE becomes 0 */
+            largest = next > largest ? next : largest;
+            any_none |= next == 0;
+        }
+        to = corner_code_put(&code, indices + i, to);
+    }
+    *end = largest;
+    *none = any_none != 0;
+    return to;
+}
+
+static const uint8_t *decode_triangles(const uint8_t *from, uint64_t count, uint64_t *indices)
+{
+    struct corner_code code = {0};
+    for (uint64_t i = 0; i < count; i += 3)
+        from = corner_code_get(&code, from, indices + i);
+    return from;
+}
+
 /* Encodes into the scratch buffer, which has room. */
 static uint8_t *encode_group(struct face_store *store, const struct fmt_obj_block *block,
                              const struct face_range *range, struct face_group_info *info)
@@ -130,8 +160,9 @@ static uint8_t *encode_group(struct face_store *store, const struct fmt_obj_bloc
             continue;
         bool none;
         uint64_t end;
-        to = index_code_encode(kinds[kind] + range->first_corner, range->corner_count, to, &end,
-                               &none);
+        const uint64_t *indices = kinds[kind] + range->first_corner;
+        to = range->triangles ? encode_triangles(indices, range->corner_count, to, &end, &none)
+                              : index_code_encode(indices, range->corner_count, to, &end, &none);
         info->has_kind[kind] = true;
         info->has_index[kind] = end > 0;
         info->max[kind] = end > 0 ? end - 1 : 0;
@@ -256,7 +287,8 @@ int face_store_decode(const struct face_store *store, uint64_t index, void *room
     };
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
         if (info->has_kind[kind]) {
-            from = index_code_decode(from, info->corner_count, indices[kind]);
+            from = info->triangles ? decode_triangles(from, info->corner_count, indices[kind])
+                                   : index_code_decode(from, info->corner_count, indices[kind]);
             out->indices[kind] = indices[kind];
         }
     if (!info->triangles)

@@ -1,9 +1,10 @@
 /* face_store.h - private to the sorter: the scan's faces as compact bytes.
  *
  * Faces are stored in groups of at most FACE_GROUP_FACES faces and FACE_GROUP_CORNERS corners (a
- * larger polygon is a group of its own), each of which can be decoded alone. Corner indices are
- * differences to the corner before, in 1, 2, 4 or 8 bytes; scans refer to vertices that are near in
- * the file, so that a corner takes about a byte and a half. Encoding is cheap enough to run in the
+ * larger polygon is a group of its own), each of which can be decoded alone. Triangles take about two
+ * bytes (corner_code.h). Corner indices of other faces are differences to the corner before, in 1, 2,
+ * 4 or 8 bytes; scans refer to vertices that are near in the file, so that a corner takes about a byte
+ * and a half. Encoding is cheap enough to run in the
  * reader's serial step. */
 #ifndef VOX_FACE_STORE_H
 #define VOX_FACE_STORE_H
