@@ -42,15 +42,30 @@ static const enum face_kind kind_of[SCAN_COLUMN_COUNT] = {FACE_VERTEX, FACE_VERT
 
 #define ID_BATCH 16384u
 
+/* Most corners are corners of the triangle before as well, whose values are at hand. */
+#define NOT_REPEATED UINT32_MAX
+
+static inline uint32_t repeated_corner(const struct face_group *group, const uint64_t *indices,
+                                       uint32_t corner)
+{
+    const uint32_t triangle = corner - corner % 3;
+    if (group->sizes || triangle == 0)
+        return NOT_REPEATED;
+    for (uint32_t before = triangle - 3; before < triangle; before++)
+        if (indices[before] == indices[corner])
+            return before;
+    return NOT_REPEATED;
+}
+
 /* ---- first pass ---- */
 
-static int distribute_group(struct cells *buckets, const uint64_t *indices, uint32_t count,
-                            uint32_t shift)
+static int distribute_group(struct cells *buckets, const struct face_group *group,
+                            const uint64_t *indices, uint32_t shift)
 {
     const uint64_t mask = ((uint64_t)1 << shift) - 1;
     int status = 0;
-    for (uint32_t c = 0; status == 0 && c < count; c++) {
-        if (indices[c] == FMT_OBJ_NONE)
+    for (uint32_t c = 0; status == 0 && c < group->corner_count; c++) {
+        if (indices[c] == FMT_OBJ_NONE || repeated_corner(group, indices, c) != NOT_REPEATED)
             continue;
         uint32_t local = (uint32_t)(indices[c] & mask);
         status = cells_add(buckets, (uint32_t)(indices[c] >> shift), &local, sizeof local, 1);
@@ -69,7 +84,7 @@ static int distribute(struct join *join, enum face_kind kind, uint32_t shift, st
         if (status == 0)
             status = face_store_decode(faces, g, room, &group);
         if (status == 0 && group.indices[kind])
-            status = distribute_group(buckets, group.indices[kind], group.corner_count, shift);
+            status = distribute_group(buckets, &group, group.indices[kind], shift);
     }
     bsq_free(join->scan->ctx, room);
     return status;
@@ -217,18 +232,23 @@ static bool pager_is_thrashing(const struct pager *pager)
     return pager->bytes_read > 6 * pager->column->spool.bytes;
 }
 
-static int fetch_paged(struct join *join, struct pager *pager, const uint64_t *indices,
-                       uint32_t count, uint8_t *to)
+static int fetch_paged(struct join *join, struct pager *pager, const struct face_group *group,
+                       const uint64_t *indices, uint8_t *to)
 {
     const uint32_t bytes = pager->column->element_bytes;
-    for (uint32_t c = 0; c < count; c++, to += bytes) {
+    for (uint32_t c = 0; c < group->corner_count; c++) {
         const uint8_t *from;
         if (indices[c] == FMT_OBJ_NONE)
             continue;
+        uint32_t before = repeated_corner(group, indices, c);
+        if (before != NOT_REPEATED) {
+            memcpy(to + (uint64_t)c * bytes, to + (uint64_t)before * bytes, bytes);
+            continue;
+        }
         int status = pager_get(pager, indices[c], &from);
         if (status < 0)
             return status;
-        memcpy(to, from, bytes);
+        memcpy(to + (uint64_t)c * bytes, from, bytes);
     }
     join->gave_up = pager_is_thrashing(pager);
     return join->gave_up ? BSQ_EBUG : 0;
@@ -262,20 +282,25 @@ static int refill(struct join *join, const struct joined *joined, struct stream 
     return status;
 }
 
-static int fetch_joined(struct join *join, struct joined *joined, const uint64_t *indices,
-                        uint32_t count, uint8_t *to)
+static int fetch_joined(struct join *join, struct joined *joined, const struct face_group *group,
+                        const uint64_t *indices, uint8_t *to)
 {
     const uint32_t bytes = joined->element_bytes;
-    for (uint32_t c = 0; c < count; c++, to += bytes) {
+    for (uint32_t c = 0; c < group->corner_count; c++) {
         if (indices[c] == FMT_OBJ_NONE)
             continue;
+        uint32_t before = repeated_corner(group, indices, c);
+        if (before != NOT_REPEATED) {
+            memcpy(to + (uint64_t)c * bytes, to + (uint64_t)before * bytes, bytes);
+            continue;
+        }
         struct stream *stream = &joined->streams[indices[c] >> joined->shift];
         if (stream->at == stream->fill) {
             int status = refill(join, joined, stream);
             if (status < 0)
                 return status;
         }
-        memcpy(to, stream->buffer + stream->at, bytes);
+        memcpy(to + (uint64_t)c * bytes, stream->buffer + stream->at, bytes);
         stream->at += bytes;
     }
     return 0;
@@ -315,10 +340,9 @@ int join_fetch(struct join *join, const struct face_group *group, struct corner_
         if (!join->columns[i].active)
             fetch_memory(&join->scan->columns[i], indices, group->corner_count, to[i]);
         else if (join->method == JOIN_BY_PAGES)
-            status =
-                fetch_paged(join, &join->columns[i].pager, indices, group->corner_count, to[i]);
+            status = fetch_paged(join, &join->columns[i].pager, group, indices, to[i]);
         else
-            status = fetch_joined(join, &join->columns[i], indices, group->corner_count, to[i]);
+            status = fetch_joined(join, &join->columns[i], group, indices, to[i]);
     }
     return status;
 }
