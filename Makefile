@@ -208,6 +208,16 @@ $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$
 	@mkdir -p $(@D)
 	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 
+# Lets system calls of a program fail, and looks at what is left; see tests/cli/test_faults.sh. Without sanitizers, as it
+# is loaded into programs that have none.
+faults := $(BUILD)/tests/faults.so $(BUILD)/tests/torture
+$(BUILD)/tests/faults.so: tests/faults/faults.c
+	@mkdir -p $(@D)
+	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -fPIC -shared -o $@ $< -ldl
+$(BUILD)/tests/torture: tests/faults/torture.c
+	@mkdir -p $(@D)
+	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -o $@ $<
+
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)
 ## fuzz-NAME: fuzz a reader (obj, mtl, tris, nvdb, exr, lowmesh) or both stages (scan) for fuzz_seconds=60
@@ -223,7 +233,7 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files) $(fake_cuda) $(crashing_driver)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda) $(crashing_driver)
+tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda) $(crashing_driver) $(faults)
 
 ## test: build and run all tests, with what is installed
 test: tests-build

@@ -1,0 +1,212 @@
+#!/bin/sh
+# test_faults.sh - jobs that are killed, and system calls that fail: nothing half-done is left, every failure is told.
+# tests/faults/ has the library that lets calls fail, and the program that does so again and again.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+export FAULTS="$TESTS/faults.so"
+if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
+    skip "calls that fail" "sanitizers want to be loaded first"
+    finish
+    exit
+fi
+SEED=${SEED:-$(date +%s)}
+echo "# SEED=$SEED"
+
+# torture OPTION...: see tests/faults/torture.c; the job is in $job_outputs and $job_command.
+torture()
+{
+    command="torture $* $job_outputs -- $job_command" code=0
+    # The words of both are split on purpose: no name in them has a space.
+    "$TESTS/torture" -s "$SEED" "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
+    check "$(sed -n '$s/^\(not \)*ok - //p' "$out")" "$code"
+    SEED=$((SEED + 1))
+}
+
+# job NAME OUTPUT... -- PROGRAM ARGUMENT...
+job()
+{
+    job_outputs='' job_command=''
+    while [ "$1" != -- ]; do
+        job_outputs="$job_outputs $1"
+        shift
+    done
+    shift
+    job_command="$BIN/$*"
+}
+
+# Every call that writes, every way to fail.
+writes_fail()
+{
+    torture ENOSPC
+    torture full
+    torture EIO
+    torture -p ENOSPC
+    torture short
+    torture EINTR
+    torture -c close EIO
+    torture -c name -x 73 EPERM
+}
+
+reads_fail()
+{
+    torture -c read EIO
+    torture -c read short
+    torture -c read EINTR
+    torture -c open -x 66 -x 73 -x 74 EMFILE
+}
+
+# At random moments, and where it matters most: before each call that changes a file or a name.
+killed()
+{
+    torture -n 200 kill
+    torture -n 50 -p kill
+    torture -m 60 kill-at
+    torture -c name -p kill-at
+}
+
+# In memory, as the disk would take most of the time; what it says is the interposer's part anyway.
+if [ -d /dev/shm ] && [ -w /dev/shm ] && memory=$(mktemp -d /dev/shm/bisque-cli.XXXXXX); then
+    trap 'cd / && rm -rf "$memory" "$work"' EXIT
+    cd "$memory" || exit 1
+fi
+"$TESTS/generate-scan" --triangles 2000 --colors vase -o scan.obj
+"$TESTS/generate-scan" vase-low -o low.obj
+run bisque-voxelize scan.obj -o scan.nvdb --resolution 32
+code 0
+run bisque-bake scan.nvdb low.obj --device cpu --size 32 --samples 1 --maps normal -o grid.exr
+code 0
+run bisque-bake scan.tris low.obj --size 32 --samples 1 --maps normal -o exact.exr
+code 0
+small="--size 32 --samples 1 --threads 2"
+
+# ---- each tool, every call ----
+
+job a.tris a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --threads 2
+writes_fail
+reads_fail
+killed
+
+# Without its chunk file, which is a temporary one then.
+job a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --no-tris --threads 2
+torture ENOSPC
+torture -c read EIO
+torture -n 50 kill
+
+job a_normal.png a_color.png -- bisque-bake scan.nvdb low.obj --device cpu $small -o 'a_<MAP>.png'
+writes_fail
+reads_fail
+torture -c map -x 71 ENOMEM
+killed
+
+# OpenEXR writes by a stream of ours.
+job a.exr -- bisque-bake scan.tris low.obj $small --maps normal -o a.exr
+writes_fail
+reads_fail
+killed
+
+job a.exr a.png -- bisque-bake scan.nvdb low.obj --device cpu $small --maps normal --preview a.png -o a.exr
+torture -m 12 ENOSPC
+
+job heat.png curve.png -- bisque-compare grid.exr exact.exr --json --heatmap heat.png --histogram curve.png
+writes_fail
+reads_fail
+killed
+
+# ---- large scans: what is spilled to temporary files ----
+
+"$TESTS/generate-scan" --triangles 1600000 --colors --shuffle 7 vase -o large.obj
+job a.tris a.nvdb -- bisque-voxelize large.obj -o a.nvdb --resolution 64 --threads 1 --memory 52M
+torture -m 5 ENOSPC
+torture -m 4 -c read EIO
+torture -m 3 kill-at
+rm large.obj
+job a.exr -- bisque-bake scan.nvdb low.obj --device cpu --size 512 --samples 1 --maps normal --memory 8M --threads 1 -o a.exr
+torture -m 8 ENOSPC
+torture -m 8 -c read EIO
+
+# ---- the modules: OpenVDB and textures ----
+
+job a.nvdb a.vdb -- bisque-voxelize scan.tris -o a.nvdb --resolution 16 --vdb a.vdb --threads 2
+torture -m 30 ENOSPC
+torture -m 10 short
+torture -m 10 EINTR
+torture -m 5 -n 20 kill
+
+# Too large for its cache, so it is written to a temporary file of tiles.
+run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --png-bits 8 --padding 0 -o wood.png
+code 0
+cat >square.obj <<'OBJ'
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+f 1/1 2/2 3/3 4/4
+OBJ
+job a.nvdb -- bisque-voxelize square.obj -o a.nvdb --no-tris --texture wood.png --resolution 100 --memory 64M --threads 1
+torture -m 5 -c write ENOSPC
+torture -m 5 -c read EIO
+torture -c open -x 66 -x 73 -x 74 -m 8 EMFILE
+
+# ---- two jobs at a time ----
+
+# together OPTION...: a job that stands still before it renames its output, and a whole one with the same output.
+together()
+{
+    rm -f flag a.nvdb
+    LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=name FAULT_PATH=a.nvdb FAULT_AT=$1 FAULT_DO=pause FAULT_FLAG=flag \
+        FAULT_PLAIN=$2 "$BIN/bisque-voxelize" scan.tris -o a.nvdb --resolution 32 >"$out" 2>"$err" &
+    tries=0
+    while [ $tries -lt 500 ] && [ ! -e flag ]; do
+        tries=$((tries + 1))
+        sleep 0.02
+    done
+    before=$(ls -A | grep -c '^\.a\.nvdb\.......\.tmp$')
+    LD_PRELOAD=$FAULTS FAULT_PLAIN=$2 "$BIN/bisque-voxelize" scan.tris -o a.nvdb --resolution 32 >/dev/null 2>&1
+    same a.nvdb scan.nvdb
+    [ "$(ls -A | grep -c '^\.a\.nvdb\.......\.tmp$')" -eq "$before" ]
+    check "a job leaves the $before temporary file(s) of another one alone" $?
+    rm a.nvdb flag
+    command="the job that stood still" code=0
+    wait $! || code=$?
+    code 0
+    same a.nvdb scan.nvdb
+    [ -z "$(ls -A | grep '^\.a\.nvdb')" ]
+    check "two jobs with one output leave nothing" $?
+}
+together 1 ''  # before its file gets a name
+together 2 ''  # between that and its final name
+together 1 yes # all the time with a name
+
+# ---- a grid that shrinks while it is read ----
+
+# shrink BYTES PATH: the grid is cut while the bake opens the file named PATH, after it has opened and checked the grid.
+shrink()
+{
+    rm -f flag
+    cp scan.nvdb cut.nvdb
+    LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=$2 FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag \
+        "$BIN/bisque-bake" cut.nvdb low.obj --device $3 $small --maps normal,color -o 'a_<MAP>.exr' >"$out" 2>"$err" &
+    tries=0
+    while [ $tries -lt 500 ] && [ ! -e flag ]; do
+        tries=$((tries + 1))
+        sleep 0.02
+    done
+    truncate -s "$1" cut.nvdb
+    rm flag
+    command="bisque-bake of a grid cut to $1 bytes" code=0
+    wait $! || code=$?
+    refused 74 "bisque-bake: cut.nvdb: shrank from $size to $1 bytes while it was read"
+    [ -z "$(ls -A | grep '^\.*a_')" ]
+    check "no map of a grid that shrank" $?
+}
+size=$(wc -c <scan.nvdb)
+for bytes in 0 4096 $((size / 4)) $((size / 2)) $((size - 8192)); do
+    shrink $bytes /low.obj cpu
+done
+shrink 4096 /low.obj opencl
+
+finish
