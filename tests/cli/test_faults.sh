@@ -62,6 +62,7 @@ killed()
     torture -n 50 -p kill
     torture -m 60 kill-at
     torture -c name -p kill-at
+    torture -m 40 -x 75 -c "open read write sync name" interrupt
 }
 
 # In memory, as the disk would take most of the time; what it says is the interposer's part anyway.

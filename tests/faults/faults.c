@@ -1,15 +1,18 @@
 /* faults.c - a library for LD_PRELOAD that lets one call to the system fail, or the process die
- * there.
+ * there. It takes these settings from the environment:
  *
  * FAULT_UNDER   only files under this directory (absolute, no links) count; required
  * FAULT_CALLS   which calls count: words of open, read, map, write, sync, size, name, remove, close
  * FAULT_PATH    only files whose path contains this text
  * FAULT_AT      number of the call that fails, from 1; 0 or not given: none
  * FAULT_STICKY  1: all calls from that one on fail
- * FAULT_DO      name of an errno (ENOSPC ...); short: a transfer does half; kill: SIGKILL before
- * the call; pause: makes the file FAULT_FLAG and goes on when it is gone FAULT_LOG     file to
- * which a line is appended for every call that counts FAULT_PLAIN   1: opening a file without a
- * name (O_TMPFILE) fails with EOPNOTSUPP, as on file systems without it
+ * FAULT_DO      an errno (ENOSPC ...): the call fails;
+ *               short: a transfer does half;
+ *               kill: SIGKILL before the call;
+ *               interrupt: SIGTERM before the call;
+ *               pause: makes the file FAULT_FLAG and goes on when it is gone
+ * FAULT_LOG     file to which a line is appended for every call that counts
+ * FAULT_PLAIN   1: opening a file without a name (O_TMPFILE) fails with EOPNOTSUPP
  *
  * Works by symbol: calls that libc makes to itself, those of stdio for example, are not seen. */
 #include <dlfcn.h>
@@ -83,6 +86,10 @@ static int fault(const char *kind, const char *call, const char *path)
     const char *what = setting("FAULT_DO");
     if (strcmp(what, "kill") == 0)
         syscall(SYS_kill, getpid(), SIGKILL);
+    if (strcmp(what, "interrupt") == 0)
+        syscall(SYS_kill, getpid(), SIGTERM);
+    if (strcmp(what, "interrupt") == 0)
+        syscall(SYS_kill, getpid(), SIGTERM);
     if (strcmp(what, "pause") == 0)
         pause_here();
     if (strcmp(what, "short") == 0)

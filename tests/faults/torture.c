@@ -1,8 +1,8 @@
 /* torture.c - runs a program many times, kills it or lets calls fail in it, and looks at what is
  * left.
  *
- *   torture [-p] [-c CALLS] [-m MOST] [-n RUNS] [-s SEED] [-x CODE]... MODE OUTPUT... -- PROGRAM
- * ARGUMENT...
+ *   torture [-p] [-c CALLS] [-m MOST] [-n RUNS] [-s SEED] [-x CODE]...
+ *           MODE OUTPUT... -- PROGRAM ARGUMENT...
  *
  * Runs in the current directory, which holds the inputs; OUTPUTs are the files that the program
  * makes there. First it runs undisturbed; what it makes then is what a whole output is, byte by
@@ -10,17 +10,19 @@
  *
  *   kill        SIGKILL at RUNS random moments
  *   kill-at     SIGKILL before each call of the kinds CALLS (see faults.c)
+ *   interrupt   SIGTERM before each call of these kinds
  *   full        the disk is full from each call of these kinds on
  *   ERRNO       each call of these kinds fails once
- *   short       each transfer of these kinds does half, once; as all that EINTR interrupts, that
- * must do no harm
+ *   short       each transfer of these kinds does half, once
  *
  * In every other run the outputs exist before, with other content. Afterwards each output must be
  * as it was before, or whole; after success all must be whole; and nothing else may be there, but
  * where it was killed a temporary file that one more run removes. A failure must be one line on
  * standard error that begins with the program's name, names a file and ends with the reason, and
- * one of the exit codes CODE, 74 where none is given. -p
- * takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
+ * one of the exit codes CODE, 74 where none is given. Half transfers and EINTR must do no harm. An
+ * interruption must be told as such within two seconds.
+ *
+ * -p takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
  * with the first and the last. */
 #include <dirent.h>
 #include <errno.h>
@@ -150,6 +152,7 @@ static bool is_temporary(const char *name)
 struct run {
     bool had_old;
     int wait_status;
+    double seconds;
     char *message;     /* standard error */
     const char *wrong; /* NULL: all is as it should be */
 };
@@ -202,7 +205,9 @@ static void run_program(struct run *run, const char *what, unsigned long at, boo
     while (waitpid(child, &run->wait_status, 0) < 0)
         if (errno != EINTR)
             give_up("waitpid");
-    job.seconds = at == 0 && kill_after < 0 ? now() - start : job.seconds;
+    run->seconds = now() - start;
+    if (at == 0 && kill_after < 0)
+        job.seconds = run->seconds;
     long size = (fseek(message, 0, SEEK_END), ftell(message));
     rewind(message);
     run->message = calloc((size_t)size + 1, 1);
@@ -249,6 +254,11 @@ static void check_message(struct run *run, const char *reason)
 {
     const char *slash = strrchr(job.command[0], '/'), *program = slash ? slash + 1 : job.command[0];
     char *end = strchr(run->message, '\n');
+    if (strcmp(job.mode, "interrupt") == 0) {
+        if (!end || end[1] != '\0' || strcmp(end - strlen("interrupted"), "interrupted\n") != 0)
+            run->wrong = "the interruption is not described by one line";
+        return;
+    }
     bool names_file = strstr(run->message, "temporary file") != NULL;
     for (int i = 0; i < job.output_count; i++)
         names_file |= strstr(run->message, job.outputs[i]) != NULL;
@@ -283,6 +293,8 @@ static void check_run(struct run *run, const char *reason, bool may_fail)
     if (success || killed)
         return;
     seen.failed++;
+    if (strcmp(job.mode, "interrupt") == 0 && run->seconds > job.seconds + 2)
+        run->wrong = "it took too long to end";
     if (!WIFEXITED(run->wait_status))
         run->wrong = "it crashed";
     else if (!may_fail)
