@@ -193,6 +193,12 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
 
 /* ---- figures ---- */
 
+/* Maps have up to billions of texels: true once in a while, so that an interruption is noticed. */
+static bool interrupted(struct bsq_ctx *ctx, uint64_t texel)
+{
+    return texel % (1 << 20) == 0 && bsq_check(ctx) < 0;
+}
+
 /* The value that would stand at `rank` if the values were sorted (Hoare's selection); reorders them. */
 static float select_rank(float *values, int64_t count, int64_t rank)
 {
@@ -231,27 +237,32 @@ static float percentile(float *values, uint64_t count, double share)
 static int find_percentiles(struct bsq_ctx *ctx, const struct bake_comparison *c,
                             struct bake_compare_report *r)
 {
-    float *values;
+    float *values, median = 0, p95 = 0, p99 = 0;
     int status = bsq_alloc(ctx, "sorting errors", r->compared, sizeof *values, &values);
     if (status)
         return status;
     uint64_t texels = (uint64_t)r->width * r->height, count = 0;
-    for (uint64_t i = 0; i < texels; i++)
+    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++)
         if (c->errors[i] >= 0)
             values[count++] = c->errors[i];
-    r->median = percentile(values, count, 0.5);
-    r->p95 = percentile(values, count, 0.95);
-    r->p99 = percentile(values, count, 0.99);
+    float *const figures[] = {&median, &p95, &p99};
+    static const double shares[] = {0.5, 0.95, 0.99};
+    for (int k = 0; k < 3 && (status = bsq_check(ctx)) == 0; k++)
+        *figures[k] = percentile(values, count, shares[k]);
+    r->median = median;
+    r->p95 = p95;
+    r->p99 = p99;
     bsq_free(ctx, values);
-    return 0;
+    return status;
 }
 
-static void sum_errors(const struct bake_comparison *c, struct bake_compare_report *r)
+static void sum_errors(struct bsq_ctx *ctx, const struct bake_comparison *c,
+                       struct bake_compare_report *r)
 {
     double sum = 0, squares = 0, above_1 = 0, above_5 = 0;
     uint64_t texels = (uint64_t)r->width * r->height;
     r->max = -1;
-    for (uint64_t i = 0; i < texels; i++) {
+    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++) {
         double error = c->errors[i];
         if (error < 0) {
             r->only_a += covers(&c->a_mask, i) && !covers(&c->b_mask, i);
@@ -277,11 +288,12 @@ static void sum_errors(const struct bake_comparison *c, struct bake_compare_repo
     r->agreement = count / (count + (double)r->only_a + (double)r->only_b);
 }
 
-static void measure_noise(const struct bake_comparison *c, struct bake_compare_report *r)
+static void measure_noise(struct bsq_ctx *ctx, const struct bake_comparison *c,
+                          struct bake_compare_report *r)
 {
     uint64_t texels = (uint64_t)r->width * r->height;
     double squares = 0;
-    for (uint64_t i = 0; i < texels; i++) {
+    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++) {
         float a[3], b[3];
         if (c->errors[i] < 0)
             continue;
@@ -295,10 +307,11 @@ static void measure_noise(const struct bake_comparison *c, struct bake_compare_r
     r->psnr = -10 * log10(squares / (3 * (double)r->compared));
 }
 
-static void measure_relative(const struct bake_comparison *c, struct bake_compare_report *r)
+static void measure_relative(struct bsq_ctx *ctx, const struct bake_comparison *c,
+                             struct bake_compare_report *r)
 {
     uint64_t samples = (uint64_t)r->width * r->height * c->a.channel_count, count = 0;
-    for (uint64_t i = 0; i < samples; i++) {
+    for (uint64_t i = 0; i < samples && !interrupted(ctx, i); i++) {
         double a = fabs((double)c->a.samples[i]), b = fabs((double)c->b.samples[i]);
         if (c->errors[i / c->a.channel_count] < 0)
             continue;
@@ -317,7 +330,10 @@ static int summarise(struct bsq_ctx *ctx, const struct bake_compare_options *o,
     r->kind = c->kind;
     r->width = c->a.width;
     r->height = c->a.height;
-    sum_errors(c, r);
+    sum_errors(ctx, c, r);
+    int status = bsq_check(ctx);
+    if (status < 0)
+        return status;
     if (r->compared == 0)
         return bsq_fail(ctx, BSQ_EDATA, "no texel is covered by both %s and %s", o->a_path,
                         o->b_path);
@@ -325,10 +341,11 @@ static int summarise(struct bsq_ctx *ctx, const struct bake_compare_options *o,
         return bsq_fail(ctx, BSQ_EDATA, "%s or %s holds values that are not numbers", o->a_path,
                         o->b_path);
     if (c->kind == BAKE_COMPARE_COLOR)
-        measure_noise(c, r);
+        measure_noise(ctx, c, r);
     if (c->kind == BAKE_COMPARE_DATA)
-        measure_relative(c, r);
-    return find_percentiles(ctx, c, r);
+        measure_relative(ctx, c, r);
+    status = bsq_check(ctx);
+    return status < 0 ? status : find_percentiles(ctx, c, r);
 }
 
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,

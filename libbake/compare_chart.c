@@ -147,7 +147,7 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
                                (uint64_t)height + SCALE_HEIGHT * scale, &canvas);
     if (status)
         return status;
-    for (uint64_t y = 0; y < height; y++)
+    for (uint64_t y = 0; y < height && (status = bsq_check(ctx)) == 0; y++)
         for (uint64_t x = 0; x < width; x++) {
             float error = comparison->errors[y * width + x], *pixel = canvas.pixels[y * canvas.width + x];
             if (error < 0)
@@ -157,7 +157,8 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
         }
     draw_scale(&canvas, (int64_t)height + 4 * scale, scale, top, bake_compare_unit(comparison->kind),
                true);
-    status = canvas_write(ctx, &canvas, path);
+    if (status == 0)
+        status = canvas_write(ctx, &canvas, path);
     bsq_free(ctx, canvas.pixels);
     return status;
 }
