@@ -169,7 +169,8 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
     int rc = sum_vertex_normals(ctx, mesh, out, &smooth);
     if (rc)
         return rc;
-    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+    rc = bsq_check(ctx);
+    for (uint64_t t = 0; t < mesh->triangle_count && rc == 0; t++) {
         float face_normal[3] = {0, 0, 1};
         double cross[3];
         face_cross(out, t, cross);
@@ -178,7 +179,7 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
             choose_normal(mesh, (const double(*)[3])smooth, face_normal, t, i, out->normals[t][i]);
     }
     bsq_free(ctx, smooth);
-    return 0;
+    return rc;
 }
 
 /* Where float positions relate to. The convention works on the file's coordinates as floats, so
@@ -232,12 +233,16 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const char *path, struct bake_lowmesh
         goto done;
     out->triangle_count = mesh.triangle_count;
     copy_positions(&mesh, out);
-    rc = copy_texcoords(ctx, path, &mesh, out);
+    rc = bsq_check(ctx);
+    if (rc == 0)
+        rc = copy_texcoords(ctx, path, &mesh, out);
     if (rc < 0)
         goto done;
     rc = fill_normals(ctx, &mesh, out);
 done:
     fmt_mesh_free(ctx, &mesh);
+    if (rc == 0)
+        rc = bsq_check(ctx);
     if (rc == 0)
         rc = compute_tangents(ctx, out);
     if (rc < 0)

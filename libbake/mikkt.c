@@ -153,13 +153,17 @@ static void make_fan(struct tangents *s, uint32_t seed)
     }
 }
 
-static void make_fans(struct tangents *s)
+static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
 {
-    for (uint32_t c = 0; c < s->input.corner_count; c++) {
+    int rc = 0;
+    for (uint32_t c = 0; c < s->input.corner_count && rc == 0; c++) {
         uint8_t flags = s->flags[c / 3];
         if (!(flags & (FLAG_DEGENERATE | FLAG_FLAT | (FLAG_JOINED << c % 3))))
             make_fan(s, c);
+        if (c % MIKKT_CORNERS_A_CHECK == 0)
+            rc = bsq_check(ctx);
     }
+    return rc;
 }
 
 /* ---- triangles with two corners in one place ---- */
@@ -199,16 +203,23 @@ static int allocate(struct bsq_ctx *ctx, struct tangents *s)
     return rc;
 }
 
-static void compute(struct tangents *s)
+static int compute(struct bsq_ctx *ctx, struct tangents *s)
 {
     static const float unreached[4] = {1, 0, 0, -1};
 
-    for (uint32_t t = 0; t < s->input.corner_count / 3; t++)
+    int rc = bsq_check(ctx);
+    for (uint32_t t = 0; t < s->input.corner_count / 3 && rc == 0; t++) {
         init_triangle(s, t);
+        if (t % MIKKT_CORNERS_A_CHECK == 0)
+            rc = bsq_check(ctx);
+    }
     for (uint32_t c = 0; c < s->input.corner_count; c++)
         memcpy(s->out[c], unreached, sizeof(unreached));
-    make_fans(s);
-    fill_degenerate(s, s->twins); /* the twins have served */
+    if (rc == 0)
+        rc = make_fans(ctx, s);
+    if (rc == 0)
+        fill_degenerate(s, s->twins); /* the twins have served */
+    return rc;
 }
 
 int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][3],
@@ -230,7 +241,7 @@ int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][
     if (rc == 0)
         rc = mikkt_find_twins(ctx, &s.input, s.vertices, s.twins);
     if (rc == 0)
-        compute(&s);
+        rc = compute(ctx, &s);
     bsq_free(ctx, s.tangents);
     bsq_free(ctx, s.flags);
     bsq_free(ctx, s.twins);

@@ -54,16 +54,18 @@ int mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32_t *v
     if (rc < 0)
         return rc;
     memset(table, 0xff, capacity * sizeof(*table));
-    for (uint32_t c = 0; c < input->corner_count; c++) {
+    for (uint32_t c = 0; c < input->corner_count && rc == 0; c++) {
         uint64_t slot = hash_corner(input, c) & (capacity - 1);
         while (table[slot] != MIKKT_NONE && !equal_corners(input, table[slot], c))
             slot = (slot + 1) & (capacity - 1);
         if (table[slot] == MIKKT_NONE)
             table[slot] = c;
         vertices[c] = table[slot];
+        if (c % MIKKT_CORNERS_A_CHECK == 0)
+            rc = bsq_check(ctx);
     }
     bsq_free(ctx, table);
-    return 0;
+    return rc;
 }
 
 /* ---- twins ---- */
@@ -147,7 +149,11 @@ int mikkt_find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input, const
     if (rc)
         goto done;
     sort_edges(corner_count, vertices, true, NULL, by_high, starts);
+    if ((rc = bsq_check(ctx)) < 0)
+        goto done;
     sort_edges(corner_count, vertices, false, by_high, by_both, starts);
+    if ((rc = bsq_check(ctx)) < 0)
+        goto done;
     memset(twins, 0xff, (size_t)corner_count * sizeof(*twins));
     pair_sorted(input, vertices, by_both, twins);
 done:

@@ -9,6 +9,9 @@
 
 #define MIKKT_NONE UINT32_MAX
 
+/* Loops over corners or triangles look for an interruption once in so many. */
+enum { MIKKT_CORNERS_A_CHECK = 1 << 18 };
+
 struct mikkt_input {
     uint32_t corner_count; /* three a triangle */
     const float (*positions)[3];

@@ -120,7 +120,9 @@ static int sort_into_tiles(struct bake_raster *raster)
     if (rc < 0)
         return rc;
     count_triangles(raster, counts);
-    rc = number_tiles(raster, counts);
+    rc = bsq_check(raster->ctx);
+    if (rc == 0)
+        rc = number_tiles(raster, counts);
     if (rc == 0)
         place_triangles(raster, counts);
     bsq_free(raster->ctx, counts);
@@ -196,7 +198,9 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     rc = lay_out_tiles(raster);
     if (rc == 0) {
         inspect(raster, report);
-        rc = sort_into_tiles(raster);
+        rc = bsq_check(ctx);
+        if (rc == 0)
+            rc = sort_into_tiles(raster);
     }
     if (rc < 0) {
         bake_raster_free(raster);
