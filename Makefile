@@ -80,6 +80,8 @@ $(BUILD)/obj/%.cc.o: %.cc
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
 # The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
 $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
+# Chosen at run time where the processor has it.
+$(BUILD)/obj/libvoxel/lane_code_avx2.c.o: CFLAGS += $(if $(filter x86_64,$(shell uname -m)),-mavx2)
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 

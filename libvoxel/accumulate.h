@@ -2,16 +2,28 @@
 #ifndef VOX_ACCUMULATE_H
 #define VOX_ACCUMULATE_H
 
-#include "libvoxel/clip.h"
 #include "libvoxel/shade.h"
 
-/* Adds what the chunk's triangles have inside `window`, a part of `region` (which is the
- * accumulator's 128^3 voxels), in the order of the triangles. *counted: adds the number of
- * triangles that this window is the one to count, so that over all regions each is counted once.
- * Returns 0, VOX_REGION_FULL or a negative status. */
-int vox_accumulate_chunk(const struct vox_shading *shading, const struct vox_lattice *lattice,
-                         const struct vox_chunk *chunk, const struct vox_box *region,
-                         const struct vox_box *window, struct vox_accumulator *accumulator,
-                         uint64_t *counted);
+/* Room for the pieces of triangles on their way to the sums; one a worker. */
+struct vox_block;
+
+uint64_t vox_block_bytes(bool has_color);
+int vox_block_create(struct bsq_ctx *ctx, bool has_color, struct vox_block **out);
+void vox_block_destroy(struct bsq_ctx *ctx, struct vox_block *block); /* NULL is allowed */
+
+/* What is added, and where to. */
+struct vox_accumulation {
+    const struct vox_shading *shading;
+    const struct vox_chunk *chunk;
+    const struct vox_box *region; /* the accumulator's 128^3 voxels */
+    const struct vox_box *window; /* the part of the region to fill */
+    struct vox_accumulator *sums;
+    struct vox_block *block;
+};
+
+/* Adds what the chunk's triangles have inside the window, in the order of the triangles. *counted:
+ * adds the number of triangles that this window is the one to count, so that over all regions each
+ * is counted once. Returns 0, VOX_REGION_FULL or a negative status. */
+int vox_accumulate_chunk(const struct vox_accumulation *what, uint64_t *counted);
 
 #endif

@@ -14,6 +14,8 @@
  * the upper faces that they lie on because of a cut ("open" faces: not part of the voxel), so that
  * a further cut does not count a voxel that is met in such points only.
  *
+ * This takes any triangle. Most are small, and divided by divide_lanes.h at a fraction of the cost.
+ *
  * All is in this header for the sake of one caller, into which it melts: a call per piece costs
  * more than what is done with most pieces. */
 #ifndef VOX_CLIP_H
@@ -357,75 +359,6 @@ static inline bool clip_cut_to_region(struct clip_polygon *p, const struct vox_b
     return true;
 }
 
-/* ---- one cut ---- */
-
-/* The one axis along which the triangle spans two cells, when it spans one along the others; else
- * -1. */
-static inline int clip_single_cut_axis(const struct vox_box *cells)
-{
-    int32_t x = cells->hi[0] - cells->lo[0], y = cells->hi[1] - cells->lo[1];
-    int32_t z = cells->hi[2] - cells->lo[2];
-    if ((x | y | z) != 1 || x + y + z != 1)
-        return -1;
-    return y + 2 * z;
-}
-
-CLIP_INLINE int clip_emit_if_inside(const struct clip_state *c, const struct vox_piece *piece,
-                                    vox_piece_sink *sink)
-{
-    for (int a = 0; a < 3; a++)
-        if (piece->cell[a] < c->window->lo[a] || piece->cell[a] > c->window->hi[a])
-            return 0;
-    return sink(c->arg, piece);
-}
-
-/* Nearly half of the triangles of a scan that is a little finer than the grid are cut once. The
- * corner that is alone on its side makes a triangle, the rest is the difference. Returns false
- * where that would leave too few digits. */
-CLIP_INLINE bool clip_cut_once(const struct clip_state *c, int axis, vox_piece_sink *sink,
-                               int *status)
-{
-    const double *const *corner = c->triangle->corner;
-    int32_t border = c->cells.hi[axis];
-    double plane = border, distance[3];
-    uint32_t mask = 0;
-    for (uint32_t i = 0; i < 3; i++) {
-        distance[i] = corner[i][axis] - plane;
-        mask |= (uint32_t)(distance[i] >= 0.0) << i;
-    }
-    /* By mask: the corner that is alone. 0 and 7 do not occur. */
-    uint32_t lone = 0x00122100u >> (4 * mask) & 3;
-    uint32_t next = lone < 2 ? lone + 1 : 0, last = lone > 0 ? lone - 1 : 2;
-    double s = distance[lone] / (distance[lone] - distance[next]);
-    double t = distance[lone] / (distance[lone] - distance[last]);
-    double fraction = s * t, rest = 1.0 - fraction;
-    if (!(rest > 1e-6))
-        return false;
-
-    /* Weights of the three corners at the small triangle's centroid. */
-    double weight[3];
-    weight[next] = s / 3.0;
-    weight[last] = t / 3.0;
-    weight[lone] = 1.0 - weight[next] - weight[last];
-    double scale = 1.0 / rest;
-    struct vox_piece lower = {0}, upper = {0};
-    struct vox_piece *small = mask >> lone & 1 ? &upper : &lower;
-    struct vox_piece *large = mask >> lone & 1 ? &lower : &upper;
-    small->fraction = fraction;
-    large->fraction = rest;
-    for (int k = 0; k < 2; k++) {
-        small->b[k] = weight[k + 1];
-        large->b[k] = (1.0 / 3.0 - fraction * weight[k + 1]) * scale;
-    }
-    for (int a = 0; a < 3; a++)
-        lower.cell[a] = upper.cell[a] = c->cells.lo[a];
-    upper.cell[axis] = border;
-    *status = clip_emit_if_inside(c, &lower, sink);
-    if (*status == 0)
-        *status = clip_emit_if_inside(c, &upper, sink);
-    return true;
-}
-
 /* ---- the whole ---- */
 
 static inline void clip_first_polygon(const struct vox_clip_triangle *triangle,
@@ -450,16 +383,12 @@ CLIP_INLINE int vox_clip(const struct vox_clip_triangle *triangle, const struct 
     struct clip_state c = {.triangle = triangle, .window = window, .arg = arg};
     struct clip_polygon p;
     bool inside = true;
-    int status, axis;
     for (int a = 0; a < 3; a++) {
         int32_t lo = triangle->cells->lo[a], hi = triangle->cells->hi[a];
         inside = inside && lo >= region->lo[a] && hi <= region->hi[a];
         c.cells.lo[a] = lo > region->lo[a] ? lo : region->lo[a];
         c.cells.hi[a] = hi < region->hi[a] ? hi : region->hi[a];
     }
-    if (inside && !triangle->uv && (axis = clip_single_cut_axis(&c.cells)) >= 0 &&
-        clip_cut_once(&c, axis, sink, &status))
-        return status;
     clip_first_polygon(triangle, &p);
     if (!inside && !clip_cut_to_region(&p, triangle->cells, region))
         return 0;

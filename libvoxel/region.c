@@ -4,7 +4,7 @@
  * from the voxel's record opens a second one. Because a record only takes pieces that do not face
  * away from it, its own sum cannot cancel. */
 #include "libvoxel/region.h"
-#include "base/octahedral.h"
+#include "libvoxel/lane_code.h"
 
 #include <math.h>
 #include <string.h>
@@ -16,7 +16,8 @@ static const double second_share = 0.01;
 
 static uint64_t bytes_per_sum(bool has_color)
 {
-    return sizeof(struct vox_sum) + (has_color ? sizeof(struct vox_color_sum) : 0);
+    return sizeof(struct vox_sum) + sizeof(uint32_t) +
+           (has_color ? sizeof(struct vox_color_sum) : 0);
 }
 
 static uint64_t capacity_bytes(uint64_t bricks, uint64_t sums, bool has_color)
@@ -61,11 +62,14 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
                             &a->bricks)) < 0 ||
         (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->sums,
                             &a->sums)) < 0 ||
+        (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->others,
+                            &a->others)) < 0 ||
         (has_color && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
                                           sizeof *a->colors, &a->colors)) < 0)) {
         vox_accumulator_destroy(a);
         return status;
     }
+    memset(&a->bricks[0], 0, sizeof a->bricks[0]);
     *out = a;
     return 0;
 }
@@ -76,6 +80,7 @@ void vox_accumulator_destroy(struct vox_accumulator *a)
         return;
     bsq_free(a->ctx, a->bricks);
     bsq_free(a->ctx, a->sums);
+    bsq_free(a->ctx, a->others);
     bsq_free(a->ctx, a->colors);
     bsq_free(a->ctx, a);
 }
@@ -96,6 +101,7 @@ uint32_t vox_accumulator_open(struct vox_accumulator *a)
         return 0;
     uint32_t number = ++a->sum_count;
     memset(&a->sums[number], 0, sizeof a->sums[number]);
+    a->others[number] = 0;
     if (a->colors)
         memset(&a->colors[number], 0, sizeof a->colors[number]);
     return number;
@@ -110,21 +116,23 @@ bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
     return true;
 }
 
-/* Cosine of the angle between a unit normal and a record's normal. */
-static double cosine(const double normal[3], const struct vox_sum *sum)
+/* Length of a normal times the cosine of its angle to a record's. */
+static double along(const double normal[3], const struct vox_sum *sum)
 {
     double length = sqrt(vox_dot(sum->normal, sum->normal));
     return length > 0.0 ? vox_dot(normal, sum->normal) / length : 0.0;
 }
 
-uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first, const double normal[3])
+uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
+                                const struct vox_sum *piece)
 {
-    uint32_t second = a->sums[first].other;
+    uint32_t second = a->others[first];
+    const double *normal = piece->normal;
     if (second == 0)
-        return a->sums[first].other = vox_accumulator_open(a);
-    if (!vox_faces_away(normal, &a->sums[second]))
+        return a->others[first] = vox_accumulator_open(a);
+    if (!vox_faces_away(piece, &a->sums[second]))
         return second;
-    return cosine(normal, &a->sums[second]) > cosine(normal, &a->sums[first]) ? second : first;
+    return along(normal, &a->sums[second]) > along(normal, &a->sums[first]) ? second : first;
 }
 
 /* ---- records ---- */
@@ -138,32 +146,6 @@ static uint32_t encode_color(const struct vox_color_sum *color,
     for (int k = 0; k < 3; k++)
         packed |= vox_color_encode(tables, color->rgb[k] / color->area) << (8 * k);
     return packed;
-}
-
-static struct fmt_nvdb_record make_record(const struct vox_sum *sum,
-                                          const struct vox_color_sum *color,
-                                          const struct vox_color_tables *tables)
-{
-    struct fmt_nvdb_record record = {0, 0, 0};
-    double length = sqrt(vox_dot(sum->normal, sum->normal));
-    double n[3] = {0.0, 0.0, 1.0};
-    if (length > 0.0)
-        for (int k = 0; k < 3; k++)
-            n[k] = sum->normal[k] / length;
-    record.normal = bsq_oct_pack(bsq_v3((float)n[0], (float)n[1], (float)n[2]));
-
-    /* No plane that meets the voxel is farther from its centre than half a diagonal. */
-    double d = vox_dot(n, sum->center) / sum->area;
-    d = d < -0.87 ? -0.87 : d > 0.87 ? 0.87 : d;
-    double coverage = length / sum->area;
-    coverage = coverage > 1.0 ? 1.0 : coverage;
-    record.plane =
-        (uint32_t)(uint16_t)(int16_t)lrint(d * 32767.0) | (uint32_t)lrint(coverage * 255.0) << 16;
-    if (sum->shaded)
-        record.plane |= FMT_NVDB_PLANE_SHADED;
-    if (color)
-        record.color = encode_color(color, tables);
-    return record;
 }
 
 static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask[8])
@@ -196,46 +178,68 @@ static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask
     }
 }
 
-/* Writes a voxel's record, and its second one where that is worth keeping. */
-static void finish_voxel(const struct vox_accumulator *a, uint32_t number,
-                         const struct vox_color_tables *tables, struct vox_leaves *leaves)
+/* The records of a brick's voxels: numbers of their sums. */
+struct brick_records {
+    uint32_t first_count, second_count;
+    uint32_t first[VOX_BRICK_VOXELS], second[VOX_BRICK_VOXELS];
+    bool has_second[VOX_BRICK_VOXELS];
+};
+
+/* The larger of a voxel's sums is its record, the other its second one where that is worth keeping.
+ */
+static void choose_records(const struct vox_accumulator *a, uint32_t number,
+                           struct brick_records *chosen)
 {
-    uint32_t other = a->sums[number].other;
+    uint32_t other = a->others[number];
     if (other != 0 && a->sums[other].area > a->sums[number].area) {
         uint32_t smaller = number;
         number = other;
         other = smaller;
     }
-    struct fmt_nvdb_record *record = &leaves->records[leaves->record_count++];
-    *record = make_record(&a->sums[number], a->colors ? &a->colors[number] : NULL, tables);
-    if (other != 0 && a->sums[other].area >= second_share * a->sums[number].area) {
-        record->plane |= FMT_NVDB_PLANE_SECOND;
-        leaves->second[leaves->second_count++] =
-            make_record(&a->sums[other], a->colors ? &a->colors[other] : NULL, tables);
-    }
+    bool keep = other != 0 && a->sums[other].area >= second_share * a->sums[number].area;
+    chosen->has_second[chosen->first_count] = keep;
+    chosen->first[chosen->first_count++] = number;
+    if (keep)
+        chosen->second[chosen->second_count++] = other;
+}
+
+static void make_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
+                         const struct vox_color_tables *tables, struct fmt_nvdb_record *records)
+{
+    vox_lane_code()->make_records(a->sums, numbers, count, records);
+    for (uint32_t i = 0; a->colors && i < count; i++)
+        records[i].color = encode_color(&a->colors[numbers[i]], tables);
 }
 
 static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
                          const struct vox_color_tables *tables, struct vox_leaves *leaves)
 {
     const struct vox_brick *from = &a->bricks[a->brick_of[brick]];
-    uint64_t *mask = leaves->masks[leaves->leaf_count];
-    memset(mask, 0, sizeof leaves->masks[0]);
-    for (uint32_t v = 0; v < VOX_BRICK_VOXELS; v++) {
-        if (from->sum[v] == 0)
-            continue;
-        mask[v >> 6] |= UINT64_C(1) << (v & 63);
-        finish_voxel(a, from->sum[v], tables, leaves);
-    }
+    struct brick_records chosen;
+    chosen.first_count = chosen.second_count = 0;
+    memcpy(leaves->masks[leaves->leaf_count], from->mask, sizeof from->mask);
+    for (uint32_t word = 0; word < 8; word++)
+        for (uint64_t bits = from->mask[word]; bits; bits &= bits - 1)
+            choose_records(a, from->sum[64 * word + (uint32_t)__builtin_ctzll(bits)], &chosen);
+
+    struct fmt_nvdb_record *records = leaves->records + leaves->record_count;
+    make_records(a, chosen.first, chosen.first_count, tables, records);
+    for (uint32_t i = 0; chosen.second_count > 0 && i < chosen.first_count; i++)
+        records[i].plane |= chosen.has_second[i] ? FMT_NVDB_PLANE_SECOND : 0;
+    if (chosen.second_count > 0)
+        make_records(a, chosen.second, chosen.second_count, tables,
+                     leaves->second + leaves->second_count);
+    leaves->record_count += chosen.first_count;
+    leaves->second_count += chosen.second_count;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
-    widen(leaves, brick, mask);
+    widen(leaves, brick, from->mask);
 }
 
 static uint64_t count_seconds(const struct vox_accumulator *a)
 {
     uint64_t count = 0;
     for (uint32_t i = 1; i <= a->sum_count; i++)
-        count += a->sums[i].other != 0;
+        count += a->others[i] != 0;
     return count;
 }
 

@@ -27,21 +27,26 @@ static struct vox_box region_box(const int32_t origin[3])
 
 /* Adds all triangles in the window. Returns 0, VOX_REGION_FULL or a negative status. */
 static int add_chunks(const struct vox_scan *scan, const struct vox_unit *unit,
-                      const struct vox_box *window, struct vox_accumulator *accumulator,
+                      const struct vox_box *window, const struct vox_worker *worker,
                       uint64_t *counted)
 {
     struct vox_box region = region_box(unit->origin);
+    struct vox_accumulation what = {
+        .shading = &scan->shading,
+        .region = &region,
+        .window = window,
+        .sums = worker->sums,
+        .block = worker->block,
+    };
     int status = 0;
     for (uint64_t i = 0; i < unit->chunk_count && status == 0; i++) {
         uint32_t number = unit->chunks[i];
-        const struct vox_chunk *chunk;
         if (!overlap(&scan->boxes[number], window))
             continue;
         if ((status = bsq_check(scan->ctx)) < 0 ||
-            (status = vox_chunks_acquire(scan->chunks, number, &chunk)) < 0)
+            (status = vox_chunks_acquire(scan->chunks, number, &what.chunk)) < 0)
             break;
-        status = vox_accumulate_chunk(&scan->shading, &scan->lattice, chunk, &region, window,
-                                      accumulator, counted);
+        status = vox_accumulate_chunk(&what, counted);
         vox_chunks_release(scan->chunks, number);
     }
     return status;
@@ -77,30 +82,29 @@ static int keep_result(struct vox_scan *scan, struct vox_unit *unit,
 }
 
 static int work_window(struct vox_scan *scan, struct vox_unit *unit, const struct vox_box *window,
-                       struct vox_accumulator *accumulator)
+                       const struct vox_worker *worker)
 {
     uint64_t counted = 0;
     struct vox_box half[2];
-    vox_accumulator_clear(accumulator);
-    int status = add_chunks(scan, unit, window, accumulator, &counted);
+    vox_accumulator_clear(worker->sums);
+    int status = add_chunks(scan, unit, window, worker, &counted);
     if (status == VOX_REGION_FULL) {
         if (!halve(window, half))
             return bsq_fail(scan->ctx, BSQ_EBUG, "one brick does not fit an accumulator");
-        status = work_window(scan, unit, &half[0], accumulator);
-        return status != 0 ? status : work_window(scan, unit, &half[1], accumulator);
+        status = work_window(scan, unit, &half[0], worker);
+        return status != 0 ? status : work_window(scan, unit, &half[1], worker);
     }
     if (status == 0)
-        status = keep_result(scan, unit, accumulator);
+        status = keep_result(scan, unit, worker->sums);
     if (status == 0)
         bsq_progress_add(scan->ctx, counted);
     return status;
 }
 
-int vox_region_work(struct vox_scan *scan, struct vox_unit *unit,
-                    struct vox_accumulator *accumulator)
+int vox_region_work(struct vox_scan *scan, struct vox_unit *unit, const struct vox_worker *worker)
 {
     vox_leaves_clear(&unit->leaves);
-    int status = work_window(scan, unit, &unit->window, accumulator);
+    int status = work_window(scan, unit, &unit->window, worker);
     for (uint64_t i = 0; i < unit->chunk_count; i++)
         vox_chunks_done(scan->chunks, unit->chunks[i]);
     return status < 0 ? vox_gate_fail(&scan->gate, status) : status;

@@ -27,8 +27,13 @@ struct vox_unit {
     uint64_t sequence;
 };
 
-/* Fills in unit->leaves. `accumulator` is the worker's own. */
-int vox_region_work(struct vox_scan *scan, struct vox_unit *unit,
-                    struct vox_accumulator *accumulator);
+/* What each worker has for itself. */
+struct vox_worker {
+    struct vox_accumulator *sums;
+    struct vox_block *block;
+};
+
+/* Fills in unit->leaves. */
+int vox_region_work(struct vox_scan *scan, struct vox_unit *unit, const struct vox_worker *worker);
 
 #endif

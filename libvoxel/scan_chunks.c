@@ -12,11 +12,15 @@
 
 enum { NO_SLOT = -1 };
 
+/* What a slot holds is made in two steps, as the normals of one chunk need others as they are in the
+ * file. Whoever finds a step to do does it, and others wait. */
+enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
+
 struct slot {
     uint32_t chunk; /* UINT32_MAX: empty */
     uint32_t users;
-    bool ready;
-    int status; /* of loading */
+    enum stage stage;
+    int status; /* of the steps */
     uint8_t *memory;
     struct vox_chunk content;
 };
@@ -37,7 +41,7 @@ struct vox_chunks {
     uint32_t slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
-    uint64_t points_at, normals_at, groups_at, slot_bytes;
+    uint64_t points_at, cells_at, normals_at, groups_at, slot_bytes;
 };
 
 /* ---- layout of a slot ---- */
@@ -59,8 +63,11 @@ static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool
     uint64_t groups = (triangles + VOX_GROUP_TRIANGLES - 1) / VOX_GROUP_TRIANGLES;
     bool normals = smooth || (header->attributes & FMT_TRIS_NORMALS);
     c->points_at = align64(fmt_tris_load_size_max(file));
-    c->normals_at = c->points_at + align64(vertices * sizeof(double[3]));
-    c->groups_at = c->normals_at + (normals ? align64(vertices * sizeof(float[3])) : 0);
+    /* Vectors of three are loaded as four numbers. */
+    c->cells_at = c->points_at + align64(vertices * sizeof(double[3]) + sizeof(double));
+    c->normals_at = c->cells_at + align64(vertices * sizeof(int32_t[4]));
+    c->groups_at =
+        c->normals_at + (normals ? align64(vertices * sizeof(float[3]) + sizeof(float)) : 0);
     c->slot_bytes = c->groups_at + align64(groups * sizeof(struct vox_box));
 }
 
@@ -73,12 +80,21 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- loading ---- */
 
+/* Points are not below the lattice, but what lies on its upper bounds has its cell just above and is
+ * counted to the last. */
 static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
-                       double (*points)[3])
+                       double (*points)[3], int32_t (*cells)[4])
 {
-    for (uint32_t v = 0; v < source->vertex_count; v++)
-        for (int a = 0; a < 3; a++)
-            points[v][a] = vox_lattice_coordinate(lattice, source->positions[v][a], a);
+    for (uint32_t v = 0; v < source->vertex_count; v++) {
+        for (int a = 0; a < 3; a++) {
+            double p = vox_lattice_coordinate(lattice, source->positions[v][a], a);
+            int32_t cell = (int32_t)floor(p), last = lattice->voxels.hi[a];
+            points[v][a] = p;
+            cells[v][a] = cell < last ? cell : last;
+        }
+        cells[v][3] = 0;
+    }
+    points[source->vertex_count][0] = 0.0;
 }
 
 static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[3])
@@ -106,24 +122,6 @@ static bool is_coarse(const struct fmt_tris_chunk *source, const double (*points
     return sum > COARSE_EDGE_SQUARE * (double)source->triangle_count;
 }
 
-/* Fills in the chunk's normals where it is to have any. */
-static int make_normals(const struct vox_chunks *c, uint32_t chunk, struct slot *slot)
-{
-    struct vox_chunk *content = &slot->content;
-    float(*normals)[3] = (float(*)[3])(void *)(slot->memory + c->normals_at);
-    int status = 0;
-    content->normals = NULL;
-    content->coarse = is_coarse(&content->source, content->points);
-    if (content->source.normals)
-        unpack_normals(&content->source, normals);
-    else if (c->smooth && content->coarse)
-        status = vox_smooth_normals(c->smooth, chunk, &content->source, normals);
-    else
-        return 0;
-    content->normals = (const float(*)[3])normals;
-    return status;
-}
-
 static struct vox_box group_box(const struct vox_lattice *lattice,
                                 const struct fmt_tris_chunk *source, uint32_t begin, uint32_t end)
 {
@@ -139,23 +137,11 @@ static struct vox_box group_box(const struct vox_lattice *lattice,
     return vox_lattice_box(lattice, min, max);
 }
 
-static int load(const struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+static void make_groups(const struct vox_chunks *c, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
-    int status = 0;
-    if (!slot->memory)
-        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
-    if (status == 0)
-        status = fmt_tris_load(c->file, chunk, slot->memory, &content->source);
-    if (status < 0)
-        return status;
     const struct fmt_tris_chunk *source = &content->source;
-    double(*points)[3] = (double(*)[3])(void *)(slot->memory + c->points_at);
     struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + c->groups_at);
-    map_points(c->lattice, source, points);
-    content->points = (const double(*)[3])points;
-    if ((status = make_normals(c, chunk, slot)) < 0)
-        return status;
     content->groups = groups;
     content->group_count = 0;
     for (uint32_t begin = 0; begin < source->triangle_count; begin += VOX_GROUP_TRIANGLES) {
@@ -163,7 +149,50 @@ static int load(const struct vox_chunks *c, uint32_t chunk, struct slot *slot)
         uint32_t end = begin + (left < VOX_GROUP_TRIANGLES ? left : VOX_GROUP_TRIANGLES);
         groups[content->group_count++] = group_box(c->lattice, source, begin, end);
     }
-    return 0;
+}
+
+/* The first step: the chunk as it is in the file. */
+static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+{
+    int status = 0;
+    if (!slot->memory)
+        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
+    if (status == 0)
+        status = fmt_tris_load(c->file, chunk, slot->memory, &slot->content.source);
+    return status;
+}
+
+static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out);
+
+static void take_back(void *arg, uint32_t chunk)
+{
+    vox_chunks_release(arg, chunk);
+}
+
+/* The second step: what voxelizing needs beside. */
+static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    const struct fmt_tris_chunk *source = &content->source;
+    double(*points)[3] = (double(*)[3])(void *)(slot->memory + c->points_at);
+    int32_t(*cells)[4] = (int32_t(*)[4])(void *)(slot->memory + c->cells_at);
+    float(*normals)[3] = (float(*)[3])(void *)(slot->memory + c->normals_at);
+    int status = 0;
+    map_points(c->lattice, source, points, cells);
+    content->points = (const double(*)[3])points;
+    content->cells = (const int32_t(*)[4])cells;
+    content->coarse = is_coarse(source, content->points);
+    make_groups(c, slot);
+    content->normals = (const float(*)[3])normals;
+    if (source->normals) {
+        unpack_normals(source, normals);
+    } else if (c->smooth && content->coarse) {
+        const struct vox_smooth_lender lender = {c, lend, take_back};
+        status = vox_smooth_normals(c->smooth, &lender, chunk, source, normals);
+    } else {
+        content->normals = NULL;
+    }
+    return status;
 }
 
 /* ---- the cache ---- */
@@ -227,13 +256,13 @@ void vox_chunks_done(struct vox_chunks *c, uint32_t chunk)
     pthread_mutex_unlock(&c->lock);
 }
 
-/* Whether the chunk in slot a can be spared rather than the one in slot b. */
-static bool spare_rather(const struct vox_chunks *c, const struct slot *a, const struct slot *b)
+/* Whether chunk a is needed before chunk b. */
+static bool needed_before(const struct vox_chunks *c, uint32_t a, uint32_t b)
 {
-    const struct use *ua = &c->uses[a->chunk], *ub = &c->uses[b->chunk];
+    const struct use *ua = &c->uses[a], *ub = &c->uses[b];
     if ((ua->expected == 0) != (ub->expected == 0))
-        return ua->expected == 0;
-    return vox_region_before(ub->next, ua->next);
+        return ua->expected != 0;
+    return vox_region_before(ua->next, ub->next);
 }
 
 static bool is_finished(const struct use *use)
@@ -252,7 +281,7 @@ static struct slot *find_slot(struct vox_chunks *c)
             continue;
         if (slot->chunk == UINT32_MAX || is_finished(&c->uses[slot->chunk]))
             return slot;
-        if (!best || spare_rather(c, slot, best))
+        if (!best || needed_before(c, best->chunk, slot->chunk))
             best = slot;
     }
     if (c->slots_used < c->slot_count) {
@@ -262,35 +291,22 @@ static struct slot *find_slot(struct vox_chunks *c)
     return best;
 }
 
-/* Gives the chunk a slot, if need be by waiting for one; *fresh where it has to be loaded. */
-static struct slot *take_slot(struct vox_chunks *c, uint32_t chunk, bool *fresh)
+/* Makes the slot the chunk's, with the first step to do. */
+static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
 {
-    struct use *use = &c->uses[chunk];
-    struct slot *slot;
-    *fresh = false;
-    while (use->slot == NO_SLOT) {
-        if ((slot = find_slot(c)) != NULL) {
-            if (slot->chunk != UINT32_MAX)
-                c->uses[slot->chunk].slot = NO_SLOT;
-            slot->chunk = chunk;
-            slot->ready = false;
-            slot->status = 0;
-            use->slot = (int32_t)(slot - c->slots);
-            *fresh = true;
-        } else {
-            pthread_cond_wait(&c->changed, &c->lock);
-        }
-    }
-    slot = &c->slots[use->slot];
-    slot->users++;
-    return slot;
+    if (slot->chunk != UINT32_MAX)
+        c->uses[slot->chunk].slot = NO_SLOT;
+    slot->chunk = chunk;
+    slot->stage = STAGE_READING;
+    slot->status = 0;
+    c->uses[chunk].slot = (int32_t)(slot - c->slots);
 }
 
-/* Called with the lock held. */
+/* Called with the lock held, as all below but for the public ones. */
 static void leave_slot(struct vox_chunks *c, struct slot *slot)
 {
     if (--slot->users == 0) {
-        if (!slot->ready) {
+        if (slot->status < 0) {
             c->uses[slot->chunk].slot = NO_SLOT;
             slot->chunk = UINT32_MAX;
         }
@@ -298,28 +314,80 @@ static void leave_slot(struct vox_chunks *c, struct slot *slot)
     }
 }
 
-int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+/* Brings a slot that is in use to a stage, by doing a step or by waiting until it is done. */
+static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
+                    int (*step)(struct vox_chunks *, uint32_t, struct slot *))
 {
-    bool fresh;
-    int status = 0;
-    pthread_mutex_lock(&c->lock);
-    struct slot *slot = take_slot(c, chunk, &fresh);
-    if (fresh) {
+    if (mine) {
         pthread_mutex_unlock(&c->lock);
-        status = load(c, chunk, slot);
+        int status = step(c, slot->chunk, slot);
         pthread_mutex_lock(&c->lock);
-        slot->ready = status == 0;
+        slot->stage = stage;
         slot->status = status;
         pthread_cond_broadcast(&c->changed);
-    } else {
-        while (!slot->ready && slot->status == 0)
+    }
+    while (slot->stage < stage && slot->status == 0)
+        pthread_cond_wait(&c->changed, &c->lock);
+    return slot->status;
+}
+
+/* Lends a chunk as it is in the file, unless it has no slot and its turn comes after that of all
+ * who have one. */
+static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out)
+{
+    struct vox_chunks *c = arg;
+    const struct use *use = &c->uses[chunk];
+    int status = 0;
+    *out = NULL;
+    pthread_mutex_lock(&c->lock);
+    bool fresh = use->slot == NO_SLOT;
+    if (fresh) {
+        struct slot *slot = find_slot(c);
+        if (slot && (slot->chunk == UINT32_MAX || !needed_before(c, slot->chunk, chunk)))
+            give_slot(c, slot, chunk);
+    }
+    if (use->slot != NO_SLOT) {
+        struct slot *slot = &c->slots[use->slot];
+        slot->users++;
+        status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+        if (status < 0)
+            leave_slot(c, slot);
+        else
+            *out = &slot->content.source;
+    }
+    pthread_mutex_unlock(&c->lock);
+    return status;
+}
+
+int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+{
+    const struct use *use = &c->uses[chunk];
+    struct slot *slot;
+    bool fresh = false;
+    *out = NULL;
+    pthread_mutex_lock(&c->lock);
+    while (use->slot == NO_SLOT) {
+        if ((slot = find_slot(c)) != NULL) {
+            give_slot(c, slot, chunk);
+            fresh = true;
+        } else {
             pthread_cond_wait(&c->changed, &c->lock);
-        status = slot->status;
+        }
+    }
+    slot = &c->slots[use->slot];
+    slot->users++;
+    int status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+    if (status == 0) {
+        bool finish = slot->stage == STAGE_READ;
+        if (finish)
+            slot->stage = STAGE_FINISHING;
+        status = run_step(c, slot, finish, STAGE_READY, finish_chunk);
     }
     if (status < 0)
         leave_slot(c, slot);
+    else
+        *out = &slot->content;
     pthread_mutex_unlock(&c->lock);
-    *out = status < 0 ? NULL : &slot->content;
     return status;
 }
 

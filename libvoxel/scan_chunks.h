@@ -13,8 +13,9 @@ enum { VOX_GROUP_TRIANGLES = 64 };
 
 struct vox_chunk {
     struct fmt_tris_chunk source;
-    const double (*points)[3];    /* positions in lattice coordinates */
-    const float (*normals)[3];    /* unit, or zero; NULL: those of the triangles */
+    const double (*points)[3];    /* positions in lattice coordinates; one more number is readable */
+    const int32_t (*cells)[4];    /* cells of the points, 0 */
+    const float (*normals)[3];    /* unit, or zero; NULL: those of the triangles; as points */
     bool coarse; /* triangles are large enough for their facets to show in the grid */
     const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
     uint32_t group_count;

@@ -1,5 +1,6 @@
-/* shade.c - interpolates what is linear over a triangle at the centroid of a piece, which gives the
- * piece's mean exactly; a texture is averaged over the piece's extent instead. */
+/* shade.c - where the colour of a triangle comes from. What is linear over a triangle is interpolated
+ * at the centroid of a piece, which gives the piece's mean exactly (shade_lanes.h); a texture is
+ * averaged over the piece's extent instead. */
 #include "libvoxel/shade.h"
 #include "base/srgb.h"
 
@@ -71,104 +72,53 @@ void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
     shading->diffuse = NULL;
 }
 
-/* ---- corners ---- */
+/* ---- triangles ---- */
 
-static void texture_corners(const struct vox_chunk *chunk, const uint32_t v[3], uint32_t material,
-                            struct vox_corners *out)
+static uint32_t material_of(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                            uint32_t triangle)
 {
-    out->color_source = VOX_COLOR_TEXTURE;
-    out->image = material;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 2; k++)
-            out->uv[i][k] = (double)chunk->source.texcoords[v[i]][k];
+    bool known = chunk->source.materials && shading->diffuse;
+    return known ? chunk->source.materials[triangle] : UINT32_MAX;
 }
 
-static void vertex_colors(const struct vox_shading *shading, const struct vox_chunk *chunk,
-                          const uint32_t v[3], struct vox_corners *out)
+uint32_t vox_shade_image(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                         uint32_t triangle)
 {
-    out->color_source = VOX_COLOR_VERTEX;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++)
-            out->rgb[i][k] =
-                shading->tables.to_linear[chunk->source.colors[v[i]] >> (8 * k) & 0xff];
+    uint32_t material = shading->textures ? material_of(shading, chunk, triangle) : UINT32_MAX;
+    if (material == UINT32_MAX || !shading->header->materials[material].texture_path)
+        return UINT32_MAX;
+    return material;
 }
 
-void vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk *chunk,
-                       uint32_t triangle, struct vox_corners *out)
+bool vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                       uint32_t triangle, double rgb[3][3])
 {
     const uint32_t *v = chunk->source.triangles[triangle];
-    out->has_normals = chunk->normals != NULL;
-    out->curved = out->has_normals && chunk->coarse;
-    if (out->has_normals)
-        for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 3; k++)
-                out->normal[i][k] = (double)chunk->normals[v[i]][k];
-
-    uint32_t material = chunk->source.materials && shading->diffuse
-                            ? chunk->source.materials[triangle]
-                            : UINT32_MAX;
-    if (material != UINT32_MAX && shading->textures &&
-        shading->header->materials[material].texture_path) {
-        texture_corners(chunk, v, material, out);
-    } else if (chunk->source.colors) {
-        vertex_colors(shading, chunk, v, out);
-    } else if (material != UINT32_MAX) {
-        out->color_source = VOX_COLOR_DIFFUSE;
-        memcpy(out->rgb[0], shading->diffuse[material], sizeof out->rgb[0]);
-    } else {
-        out->color_source = VOX_COLOR_NONE;
+    uint32_t material = material_of(shading, chunk, triangle);
+    if (!chunk->source.colors && material == UINT32_MAX) {
+        memset(rgb, 0, sizeof(double[3][3]));
+        return false;
     }
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            rgb[i][k] =
+                chunk->source.colors
+                    ? shading->tables.to_linear[chunk->source.colors[v[i]] >> (8 * k) & 0xff]
+                    : shading->diffuse[material][k];
+    return true;
 }
 
 /* ---- pieces ---- */
 
-static inline double blend(double first, double second, double third, const double b[2])
+int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
+                      const double b[2], const double uv_extent[2], double rgb[3])
 {
-    return first + b[0] * (second - first) + b[1] * (third - first);
-}
-
-void vox_shade_normal(const struct vox_corners *c, const double b[2], double normal[3])
-{
-    double n[3], square = 0.0;
-    for (int k = 0; k < 3; k++) {
-        n[k] = blend(c->normal[0][k], c->normal[1][k], c->normal[2][k], b);
-        square += n[k] * n[k];
-    }
-    /* Normals that cancel say less than the triangle itself. */
-    if (!(square > 1e-12)) {
-        memcpy(normal, c->flat, sizeof c->flat);
-        return;
-    }
-    double scale = 1.0 / sqrt(square);
-    for (int k = 0; k < 3; k++)
-        normal[k] = n[k] * scale;
-}
-
-static int shade_texture(const struct vox_shading *shading, const struct vox_corners *c,
-                         const double b[2], const double uv_extent[2], double rgb[3])
-{
-    float color[3];
-    double u = blend(c->uv[0][0], c->uv[1][0], c->uv[2][0], b);
-    double v = blend(c->uv[0][1], c->uv[1][1], c->uv[2][1], b);
-    int status = fmt_texture_sample(shading->textures, c->image, (float)u, (float)v,
-                                    (float)uv_extent[0], (float)uv_extent[1], color);
+    float color[3], at[2];
+    for (int k = 0; k < 2; k++)
+        at[k] = (float)(uv[0][k] + b[0] * (uv[1][k] - uv[0][k]) + b[1] * (uv[2][k] - uv[0][k]));
+    int status = fmt_texture_sample(shading->textures, image, at[0], at[1], (float)uv_extent[0],
+                                    (float)uv_extent[1], color);
     for (int k = 0; k < 3 && status == 0; k++)
         rgb[k] = (double)color[k];
     return status;
-}
-
-int vox_shade_color(const struct vox_shading *shading, const struct vox_corners *c,
-                    const double b[2], const double uv_extent[2], double rgb[3])
-{
-    switch (c->color_source) {
-    case VOX_COLOR_TEXTURE:
-        return shade_texture(shading, c, b, uv_extent, rgb);
-    case VOX_COLOR_VERTEX:
-        for (int k = 0; k < 3; k++)
-            rgb[k] = blend(c->rgb[0][k], c->rgb[1][k], c->rgb[2][k], b);
-        return 0;
-    default:
-        memcpy(rgb, c->rgb[0], sizeof c->rgb[0]);
-        return 0;
-    }
 }

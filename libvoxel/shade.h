@@ -1,4 +1,4 @@
-/* shade.h - what a scan says of the points of a triangle: normal and colour. */
+/* shade.h - what a scan says of the colour of a triangle. */
 #ifndef VOX_SHADE_H
 #define VOX_SHADE_H
 
@@ -24,36 +24,19 @@ void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading);
 bool vox_shading_has_color(const struct fmt_tris_header *header);
 bool vox_shading_needs_textures(const struct fmt_tris_header *header);
 
-enum vox_color_source {
-    VOX_COLOR_NONE,
-    VOX_COLOR_DIFFUSE, /* corner 0 holds it */
-    VOX_COLOR_VERTEX,
-    VOX_COLOR_TEXTURE
-};
+/* Image that colours a triangle of the chunk, UINT32_MAX where it has no texture. */
+uint32_t vox_shade_image(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                         uint32_t triangle);
 
-/* A triangle's attributes at its corners. */
-struct vox_corners {
-    double flat[3]; /* unit normal of its plane, zero where it has no area */
-    bool has_normals;
-    bool curved; /* the triangle is so large that its plane differs from the surface they describe */
-    double normal[3][3]; /* unit, or zero */
-    enum vox_color_source color_source;
-    double rgb[3][3]; /* linear light */
-    double uv[3][2];
-    uint32_t image;
-};
+/* Colours in linear light at the corners of a triangle without a texture; false where it has none.
+ */
+bool vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                       uint32_t triangle, double rgb[3][3]);
 
-/* Looks up the attributes of a triangle of the chunk, except for `flat`. */
-void vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk *chunk,
-                       uint32_t triangle, struct vox_corners *out);
-
-/* Interpolated normal of a triangle that has normals, at the weights b of struct vox_piece. */
-void vox_shade_normal(const struct vox_corners *corners, const double b[2], double normal[3]);
-
-/* Colour in linear light of a piece of a triangle that has a colour source; its centroid is at the
- * weights b. uv_extent: widths of the piece in texture space. Errors: those of
- * fmt_texture_sample(). */
-int vox_shade_color(const struct vox_shading *shading, const struct vox_corners *corners,
-                    const double b[2], const double uv_extent[2], double rgb[3]);
+/* Colour in linear light of a piece of a triangle with a texture. Its centroid is at the weights b
+ * of struct vox_piece. uv: texture coordinates of the corners; uv_extent: widths of the piece in
+ * texture space. Errors: those of fmt_texture_sample(). */
+int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
+                      const double b[2], const double uv_extent[2], double rgb[3]);
 
 #endif

@@ -2,23 +2,31 @@
  *
  * A chunk's border vertices also belong to its neighbours. Storing their normals would cost room in
  * every chunk file, though only scans that are coarse for the grid need them; so the neighbours,
- * found by their bounds, are read again, one at a time into one scratch, and matched by position.
- */
+ * found by their bounds, are looked at again, and matched by position. */
 #include "libvoxel/smooth_normals.h"
 
 #include <math.h>
 #include <pthread.h>
 #include <string.h>
 
+/* Room for one call. */
+struct desk {
+    bool busy;
+    uint32_t *table;  /* positions, open addressing: vertex number + 1, 0 is free */
+    uint32_t *twins;  /* of each vertex of the chunk: the first vertex at its position */
+    uint32_t *mates;  /* of each vertex of a neighbour: the chunk's vertex at its position + 1, or 0 */
+    double (*sums)[4]; /* of area vectors and their lengths, of each vertex that is its own twin */
+    void *scratch;    /* a neighbour that nobody lends */
+};
+
 struct vox_smooth {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
-    pthread_mutex_t lock;
     uint32_t slot_mask; /* table size - 1 */
-    uint32_t *table;    /* positions, open addressing: vertex number + 1, 0 is free */
-    uint32_t *twins;    /* of each vertex of the chunk: the first vertex at its position */
-    double (*sums)[4];  /* of area vectors and their lengths, of each vertex that is its own twin */
-    void *scratch;      /* one decoded neighbour */
+    pthread_mutex_t lock;
+    pthread_cond_t left; /* a desk became free */
+    unsigned desk_count;
+    struct desk *desks;
 };
 
 static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
@@ -40,49 +48,89 @@ static uint64_t table_size(uint64_t vertices)
     return size;
 }
 
-uint64_t vox_smooth_bytes(const struct fmt_tris_file *file)
+static uint64_t desk_bytes(const struct fmt_tris_file *file)
 {
     uint64_t vertices = largest_vertex_count(file);
-    return sizeof(struct vox_smooth) + table_size(vertices) * sizeof(uint32_t) +
-           vertices * (sizeof(uint32_t) + sizeof(double[4])) + fmt_tris_load_size_max(file);
+    return sizeof(struct desk) + table_size(vertices) * sizeof(uint32_t) +
+           vertices * (2 * sizeof(uint32_t) + sizeof(double[4])) + fmt_tris_load_size_max(file);
 }
 
-int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      struct vox_smooth **out)
+static int make_desk(struct vox_smooth *s, struct desk *d)
+{
+    uint64_t vertices = largest_vertex_count(s->file), size = (uint64_t)s->slot_mask + 1;
+    int status;
+    if ((status = bsq_alloc(s->ctx, "smooth normals", size, sizeof *d->table, &d->table)) < 0 ||
+        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->twins, &d->twins)) < 0 ||
+        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->mates, &d->mates)) < 0 ||
+        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->sums, &d->sums)) < 0)
+        return status;
+    return bsq_alloc(s->ctx, "smooth normals", fmt_tris_load_size_max(s->file), 1, &d->scratch);
+}
+
+int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, unsigned calls,
+                      uint64_t bytes, struct vox_smooth **out)
 {
     struct vox_smooth *s;
-    uint32_t vertices = largest_vertex_count(file);
-    uint64_t size = table_size(vertices);
+    uint64_t most = bytes / desk_bytes(file);
     *out = NULL;
     int status = bsq_calloc(ctx, "smooth normals", 1, sizeof *s, &s);
     if (status < 0)
         return status;
     s->ctx = ctx;
     s->file = file;
-    s->slot_mask = (uint32_t)(size - 1);
+    s->slot_mask = (uint32_t)(table_size(largest_vertex_count(file)) - 1);
+    s->desk_count = most < 1 ? 1 : most < calls ? (unsigned)most : calls;
     pthread_mutex_init(&s->lock, NULL);
-    if ((status = bsq_alloc(ctx, "smooth normals", size, sizeof *s->table, &s->table)) < 0 ||
-        (status = bsq_alloc(ctx, "smooth normals", vertices, sizeof *s->twins, &s->twins)) < 0 ||
-        (status = bsq_alloc(ctx, "smooth normals", vertices, sizeof *s->sums, &s->sums)) < 0 ||
-        (status = bsq_alloc(ctx, "smooth normals", fmt_tris_load_size_max(file), 1, &s->scratch)) <
-            0) {
+    pthread_cond_init(&s->left, NULL);
+    status = bsq_calloc(ctx, "smooth normals", s->desk_count, sizeof *s->desks, &s->desks);
+    for (unsigned i = 0; i < s->desk_count && status == 0; i++)
+        status = make_desk(s, &s->desks[i]);
+    if (status < 0)
         vox_smooth_destroy(s);
-        return status;
-    }
-    *out = s;
-    return 0;
+    else
+        *out = s;
+    return status;
 }
 
 void vox_smooth_destroy(struct vox_smooth *s)
 {
     if (!s)
         return;
-    bsq_free(s->ctx, s->table);
-    bsq_free(s->ctx, s->twins);
-    bsq_free(s->ctx, s->sums);
-    bsq_free(s->ctx, s->scratch);
+    for (unsigned i = 0; s->desks && i < s->desk_count; i++) {
+        struct desk *d = &s->desks[i];
+        bsq_free(s->ctx, d->table);
+        bsq_free(s->ctx, d->twins);
+        bsq_free(s->ctx, d->mates);
+        bsq_free(s->ctx, d->sums);
+        bsq_free(s->ctx, d->scratch);
+    }
+    bsq_free(s->ctx, s->desks);
+    pthread_cond_destroy(&s->left);
     pthread_mutex_destroy(&s->lock);
     bsq_free(s->ctx, s);
+}
+
+static struct desk *sit_down(struct vox_smooth *s)
+{
+    struct desk *free_desk = NULL;
+    pthread_mutex_lock(&s->lock);
+    while (!free_desk) {
+        for (unsigned i = 0; i < s->desk_count && !free_desk; i++)
+            free_desk = s->desks[i].busy ? NULL : &s->desks[i];
+        if (!free_desk)
+            pthread_cond_wait(&s->left, &s->lock);
+    }
+    free_desk->busy = true;
+    pthread_mutex_unlock(&s->lock);
+    return free_desk;
+}
+
+static void stand_up(struct vox_smooth *s, struct desk *desk)
+{
+    pthread_mutex_lock(&s->lock);
+    desk->busy = false;
+    pthread_cond_signal(&s->left);
+    pthread_mutex_unlock(&s->lock);
 }
 
 /* ---- positions ---- */
@@ -107,25 +155,44 @@ static bool same_position(const float a[3], const float b[3])
 }
 
 /* Table slot of a position: holds the first vertex there, or is free. */
-static uint32_t find_slot(const struct vox_smooth *s, const struct fmt_tris_chunk *chunk,
-                          const float p[3])
+static uint32_t find_slot(const struct desk *d, uint32_t slot_mask,
+                          const struct fmt_tris_chunk *chunk, const float p[3])
 {
-    uint32_t slot = (uint32_t)hash_position(p) & s->slot_mask;
-    while (s->table[slot] && !same_position(chunk->positions[s->table[slot] - 1], p))
-        slot = (slot + 1) & s->slot_mask;
+    uint32_t slot = (uint32_t)hash_position(p) & slot_mask;
+    while (d->table[slot] && !same_position(chunk->positions[d->table[slot] - 1], p))
+        slot = (slot + 1) & slot_mask;
     return slot;
 }
 
-static void enter_vertices(struct vox_smooth *s, const struct fmt_tris_chunk *chunk)
+static void enter_vertices(const struct desk *d, uint32_t slot_mask,
+                           const struct fmt_tris_chunk *chunk)
 {
-    memset(s->table, 0, ((uint64_t)s->slot_mask + 1) * sizeof *s->table);
-    memset(s->sums, 0, (uint64_t)chunk->vertex_count * sizeof *s->sums);
+    memset(d->table, 0, ((uint64_t)slot_mask + 1) * sizeof *d->table);
+    memset(d->sums, 0, (uint64_t)chunk->vertex_count * sizeof *d->sums);
     for (uint32_t v = 0; v < chunk->vertex_count; v++) {
-        uint32_t slot = find_slot(s, chunk, chunk->positions[v]);
-        if (!s->table[slot])
-            s->table[slot] = v + 1;
-        s->twins[v] = s->table[slot] - 1;
+        uint32_t slot = find_slot(d, slot_mask, chunk, chunk->positions[v]);
+        if (!d->table[slot])
+            d->table[slot] = v + 1;
+        d->twins[v] = d->table[slot] - 1;
     }
+}
+
+/* Fills in the mates of the neighbour's vertices; false where there are none. */
+static bool match_vertices(const struct desk *d, uint32_t slot_mask,
+                           const struct fmt_tris_chunk *chunk,
+                           const struct fmt_tris_chunk_info *info,
+                           const struct fmt_tris_chunk *other)
+{
+    uint32_t any = 0;
+    for (uint32_t v = 0; v < other->vertex_count; v++) {
+        const float *p = other->positions[v];
+        bool inside = true;
+        for (int a = 0; a < 3; a++)
+            inside &= (p[a] >= info->bounds_min[a]) & (p[a] <= info->bounds_max[a]);
+        d->mates[v] = inside ? d->table[find_slot(d, slot_mask, chunk, p)] : 0;
+        any |= d->mates[v];
+    }
+    return any != 0;
 }
 
 /* ---- sums ---- */
@@ -150,40 +217,28 @@ static void add(double sum[4], const double n[4])
         sum[k] += n[k];
 }
 
-static void add_own(struct vox_smooth *s, const struct fmt_tris_chunk *chunk)
+static void add_own(const struct desk *d, const struct fmt_tris_chunk *chunk)
 {
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         const uint32_t *v = chunk->triangles[t];
         double n[4];
         area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
         for (int i = 0; i < 3; i++)
-            add(s->sums[s->twins[v[i]]], n);
+            add(d->sums[d->twins[v[i]]], n);
     }
 }
 
-static bool inside(const struct fmt_tris_chunk_info *info, const float p[3])
-{
-    bool in = true;
-    for (int a = 0; a < 3; a++)
-        in = in && p[a] >= info->bounds_min[a] && p[a] <= info->bounds_max[a];
-    return in;
-}
-
-static void add_neighbour(struct vox_smooth *s, const struct fmt_tris_chunk *chunk,
-                          const struct fmt_tris_chunk_info *info,
-                          const struct fmt_tris_chunk *other)
+static void add_neighbour(const struct desk *d, const struct fmt_tris_chunk *other)
 {
     for (uint32_t t = 0; t < other->triangle_count; t++) {
         const uint32_t *v = other->triangles[t];
-        for (int i = 0; i < 3; i++) {
-            const float *p = other->positions[v[i]];
-            uint32_t slot;
-            double n[4];
-            if (!inside(info, p) || !s->table[slot = find_slot(s, chunk, p)])
-                continue;
-            area_vector(other->positions[v[0]], other->positions[v[1]], other->positions[v[2]], n);
-            add(s->sums[s->table[slot] - 1], n);
-        }
+        if (!(d->mates[v[0]] | d->mates[v[1]] | d->mates[v[2]]))
+            continue;
+        double n[4];
+        area_vector(other->positions[v[0]], other->positions[v[1]], other->positions[v[2]], n);
+        for (int i = 0; i < 3; i++)
+            if (d->mates[v[i]])
+                add(d->sums[d->mates[v[i]] - 1], n);
     }
 }
 
@@ -195,37 +250,53 @@ static bool touch(const struct fmt_tris_chunk_info *a, const struct fmt_tris_chu
     return yes;
 }
 
-static int sum_normals(struct vox_smooth *s, uint64_t index, const struct fmt_tris_chunk *chunk)
+static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
+                     const struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk,
+                     uint32_t other)
 {
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
-    uint64_t count = fmt_tris_get_header(s->file)->chunk_count;
-    enter_vertices(s, chunk);
-    for (uint64_t i = 0; i < count; i++) {
-        struct fmt_tris_chunk other;
-        if (i == index) {
-            add_own(s, chunk);
-        } else if (touch(&infos[i], &infos[index])) {
-            int status = fmt_tris_load(s->file, i, s->scratch, &other);
-            if (status < 0)
-                return status;
-            add_neighbour(s, chunk, &infos[index], &other);
-        }
-    }
+    const struct fmt_tris_chunk *lent;
+    struct fmt_tris_chunk own;
+    int status = lender->lend(lender->arg, other, &lent);
+    if (status == 0 && !lent)
+        status = fmt_tris_load(s->file, other, d->scratch, &own);
+    if (status < 0)
+        return status;
+    const struct fmt_tris_chunk *neighbour = lent ? lent : &own;
+    if (match_vertices(d, s->slot_mask, chunk, &fmt_tris_chunks(s->file)[index], neighbour))
+        add_neighbour(d, neighbour);
+    if (lent)
+        lender->take_back(lender->arg, other);
     return 0;
 }
 
-int vox_smooth_normals(struct vox_smooth *s, uint64_t index, const struct fmt_tris_chunk *chunk,
-                       float (*normals)[3])
+static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
+                       const struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk)
 {
-    pthread_mutex_lock(&s->lock);
-    int status = sum_normals(s, index, chunk);
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
+    uint32_t count = (uint32_t)fmt_tris_get_header(s->file)->chunk_count;
+    int status = 0;
+    enter_vertices(d, s->slot_mask, chunk);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        if (i == index)
+            add_own(d, chunk);
+        else if (touch(&infos[i], &infos[index]))
+            status = add_chunk(s, lender, d, index, chunk, i);
+    }
+    return status;
+}
+
+int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender, uint32_t index,
+                       const struct fmt_tris_chunk *chunk, float (*normals)[3])
+{
+    struct desk *desk = sit_down(s);
+    int status = sum_normals(s, lender, desk, index, chunk);
     for (uint32_t v = 0; status == 0 && v < chunk->vertex_count; v++) {
-        const double *n = s->sums[s->twins[v]];
+        const double *n = desk->sums[desk->twins[v]];
         double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
         bool smooth = length > 0 && length >= FMT_TRIS_CREASE_SHARE * n[3];
         for (int k = 0; k < 3; k++)
             normals[v][k] = smooth ? (float)(n[k] / length) : 0.0f;
     }
-    pthread_mutex_unlock(&s->lock);
+    stand_up(s, desk);
     return status;
 }

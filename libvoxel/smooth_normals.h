@@ -6,19 +6,25 @@
 
 struct vox_smooth;
 
-/* Bytes that a vox_smooth takes from the budget for this file. */
-uint64_t vox_smooth_bytes(const struct fmt_tris_file *file);
-
-/* The file must outlive *out. */
-int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      struct vox_smooth **out);
+/* Room for up to `calls` >= 1 calls at a time, fewer where that is more than `bytes`, but one in any
+ * case. The file must outlive *out. */
+int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, unsigned calls,
+                      uint64_t bytes, struct vox_smooth **out);
 void vox_smooth_destroy(struct vox_smooth *smooth); /* NULL is allowed */
+
+/* Where decoded chunks can be had. lend: sets *out, to NULL where the chunk has to be read for the
+ * purpose; a negative status ends the work. take_back: of a chunk that was lent. */
+struct vox_smooth_lender {
+    void *arg;
+    int (*lend)(void *arg, uint32_t index, const struct fmt_tris_chunk **out);
+    void (*take_back)(void *arg, uint32_t index);
+};
 
 /* Area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices at the same position are
  * one, whichever chunk they are in. `chunk` is number `index`, decoded; `normals` has one entry a
  * vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE). The sums run in the order of triangles in
- * the file, so the result does not depend on who asks when. Thread-safe; calls wait for each other. */
-int vox_smooth_normals(struct vox_smooth *smooth, uint64_t index,
-                       const struct fmt_tris_chunk *chunk, float (*normals)[3]);
+ * the file, so the result does not depend on who asks when. Thread-safe; a call waits while there is no room. */
+int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
+                       uint32_t index, const struct fmt_tris_chunk *chunk, float (*normals)[3]);
 
 #endif

@@ -37,8 +37,8 @@ struct job {
     struct vox_box *boxes;
     struct vox_schedule *schedule;
     struct fmt_nvdb_writer *writer;
-    struct vox_accumulator **accumulators; /* one a worker */
-    struct vox_unit *units;                /* the pipeline's slots */
+    struct vox_worker *own; /* one a worker */
+    struct vox_unit *units; /* the pipeline's slots */
     unsigned workers, unit_count;
     uint32_t slabs;          /* units that a region is cut into */
     uint32_t next_slab;      /* of the region in production */
@@ -73,14 +73,15 @@ static int make_plan(const struct job *job, struct plan *plan)
         if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
             plan->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
     }
-    uint64_t sums_min = vox_accumulator_bytes_min(color);
-    uint64_t need = plan->texture_bytes + slot + job->workers * (sums_min + RESULT_BYTES_MIN);
+    uint64_t sums_min = vox_accumulator_bytes_min(color), blocks = job->workers * vox_block_bytes(color);
+    uint64_t need =
+        plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
     if (available < need)
         return bsq_fail(job->ctx, BSQ_EUSAGE,
                         "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
                         "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
                         job->options->tris_path, limit, job->workers, need, used);
-    available -= plan->texture_bytes;
+    available -= plan->texture_bytes + blocks;
     uint64_t slots = available / 2 / slot;
     plan->cache_slots = slots < 1 ? 1 : min64(min64(slots, job->header->chunk_count), INT32_MAX);
     available -= plan->cache_slots * slot;
@@ -120,7 +121,9 @@ static int make_smooth(struct job *job)
     if ((job->header->attributes & FMT_TRIS_NORMALS) ||
         job->options->scan_normals == VOX_NORMALS_FLAT)
         return 0;
-    return vox_smooth_create(job->ctx, job->file, &job->smooth);
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
+    uint64_t available = limit > used ? limit - used : 0;
+    return vox_smooth_create(job->ctx, job->file, job->workers, available / 8, &job->smooth);
 }
 
 static int open_output(struct job *job)
@@ -171,11 +174,14 @@ static uint32_t choose_slabs(const struct vox_lattice *lattice, unsigned workers
 
 static int make_workers(struct job *job, const struct plan *plan)
 {
-    int status = bsq_calloc(job->ctx, "workers", job->workers, sizeof(struct vox_accumulator *),
-                            &job->accumulators);
-    for (unsigned i = 0; i < job->workers && status == 0; i++)
-        status = vox_accumulator_create(job->ctx, plan->accumulator_bytes,
-                                        job->scan.shading.has_color, &job->accumulators[i]);
+    bool color = job->scan.shading.has_color;
+    int status = bsq_calloc(job->ctx, "workers", job->workers, sizeof *job->own, &job->own);
+    for (unsigned i = 0; i < job->workers && status == 0; i++) {
+        struct vox_worker *own = &job->own[i];
+        status = vox_accumulator_create(job->ctx, plan->accumulator_bytes, color, &own->sums);
+        if (status == 0)
+            status = vox_block_create(job->ctx, color, &own->block);
+    }
     if (status < 0)
         return status;
     uint64_t count = UINT64_C(2) * job->workers;
@@ -217,10 +223,12 @@ static void end_pipeline(struct job *job)
     bsq_free(job->ctx, job->units);
     job->unit_count = 0;
     job->units = NULL;
-    for (unsigned i = 0; job->accumulators && i < job->workers; i++)
-        vox_accumulator_destroy(job->accumulators[i]);
-    bsq_free(job->ctx, job->accumulators);
-    job->accumulators = NULL;
+    for (unsigned i = 0; job->own && i < job->workers; i++) {
+        vox_accumulator_destroy(job->own[i].sums);
+        vox_block_destroy(job->ctx, job->own[i].block);
+    }
+    bsq_free(job->ctx, job->own);
+    job->own = NULL;
     bsq_free(job->ctx, job->current.chunks);
     job->current.chunks = NULL;
     vox_leaves_free(&job->whole);
@@ -310,7 +318,7 @@ static int work(void *arg, void *slot, uint64_t sequence, unsigned worker)
 {
     struct job *job = arg;
     (void)sequence;
-    return vox_region_work(&job->scan, slot, job->accumulators[worker]);
+    return vox_region_work(&job->scan, slot, &job->own[worker]);
 }
 
 static void widen_index(struct job *job, const struct vox_unit *unit)

@@ -1,6 +1,7 @@
 /* Clipping a triangle to voxels: held against a separating-axis test of its own (Akenine-Moeller
  * 2001), against sampled points, and against what must hold of any division into pieces. */
 #include "libvoxel/clip.h"
+#include "libvoxel/divide_lanes.h"
 #include "scan_fixture.h"
 
 #include <math.h>
@@ -277,6 +278,106 @@ static void test_regions_share_a_triangle(void **state)
     }
 }
 
+/* ---- side by side ---- */
+
+/* A triangle's corners from its lowest cell on, put into a lane; false where it is not small. */
+static bool put_in_lane(const double (*c)[3], int lane, lanes p[3][3], int planes[3])
+{
+    struct vox_box cells = cells_of(c);
+    for (int a = 0; a < 3; a++) {
+        planes[a] = cells.hi[a] - cells.lo[a];
+        if (planes[a] > DIVIDE_MAX_PLANES)
+            return false;
+        for (int i = 0; i < 3; i++)
+            p[i][a][lane] = c[i][a] - cells.lo[a];
+    }
+    return true;
+}
+
+/* The pieces of one lane against those that cutting polygons yields. */
+static void check_lane(const double (*c)[3], int lane, const int planes[3],
+                       const struct divide_piece *piece)
+{
+    const struct pieces *pieces = clip_all(c);
+    struct vox_box cells = cells_of(c);
+    uint32_t count = 0;
+    for (int x = 0; x <= planes[0]; x++)
+        for (int y = 0; y <= planes[1]; y++)
+            for (int z = 0; z <= planes[2]; z++, piece++) {
+                const struct vox_piece *expected =
+                    find(pieces, cells.lo[0] + x, cells.lo[1] + y, cells.lo[2] + z);
+                assert_true((piece->share[lane] != 0.0) == (expected != NULL));
+                if (!expected)
+                    continue;
+                count++;
+                assert_true(fabs(piece->share[lane] - expected->fraction) < 1e-11);
+                for (int k = 0; k < 2; k++)
+                    assert_true(fabs(piece->moment[k][lane] / (3.0 * piece->share[lane]) -
+                                     expected->b[k]) < 1e-7);
+            }
+    assert_int_equal(count, pieces->count);
+}
+
+/* Different triangles in the lanes, of one kind. Few may be doubtful. */
+static void test_small_triangles_side_by_side(void **state)
+{
+    (void)state;
+    uint64_t seed = 4711;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    static double waiting[4][4][4][LANE_COUNT][3][3];
+    static int counts[4][4][4];
+    uint32_t checked = 0, doubtful = 0;
+    for (int n = 0; n < 30000; n++) {
+        double c[3][3];
+        lanes p[3][3];
+        int planes[3];
+        random_triangle(&seed, pow(10.0, 1.3 * scan_random(&seed) - 0.7), c);
+        if (!put_in_lane((const double(*)[3])c, 0, p, planes))
+            continue;
+        int *count = &counts[planes[0]][planes[1]][planes[2]];
+        double(*batch)[3][3] = waiting[planes[0]][planes[1]][planes[2]];
+        memcpy(batch[(*count)++], c, sizeof c);
+        if (*count < LANE_COUNT)
+            continue;
+        *count = 0;
+        struct divide_piece pieces[DIVIDE_MAX_CELLS];
+        for (int l = 0; l < LANE_COUNT; l++)
+            put_in_lane((const double(*)[3])batch[l], l, p, planes);
+        lane_mask doubt = divide_small((const lanes(*)[3])p, planes, pieces);
+        for (int l = 0; l < LANE_COUNT; l++) {
+            checked++;
+            doubtful += doubt[l] != 0;
+            if (!doubt[l])
+                check_lane((const double(*)[3])batch[l], l, planes, pieces);
+        }
+    }
+    assert_true(checked > 20000);
+    assert_true(doubtful < checked / 20);
+}
+
+/* What half-open boxes decide is left to the other way of dividing: corners and edges on planes,
+ * crossings on edges, three planes that meet in the triangle. */
+static void test_touching_planes_is_doubtful(void **state)
+{
+    (void)state;
+    static const double table[][3][3] = {
+        {{2.0, 2.0, 2.0}, {1.5, 1.25, 1.5}, {1.25, 1.5, 1.5}},
+        {{1.0, 0.5, 0.5}, {1.0, 1.5, 0.5}, {0.5, 0.75, 0.25}},
+        {{0.5, 0.5, 0.25}, {1.5, 1.5, 0.25}, {1.5, 1.5, 0.75}},
+        {{0.5, 0.5, 2.0}, {0.5, 2.0, 0.5}, {2.0, 0.5, 0.5}},
+    };
+    for (size_t i = 0; i < sizeof table / sizeof table[0]; i++) {
+        struct divide_piece pieces[DIVIDE_MAX_CELLS];
+        lanes p[3][3];
+        int planes[3];
+        for (int l = 0; l < LANE_COUNT; l++)
+            assert_true(put_in_lane(table[i], l, p, planes));
+        lane_mask doubt = divide_small((const lanes(*)[3])p, planes, pieces);
+        for (int l = 0; l < LANE_COUNT; l++)
+            assert_true(doubt[l] != 0);
+    }
+}
+
 /* ---- borders ---- */
 
 static void test_plane_on_a_border_fills_the_upper_layer(void **state)
@@ -358,6 +459,8 @@ int main(void)
         cmocka_unit_test(test_needles_add_up),
         cmocka_unit_test(test_window_does_not_change_pieces),
         cmocka_unit_test(test_regions_share_a_triangle),
+        cmocka_unit_test(test_small_triangles_side_by_side),
+        cmocka_unit_test(test_touching_planes_is_doubtful),
         cmocka_unit_test(test_plane_on_a_border_fills_the_upper_layer),
         cmocka_unit_test(test_diagonal_plane_fills_the_diagonal),
         cmocka_unit_test(test_corner_that_touches),

@@ -1,0 +1,26 @@
+/* lane_code.h - private to voxelizing: what is done to many triangles or voxels side by side.
+ *
+ * The same source is compiled for several kinds of instructions; results are the same. */
+#ifndef VOX_LANE_CODE_H
+#define VOX_LANE_CODE_H
+
+#include "libvoxel/accumulate.h"
+
+struct vox_lane_code {
+    /* As vox_accumulate_chunk(). */
+    int (*accumulate_chunk)(const struct vox_accumulation *what, uint64_t *counted);
+    /* Makes `count` records from the sums with these numbers, without colours and without
+     * FMT_NVDB_PLANE_SECOND. */
+    void (*make_records)(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,
+                         struct fmt_nvdb_record *records);
+};
+
+extern const struct vox_lane_code vox_lane_code_plain;
+#ifdef __x86_64__
+extern const struct vox_lane_code vox_lane_code_avx2;
+#endif
+
+/* The best that the processor can run. */
+const struct vox_lane_code *vox_lane_code(void);
+
+#endif

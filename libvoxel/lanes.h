@@ -1,0 +1,240 @@
+/* lanes.h - private to voxelizing: doubles side by side, on which every operation works alike.
+ *
+ * As many as the instructions go for which a source is compiled, so that the same source serves
+ * several. Lanes never meet in arithmetic: results do not depend on their number. Arithmetic and
+ * comparisons are the compiler's own on vectors; here is what it has no operator for. */
+#ifndef VOX_LANES_H
+#define VOX_LANES_H
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef __AVX2__
+#include <immintrin.h>
+#define LANE_COUNT 4
+#else
+#define LANE_COUNT 2
+#ifdef __SSE4_1__
+#include <smmintrin.h>
+#endif
+#endif
+
+typedef double lanes __attribute__((vector_size(8 * LANE_COUNT)));
+/* All bits of a lane or none, as comparisons yield. */
+typedef long long lane_mask __attribute__((vector_size(8 * LANE_COUNT)));
+
+#define LANES_INLINE static inline __attribute__((always_inline))
+
+LANES_INLINE lanes lanes_all(double x)
+{
+    return x - (lanes){0.0};
+}
+
+/* x where the mask is set, 0 elsewhere */
+LANES_INLINE lanes lanes_keep(lane_mask mask, lanes x)
+{
+    return (lanes)(mask & (lane_mask)x);
+}
+
+LANES_INLINE lanes lanes_abs(lanes x)
+{
+    return (lanes)((lane_mask)x & INT64_MAX);
+}
+
+/* Four whole numbers, whatever the number of lanes: a voxel and a number that does not matter. */
+typedef int32_t four_ints __attribute__((vector_size(16)));
+
+LANES_INLINE four_ints four_load(const int32_t from[4])
+{
+    four_ints x;
+    memcpy(&x, from, sizeof x);
+    return x;
+}
+
+#ifdef __SSE4_1__
+
+LANES_INLINE four_ints four_min(four_ints a, four_ints b)
+{
+    return (four_ints)_mm_min_epi32((__m128i)a, (__m128i)b);
+}
+
+LANES_INLINE four_ints four_max(four_ints a, four_ints b)
+{
+    return (four_ints)_mm_max_epi32((__m128i)a, (__m128i)b);
+}
+
+LANES_INLINE bool four_any(four_ints mask)
+{
+    return _mm_movemask_epi8((__m128i)mask) != 0;
+}
+
+#else
+
+LANES_INLINE four_ints four_min(four_ints a, four_ints b)
+{
+    four_ints less = a < b;
+    return (less & a) | (~less & b);
+}
+
+LANES_INLINE four_ints four_max(four_ints a, four_ints b)
+{
+    four_ints more = a > b;
+    return (more & a) | (~more & b);
+}
+
+LANES_INLINE bool four_any(four_ints mask)
+{
+    return (mask[0] | mask[1] | mask[2] | mask[3]) != 0;
+}
+
+#endif
+
+#if defined __AVX2__
+
+LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
+{
+    return _mm256_blendv_pd(no, yes, (__m256d)mask);
+}
+
+/* a < b ? a : b */
+LANES_INLINE lanes lanes_min(lanes a, lanes b)
+{
+    return _mm256_min_pd(a, b);
+}
+
+/* a > b ? a : b */
+LANES_INLINE lanes lanes_max(lanes a, lanes b)
+{
+    return _mm256_max_pd(a, b);
+}
+
+LANES_INLINE lanes lanes_sqrt(lanes x)
+{
+    return _mm256_sqrt_pd(x);
+}
+
+/* Bit i: lane i of the mask. */
+LANES_INLINE unsigned lanes_bits(lane_mask mask)
+{
+    return (unsigned)_mm256_movemask_pd((__m256d)mask);
+}
+
+/* Rows become columns: lane i of out[k] is lane k of in[i]. */
+LANES_INLINE void lanes_transpose(const lanes in[4], lanes out[4])
+{
+    lanes a = _mm256_unpacklo_pd(in[0], in[1]), b = _mm256_unpackhi_pd(in[0], in[1]);
+    lanes c = _mm256_unpacklo_pd(in[2], in[3]), d = _mm256_unpackhi_pd(in[2], in[3]);
+    out[0] = _mm256_permute2f128_pd(a, c, 0x20);
+    out[1] = _mm256_permute2f128_pd(b, d, 0x20);
+    out[2] = _mm256_permute2f128_pd(a, c, 0x31);
+    out[3] = _mm256_permute2f128_pd(b, d, 0x31);
+}
+
+/* Lane i of out[k] becomes from[i][k] - low[i][k]. from[i] has four readable numbers. */
+LANES_INLINE void lanes_gather(const double *const from[LANE_COUNT],
+                               const int32_t *const low[LANE_COUNT], lanes out[3])
+{
+    lanes in[4], turned[4];
+    for (int i = 0; i < 4; i++)
+        in[i] = _mm256_loadu_pd(from[i]) -
+                _mm256_cvtepi32_pd(_mm_loadu_si128((const __m128i *)(const void *)low[i]));
+    lanes_transpose(in, turned);
+    for (int k = 0; k < 3; k++)
+        out[k] = turned[k];
+}
+
+/* Lane i of out[k] becomes from[i][k]. */
+LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], lanes out[4])
+{
+    lanes in[4];
+    for (int i = 0; i < 4; i++)
+        in[i] = _mm256_loadu_pd(from[i]);
+    lanes_transpose(in, out);
+}
+
+/* Lane i of out[k] becomes from[i][k]. from[i] has four readable numbers. */
+LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[3])
+{
+    lanes in[4], turned[4];
+    for (int i = 0; i < 4; i++)
+        in[i] = _mm256_cvtps_pd(_mm_loadu_ps(from[i]));
+    lanes_transpose(in, turned);
+    for (int k = 0; k < 3; k++)
+        out[k] = turned[k];
+}
+
+/* to[i][k] becomes lane i of in[k]. */
+LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
+{
+    lanes turned[4];
+    lanes_transpose(in, turned);
+    for (int i = 0; i < 4; i++)
+        _mm256_storeu_pd(to[i], turned[i]);
+}
+
+#else
+
+LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
+{
+    return (lanes)((mask & (lane_mask)yes) | (~mask & (lane_mask)no));
+}
+
+LANES_INLINE lanes lanes_min(lanes a, lanes b)
+{
+#ifdef __SSE4_1__
+    return _mm_min_pd(a, b);
+#else
+    return lanes_select(a < b, a, b);
+#endif
+}
+
+LANES_INLINE lanes lanes_max(lanes a, lanes b)
+{
+#ifdef __SSE4_1__
+    return _mm_max_pd(a, b);
+#else
+    return lanes_select(a > b, a, b);
+#endif
+}
+
+LANES_INLINE lanes lanes_sqrt(lanes x)
+{
+    return (lanes){sqrt(x[0]), sqrt(x[1])};
+}
+
+LANES_INLINE unsigned lanes_bits(lane_mask mask)
+{
+    return (unsigned)(mask[0] & 1) | (unsigned)(mask[1] & 2);
+}
+
+LANES_INLINE void lanes_gather(const double *const from[LANE_COUNT],
+                               const int32_t *const low[LANE_COUNT], lanes out[3])
+{
+    for (int k = 0; k < 3; k++)
+        out[k] = (lanes){from[0][k] - low[0][k], from[1][k] - low[1][k]};
+}
+
+LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], lanes out[4])
+{
+    for (int k = 0; k < 4; k++)
+        out[k] = (lanes){from[0][k], from[1][k]};
+}
+
+LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[3])
+{
+    for (int k = 0; k < 3; k++)
+        out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
+}
+
+LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
+{
+    for (int k = 0; k < 4; k++) {
+        to[0][k] = in[k][0];
+        to[1][k] = in[k][1];
+    }
+}
+
+#endif
+#endif
