@@ -40,7 +40,8 @@ struct fmt_nvdb_writer;
 int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info,
                     struct fmt_nvdb_writer **out);
 
-/* One 128^3 region (a lower node) with its leaves. Regions must come in NanoVDB's order: by root tile
+/* One 128^3 region (a lower node) with its leaves, or a part of one: calls with the same origin, one
+ * after the other, add to the same region, leaf numbers ascending across them. Regions must come in NanoVDB's order: by root tile
  * (4096^3) in the order of its key (x, then y, then z of origin / 4096 as 21-bit unsigned numbers),
  * inside it by x, y, z of the region. origin: index of the region's first voxel, a multiple of 128.
  * leaf_ids: ascending, (x << 8 | y << 4 | z) of each leaf in the region, each with at least one

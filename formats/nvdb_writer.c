@@ -99,6 +99,14 @@ static int fail_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_reg
                     region->origin[0], region->origin[1], region->origin[2], reason);
 }
 
+/* Whether the region is the one that was added to last. */
+static bool is_open(const struct fmt_nvdb_writer *writer, const int32_t origin[3])
+{
+    uint32_t count = writer->counts.uppers;
+    return count > 0 && writer->keys[count - 1] == nvdb_root_key(origin) &&
+           writer->last_slot == nvdb_upper_slot(origin);
+}
+
 /* Order, leaves and counts of a region, before anything of it is kept. */
 static int check_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
@@ -107,7 +115,9 @@ static int check_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
         return fail_region(writer, region, "origin is not a multiple of 128");
     if (writer->counts.uppers) {
         uint64_t key = nvdb_root_key(origin), last = writer->keys[writer->counts.uppers - 1];
-        if (key < last || (key == last && nvdb_upper_slot(origin) <= writer->last_slot))
+        bool before = key < last || (key == last && nvdb_upper_slot(origin) < writer->last_slot);
+        if (before || (is_open(writer, origin) && region->leaf_count > 0 &&
+                       region->leaf_ids[0] <= writer->last_leaf))
             return fail_region(writer, region, "out of order");
     }
     uint64_t voxels = 0, seconds = 0;
@@ -138,7 +148,7 @@ static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
     const char *what = NULL;
     if ((uint64_t)counts->leaves + region->leaf_count > UINT32_MAX)
         what = "leaves of 8x8x8 voxels";
-    else if (counts->lowers == UINT32_MAX)
+    else if (counts->lowers == UINT32_MAX && !is_open(writer, region->origin))
         what = "nodes of 128x128x128 voxels";
     else if (counts->seconds + region->second_count > UINT32_MAX)
         what = "voxels with two surfaces";
@@ -149,19 +159,35 @@ static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
                     UINT32_MAX, what);
 }
 
+static int put_stub(struct fmt_nvdb_writer *writer, int stream, const void *stub, uint64_t size)
+{
+    void *room;
+    int status = nvdb_stream_room(&writer->stream[stream], size, &room);
+    if (status)
+        return status;
+    memcpy(room, stub, size);
+    writer->stream[stream].fill += size;
+    return 0;
+}
+
+/* Keeps the open lower node's stub. */
+static int close_lower(struct fmt_nvdb_writer *writer)
+{
+    const struct nvdb_lower_stub *lower = &writer->lower;
+    struct nvdb_upper_stub *upper = writer->upper;
+    if (writer->counts.lowers == 0)
+        return 0;
+    nvdb_bbox_join(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
+    nvdb_bbox_join(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
+    return put_stub(writer, STREAM_LOWERS, lower, sizeof(*lower));
+}
+
 /* Keeps the open upper node's stub. */
 static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
         return 0;
-    struct nvdb_stream *stream = &writer->stream[STREAM_UPPERS];
-    void *room;
-    int status = nvdb_stream_room(stream, sizeof(*writer->upper), &room);
-    if (status)
-        return status;
-    memcpy(room, writer->upper, sizeof(*writer->upper));
-    stream->fill += sizeof(*writer->upper);
-    return 0;
+    return put_stub(writer, STREAM_UPPERS, writer->upper, sizeof(*writer->upper));
 }
 
 /* Opens the upper node of a region unless it is open. */
@@ -185,6 +211,25 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
     return 0;
 }
 
+/* Opens the nodes of a region unless they are open. */
+static int open_region(struct fmt_nvdb_writer *writer, const int32_t origin[3])
+{
+    if (is_open(writer, origin))
+        return 0;
+    int status = close_lower(writer);
+    if (status == 0)
+        status = open_upper(writer, origin);
+    if (status)
+        return status;
+    uint32_t slot = nvdb_upper_slot(origin);
+    writer->last_slot = slot;
+    writer->upper->child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
+    memset(&writer->lower, 0, sizeof(writer->lower));
+    nvdb_bbox_clear(writer->lower.bbox_min, writer->lower.bbox_max);
+    writer->counts.lowers++;
+    return 0;
+}
+
 static void leaf_origin(const int32_t region_origin[3], uint32_t id, int32_t origin[3])
 {
     origin[0] = region_origin[0] + (int32_t)(id >> 8) * NVDB_LEAF_DIM;
@@ -192,11 +237,10 @@ static void leaf_origin(const int32_t region_origin[3], uint32_t id, int32_t ori
     origin[2] = region_origin[2] + (int32_t)(id & 15) * NVDB_LEAF_DIM;
 }
 
-/* Appends a region's leaves and its lower node's stub. */
-static int append_nodes(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
+/* Appends leaves to the open region. */
+static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
-    struct nvdb_lower_stub stub = {0};
-    nvdb_bbox_clear(stub.bbox_min, stub.bbox_max);
+    struct nvdb_lower_stub *lower = &writer->lower;
     uint64_t value = 1 + writer->counts.voxels;
     struct nvdb_stream *leaves = &writer->stream[STREAM_LEAVES];
     for (uint32_t i = 0; i < region->leaf_count; i++) {
@@ -215,21 +259,10 @@ static int append_nodes(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
         leaf->prefix_sum = nvdb_prefix_sum(leaf->mask);
         leaves->fill += sizeof(*leaf);
         value += count;
-        nvdb_bbox_join(stub.bbox_min, stub.bbox_max, leaf->bbox_min, bbox_max);
-        stub.child_mask[region->leaf_ids[i] >> 6] |= UINT64_C(1) << (region->leaf_ids[i] & 63);
+        nvdb_bbox_join(lower->bbox_min, lower->bbox_max, leaf->bbox_min, bbox_max);
+        lower->child_mask[region->leaf_ids[i] >> 6] |= UINT64_C(1) << (region->leaf_ids[i] & 63);
     }
-    void *room;
-    int status = nvdb_stream_room(&writer->stream[STREAM_LOWERS], sizeof(stub), &room);
-    if (status)
-        return status;
-    memcpy(room, &stub, sizeof(stub));
-    writer->stream[STREAM_LOWERS].fill += sizeof(stub);
-
-    uint32_t slot = nvdb_upper_slot(region->origin);
-    writer->last_slot = slot;
-    writer->upper->child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
-    nvdb_bbox_join(writer->upper->bbox_min, writer->upper->bbox_max, stub.bbox_min, stub.bbox_max);
-    nvdb_bbox_join(writer->bbox_min, writer->bbox_max, stub.bbox_min, stub.bbox_max);
+    writer->last_leaf = region->leaf_ids[region->leaf_count - 1];
     return 0;
 }
 
@@ -305,9 +338,9 @@ static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *
     if (status == 0 && writer->counts.voxels == 0)
         status = append_records(writer, STREAM_NORMALS, &background, 1);
     if (status == 0)
-        status = open_upper(writer, region->origin);
+        status = open_region(writer, region->origin);
     if (status == 0)
-        status = append_nodes(writer, region);
+        status = append_leaves(writer, region);
     if (status == 0)
         status = append_records(writer, STREAM_NORMALS, region->records, region->record_count);
     if (status == 0)
@@ -315,7 +348,6 @@ static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *
             append_records(writer, STREAM_SECOND_NORMALS, region->second, region->second_count);
     if (status == 0)
         status = append_words(writer, region);
-    writer->counts.lowers++;
     writer->counts.leaves += region->leaf_count;
     writer->counts.voxels += region->record_count;
     writer->counts.seconds += region->second_count;
@@ -337,6 +369,8 @@ int nvdb_writer_finish(struct fmt_nvdb_writer *writer)
     if (writer->counts.voxels == 0)
         return bsq_fail(writer->ctx, BSQ_EDATA, "%s: the grid has no voxels", writer->path);
     status = end_word(writer);
+    if (status == 0)
+        status = close_lower(writer);
     if (status == 0)
         status = close_upper(writer);
     for (int i = 0; i < STREAM_COUNT && status == 0; i++)

@@ -61,7 +61,9 @@ struct fmt_nvdb_writer {
     uint64_t *keys; /* of the root tiles so far */
     uint64_t keys_capacity;
     struct nvdb_upper_stub *upper; /* the open one: the last of keys */
-    uint32_t last_slot;            /* of the last region in it */
+    uint32_t last_slot;            /* of the open region in it */
+    struct nvdb_lower_stub lower;  /* the open region; there is one once counts.lowers > 0 */
+    uint32_t last_leaf;            /* of the open region */
 
     struct nvdb_counts counts;
     int32_t bbox_min[3], bbox_max[3];

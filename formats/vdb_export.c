@@ -26,11 +26,22 @@ static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *g
     return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
 }
 
+static int open_module(struct bsq_ctx *ctx, const struct fmt_module **module)
+{
+    return fmt_module_open(ctx, "openvdb", "OpenVDB files", module);
+}
+
+int fmt_vdb_check(struct bsq_ctx *ctx)
+{
+    const struct fmt_module *module;
+    return open_module(ctx, &module);
+}
+
 int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path)
 {
     const struct fmt_module *module;
     struct bsq_output *output = NULL;
-    int status = fmt_module_open(ctx, "openvdb", "OpenVDB files", &module);
+    int status = open_module(ctx, &module);
     if (status == 0)
         status = bsq_output_open(ctx, path, &output);
     if (status != 0)

@@ -16,6 +16,9 @@ extern "C" {
  * gives the same bytes. */
 int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path);
 
+/* 0 where exporting is possible, else the status and error of what is missing. */
+int fmt_vdb_check(struct bsq_ctx *ctx);
+
 #ifdef __cplusplus
 }
 #endif

@@ -301,24 +301,6 @@ void vox_leaves_clear(struct vox_leaves *leaves)
     }
 }
 
-int vox_leaves_append(struct vox_leaves *leaves, const struct vox_leaves *from)
-{
-    int status = grow_leaves(leaves, from->leaf_count, from->record_count, from->second_count);
-    if (status < 0 || from->leaf_count == 0)
-        return status;
-    memcpy(leaves->ids + leaves->leaf_count, from->ids, from->leaf_count * sizeof *from->ids);
-    memcpy(leaves->masks + leaves->leaf_count, from->masks, from->leaf_count * sizeof *from->masks);
-    memcpy(leaves->records + leaves->record_count, from->records,
-           from->record_count * sizeof *from->records);
-    if (from->second_count > 0)
-        memcpy(leaves->second + leaves->second_count, from->second,
-               from->second_count * sizeof *from->second);
-    leaves->leaf_count += from->leaf_count;
-    leaves->record_count += from->record_count;
-    leaves->second_count += from->second_count;
-    return 0;
-}
-
 void vox_leaves_free(struct vox_leaves *leaves)
 {
     bsq_free(leaves->ctx, leaves->ids);

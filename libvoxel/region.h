@@ -94,8 +94,6 @@ int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_col
 
 void vox_leaves_init(struct vox_leaves *leaves, struct bsq_ctx *ctx);
 void vox_leaves_clear(struct vox_leaves *leaves);
-/* Appends the leaves of `from`, whose ids must all be higher. Bounds are left alone. */
-int vox_leaves_append(struct vox_leaves *leaves, const struct vox_leaves *from);
 /* Gives the memory back, and leaves them empty. */
 void vox_leaves_free(struct vox_leaves *leaves);
 

@@ -67,18 +67,36 @@ static bool halve(const struct vox_box *window, struct vox_box half[2])
     return false;
 }
 
-/* Appends the sums to the unit's result, when there is memory for it. */
-static int keep_result(struct vox_scan *scan, struct vox_unit *unit,
-                       const struct vox_accumulator *accumulator)
+/* Takes memory for the sums as a part of the unit's result. Where there is too little of it, and all
+ * units before this are written, so is what this one holds: a full region needs no more than a part
+ * of it. */
+static int make_room(struct vox_scan *scan, struct vox_unit *unit,
+                     const struct vox_accumulator *sums)
 {
-    uint64_t bytes = vox_accumulator_result_bytes(accumulator, &unit->leaves);
-    if (bytes > unit->held_bytes) {
-        int status = vox_gate_take(&scan->gate, unit->sequence, bytes - unit->held_bytes);
-        if (status < 0)
+    uint64_t bytes = vox_accumulator_result_bytes(sums, &unit->leaves);
+    if (bytes <= unit->held_bytes)
+        return 0;
+    int status = vox_gate_take(&scan->gate, unit->sequence, bytes - unit->held_bytes);
+    if (status == 1) {
+        status = scan->write(scan->write_arg, unit);
+        vox_leaves_clear(&unit->leaves);
+        bytes = vox_accumulator_result_bytes(sums, &unit->leaves);
+        if (bytes <= unit->held_bytes)
             return status;
-        unit->held_bytes = bytes;
+        vox_gate_exceed(&scan->gate, bytes - unit->held_bytes);
     }
-    return vox_accumulator_finish(accumulator, &scan->shading.tables, &unit->leaves);
+    if (status == 0)
+        unit->held_bytes = bytes;
+    return status;
+}
+
+static int keep_result(struct vox_scan *scan, struct vox_unit *unit,
+                       const struct vox_accumulator *sums)
+{
+    int status = make_room(scan, unit, sums);
+    if (status < 0)
+        return status;
+    return vox_accumulator_finish(sums, &scan->shading.tables, &unit->leaves);
 }
 
 static int work_window(struct vox_scan *scan, struct vox_unit *unit, const struct vox_box *window,

@@ -38,15 +38,23 @@ int vox_gate_take(struct vox_result_gate *gate, uint64_t sequence, uint64_t byte
 {
     int status = 0;
     pthread_mutex_lock(&gate->lock);
-    while (gate->held + bytes > gate->limit && gate->turn != sequence) {
-        if ((status = gate->status) < 0 || (status = bsq_check(gate->ctx)) < 0)
-            break;
-        wait_a_little(gate);
+    while (gate->held + bytes > gate->limit && status == 0) {
+        if (gate->turn == sequence)
+            status = 1;
+        else if ((status = gate->status) == 0 && (status = bsq_check(gate->ctx)) == 0)
+            wait_a_little(gate);
     }
     if (status == 0)
         gate->held += bytes;
     pthread_mutex_unlock(&gate->lock);
     return status;
+}
+
+void vox_gate_exceed(struct vox_result_gate *gate, uint64_t bytes)
+{
+    pthread_mutex_lock(&gate->lock);
+    gate->held += bytes;
+    pthread_mutex_unlock(&gate->lock);
 }
 
 void vox_gate_written(struct vox_result_gate *gate, uint64_t bytes)

@@ -2,8 +2,8 @@
  *
  * Units of work finish in any order and are written in sequence, so results pile up behind a slow
  * one. A unit asks here before it keeps a result. Where the limit is reached it waits, unless it is
- * the next to be written: that one may always go on, so there is no deadlock, and a region that is
- * larger than all others is held alone. */
+ * the next to be written: that one learns that room is short, and may always go on, so there is no
+ * deadlock. */
 #ifndef VOX_RESULT_GATE_H
 #define VOX_RESULT_GATE_H
 
@@ -23,9 +23,12 @@ struct vox_result_gate {
 void vox_gate_init(struct vox_result_gate *gate, struct bsq_ctx *ctx, uint64_t limit_bytes);
 void vox_gate_free(struct vox_result_gate *gate);
 
-/* Asks for `bytes` more for a unit. Errors: BSQ_EINTR; the status of a unit that failed meanwhile.
- */
+/* Waits until there are `bytes` more for a unit, and takes them: 0. Returns 1, with nothing taken,
+ * where there are not and the unit is the next to be written. Errors: BSQ_EINTR; the status of a
+ * unit that failed meanwhile. */
 int vox_gate_take(struct vox_result_gate *gate, uint64_t sequence, uint64_t bytes);
+/* Takes them whether there is room or not; for the unit that is the next to be written. */
+void vox_gate_exceed(struct vox_result_gate *gate, uint64_t bytes);
 /* Says that a unit was written, in sequence, and gives back `bytes`. */
 void vox_gate_written(struct vox_result_gate *gate, uint64_t bytes);
 /* Ends all waiting because a unit failed; returns `status`. */

@@ -111,6 +111,10 @@ struct vox_voxelize_report {
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report);
 
+/* 0 where OpenVDB files can be written, else the status and error of what is missing. vox_voxelize()
+ * asks too; this is for those who have other work to do before. */
+int vox_check_export(struct bsq_ctx *ctx);
+
 #ifdef __cplusplus
 }
 #endif

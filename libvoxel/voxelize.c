@@ -43,7 +43,6 @@ struct job {
     uint32_t slabs;          /* units that a region is cut into */
     uint32_t next_slab;      /* of the region in production */
     struct vox_unit current; /* the region in production: origin and chunks */
-    struct vox_leaves whole; /* the region whose slabs are being emitted */
     int32_t index_min[3], index_max[3];
     bool gate_open;
 };
@@ -88,7 +87,7 @@ static int make_plan(const struct job *job, struct plan *plan)
     uint64_t share = min64(available / 2 / job->workers, ACCUMULATOR_BYTES_USEFUL);
     plan->accumulator_bytes = share > sums_min ? share : sums_min;
     available -= job->workers * plan->accumulator_bytes;
-    /* The other half is for the region that is being written, however large, and for the writer. */
+    /* The other half is for results that grow while they are held, and for the writer. */
     plan->result_bytes = available / 2;
     return 0;
 }
@@ -231,7 +230,6 @@ static void end_pipeline(struct job *job)
     job->own = NULL;
     bsq_free(job->ctx, job->current.chunks);
     job->current.chunks = NULL;
-    vox_leaves_free(&job->whole);
     vox_chunks_destroy(job->scan.chunks);
     job->scan.chunks = NULL;
     vox_smooth_destroy(job->smooth);
@@ -303,7 +301,7 @@ static int fill_unit(struct job *job, struct vox_unit *unit, uint64_t sequence)
     memcpy(unit->chunks, region->chunks, region->chunk_count * sizeof *unit->chunks);
     unit->chunk_count = region->chunk_count;
     unit->window = slab_window(job, region->origin);
-    unit->last = ++job->next_slab == job->slabs;
+    job->next_slab++;
     return 1;
 }
 
@@ -331,8 +329,10 @@ static void widen_index(struct job *job, const struct vox_unit *unit)
     }
 }
 
-static int append(struct job *job, const int32_t origin[3], const struct vox_leaves *leaves)
+static int write_unit(void *arg, const struct vox_unit *unit)
 {
+    struct job *job = arg;
+    const struct vox_leaves *leaves = &unit->leaves;
     if (leaves->leaf_count == 0)
         return 0;
     struct fmt_nvdb_region region = {
@@ -344,24 +344,9 @@ static int append(struct job *job, const int32_t origin[3], const struct vox_lea
         .records = leaves->records,
         .second = leaves->second,
     };
-    memcpy(region.origin, origin, sizeof region.origin);
+    memcpy(region.origin, unit->origin, sizeof region.origin);
+    widen_index(job, unit);
     return fmt_nvdb_append(job->writer, &region);
-}
-
-static int write_unit(struct job *job, const struct vox_unit *unit)
-{
-    int status;
-    if (unit->leaves.leaf_count > 0)
-        widen_index(job, unit);
-    if (job->slabs == 1)
-        return append(job, unit->origin, &unit->leaves);
-    if ((status = vox_leaves_append(&job->whole, &unit->leaves)) < 0)
-        return status;
-    if (unit->last) {
-        status = append(job, unit->origin, &job->whole);
-        vox_leaves_clear(&job->whole);
-    }
-    return status;
 }
 
 /* Writes a unit. Memory of ordinary size is kept for the slot's next unit. */
@@ -394,6 +379,8 @@ static int run_pipeline(struct job *job)
         .slot_size = sizeof *job->units,
         .slot_count = job->unit_count,
     };
+    job->scan.write = write_unit;
+    job->scan.write_arg = job;
     bsq_progress_begin(job->ctx, "voxelizing", "triangles", job->header->triangle_count);
     int status = bsq_pipeline_run(job->ctx, &pipeline);
     bsq_progress_end(job->ctx);
@@ -424,7 +411,6 @@ static int make_grid(struct bsq_ctx *ctx, const struct vox_voxelize_options *opt
     struct job job = {.options = options, .ctx = ctx, .workers = bsq_threads(ctx)};
     struct fmt_nvdb_totals totals;
     job.scan.ctx = ctx;
-    vox_leaves_init(&job.whole, ctx);
     for (int a = 0; a < 3; a++) {
         job.index_min[a] = INT32_MAX;
         job.index_max[a] = INT32_MIN;
@@ -452,12 +438,19 @@ static int export_vdb(struct bsq_ctx *ctx, const struct vox_voxelize_options *op
     return status;
 }
 
+int vox_check_export(struct bsq_ctx *ctx)
+{
+    return fmt_vdb_check(ctx);
+}
+
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report)
 {
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
-    int status = make_grid(ctx, options, report);
+    int status = options->vdb_path ? vox_check_export(ctx) : 0;
+    if (status == 0)
+        status = make_grid(ctx, options, report);
     if (status == 0 && options->vdb_path)
         status = export_vdb(ctx, options);
     report->seconds = bsq_seconds_now() - start;

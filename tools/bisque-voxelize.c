@@ -460,6 +460,8 @@ static int do_work(struct job *job)
         return vox_parse_only(job->cli->ctx, arguments->inputs, arguments->input_count, &job->sort);
     assert(arguments->output); /* see check_arguments() */
     int status = check_memory(job->cli);
+    if (status == 0 && arguments->vdb)
+        status = vox_check_export(job->cli->ctx);
     if (status == 0)
         status = choose_tris_path(job);
     if (status == 0)

@@ -114,6 +114,14 @@ places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
 refused 66 "textures need the module bisque-texture.so, which is not in $places"
 run pipeline '' box.vdb
 refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
+# It is missed before any work is done.
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
+command="bisque-voxelize --vdb without its module" code=0
+"$prefix/bin/bisque-voxelize" one.obj -o one.nvdb --vdb one.vdb >"$out" 2>"$err" || code=$?
+code 66
+err_like '^bisque-voxelize: OpenVDB files need the module bisque-openvdb\.so'
+[ ! -e one.tris ] && [ ! -e one.nvdb ]
+check "nothing was done before the module was missed" $?
 module=$prefix/lib/bisque/bisque-texture.so
 printf 'no library\n' >"$module"
 run pipeline red.ppm

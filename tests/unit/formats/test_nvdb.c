@@ -322,6 +322,62 @@ static void assert_refused(const struct fmt_nvdb_region *first,
     bsq_ctx_destroy(ctx);
 }
 
+/* A region in one call and in two: the same file. */
+static void test_region_in_parts(void **state)
+{
+    (void)state;
+    uint64_t masks[3][8] = {{1, 0, 0, 0, 0, 0, 0, 5}, {0, 2}, {UINT64_MAX, 3}};
+    uint16_t ids[3] = {7, 8, 4095};
+    struct fmt_nvdb_record records[70], second = {5, 6, 0};
+    for (uint32_t i = 0; i < 70; i++)
+        records[i] = (struct fmt_nvdb_record){i, 2 * i, 0};
+    records[3].plane |= FMT_NVDB_PLANE_SECOND;
+    struct fmt_nvdb_region whole = {.origin = {128, 0, 0},
+                                    .leaf_count = 3,
+                                    .leaf_ids = ids,
+                                    .masks = (const uint64_t(*)[8])masks,
+                                    .record_count = 70,
+                                    .second_count = 1,
+                                    .records = records,
+                                    .second = &second};
+    struct fmt_nvdb_region first = whole, rest = whole, after = small_region(128, 0, 128);
+    first.leaf_count = 1;
+    first.record_count = 3;
+    first.second_count = 0;
+    rest.leaf_count = 2;
+    rest.leaf_ids++;
+    rest.masks++;
+    rest.record_count -= 3;
+    rest.records += 3;
+    struct fmt_nvdb_totals totals;
+    struct bsq_map map[2];
+    struct bsq_ctx *ctx = new_context(1, 0);
+    char copy[sizeof path + 8];
+    snprintf(copy, sizeof copy, "%s.whole", path);
+    for (int parts = 0; parts < 2; parts++) {
+        struct fmt_nvdb_writer *writer = new_writer(ctx);
+        assert_ok(ctx, fmt_nvdb_append(writer, parts ? &first : &whole));
+        if (parts)
+            assert_ok(ctx, fmt_nvdb_append(writer, &rest));
+        assert_ok(ctx, fmt_nvdb_append(writer, &after));
+        assert_ok(ctx, fmt_nvdb_commit(writer, &totals));
+        assert_int_equal(totals.lowers, 2);
+        assert_int_equal(totals.leaves, 3 + after.leaf_count);
+        if (!parts)
+            assert_int_equal(rename(path, copy), 0);
+    }
+    assert_ok(ctx, bsq_map_open(ctx, copy, &map[0]));
+    assert_ok(ctx, bsq_map_open(ctx, path, &map[1]));
+    assert_int_equal(map[0].size, map[1].size);
+    assert_memory_equal(map[0].data, map[1].data, map[0].size);
+    bsq_map_close(ctx, &map[0]);
+    bsq_map_close(ctx, &map[1]);
+    unlink(copy);
+    unlink(path);
+    bsq_ctx_destroy(ctx);
+    assert_refused(&rest, &first, "out of order");
+}
+
 static void test_order_of_regions(void **state)
 {
     (void)state;
@@ -660,6 +716,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip),       cmocka_unit_test(test_full_leaves),
         cmocka_unit_test(test_same_bytes),       cmocka_unit_test(test_nanovdb_tools),
+        cmocka_unit_test(test_region_in_parts),
         cmocka_unit_test(test_order_of_regions), cmocka_unit_test(test_wrong_regions),
         cmocka_unit_test(test_nothing_to_write), cmocka_unit_test(test_limits),
         cmocka_unit_test(test_unwritable),       cmocka_unit_test(test_truncated),

@@ -607,6 +607,43 @@ static void test_noise_gives_the_same_bytes(void **state)
     check_same_bytes(f, 100);
 }
 
+/* Parallel sheets, one in every layer (the last two share theirs): 2 million voxels in each of the regions, whose records alone
+ * are more than the budget. */
+static void test_solid_regions_in_little_memory(void **state)
+{
+    struct fixture *f = *state;
+    const uint32_t size = 144;
+    struct scan_mesh mesh = scan_mesh_new(4 * size, 2 * size);
+    for (uint32_t i = 0; i < size; i++)
+        set_quad(&mesh, i, (double[3]){0, 0, i + 0.5}, (double[3]){size, 0, 0},
+                 (double[3]){0, size, 0});
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 64);
+    scan_mesh_free(&mesh);
+    static const struct {
+        uint64_t mebibytes;
+        unsigned threads;
+    } ways[] = {{256, 2}, {20, 4}, {12, 1}};
+    for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
+        struct bsq_ctx *ctx = make_context(ways[i].mebibytes, ways[i].threads);
+        struct vox_voxelize_options options = {
+            .tris_path = f->tris,
+            .grid_path = i == 0 ? f->grid : f->other,
+            .resolution = size,
+        };
+        struct vox_voxelize_report report;
+        int status = vox_voxelize(ctx, &options, &report);
+        if (status != 0)
+            print_message("%s\n", bsq_error(ctx));
+        assert_int_equal(status, 0);
+        assert_int_equal(report.voxels, (uint64_t)size * size * (size - 1));
+        assert_int_equal(report.lowers, 8);
+        assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
+        bsq_ctx_destroy(ctx);
+        if (i > 0)
+            assert_same_file(f->grid, f->other);
+    }
+}
+
 static void test_sphere_gives_the_same_bytes(void **state)
 {
     struct fixture *f = *state;
@@ -755,6 +792,7 @@ int main(void)
         TEST(test_missing_texture),
         TEST(test_a_million_triangles_in_one_voxel),
         TEST(test_noise_gives_the_same_bytes),
+        TEST(test_solid_regions_in_little_memory),
         TEST(test_sphere_gives_the_same_bytes),
         TEST(test_sparse_and_huge),
         TEST(test_origin_only_moves_the_grid),
