@@ -7,6 +7,7 @@
 
 #include "base/parallel.h"
 #include "base/vec.h"
+#include "libbake/surface_internal.h"
 
 #include <string.h>
 

@@ -150,6 +150,13 @@ skip()
     echo "ok $((passed + failed)) - $1 # skip $2"
 }
 
+# sanitized: the programs are built with a sanitizer, which takes ten times as long. Large scans are then smaller ones, and what
+# depends on their detail is left to builds without.
+sanitized()
+{
+    ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'
+}
+
 # A box [0, 1] x [0, 2] x [0, 3] of quads with texture coordinates, one chart a face.
 write_box()
 {

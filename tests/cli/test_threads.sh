@@ -4,7 +4,7 @@
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
-"$TESTS/generate-scan" --triangles 150000 --uvs vase -o vase.obj
+"$TESTS/generate-scan" --triangles 100000 --uvs vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
 
 # Any image is a texture: here a map.
@@ -15,17 +15,17 @@ code 0
 
 for threads in 1 8; do
     mkdir $threads
-    run bisque-voxelize vase.obj --texture texture.png -o $threads/vase.nvdb --resolution 300 --threads $threads
+    run bisque-voxelize vase.obj --texture texture.png -o $threads/vase.nvdb --resolution 200 --threads $threads
     code 0
-    run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 150 --grid-type onindex \
+    run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 140 --grid-type onindex \
         --threads $threads
     code 0
     for scan in vase.nvdb vase.tris; do
         to=$threads/${scan#*.}
-        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.exr" --maps normal,color,mask --size 200x150 \
+        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.exr" --maps normal,color,mask --size 100x75 \
             --samples 2 --preview "${to}_preview.png" --device cpu --threads $threads
         code 0
-        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.png" --maps normal,color --size 200x150 \
+        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.png" --maps normal,color --size 100x75 \
             --samples 1 --png-bits 8 --device cpu --threads $threads
         code 0
     done

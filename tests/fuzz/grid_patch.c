@@ -140,7 +140,7 @@ static void make_template(int number, struct grid_template *t)
     find_places(t);
 
     struct bsq_ctx *ctx;
-    struct fmt_nvdb_grid grid = {.map = {t->bytes, t->size, (char *)"template"}};
+    struct fmt_nvdb_grid grid = {.map = {.data = t->bytes, .size = t->size, .path = (char *)"template"}};
     require(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) == 0, "no context");
     require(nvdb_check_head(ctx, &grid) == 0, "a template that is not valid");
     nvdb_layout_of(&grid, &t->layout);

@@ -5,6 +5,7 @@
 #include "formats/nvdb.h"
 #include "formats/png_image.h"
 #include "scan_fixture.h"
+#include "tests/unit/sanitized.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -164,7 +165,8 @@ static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
         uint64_t voxels;
     } table[] = {{4, 56},      {8, 272},      {16, 1160},     {32, 4760},     {64, 19232},
                  {128, 77096}, {256, 308576}, {512, 1235144}, {1024, 4940816}};
-    for (size_t i = 0; i < sizeof table / sizeof table[0]; i++) {
+    const size_t count = sizeof table / sizeof table[0] - (TEST_SANITIZED ? 3 : 0);
+    for (size_t i = 0; i < count; i++) {
         assert_int_equal(exact_sphere_voxels(table[i].resolution), table[i].voxels);
         struct scan_mesh mesh = scan_sphere(table[i].resolution / 2.0, 1.5);
         scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 30000);
