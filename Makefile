@@ -241,6 +241,14 @@ tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fak
 test: tests-build
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins) $(sort $(wildcard tests/cli/test_*.sh))
 
+# Other tests start no threads, or the same ones in the same places.
+threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/test_parallel formats/test_exr \
+    formats/test_nvdb formats/test_obj formats/test_png_image formats/test_texture libvoxel/% libbake/%),$(unit_bins))
+.PHONY: test-threads
+## test-threads: the tests of parallel work; config=tsan finds races
+test-threads: all $(threaded_bins) $(generator) $(fake_cuda) $(crashing_driver)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(threaded_bins) tests/cli/test_threads.sh
+
 ## check: install missing packages, build, run all tests
 check: deps
 	@$(MAKE) --no-print-directory -j$(jobs) tests-build
@@ -253,9 +261,10 @@ packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools po
 # Compiles the kernel for NVIDIA GPUs; the build does without, and without CUDA then.
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)
+packages_lint := cppcheck clang-tidy
 jobs ?= $(shell nproc)
 
-.PHONY: deps
+.PHONY: deps deps-lint
 ## deps: install the Debian packages that are missing (asks sudo where needed)
 deps:
 	@tests/install-packages.sh $(packages)
@@ -354,8 +363,8 @@ gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
 .PHONY: lint
-## lint: include rules, cppcheck, clang-tidy
-lint: $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.inc
+## lint: include rules, cppcheck, clang-tidy (installs the latter two where they are missing)
+lint: deps-lint $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.inc
 	tests/lint/includes.sh
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
