@@ -13,6 +13,8 @@ _Static_assert(sizeof(struct bk_texel) == 32, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
 _Static_assert(sizeof(struct bk_params) == 88, "layout shared with devices");
 
+enum { SAMPLES_A_CHECK = 1 << 18 };
+
 struct native {
     struct bake_backend base;
     struct bsq_ctx *ctx;
@@ -110,16 +112,36 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                            .color = {hits.color.x, hits.color.y, hits.color.z}};
 }
 
+/* A tile can have many millions of samples, so it is traced in bands of whole squares of texels, or
+ * of single rows, and an interruption is noticed between them. */
+static uint32_t band_rows(uint64_t row_samples)
+{
+    const uint64_t rows = SAMPLES_A_CHECK / row_samples;
+    return rows >= BAKE_NATIVE_SQUARE ? (uint32_t)(rows - rows % BAKE_NATIVE_SQUARE) : 1;
+}
+
 static int native_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
                         const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
                         char *why)
 {
     struct native *native = (struct native *)backend;
+    const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
+    const uint32_t rows = band_rows(tile->width * texel_samples);
 
     (void)slot;
     (void)worker;
     (void)why;
-    native->tile(&native->grid, &native->params, native->triangles, tile, sample_triangles, texels);
+    for (uint32_t row = 0; row < tile->height; row += rows) {
+        const uint64_t texel = (uint64_t)row * tile->width;
+        struct bk_tile band = *tile;
+        int status = bsq_check(native->ctx);
+        if (status < 0)
+            return status;
+        band.y += row;
+        band.height = tile->height - row < rows ? tile->height - row : rows;
+        native->tile(&native->grid, &native->params, native->triangles, &band,
+                     sample_triangles + texel * texel_samples, texels + texel);
+    }
     return 0;
 }
 

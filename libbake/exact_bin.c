@@ -117,13 +117,14 @@ static int bin_segment(void *arg, uint64_t segment, unsigned number)
     uint64_t begin = segment * b->segment_rays, end = begin + b->segment_rays;
     end = end < b->count ? end : b->count;
     uint32_t *counts = b->counts + segment * b->exact->chunk_count;
-    for (; begin < end; begin += GROUP) {
+    int status = 0;
+    for (; begin < end && (status = bsq_check(b->exact->ctx)) == 0; begin += GROUP) {
         uint64_t stop = begin + GROUP < end ? begin + GROUP : end;
         uint32_t candidates = find_candidates(b, b->first + begin, b->first + stop, worker);
         for (uint64_t r = begin; candidates > 0 && r < stop; r++)
             bin_ray(b, b->first + r, candidates, worker, counts);
     }
-    return 0;
+    return status;
 }
 
 static int run_segments(struct binning *b)

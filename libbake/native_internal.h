@@ -7,6 +7,10 @@
 
 struct bk_grid;
 
+/* Texels are taken in squares of this side: what they share of the grid stays in the first cache.
+ */
+enum { BAKE_NATIVE_SQUARE = 8 };
+
 /* Traces a tile on the calling thread: sample_triangles in, width * height texels out. */
 typedef void bake_native_tile(const struct bk_grid *grid, const struct bk_params *params,
                               const struct bk_triangle *triangles, const struct bk_tile *tile,

@@ -3,10 +3,6 @@
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/native_internal.h"
 
-/* Texels are taken in squares of this side: what they share of the grid stays in the first cache.
- */
-enum { SQUARE = 8 };
-
 struct group {
     const struct bk_grid *grid;
     const struct bk_params *params;
@@ -64,10 +60,11 @@ void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
 
     for (bk_uint i = 0; i < params->samples; i++)
         group.places[i] = bk_sample_place(0, i, params->samples);
-    for (uint32_t y = 0; y < tile->height; y += SQUARE)
-        for (uint32_t x = 0; x < tile->width; x += SQUARE)
-            for (uint32_t row = y; row < y + SQUARE && row < tile->height; row++)
-                for (uint32_t column = x; column < x + SQUARE && column < tile->width; column++)
+    for (uint32_t y = 0; y < tile->height; y += BAKE_NATIVE_SQUARE)
+        for (uint32_t x = 0; x < tile->width; x += BAKE_NATIVE_SQUARE)
+            for (uint32_t row = y; row < y + BAKE_NATIVE_SQUARE && row < tile->height; row++)
+                for (uint32_t column = x; column < x + BAKE_NATIVE_SQUARE && column < tile->width;
+                     column++)
                     add_texel(&group, tile, sample_triangles, column, row,
                               &texels[(uint64_t)row * tile->width + column]);
     trace_group(&group);
