@@ -150,7 +150,11 @@ rm -rf *
 $voxelize vase.obj -o whole.nvdb --resolution 1500
 code 0
 "$BIN/bisque-voxelize" vase.obj -o vase.nvdb --resolution 1500 >/dev/null 2>&1 &
-await '^vase\.tris\.job$'
+tries=0
+while [ $tries -lt 1000 ] && [ ! -e vase.tris.job ]; do
+    tries=$((tries + 1))
+    sleep 0.02
+done
 kill -9 $!
 wait $! 2>/dev/null
 [ ! -e vase.nvdb ]
