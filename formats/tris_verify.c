@@ -5,6 +5,7 @@
 #include "base/parallel.h"
 #include "formats/tris_internal.h"
 
+#include <assert.h>
 #include <inttypes.h>
 #include <string.h>
 
@@ -87,12 +88,13 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     const struct verify *v = arg;
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(v->file)[index];
     uint8_t *bytes = v->scratch + worker * v->worker_bytes;
-    struct fmt_tris_chunk chunk;
+    struct fmt_tris_chunk chunk = {0};
     int status = bsq_check(v->ctx);
     if (status == 0)
         status = fmt_tris_load(v->file, index, bytes, &chunk);
     if (status < 0)
         return status;
+    assert(chunk.positions && chunk.triangles);
     const char *fault = fault_of(&chunk, info, fmt_tris_get_header(v->file)->attributes, bytes,
                                  bytes + v->chunk_bytes);
     bsq_progress_add(v->ctx, info->size_bytes);
