@@ -8,7 +8,8 @@ static int use(struct bsq_ctx *ctx, const char *path)
     int status = fmt_exr_read(ctx, path, &image);
     if (status)
         return status;
-    require(image.width > 0 && image.height > 0 && image.channel_count > 0, "an image without size");
+    require(image.width > 0 && image.height > 0 && image.channel_count > 0,
+            "an image without size");
     fmt_exr_image_free(ctx, &image);
     return 0;
 }

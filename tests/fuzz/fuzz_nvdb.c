@@ -7,6 +7,8 @@
 
 #include "libbake/device_internal.h"
 
+enum { SIDE = 6 }; /* texels of the tile that is traced */
+
 static struct patched_grid patched;
 
 /* Stand for those of base/map.c: the file is in memory already. */
@@ -72,7 +74,8 @@ static void trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *
 static void trace(const struct fmt_nvdb_grid *grid)
 {
     static const float directions[][3] = {
-        {0, 0, 1}, {0, -1, 0}, {1, 0, 0}, {0.6f, 0, -0.8f}, {0.36f, 0.48f, 0.8f}, {-0.57735f, 0.57735f, 0.57735f}};
+        {0, 0, 1},        {0, -1, 0},           {1, 0, 0},
+        {0.6f, 0, -0.8f}, {0.36f, 0.48f, 0.8f}, {-0.57735f, 0.57735f, 0.57735f}};
     struct bk_params params = {.samples = 1};
     bake_params_from_grid(grid, &params);
     for (int step = 0; step <= 8; step++) {
@@ -80,10 +83,71 @@ static void trace(const struct fmt_nvdb_grid *grid)
         for (int k = 0; k < 3; k++)
             at[k] = (float)(grid->index_min[k] +
                             ((double)grid->index_max[k] - grid->index_min[k]) * step / 8);
-        params.flags = (params.flags & BK_HAS_COLOR) | (step & 1 ? BK_NEAREST : 0) | (step & 2 ? BK_TWO_SIDED : 0);
+        params.flags = (params.flags & BK_HAS_COLOR) | (step & 1 ? BK_NEAREST : 0) |
+                       (step & 2 ? BK_TWO_SIDED : 0);
         for (size_t i = 0; i < sizeof directions / sizeof *directions; i++)
             trace_ray(grid, &params, at, directions[i], step % 3 ? 100.0f : 1e8f);
     }
+}
+
+/* A skew square through the middle of the grid, a little larger; corner 0 of each triangle at its
+ * lower or upper end. */
+static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle triangles[2])
+{
+    static const float u[3] = {0.8f, 0, 0.6f}, v[3] = {-0.36f, 0.8f, 0.48f},
+                       normal[3] = {-0.48f, -0.6f, 0.64f};
+    float size = 1;
+    for (int k = 0; k < 3; k++)
+        size = fmaxf(size, 0.6f * ((float)grid->index_max[k] - (float)grid->index_min[k]));
+    for (int t = 0; t < 2; t++) {
+        float sign = t ? -1.0f : 1.0f;
+        struct bk_triangle *triangle = &triangles[t];
+        *triangle = (struct bk_triangle){.b1 = {sign / SIDE, 0, 0}, .b2 = {0, sign / SIDE, 0}};
+        triangle->x0 = triangle->y0 = t ? SIDE : 0;
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++) {
+                float middle = 0.5f * (float)grid->index_min[k] + 0.5f * (float)grid->index_max[k];
+                float a = i == 1 ? sign : -sign, b = i == 2 ? sign : -sign;
+                triangle->position[i][k] = middle + size * (a * u[k] + b * v[k]);
+                triangle->normal[i][k] = normal[k];
+                triangle->tangent[i][k] = u[k];
+                triangle->tangent[i][3] = 1;
+            }
+    }
+}
+
+/* The code for several rays at a time. */
+static int trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    const struct bk_tile tile = {.width = SIDE, .height = SIDE};
+    struct bk_triangle triangles[2];
+    uint32_t samples[SIDE * SIDE];
+    struct bk_texel texels[SIDE * SIDE];
+    struct bake_job job = {.grid = grid,
+                           .triangles = triangles,
+                           .triangle_count = 2,
+                           .tile_texels = SIDE * SIDE,
+                           .params = {.samples = 1, .front = 50, .back = 1e7f}};
+    struct bake_device *device;
+    make_square(grid, triangles);
+    for (uint32_t i = 0; i < SIDE * SIDE; i++)
+        samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
+    bake_params_from_grid(grid, &job.params);
+    int status = bake_device_open(ctx, "cpu", &job, &device);
+    if (status)
+        return status;
+    status = bake_device_trace(device, &tile, samples, texels, 0);
+    bake_device_close(device);
+    for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
+        require(texels[i].hits <= texels[i].covered && texels[i].covered <= 1,
+                "more hits than samples");
+        require(texels[i].covered == (samples[i] != BK_NO_TRIANGLE),
+                "a sample that is not counted");
+        for (int k = 0; k < 3; k++)
+            require(fabsf(texels[i].normal[k]) < 1.01f && texels[i].color[k] < 1.01f,
+                    "a texel out of range");
+    }
+    return status;
 }
 
 static int use(struct bsq_ctx *ctx)
@@ -94,8 +158,10 @@ static int use(struct bsq_ctx *ctx)
         return status;
     look_up(&grid);
     status = bake_check_grid(ctx, &grid);
-    if (status == 0)
+    if (status == 0) {
         trace(&grid);
+        status = trace_tile(ctx, &grid);
+    }
     if (status == 0 && patched.verify)
         status = fmt_nvdb_verify(ctx, &grid);
     fmt_nvdb_close(ctx, &grid);

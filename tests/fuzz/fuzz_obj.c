@@ -1,4 +1,5 @@
-/* fuzz_obj.c - fuzz target for OBJ: what loads as a mesh has finite positions and indices in range. */
+/* fuzz_obj.c - fuzz target for OBJ: what loads as a mesh has finite positions and indices in range.
+ */
 #include "formats/obj.h"
 #include "tests/fuzz/fuzz_file.h"
 

@@ -1,5 +1,6 @@
-/* fuzz_scan.c - fuzz target for both stages: a scan, as a chunk file or as OBJ text, is sorted, voxelized and baked,
- * from the grid and from its triangles. What one stage writes, the next must accept. */
+/* fuzz_scan.c - fuzz target for both stages: a scan, as a chunk file or as OBJ text, is sorted,
+ * voxelized and baked, from the grid and from its triangles. What one stage writes, the next must
+ * accept. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/tris_mend.h"
 
@@ -57,7 +58,8 @@ static void begin(void)
         remove_files();
         return;
     }
-    strcpy(files.folder, access("/dev/shm", W_OK) ? "/tmp/bisque-fuzz.XXXXXX" : "/dev/shm/bisque-fuzz.XXXXXX");
+    strcpy(files.folder,
+           access("/dev/shm", W_OK) ? "/tmp/bisque-fuzz.XXXXXX" : "/dev/shm/bisque-fuzz.XXXXXX");
     require(mkdtemp(files.folder) != NULL, "no folder");
     snprintf(files.obj, sizeof files.obj, "%s/scan.obj", files.folder);
     snprintf(files.tris, sizeof files.tris, "%s/scan.tris", files.folder);
@@ -71,7 +73,8 @@ static void begin(void)
 static int sort(struct bsq_ctx *ctx)
 {
     const char *paths[] = {files.obj};
-    const struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = files.tris};
+    const struct vox_sort_options options = {
+        .obj_paths = paths, .obj_count = 1, .tris_path = files.tris};
     struct vox_sort_report report;
     return vox_sort(ctx, &options, &report);
 }

@@ -1,5 +1,5 @@
-/* fuzz_tris.c - fuzz target for chunk files: every chunk of whatever opens is read. Most mutated files get right
- * sums, so that what lies behind them is reached. */
+/* fuzz_tris.c - fuzz target for chunk files: every chunk of whatever opens is read. Most mutated
+ * files get right sums, so that what lies behind them is reached. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/tris_mend.h"
 

@@ -1,8 +1,9 @@
 /* grid_patch.c - see grid_patch.h.
  *
- * An input: u8 flags (bits 0-1: template, bit 2: leave the sums wrong, bit 3: verify), then changes: u8 kind, and what it takes.
- * Places count the bytes of the file that are in or beside words that are not zero, so that few bits say
- * where, or all of its bytes. Some changes keep the tree valid: they move the grid, scale it or move a voxel. */
+ * An input: u8 flags (bits 0-1: template, bit 2: leave the sums wrong, bit 3: verify), then
+ * changes: u8 kind, and what it takes. Places count the bytes of the file that are in or beside
+ * words that are not zero, so that few bits say where, or all of its bytes. Some changes keep the
+ * tree valid: they move the grid, scale it or move a voxel. */
 #include "tests/fuzz/grid_patch.h"
 
 #include <sanitizer/asan_interface.h>
@@ -30,7 +31,7 @@ enum change {
     CUT       /* i16 bytes fewer */
 };
 /* How often each is chosen. */
-static const uint8_t kinds[16] = {SET, SET, SET,  SET,   SET,   SET_FAR,  ADD,      ADD,
+static const uint8_t kinds[16] = {SET, SET,  SET,  SET,   SET,   SET_FAR,  ADD,      ADD,
                                   CUT, MOVE, MOVE, SCALE, SHIFT, MOVE_BIT, MOVE_BIT, MOVE_BIT};
 
 struct grid_template {
@@ -61,7 +62,8 @@ static uint64_t take(struct cursor *from, size_t bytes)
 /* A clump of voxels around a point; type and colour by the template's number. */
 static void make_scene(int number, struct scene *scene)
 {
-    static const int32_t centre[TEMPLATES][3] = {{30, 40, 50}, {128, 60, 70}, {4096, 30, 20}, {3, 3, 3}};
+    static const int32_t centre[TEMPLATES][3] = {
+        {30, 40, 50}, {128, 60, 70}, {4096, 30, 20}, {3, 3, 3}};
     static const int extent[TEMPLATES] = {5, 12, 6, 2};
     static const unsigned counts[TEMPLATES] = {8, 90, 12, 3};
     uint64_t state = (uint64_t)number + 1;
@@ -71,7 +73,8 @@ static void make_scene(int number, struct scene *scene)
     for (uint64_t i = 0; i < scene->count && i < counts[number]; i++) {
         struct scene_voxel *v = &scene->voxels[kept++];
         for (int k = 0; k < 3; k++)
-            v->ijk[k] = centre[number][k] + (int32_t)(scene_next(&state) % (2 * (unsigned)extent[number])) -
+            v->ijk[k] = centre[number][k] +
+                        (int32_t)(scene_next(&state) % (2 * (unsigned)extent[number])) -
                         extent[number];
     }
     scene->count = kept;
@@ -140,7 +143,8 @@ static void make_template(int number, struct grid_template *t)
     find_places(t);
 
     struct bsq_ctx *ctx;
-    struct fmt_nvdb_grid grid = {.map = {.data = t->bytes, .size = t->size, .path = (char *)"template"}};
+    struct fmt_nvdb_grid grid = {
+        .map = {.data = t->bytes, .size = t->size, .path = (char *)"template"}};
     require(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) == 0, "no context");
     require(nvdb_check_head(ctx, &grid) == 0, "a template that is not valid");
     nvdb_layout_of(&grid, &t->layout);
@@ -276,13 +280,14 @@ static void join_bounds(const struct grid_template *t)
                         nvdb_leaf_bounds(origin, leaf->mask, low, high);
                         nvdb_bbox_join(lower->bbox_min, lower->bbox_max, low, high);
                     }
-                nvdb_bbox_join(upper[u].bbox_min, upper[u].bbox_max, lower->bbox_min, lower->bbox_max);
+                nvdb_bbox_join(upper[u].bbox_min, upper[u].bbox_max, lower->bbox_min,
+                               lower->bbox_max);
             }
         nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[u].bbox_min, upper[u].bbox_max);
     }
 }
 
-static void move_bit( struct grid_template *t, uint64_t number, uint32_t from, uint32_t to)
+static void move_bit(struct grid_template *t, uint64_t number, uint32_t from, uint32_t to)
 {
     struct nvdb_leaf *leaf = nodes(t, NVDB_LEAVES);
     leaf += number % node_count(t, NVDB_LEAVES, sizeof *leaf);
@@ -310,7 +315,7 @@ static void move_bit( struct grid_template *t, uint64_t number, uint32_t from, u
 
 /* ---- changes ---- */
 
-static void set_bytes( struct grid_template *t, uint64_t place, struct cursor *from)
+static void set_bytes(struct grid_template *t, uint64_t place, struct cursor *from)
 {
     uint64_t count = take(from, 1) % 8 + 1;
     if (count > t->size - place)
@@ -320,7 +325,7 @@ static void set_bytes( struct grid_template *t, uint64_t place, struct cursor *f
     memcpy(t->bytes + place, &value, count);
 }
 
-static void add_to_word( struct grid_template *t, uint64_t place, int8_t by)
+static void add_to_word(struct grid_template *t, uint64_t place, int8_t by)
 {
     uint64_t word;
     place &= ~(uint64_t)7;
@@ -330,7 +335,7 @@ static void add_to_word( struct grid_template *t, uint64_t place, int8_t by)
     memcpy(t->bytes + place, &word, sizeof word);
 }
 
-static void change( struct grid_template *t, struct cursor *from, uint64_t *size)
+static void change(struct grid_template *t, struct cursor *from, uint64_t *size)
 {
     enum change kind = (enum change)kinds[take(from, 1) % sizeof kinds];
     uint64_t a, b;
@@ -369,7 +374,7 @@ static void change( struct grid_template *t, struct cursor *from, uint64_t *size
 }
 
 /* The copy of what the head says at the file's begin, and all sums. */
-static void mend( struct grid_template *t)
+static void mend(struct grid_template *t)
 {
     const struct nvdb_layout *layout = &t->layout;
     struct nvdb_record *record = nodes(t, NVDB_RECORD);

@@ -28,10 +28,11 @@ void tris_mend(uint8_t *data, size_t size)
             memcpy(&entry, data + at, sizeof entry);
             mend_chunk(data, header.materials_offset, &entry);
         }
-        header.materials_checksum =
-            XXH3_64bits(data + header.materials_offset, header.table_offset - header.materials_offset);
+        header.materials_checksum = XXH3_64bits(data + header.materials_offset,
+                                                header.table_offset - header.materials_offset);
         header.table_checksum = XXH3_64bits(data + header.table_offset, size - header.table_offset);
     }
-    header.header_checksum = XXH3_64bits(&header, offsetof(struct tris_file_header, header_checksum));
+    header.header_checksum =
+        XXH3_64bits(&header, offsetof(struct tris_file_header, header_checksum));
     memcpy(data, &header, sizeof header);
 }

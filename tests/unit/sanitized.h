@@ -1,5 +1,6 @@
-/* sanitized.h - is this built with a sanitizer that takes ten times as long? Tests whose long part repeats what a
- * short one does already then do the short one; what they prove by numbers they prove without sanitizers. */
+/* sanitized.h - is this built with a sanitizer that takes ten times as long? Tests whose long part
+ * repeats what a short one does already then do the short one; what they prove by numbers they
+ * prove without sanitizers. */
 #ifndef TEST_SANITIZED_H
 #define TEST_SANITIZED_H
 
