@@ -219,7 +219,8 @@ static void mark_used(atomic_uint_least64_t *used, const struct face_group *grou
 
 /* A run being written. */
 struct writer {
-    uint8_t *header, *to;
+    uint8_t *header; /* of the run, NULL between runs */
+    uint8_t *to;
     struct run_header run;
     const uint32_t *before; /* corners of the triangle before */
     struct corner_code codes[FACE_KIND_COUNT];
@@ -227,10 +228,11 @@ struct writer {
 
 static void end_run(struct writer *w)
 {
-    if (w->run.triangles == 0)
+    if (!w->header)
         return;
     w->run.bytes = (uint32_t)(w->to - w->header - (ptrdiff_t)sizeof w->run);
     memcpy(w->header, &w->run, sizeof w->run);
+    w->header = NULL;
     w->run.triangles = 0;
 }
 
