@@ -2,8 +2,8 @@
  *
  * Triangles are taken in blocks. Inside a block they are grouped by the number of planes that cut
  * them along each axis, so that several can be divided and shaded side by side; the pieces are then
- * added in the order of the triangles, so that nothing shows of the grouping. Runs of triangles that
- * miss the window are passed over by their bounds. */
+ * added in the order of the triangles, so that nothing shows of the grouping. Runs of triangles
+ * that miss the window are passed over by their bounds. */
 #ifndef VOX_ACCUMULATE_LANES_H
 #define VOX_ACCUMULATE_LANES_H
 
@@ -168,8 +168,8 @@ struct single {
 static int add_waiting(struct single *s)
 {
     const struct vox_accumulation *what = s->what;
-    struct vox_sum samples[LANE_COUNT];
-    struct vox_color_sum colors[LANE_COUNT];
+    struct vox_sum samples[LANE_COUNT] = {0};
+    struct vox_color_sum colors[LANE_COUNT] = {0};
     double *to[2][LANE_COUNT], *rgb[LANE_COUNT];
     lanes sample[8], color[4];
     uint32_t count = s->count;

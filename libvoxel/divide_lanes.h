@@ -31,8 +31,9 @@ enum {
 
 /* Sums over a piece's border: twice its area, and its moments, in the plane of corner weights. */
 struct divide_piece {
-    lanes share;     /* of the triangle's area */
-    lanes moment[2]; /* share times weight of the second and third corner at the centroid, times 3 */
+    lanes share; /* of the triangle's area */
+    lanes
+        moment[2]; /* share times weight of the second and third corner at the centroid, times 3 */
 };
 
 /* Where a line, between parameters 0 and 1, is within each cell along an axis. */
@@ -51,7 +52,8 @@ LANES_INLINE void divide_line(lanes at, lanes slope, int planes, struct divide_s
         spans->to[0] = one;
         return;
     }
-    /* A coordinate that stays the same crosses nothing; signs of zero tell below from above then. */
+    /* A coordinate that stays the same crosses nothing; signs of zero tell below from above then.
+     */
     lane_mask down = (lane_mask)slope < 0, flat = lanes_abs(slope) < DIVIDE_LEAST_SLOPE;
     lanes inverse = 1.0 / slope, before = lanes_keep(down, one), end = one - before;
     for (int i = 0; i < planes; i++) {
@@ -91,14 +93,14 @@ LANES_INLINE void divide_border(const lanes p[3], const lanes inverse[3], double
     }
     /* Weights (t, 0) on the first edge, (1 - t, t) on the second, (0, 1 - t) on the third. */
     lanes rest1 = 1.0 - t[1], rest2 = 1.0 - t[2];
-    cut->rise[0] = (lanes)((lane_mask)lanes_keep(rises[0], t[0]) |
-                           (lane_mask)lanes_keep(rises[1], rest1));
-    cut->rise[1] = (lanes)((lane_mask)lanes_keep(rises[1], t[1]) |
-                           (lane_mask)lanes_keep(rises[2], rest2));
-    cut->fall[0] = (lanes)((lane_mask)lanes_keep(falls[0], t[0]) |
-                           (lane_mask)lanes_keep(falls[1], rest1));
-    cut->fall[1] = (lanes)((lane_mask)lanes_keep(falls[1], t[1]) |
-                           (lane_mask)lanes_keep(falls[2], rest2));
+    cut->rise[0] =
+        (lanes)((lane_mask)lanes_keep(rises[0], t[0]) | (lane_mask)lanes_keep(rises[1], rest1));
+    cut->rise[1] =
+        (lanes)((lane_mask)lanes_keep(rises[1], t[1]) | (lane_mask)lanes_keep(rises[2], rest2));
+    cut->fall[0] =
+        (lanes)((lane_mask)lanes_keep(falls[0], t[0]) | (lane_mask)lanes_keep(falls[1], rest1));
+    cut->fall[1] =
+        (lanes)((lane_mask)lanes_keep(falls[1], t[1]) | (lane_mask)lanes_keep(falls[2], rest2));
 }
 
 /* Adds the parts of the line in which one plane cuts the triangle. `below` is the first cell of the
@@ -131,7 +133,7 @@ LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divi
 
 /* Begins the sums with the edge that does not begin at the origin: from (1, 0) to (0, 1). */
 LANES_INLINE void divide_edge(const struct divide_spans spans[3], const int cells[3],
-                                  struct divide_piece *pieces)
+                              struct divide_piece *pieces)
 {
     for (int i = 0; i < cells[0]; i++)
         for (int j = 0; j < cells[1]; j++) {
@@ -149,7 +151,8 @@ LANES_INLINE void divide_edge(const struct divide_spans spans[3], const int cell
         }
 }
 
-/* Lines of two kinds that meet on a line of the third: a cell may be touched in that point alone. */
+/* Lines of two kinds that meet on a line of the third: a cell may be touched in that point alone.
+ */
 LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_planes,
                                        const struct divide_spans *r, int r_planes,
                                        lane_mask *doubtful)
@@ -161,8 +164,7 @@ LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_plane
 
 /* The lines of all planes across an axis. */
 LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3],
-                              const int stride[3], struct divide_piece *pieces,
-                              lane_mask *doubtful)
+                              const int stride[3], struct divide_piece *pieces, lane_mask *doubtful)
 {
     const int q = (axis + 1) % 3, r = (axis + 2) % 3;
     const int strides[3] = {stride[axis], stride[q], stride[r]};

@@ -5,6 +5,7 @@
  * virtual-storage computer", 1966). Slots are allocated when first used. */
 #include "libvoxel/scan_chunks.h"
 #include "base/octahedral.h"
+#include "libvoxel/lanes.h"
 
 #include <math.h>
 #include <pthread.h>
@@ -122,19 +123,19 @@ static bool is_coarse(const struct fmt_tris_chunk *source, const double (*points
     return sum > COARSE_EDGE_SQUARE * (double)source->triangle_count;
 }
 
-static struct vox_box group_box(const struct vox_lattice *lattice,
-                                const struct fmt_tris_chunk *source, uint32_t begin, uint32_t end)
+static struct vox_box group_box(const struct vox_chunk *chunk, uint32_t begin, uint32_t end)
 {
-    float min[3] = {INFINITY, INFINITY, INFINITY}, max[3] = {-INFINITY, -INFINITY, -INFINITY};
+    four_ints low = four_load(chunk->cells[chunk->source.triangles[begin][0]]), high = low;
+    struct vox_box box;
     for (uint32_t t = begin; t < end; t++)
         for (int corner = 0; corner < 3; corner++) {
-            const float *p = source->positions[source->triangles[t][corner]];
-            for (int a = 0; a < 3; a++) {
-                min[a] = p[a] < min[a] ? p[a] : min[a];
-                max[a] = p[a] > max[a] ? p[a] : max[a];
-            }
+            four_ints cell = four_load(chunk->cells[chunk->source.triangles[t][corner]]);
+            low = four_min(low, cell);
+            high = four_max(high, cell);
         }
-    return vox_lattice_box(lattice, min, max);
+    memcpy(box.lo, &low, sizeof box.lo);
+    memcpy(box.hi, &high, sizeof box.hi);
+    return box;
 }
 
 static void make_groups(const struct vox_chunks *c, struct slot *slot)
@@ -147,7 +148,7 @@ static void make_groups(const struct vox_chunks *c, struct slot *slot)
     for (uint32_t begin = 0; begin < source->triangle_count; begin += VOX_GROUP_TRIANGLES) {
         uint32_t left = source->triangle_count - begin;
         uint32_t end = begin + (left < VOX_GROUP_TRIANGLES ? left : VOX_GROUP_TRIANGLES);
-        groups[content->group_count++] = group_box(c->lattice, source, begin, end);
+        groups[content->group_count++] = group_box(content, begin, end);
     }
 }
 

@@ -12,9 +12,10 @@ struct shade_triangles {
     lanes flat[3];    /* unit normal of the plane, zero where there is no area */
     lanes area;       /* in voxel faces */
     bool has_normals;
-    bool curved; /* so large that planes differ from the surface that the normals describe */
+    bool curved;        /* so large that planes differ from the surface that the normals describe */
     lanes normal[3][3]; /* corner, axis; unit */
-    /* Of corners 01, 12, 20: 8 times the height of the arc over the edge that has the corners' normals. */
+    /* Of corners 01, 12, 20: 8 times the height of the arc over the edge that has the corners'
+     * normals. */
     lanes arc[3];
     lane_mask facet; /* the plane is too far from that surface to go with the normals */
     bool has_color;
@@ -47,7 +48,8 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
         t->flat[k] = n[k] * scale;
 }
 
-/* A corner without a normal has the triangle's own. Normals are believed even where the winding says otherwise. */
+/* A corner without a normal has the triangle's own. Normals are believed even where the winding
+ * says otherwise. */
 LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
 {
     for (int i = 0; i < 3; i++) {
@@ -57,11 +59,12 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
     }
 }
 
-/* Highest arc over an edge onto which pieces are lifted, in voxels: they have to stay with their voxel. */
+/* Highest arc over an edge onto which pieces are lifted, in voxels: they have to stay with their
+ * voxel. */
 #define SHADE_LIFT_LIMIT 0.1
 
-/* Measures how far the surface that the corners' normals describe bulges from the triangle's plane. Limited edge by
- * edge, as what two triangles share must not depend on either. */
+/* Measures how far the surface that the corners' normals describe bulges from the triangle's plane.
+ * Limited edge by edge, as what two triangles share must not depend on either. */
 LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 {
     const lanes limit = lanes_all(8.0 * SHADE_LIFT_LIMIT);
@@ -103,10 +106,11 @@ LANES_INLINE void shade_normal(const struct shade_triangles *t, const lanes b[2]
         normal[k] = lanes_select(square > 1e-12, normal[k] * scale, t->flat[k]);
 }
 
-/* Moves a piece from the triangle's plane onto the curved surface, so that the plane of a voxel goes with its normal.
- * At weights w the tangent plane of corner i is (p_i - p) . n_i away, and half the mean of these is the height of a
- * surface of constant curvature (Boubekeur & Alexa, "Phong Tessellation", 2008, blend the same planes). With
- * p = sum of w_i p_i that is half the sum of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. */
+/* Moves a piece from the triangle's plane onto the curved surface, so that the plane of a voxel
+ * goes with its normal. At weights w the tangent plane of corner i is (p_i - p) . n_i away, and
+ * half the mean of these is the height of a surface of constant curvature (Boubekeur & Alexa,
+ * "Phong Tessellation", 2008, blend the same planes). With p = sum of w_i p_i that is half the sum
+ * of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. */
 LANES_INLINE void shade_lift(const struct shade_triangles *t, const lanes b[2],
                              const lanes normal[3], lanes center[3])
 {
@@ -135,8 +139,8 @@ LANES_INLINE void shade_pieces(const struct shade_triangles *t, lanes share, con
             shade_lift(t, b, normal, center);
             sample[7] = lanes_keep(t->facet, area);
         }
-        /* Directions count as far as they agree with the triangle's: then coverage tells how well a voxel's
-         * plane stands for its surface. */
+        /* Directions count as far as they agree with the triangle's: then coverage tells how well a
+         * voxel's plane stands for its surface. */
         lanes agreement = lanes_abs(shade_dot(normal, t->flat));
         for (int k = 0; k < 3; k++)
             normal[k] = agreement * normal[k];

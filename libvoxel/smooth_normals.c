@@ -255,7 +255,7 @@ static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender 
                      uint32_t other)
 {
     const struct fmt_tris_chunk *lent;
-    struct fmt_tris_chunk own;
+    struct fmt_tris_chunk own = {0};
     int status = lender->lend(lender->arg, other, &lent);
     if (status == 0 && !lent)
         status = fmt_tris_load(s->file, other, d->scratch, &own);
