@@ -31,6 +31,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
     }
     t->has_normals = chunk->normals != NULL;
     t->curved = t->has_normals && chunk->coarse;
+    t->detached = t->curved && !chunk->rises && chunk->large;
     t->has_color = what->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {
         const double *points[LANE_COUNT];
@@ -39,6 +40,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
             uint32_t vertex = chunk->source.triangles[triangle[l]->number][i];
             points[l] = chunk->points[vertex];
             normals[l] = t->has_normals ? chunk->normals[vertex] : NULL;
+            t->rise[i][l] = chunk->rises ? (double)chunk->rises[vertex] : 0.0;
         }
         lanes_gather(points, low, t->p[i]);
         if (t->has_normals)

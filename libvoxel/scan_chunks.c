@@ -13,8 +13,8 @@
 
 enum { NO_SLOT = -1 };
 
-/* What a slot holds is made in two steps, as the normals of one chunk need others as they are in the
- * file. Whoever finds a step to do does it, and others wait. */
+/* What a slot holds is made in two steps, as the normals of one chunk need others as they are in
+ * the file. Whoever finds a step to do does it, and others wait. */
 enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
 
 struct slot {
@@ -42,7 +42,7 @@ struct vox_chunks {
     uint32_t slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
-    uint64_t points_at, cells_at, normals_at, groups_at, slot_bytes;
+    uint64_t points_at, cells_at, normals_at, rises_at, groups_at, slot_bytes;
 };
 
 /* ---- layout of a slot ---- */
@@ -67,8 +67,9 @@ static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool
     /* Vectors of three are loaded as four numbers. */
     c->cells_at = c->points_at + align64(vertices * sizeof(double[3]) + sizeof(double));
     c->normals_at = c->cells_at + align64(vertices * sizeof(int32_t[4]));
-    c->groups_at =
+    c->rises_at =
         c->normals_at + (normals ? align64(vertices * sizeof(float[3]) + sizeof(float)) : 0);
+    c->groups_at = c->rises_at + (smooth ? align64(vertices * sizeof(float)) : 0);
     c->slot_bytes = c->groups_at + align64(groups * sizeof(struct vox_box));
 }
 
@@ -81,8 +82,8 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- loading ---- */
 
-/* Points are not below the lattice, but what lies on its upper bounds has its cell just above and is
- * counted to the last. */
+/* Points are not below the lattice, but what lies on its upper bounds has its cell just above and
+ * is counted to the last. */
 static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
                        double (*points)[3], int32_t (*cells)[4])
 {
@@ -108,11 +109,15 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
     }
 }
 
-/* Mean square of an edge, in voxels, above which facets show: below, a voxel averages over several. */
+/* Mean square of an edge, in voxels, above which facets show: below, a voxel averages over several.
+ */
 #define COARSE_EDGE_SQUARE 1.0
+/* And above which the scan's own normals are to be believed rather than the planes of its facets.
+ */
+#define LARGE_EDGE_SQUARE 4.0
 
-/* Are the triangles large enough for their facets to show in the grid? */
-static bool is_coarse(const struct fmt_tris_chunk *source, const double (*points)[3])
+/* Mean square of the triangles' first edges, in voxels. */
+static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[3])
 {
     double sum = 0.0;
     for (uint32_t t = 0; t < source->triangle_count; t++) {
@@ -120,7 +125,7 @@ static bool is_coarse(const struct fmt_tris_chunk *source, const double (*points
         for (int a = 0; a < 3; a++)
             sum += (q[a] - p[a]) * (q[a] - p[a]);
     }
-    return sum > COARSE_EDGE_SQUARE * (double)source->triangle_count;
+    return sum / (double)source->triangle_count;
 }
 
 static struct vox_box group_box(const struct vox_chunk *chunk, uint32_t begin, uint32_t end)
@@ -170,6 +175,19 @@ static void take_back(void *arg, uint32_t chunk)
     vox_chunks_release(arg, chunk);
 }
 
+static int smooth_normals(struct vox_chunks *c, uint32_t chunk, struct slot *slot,
+                          float (*normals)[3])
+{
+    const struct vox_smooth_lender lender = {c, lend, take_back};
+    const struct fmt_tris_chunk *source = &slot->content.source;
+    float *rises = (float *)(void *)(slot->memory + c->rises_at);
+    int status = vox_smooth_normals(c->smooth, &lender, chunk, source, normals, rises);
+    for (uint32_t v = 0; status == 0 && v < source->vertex_count; v++)
+        rises[v] = (float)((double)rises[v] / c->lattice->h);
+    slot->content.rises = rises;
+    return status;
+}
+
 /* The second step: what voxelizing needs beside. */
 static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
@@ -182,14 +200,16 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
     map_points(c->lattice, source, points, cells);
     content->points = (const double(*)[3])points;
     content->cells = (const int32_t(*)[4])cells;
-    content->coarse = is_coarse(source, content->points);
+    double square = mean_edge_square(source, content->points);
+    content->coarse = square > COARSE_EDGE_SQUARE;
+    content->large = square > LARGE_EDGE_SQUARE;
+    content->rises = NULL;
     make_groups(c, slot);
     content->normals = (const float(*)[3])normals;
     if (source->normals) {
         unpack_normals(source, normals);
     } else if (c->smooth && content->coarse) {
-        const struct vox_smooth_lender lender = {c, lend, take_back};
-        status = vox_smooth_normals(c->smooth, &lender, chunk, source, normals);
+        status = smooth_normals(c, chunk, slot, normals);
     } else {
         content->normals = NULL;
     }

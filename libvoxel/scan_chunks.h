@@ -13,10 +13,12 @@ enum { VOX_GROUP_TRIANGLES = 64 };
 
 struct vox_chunk {
     struct fmt_tris_chunk source;
-    const double (*points)[3];    /* positions in lattice coordinates; one more number is readable */
-    const int32_t (*cells)[4];    /* cells of the points, 0 */
-    const float (*normals)[3];    /* unit, or zero; NULL: those of the triangles; as points */
-    bool coarse; /* triangles are large enough for their facets to show in the grid */
+    const double (*points)[3]; /* positions in lattice coordinates; one more number is readable */
+    const int32_t (*cells)[4]; /* cells of the points, 0 */
+    const float (*normals)[3]; /* unit, or zero; NULL: those of the triangles; as points */
+    const float *rises; /* of the surface of these normals above the vertices, in voxels; NULL: 0 */
+    bool large;         /* more than coarse: facets are flat over several voxels */
+    bool coarse;        /* triangles are large enough for their facets to show in the grid */
     const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
     uint32_t group_count;
 };
@@ -26,8 +28,9 @@ struct vox_chunks;
 /* Bytes that one cached chunk takes, with room for normals if the file has them or `smooth`. */
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth);
 
-/* A cache of up to slot_count >= 1 chunks. `file`, `lattice` and `smooth` must outlive it. smooth makes the normals
- * of chunks that have none and whose triangles are not small for the grid; NULL: they stay without. */
+/* A cache of up to slot_count >= 1 chunks. `file`, `lattice` and `smooth` must outlive it. smooth
+ * makes the normals of chunks that have none and whose triangles are not small for the grid; NULL:
+ * they stay without. */
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       const struct vox_lattice *lattice, struct vox_smooth *smooth,
                       uint32_t slot_count, struct vox_chunks **out);

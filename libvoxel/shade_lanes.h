@@ -13,7 +13,9 @@ struct shade_triangles {
     lanes area;       /* in voxel faces */
     bool has_normals;
     bool curved;        /* so large that planes differ from the surface that the normals describe */
+    bool detached;      /* and no surface through facets of this size belongs to the normals */
     lanes normal[3][3]; /* corner, axis; unit */
+    lanes rise[3];      /* of the surface they describe above the corners, in voxels */
     /* Of corners 01, 12, 20: 8 times the height of the arc over the edge that has the corners'
      * normals. */
     lanes arc[3];
@@ -59,15 +61,16 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
     }
 }
 
-/* Highest arc over an edge onto which pieces are lifted, in voxels: they have to stay with their
- * voxel. */
+/* Highest arc over an edge, and highest rise above a corner, onto which pieces are lifted, in
+ * voxels: they have to stay with their voxel. */
 #define SHADE_LIFT_LIMIT 0.1
 
-/* Measures how far the surface that the corners' normals describe bulges from the triangle's plane.
- * Limited edge by edge, as what two triangles share must not depend on either. */
+/* Measures how far the surface that the corners' normals describe lies from the triangle's plane.
+ * Limited edge by edge and corner by corner, as what two triangles share must not depend on either.
+ */
 LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 {
-    const lanes limit = lanes_all(8.0 * SHADE_LIFT_LIMIT);
+    const lanes limit = lanes_all(8.0 * SHADE_LIFT_LIMIT), highest = lanes_all(SHADE_LIFT_LIMIT);
     for (int i = 0; i < 3; i++) {
         const int j = (i + 1) % 3;
         lanes arc = lanes_all(0.0);
@@ -75,6 +78,8 @@ LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
             arc += (t->p[i][a] - t->p[j][a]) * (t->normal[i][a] - t->normal[j][a]);
         t->facet |= lanes_abs(arc) > limit;
         t->arc[i] = lanes_min(lanes_max(arc, -limit), limit);
+        t->facet |= lanes_abs(t->rise[i]) > highest;
+        t->rise[i] = lanes_min(lanes_max(t->rise[i], -highest), highest);
     }
 }
 
@@ -87,6 +92,8 @@ LANES_INLINE void shade_prepare(struct shade_triangles *t)
         shade_settle_normals(t);
     if (t->curved)
         shade_measure_arcs(t);
+    if (t->detached)
+        t->facet = lanes_all(0.0) < 1.0;
 }
 
 /* ---- pieces ---- */
@@ -110,12 +117,14 @@ LANES_INLINE void shade_normal(const struct shade_triangles *t, const lanes b[2]
  * goes with its normal. At weights w the tangent plane of corner i is (p_i - p) . n_i away, and
  * half the mean of these is the height of a surface of constant curvature (Boubekeur & Alexa,
  * "Phong Tessellation", 2008, blend the same planes). With p = sum of w_i p_i that is half the sum
- * of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. */
+ * of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. Corners that are not on that surface take
+ * their neighbourhood along. */
 LANES_INLINE void shade_lift(const struct shade_triangles *t, const lanes b[2],
                              const lanes normal[3], lanes center[3])
 {
     lanes w = 1.0 - b[0] - b[1];
     lanes height = 0.5 * (w * b[0] * t->arc[0] + b[0] * b[1] * t->arc[1] + b[1] * w * t->arc[2]);
+    height += w * t->rise[0] + b[0] * t->rise[1] + b[1] * t->rise[2];
     for (int k = 0; k < 3; k++)
         center[k] += height * normal[k];
 }

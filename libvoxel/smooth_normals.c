@@ -9,14 +9,21 @@
 #include <pthread.h>
 #include <string.h>
 
+/* Sums over the triangles around a vertex. */
+struct ring {
+    double area_vector[3], area; /* twice */
+    double moment[3]; /* three times area times the centroid's distance from the vertex */
+};
+
 /* Room for one call. */
 struct desk {
     bool busy;
-    uint32_t *table;  /* positions, open addressing: vertex number + 1, 0 is free */
-    uint32_t *twins;  /* of each vertex of the chunk: the first vertex at its position */
-    uint32_t *mates;  /* of each vertex of a neighbour: the chunk's vertex at its position + 1, or 0 */
-    double (*sums)[4]; /* of area vectors and their lengths, of each vertex that is its own twin */
-    void *scratch;    /* a neighbour that nobody lends */
+    uint32_t *table; /* positions, open addressing: vertex number + 1, 0 is free */
+    uint32_t *twins; /* of each vertex of the chunk: the first vertex at its position */
+    uint32_t
+        *mates; /* of each vertex of a neighbour: the chunk's vertex at its position + 1, or 0 */
+    struct ring *rings; /* of each vertex that is its own twin */
+    void *scratch;      /* a neighbour that nobody lends */
 };
 
 struct vox_smooth {
@@ -52,7 +59,7 @@ static uint64_t desk_bytes(const struct fmt_tris_file *file)
 {
     uint64_t vertices = largest_vertex_count(file);
     return sizeof(struct desk) + table_size(vertices) * sizeof(uint32_t) +
-           vertices * (2 * sizeof(uint32_t) + sizeof(double[4])) + fmt_tris_load_size_max(file);
+           vertices * (2 * sizeof(uint32_t) + sizeof(struct ring)) + fmt_tris_load_size_max(file);
 }
 
 static int make_desk(struct vox_smooth *s, struct desk *d)
@@ -62,7 +69,7 @@ static int make_desk(struct vox_smooth *s, struct desk *d)
     if ((status = bsq_alloc(s->ctx, "smooth normals", size, sizeof *d->table, &d->table)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->twins, &d->twins)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->mates, &d->mates)) < 0 ||
-        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->sums, &d->sums)) < 0)
+        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->rings, &d->rings)) < 0)
         return status;
     return bsq_alloc(s->ctx, "smooth normals", fmt_tris_load_size_max(s->file), 1, &d->scratch);
 }
@@ -101,7 +108,7 @@ void vox_smooth_destroy(struct vox_smooth *s)
         bsq_free(s->ctx, d->table);
         bsq_free(s->ctx, d->twins);
         bsq_free(s->ctx, d->mates);
-        bsq_free(s->ctx, d->sums);
+        bsq_free(s->ctx, d->rings);
         bsq_free(s->ctx, d->scratch);
     }
     bsq_free(s->ctx, s->desks);
@@ -168,7 +175,7 @@ static void enter_vertices(const struct desk *d, uint32_t slot_mask,
                            const struct fmt_tris_chunk *chunk)
 {
     memset(d->table, 0, ((uint64_t)slot_mask + 1) * sizeof *d->table);
-    memset(d->sums, 0, (uint64_t)chunk->vertex_count * sizeof *d->sums);
+    memset(d->rings, 0, (uint64_t)chunk->vertex_count * sizeof *d->rings);
     for (uint32_t v = 0; v < chunk->vertex_count; v++) {
         uint32_t slot = find_slot(d, slot_mask, chunk, chunk->positions[v]);
         if (!d->table[slot])
@@ -211,10 +218,17 @@ static void area_vector(const float a[3], const float b[3], const float c[3], do
     n[3] = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
 }
 
-static void add(double sum[4], const double n[4])
+/* Adds a triangle to the ring of its corner i. */
+static void add(struct ring *ring, const struct fmt_tris_chunk *chunk, const uint32_t v[3], int i,
+                const double n[4])
 {
-    for (int k = 0; k < 4; k++)
-        sum[k] += n[k];
+    const float *p = chunk->positions[v[i]];
+    const float *q = chunk->positions[v[(i + 1) % 3]], *r = chunk->positions[v[(i + 2) % 3]];
+    for (int k = 0; k < 3; k++) {
+        ring->area_vector[k] += n[k];
+        ring->moment[k] += n[3] * (((double)q[k] - (double)p[k]) + ((double)r[k] - (double)p[k]));
+    }
+    ring->area += n[3];
 }
 
 static void add_own(const struct desk *d, const struct fmt_tris_chunk *chunk)
@@ -224,7 +238,7 @@ static void add_own(const struct desk *d, const struct fmt_tris_chunk *chunk)
         double n[4];
         area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
         for (int i = 0; i < 3; i++)
-            add(d->sums[d->twins[v[i]]], n);
+            add(&d->rings[d->twins[v[i]]], chunk, v, i, n);
     }
 }
 
@@ -238,7 +252,7 @@ static void add_neighbour(const struct desk *d, const struct fmt_tris_chunk *oth
         area_vector(other->positions[v[0]], other->positions[v[1]], other->positions[v[2]], n);
         for (int i = 0; i < 3; i++)
             if (d->mates[v[i]])
-                add(d->sums[d->mates[v[i]] - 1], n);
+                add(&d->rings[d->mates[v[i]] - 1], other, v, i, n);
     }
 }
 
@@ -285,18 +299,31 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
     return status;
 }
 
+/* The mean of the facets' normals around a vertex is the normal of a smoother surface: that of the
+ * heights' means over the rings of triangles, each the height of its ring's centroid. In a lattice
+ * of triangles its facets have, up to the surface's third derivatives, the slope of the corners'
+ * normals' mean. Bunny and vase, whose triangles are not so even, come nearest to exact maps with
+ * an eighth more: at voxels of half a texel 0.16 and 0.03 degrees instead of 0.24 and 0.05. */
+static const double ring_share = 9.0 / 8.0;
+
+static void finish_vertex(const struct ring *ring, float normal[3], float *rise)
+{
+    const double *n = ring->area_vector, *m = ring->moment;
+    double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    bool smooth = length > 0 && length >= FMT_TRIS_CREASE_SHARE * ring->area;
+    double height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * ring->area);
+    for (int k = 0; k < 3; k++)
+        normal[k] = smooth ? (float)(n[k] / length) : 0.0f;
+    *rise = smooth ? (float)(ring_share * height) : 0.0f;
+}
+
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender, uint32_t index,
-                       const struct fmt_tris_chunk *chunk, float (*normals)[3])
+                       const struct fmt_tris_chunk *chunk, float (*normals)[3], float *rises)
 {
     struct desk *desk = sit_down(s);
     int status = sum_normals(s, lender, desk, index, chunk);
-    for (uint32_t v = 0; status == 0 && v < chunk->vertex_count; v++) {
-        const double *n = desk->sums[desk->twins[v]];
-        double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
-        bool smooth = length > 0 && length >= FMT_TRIS_CREASE_SHARE * n[3];
-        for (int k = 0; k < 3; k++)
-            normals[v][k] = smooth ? (float)(n[k] / length) : 0.0f;
-    }
+    for (uint32_t v = 0; status == 0 && v < chunk->vertex_count; v++)
+        finish_vertex(&desk->rings[desk->twins[v]], normals[v], &rises[v]);
     stand_up(s, desk);
     return status;
 }

@@ -6,8 +6,8 @@
 
 struct vox_smooth;
 
-/* Room for up to `calls` >= 1 calls at a time, fewer where that is more than `bytes`, but one in any
- * case. The file must outlive *out. */
+/* Room for up to `calls` >= 1 calls at a time, fewer where that is more than `bytes`, but one in
+ * any case. The file must outlive *out. */
 int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, unsigned calls,
                       uint64_t bytes, struct vox_smooth **out);
 void vox_smooth_destroy(struct vox_smooth *smooth); /* NULL is allowed */
@@ -20,11 +20,14 @@ struct vox_smooth_lender {
     void (*take_back)(void *arg, uint32_t index);
 };
 
-/* Area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices at the same position are
- * one, whichever chunk they are in. `chunk` is number `index`, decoded; `normals` has one entry a
- * vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE). The sums run in the order of triangles in
- * the file, so the result does not depend on who asks when. Thread-safe; a call waits while there is no room. */
+/* Area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices at the
+ * same position are one, whichever chunk they are in. `chunk` is number `index`, decoded; `normals`
+ * has one entry a vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE). `rises`: how
+ * far above each vertex, along its normal and in world units, the surface lies that these normals,
+ * interpolated, belong to; 0 at creases. The sums run in the order of triangles in the file, so the
+ * result does not depend on who asks when. Thread-safe; a call waits while there is no room. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
-                       uint32_t index, const struct fmt_tris_chunk *chunk, float (*normals)[3]);
+                       uint32_t index, const struct fmt_tris_chunk *chunk, float (*normals)[3],
+                       float *rises);
 
 #endif
