@@ -17,7 +17,7 @@ torture()
 {
     command="torture $* $job_outputs -- $job_command" code=0
     # The words of both are split on purpose: no name in them has a space.
-    "$TESTS/torture" -s "$SEED" "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
+    "$TESTS/torture" -s "$SEED" ${job_record:+-r "$job_record"} "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
     check "$(sed -n '$s/^\(not \)*ok - //p' "$out")" "$code"
     SEED=$((SEED + 1))
 }
@@ -25,7 +25,7 @@ torture()
 # job NAME OUTPUT... -- PROGRAM ARGUMENT...
 job()
 {
-    job_outputs='' job_command=''
+    job_outputs='' job_command='' job_record=''
     while [ "$1" != -- ]; do
         job_outputs="$job_outputs $1"
         shift
@@ -83,6 +83,7 @@ small="--size 32 --samples 1 --threads 2"
 # ---- each tool, every call ----
 
 job a.tris a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --threads 2
+job_record=a.tris.job
 writes_fail
 reads_fail
 killed
@@ -117,6 +118,7 @@ killed
 
 "$TESTS/generate-scan" --triangles 1600000 --colors --shuffle 7 vase -o large.obj
 job a.tris a.nvdb -- bisque-voxelize large.obj -o a.nvdb --resolution 64 --threads 1 --memory 52M
+job_record=a.tris.job
 torture -m 5 ENOSPC
 torture -m 4 -c read EIO
 torture -m 3 kill-at

@@ -1,7 +1,7 @@
 /* torture.c - runs a program many times, kills it or lets calls fail in it, and looks at what is
  * left.
  *
- *   torture [-p] [-c CALLS] [-m MOST] [-n RUNS] [-s SEED] [-x CODE]...
+ *   torture [-p] [-c CALLS] [-m MOST] [-n RUNS] [-r RECORD] [-s SEED] [-x CODE]...
  *           MODE OUTPUT... -- PROGRAM ARGUMENT...
  *
  * Runs in the current directory, which holds the inputs; OUTPUTs are the files that the program
@@ -23,7 +23,8 @@
  * interruption must be told as such within two seconds.
  *
  * -p takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
- * with the first and the last. */
+ * with the first and the last; -r names a file that runs without success may leave, as a later one
+ * goes on from it, and that success removes. */
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -48,6 +49,7 @@ struct content {
 static struct {
     bool plain;
     const char *calls, *mode;
+    const char *record; /* NULL: none */
     unsigned runs;
     unsigned long most;
     uint64_t random;
@@ -232,7 +234,7 @@ static void check_output(struct run *run, int i, bool success)
     free(now_there.bytes);
 }
 
-static void check_directory(struct run *run, bool may_leave)
+static void check_directory(struct run *run, bool success, bool may_leave)
 {
     char *names[MOST_NAMES];
     int count = list_directory(names), temporary = 0;
@@ -240,7 +242,8 @@ static void check_directory(struct run *run, bool may_leave)
         if (is_temporary(names[i]))
             temporary++;
         else if (!is_among(names[i], job.inputs, job.input_count) &&
-                 !is_among(names[i], job.outputs, job.output_count))
+                 !is_among(names[i], job.outputs, job.output_count) &&
+                 (success || !job.record || strcmp(names[i], job.record) != 0))
             run->wrong = "a file that does not belong here";
         free(names[i]);
     }
@@ -287,7 +290,7 @@ static void check_run(struct run *run, const char *reason, bool may_fail)
     seen.runs++;
     seen.finished += success;
     seen.killed += killed;
-    check_directory(run, killed);
+    check_directory(run, success, killed);
     for (int i = 0; i < job.output_count; i++)
         check_output(run, i, success);
     if (success || killed)
@@ -312,6 +315,8 @@ static void prepare(struct run *run)
         if (run->had_old)
             write_old(job.outputs[i]);
     }
+    if (job.record)
+        unlink(job.record);
 }
 
 static void report_wrong(const struct run *run, unsigned long number)
@@ -399,7 +404,7 @@ static void parse(int argc, char **argv)
     job.runs = 200;
     job.random = 1;
     job.most = (unsigned long)-1;
-    while ((option = getopt(argc, argv, "+pc:m:n:s:x:")) != -1) {
+    while ((option = getopt(argc, argv, "+pc:m:n:r:s:x:")) != -1) {
         switch (option) {
         case 'p':
             job.plain = true;
@@ -412,6 +417,9 @@ static void parse(int argc, char **argv)
             break;
         case 'n':
             job.runs = (unsigned)strtoul(optarg, NULL, 10);
+            break;
+        case 'r':
+            job.record = optarg;
             break;
         case 's':
             job.random = strtoull(optarg, NULL, 10);
