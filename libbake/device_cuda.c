@@ -18,6 +18,7 @@
 #include "libbake/device_backend_internal.h"
 #include "libbake/device_probe_internal.h"
 #include "libbake/slices_internal.h"
+#include "libbake/stage_internal.h"
 
 /* "" where the program was built without a compiler for it. */
 static const char kernel_ptx[] =
@@ -56,13 +57,11 @@ struct loaded {
     struct bk_params params;
 };
 
-/* Two page-locked pieces: one is filled while the device takes the other. */
-struct stage {
+/* Through page-locked memory. */
+struct upload {
+    struct bake_stage stage;
     CUstream stream;
-    char *pieces[2];
-    CUevent taken[2];
-    unsigned turn;
-    uint64_t used; /* of the piece whose turn it is */
+    CUevent taken[2]; /* the device has what was in the piece */
     CUdeviceptr to;
     CUresult code; /* of the call that failed */
 };
@@ -79,7 +78,7 @@ struct cuda {
     CUevent origin; /* of the clock that times are told on */
     CUdeviceptr triangles;
     struct loaded loaded[BAKE_SLOTS];
-    struct stage stage;
+    struct upload upload;
     struct bk_params params;
     uint32_t tile_texels;
     uint64_t reserved_bytes; /* of host memory */
@@ -237,92 +236,73 @@ static int share_memory(struct cuda *cuda, const struct bake_job *job)
     return 0;
 }
 
-static void close_stage(struct cuda *cuda)
+static void close_upload(struct cuda *cuda)
 {
-    struct stage *stage = &cuda->stage;
+    struct upload *upload = &cuda->upload;
 
-    if (stage->stream) {
-        cuda->api.cuStreamSynchronize(stage->stream);
-        cuda->api.cuStreamDestroy(stage->stream);
+    if (upload->stream) {
+        cuda->api.cuStreamSynchronize(upload->stream);
+        cuda->api.cuStreamDestroy(upload->stream);
     }
     for (int i = 0; i < 2; i++) {
-        if (stage->taken[i])
-            cuda->api.cuEventDestroy(stage->taken[i]);
-        if (stage->pieces[i])
-            cuda->api.cuMemFreeHost(stage->pieces[i]);
+        if (upload->taken[i])
+            cuda->api.cuEventDestroy(upload->taken[i]);
+        if (upload->stage.pieces[i])
+            cuda->api.cuMemFreeHost(upload->stage.pieces[i]);
     }
-    *stage = (struct stage){0};
+    *upload = (struct upload){0};
 }
 
-static CUresult open_stage(struct cuda *cuda)
+static int send_piece(void *device, unsigned turn, uint64_t bytes)
 {
-    struct stage *stage = &cuda->stage;
-    CUresult code = cuda->api.cuStreamCreate(&stage->stream, CU_STREAM_NON_BLOCKING);
+    struct cuda *cuda = device;
+    struct upload *upload = &cuda->upload;
 
+    upload->code = cuda->api.cuMemcpyHtoDAsync(upload->to, upload->stage.pieces[turn], bytes,
+                                               upload->stream);
+    if (upload->code == CUDA_SUCCESS)
+        upload->code = cuda->api.cuEventRecord(upload->taken[turn], upload->stream);
+    upload->to += bytes;
+    /* An event that was never recorded is over. */
+    if (upload->code == CUDA_SUCCESS)
+        upload->code = cuda->api.cuEventSynchronize(upload->taken[turn ^ 1]);
+    return upload->code == CUDA_SUCCESS ? bsq_check(cuda->ctx) : BSQ_ENODEVICE;
+}
+
+static CUresult open_upload(struct cuda *cuda)
+{
+    struct upload *upload = &cuda->upload;
+    struct bake_stage *stage = &upload->stage;
+    CUresult code = cuda->api.cuStreamCreate(&upload->stream, CU_STREAM_NON_BLOCKING);
+
+    *stage = (struct bake_stage){.piece_bytes = STAGE_BYTES, .send = send_piece, .device = cuda};
     for (int i = 0; i < 2 && code == CUDA_SUCCESS; i++) {
         code = cuda->api.cuMemAllocHost((void **)&stage->pieces[i], STAGE_BYTES);
         if (code == CUDA_SUCCESS)
-            code = cuda->api.cuEventCreate(&stage->taken[i], CU_EVENT_BLOCKING_SYNC);
+            code = cuda->api.cuEventCreate(&upload->taken[i], CU_EVENT_BLOCKING_SYNC);
     }
     return code;
-}
-
-static int flush_stage(struct cuda *cuda)
-{
-    struct stage *stage = &cuda->stage;
-
-    if (stage->used == 0)
-        return 0;
-    stage->code = cuda->api.cuMemcpyHtoDAsync(stage->to, stage->pieces[stage->turn], stage->used,
-                                              stage->stream);
-    if (stage->code == CUDA_SUCCESS)
-        stage->code = cuda->api.cuEventRecord(stage->taken[stage->turn], stage->stream);
-    stage->to += stage->used;
-    stage->used = 0;
-    stage->turn ^= 1;
-    /* An event that was never recorded is over. */
-    if (stage->code == CUDA_SUCCESS)
-        stage->code = cuda->api.cuEventSynchronize(stage->taken[stage->turn]);
-    return stage->code == CUDA_SUCCESS ? bsq_check(cuda->ctx) : BSQ_ENODEVICE;
-}
-
-static int put_in_stage(void *arg, const void *data, uint64_t bytes)
-{
-    struct cuda *cuda = arg;
-    struct stage *stage = &cuda->stage;
-    const char *from = data;
-    int status = 0;
-
-    while (bytes > 0 && status == 0) {
-        const uint64_t room = STAGE_BYTES - stage->used, piece = bytes < room ? bytes : room;
-        memcpy(stage->pieces[stage->turn] + stage->used, from, piece);
-        stage->used += piece;
-        from += piece;
-        bytes -= piece;
-        if (stage->used == STAGE_BYTES)
-            status = flush_stage(cuda);
-    }
-    return status;
 }
 
 /* Memory that what is put into the stage from now on goes to; empty arrays are never read. */
 static int begin_upload(struct cuda *cuda, uint64_t bytes, CUdeviceptr *to)
 {
-    struct stage *stage = &cuda->stage;
+    struct upload *upload = &cuda->upload;
 
-    stage->code = bytes ? cuda->api.cuMemAlloc(to, bytes) : CUDA_SUCCESS;
-    stage->to = *to;
-    stage->used = 0;
-    return stage->code == CUDA_SUCCESS ? 0 : BSQ_ENODEVICE;
+    upload->code = bytes ? cuda->api.cuMemAlloc(to, bytes) : CUDA_SUCCESS;
+    upload->to = *to;
+    upload->stage.used = 0;
+    return upload->code == CUDA_SUCCESS ? 0 : BSQ_ENODEVICE;
 }
 
 static int finish_upload(struct cuda *cuda)
 {
-    int status = flush_stage(cuda);
+    struct upload *upload = &cuda->upload;
+    int status = bake_stage_flush(&upload->stage);
 
     if (status == 0) {
-        cuda->stage.code = cuda->api.cuStreamSynchronize(cuda->stage.stream);
-        status = cuda->stage.code == CUDA_SUCCESS ? 0 : BSQ_ENODEVICE;
+        upload->code = cuda->api.cuStreamSynchronize(upload->stream);
+        status = upload->code == CUDA_SUCCESS ? 0 : BSQ_ENODEVICE;
     }
     return status;
 }
@@ -330,16 +310,16 @@ static int finish_upload(struct cuda *cuda)
 static int upload_triangles(struct cuda *cuda, const struct bake_job *job)
 {
     const uint64_t bytes = job->triangle_count * (uint64_t)sizeof *job->triangles;
-    CUresult code = open_stage(cuda);
+    CUresult code = open_upload(cuda);
 
     if (code != CUDA_SUCCESS)
         return fail_open(cuda, "page-locked memory", code);
     int status = begin_upload(cuda, bytes, &cuda->triangles);
     if (status == 0)
-        status = put_in_stage(cuda, job->triangles, bytes);
+        status = bake_stage_put(&cuda->upload.stage, job->triangles, bytes);
     if (status == 0)
         status = finish_upload(cuda);
-    return status == BSQ_ENODEVICE ? fail_open(cuda, "triangles", cuda->stage.code) : status;
+    return status == BSQ_ENODEVICE ? fail_open(cuda, "triangles", cuda->upload.code) : status;
 }
 
 static void unload(struct cuda *cuda, struct loaded *loaded)
@@ -356,8 +336,8 @@ static int load_part(struct cuda *cuda, struct loaded *loaded, const struct bake
     int status = 0;
 
     *what = "cuCtxSetCurrent";
-    cuda->stage.code = cuda->api.cuCtxSetCurrent(cuda->context);
-    if (cuda->stage.code != CUDA_SUCCESS)
+    cuda->upload.code = cuda->api.cuCtxSetCurrent(cuda->context);
+    if (cuda->upload.code != CUDA_SUCCESS)
         return BSQ_ENODEVICE;
     unload(cuda, loaded);
     loaded->params = part->params;
@@ -365,9 +345,9 @@ static int load_part(struct cuda *cuda, struct loaded *loaded, const struct bake
         *what = bake_part_array_name(i);
         status = begin_upload(cuda, part->bytes[i], &loaded->arrays[i]);
         if (status == 0)
-            status = bake_part_send(part, i, put_in_stage, cuda);
+            status = bake_part_send(part, i, bake_stage_put, &cuda->upload.stage);
         if (status == 0)
-            status = flush_stage(cuda);
+            status = bake_stage_flush(&cuda->upload.stage);
     }
     return status == 0 ? finish_upload(cuda) : status;
 }
@@ -383,9 +363,9 @@ static int cuda_load(struct bake_backend *backend, unsigned slot, const struct b
 
     if (status < 0)
         snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
-                 cuda->stage.code == CUDA_SUCCESS
+                 cuda->upload.code == CUDA_SUCCESS
                      ? bsq_error(cuda->ctx)
-                     : bake_cuda_error(&cuda->api, cuda->stage.code, text));
+                     : bake_cuda_error(&cuda->api, cuda->upload.code, text));
     cuda->upload_seconds += bsq_seconds_now() - started;
     return status;
 }
@@ -630,7 +610,7 @@ static void cuda_close(struct bake_backend *backend)
         cuda->api.cuCtxSetCurrent(cuda->context);
         for (unsigned i = 0; i < cuda->worker_count; i++)
             close_worker(cuda, &cuda->workers[i]);
-        close_stage(cuda);
+        close_upload(cuda);
         for (int i = 0; i < BAKE_SLOTS; i++)
             unload(cuda, &cuda->loaded[i]);
         if (cuda->triangles)

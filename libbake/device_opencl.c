@@ -17,6 +17,7 @@
 #include "libbake/kernel_cache_internal.h"
 #include "libbake/opencl_api_internal.h"
 #include "libbake/slices_internal.h"
+#include "libbake/stage_internal.h"
 
 /* The flattened kernel source. */
 static const char kernel_source[] =
@@ -59,13 +60,10 @@ struct loaded {
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
 };
 
-/* One piece is filled while the device takes the other. */
-struct stage {
+struct upload {
+    struct bake_stage stage;
     cl_command_queue queue;
-    char *pieces[2];
-    cl_event taken[2];
-    unsigned turn;
-    uint64_t used; /* of the piece whose turn it is */
+    cl_event taken[2]; /* the device has what was in the piece */
     cl_mem to;
     uint64_t at;
     cl_int code; /* of the call that failed */
@@ -80,7 +78,7 @@ struct opencl {
     cl_program program;
     cl_mem triangles;
     struct loaded loaded[BAKE_SLOTS];
-    struct stage stage;
+    struct upload upload;
     struct bk_params params;
     uint32_t tile_texels;
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
@@ -152,43 +150,25 @@ static int share_memory(struct opencl *cl, const struct bake_job *job)
     return status;
 }
 
-static void close_stage(struct opencl *cl)
+static void close_upload(struct opencl *cl)
 {
-    struct stage *stage = &cl->stage;
+    struct upload *upload = &cl->upload;
 
-    if (stage->queue)
-        cl->api.clFinish(stage->queue);
+    if (upload->queue)
+        cl->api.clFinish(upload->queue);
     for (int i = 0; i < 2; i++) {
-        if (stage->taken[i])
-            cl->api.clReleaseEvent(stage->taken[i]);
-        bsq_free(cl->ctx, stage->pieces[i]);
+        if (upload->taken[i])
+            cl->api.clReleaseEvent(upload->taken[i]);
+        bsq_free(cl->ctx, upload->stage.pieces[i]);
     }
-    if (stage->queue)
-        cl->api.clReleaseCommandQueue(stage->queue);
-    *stage = (struct stage){0};
+    if (upload->queue)
+        cl->api.clReleaseCommandQueue(upload->queue);
+    *upload = (struct upload){0};
 }
 
-static int open_stage(struct opencl *cl)
+/* Waits until a piece may be filled. */
+static cl_int wait_for_piece(struct opencl *cl, cl_event *taken)
 {
-    struct stage *stage = &cl->stage;
-    cl_int code;
-
-    stage->queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
-    if (code != CL_SUCCESS)
-        return fail_open(cl, "clCreateCommandQueue", code);
-    for (int i = 0; i < 2; i++) {
-        int status = bsq_alloc(cl->ctx, "staging of the grid", STAGE_BYTES, 1, &stage->pieces[i]);
-        if (status < 0)
-            return status;
-    }
-    return 0;
-}
-
-/* Waits until the piece whose turn it is may be filled. */
-static cl_int wait_for_piece(struct opencl *cl)
-{
-    struct stage *stage = &cl->stage;
-    cl_event *taken = &stage->taken[stage->turn];
     cl_int code = CL_SUCCESS;
 
     if (*taken) {
@@ -199,64 +179,62 @@ static cl_int wait_for_piece(struct opencl *cl)
     return code;
 }
 
-static int flush_stage(struct opencl *cl)
+static int send_piece(void *device, unsigned turn, uint64_t bytes)
 {
-    struct stage *stage = &cl->stage;
+    struct opencl *cl = device;
+    struct upload *upload = &cl->upload;
 
-    if (stage->used == 0)
-        return 0;
-    stage->code = cl->api.clEnqueueWriteBuffer(stage->queue, stage->to, CL_FALSE, stage->at,
-                                               stage->used, stage->pieces[stage->turn], 0, NULL,
-                                               &stage->taken[stage->turn]);
-    if (stage->code == CL_SUCCESS)
-        stage->code = cl->api.clFlush(stage->queue);
-    stage->at += stage->used;
-    stage->used = 0;
-    stage->turn ^= 1;
-    if (stage->code == CL_SUCCESS)
-        stage->code = wait_for_piece(cl);
-    return stage->code == CL_SUCCESS ? bsq_check(cl->ctx) : BSQ_ENODEVICE;
+    upload->code = cl->api.clEnqueueWriteBuffer(upload->queue, upload->to, CL_FALSE, upload->at,
+                                                bytes, upload->stage.pieces[turn], 0, NULL,
+                                                &upload->taken[turn]);
+    if (upload->code == CL_SUCCESS)
+        upload->code = cl->api.clFlush(upload->queue);
+    upload->at += bytes;
+    if (upload->code == CL_SUCCESS)
+        upload->code = wait_for_piece(cl, &upload->taken[turn ^ 1]);
+    return upload->code == CL_SUCCESS ? bsq_check(cl->ctx) : BSQ_ENODEVICE;
 }
 
-static int put_in_stage(void *arg, const void *data, uint64_t bytes)
+static int open_upload(struct opencl *cl)
 {
-    struct opencl *cl = arg;
-    struct stage *stage = &cl->stage;
-    const char *from = data;
-    int status = 0;
+    struct upload *upload = &cl->upload;
+    cl_int code;
 
-    while (bytes > 0 && status == 0) {
-        const uint64_t room = STAGE_BYTES - stage->used, piece = bytes < room ? bytes : room;
-        memcpy(stage->pieces[stage->turn] + stage->used, from, piece);
-        stage->used += piece;
-        from += piece;
-        bytes -= piece;
-        if (stage->used == STAGE_BYTES)
-            status = flush_stage(cl);
+    upload->stage =
+        (struct bake_stage){.piece_bytes = STAGE_BYTES, .send = send_piece, .device = cl};
+    upload->queue = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
+    if (code != CL_SUCCESS)
+        return fail_open(cl, "clCreateCommandQueue", code);
+    for (int i = 0; i < 2; i++) {
+        int status =
+            bsq_alloc(cl->ctx, "staging of the grid", STAGE_BYTES, 1, &upload->stage.pieces[i]);
+        if (status < 0)
+            return status;
     }
-    return status;
+    return 0;
 }
 
-/* Makes a buffer and fills it with what `send` puts into the stage. */
-static int upload(struct opencl *cl, uint64_t bytes, cl_mem *buffer)
+/* Makes a buffer that what is put into the stage from now on goes to. */
+static int begin_upload(struct opencl *cl, uint64_t bytes, cl_mem *buffer)
 {
-    struct stage *stage = &cl->stage;
+    struct upload *upload = &cl->upload;
 
     /* Empty arrays are never read, but an argument has to be a buffer. */
     *buffer = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, bytes ? bytes : 8, NULL,
-                                     &stage->code);
-    stage->to = *buffer;
-    stage->at = stage->used = 0;
-    return stage->code == CL_SUCCESS ? 0 : BSQ_ENODEVICE;
+                                     &upload->code);
+    upload->to = *buffer;
+    upload->at = upload->stage.used = 0;
+    return upload->code == CL_SUCCESS ? 0 : BSQ_ENODEVICE;
 }
 
 static int finish_upload(struct opencl *cl)
 {
-    int status = flush_stage(cl);
+    struct upload *upload = &cl->upload;
+    int status = bake_stage_flush(&upload->stage);
 
     if (status == 0) {
-        cl->stage.code = cl->api.clFinish(cl->stage.queue);
-        status = cl->stage.code == CL_SUCCESS ? 0 : BSQ_ENODEVICE;
+        upload->code = cl->api.clFinish(upload->queue);
+        status = upload->code == CL_SUCCESS ? 0 : BSQ_ENODEVICE;
     }
     return status;
 }
@@ -264,16 +242,16 @@ static int finish_upload(struct opencl *cl)
 static int upload_triangles(struct opencl *cl, const struct bake_job *job)
 {
     const uint64_t bytes = job->triangle_count * (uint64_t)sizeof *job->triangles;
-    int status = open_stage(cl);
+    int status = open_upload(cl);
 
     if (status < 0)
         return status;
-    status = upload(cl, bytes, &cl->triangles);
+    status = begin_upload(cl, bytes, &cl->triangles);
     if (status == 0)
-        status = put_in_stage(cl, job->triangles, bytes);
+        status = bake_stage_put(&cl->upload.stage, job->triangles, bytes);
     if (status == 0)
         status = finish_upload(cl);
-    return status == BSQ_ENODEVICE ? fail_open(cl, "triangles", cl->stage.code) : status;
+    return status == BSQ_ENODEVICE ? fail_open(cl, "triangles", cl->upload.code) : status;
 }
 
 static void unload(struct opencl *cl, struct loaded *loaded)
@@ -303,11 +281,11 @@ static int load_part(struct opencl *cl, struct loaded *loaded, const struct bake
     loaded->params = part->params;
     for (int i = 0; i < BAKE_PART_ARRAYS && status == 0; i++) {
         *what = bake_part_array_name(i);
-        status = upload(cl, part->bytes[i], &loaded->arrays[i]);
+        status = begin_upload(cl, part->bytes[i], &loaded->arrays[i]);
         if (status == 0)
-            status = bake_part_send(part, i, put_in_stage, cl);
+            status = bake_part_send(part, i, bake_stage_put, &cl->upload.stage);
         if (status == 0)
-            status = flush_stage(cl);
+            status = bake_stage_flush(&cl->upload.stage);
     }
     return status == 0 ? finish_upload(cl) : status;
 }
@@ -320,14 +298,14 @@ static int opencl_load(struct bake_backend *backend, unsigned slot, const struct
     char number[32];
     const char *what;
 
-    cl->stage.code = CL_SUCCESS;
+    cl->upload.code = CL_SUCCESS;
     unload(cl, &cl->loaded[slot]);
     int status = load_part(cl, &cl->loaded[slot], part, &what);
     if (status < 0) {
-        cl->api.clFinish(cl->stage.queue);
+        cl->api.clFinish(cl->upload.queue);
         snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
-                 cl->stage.code == CL_SUCCESS ? bsq_error(cl->ctx)
-                                              : bake_opencl_error(cl->stage.code, number));
+                 cl->upload.code == CL_SUCCESS ? bsq_error(cl->ctx)
+                                              : bake_opencl_error(cl->upload.code, number));
     }
     cl->upload_seconds += bsq_seconds_now() - started;
     return status;
@@ -644,7 +622,7 @@ static void opencl_close(struct bake_backend *backend)
 
     for (unsigned i = 0; cl->workers && i < cl->worker_count; i++)
         close_worker(cl, &cl->workers[i]);
-    close_stage(cl);
+    close_upload(cl);
     for (int i = 0; i < BAKE_SLOTS; i++)
         unload(cl, &cl->loaded[i]);
     if (cl->triangles)

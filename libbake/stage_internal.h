@@ -1,0 +1,27 @@
+/* stage_internal.h - two pieces of host memory through which data goes up to a device: one is
+ * filled while the device takes the other, so that nothing larger is copied on the host. Each kind
+ * of device brings the pieces and the way to send one; one thread at a time. */
+#ifndef BAKE_STAGE_INTERNAL_H
+#define BAKE_STAGE_INTERNAL_H
+
+#include <stdint.h>
+
+struct bake_stage {
+    char *pieces[2]; /* of piece_bytes each */
+    uint64_t piece_bytes;
+    unsigned turn; /* which is filled */
+    uint64_t used; /* bytes of it */
+    /* Makes the device take `bytes` of a piece to where the bytes before went, and returns when the
+     * other piece may be filled. 0 or a negative status, which the functions below pass on. */
+    int (*send)(void *device, unsigned turn, uint64_t bytes);
+    void *device;
+};
+
+/* Sends bytes of data behind those that were put there before. stage: a struct bake_stage, so that
+ * bake_part_send() can call this. */
+int bake_stage_put(void *stage, const void *data, uint64_t bytes);
+
+/* Sends what is in the piece whose turn it is. */
+int bake_stage_flush(struct bake_stage *stage);
+
+#endif
