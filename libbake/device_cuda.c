@@ -258,8 +258,8 @@ static int send_piece(void *device, unsigned turn, uint64_t bytes)
     struct cuda *cuda = device;
     struct upload *upload = &cuda->upload;
 
-    upload->code = cuda->api.cuMemcpyHtoDAsync(upload->to, upload->stage.pieces[turn], bytes,
-                                               upload->stream);
+    upload->code =
+        cuda->api.cuMemcpyHtoDAsync(upload->to, upload->stage.pieces[turn], bytes, upload->stream);
     if (upload->code == CUDA_SUCCESS)
         upload->code = cuda->api.cuEventRecord(upload->taken[turn], upload->stream);
     upload->to += bytes;

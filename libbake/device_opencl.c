@@ -184,9 +184,9 @@ static int send_piece(void *device, unsigned turn, uint64_t bytes)
     struct opencl *cl = device;
     struct upload *upload = &cl->upload;
 
-    upload->code = cl->api.clEnqueueWriteBuffer(upload->queue, upload->to, CL_FALSE, upload->at,
-                                                bytes, upload->stage.pieces[turn], 0, NULL,
-                                                &upload->taken[turn]);
+    upload->code =
+        cl->api.clEnqueueWriteBuffer(upload->queue, upload->to, CL_FALSE, upload->at, bytes,
+                                     upload->stage.pieces[turn], 0, NULL, &upload->taken[turn]);
     if (upload->code == CL_SUCCESS)
         upload->code = cl->api.clFlush(upload->queue);
     upload->at += bytes;
@@ -305,7 +305,7 @@ static int opencl_load(struct bake_backend *backend, unsigned slot, const struct
         cl->api.clFinish(cl->upload.queue);
         snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
                  cl->upload.code == CL_SUCCESS ? bsq_error(cl->ctx)
-                                              : bake_opencl_error(cl->upload.code, number));
+                                               : bake_opencl_error(cl->upload.code, number));
     }
     cl->upload_seconds += bsq_seconds_now() - started;
     return status;
