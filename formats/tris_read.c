@@ -277,7 +277,7 @@ void fmt_tris_close(struct fmt_tris_file *file)
 
 int fmt_tris_recognise(struct bsq_ctx *ctx, const char *path, bool *out)
 {
-    char magic[sizeof TRIS_MAGIC - 1];
+    char magic[sizeof TRIS_MAGIC - 1] = {0};
     struct bsq_file input;
     uint64_t got = 0;
     int status = bsq_file_open(ctx, path, &input);
