@@ -95,6 +95,7 @@ static struct fmt_obj_estimate estimate(struct fixture *f)
     const char *paths[1] = {f->obj};
     struct fmt_obj_reader *reader;
     struct fmt_obj_estimate result;
+    bsq_ctx_destroy(f->ctx);
     assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
     assert_int_equal(fmt_obj_open(f->ctx, paths, 1, &reader), 0);
     assert_int_equal(fmt_obj_estimate(reader, &result), 0);
