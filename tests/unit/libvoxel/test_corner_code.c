@@ -35,8 +35,9 @@ static uint64_t round_trip(const uint64_t (*triangles)[3], uint64_t count)
         assert_memory_equal(index, triangles[t], sizeof index);
     }
     assert_ptr_equal(from, to);
+    const uint64_t size = (uint64_t)(to - bytes);
     free(bytes);
-    return (uint64_t)(to - bytes);
+    return size;
 }
 
 /* Any numbers, the extremes and repetitions among them. */
