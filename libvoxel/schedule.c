@@ -1,7 +1,7 @@
-/* schedule.c - merges the chunks' sequences of regions.
+/* schedule.c - merges the sequences of regions of all parts of chunks.
  *
- * A chunk touches the regions that its bounds overlap, and the successor of a region in that
- * sequence can be computed. So a heap with one entry a chunk, keyed by (next region, chunk), yields
+ * A part touches the regions that its bounds overlap, and the successor of a region in that
+ * sequence can be computed. So a heap with one entry a part, keyed by (next region, part), yields
  * the regions in order and for each its chunks in ascending order: no list of pairs is ever held,
  * and a grid that is huge and sparse costs nothing where there is no scan. */
 #include "libvoxel/schedule.h"
@@ -12,12 +12,12 @@ enum { TILE_LOG2 = 5, TILE_BITS = 19 };
 
 struct entry {
     struct vox_region_key key;
-    uint32_t chunk;
+    uint64_t part;
 };
 
 struct vox_schedule {
     struct bsq_ctx *ctx;
-    const struct vox_box *boxes;
+    const struct vox_part *parts;
     struct entry *heap;
     uint64_t count;
     struct vox_region_key current;
@@ -134,7 +134,7 @@ static bool entry_before(const struct entry *a, const struct entry *b)
 {
     if (vox_region_before(a->key, b->key))
         return true;
-    return !vox_region_before(b->key, a->key) && a->chunk < b->chunk;
+    return !vox_region_before(b->key, a->key) && a->part < b->part;
 }
 
 /* Puts `entry` into the hole at `at`, moving smaller children up. */
@@ -150,12 +150,12 @@ static void sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
     s->heap[at] = entry;
 }
 
-uint64_t vox_schedule_bytes(uint64_t chunk_count)
+uint64_t vox_schedule_entry_bytes(void)
 {
-    return sizeof(struct vox_schedule) + chunk_count * sizeof(struct entry);
+    return sizeof(struct entry);
 }
 
-int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_box *boxes, uint64_t chunk_count,
+int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint64_t part_count,
                         struct vox_schedule **out)
 {
     struct vox_schedule *s;
@@ -163,17 +163,17 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_box *boxes, uint64
     int status = bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s);
     if (status < 0)
         return status;
-    if ((status = bsq_alloc(ctx, "region schedule", chunk_count + 1, sizeof *s->heap, &s->heap)) <
+    if ((status = bsq_alloc(ctx, "region schedule", part_count + 1, sizeof *s->heap, &s->heap)) <
         0) {
         bsq_free(ctx, s);
         return status;
     }
     s->ctx = ctx;
-    s->boxes = boxes;
-    s->count = chunk_count;
-    for (uint64_t i = 0; i < chunk_count; i++)
-        s->heap[i] = (struct entry){first_region(&boxes[i]), (uint32_t)i};
-    for (uint64_t i = chunk_count / 2; i-- > 0;)
+    s->parts = parts;
+    s->count = part_count;
+    for (uint64_t i = 0; i < part_count; i++)
+        s->heap[i] = (struct entry){first_region(&parts[i].box), i};
+    for (uint64_t i = part_count / 2; i-- > 0;)
         sift_down(s, i, s->heap[i]);
     *out = s;
     return 0;
@@ -195,16 +195,29 @@ bool vox_schedule_next(struct vox_schedule *s, struct vox_region_key *key)
     return true;
 }
 
+/* Moves the first part of the heap to the next region of its own, and returns that. */
+static struct vox_region_key advance(struct vox_schedule *s)
+{
+    struct entry entry = s->heap[0];
+    struct vox_region_key after = region_after(&s->parts[entry.part].box, entry.key);
+    entry.key = after;
+    if (after.tile == UINT64_MAX)
+        entry = s->heap[--s->count];
+    if (s->count > 0)
+        sift_down(s, 0, entry);
+    return after;
+}
+
 bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, struct vox_region_key *after)
 {
     if (s->count == 0 || vox_region_before(s->current, s->heap[0].key))
         return false;
-    struct entry entry = s->heap[0];
-    *chunk = entry.chunk;
-    *after = entry.key = region_after(&s->boxes[entry.chunk], entry.key);
-    if (after->tile == UINT64_MAX)
-        entry = s->heap[--s->count];
-    if (s->count > 0)
-        sift_down(s, 0, entry);
+    *chunk = s->parts[s->heap[0].part].chunk;
+    *after = VOX_REGION_KEY_NEVER;
+    while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) && s->parts[s->heap[0].part].chunk == *chunk) {
+        struct vox_region_key next = advance(s);
+        if (vox_region_before(next, *after))
+            *after = next;
+    }
     return true;
 }

@@ -1,12 +1,12 @@
 /* schedule.h - which regions of the grid a scan touches, in the grid file's order, and which chunks
  * touch each.
  *
- * A region is 128^3 voxels, a lower node of the grid. Memory is a few bytes a chunk, whatever the
- * size of the grid. Not thread-safe. */
+ * A region is 128^3 voxels, a lower node of the grid. Memory is a few bytes a part of a chunk, whatever
+ * the size of the grid. Not thread-safe. */
 #ifndef VOX_SCHEDULE_H
 #define VOX_SCHEDULE_H
 
-#include "libvoxel/lattice.h"
+#include "libvoxel/parts.h"
 
 enum { VOX_REGION_LOG2 = 7, VOX_REGION_SIZE = 1 << VOX_REGION_LOG2 };
 
@@ -27,18 +27,18 @@ void vox_region_origin(struct vox_region_key key, int32_t origin[3]);
 
 struct vox_schedule;
 
-/* boxes: voxels of each chunk's bounds; stays the caller's and must outlive the schedule. */
-int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_box *boxes, uint64_t chunk_count,
+/* parts: in ascending order of chunks; stays the caller's and must outlive the schedule. */
+int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint64_t part_count,
                         struct vox_schedule **out);
 void vox_schedule_destroy(struct vox_schedule *schedule); /* NULL is allowed */
 
-/* Bytes that vox_schedule_create() will allocate. */
-uint64_t vox_schedule_bytes(uint64_t chunk_count);
+/* Bytes that a part takes in a schedule. */
+uint64_t vox_schedule_entry_bytes(void);
 
 /* The next region, false at the end. */
 bool vox_schedule_next(struct vox_schedule *schedule, struct vox_region_key *key);
 /* The next chunk of that region, in ascending order, false after the last one. after: the region
- * that this chunk touches next, VOX_REGION_KEY_NEVER where there is none. */
+ * that those of its parts which touch this one touch next, VOX_REGION_KEY_NEVER where there is none. */
 bool vox_schedule_chunk(struct vox_schedule *schedule, uint32_t *chunk,
                         struct vox_region_key *after);
 

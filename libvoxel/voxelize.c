@@ -35,6 +35,7 @@ struct job {
     struct vox_scan scan;
     struct vox_smooth *smooth; /* NULL: the scan has normals, or is to be flat */
     struct vox_box *boxes;
+    struct vox_part *parts;
     struct vox_schedule *schedule;
     struct fmt_nvdb_writer *writer;
     struct vox_worker *own; /* one a worker */
@@ -153,7 +154,10 @@ static int make_schedule(struct job *job)
         job->boxes[i] =
             vox_lattice_box(&job->scan.lattice, infos[i].bounds_min, infos[i].bounds_max);
     job->scan.boxes = job->boxes;
-    return vox_schedule_create(job->ctx, job->boxes, count, &job->schedule);
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx), parts;
+    status = vox_parts_create(job->ctx, job->file, &job->scan.lattice, job->boxes, limit > used ? (limit - used) / 16 : 0,
+                              &job->parts, &parts);
+    return status < 0 ? status : vox_schedule_create(job->ctx, job->parts, parts, &job->schedule);
 }
 
 /* A small grid has too few regions to keep all workers busy; slabs of regions make more units. */
@@ -236,6 +240,8 @@ static void end_pipeline(struct job *job)
     job->smooth = NULL;
     vox_schedule_destroy(job->schedule);
     job->schedule = NULL;
+    bsq_free(job->ctx, job->parts);
+    job->parts = NULL;
     vox_shading_free(job->ctx, &job->scan.shading);
 }
 
