@@ -61,7 +61,7 @@ static int init_by_size(struct bsq_ctx *ctx, const struct fmt_tris_header *heade
         double hi = floor(vox_lattice_coordinate(out, header->bounds_max[a], a));
         if (!(lo >= -index_limit) || !(hi < index_limit))
             return bsq_fail(ctx, BSQ_EUSAGE,
-                            "%s: with a voxel size of %g the scan reaches from index %.0f to %.0f "
+                            "%s: with a voxel size of %g the scan reaches from index %.12g to %.12g "
                             "along %c, beyond the limit of +-%.0f",
                             path, voxel_size, lo, hi, "xyz"[a], index_limit);
         out->voxels.lo[a] = (int32_t)lo;

@@ -14,6 +14,7 @@
 #include "base/clock.h"
 #include "base/parallel.h"
 #include "formats/vdb_export.h"
+#include "libvoxel/estimate.h"
 #include "libvoxel/precision.h"
 #include "libvoxel/region_work.h"
 
@@ -111,6 +112,9 @@ static int open_input(struct job *job)
                         job->header->chunk_count);
     status = vox_lattice_init(job->ctx, job->header, path, job->options->resolution, job->options->voxel_size,
                               &job->scan.lattice);
+    if (status == 0)
+        status = estimate_check(job->ctx, job->file, &job->scan.lattice, vox_shading_has_color(job->header),
+                                job->options->grid_path);
     if (status == 0)
         precision_warn_grid(job->ctx, path, job->header, fmt_tris_chunks(job->file), job->scan.lattice.h);
     return status;

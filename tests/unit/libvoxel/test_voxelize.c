@@ -723,6 +723,7 @@ static void test_bad_sizes(void **state)
     expect_failure(f, 0, -1.0, BSQ_EUSAGE, "voxel size of -1");
     expect_failure(f, 0, (double)NAN, BSQ_EUSAGE, "voxel size of");
     expect_failure(f, 0, 1e-10, BSQ_EUSAGE, "from index 0 to 20000000000 along x");
+    expect_failure(f, 0, 1e-300, BSQ_EUSAGE, "from index 0 to 2e+300 along x");
     expect_failure(f, 2000000000, 0.0, BSQ_EUSAGE, "2000000000");
 
     set_quad(&mesh, 0, (double[3]){3, 4, 5}, (double[3]){0, 0, 0}, (double[3]){0, 0, 0});

@@ -1,0 +1,145 @@
+/* estimate.c - see estimate.h.
+ *
+ * A plane with unit normal n crosses |nx| + |ny| + |nz| unit cubes per unit of its area: each term counts the cubes' faces across
+ * one axis that it passes through. So a triangle's share is the sum of its areas seen along the three axes, which is what its
+ * cross product holds.
+ *
+ * That is too much only where triangles share voxels, so what is refused is more than twice what there is room for, and never a
+ * grid with fewer voxels than triangles: such a grid is about as large as the scan. */
+#include "libvoxel/estimate.h"
+
+#include <inttypes.h>
+#include <math.h>
+
+#include "base/file.h"
+#include "base/parallel.h"
+
+/* From here on a grid is worth a look at the triangles, and a warning where these are few: it takes minutes and 10 GB. */
+static const double huge_voxels = 1e9;
+static const double fine_voxels = 16.0; /* voxels of a triangle where no more detail can come of smaller ones */
+
+/* A surface passes through 8 x 8 of a leaf's 512 voxels. */
+static const double voxels_of_leaf = 64.0;
+static const double certainty = 0.5; /* the share of the estimate that is there at least */
+
+struct area_job {
+    struct bsq_ctx *ctx;
+    const struct fmt_tris_file *file;
+    uint8_t *scratch; /* one chunk a worker */
+    uint64_t scratch_bytes;
+    double *areas; /* one a chunk, so that the sum does not depend on threads */
+    unsigned workers;
+};
+
+/* ---- areas ---- */
+
+static double projected_areas(const struct fmt_tris_chunk *chunk)
+{
+    double sum = 0.0;
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        const float *p = chunk->positions[chunk->triangles[t][0]];
+        const float *q = chunk->positions[chunk->triangles[t][1]];
+        const float *r = chunk->positions[chunk->triangles[t][2]];
+        double u[3], v[3];
+        for (int a = 0; a < 3; a++) {
+            u[a] = (double)q[a] - (double)p[a];
+            v[a] = (double)r[a] - (double)p[a];
+        }
+        for (int a = 0; a < 3; a++) {
+            int b = (a + 1) % 3, c = (a + 2) % 3;
+            sum += fabs(u[b] * v[c] - u[c] * v[b]);
+        }
+    }
+    return sum / 2;
+}
+
+/* Every workers-th chunk, from the index on. */
+static int sum_areas(void *arg, uint64_t index, unsigned worker)
+{
+    struct area_job *job = arg;
+    uint64_t count = fmt_tris_get_header(job->file)->chunk_count;
+    void *scratch = job->scratch + index * job->scratch_bytes;
+    int status = 0;
+    (void)worker;
+    for (uint64_t i = index; i < count && status == 0; i += job->workers) {
+        struct fmt_tris_chunk chunk;
+        if ((status = bsq_check(job->ctx)) == 0 && (status = fmt_tris_load(job->file, i, scratch, &chunk)) == 0)
+            job->areas[i] = projected_areas(&chunk);
+    }
+    return status;
+}
+
+static unsigned choose_workers(const struct area_job *job)
+{
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
+    uint64_t room = limit > used ? (limit - used) / 2 / job->scratch_bytes : 0;
+    unsigned threads = bsq_threads(job->ctx);
+    return room >= threads ? threads : room > 0 ? (unsigned)room : 1;
+}
+
+int estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, double *voxels)
+{
+    uint64_t count = fmt_tris_get_header(file)->chunk_count;
+    struct area_job job = {.ctx = ctx, .file = file, .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
+    job.workers = choose_workers(&job);
+    int status = bsq_calloc(ctx, "areas of chunks", count, sizeof *job.areas, &job.areas);
+    if (status == 0)
+        status = bsq_alloc(ctx, "areas of chunks", job.workers, job.scratch_bytes, &job.scratch);
+    if (status == 0)
+        status = bsq_parallel_for(ctx, job.workers, sum_areas, &job);
+    double area = 0.0;
+    for (uint64_t i = 0; i < count && status == 0; i++)
+        area += job.areas[i];
+    *voxels = area / lattice->h / lattice->h;
+    bsq_free(ctx, job.scratch);
+    bsq_free(ctx, job.areas);
+    return status;
+}
+
+/* ---- what to say of them ---- */
+
+/* As if each chunk were one surface, folded as little as its bounds allow. */
+static double voxels_by_bounds(const struct fmt_tris_file *file, const struct vox_lattice *lattice)
+{
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
+    double sum = 0.0;
+    for (uint64_t i = 0; i < fmt_tris_get_header(file)->chunk_count; i++) {
+        double side[3];
+        for (int a = 0; a < 3; a++)
+            side[a] = ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / lattice->h;
+        sum += side[0] * side[1] + side[1] * side[2] + side[2] * side[0];
+    }
+    return sum;
+}
+
+/* Normals and planes, colours, leaves and the words that find second records. */
+static double grid_bytes(double voxels, bool has_color)
+{
+    return voxels * ((has_color ? 12.0 : 8.0) + 96.0 / voxels_of_leaf + 8.0 / 32.0);
+}
+
+int estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, bool has_color,
+                   const char *grid_path)
+{
+    uint64_t triangles = fmt_tris_get_header(file)->triangle_count;
+    double voxels;
+    if (voxels_by_bounds(file, lattice) < huge_voxels)
+        return 0;
+    int status = estimate_voxels(ctx, file, lattice, &voxels);
+    if (status < 0 || voxels < huge_voxels || voxels < (double)triangles)
+        return status;
+    if (certainty * voxels / voxels_of_leaf > (double)UINT32_MAX)
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "%s: about %.2g voxels of %g would be in the grid, which has no more than %" PRIu32
+                        " leaves of 8x8x8; choose larger voxels",
+                        grid_path, voxels, lattice->h, UINT32_MAX);
+    double bytes = grid_bytes(voxels, has_color);
+    if (voxels > fine_voxels * (double)triangles)
+        bsq_warn(ctx,
+                 "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, and while it is made twice that: voxels are small "
+                 "for a scan of %" PRIu64 " triangles",
+                 grid_path, voxels, lattice->h, bytes / 0x1p30, triangles);
+    /* Sections are temporary files until they are joined. */
+    uint64_t least = (uint64_t)(certainty * bytes);
+    return bsq_require_space(ctx, grid_path, least, least);
+}
