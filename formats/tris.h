@@ -98,8 +98,6 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
 void fmt_tris_close(struct fmt_tris_file *file);
-/* Are the file's first bytes those of a chunk file? Errors: BSQ_ENOINPUT, BSQ_EIO. */
-int fmt_tris_recognise(struct bsq_ctx *ctx, const char *path, bool *out);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
 /* chunk_count entries, owned by the file. */
 const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *file);

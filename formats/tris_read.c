@@ -275,19 +275,6 @@ void fmt_tris_close(struct fmt_tris_file *file)
     bsq_free(ctx, file);
 }
 
-int fmt_tris_recognise(struct bsq_ctx *ctx, const char *path, bool *out)
-{
-    char magic[sizeof TRIS_MAGIC - 1] = {0};
-    struct bsq_file input;
-    uint64_t got = 0;
-    int status = bsq_file_open(ctx, path, &input);
-    if (status == 0)
-        status = bsq_file_read_some(ctx, &input, magic, sizeof magic, 0, &got);
-    *out = status == 0 && got == sizeof magic && memcmp(magic, TRIS_MAGIC, sizeof magic) == 0;
-    bsq_file_close(ctx, &input);
-    return status;
-}
-
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file)
 {
     return &file->header;

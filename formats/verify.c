@@ -2,6 +2,7 @@
 #include "formats/verify.h"
 #include "base/file.h"
 #include "formats/nvdb_layout_internal.h"
+#include "formats/recognise.h"
 #include "formats/tris_internal.h"
 
 #include <string.h>
@@ -50,30 +51,17 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     return status;
 }
 
-/* Both kinds, and the file of a machine with the other order of bytes, whose own check names it. */
-static bool is_nanovdb(const char magic[8])
-{
-    return memcmp(magic, "NanoVDB", 7) == 0 || memcmp(magic + 1, "BDVonaN", 7) == 0;
-}
-
 int fmt_verify(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
 {
     struct bsq_file file;
-    char magic[8] = {0};
-    uint64_t got;
+    enum fmt_kind kind;
     memset(report, 0, sizeof *report);
-    int status = bsq_file_open(ctx, path, &file);
+    int status = fmt_recognise_scan(ctx, path, &kind);
+    if (status == 0 && (status = bsq_file_open(ctx, path, &file)) == 0) {
+        report->file_bytes = file.size;
+        bsq_file_close(ctx, &file);
+    }
     if (status < 0)
         return status;
-    status = bsq_file_read_some(ctx, &file, magic, sizeof magic, 0, &got);
-    report->file_bytes = file.size;
-    bsq_file_close(ctx, &file);
-    if (status < 0)
-        return status;
-    if (memcmp(magic, TRIS_MAGIC, sizeof magic) == 0)
-        return verify_tris(ctx, path, report);
-    if (is_nanovdb(magic))
-        return verify_nvdb(ctx, path, report);
-    return bsq_fail(ctx, BSQ_EDATA, "%s: neither a chunk file nor a NanoVDB file%s", path,
-                    memcmp(magic, " BDV", 4) == 0 ? ", but one of OpenVDB" : "");
+    return kind == FMT_KIND_TRIS ? verify_tris(ctx, path, report) : verify_nvdb(ctx, path, report);
 }

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "formats/tris.h"
+#include "formats/recognise.h"
 
 enum {
     RAYS_A_TASK = 256,
@@ -77,10 +77,10 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     memset(out, 0, sizeof *out);
     out->ctx = ctx;
-    bool chunks;
-    int status = fmt_tris_recognise(ctx, options->scan_path, &chunks);
+    enum fmt_kind kind;
+    int status = fmt_recognise_scan(ctx, options->scan_path, &kind);
     if (status == 0)
-        status = chunks ? open_exact(out, options) : open_grid(out, options);
+        status = kind == FMT_KIND_TRIS ? open_exact(out, options) : open_grid(out, options);
     if (status < 0)
         memset(out, 0, sizeof *out);
     return status;

@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "base/file.h"
-#include "formats/tris.h"
+#include "formats/recognise.h"
 #include "libvoxel/voxel.h"
 #include "tools/cli.h"
 
@@ -199,12 +199,15 @@ static int recognise_inputs(struct job *job)
 {
     const struct arguments *arguments = job->arguments;
     for (uint32_t i = 0; i < arguments->input_count; i++) {
-        bool chunks;
-        int status = fmt_tris_recognise(job->cli->ctx, arguments->inputs[i], &chunks);
+        enum fmt_kind kind;
+        int status = fmt_recognise(job->cli->ctx, arguments->inputs[i], &kind);
         if (status < 0)
             return status;
-        if (!chunks)
+        if (kind == FMT_KIND_OTHER)
             continue;
+        if (kind != FMT_KIND_TRIS)
+            return bsq_fail(job->cli->ctx, BSQ_EDATA, "%s: a grid already; one is made from OBJ files or a chunk file",
+                            arguments->inputs[i]);
         if (arguments->input_count > 1)
             return cli_usage(job->cli, "%s: a chunk file must be the only input",
                              arguments->inputs[i]);

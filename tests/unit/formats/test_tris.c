@@ -1,4 +1,5 @@
 /* Chunk files: what is written comes back, the bytes are those of FORMATS.md, damage is found. */
+#include "formats/recognise.h"
 #include "formats/tris.h"
 
 #include <inttypes.h>
@@ -176,9 +177,9 @@ static void expect_bounds(const struct fmt_tris_chunk *chunk,
 static void expect_file(struct fixture *f, uint32_t chunk_count)
 {
     struct fmt_tris_file *file;
-    bool recognised;
-    assert_int_equal(fmt_tris_recognise(f->ctx, f->path, &recognised), 0);
-    assert_true(recognised);
+    enum fmt_kind kind;
+    assert_int_equal(fmt_recognise(f->ctx, f->path, &kind), 0);
+    assert_int_equal(kind, FMT_KIND_TRIS);
     assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
@@ -485,16 +486,16 @@ static void values_out_of_range_are_found(void **state)
 static void other_files_are_refused(void **state)
 {
     struct fixture *f = *state;
-    bool recognised = true;
+    enum fmt_kind kind;
     write_bytes(f->path, "v 0 0 0\n", 8);
-    assert_int_equal(fmt_tris_recognise(f->ctx, f->path, &recognised), 0);
-    assert_false(recognised);
+    assert_int_equal(fmt_recognise(f->ctx, f->path, &kind), 0);
+    assert_int_equal(kind, FMT_KIND_OTHER);
     assert_int_equal(read_all(f), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "not a chunk file"));
     unlink(f->path);
     bsq_clear_error(f->ctx);
-    assert_int_equal(fmt_tris_recognise(f->ctx, f->path, &recognised), BSQ_ENOINPUT);
-    assert_false(recognised);
+    assert_int_equal(fmt_recognise(f->ctx, f->path, &kind), BSQ_ENOINPUT);
+    assert_int_equal(kind, FMT_KIND_OTHER);
     assert_int_equal(read_all(f), BSQ_ENOINPUT);
 }
 
