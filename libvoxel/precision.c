@@ -53,9 +53,9 @@ void precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merge
 {
     if (merged > 0)
         bsq_warn(ctx,
-                 "%s: %llu vertices fell together with the one before: positions are kept to %.2g of the scan's units, as "
+                 "%s: %llu %s fell together with the one before: positions are kept to %.2g of the scan's units, as "
                  "32-bit numbers are at its size",
-                 path, (unsigned long long)merged, precision_spacing(min, max));
+                 path, (unsigned long long)merged, merged == 1 ? "vertex" : "vertices", precision_spacing(min, max));
 }
 
 /* Mean edge of a chunk's triangles, if they cover a surface about as large as its bounds. */

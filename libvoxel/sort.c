@@ -214,8 +214,10 @@ static int sort_scan(struct scan *scan, const struct vox_sort_options *options,
     int status = is_scattered ? 0 : scatter_scan(scan, options->tris_path, scattered);
     face_store_free(&scan->faces);
     if (status == 0 && scattered->triangles == 0)
-        status = bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area",
-                          scan->obj_paths[0], (unsigned long long)scattered->degenerate_triangles);
+        status = scattered->degenerate_triangles == 1
+                     ? bsq_fail(scan->ctx, BSQ_EDATA, "%s: the scan's only triangle has no area", scan->obj_paths[0])
+                     : bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area", scan->obj_paths[0],
+                                (unsigned long long)scattered->degenerate_triangles);
     if (status == 0) {
         bsq_progress_begin(scan->ctx, "writing", "triangles", scattered->triangles);
         status = write_chunks(scan, scattered, options, report);

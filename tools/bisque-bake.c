@@ -11,8 +11,8 @@ static const char help[] =
     "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-polygon mesh: fast from a\n"
     "voxel grid (SCAN.nvdb), or exact from the scan's own triangles (SCAN.tris).\n"
-    "<MAP> in the output's name is replaced by normal, color or mask. A name that ends in .png\n"
-    "gives PNG files, any other OpenEXR.\n"
+    "<MAP> in the output's name is replaced by normal, color or mask. A name that ends in .exr gives\n"
+    "OpenEXR files, one that ends in .png PNG files.\n"
     "\n"
     "  -o, --output FILE       the maps; \"<MAP>\" must be in it where there are several\n"
     "      --maps LIST         of normal, color, mask (default: normal, and color where the scan\n"
@@ -140,20 +140,29 @@ static int parse_count(struct cli *cli, const char *option, const char *text, ui
     return status;
 }
 
+static bool parse_side(const char **text, uint32_t *out)
+{
+    char *end;
+    bool digit = **text >= '0' && **text <= '9';
+    unsigned long long value = strtoull(*text, &end, 10);
+    *text = end;
+    *out = (uint32_t)value;
+    return digit && value >= 1 && value <= MAX_SIZE;
+}
+
 /* "2048" or "4096x2048". */
 static int parse_size(struct cli *cli, struct bake_options *bake)
 {
-    char *cross = strchr(optarg, 'x');
-    int status = 0;
-    if (cross) {
-        *cross = '\0';
-        status = parse_count(cli, "--size", cross + 1, 1, MAX_SIZE, &bake->height);
+    const char *at = optarg;
+    bool good = parse_side(&at, &bake->width);
+    bake->height = bake->width;
+    if (good && *at == 'x') {
+        at++;
+        good = parse_side(&at, &bake->height);
     }
-    if (status == 0)
-        status = parse_count(cli, "--size", optarg, 1, MAX_SIZE, &bake->width);
-    if (!cross)
-        bake->height = bake->width;
-    return status;
+    if (!good || *at != '\0')
+        return cli_usage(cli, "--size: \"%s\" is not N or WxH with numbers from 1 to %d", optarg, MAX_SIZE);
+    return 0;
 }
 
 static int parse_distance(struct cli *cli, const char *option, double *out)
@@ -383,8 +392,10 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
         status = cli_check_output(cli, paths[i], inputs, 2);
     }
+    if (status == 0 && !cli_ends_with(bake->output_path, ".exr") && !cli_ends_with(bake->output_path, ".png"))
+        status = cli_usage(cli, "%s: maps are OpenEXR or PNG files: let the name end in .exr or .png", bake->output_path);
     if (status == 0 && bake->preview_path)
-        status = cli_check_output(cli, bake->preview_path, inputs, 2);
+        status = cli_check_picture(cli, bake->preview_path, inputs, 2);
     return status;
 }
 
@@ -427,22 +438,22 @@ static void print_report(const struct cli *cli, const struct arguments *argument
 {
     const struct bake_options *bake = &arguments->bake;
     char triangles[CLI_TEXT], texels[CLI_TEXT], samples[CLI_TEXT], misses[CLI_TEXT];
-    printf("%s: %s triangles, %s of %ux%u texels covered\n", bake->mesh_path,
-           cli_count_text(report->low_triangles, triangles),
+    printf("%s: %s, %s of %ux%u texels covered\n", bake->mesh_path,
+           cli_things_text(report->low_triangles, "triangle", "triangles", triangles),
            cli_count_text(report->covered_texels, texels), bake->width, bake->height);
     const char *first = "left out: ";
     const char *next =
         cli_print_count(first, report->degenerate_uv_triangles, "triangle without area in UV space",
                         "triangles without area in UV space");
     next =
-        cli_print_count(next, report->outside_uv_triangles, "triangle outside of 0..1 in UV space",
-                        "triangles outside of 0..1 in UV space");
+        cli_print_count(next, report->outside_uv_triangles, "triangle reaching out of 0..1 in UV space",
+                        "triangles reaching out of 0..1 in UV space");
     next = cli_print_count(next, report->overlapping_samples, "sample of overlapping triangles",
                            "samples of overlapping triangles");
     if (next != first)
         putchar('\n');
-    printf("%s: %s samples, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
-           bake->scan_path, cli_count_text(report->samples, samples),
+    printf("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
+           bake->scan_path, cli_things_text(report->samples, "sample", "samples", samples),
            cli_count_text(report->misses, misses), percent(report->misses, report->samples),
            report->front, report->back, report->device);
     for (unsigned i = 0; i < MAP_KINDS; i++) {
@@ -455,9 +466,9 @@ static void print_report(const struct cli *cli, const struct arguments *argument
            report->seconds_open, report->seconds_trace, report->seconds_padding,
            report->seconds_resolve, report->seconds_write, report->seconds_preview);
     if (report->kernel_calls > 0)
-        printf("device: upload %.2f, kernels %.3f in %s calls, copies %.3f\n",
+        printf("device: upload %.2f, kernels %.3f in %s, copies %.3f\n",
                report->seconds_upload, report->seconds_kernels,
-               cli_count_text(report->kernel_calls, samples), report->seconds_copies);
+               cli_things_text(report->kernel_calls, "call", "calls", samples), report->seconds_copies);
     if (report->passes > 1)
         printf("passes: %s, the grid is larger than what may be used of the device's memory\n",
                cli_count_text(report->passes, samples));

@@ -79,6 +79,12 @@ struct arguments {
     double limits[LIMITS]; /* NAN: not given */
 };
 
+/* Maps agree on what they cover only where each says it for itself. */
+static bool knows_agreement(const struct bake_compare_options *compare)
+{
+    return compare->a_mask_path && compare->b_mask_path && compare->a_mask_path != compare->b_mask_path;
+}
+
 /* ---- arguments ---- */
 
 static int parse_own_option(struct cli *cli, struct arguments *arguments, int option)
@@ -134,6 +140,11 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
         return cli_usage(cli, "two EXR files are needed; see --help");
     arguments->compare.a_path = argv[optind];
     arguments->compare.b_path = argv[optind + 1];
+    double agreement = arguments->limits[MIN_AGREEMENT];
+    if (agreement > 1)
+        return cli_usage(cli, "--min-agreement: %g is not a share from 0 to 1", agreement);
+    if (!isnan(agreement) && !knows_agreement(&arguments->compare))
+        return cli_usage(cli, "--min-agreement needs --mask-a and --mask-b");
     return 0;
 }
 
@@ -146,10 +157,12 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
         if (inputs[i])
             inputs[input_count++] = inputs[i];
     int status = 0;
+    if (compare->heatmap_path && compare->histogram_path && cli_same_file(compare->heatmap_path, compare->histogram_path))
+        return cli_usage(cli, "%s: two outputs have this name", compare->histogram_path);
     if (compare->heatmap_path)
-        status = cli_check_output(cli, compare->heatmap_path, inputs, input_count);
+        status = cli_check_picture(cli, compare->heatmap_path, inputs, input_count);
     if (status == 0 && compare->histogram_path)
-        status = cli_check_output(cli, compare->histogram_path, inputs, input_count);
+        status = cli_check_picture(cli, compare->histogram_path, inputs, input_count);
     return status;
 }
 
@@ -190,8 +203,8 @@ static void print_report(const struct arguments *arguments,
 {
     const char *unit = bake_compare_unit(report->kind);
     char compared[CLI_TEXT];
-    printf("%s against %s: %s texels of %ux%u compared as %s\n", arguments->compare.a_path,
-           arguments->compare.b_path, cli_count_text(report->compared, compared), report->width,
+    printf("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
+           arguments->compare.b_path, cli_things_text(report->compared, "texel", "texels", compared), report->width,
            report->height, kind_names[report->kind]);
     printf("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
            report->mean, report->rms, report->median, report->p95, report->p99, report->max,
@@ -203,7 +216,7 @@ static void print_report(const struct arguments *arguments,
         printf("PSNR: %.2f dB\n", report->psnr);
     if (report->kind == BAKE_COMPARE_DATA)
         printf("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
-    if (arguments->compare.a_mask_path && arguments->compare.b_mask_path)
+    if (knows_agreement(&arguments->compare))
         printf("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
                (unsigned long long)report->only_a, (unsigned long long)report->only_b);
 }

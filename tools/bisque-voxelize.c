@@ -309,10 +309,10 @@ static void print_read(const struct job *job)
     const struct vox_sort_report *sort = &job->sort;
     char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
     print_inputs(job->arguments);
-    printf("%s vertices, %s faces, %s triangles, %s, %.2f s\n",
-           cli_count_text(sort->vertices, vertices), cli_count_text(sort->faces, faces),
-           cli_count_text(sort->triangles, triangles), cli_size_text(sort->bytes_read, size),
-           sort->seconds_read);
+    printf("%s, %s, %s, %s, %.2f s\n", cli_things_text(sort->vertices, "vertex", "vertices", vertices),
+           cli_things_text(sort->faces, "face", "faces", faces),
+           cli_things_text(sort->triangles, "triangle", "triangles", triangles),
+           cli_size_text(sort->bytes_read, size), sort->seconds_read);
     const char *first = "left out: ";
     const char *next = cli_print_count(first, sort->degenerate_triangles, "degenerate triangle",
                                        "degenerate triangles");
@@ -330,11 +330,11 @@ static void print_grid(const struct job *job)
     const struct arguments *arguments = job->arguments;
     char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
     if (!job->sorted_input && !job->resumed && !job->temporary_tris)
-        printf("%s: %s chunks, %s, %.2f s\n", job->tris_path,
-               cli_count_text(job->sort.chunks, chunks), cli_size_text(job->sort.tris_bytes, size),
+        printf("%s: %s, %s, %.2f s\n", job->tris_path,
+               cli_things_text(job->sort.chunks, "chunk", "chunks", chunks), cli_size_text(job->sort.tris_bytes, size),
                job->sort.seconds_sort);
-    printf("%s: %s voxels in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
-           cli_count_text(grid->voxels, voxels),
+    printf("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
+           cli_things_text(grid->voxels, "voxel", "voxels", voxels),
            (long long)grid->index_max[0] - grid->index_min[0] + 1,
            (long long)grid->index_max[1] - grid->index_min[1] + 1,
            (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,

@@ -250,7 +250,7 @@ int cli_parse_word(struct cli *cli, const char *option, const char *text, const 
 bool cli_ends_with(const char *text, const char *ending)
 {
     size_t length = strlen(text), ending_length = strlen(ending);
-    return length >= ending_length && strcmp(text + length - ending_length, ending) == 0;
+    return length >= ending_length && strcasecmp(text + length - ending_length, ending) == 0;
 }
 
 /* Absolute name of a file that need not exist; NULL where its directory does not. */
@@ -293,5 +293,13 @@ int cli_check_output(struct cli *cli, const char *path, const char *const *input
     int status = bsq_output_open(cli->ctx, path, &output);
     if (status == 0)
         bsq_output_discard(output);
+    return status;
+}
+
+int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs, uint32_t input_count)
+{
+    int status = cli_check_output(cli, path, inputs, input_count);
+    if (status == 0 && !cli_ends_with(path, ".png"))
+        status = cli_usage(cli, "%s: this picture is a PNG file: let its name end in .png", path);
     return status;
 }

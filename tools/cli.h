@@ -103,6 +103,7 @@ int cli_parse_word(struct cli *cli, const char *option, const char *text, const 
 
 /* ---- files ---- */
 
+/* Case does not matter. */
 bool cli_ends_with(const char *text, const char *ending);
 
 /* Do both names mean one file, existing or not? */
@@ -111,6 +112,9 @@ bool cli_same_file(const char *a, const char *b);
 /* Finds out now whether an output can be created, and refuses one that is an input. */
 int cli_check_output(struct cli *cli, const char *path, const char *const *inputs,
                      uint32_t input_count);
+
+/* The same for a picture, which also has to be called .png. */
+int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs, uint32_t input_count);
 
 /* Name of the last option that getopt_long() returned with `option`; of a short one that of its long form. */
 const char *cli_option_name(const struct option *options, int option);
@@ -130,10 +134,11 @@ void cli_clear_bar(struct cli *cli);
 double cli_seconds(const struct timespec *since);
 uint64_t cli_max_rss_bytes(void);
 
-/* Texts such as "12.3 MiB" and "1,234,567"; `buffer` has CLI_TEXT bytes and is returned. */
-enum { CLI_TEXT = 32 };
+/* Texts such as "12.3 MiB", "1,234,567" and "1 vertex" or "12 vertices"; `buffer` has CLI_TEXT bytes and is returned. */
+enum { CLI_TEXT = 64 };
 const char *cli_size_text(uint64_t bytes, char *buffer);
 const char *cli_count_text(uint64_t count, char *buffer);
+const char *cli_things_text(uint64_t count, const char *singular, const char *plural, char *buffer);
 
 /* Prints "12 unused vertices" after `separator` where count > 0; returns the next separator. */
 const char *cli_print_count(const char *separator, uint64_t count, const char *singular,

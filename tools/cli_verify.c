@@ -12,18 +12,18 @@ const char *cli_option_name(const struct option *options, int option)
 static void print_sound(const char *path, const struct fmt_verify_report *r)
 {
     char triangles[CLI_TEXT], parts[CLI_TEXT], more[CLI_TEXT], size[CLI_TEXT];
-    cli_count_text(r->triangles, triangles);
+    cli_things_text(r->triangles, "triangle", "triangles", triangles);
     cli_size_text(r->file_bytes, size);
     if (r->kind == FMT_VERIFY_TRIS)
-        printf("%s: ok (chunk file of version %u: %s triangles and %s vertices in %s chunk%s, %s)\n", path, r->version,
-               triangles, cli_count_text(r->vertices, more), cli_count_text(r->chunks, parts), r->chunks == 1 ? "" : "s",
+        printf("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version, triangles,
+               cli_things_text(r->vertices, "vertex", "vertices", more), cli_things_text(r->chunks, "chunk", "chunks", parts),
                size);
     else
-        printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s voxels and %s second records of %s triangles%s, "
-               "%s)\n",
-               path, r->version, r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
-               r->type == FMT_NVDB_MASK ? "mask" : "onindex", cli_count_text(r->voxels, parts),
-               cli_count_text(r->second_records, more), triangles, r->has_color ? ", with colour" : "", size);
+        printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n", path, r->version,
+               r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
+               r->type == FMT_NVDB_MASK ? "mask" : "onindex", cli_things_text(r->voxels, "voxel", "voxels", parts),
+               cli_things_text(r->second_records, "second record", "second records", more), triangles,
+               r->has_color ? ", with colour" : "", size);
 }
 
 static json_t *sound_json(const char *path, const struct fmt_verify_report *r)

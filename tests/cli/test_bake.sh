@@ -75,15 +75,9 @@ $bake $good --maps normal,
 refused 64 "$p --maps: \"\" is not normal, color or mask"
 $bake $good --maps norm
 refused 64 "$p --maps: \"norm\" is not normal, color or mask"
-for size in 0 -1 x 1.5 1048577; do
+for size in 0 -1 x 1.5 1048577 99999999999999999999 '' 16x 16x0 x16 16x16x16 16X16 '16 x16' 0x10; do
     $bake $good --size "$size"
-    code 64
-    err_like '^bisque-bake: --size: ".*" is not a whole number from 1 to 1048576$'
-done
-for size in 16x 16x0 x16 16x16x16; do
-    $bake $good --size "$size"
-    code 64
-    err_like '^bisque-bake: --size: ".*" is not a whole number from 1 to 1048576$'
+    refused 64 "$p --size: \"$size\" is not N or WxH with numbers from 1 to 1048576"
 done
 $bake $good --samples 0
 refused 64 "$p --samples: \"0\" is not a whole number from 1 to 64"
@@ -152,8 +146,18 @@ $bake plain.nvdb low.obj -o none/a.exr
 refused 73 "$p none/a.exr: cannot be created: No such file or directory"
 $bake plain.nvdb low.obj -o a.exr --preview none/p.png
 refused 73 "$p none/p.png: cannot be created: No such file or directory"
-$bake plain.nvdb low.obj -o plain.nvdb
-refused 64 "$p plain.nvdb: this output would overwrite an input"
+cp plain.nvdb plain.exr
+$bake plain.exr low.obj -o plain.exr
+refused 64 "$p plain.exr: this output would overwrite an input"
+rm plain.exr
+for name in a.jpg a 'a_<MAP>.tif' exr; do
+    $bake plain.nvdb low.obj -o "$name"
+    refused 64 "$p $name: maps are OpenEXR or PNG files: let the name end in .exr or .png"
+done
+$bake plain.nvdb low.obj -o a.exr --preview p.jpg
+refused 64 "$p p.jpg: this picture is a PNG file: let its name end in .png"
+$bake plain.nvdb low.obj -o a.PNG --half
+refused 64 "$p --half and --float are for OpenEXR, not for a.PNG"
 $bake plain.nvdb low.obj -o a.png --preview low.obj
 refused 64 "$p low.obj: this output would overwrite an input"
 $bake plain.nvdb low.obj -o a.png --preview ./a.png

@@ -69,6 +69,12 @@ $compare
 refused 64 "$p two EXR files are needed; see --help"
 $compare a_normal.exr a_normal.exr --max-mean -1
 code 64
+$compare a_normal.exr a_normal.exr --min-agreement 2 --mask-a a_mask.exr --mask-b a_mask.exr
+refused 64 "$p --min-agreement: 2 is not a share from 0 to 1"
+for mask in '' '--mask a_mask.exr' '--mask-a a_mask.exr'; do
+    $compare a_normal.exr a_normal.exr --min-agreement 0.5 $mask
+    refused 64 "$p --min-agreement needs --mask-a and --mask-b"
+done
 $compare a_normal.exr a_normal.exr --min-psnr 30
 refused 64 "$p --min-psnr is for colours, these maps were compared as normal"
 $compare a_normal.exr small.exr
@@ -83,6 +89,10 @@ $compare a_normal.exr low.obj
 code 65
 $compare a_normal.exr a_normal.exr --heatmap a_normal.exr
 code 64
+$compare a_normal.exr a_normal.exr --heatmap h.png --histogram ./h.png
+refused 64 "$p ./h.png: two outputs have this name"
+$compare a_normal.exr a_normal.exr --histogram h.exr
+refused 64 "$p h.exr: this picture is a PNG file: let its name end in .png"
 $compare a_normal.exr a_normal.exr --heatmap nowhere/h.png
 code 73
 files $start

@@ -111,7 +111,7 @@ refuses nan ':3: "nan" is not a finite number'
 refuses -inf ':3: "-inf" is not a finite number'
 refuses 1e999 ':3: "1e999" is not a finite number'
 refuses 1e39 ': vertex 3 of the scan: coordinate 1e+39 is too large'
-refuses 1e-60 ": none of the scan's 1 triangles has an area"
+refuses 1e-60 ": the scan's only triangle has no area"
 run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e38
 refused 64 "$p plain.tris: voxels of 1e+38 are beyond the 32-bit numbers of a NanoVDB grid, 1.17549e-38 to 8.50706e+37"
 run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e-40
@@ -127,7 +127,7 @@ err_like 'denormal\.tris: voxels of 1\.5.*e-44 are beyond the 32-bit numbers'
 for points in '1 2 3|1 2 3|1 2 3' '0 0 0|1 1 1|2 2 2' '5 5 5|5 5 5|7 7 7'; do
     { echo "$points" | tr '|' '\n' | sed 's/^/v /'; echo 'f 1 2 3'; } >flat.obj
     run bisque-voxelize flat.obj -o flat.nvdb
-    refused 65 "$p flat.obj: none of the scan's 1 triangles has an area"
+    refused 65 "$p flat.obj: the scan's only triangle has no area"
 done
 # Voxels of a right triangle over 8 x 8: those with i + j < 8, and the corners of the longest side, but for its ends.
 right=$((36 + 7))

@@ -288,6 +288,17 @@ grep -q "$(printf '\033')\\[K\$" "$err"
 check "the bar is taken away in the end" $?
 rm a.*
 
+# ---- one of a thing is not many ----
+
+printf 'v 0 0 0 1 1 300\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
+$vox one.obj -o one.nvdb --resolution 1
+code 0
+grep -Eq '^one\.obj: 3 vertices, 1 face, 1 triangle, 40 B, ' "$out" && grep -Eq '^one\.tris: 1 chunk, ' "$out" &&
+    grep -Eq '^one\.nvdb: 1 voxel in 1 x 1 x 1, ' "$out" &&
+    [ "$(cat "$err")" = "$p warning: one.obj: colours out of range were clamped at 1 vertex" ]
+check "counts of one" $?
+rm one.*
+
 # ---- failures on the way: no partial output is left behind ----
 
 $vox box.obj -o a.nvdb --no-tris --voxel-size 1e-12

@@ -998,7 +998,9 @@ static void a_scan_without_area_is_refused(void **state)
 {
     struct fixture *f = *state;
     assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\n"), BSQ_EDATA);
-    assert_non_null(strstr(bsq_error(f->ctx), "none of the scan's 1 triangles has an area"));
+    assert_non_null(strstr(bsq_error(f->ctx), "the scan's only triangle has no area"));
+    assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\nf 1 1 1\n"), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "none of the scan's 2 triangles has an area"));
     assert_int_not_equal(access(f->tris, F_OK), 0);
 }
 
