@@ -192,6 +192,10 @@ naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
 $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash -lm
+xxh3 := $(BUILD)/tests/xxh3
+$(xxh3): tests/naive/xxh3.c
+	@mkdir -p $(@D)
+	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash
 
 # Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.OTHER has what they share. Elsewhere than
 # in config=fuzz they become programs that replay files.
@@ -235,7 +239,7 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files) $(fake_cuda) $(crashing_driver)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(replays) $(fake_cuda) $(crashing_driver) $(faults)
+tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) $(fake_cuda) $(crashing_driver) $(faults)
 
 ## test: build and run all tests, with what is installed
 test: tests-build
