@@ -1,0 +1,213 @@
+#include "sort_fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+/* ---- fixture ---- */
+
+static void keep_warning(void *user, const char *line)
+{
+    struct sort_fixture *f = user;
+    snprintf(f->warning, sizeof f->warning, "%s", line);
+    f->warnings++;
+}
+
+void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads)
+{
+    struct bsq_ctx_options options = {.memory_bytes = memory,
+                                      .threads = threads,
+                                      .tmpdir = f->dir,
+                                      .on_warning = keep_warning,
+                                      .user = f};
+    if (f->ctx) {
+        assert_int_equal(bsq_memory_used(f->ctx), 0);
+        assert_true(bsq_memory_high(f->ctx) <= bsq_memory_limit(f->ctx));
+        bsq_ctx_destroy(f->ctx);
+    }
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+}
+
+int sort_set_up(void **state)
+{
+    struct sort_fixture *f = calloc(1, sizeof *f);
+    snprintf(f->dir, sizeof f->dir, "/tmp/test_sort_XXXXXX");
+    assert_non_null(mkdtemp(f->dir));
+    snprintf(f->obj, sizeof f->obj, "%s/scan.obj", f->dir);
+    snprintf(f->obj2, sizeof f->obj2, "%s/more.obj", f->dir);
+    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->dir);
+    sort_open_context(f, 256 * MIB, 2);
+    *state = f;
+    return 0;
+}
+
+int sort_tear_down(void **state)
+{
+    struct sort_fixture *f = *state;
+    char path[128];
+    sort_open_context(f, MIB, 1);
+    bsq_ctx_destroy(f->ctx);
+    unlink(f->obj);
+    unlink(f->obj2);
+    unlink(f->tris);
+    snprintf(path, sizeof path, "%s/scan.mtl", f->dir);
+    unlink(path);
+    snprintf(path, sizeof path, "%s/wall.png", f->dir);
+    unlink(path);
+    assert_int_equal(rmdir(f->dir), 0); /* nothing else may have been left */
+    free(f);
+    return 0;
+}
+
+void sort_write_text(const char *path, const char *text)
+{
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    assert_true(fputs(text, file) >= 0);
+    assert_int_equal(fclose(file), 0);
+}
+
+int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count)
+{
+    struct vox_sort_options options = {
+        .obj_paths = paths, .obj_count = count, .tris_path = f->tris};
+    bsq_clear_error(f->ctx);
+    return vox_sort(f->ctx, &options, &f->report);
+}
+
+int sort_text(struct sort_fixture *f, const char *text)
+{
+    const char *paths[1] = {f->obj};
+    sort_write_text(f->obj, text);
+    return sort_files(f, paths, 1);
+}
+
+void expect_sorted(struct sort_fixture *f, int status)
+{
+    if (status < 0)
+        fail_msg("status %d: %s", status, bsq_error(f->ctx));
+}
+
+/* ---- triangles as a multiset ---- */
+
+void sorted_add(struct sorted_triangles *t, const struct sorted_triangle *one)
+{
+    if (t->count == t->capacity) {
+        t->capacity = t->capacity ? 2 * t->capacity : 1024;
+        t->list = realloc(t->list, t->capacity * sizeof *t->list);
+        assert_non_null(t->list);
+    }
+    /* The least corner goes first, as the first corner of a triangle means nothing; winding stays.
+     */
+    int least = 0;
+    for (int k = 1; k < 3; k++)
+        if (memcmp(&one->corners[k], &one->corners[least], sizeof one->corners[k]) < 0)
+            least = k;
+    struct sorted_triangle *to = &t->list[t->count++];
+    for (int k = 0; k < 3; k++)
+        to->corners[k] = one->corners[(least + k) % 3];
+    to->material = one->material;
+}
+
+static int compare_triangles(const void *a, const void *b)
+{
+    return memcmp(a, b, sizeof(struct sorted_triangle));
+}
+
+void expect_same_triangles(struct sorted_triangles *got, struct sorted_triangles *expected)
+{
+    assert_int_equal(got->count, expected->count);
+    qsort(got->list, got->count, sizeof *got->list, compare_triangles);
+    qsort(expected->list, expected->count, sizeof *expected->list, compare_triangles);
+    assert_memory_equal(got->list, expected->list, got->count * sizeof *got->list);
+    free(got->list);
+    free(expected->list);
+    *got = *expected = (struct sorted_triangles){0};
+}
+
+/* ---- reading the result ---- */
+
+static void take_chunk(const struct fmt_tris_chunk *chunk, struct sorted_triangles *out)
+{
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        struct sorted_triangle one;
+        memset(&one, 0, sizeof one);
+        for (int k = 0; k < 3; k++) {
+            uint32_t v = chunk->triangles[t][k];
+            memcpy(one.corners[k].position, chunk->positions[v], 12);
+            if (chunk->texcoords)
+                memcpy(one.corners[k].texcoord, chunk->texcoords[v], 8);
+            if (chunk->colors)
+                one.corners[k].color = chunk->colors[v];
+            if (chunk->normals)
+                one.corners[k].normal = chunk->normals[v];
+        }
+        one.material = chunk->materials ? chunk->materials[t] : UINT32_MAX;
+        sorted_add(out, &one);
+    }
+}
+
+/* Bounds must be exactly those of the chunk's triangles. */
+static void expect_bounds(const struct fmt_tris_chunk *chunk,
+                          const struct fmt_tris_chunk_info *info)
+{
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (uint32_t t = 0; t < chunk->triangle_count; t++)
+        for (int k = 0; k < 3; k++)
+            for (int axis = 0; axis < 3; axis++) {
+                float p = chunk->positions[chunk->triangles[t][k]][axis];
+                low[axis] = fminf(low[axis], p);
+                high[axis] = fmaxf(high[axis], p);
+            }
+    assert_memory_equal(low, info->bounds_min, sizeof low);
+    assert_memory_equal(high, info->bounds_max, sizeof high);
+}
+
+void read_sorted(struct sort_fixture *f, struct sorted_triangles *out, struct fmt_tris_header *header)
+{
+    struct fmt_tris_file *file;
+    void *scratch;
+    if (fmt_tris_open(f->ctx, f->tris, &file) < 0)
+        fail_msg("%s", bsq_error(f->ctx));
+    const struct fmt_tris_header *h = fmt_tris_get_header(file);
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
+    assert_int_equal(bsq_alloc(f->ctx, "test", fmt_tris_load_size_max(file) + 1, 1, &scratch), 0);
+    for (uint64_t i = 0; i < h->chunk_count; i++) {
+        struct fmt_tris_chunk chunk;
+        if (fmt_tris_load(file, i, scratch, &chunk) < 0)
+            fail_msg("%s", bsq_error(f->ctx));
+        expect_bounds(&chunk, &infos[i]);
+        if (i + 1 < h->chunk_count)
+            assert_true(chunk.triangle_count >= FMT_TRIS_CHUNK_TRIANGLES / 2);
+        if (out)
+            take_chunk(&chunk, out);
+    }
+    assert_int_equal(h->triangle_count, f->report.triangles);
+    assert_int_equal(h->chunk_count, f->report.chunks);
+    assert_int_equal(h->source_faces, f->report.faces);
+    assert_int_equal(h->skipped_triangles, f->report.degenerate_triangles);
+    if (header) {
+        *header = *h;
+        header->materials = NULL;
+    }
+    bsq_free(f->ctx, scratch);
+    fmt_tris_close(file);
+}
+
+uint8_t *sort_read_bytes(const char *path, size_t *size)
+{
+    FILE *file = fopen(path, "rb");
+    assert_non_null(file);
+    fseek(file, 0, SEEK_END);
+    *size = (size_t)ftell(file);
+    rewind(file);
+    uint8_t *bytes = malloc(*size + 1);
+    assert_int_equal(fread(bytes, 1, *size, file), *size);
+    fclose(file);
+    return bytes;
+}

@@ -1,0 +1,289 @@
+/* What becomes of polygons, colours, far places and materials when a scan is sorted. */
+#include "sort_fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+/* ---- polygons ---- */
+
+static double total_area(const struct sorted_triangles *t)
+{
+    double area = 0;
+    for (size_t i = 0; i < t->count; i++) {
+        const struct sorted_corner *c = t->list[i].corners;
+        double ux = (double)c[1].position[0] - c[0].position[0];
+        double uy = (double)c[1].position[1] - c[0].position[1];
+        double vx = (double)c[2].position[0] - c[0].position[0];
+        double vy = (double)c[2].position[1] - c[0].position[1];
+        double part = (ux * vy - uy * vx) / 2;
+        assert_true(part > 0); /* no triangle is turned over */
+        area += part;
+    }
+    return area;
+}
+
+static void concave_polygons_keep_their_area(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles got = {0};
+    /* An L of area 3 and an arrow of area 1, in files between triangles. */
+    expect_sorted(f, sort_text(f, "v 0 0 0\nv 2 0 0\nv 2 1 0\nv 1 1 0\nv 1 2 0\nv 0 2 0\n"
+                                  "v 4 0 0\nv 6 0 0\nv 5 0.5 0\nv 5 2 0\n"
+                                  "f 1 2 3\nf 1 2 3 4 5 6\nf 7 8 10\nf 7 9 8 10\n"));
+    assert_int_equal(f->report.faces, 4);
+    (void)got;
+    read_sorted(f, &got, NULL);
+    assert_int_equal(got.count + f->report.degenerate_triangles, 1 + 4 + 1 + 2);
+    free(got.list);
+}
+
+/* A polygon with more corners than a group of faces may have. */
+static void a_polygon_of_any_size_is_split(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    struct sorted_triangles got = {0};
+    const int n = 70000;
+    FILE *file = fopen(f->obj, "wb");
+    for (int i = 0; i < n; i++)
+        fprintf(file, "v %.7f %.7f 0\n", 10 * cos(2 * M_PI * i / n), 10 * sin(2 * M_PI * i / n));
+    fputs("f 1 2 3\nf", file);
+    for (int i = 0; i < n; i++)
+        fprintf(file, " %d", i + 1);
+    fputs("\nf 1 2 3\n", file);
+    fclose(file);
+    expect_sorted(f, sort_files(f, paths, 1));
+    assert_int_equal(f->report.triangles + f->report.degenerate_triangles, n - 2 + 2);
+    read_sorted(f, &got, NULL);
+    assert_true(fabs(total_area(&got) - M_PI * 100) < 1e-3);
+    free(got.list);
+}
+
+/* ---- colours ---- */
+
+static uint32_t color_at(const struct sorted_triangles *t, float x, float y)
+{
+    for (size_t i = 0; i < t->count; i++)
+        for (int k = 0; k < 3; k++)
+            if (t->list[i].corners[k].position[0] == x && t->list[i].corners[k].position[1] == y)
+                return t->list[i].corners[k].color;
+    fail_msg("no corner at %g %g", x, y);
+    return 0;
+}
+
+static void colors_are_of_zero_to_one_or_of_bytes(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles got = {0};
+    expect_sorted(f, sort_text(f, "v 0 0 0 0 0.5 1\nv 1 0 0 1 1 1\nv 0 1 0\nf 1 2 3\n"));
+    read_sorted(f, &got, NULL);
+    assert_int_equal(color_at(&got, 0, 0), 0xffff8000u);
+    assert_int_equal(color_at(&got, 0, 1), 0xffffffffu); /* none given */
+    assert_int_equal(f->warnings, 0);
+    got.count = 0;
+    expect_sorted(f, sort_text(f, "v 0 0 0 0 127 255\nv 1 0 0 1 300 3\nv 0 1 0 -5 0 0\nf 1 2 3\n"));
+    read_sorted(f, &got, NULL);
+    assert_int_equal(color_at(&got, 0, 0), 0xffff7f00u);
+    assert_int_equal(color_at(&got, 1, 0), 0xff03ff01u);
+    assert_int_equal(color_at(&got, 0, 1), 0xff000000u);
+    assert_int_equal(f->warnings, 1);
+    assert_non_null(strstr(f->warning, "2 vertices"));
+    free(got.list);
+}
+
+static void colors_of_a_later_file_do_not_shift(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[2] = {f->obj, f->obj2};
+    struct sorted_triangles got = {0};
+    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    sort_write_text(f->obj2, "v 5 0 0 1 0 0\nv 6 0 0 0 1 0\nv 5 1 0 0 0 1\nf 1 2 -1\n");
+    expect_sorted(f, sort_files(f, paths, 2));
+    assert_int_equal(f->report.triangles, 2);
+    read_sorted(f, &got, NULL);
+    assert_int_equal(color_at(&got, 0, 0), 0xffffffffu);
+    assert_int_equal(color_at(&got, 5, 0), 0xff0000ffu);
+    assert_int_equal(color_at(&got, 6, 0), 0xff00ff00u);
+    assert_int_equal(color_at(&got, 5, 1), 0xffff0000u);
+    free(got.list);
+}
+
+/* ---- places far from zero ---- */
+
+static void georeferenced_scans_keep_their_detail(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles got = {0};
+    struct fmt_tris_header header;
+    static const double corners[3][3] = {{500000.123, 5400000.456, 112.001},
+                                         {500000.124, 5400000.456, 112.002},
+                                         {500001.123, 5400003.457, 113.003}};
+    char text[512];
+    int length = 0;
+    for (int k = 0; k < 3; k++)
+        length += snprintf(text + length, sizeof text - (size_t)length, "v %.3f %.3f %.3f\n",
+                           corners[k][0], corners[k][1], corners[k][2]);
+    snprintf(text + length, sizeof text - (size_t)length, "f 1 2 3\n");
+    expect_sorted(f, sort_text(f, text));
+    read_sorted(f, &got, &header);
+    assert_int_equal(got.count, 1);
+    for (int axis = 0; axis < 3; axis++) {
+        assert_true(header.origin[axis] == f->report.origin[axis]);
+        for (int k = 0; k < 3; k++) {
+            double nearest = INFINITY;
+            for (int j = 0; j < 3; j++)
+                nearest = fmin(nearest, fabs(header.origin[axis] +
+                                             (double)got.list[0].corners[j].position[axis] -
+                                             corners[k][axis]));
+            assert_true(nearest < 1e-5); /* z has no origin */
+        }
+    }
+    assert_true(header.origin[0] == 500000.0); /* of a scan of about 3 */
+    assert_true(header.origin[2] == 0.0);
+    free(got.list);
+}
+
+static void ordinary_scans_have_no_origin(void **state)
+{
+    struct sort_fixture *f = *state;
+    expect_sorted(f, sort_text(f, "v 9000 0 0\nv 9500 0 0\nv 9000 500 0\nf 1 2 3\n"));
+    assert_true(f->report.origin[0] == 0.0); /* far, but not for its size */
+    expect_sorted(f, sort_text(f, "v 8000 0 0\nv 8001 0 0\nv 8000 1 0\nf 1 2 3\n"));
+    assert_true(f->report.origin[0] == 0.0); /* near enough; this may be a patch of a scan around 0 */
+}
+
+/* ---- materials ---- */
+
+static void write_library(struct sort_fixture *f, const char *text)
+{
+    char path[128];
+    snprintf(path, sizeof path, "%s/scan.mtl", f->dir);
+    sort_write_text(path, text);
+}
+
+static void write_texture(struct sort_fixture *f)
+{
+    char path[128];
+    snprintf(path, sizeof path, "%s/wall.png", f->dir);
+    sort_write_text(path, "only its name matters here");
+}
+
+static const char materials_obj[] =
+    "mtllib scan.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 0 0\nv 6 0 0\nv 5 1 0\n"
+    "vt 0.25 0.75\nvt 0.5 0.5\n"
+    "f 1 2 3\nusemtl wall\nf 1/1 2/2 3/1\nf 4 5 6\nusemtl red\nf 4/1 5/1 6/1\nf 4 5 6\n"
+    "usemtl unknown\nf 1/1 2/1 3/1\n";
+
+static unsigned count_material(const struct sorted_triangles *t, uint32_t material)
+{
+    unsigned count = 0;
+    for (size_t i = 0; i < t->count; i++)
+        count += t->list[i].material == material;
+    return count;
+}
+
+static void materials_come_from_the_library(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles got = {0};
+    struct fmt_tris_header header;
+    struct fmt_tris_file *file;
+    write_texture(f);
+    write_library(f, "newmtl red\nKd 1 0 0\nnewmtl wall\nKd 0.5 0.5 0.5\nmap_Kd wall.png\n"
+                     "newmtl unused\nmap_Kd missing.png\n");
+    expect_sorted(f, sort_text(f, materials_obj));
+    assert_true(f->report.has_texcoords);
+    read_sorted(f, &got, &header);
+    assert_int_equal(header.attributes, FMT_TRIS_TEXCOORDS | FMT_TRIS_MATERIALS);
+    assert_int_equal(header.material_count, 3);
+    assert_int_equal(count_material(&got, UINT32_MAX), 2); /* before usemtl, and unknown */
+    assert_int_equal(count_material(&got, 0), 1);          /* wall with its texture */
+    assert_int_equal(count_material(&got, 1), 1);          /* wall without */
+    assert_int_equal(count_material(&got, 2), 2);          /* red */
+    for (size_t i = 0; i < got.count; i++)
+        if (got.list[i].material == 0)
+            for (int k = 0; k < 3; k++) {
+                const struct sorted_corner *c = &got.list[i].corners[k];
+                assert_true(c->texcoord[0] == (c->position[0] == 1.0f ? 0.5f : 0.25f));
+            }
+    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
+    const struct fmt_tris_material *m = fmt_tris_get_header(file)->materials;
+    assert_int_equal(m[0].texture_path[0], '/');
+    assert_non_null(strstr(m[0].texture_path, "/wall.png"));
+    assert_null(m[1].texture_path);
+    assert_true(m[1].diffuse[0] == 0.5f);
+    assert_true(m[2].diffuse[0] == 1.0f && m[2].diffuse[1] == 0.0f);
+    fmt_tris_close(file);
+    free(got.list);
+}
+
+/* Scans are often passed on without their images: shapes and diffuse colours are still worth
+ * having. */
+static void a_missing_texture_leaves_the_diffuse_colour(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles got = {0};
+    struct fmt_tris_header header;
+    write_library(f, "newmtl wall\nKd 0.5 0.5 0.5\nmap_Kd gone.png\n");
+    expect_sorted(f, sort_text(f, materials_obj));
+    read_sorted(f, &got, &header);
+    assert_int_equal(header.attributes, FMT_TRIS_MATERIALS);
+    assert_int_equal(header.material_count, 1);
+    assert_int_equal(count_material(&got, 0), 2);
+    free(got.list);
+}
+
+static void without_materials_texture_coordinates_go(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct fmt_tris_header header;
+    expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n"));
+    assert_false(f->report.has_texcoords);
+    read_sorted(f, NULL, &header);
+    assert_int_equal(header.attributes, 0);
+}
+
+static void one_texture_can_be_given_for_all(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    char texture[128];
+    struct sorted_triangles got = {0};
+    struct vox_sort_options options = {
+        .obj_paths = paths, .obj_count = 1, .tris_path = f->tris, .texture_path = texture};
+    snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
+    write_texture(f);
+    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
+                       "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
+    expect_sorted(f, vox_sort(f->ctx, &options, &f->report));
+    read_sorted(f, &got, NULL);
+    assert_int_equal(count_material(&got, 0), 2);
+    assert_int_equal(count_material(&got, UINT32_MAX), 2);
+    free(got.list);
+    strcpy(texture, "/nowhere/at all.png");
+    assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ENOINPUT);
+    assert_non_null(strstr(bsq_error(f->ctx), texture));
+}
+
+int main(void)
+{
+#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
+    const struct CMUnitTest tests[] = {
+        TEST(concave_polygons_keep_their_area),
+        TEST(a_polygon_of_any_size_is_split),
+        TEST(colors_are_of_zero_to_one_or_of_bytes),
+        TEST(colors_of_a_later_file_do_not_shift),
+        TEST(georeferenced_scans_keep_their_detail),
+        TEST(ordinary_scans_have_no_origin),
+        TEST(materials_come_from_the_library),
+        TEST(a_missing_texture_leaves_the_diffuse_colour),
+        TEST(without_materials_texture_coordinates_go),
+        TEST(one_texture_can_be_given_for_all),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,132 @@
+/* Scans that cannot be sorted, and sorting that fails on the way: an error that says why, and nothing is left behind. */
+#include "sort_grid.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+/* ---- bad input ---- */
+
+static void indices_out_of_range_are_located(void **state)
+{
+    struct sort_fixture *f = *state;
+    static const struct {
+        const char *text, *message;
+    } cases[] = {
+        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\nf 1 2 99\n", ":5: face refers to vertex 9"},
+        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/2 3/1\n", ":5: "},
+        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//1 2//1 3//1\n", ":4: "},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        assert_int_equal(sort_text(f, cases[i].text), BSQ_EDATA);
+        if (!strstr(bsq_error(f->ctx), cases[i].message))
+            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
+        assert_non_null(strstr(bsq_error(f->ctx), f->obj));
+        assert_int_not_equal(access(f->tris, F_OK), 0);
+    }
+}
+
+static void scans_without_faces_are_refused(void **state)
+{
+    struct sort_fixture *f = *state;
+    static const char *const texts[] = {"", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nf 1 2\n"};
+    for (int i = 0; i < 3; i++) {
+        assert_int_equal(sort_text(f, texts[i]), BSQ_EDATA);
+        assert_non_null(strstr(bsq_error(f->ctx), f->obj));
+    }
+}
+
+static void positions_beyond_float_are_refused(void **state)
+{
+    struct sort_fixture *f = *state;
+    assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1e200 0\nf 1 2 3\n"), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "1e+200"));
+}
+
+/* Nothing but degenerate triangles: a file without chunks. */
+static void a_scan_without_area_is_refused(void **state)
+{
+    struct sort_fixture *f = *state;
+    assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\n"), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "the scan's only triangle has no area"));
+    assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\nf 1 1 1\n"), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "none of the scan's 2 triangles has an area"));
+    assert_int_not_equal(access(f->tris, F_OK), 0);
+}
+
+static void too_little_memory_is_refused(void **state)
+{
+    struct sort_fixture *f = *state;
+    sort_open_context(f, vox_memory_min(2) - 1, 2);
+    assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), BSQ_EUSAGE);
+    sort_open_context(f, 64 * MIB, 2);
+    expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"));
+}
+
+/* Any allocation may be the one that fails: that is an error, and nothing is left behind. */
+static void memory_may_run_out_anywhere(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    struct sort_grid g;
+    struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    unsigned failures = 0;
+    sort_grid_make(&g, 60, 5);
+    sort_grid_write(&g, f->obj, GRID_COLORS | GRID_NORMALS, 6);
+    for (unsigned spilled = 0; spilled < 2; spilled++)
+        for (uint64_t memory = 1000; memory < 80 * MIB; memory += memory / 5) {
+            struct sort_limits limits;
+            sort_limits_for(128 * MIB, 2, &limits);
+            if (spilled)
+                limits.column_bytes = limits.page_memory = 0;
+            sort_open_context(f, memory, 2);
+            int status = sort_with_limits(f->ctx, &options, &limits, &f->report);
+            failures += status < 0;
+            assert_true(status == 0 || status == BSQ_ENOMEM);
+            assert_int_equal(bsq_memory_used(f->ctx), 0);
+            assert_int_equal(access(f->tris, F_OK) == 0, status == 0);
+            unlink(f->tris);
+        }
+    assert_true(failures > 40);
+    sort_grid_free(&g);
+}
+
+static void an_unwritable_place_is_refused(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    struct vox_sort_options options = {
+        .obj_paths = paths, .obj_count = 1, .tris_path = "/nowhere/at/all.tris"};
+    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ECANTCREAT);
+}
+
+static void an_interrupt_stops_and_leaves_nothing(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    bsq_interrupt(f->ctx);
+    assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_EINTR);
+    assert_int_not_equal(access(f->tris, F_OK), 0);
+}
+
+int main(void)
+{
+#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
+    const struct CMUnitTest tests[] = {
+        TEST(indices_out_of_range_are_located),
+        TEST(scans_without_faces_are_refused),
+        TEST(positions_beyond_float_are_refused),
+        TEST(a_scan_without_area_is_refused),
+        TEST(too_little_memory_is_refused),
+        TEST(memory_may_run_out_anywhere),
+        TEST(an_unwritable_place_is_refused),
+        TEST(an_interrupt_stops_and_leaves_nothing),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
