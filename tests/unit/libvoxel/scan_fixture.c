@@ -33,6 +33,32 @@ void scan_mesh_free(struct scan_mesh *mesh)
     memset(mesh, 0, sizeof *mesh);
 }
 
+void scan_set_vertex(struct scan_mesh *mesh, uint32_t v, double x, double y, double z)
+{
+    mesh->positions[v][0] = (float)x;
+    mesh->positions[v][1] = (float)y;
+    mesh->positions[v][2] = (float)z;
+}
+
+void scan_set_triangle(struct scan_mesh *mesh, uint32_t t, uint32_t a, uint32_t b, uint32_t c)
+{
+    mesh->triangles[t][0] = a;
+    mesh->triangles[t][1] = b;
+    mesh->triangles[t][2] = c;
+}
+
+void scan_set_quad(struct scan_mesh *mesh, uint32_t q, const double at[3], const double u[3], const double v[3])
+{
+    for (uint32_t i = 0; i < 4; i++) {
+        double p[3];
+        for (int a = 0; a < 3; a++)
+            p[a] = at[a] + (i == 1 || i == 2 ? u[a] : 0.0) + (i >= 2 ? v[a] : 0.0);
+        scan_set_vertex(mesh, 4 * q + i, p[0], p[1], p[2]);
+    }
+    scan_set_triangle(mesh, 2 * q, 4 * q, 4 * q + 1, 4 * q + 2);
+    scan_set_triangle(mesh, 2 * q + 1, 4 * q, 4 * q + 2, 4 * q + 3);
+}
+
 double scan_random(uint64_t *seed)
 {
     *seed = *seed * 6364136223846793005u + 1442695040888963407u;

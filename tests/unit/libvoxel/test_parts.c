@@ -1,51 +1,13 @@
 /* Parts of chunks: every triangle lies in one, none reaches across many regions without need, and grids of scattered scans are
  * made as fast as those of whole ones, with the same bytes. */
 #include "libvoxel/parts.h"
-#include "base/file.h"
 #include "libvoxel/schedule.h"
-#include "libvoxel/voxel.h"
-#include "scan_fixture.h"
+#include "voxelize_fixture.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 #include <cmocka.h>
-
-struct fixture {
-    char directory[64], tris[96], grid[96], other[96];
-    struct bsq_ctx *ctx;
-};
-
-static int set_up(void **state)
-{
-    struct fixture *f = calloc(1, sizeof *f);
-    struct bsq_ctx_options options = {.memory_bytes = 256 << 20, .threads = 2};
-    assert_non_null(f);
-    strcpy(f->directory, "/tmp/test_parts_XXXXXX");
-    assert_non_null(mkdtemp(f->directory));
-    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
-    snprintf(f->grid, sizeof f->grid, "%s/scan.nvdb", f->directory);
-    snprintf(f->other, sizeof f->other, "%s/other.nvdb", f->directory);
-    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
-    *state = f;
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    struct fixture *f = *state;
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
-    unlink(f->tris);
-    unlink(f->grid);
-    unlink(f->other);
-    assert_int_equal(rmdir(f->directory), 0);
-    free(f);
-    return 0;
-}
 
 /* Clusters of small triangles anywhere in a cube of `size`, each with as many as the one before and one more. */
 static struct scan_mesh make_clusters(uint32_t clusters, double size, uint64_t seed)
@@ -107,7 +69,7 @@ struct made {
     uint64_t count;
 };
 
-static void make_parts(const struct fixture *f, double voxel_size, uint64_t bytes, struct made *made)
+static void make_parts(const struct vox_fixture *f, double voxel_size, uint64_t bytes, struct made *made)
 {
     assert_int_equal(fmt_tris_open(f->ctx, f->tris, &made->file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(made->file);
@@ -119,7 +81,7 @@ static void make_parts(const struct fixture *f, double voxel_size, uint64_t byte
     assert_int_equal(vox_parts_create(f->ctx, made->file, &made->lattice, made->boxes, bytes, &made->parts, &made->count), 0);
 }
 
-static void free_parts(const struct fixture *f, struct made *made)
+static void free_parts(const struct vox_fixture *f, struct made *made)
 {
     bsq_free(f->ctx, made->parts);
     fmt_tris_close(made->file);
@@ -152,7 +114,7 @@ static void check_cover(const struct made *made)
 
 static void test_parts_hold_every_triangle(void **state)
 {
-    struct fixture *f = *state;
+    struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 31);
     scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 700);
     /* A triangle of one is less than 3 regions wide where voxels are 1/256. */
@@ -172,7 +134,7 @@ static void test_parts_hold_every_triangle(void **state)
 
 static void test_little_memory_makes_larger_parts(void **state)
 {
-    struct fixture *f = *state;
+    struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 32);
     scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 700);
     struct made made;
@@ -193,7 +155,7 @@ static void test_little_memory_makes_larger_parts(void **state)
 /* A billion regions lie between these triangles. As chunks of their own they never reached across them. */
 static void test_scattered_triangles_of_one_chunk(void **state)
 {
-    struct fixture *f = *state;
+    struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(8, 1.3e5, 33);
     uint64_t voxels[2];
     for (uint32_t i = 0; i < 2; i++) {
@@ -206,19 +168,13 @@ static void test_scattered_triangles_of_one_chunk(void **state)
     }
     assert_int_equal(voxels[0], voxels[1]);
     assert_true(voxels[0] >= 8);
-    struct bsq_map a, b;
-    assert_int_equal(bsq_map_open(f->ctx, f->grid, &a), 0);
-    assert_int_equal(bsq_map_open(f->ctx, f->other, &b), 0);
-    assert_int_equal(a.size, b.size);
-    assert_memory_equal(a.data, b.data, a.size);
-    bsq_map_close(f->ctx, &a);
-    bsq_map_close(f->ctx, &b);
+    expect_same_bytes(f->grid, f->other);
     scan_mesh_free(&mesh);
 }
 
 int main(void)
 {
-#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
     const struct CMUnitTest tests[] = {
         TEST(test_parts_hold_every_triangle),
         TEST(test_little_memory_makes_larger_parts),
