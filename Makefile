@@ -340,7 +340,7 @@ bench: deps
 ## bench-bake: rays a second on every device beside Embree, BENCH=small or medium (default); see tests/bench/BAKE.md
 bench-bake: deps
 	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays $(BUILD)/tests/bench-rays-counters >&2
-	=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
 
 .PHONY: bench-accuracy
 ## bench-accuracy: how far maps from voxels are from exact ones, BENCH=small or medium (default)
