@@ -85,9 +85,11 @@ $(BUILD)/obj/libvoxel/lane_code_avx2.c.o: CFLAGS += $(if $(filter x86_64,$(shell
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 
-# One source of the kernel for processors with AVX2; fused operations would round otherwise.
+# Sources of the kernel for processors with AVX2 and AVX-512; fused operations would round otherwise.
 ifneq ($(findstring x86-64,$(ARCH)),)
 $(patsubst %,$(BUILD)/%/libbake/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 -mbmi -mbmi2 -mlzcnt -mno-fma
+$(patsubst %,$(BUILD)/%/libbake/native_lanes16.c.o,obj counted): CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw \
+    -mprefer-vector-width=512 -mbmi -mbmi2 -mlzcnt -mno-fma
 endif
 
 define archive_rule
@@ -314,7 +316,7 @@ $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) |
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base) -lembree3
 # The native devices once more, with counters; their objects come before the library's.
-counted := device_native native_lanes4 native_lanes8
+counted := device_native native_lanes4 native_lanes8 native_lanes16
 $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
 	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@

@@ -36,14 +36,29 @@ int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     return 0;
 }
 
-/* The widest code that this processor can run. */
-static bake_native_tile *choose_code(void)
+/* AVX-512 comes with much lower clocks in its first processors; those that have VBMI2 are later. */
+bake_native_tile *bake_native_code(unsigned lanes)
 {
 #if defined(__x86_64__)
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"))
-        return bake_native_tile_8;
+    if (lanes == 16)
+        return __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
+                       __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vbmi2")
+                   ? bake_native_tile_16
+                   : NULL;
+    if (lanes == 8)
+        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") ? bake_native_tile_8
+                                                                                : NULL;
 #endif
-    return bake_native_tile_4;
+    return lanes == 4 ? bake_native_tile_4 : NULL;
+}
+
+static bake_native_tile *widest_code(void)
+{
+    unsigned lanes = 16;
+
+    while (!bake_native_code(lanes))
+        lanes /= 2;
+    return bake_native_code(lanes);
 }
 
 static void split(uint64_t value, bk_uint words[2])
@@ -177,7 +192,7 @@ int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     native->grid = native_grid(job->grid, &job->params);
     native->params = job->params;
     native->triangles = job->triangles;
-    native->tile = choose_code();
+    native->tile = widest_code();
     *out = &native->base;
     return 0;
 }

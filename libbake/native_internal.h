@@ -18,7 +18,11 @@ typedef void bake_native_tile(const struct bk_grid *grid, const struct bk_params
 
 bake_native_tile bake_native_tile_4; /* four lanes, for any processor */
 #if defined(__x86_64__)
-bake_native_tile bake_native_tile_8; /* eight lanes, AVX2 */
+bake_native_tile bake_native_tile_8;  /* eight lanes, AVX2 */
+bake_native_tile bake_native_tile_16; /* sixteen lanes, AVX-512 */
 #endif
+
+/* The code for 4, 8 or 16 lanes; NULL where this processor cannot run it. */
+bake_native_tile *bake_native_code(unsigned lanes);
 
 #endif

@@ -136,6 +136,14 @@ BK_FN void bk_store_lanes(bk_int words[BK_WIDTH], bk_iw lanes)
 #define bk_maxw(a, b)          ((bk_fw)_mm256_max_ps((__m256)(a), (__m256)(b)))
 #define bk_mini(a, b)          ((bk_iw)_mm256_min_epi32((__m256i)(a), (__m256i)(b)))
 #define bk_maxi(a, b)          ((bk_iw)_mm256_max_epi32((__m256i)(a), (__m256i)(b)))
+#elif BK_WIDTH == 16 && defined(__AVX512F__)
+#define bk_select(mask, a, b)                                                                      \
+    ((bk_fw)_mm512_mask_blend_ps(_mm512_movepi32_mask((__m512i)(mask)), (__m512)(b), (__m512)(a)))
+#define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
+#define bk_minw(a, b)          ((bk_fw)_mm512_min_ps((__m512)(a), (__m512)(b)))
+#define bk_maxw(a, b)          ((bk_fw)_mm512_max_ps((__m512)(a), (__m512)(b)))
+#define bk_mini(a, b)          ((bk_iw)_mm512_min_epi32((__m512i)(a), (__m512i)(b)))
+#define bk_maxi(a, b)          ((bk_iw)_mm512_max_epi32((__m512i)(a), (__m512i)(b)))
 #else
 #define bk_select(mask, a, b)  ((bk_fw)(((mask) & (bk_iw)(a)) | (~(mask) & (bk_iw)(b))))
 #define bk_selecti(mask, a, b) (((mask) & (a)) | (~(mask) & (b)))
@@ -150,6 +158,8 @@ BK_FN bk_fw bk_sqrtw(bk_fw f)
     return (bk_fw)_mm_sqrt_ps((__m128)f);
 #elif BK_WIDTH == 8 && defined(__AVX__)
     return (bk_fw)_mm256_sqrt_ps((__m256)f);
+#elif BK_WIDTH == 16 && defined(__AVX512F__)
+    return (bk_fw)_mm512_sqrt_ps((__m512)f);
 #else
     for (int i = 0; i < BK_WIDTH; i++)
         f[i] = sqrtf(f[i]);
@@ -162,6 +172,8 @@ BK_FN bk_fw bk_floorw(bk_fw f)
     return (bk_fw)_mm_floor_ps((__m128)f);
 #elif BK_WIDTH == 8 && defined(__AVX__)
     return (bk_fw)_mm256_floor_ps((__m256)f);
+#elif BK_WIDTH == 16 && defined(__AVX512F__)
+    return (bk_fw)_mm512_roundscale_ps((__m512)f, 9);
 #else
     for (int i = 0; i < BK_WIDTH; i++)
         f[i] = floorf(f[i]);
@@ -175,6 +187,8 @@ BK_FN bk_uint bk_bits(bk_mask mask)
     return (bk_uint)_mm_movemask_ps((__m128)mask);
 #elif BK_WIDTH == 8 && defined(__AVX__)
     return (bk_uint)_mm256_movemask_ps((__m256)mask);
+#elif BK_WIDTH == 16 && defined(__AVX512DQ__)
+    return (bk_uint)_mm512_movepi32_mask((__m512i)mask);
 #else
     bk_uint bits = 0;
     for (int i = 0; i < BK_WIDTH; i++)
@@ -184,10 +198,14 @@ BK_FN bk_uint bk_bits(bk_mask mask)
 }
 BK_FN bk_mask bk_mask_of(bk_uint bits)
 {
+#if BK_WIDTH == 16 && defined(__AVX512DQ__)
+    return (bk_mask)_mm512_movm_epi32((__mmask16)bits);
+#else
     bk_iw lanes = {0};
     for (int i = 0; i < BK_WIDTH; i++)
         lanes[i] = 1 << i;
     return (lanes & (bk_int)bits) != 0;
+#endif
 }
 
 #else

@@ -1,5 +1,5 @@
 /* test_lanes.c - the kernel gives the same bits for any number of lanes and order of samples:
- * groups of four and eight in squares of texels against one sample at a time, row by row. */
+ * groups of four, eight and sixteen in squares of texels against one sample at a time, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -138,16 +138,16 @@ static void compare(const struct fixture *f, uint32_t flags)
     print_message("flags %u: %u of %u rays hit\n", (unsigned)params.flags, (unsigned)hits,
                   (unsigned)covered);
     assert_true(hits > covered / 4 && hits < covered);
-    memset(found, 0xff, sizeof found);
-    bake_native_tile_4(&f->grid, &params, f->triangles, &tile, f->samples, found);
-    assert_memory_equal(found, expected, sizeof found);
-#if defined(__x86_64__)
-    if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("bmi2"))
-        return;
-    memset(found, 0xff, sizeof found);
-    bake_native_tile_8(&f->grid, &params, f->triangles, &tile, f->samples, found);
-    assert_memory_equal(found, expected, sizeof found);
-#endif
+    for (unsigned lanes = 4; lanes <= 16; lanes *= 2) {
+        bake_native_tile *code = bake_native_code(lanes);
+        if (!code) {
+            print_message("this processor has not the instructions for %u lanes\n", lanes);
+            continue;
+        }
+        memset(found, 0xff, sizeof found);
+        code(&f->grid, &params, f->triangles, &tile, f->samples, found);
+        assert_memory_equal(found, expected, sizeof found);
+    }
 }
 
 static void test_lanes(void **state)
