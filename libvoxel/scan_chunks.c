@@ -12,13 +12,14 @@
 #include <string.h>
 
 enum { NO_SLOT = -1 };
+#define NO_CHUNK UINT32_MAX
 
 /* What a slot holds is made in two steps, as the normals of one chunk need others as they are in
  * the file. Whoever finds a step to do does it, and others wait. */
 enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
 
 struct slot {
-    uint32_t chunk; /* UINT32_MAX: empty */
+    uint32_t chunk; /* NO_CHUNK: empty */
     uint32_t users;
     enum stage stage;
     int status; /* of the steps */
@@ -38,8 +39,9 @@ struct vox_chunks {
     const struct vox_lattice *lattice;
     struct vox_smooth *smooth; /* NULL: chunks without normals stay so */
     pthread_mutex_t lock;
-    pthread_cond_t changed; /* a chunk became ready, or a slot free */
-    uint32_t slot_count, slots_used;
+    pthread_cond_t stepped; /* a step was done */
+    pthread_cond_t freed;   /* a slot has no users any more */
+    uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
     uint64_t points_at, cells_at, normals_at, rises_at, groups_at, slot_bytes;
@@ -219,11 +221,12 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 /* ---- the cache ---- */
 
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      const struct vox_lattice *lattice, struct vox_smooth *smooth,
-                      uint32_t slot_count, struct vox_chunks **out)
+                      const struct vox_lattice *lattice, const struct vox_part *parts,
+                      uint64_t part_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      struct vox_chunks **out)
 {
     struct vox_chunks *c;
-    uint64_t chunk_count = fmt_tris_get_header(file)->chunk_count;
+    uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
     *out = NULL;
     int status = bsq_calloc(ctx, "chunk cache", 1, sizeof *c, &c);
     if (status < 0)
@@ -232,6 +235,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     c->file = file;
     c->lattice = lattice;
     c->smooth = smooth;
+    c->chunk_count = chunk_count;
     c->slot_count = slot_count;
     lay_out(c, file, smooth != NULL);
     if ((status = bsq_calloc(ctx, "chunk cache", slot_count, sizeof *c->slots, &c->slots)) < 0 ||
@@ -240,10 +244,17 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
         bsq_free(ctx, c);
         return status;
     }
-    for (uint64_t i = 0; i < chunk_count; i++)
-        c->uses[i].slot = NO_SLOT;
+    for (uint32_t i = 0; i < c->chunk_count; i++)
+        c->uses[i] = (struct use){.next = VOX_REGION_KEY_NEVER, .slot = NO_SLOT};
+    for (uint64_t i = 0; i < part_count; i++) {
+        struct vox_region_key first = vox_region_first(&parts[i].box);
+        struct use *use = &c->uses[parts[i].chunk];
+        if (vox_region_before(first, use->next))
+            use->next = first;
+    }
     pthread_mutex_init(&c->lock, NULL);
-    pthread_cond_init(&c->changed, NULL);
+    pthread_cond_init(&c->stepped, NULL);
+    pthread_cond_init(&c->freed, NULL);
     *out = c;
     return 0;
 }
@@ -254,7 +265,8 @@ void vox_chunks_destroy(struct vox_chunks *c)
         return;
     for (uint32_t i = 0; i < c->slots_used; i++)
         bsq_free(c->ctx, c->slots[i].memory);
-    pthread_cond_destroy(&c->changed);
+    pthread_cond_destroy(&c->freed);
+    pthread_cond_destroy(&c->stepped);
     pthread_mutex_destroy(&c->lock);
     bsq_free(c->ctx, c->slots);
     bsq_free(c->ctx, c->uses);
@@ -300,14 +312,14 @@ static struct slot *find_slot(struct vox_chunks *c)
         struct slot *slot = &c->slots[i];
         if (slot->users > 0)
             continue;
-        if (slot->chunk == UINT32_MAX || is_finished(&c->uses[slot->chunk]))
+        if (slot->chunk == NO_CHUNK || is_finished(&c->uses[slot->chunk]))
             return slot;
         if (!best || needed_before(c, best->chunk, slot->chunk))
             best = slot;
     }
     if (c->slots_used < c->slot_count) {
         best = &c->slots[c->slots_used++];
-        best->chunk = UINT32_MAX;
+        best->chunk = NO_CHUNK;
     }
     return best;
 }
@@ -315,7 +327,7 @@ static struct slot *find_slot(struct vox_chunks *c)
 /* Makes the slot the chunk's, with the first step to do. */
 static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
 {
-    if (slot->chunk != UINT32_MAX)
+    if (slot->chunk != NO_CHUNK)
         c->uses[slot->chunk].slot = NO_SLOT;
     slot->chunk = chunk;
     slot->stage = STAGE_READING;
@@ -329,9 +341,9 @@ static void leave_slot(struct vox_chunks *c, struct slot *slot)
     if (--slot->users == 0) {
         if (slot->status < 0) {
             c->uses[slot->chunk].slot = NO_SLOT;
-            slot->chunk = UINT32_MAX;
+            slot->chunk = NO_CHUNK;
         }
-        pthread_cond_broadcast(&c->changed);
+        pthread_cond_broadcast(&c->freed);
     }
 }
 
@@ -345,11 +357,23 @@ static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum sta
         pthread_mutex_lock(&c->lock);
         slot->stage = stage;
         slot->status = status;
-        pthread_cond_broadcast(&c->changed);
+        pthread_cond_broadcast(&c->stepped);
     }
     while (slot->stage < stage && slot->status == 0)
-        pthread_cond_wait(&c->changed, &c->lock);
+        pthread_cond_wait(&c->stepped, &c->lock);
     return slot->status;
+}
+
+/* Takes both steps; `fresh`: the first one is the caller's to do. */
+static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
+{
+    int status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+    if (status < 0)
+        return status;
+    bool finish = slot->stage == STAGE_READ;
+    if (finish)
+        slot->stage = STAGE_FINISHING;
+    return run_step(c, slot, finish, STAGE_READY, finish_chunk);
 }
 
 /* Lends a chunk as it is in the file, unless it has no slot and its turn comes after that of all
@@ -364,7 +388,7 @@ static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out)
     bool fresh = use->slot == NO_SLOT;
     if (fresh) {
         struct slot *slot = find_slot(c);
-        if (slot && (slot->chunk == UINT32_MAX || !needed_before(c, slot->chunk, chunk)))
+        if (slot && (slot->chunk == NO_CHUNK || !needed_before(c, slot->chunk, chunk)))
             give_slot(c, slot, chunk);
     }
     if (use->slot != NO_SLOT) {
@@ -380,6 +404,57 @@ static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out)
     return status;
 }
 
+static bool in_making(const struct slot *slot)
+{
+    return slot->status == 0 && slot->stage != STAGE_READ && slot->stage != STAGE_READY;
+}
+
+/* The chunk that is needed first of those that nobody has made ready or is at; NO_CHUNK where there
+ * is none. */
+static uint32_t next_unready(const struct vox_chunks *c)
+{
+    uint32_t best = NO_CHUNK;
+    for (uint32_t i = 0; i < c->chunk_count; i++) {
+        const struct use *use = &c->uses[i];
+        if (is_finished(use) || (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
+            continue;
+        if (best == NO_CHUNK || needed_before(c, i, best))
+            best = i;
+    }
+    return best;
+}
+
+/* Gives the chunk a slot that no unit under way needs, if there is one. */
+static bool give_spare_slot(struct vox_chunks *c, uint32_t chunk)
+{
+    struct slot *slot = find_slot(c);
+    if (!slot || (slot->chunk != NO_CHUNK &&
+                  (c->uses[slot->chunk].expected > 0 || needed_before(c, slot->chunk, chunk))))
+        return false;
+    give_slot(c, slot, chunk);
+    return true;
+}
+
+/* Neighbouring regions share chunks, so workers come to need the same one at the same time. While
+ * another worker makes it ready, this one does so with those that come next. */
+static int prepare_others(struct vox_chunks *c, const struct slot *wanted)
+{
+    int status = 0;
+    while (status == 0 && in_making(wanted)) {
+        uint32_t chunk = next_unready(c);
+        if (chunk == NO_CHUNK)
+            break;
+        bool fresh = c->uses[chunk].slot == NO_SLOT;
+        if (fresh && !give_spare_slot(c, chunk))
+            break;
+        struct slot *slot = &c->slots[c->uses[chunk].slot];
+        slot->users++;
+        status = make_ready(c, slot, fresh);
+        leave_slot(c, slot);
+    }
+    return status;
+}
+
 int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
 {
     const struct use *use = &c->uses[chunk];
@@ -392,18 +467,14 @@ int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_ch
             give_slot(c, slot, chunk);
             fresh = true;
         } else {
-            pthread_cond_wait(&c->changed, &c->lock);
+            pthread_cond_wait(&c->freed, &c->lock);
         }
     }
     slot = &c->slots[use->slot];
     slot->users++;
-    int status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
-    if (status == 0) {
-        bool finish = slot->stage == STAGE_READ;
-        if (finish)
-            slot->stage = STAGE_FINISHING;
-        status = run_step(c, slot, finish, STAGE_READY, finish_chunk);
-    }
+    int status = fresh ? 0 : prepare_others(c, slot);
+    if (status == 0)
+        status = make_ready(c, slot, fresh);
     if (status < 0)
         leave_slot(c, slot);
     else

@@ -28,12 +28,14 @@ struct vox_chunks;
 /* Bytes that one cached chunk takes, with room for normals if the file has them or `smooth`. */
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth);
 
-/* A cache of up to slot_count >= 1 chunks. `file`, `lattice` and `smooth` must outlive it. smooth
- * makes the normals of chunks that have none and whose triangles are not small for the grid; NULL:
- * they stay without. */
+/* A cache of up to slot_count >= 1 chunks. `file`, `lattice` and `smooth` must outlive it. parts:
+ * the schedule's, by which the first region that needs a chunk is known; they are not kept. smooth makes
+ * the normals of chunks that have none and whose triangles are not small for the grid; NULL: they
+ * stay without. */
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      const struct vox_lattice *lattice, struct vox_smooth *smooth,
-                      uint32_t slot_count, struct vox_chunks **out);
+                      const struct vox_lattice *lattice, const struct vox_part *parts,
+                      uint64_t part_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      struct vox_chunks **out);
 void vox_chunks_destroy(struct vox_chunks *chunks); /* NULL is allowed */
 
 /* Says that `uses` units of work which touch `chunk` are under way, and which region is the next
@@ -43,7 +45,8 @@ void vox_chunks_expect(struct vox_chunks *chunks, uint32_t chunk, uint32_t uses,
 void vox_chunks_done(struct vox_chunks *chunks, uint32_t chunk);
 
 /* Loads or finds a chunk; *out is valid until it is released. A worker holds one at a time. Waits
- * while other workers hold all slots. */
+ * while other workers hold all slots. While another worker loads the chunk, this one loads others
+ * that will be needed, where there are slots to spare. */
 int vox_chunks_acquire(struct vox_chunks *chunks, uint32_t chunk, const struct vox_chunk **out);
 void vox_chunks_release(struct vox_chunks *chunks, uint32_t chunk);
 

@@ -95,7 +95,7 @@ static int32_t enter_tile(const struct vox_box *box, int axis, int32_t tile)
     return max32(region_of(box->lo[axis]), tile * (1 << TILE_LOG2));
 }
 
-static struct vox_region_key first_region(const struct vox_box *box)
+struct vox_region_key vox_region_first(const struct vox_box *box)
 {
     int32_t region[3];
     for (int a = 0; a < 3; a++)
@@ -172,7 +172,7 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint6
     s->parts = parts;
     s->count = part_count;
     for (uint64_t i = 0; i < part_count; i++)
-        s->heap[i] = (struct entry){first_region(&parts[i].box), i};
+        s->heap[i] = (struct entry){vox_region_first(&parts[i].box), i};
     for (uint64_t i = part_count / 2; i-- > 0;)
         sift_down(s, i, s->heap[i]);
     *out = s;

@@ -25,6 +25,9 @@ static inline bool vox_region_before(struct vox_region_key a, struct vox_region_
 /* Index of the region's first voxel. */
 void vox_region_origin(struct vox_region_key key, int32_t origin[3]);
 
+/* The first region that a box of voxels touches. */
+struct vox_region_key vox_region_first(const struct vox_box *box);
+
 struct vox_schedule;
 
 /* parts: in ascending order of chunks; stays the caller's and must outlive the schedule. */

@@ -26,6 +26,10 @@
 /* What results of regions under way take at least, per worker. */
 #define RESULT_BYTES_MIN (UINT64_C(1) << 20)
 
+/* Units under way per worker. Some regions take a hundred times as long as others; while one does,
+ * results of those behind it wait in their slots, and nobody has to. */
+enum { UNITS_PER_WORKER = 8 };
+
 enum { SLABS_MAX = VOX_REGION_SIZE / 8 };
 
 struct job {
@@ -37,6 +41,7 @@ struct job {
     struct vox_smooth *smooth; /* NULL: the scan has normals, or is to be flat */
     struct vox_box *boxes;
     struct vox_part *parts;
+    uint64_t part_count;
     struct vox_schedule *schedule;
     struct fmt_nvdb_writer *writer;
     struct vox_worker *own; /* one a worker */
@@ -158,10 +163,10 @@ static int make_schedule(struct job *job)
         job->boxes[i] =
             vox_lattice_box(&job->scan.lattice, infos[i].bounds_min, infos[i].bounds_max);
     job->scan.boxes = job->boxes;
-    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx), parts;
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
     status = vox_parts_create(job->ctx, job->file, &job->scan.lattice, job->boxes, limit > used ? (limit - used) / 16 : 0,
-                              &job->parts, &parts);
-    return status < 0 ? status : vox_schedule_create(job->ctx, job->parts, parts, &job->schedule);
+                              &job->parts, &job->part_count);
+    return status < 0 ? status : vox_schedule_create(job->ctx, job->parts, job->part_count, &job->schedule);
 }
 
 /* A small grid has too few regions to keep all workers busy; slabs of regions make more units. */
@@ -191,7 +196,7 @@ static int make_workers(struct job *job, const struct plan *plan)
     }
     if (status < 0)
         return status;
-    uint64_t count = UINT64_C(2) * job->workers;
+    uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * job->workers;
     if ((status = bsq_calloc(job->ctx, "workers", count, sizeof *job->units, &job->units)) < 0)
         return status;
     job->unit_count = (unsigned)count;
@@ -209,8 +214,9 @@ static int set_up(struct job *job)
         (status = make_plan(job, &plan)) < 0 ||
         (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes, &job->scan.shading)) <
             0 ||
-        (status = vox_chunks_create(job->ctx, job->file, &job->scan.lattice, job->smooth,
-                                    (uint32_t)plan.cache_slots, &job->scan.chunks)) < 0 ||
+        (status = vox_chunks_create(job->ctx, job->file, &job->scan.lattice, job->parts,
+                                    job->part_count, job->smooth, (uint32_t)plan.cache_slots,
+                                    &job->scan.chunks)) < 0 ||
         (status = make_workers(job, &plan)) < 0)
         return status;
     vox_gate_init(&job->scan.gate, job->ctx, plan.result_bytes);
@@ -359,7 +365,7 @@ static int write_unit(void *arg, const struct vox_unit *unit)
     return fmt_nvdb_append(job->writer, &region);
 }
 
-/* Writes a unit. Memory of ordinary size is kept for the slot's next unit. */
+/* Writes a unit. Memory of ordinary size is kept for the slot's next unit, half of all at most. */
 static int emit(void *arg, void *slot, uint64_t sequence)
 {
     struct job *job = arg;
@@ -369,7 +375,7 @@ static int emit(void *arg, void *slot, uint64_t sequence)
     int status = write_unit(job, unit);
     if (status < 0)
         return vox_gate_fail(&job->scan.gate, status);
-    if (unit->held_bytes > job->scan.gate.limit / job->unit_count) {
+    if (unit->held_bytes > job->scan.gate.limit / 2 / job->unit_count) {
         vox_leaves_free(&unit->leaves);
         give_back = unit->held_bytes;
         unit->held_bytes = 0;

@@ -56,6 +56,13 @@ static uint64_t list_pairs(const struct vox_part *parts, uint32_t count, struct 
     return distinct;
 }
 
+static bool same_region(struct vox_region_key a, struct vox_region_key b)
+{
+    return a.tile == b.tile && a.region == b.region;
+}
+
+/* The schedule's pairs are those listed, and each chunk comes when it was announced,
+ * or before, for another of its parts. */
 static void check_schedule(const struct vox_part *parts, uint32_t count)
 {
     const uint64_t room = 2000000;
@@ -68,8 +75,17 @@ static void check_schedule(const struct vox_part *parts, uint32_t count)
     struct bsq_ctx_options options = {.memory_bytes = 1 << 20, .threads = 1};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     assert_int_equal(vox_schedule_create(ctx, parts, count, &schedule), 0);
-    struct vox_region_key key, after;
+    struct vox_region_key key, after, due[20];
     uint32_t chunk;
+    assert_true(count <= 20);
+    bool in_parts = count > 0 && parts[count - 1].chunk < count - 1;
+    for (uint32_t i = 0; i < count; i++)
+        due[i] = VOX_REGION_KEY_NEVER;
+    for (uint32_t i = 0; i < count; i++) {
+        struct vox_region_key first = vox_region_first(&parts[i].box);
+        if (vox_region_before(first, due[parts[i].chunk]))
+            due[parts[i].chunk] = first;
+    }
     while (vox_schedule_next(schedule, &key)) {
         int32_t origin[3];
         vox_region_origin(key, origin);
@@ -79,11 +95,16 @@ static void check_schedule(const struct vox_part *parts, uint32_t count)
             assert_memory_equal(origin, pairs[at].origin, sizeof origin);
             assert_int_equal(chunk, pairs[at].chunk);
             assert_true(vox_region_before(key, after));
+            assert_false(vox_region_before(due[chunk], key));
+            assert_true(in_parts || same_region(key, due[chunk]));
+            due[chunk] = after;
             at++;
         }
         assert_true(at > first);
     }
     assert_int_equal(at, n);
+    for (uint32_t i = 0; i < count; i++)
+        assert_true(same_region(due[i], VOX_REGION_KEY_NEVER));
     vox_schedule_destroy(schedule);
     bsq_ctx_destroy(ctx);
     free(pairs);
