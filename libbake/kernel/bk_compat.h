@@ -152,6 +152,15 @@ BK_FN void bk_store_lanes(bk_int words[BK_WIDTH], bk_iw lanes)
 #define bk_mini(a, b)          bk_selecti((a) < (b), a, b)
 #define bk_maxi(a, b)          bk_selecti((a) > (b), a, b)
 #endif
+/* 32-bit words at numbers below BK_GATHER_MOST, where there is an instruction for that. */
+#define BK_GATHER_MOST 0x80000000u
+#if BK_WIDTH == 8 && defined(__AVX2__)
+#define bk_gather(words, number)                                                                   \
+    ((bk_iw)_mm256_i32gather_epi32((const int *)(const void *)(words), (__m256i)(number), 4))
+#elif BK_WIDTH == 16 && defined(__AVX512F__)
+#define bk_gather(words, number)                                                                   \
+    ((bk_iw)_mm512_i32gather_epi32((__m512i)(number), (const void *)(words), 4))
+#endif
 BK_FN bk_fw bk_sqrtw(bk_fw f)
 {
 #if BK_WIDTH == 4 && defined(__SSE__)

@@ -67,11 +67,10 @@ typedef struct bk_walk {
 /* Voxels that rays are in, or empty aligned nodes around them: what the tree says of them. */
 typedef struct bk_place {
     bk_iw x, y, z;
-    bk_int mask[BK_WIDTH];  /* side - 1 of the voxel or the node */
-    bk_int apart[BK_WIDTH]; /* coordinates differ in these bits from those of another leaf's or
-                               empty node's */
-    bk_int node_x[BK_WIDTH], node_y[BK_WIDTH], node_z[BK_WIDTH]; /* in that leaf or node */
-    const BK_GLOBAL bk_ulong *words[BK_WIDTH];                   /* the leaf's */
+    bk_iw mask;  /* side - 1 of the voxel or the node */
+    bk_iw apart; /* coordinates differ in these bits from those of another leaf's or empty node's */
+    bk_iw node_x, node_y, node_z; /* in that leaf or node */
+    bk_iw leaf;                   /* the leaf's number, where mask is 0 */
 } bk_place;
 
 BK_FN bk_crossing bk_no_crossing(void)
@@ -290,22 +289,29 @@ BK_FN void bk_cross_voxels(const bk_grid *grid, bk_cache *cache, bk_walk *walk, 
 
 /* ---- walking ---- */
 
-/* Looks up the leaves or empty nodes of lanes that have left theirs. */
+/* Looks up the leaves or empty nodes of lanes that have left theirs: once for all that come to the
+ * same. */
 BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place *place)
 {
-    for (; bits; bits &= bits - 1u) {
+    while (bits) {
         const bk_uint lane = bk_first(bits);
         const bk_int x = bk_lane(place->x, lane), y = bk_lane(place->y, lane);
         const bk_int z = bk_lane(place->z, lane);
         const bk_uint level = bk_locate(grid, cache, x, y, z);
+        const bk_int apart = -((bk_int)1 << cache->side);
+        const bk_uint same =
+            bits & bk_bits((((place->x ^ x) | (place->y ^ y) | (place->z ^ z)) & apart) == 0);
+        const bk_mask lanes = bk_mask_of(same);
 
-        place->mask[lane] = ((bk_int)1 << level) - 1;
-        place->apart[lane] = -((bk_int)1 << cache->side);
-        place->node_x[lane] = x;
-        place->node_y[lane] = y;
-        place->node_z[lane] = z;
-        place->words[lane] =
-            level == 0 ? grid->leaves + (bk_ulong)cache->leaf * BK_LEAF_WORDS : grid->leaves;
+        (void)lane;
+        place->mask = bk_selecti(lanes, bk_splati(((bk_int)1 << level) - 1), place->mask);
+        place->apart = bk_selecti(lanes, bk_splati(apart), place->apart);
+        place->node_x = bk_selecti(lanes, bk_splati(x), place->node_x);
+        place->node_y = bk_selecti(lanes, bk_splati(y), place->node_y);
+        place->node_z = bk_selecti(lanes, bk_splati(z), place->node_z);
+        place->leaf =
+            bk_selecti(lanes, bk_splati(level == 0 ? (bk_int)cache->leaf : 0), place->leaf);
+        bits &= ~same;
     }
 }
 
@@ -314,20 +320,35 @@ BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place
 BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place,
                           bk_ulong values[BK_WIDTH])
 {
-    bk_int layers[BK_WIDTH], within[BK_WIDTH];
+    const bk_iw layer = (place->x & 7) + (bk_int)BK_LEAF_MASK;
+    const bk_iw within = (place->y & 7) << 3 | (place->z & 7);
+    bk_int layers[BK_WIDTH], places[BK_WIDTH], leaves[BK_WIDTH];
     bk_uint lane, occupied = 0;
 
-    bk_store_lanes(layers, (place->x & 7) + (bk_int)BK_LEAF_MASK);
-    bk_store_lanes(within, (place->y & 7) << 3 | (place->z & 7));
-    for (lane = 0; lane < BK_WIDTH; lane++) {
+    bk_store_lanes(layers, layer);
+    bk_store_lanes(places, within);
+    bk_store_lanes(leaves, place->leaf);
+#ifdef bk_gather
+    if (grid->leaf_count <= BK_GATHER_MOST / (2u * BK_LEAF_WORDS)) {
+        const bk_iw words = bk_gather(grid->leaves, place->leaf * (bk_int)(2u * BK_LEAF_WORDS) +
+                                                        (layer << 1 | within >> 5));
+        occupied = bk_bits((words & (bk_splati(1) << (within & 31))) != 0);
+    } else
+#endif
+        for (lane = 0; lane < BK_WIDTH; lane++) {
+            const bk_ulong leaf = (bk_ulong)(bk_uint)leaves[lane] * BK_LEAF_WORDS;
+            occupied |= (bk_uint)(grid->leaves[leaf + (bk_uint)layers[lane]] >> places[lane] & 1u)
+                        << lane;
+        }
+    for (lane = 0; lane < BK_WIDTH; lane++)
         values[lane] = 0;
-        occupied |= (bk_uint)(place->words[lane][layers[lane]] >> within[lane] & 1u) << lane;
-    }
     occupied &= bits;
     for (bits = occupied; bits; bits &= bits - 1u) {
+        bk_ulong leaf;
         lane = bk_first(bits);
-        values[lane] = bk_leaf_rank(grid, place->words[lane], (bk_uint)layers[lane] - BK_LEAF_MASK,
-                                    (bk_uint)within[lane]);
+        leaf = (bk_ulong)(bk_uint)leaves[lane] * BK_LEAF_WORDS;
+        values[lane] = bk_leaf_rank(grid, grid->leaves + leaf, (bk_uint)layers[lane] - BK_LEAF_MASK,
+                                    (bk_uint)places[lane]);
     }
     return occupied;
 }
@@ -369,8 +390,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     const bk_mask walked = ray->some & bk_not(bk_less(t_end, t));
     bk_ulong values[BK_WIDTH];
     bk_place place;
-    const bk_iw none = bk_splati(0);
-    bk_uint active = bk_bits(walked), lane;
+    bk_uint active = bk_bits(walked);
 
     walk->hit = walk->ahead = bk_no_crossing();
     walk->side = bk_splati(BK_APART);
@@ -382,16 +402,11 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     place.x = bk_voxel_at(start.x, direction.x, t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
     place.y = bk_voxel_at(start.y, direction.y, t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
     place.z = bk_voxel_at(start.z, direction.z, t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
-    bk_store_lanes(place.mask, none);
-    bk_store_lanes(place.apart, none);
-    bk_store_lanes(place.node_x, none);
-    bk_store_lanes(place.node_y, none);
-    bk_store_lanes(place.node_z, none);
-    for (lane = 0; lane < BK_WIDTH; lane++)
-        place.words[lane] = grid->leaves;
+    place.mask = place.apart = place.leaf = bk_splati(0);
+    place.node_x = place.node_y = place.node_z = bk_splati(0);
     bk_enter(grid, cache, active, &place);
     do {
-        const bk_iw mask = bk_load_lanes(place.mask);
+        const bk_iw mask = place.mask;
         const bk_uint in_leaf = active & bk_bits(mask == 0);
         const bk_iw fx = bk_exit_layer(place.x, mask, up_x);
         const bk_iw fy = bk_exit_layer(place.y, mask, up_y);
@@ -427,10 +442,9 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
         t = t_out;
         active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
         bk_enter(grid, cache,
-                 active & bk_bits((((place.x ^ bk_load_lanes(place.node_x)) |
-                                    (place.y ^ bk_load_lanes(place.node_y)) |
-                                    (place.z ^ bk_load_lanes(place.node_z))) &
-                                   bk_load_lanes(place.apart)) != 0),
+                 active & bk_bits((((place.x ^ place.node_x) | (place.y ^ place.node_y) |
+                                    (place.z ^ place.node_z)) &
+                                   place.apart) != 0),
                  &place);
     } while (active);
     bk_end_run(walk, walked);
