@@ -1,6 +1,7 @@
 /* kernel_cache.c - one file an entry: a header, the key, the data. */
 #include "libbake/kernel_cache_internal.h"
 
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
@@ -9,9 +10,12 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
-enum { LARGEST_ENTRY = 64 << 20 };
+enum { LARGEST_ENTRY = 64 << 20, DAY = 24 * 60 * 60 };
+
+static const char entry_suffix[] = ".kernel", temporary_prefix[] = ".new-";
 
 static const char magic[8] = "BSQKRN1";
 
@@ -60,8 +64,8 @@ static bool name_entry(const char *key, char path[PATH_MAX])
     char directory[PATH_MAX];
 
     return name_directory(directory) &&
-           snprintf(path, PATH_MAX, "%s/%016" PRIx64 ".kernel", directory,
-                    bake_kernel_hash(key, strlen(key))) < PATH_MAX;
+           snprintf(path, PATH_MAX, "%s/%016" PRIx64 "%s", directory,
+                    bake_kernel_hash(key, strlen(key)), entry_suffix) < PATH_MAX;
 }
 
 static bool read_all(int fd, void *to, uint64_t bytes)
@@ -96,6 +100,13 @@ static void *read_entry(int fd, const struct header *header, const char *key)
     return NULL;
 }
 
+/* An entry's time of modification is when it was last used, within a day. */
+static void note_use(int fd, const struct stat *stat)
+{
+    if (stat->st_mtime < time(NULL) - DAY)
+        (void)futimens(fd, NULL); /* a cache that may only be read is used all the same */
+}
+
 bool bake_kernel_cache_get(const char *key, void **out, uint64_t *bytes)
 {
     char path[PATH_MAX];
@@ -112,9 +123,11 @@ bool bake_kernel_cache_get(const char *key, void **out, uint64_t *bytes)
         header.key_bytes == strlen(key) && header.data_bytes <= LARGEST_ENTRY &&
         sizeof header + header.key_bytes + header.data_bytes == (uint64_t)stat.st_size)
         *out = read_entry(fd, &header, key);
-    close(fd);
-    if (*out)
+    if (*out) {
         *bytes = header.data_bytes;
+        note_use(fd, &stat);
+    }
+    close(fd);
     return *out != NULL;
 }
 
@@ -132,6 +145,79 @@ static bool write_all(int fd, const void *from, uint64_t bytes)
         bytes -= (uint64_t)wrote;
     }
     return true;
+}
+
+/* ---- pruning ---- */
+
+/* A file of the cache's directory. */
+struct old_file {
+    char name[32];
+    uint64_t bytes;
+    time_t used;
+    bool temporary;
+};
+
+struct old_files {
+    struct old_file *files;
+    size_t count, capacity;
+};
+
+static void note_file(struct old_files *all, int directory, const char *name)
+{
+    const size_t length = strlen(name), suffix = sizeof entry_suffix - 1;
+    struct old_file file = {.temporary =
+                                strncmp(name, temporary_prefix, sizeof temporary_prefix - 1) == 0};
+    struct stat stat;
+
+    if (length >= sizeof file.name ||
+        !(file.temporary ||
+          (length > suffix && strcmp(name + length - suffix, entry_suffix) == 0)) ||
+        fstatat(directory, name, &stat, AT_SYMLINK_NOFOLLOW) != 0 || !S_ISREG(stat.st_mode))
+        return;
+    if (all->count == all->capacity) {
+        const size_t capacity = 2 * all->capacity + 64;
+        struct old_file *files = realloc(all->files, capacity * sizeof *files);
+        if (!files)
+            return;
+        all->files = files;
+        all->capacity = capacity;
+    }
+    memcpy(file.name, name, length + 1);
+    file.bytes = (uint64_t)stat.st_size;
+    file.used = stat.st_mtime;
+    all->files[all->count++] = file;
+}
+
+static int last_used_first(const void *a, const void *b)
+{
+    const time_t x = ((const struct old_file *)a)->used, y = ((const struct old_file *)b)->used;
+    return (x < y) - (x > y);
+}
+
+/* Removes entries that nobody has used for long, the longest unused beyond a total size, and what
+ * processes left that ended while they wrote. */
+static void prune(const char *path)
+{
+    struct old_files all = {0};
+    const time_t now = time(NULL);
+    uint64_t total = 0;
+    DIR *directory = opendir(path);
+
+    if (!directory)
+        return;
+    for (struct dirent *entry; (entry = readdir(directory));)
+        note_file(&all, dirfd(directory), entry->d_name);
+    if (all.count)
+        qsort(all.files, all.count, sizeof *all.files, last_used_first);
+    for (size_t i = 0; i < all.count; i++) {
+        const struct old_file *file = &all.files[i];
+        const time_t days = file->temporary ? 1 : BAKE_KERNEL_CACHE_DAYS;
+        total += file->bytes;
+        if (file->used < now - days * DAY || (!file->temporary && total > BAKE_KERNEL_CACHE_BYTES))
+            unlinkat(dirfd(directory), file->name, 0);
+    }
+    free(all.files);
+    closedir(directory);
 }
 
 /* Makes the directory, and the one around it. */
@@ -153,7 +239,8 @@ void bake_kernel_cache_put(const char *key, const void *data, uint64_t bytes)
     int fd;
 
     if (!name_directory(directory) || !name_entry(key, path) ||
-        snprintf(temporary, sizeof temporary, "%s/.new-XXXXXX", directory) >= PATH_MAX)
+        snprintf(temporary, sizeof temporary, "%s/%sXXXXXX", directory, temporary_prefix) >=
+            PATH_MAX)
         return;
     make_directory(directory);
     fd = mkostemp(temporary, O_CLOEXEC);
@@ -165,4 +252,5 @@ void bake_kernel_cache_put(const char *key, const void *data, uint64_t bytes)
            write_all(fd, data, bytes);
     if (close(fd) != 0 || !good || rename(temporary, path) != 0)
         unlink(temporary);
+    prune(directory);
 }

@@ -2,7 +2,7 @@
  *
  * An entry belongs to a key: a text that names all that the code depends on. Nothing here fails: a cache that
  * cannot be read or written, and an entry that is damaged or belongs to another key, are as if it were not there. Several
- * processes may use it at once. */
+ * processes may use it at once. Entries of sources and drivers that are no longer used go when another one is put. */
 #ifndef BAKE_KERNEL_CACHE_INTERNAL_H
 #define BAKE_KERNEL_CACHE_INTERNAL_H
 
@@ -11,6 +11,9 @@
 
 /* Number that stands for some bytes in a key or a name: FNV-1a. */
 uint64_t bake_kernel_hash(const void *data, uint64_t bytes);
+
+/* An entry stays while it is used at least so often, and while it is among the last used that take no more. */
+enum { BAKE_KERNEL_CACHE_DAYS = 90, BAKE_KERNEL_CACHE_BYTES = 256 << 20 };
 
 /* Gets the entry of a key, at most 64 MiB; the caller frees *out with free(). */
 bool bake_kernel_cache_get(const char *key, void **out, uint64_t *bytes);

@@ -6,6 +6,9 @@ export CMOCKA_MESSAGE_OUTPUT=TAP
 # Only programs that were built with config=tsan read this.
 # Drivers are asked for their devices in a fork.
 export TSAN_OPTIONS="suppressions=$(cd "$(dirname "$0")" && pwd)/lint/tsan.supp die_after_fork=0 ${TSAN_OPTIONS-}"
+# Compiled kernels are kept beside the tests, not among the user's.
+XDG_CACHE_HOME=$(cd "${TESTS:?}" && pwd)/cache || exit 1
+export XDG_CACHE_HOME
 log=$(mktemp) || exit 1
 trap 'rm -f "$log"' EXIT
 passed=0 failed=0 skipped=0

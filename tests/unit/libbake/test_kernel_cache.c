@@ -1,5 +1,7 @@
 /* test_kernel_cache.c - entries come back whole, or not at all. */
 #include <dirent.h>
+#include <fcntl.h>
+#include <inttypes.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -7,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 #include <cmocka.h>
@@ -139,12 +142,87 @@ static void test_no_cache(void **state)
     assert_entry("a", "data", 4);
 }
 
+/* Path of a key's entry. */
+static void name_entry(const struct fixture *f, const char *key, char path[400])
+{
+    snprintf(path, 400, "%s/%016" PRIx64 ".kernel", f->directory,
+             bake_kernel_hash(key, strlen(key)));
+}
+
+static void set_age(const char *path, time_t days)
+{
+    const struct timespec then = {.tv_sec = time(NULL) - days * 24 * 60 * 60};
+    assert_int_equal(utimensat(AT_FDCWD, path, (const struct timespec[2]){then, then}, 0), 0);
+}
+
+static void make_file(const char *path, off_t bytes, time_t days)
+{
+    const int fd = open(path, O_WRONLY | O_CREAT | O_EXCL, 0600);
+    assert_true(fd >= 0);
+    assert_int_equal(ftruncate(fd, bytes), 0);
+    close(fd);
+    set_age(path, days);
+}
+
+static void test_unused_entries_go(void **state)
+{
+    struct fixture *f = *state;
+    char old[400], used[400], path[400];
+
+    bake_kernel_cache_put("old", "1", 1);
+    bake_kernel_cache_put("used", "2", 1);
+    bake_kernel_cache_put("fresh", "3", 1);
+    name_entry(f, "old", old);
+    name_entry(f, "used", used);
+    set_age(old, BAKE_KERNEL_CACHE_DAYS + 1);
+    set_age(used, BAKE_KERNEL_CACHE_DAYS + 1);
+    assert_entry("used", "2", 1); /* which makes it young */
+    snprintf(path, sizeof path, "%s/.new-dead01", f->directory);
+    make_file(path, 10, 2);
+    bake_kernel_cache_put("another", "4", 1);
+    assert_none("old");
+    assert_entry("used", "2", 1);
+    assert_entry("fresh", "3", 1);
+    assert_entry("another", "4", 1);
+    assert_int_equal(access(old, F_OK), -1);
+    assert_int_equal(access(path, F_OK), -1);
+    /* What is not of the cache stays, and so does what another process writes now. */
+    snprintf(path, sizeof path, "%s/notes", f->directory);
+    make_file(path, 10, 1000);
+    snprintf(old, sizeof old, "%s/.new-living", f->directory);
+    make_file(old, 10, 0);
+    bake_kernel_cache_put("another", "5", 1);
+    assert_int_equal(access(path, F_OK), 0);
+    assert_int_equal(access(old, F_OK), 0);
+}
+
+static void test_size_is_limited(void **state)
+{
+    struct fixture *f = *state;
+    char keys[3][8] = {"first", "second", "third"}, path[400];
+
+    bake_kernel_cache_put("small", "1", 1);
+    for (int i = 0; i < 3; i++) {
+        name_entry(f, keys[i], path);
+        make_file(path, BAKE_KERNEL_CACHE_BYTES / 3, 3 - i); /* sparse */
+    }
+    bake_kernel_cache_put("another", "2", 1);
+    for (int i = 0; i < 3; i++) {
+        name_entry(f, keys[i], path);
+        assert_int_equal(access(path, F_OK), i == 0 ? -1 : 0);
+    }
+    assert_entry("small", "1", 1);
+    assert_entry("another", "2", 1);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(test_round_trip, setup, teardown),
         cmocka_unit_test_setup_teardown(test_damage, setup, teardown),
         cmocka_unit_test_setup_teardown(test_no_cache, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_unused_entries_go, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_size_is_limited, setup, teardown),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
