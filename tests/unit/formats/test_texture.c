@@ -15,32 +15,7 @@
 
 #include "base/parallel.h"
 #include "formats/texture.h"
-
-static char directory[64];
-
-static int make_directory(void **state)
-{
-    (void)state;
-    strcpy(directory, "/tmp/test_texture.XXXXXX");
-    return mkdtemp(directory) ? 0 : -1;
-}
-
-static int remove_directory(void **state)
-{
-    (void)state;
-    char command[128];
-    snprintf(command, sizeof command, "rm -r %s", directory);
-    return system(command);
-}
-
-static const char *path_of(const char *name)
-{
-    static char paths[8][128];
-    static unsigned next;
-    char *path = paths[next++ % 8];
-    snprintf(path, sizeof paths[0], "%s/%s", directory, name);
-    return path;
-}
+#include "tests/unit/formats/scratch.h"
 
 /* An image of the test: `channels` bytes a texel, row 0 on top. */
 struct picture {
@@ -77,7 +52,7 @@ static struct picture make_picture(int width, int height, int channels)
 
 static const char *write_png(const char *name, const struct picture *p)
 {
-    const char *path = path_of(name);
+    const char *path = scratch_path(name);
     png_image image = {.version = PNG_IMAGE_VERSION,
                        .width = (png_uint_32)p->width,
                        .height = (png_uint_32)p->height,
@@ -127,7 +102,7 @@ struct fixture {
 static int open_textures(struct fixture *f, const char *const *paths, uint32_t count,
                          uint64_t cache)
 {
-    struct bsq_ctx_options options = {.threads = 3, .memory_bytes = 256 << 20, .tmpdir = directory};
+    struct bsq_ctx_options options = {.threads = 3, .memory_bytes = 256 << 20, .tmpdir = scratch_directory};
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
     return fmt_textures_open(f->ctx, paths, count, cache, &f->textures);
 }
@@ -291,7 +266,7 @@ static void test_float_image_is_linear(void **state)
 {
     (void)state;
     static const float rows[2][3] = {{0.25f, 4, -1}, {0.5f, 0, 0}};
-    const char *path = path_of("linear.pfm");
+    const char *path = scratch_path("linear.pfm");
     FILE *file = fopen(path, "wb");
     assert_non_null(file);
     fprintf(file, "PF\n1 2\n-1.0\n");
@@ -309,12 +284,12 @@ static void test_bad_files(void **state)
 {
     (void)state;
     struct fixture f;
-    const char *path = path_of("missing.png");
+    const char *path = scratch_path("missing.png");
     assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_ENOINPUT);
     assert_non_null(strstr(bsq_error(f.ctx), "missing.png"));
     close_fixture(&f);
 
-    path = path_of("text.png");
+    path = scratch_path("text.png");
     FILE *file = fopen(path, "wb");
     assert_non_null(file);
     fputs("this is no picture", file);
@@ -324,7 +299,7 @@ static void test_bad_files(void **state)
     assert_null(strchr(bsq_error(f.ctx), '\n'));
     close_fixture(&f);
 
-    path = path_of("cut.ppm");
+    path = scratch_path("cut.ppm");
     file = fopen(path, "wb");
     assert_non_null(file);
     fprintf(file, "P6\n300 300\n255\n%050000d", 0);
@@ -346,5 +321,5 @@ int main(void)
         cmocka_unit_test(test_float_image_is_linear),
         cmocka_unit_test(test_bad_files),
     };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }
