@@ -133,11 +133,14 @@ $(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.
 $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
-tool_common := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out tools/bisque-%,$(wildcard tools/*.c)))
-$(BUILD)/bin/bisque-%: $(BUILD)/obj/tools/bisque-%.c.o $(tool_common) $(archives)
-	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $< $(tool_common) $(archive.libvoxel) $(archive.libbake) \
-	    $(archive.formats) $(archive.base) $(LIBS.tools) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+# tools/bisque-NAME.c and tools/NAME_*.c are one program, with tools/cli*.c.
+define program
+$(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c $(wildcard tools/$(1)_*.c tools/cli*.c)) $(archives)
+	@mkdir -p $$(@D)
+	$$(CC) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.libvoxel) $(archive.libbake) \
+	    $(archive.formats) $(archive.base) $$(LIBS.tools) $$(LIBS.formats) $$(LIBS.bake) $$(LIBS.base)
+endef
+$(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p))))
 
 # ---- tests ----
 # tests/unit/LIB/test_NAME.c is one cmocka program; it links LIB and what LIB may include.

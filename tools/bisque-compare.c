@@ -1,4 +1,4 @@
-/* compare.c - bisque-compare: how far apart are two maps? */
+/* bisque-compare.c - how far apart are two maps? */
 #include <math.h>
 #include <stdio.h>
 
@@ -87,8 +87,9 @@ static bool knows_agreement(const struct bake_compare_options *compare)
 
 /* ---- arguments ---- */
 
-static int parse_own_option(struct cli *cli, struct arguments *arguments, int option)
+static int parse_option(struct cli *cli, void *arg, int option)
 {
+    struct arguments *arguments = arg;
     struct bake_compare_options *compare = &arguments->compare;
     unsigned word;
     int status = 0;
@@ -119,6 +120,8 @@ static int parse_own_option(struct cli *cli, struct arguments *arguments, int op
     case OPT_SCALE:
         return cli_parse_length(cli, "--scale", optarg, true, &compare->scale);
     default:
+        if (option < OPT_LIMITS || option >= OPT_LIMITS + LIMITS)
+            return cli_common_option(cli, option, help);
         return cli_parse_length(cli, limit_names[option - OPT_LIMITS].option, optarg, false,
                                 &arguments->limits[option - OPT_LIMITS]);
     }
@@ -126,16 +129,11 @@ static int parse_own_option(struct cli *cli, struct arguments *arguments, int op
 
 static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
 {
-    int option;
     for (int i = 0; i < LIMITS; i++)
         arguments->limits[i] = NAN;
-    while ((option = getopt_long(argc, argv, "", long_options, NULL)) != -1) {
-        int status = cli_common_option(cli, option, help);
-        if (status == 1)
-            status = parse_own_option(cli, arguments, option);
-        if (status != 0)
-            return status;
-    }
+    int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
+    if (status != 0)
+        return status;
     if (argc - optind != 2)
         return cli_usage(cli, "two EXR files are needed; see --help");
     arguments->compare.a_path = argv[optind];

@@ -96,6 +96,29 @@ int cli_common_option(struct cli *cli, int option, const char *help)
     }
 }
 
+static const struct option *find_option(const struct option *options, int option)
+{
+    while (options->name && options->val != option)
+        options++;
+    return options->name ? options : NULL;
+}
+
+int cli_parse_options(struct cli *cli, int argc, char **argv, const struct option *options,
+                      int (*take)(struct cli *cli, void *arguments, int option), void *arguments)
+{
+    const char *letters = find_option(options, 'o') ? "o:" : "";
+    int option;
+    while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1) {
+        int status = take(cli, arguments, option);
+        if (status != 0)
+            return status;
+        const struct option *own = option >= CLI_OWN || option == 'o' ? find_option(options, option) : NULL;
+        if (own && strcmp(own->name, "verify") != 0)
+            cli->job_option = own->name;
+    }
+    return 0;
+}
+
 int cli_create_context(struct cli *cli)
 {
     if (cli->progress == CLI_PROGRESS_AUTO) {

@@ -1,8 +1,7 @@
 /* cli.h - what Bisque's programs share: common options, parsing of values, progress, reports and
  * the way out.
  *
- * A program calls cli_begin(), hands each option to cli_common_option() first, then calls
- * cli_create_context(), does its work through the libraries and returns cli_end() from main. Every
+ * A program calls cli_begin(), cli_parse_options() and cli_create_context(), does its work through the libraries and returns cli_end() from main. Every
  * failure becomes one line "PROGRAM: MESSAGE" on standard error; the exit code is the negated
  * status. */
 #ifndef CLI_H
@@ -25,6 +24,7 @@ struct cli {
     const char *memory_text; /* as given, NULL: not given */
     unsigned threads;        /* 0: not given */
     const char *tmpdir;
+    const char *job_option; /* name of an own option but --verify, which has no use for it; NULL: none given */
     enum cli_progress progress;
     bool json; /* results as JSON */
 
@@ -77,6 +77,11 @@ void cli_begin(struct cli *cli, const char *program, char **argv);
  * program is to end (--help, --version), < 0 failure. */
 int cli_common_option(struct cli *cli, int option, const char *help);
 
+/* Goes through all options; `take` gets each with its value in optarg and returns as cli_common_option(), to which it hands what
+ * it does not know, does. 0 at the end, else what `take` returned first. optind is that of the first file then. */
+int cli_parse_options(struct cli *cli, int argc, char **argv, const struct option *options,
+                      int (*take)(struct cli *cli, void *arguments, int option), void *arguments);
+
 /* Creates the context and lets SIGINT, SIGTERM and SIGHUP interrupt it. */
 int cli_create_context(struct cli *cli);
 
@@ -115,9 +120,6 @@ int cli_check_output(struct cli *cli, const char *path, const char *const *input
 
 /* The same for a picture, which also has to be called .png. */
 int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs, uint32_t input_count);
-
-/* Name of the last option that getopt_long() returned with `option`; of a short one that of its long form. */
-const char *cli_option_name(const struct option *options, int option);
 
 /* Checks whole files, .tris or .nvdb, each alone, and prints a line on each: what a sound one is on standard output, what is
  * wrong with another on standard error. All are checked; returns the status of the first that is not sound. */

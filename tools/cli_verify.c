@@ -2,13 +2,6 @@
 #include "formats/verify.h"
 #include "tools/cli.h"
 
-const char *cli_option_name(const struct option *options, int option)
-{
-    while (options->name && options->val != option)
-        options++;
-    return options->name;
-}
-
 static void print_sound(const char *path, const struct fmt_verify_report *r)
 {
     char triangles[CLI_TEXT], parts[CLI_TEXT], more[CLI_TEXT], size[CLI_TEXT];

@@ -1,0 +1,309 @@
+/* bake_arguments.c - see bake_arguments.h. */
+#include "tools/bake_arguments.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+static const char help[] =
+    "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
+    "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
+    "       bisque-bake --verify FILE...\n"
+    "Bakes the normals and colours of a scan into texture maps of a low-polygon mesh: fast from a\n"
+    "voxel grid (SCAN.nvdb), or exact from the scan's own triangles (SCAN.tris).\n"
+    "<MAP> in the output's name is replaced by normal, color or mask. A name that ends in .exr gives\n"
+    "OpenEXR files, one that ends in .png PNG files.\n"
+    "\n"
+    "  -o, --output FILE       the maps; \"<MAP>\" must be in it where there are several\n"
+    "      --maps LIST         of normal, color, mask (default: normal, and color where the scan\n"
+    "                          has it)\n"
+    "      --size N | WxH      texels (default: 2048)\n"
+    "      --samples N         N x N pairs of rays a texel (default: 2)\n"
+    "      --front D           length of the rays outwards, in the mesh's units (default: auto)\n"
+    "      --back D            length of the rays inwards (default: auto)\n"
+    "      --two-sided         also hit surfaces that face away from the low mesh\n"
+    "      --sampling MODE     trilinear or nearest, of a grid (default: trilinear)\n"
+    "      --scan-normals MODE smooth or flat: of triangles that have none (default: smooth)\n"
+    "      --normal-space SPC  tangent (MikkTSpace) or object (default: tangent)\n"
+    "      --green DIR         up (OpenGL) or down (Direct3D), for tangent space (default: up)\n"
+    "      --padding N         texels around each chart; all: everywhere (default: 16)\n"
+    "      --half, --float     type of OpenEXR samples (default: half)\n"
+    "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
+    "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
+    "      --device NAME       auto, cpu, cuda, cuda:N, opencl or opencl:N (default: auto)\n"
+    "      --gpu-memory SIZE   most memory to use of a GPU, e.g. 2G (default: what is free)\n"
+    "      --list-devices      print the devices and end\n"
+    "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
+
+enum {
+    OPT_MAPS = CLI_OWN,
+    OPT_SIZE,
+    OPT_SAMPLES,
+    OPT_FRONT,
+    OPT_BACK,
+    OPT_TWO_SIDED,
+    OPT_SAMPLING,
+    OPT_SCAN_NORMALS,
+    OPT_NORMAL_SPACE,
+    OPT_GREEN,
+    OPT_PADDING,
+    OPT_HALF,
+    OPT_FLOAT,
+    OPT_PNG_BITS,
+    OPT_PREVIEW,
+    OPT_DEVICE,
+    OPT_GPU_MEMORY,
+    OPT_LIST_DEVICES,
+    OPT_VERIFY
+};
+
+static const struct option long_options[] = {
+    {"output", required_argument, NULL, 'o'},
+    {"maps", required_argument, NULL, OPT_MAPS},
+    {"size", required_argument, NULL, OPT_SIZE},
+    {"samples", required_argument, NULL, OPT_SAMPLES},
+    {"front", required_argument, NULL, OPT_FRONT},
+    {"back", required_argument, NULL, OPT_BACK},
+    {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
+    {"sampling", required_argument, NULL, OPT_SAMPLING},
+    {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
+    {"normal-space", required_argument, NULL, OPT_NORMAL_SPACE},
+    {"green", required_argument, NULL, OPT_GREEN},
+    {"padding", required_argument, NULL, OPT_PADDING},
+    {"half", no_argument, NULL, OPT_HALF},
+    {"float", no_argument, NULL, OPT_FLOAT},
+    {"png-bits", required_argument, NULL, OPT_PNG_BITS},
+    {"preview", required_argument, NULL, OPT_PREVIEW},
+    {"device", required_argument, NULL, OPT_DEVICE},
+    {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
+    {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
+    {"verify", no_argument, NULL, OPT_VERIFY},
+    CLI_COMMON_OPTIONS,
+    {NULL, 0, NULL, 0},
+};
+
+enum { MAX_SIZE = 1 << 20, MAX_SAMPLES = 64 };
+
+const struct bake_map_name bake_map_names[BAKE_MAP_KINDS] = {
+    {BAKE_MAP_NORMAL, "normal"},
+    {BAKE_MAP_COLOR, "color"},
+    {BAKE_MAP_MASK, "mask"},
+};
+
+/* ---- one option ---- */
+
+static int parse_maps(struct cli *cli, struct bake_options *bake)
+{
+    uint32_t maps = 0;
+    for (const char *word = optarg;; word++) {
+        size_t length = strcspn(word, ",");
+        uint32_t map = 0;
+        for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
+            if (strlen(bake_map_names[i].name) == length && !memcmp(word, bake_map_names[i].name, length))
+                map = bake_map_names[i].map;
+        }
+        if (map == 0)
+            return cli_usage(cli, "--maps: \"%.*s\" is not normal, color or mask", (int)length,
+                             word);
+        maps |= map;
+        word += length;
+        if (*word == '\0')
+            break;
+    }
+    bake->maps = maps;
+    return 0;
+}
+
+static int parse_count(struct cli *cli, const char *option, const char *text, uint32_t min,
+                       uint32_t max, uint32_t *out)
+{
+    uint64_t value = 0;
+    int status = cli_parse_count(cli, option, text, min, max, &value);
+    if (status == 0)
+        *out = (uint32_t)value;
+    return status;
+}
+
+static bool parse_side(const char **text, uint32_t *out)
+{
+    char *end;
+    bool digit = **text >= '0' && **text <= '9';
+    unsigned long long value = strtoull(*text, &end, 10);
+    *text = end;
+    *out = (uint32_t)value;
+    return digit && value >= 1 && value <= MAX_SIZE;
+}
+
+/* "2048" or "4096x2048". */
+static int parse_size(struct cli *cli, struct bake_options *bake)
+{
+    const char *at = optarg;
+    bool good = parse_side(&at, &bake->width);
+    bake->height = bake->width;
+    if (good && *at == 'x') {
+        at++;
+        good = parse_side(&at, &bake->height);
+    }
+    if (!good || *at != '\0')
+        return cli_usage(cli, "--size: \"%s\" is not N or WxH with numbers from 1 to %d", optarg, MAX_SIZE);
+    return 0;
+}
+
+static int parse_distance(struct cli *cli, const char *option, double *out)
+{
+    if (strcmp(optarg, "auto") == 0) {
+        *out = -1;
+        return 0;
+    }
+    return cli_parse_length(cli, option, optarg, false, out);
+}
+
+static int parse_padding(struct cli *cli, struct bake_options *bake)
+{
+    if (strcmp(optarg, "all") == 0) {
+        bake->padding = UINT32_MAX;
+        return 0;
+    }
+    return parse_count(cli, "--padding", optarg, 0, UINT32_MAX - 1, &bake->padding);
+}
+
+static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
+{
+    static const char *const greens[] = {"up", "down", NULL};
+    static const char *const spaces[] = {"tangent", "object", NULL};
+    static const char *const samplings[] = {"trilinear", "nearest", NULL};
+    static const char *const normals[] = {"smooth", "flat", NULL};
+    unsigned choice = 0;
+    int status;
+    switch (option) {
+    case OPT_GREEN:
+        if ((status = cli_parse_word(cli, "--green", optarg, greens, &choice)) == 0)
+            bake->green_down = choice == 1;
+        return status;
+    case OPT_SCAN_NORMALS:
+        if ((status = cli_parse_word(cli, "--scan-normals", optarg, normals, &choice)) == 0)
+            bake->scan_normals =
+                choice == 0 ? BAKE_SCAN_NORMALS_SMOOTH : BAKE_SCAN_NORMALS_FLAT;
+        return status;
+    case OPT_NORMAL_SPACE:
+        if ((status = cli_parse_word(cli, "--normal-space", optarg, spaces, &choice)) == 0)
+            bake->normal_space = choice == 0 ? BAKE_TANGENT_SPACE : BAKE_OBJECT_SPACE;
+        return status;
+    default:
+        if ((status = cli_parse_word(cli, "--sampling", optarg, samplings, &choice)) == 0)
+            bake->sampling = choice == 0 ? BAKE_TRILINEAR : BAKE_NEAREST;
+        return status;
+    }
+}
+
+/* Options that only affect the kind of file. */
+static int parse_format(struct cli *cli, int option, struct bake_arguments *arguments)
+{
+    if (option == OPT_PNG_BITS) {
+        int status = cli_parse_count(cli, "--png-bits", optarg, 1, 16, &arguments->png_bits);
+        if (status == 0 && arguments->png_bits != 8 && arguments->png_bits != 16)
+            status = cli_usage(cli, "--png-bits: \"%s\" is not 8 or 16", optarg);
+        return status;
+    }
+    enum bake_format format = option == OPT_HALF ? BAKE_EXR_HALF : BAKE_EXR_FLOAT;
+    if (arguments->exr_type_given && arguments->bake.format != format)
+        return cli_usage(cli, "--half and --float exclude each other");
+    arguments->bake.format = format;
+    arguments->exr_type_given = true;
+    return 0;
+}
+
+static int parse_option(struct cli *cli, void *arg, int option)
+{
+    struct bake_arguments *arguments = arg;
+    struct bake_options *bake = &arguments->bake;
+    switch (option) {
+    case 'o':
+        bake->output_path = optarg;
+        return 0;
+    case OPT_MAPS:
+        return parse_maps(cli, bake);
+    case OPT_SIZE:
+        return parse_size(cli, bake);
+    case OPT_SAMPLES:
+        return parse_count(cli, "--samples", optarg, 1, MAX_SAMPLES, &bake->samples);
+    case OPT_FRONT:
+        return parse_distance(cli, "--front", &bake->front);
+    case OPT_BACK:
+        return parse_distance(cli, "--back", &bake->back);
+    case OPT_TWO_SIDED:
+        bake->two_sided = true;
+        return 0;
+    case OPT_GREEN:
+    case OPT_NORMAL_SPACE:
+    case OPT_SAMPLING:
+    case OPT_SCAN_NORMALS:
+        return parse_choice(cli, option, bake);
+    case OPT_PADDING:
+        return parse_padding(cli, bake);
+    case OPT_HALF:
+    case OPT_FLOAT:
+    case OPT_PNG_BITS:
+        return parse_format(cli, option, arguments);
+    case OPT_PREVIEW:
+        bake->preview_path = optarg;
+        return 0;
+    case OPT_GPU_MEMORY:
+        return cli_parse_size(cli, "--gpu-memory", optarg, &bake->gpu_memory_bytes);
+    case OPT_DEVICE:
+        bake->device = optarg;
+        return 0;
+    case OPT_LIST_DEVICES:
+        arguments->list_devices = true;
+        return 0;
+    case OPT_VERIFY:
+        arguments->verify = true;
+        return 0;
+    default:
+        return cli_common_option(cli, option, help);
+    }
+}
+
+/* ---- all of them ---- */
+
+static int choose_format(struct cli *cli, struct bake_arguments *arguments)
+{
+    bool png = cli_ends_with(arguments->bake.output_path, ".png");
+    if (png && arguments->exr_type_given)
+        return cli_usage(cli, "--half and --float are for OpenEXR, not for %s",
+                         arguments->bake.output_path);
+    if (!png && arguments->png_bits > 0)
+        return cli_usage(cli, "--png-bits is for PNG, not for %s", arguments->bake.output_path);
+    if (png)
+        arguments->bake.format = arguments->png_bits == 8 ? BAKE_PNG8 : BAKE_PNG16;
+    return 0;
+}
+
+static int check_arguments(struct cli *cli, struct bake_arguments *arguments, int count, char **inputs)
+{
+    struct bake_options *bake = &arguments->bake;
+    arguments->files = inputs;
+    arguments->file_count = count;
+    if (arguments->verify && cli->job_option)
+        return cli_usage(cli, "--verify only checks files: leave out --%s", cli->job_option);
+    if (arguments->verify)
+        return count > 0 ? 0 : cli_usage(cli, "no input file given (see --help)");
+    if (arguments->list_devices)
+        return count == 0 ? 0 : cli_usage(cli, "--list-devices takes no files");
+    if (count != 2)
+        return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",
+                         count, count == 1 ? "" : "s");
+    bake->scan_path = inputs[0];
+    bake->mesh_path = inputs[1];
+    if (!bake->output_path)
+        return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
+    if (bake->normal_space == BAKE_OBJECT_SPACE && bake->green_down)
+        return cli_usage(cli, "--green down is for tangent space");
+    return choose_format(cli, arguments);
+}
+
+int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv)
+{
+    bake_defaults(&arguments->bake);
+    int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
+    return status != 0 ? status : check_arguments(cli, arguments, argc - optind, argv + optind);
+}

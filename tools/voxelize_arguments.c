@@ -1,0 +1,156 @@
+/* voxelize_arguments.c - see voxelize_arguments.h. */
+#include "tools/voxelize_arguments.h"
+
+static const char help[] =
+    "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
+    "       bisque-voxelize [OPTION]... SCAN.tris -o SCAN.nvdb\n"
+    "       bisque-voxelize --verify FILE...\n"
+    "Turns a scan of any size into a sparse grid of surface voxels with normals and colours.\n"
+    "Several OBJ files are read as one scan. The scan's sorted triangles are kept in a chunk file\n"
+    "(SCAN.tris), from which grids of other resolutions can be made without reading the OBJ "
+    "again.\n"
+    "\n"
+    "  -o, --output FILE       the grid, a NanoVDB file\n"
+    "      --resolution N      voxels along the scan's longest side (default: 2048)\n"
+    "      --voxel-size X      edge of a voxel in the scan's units, instead of a resolution\n"
+    "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
+    "      --scan-normals MODE smooth or flat, for a scan without normals (default: smooth)\n"
+    "      --vdb FILE          also write the grid as an OpenVDB file\n"
+    "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
+    "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
+    "      --no-tris           do not keep the chunk file\n"
+    "      --parse-only        read the OBJ files and keep nothing, to measure the reader\n"
+    "      --resume            go on with the chunk file of the same job, interrupted after sorting\n"
+    "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the "
+    "output's)\n"
+    "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
+
+enum {
+    OPT_RESOLUTION = CLI_OWN,
+    OPT_VOXEL_SIZE,
+    OPT_GRID_TYPE,
+    OPT_SCAN_NORMALS,
+    OPT_VDB,
+    OPT_TEXTURE,
+    OPT_TRIS,
+    OPT_NO_TRIS,
+    OPT_PARSE_ONLY,
+    OPT_RESUME,
+    OPT_VERIFY
+};
+
+static const struct option long_options[] = {
+    {"output", required_argument, NULL, 'o'},
+    {"resolution", required_argument, NULL, OPT_RESOLUTION},
+    {"voxel-size", required_argument, NULL, OPT_VOXEL_SIZE},
+    {"grid-type", required_argument, NULL, OPT_GRID_TYPE},
+    {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
+    {"vdb", required_argument, NULL, OPT_VDB},
+    {"texture", required_argument, NULL, OPT_TEXTURE},
+    {"tris", required_argument, NULL, OPT_TRIS},
+    {"no-tris", no_argument, NULL, OPT_NO_TRIS},
+    {"parse-only", no_argument, NULL, OPT_PARSE_ONLY},
+    CLI_TMPDIR_OPTION,
+    {"resume", no_argument, NULL, OPT_RESUME},
+    {"verify", no_argument, NULL, OPT_VERIFY},
+    CLI_COMMON_OPTIONS,
+    {NULL, 0, NULL, 0},
+};
+
+enum { DEFAULT_RESOLUTION = 2048, MAX_RESOLUTION = 1 << 30 };
+
+static int parse_grid_type(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    static const char *const words[] = {"mask", "onindex", NULL};
+    unsigned type = 0;
+    int status = cli_parse_word(cli, "--grid-type", optarg, words, &type);
+    if (status == 0)
+        arguments->grid_type = type == 0 ? VOX_GRID_MASK : VOX_GRID_ONINDEX;
+    return status;
+}
+
+static int parse_scan_normals(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    static const char *const words[] = {"smooth", "flat", NULL};
+    unsigned mode = 0;
+    int status = cli_parse_word(cli, "--scan-normals", optarg, words, &mode);
+    if (status == 0)
+        arguments->scan_normals = mode == 0 ? VOX_NORMALS_SMOOTH : VOX_NORMALS_FLAT;
+    return status;
+}
+
+static int parse_option(struct cli *cli, void *arg, int option)
+{
+    struct voxelize_arguments *arguments = arg;
+    switch (option) {
+    case 'o':
+        arguments->output = optarg;
+        return 0;
+    case OPT_RESOLUTION:
+        return cli_parse_count(cli, "--resolution", optarg, 1, MAX_RESOLUTION,
+                               &arguments->resolution);
+    case OPT_VOXEL_SIZE:
+        return cli_parse_length(cli, "--voxel-size", optarg, true, &arguments->voxel_size);
+    case OPT_GRID_TYPE:
+        return parse_grid_type(cli, arguments);
+    case OPT_SCAN_NORMALS:
+        return parse_scan_normals(cli, arguments);
+    case OPT_VDB:
+        arguments->vdb = optarg;
+        return 0;
+    case OPT_TEXTURE:
+        arguments->texture = optarg;
+        return 0;
+    case OPT_TRIS:
+        arguments->tris = optarg;
+        return 0;
+    case OPT_NO_TRIS:
+        arguments->no_tris = true;
+        return 0;
+    case OPT_PARSE_ONLY:
+        arguments->parse_only = true;
+        return 0;
+    case OPT_RESUME:
+        arguments->resume = true;
+        return 0;
+    case OPT_VERIFY:
+        arguments->verify = true;
+        return 0;
+    default:
+        return cli_common_option(cli, option, help);
+    }
+}
+
+static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
+{
+    if (arguments->input_count == 0)
+        return cli_usage(cli, "no input file given (see --help)");
+    if (arguments->verify && cli->job_option)
+        return cli_usage(cli, "--verify only checks files: leave out --%s", cli->job_option);
+    if (arguments->verify)
+        return 0;
+    if (arguments->parse_only && arguments->output)
+        return cli_usage(cli, "--parse-only writes nothing: leave out --output");
+    if (!arguments->parse_only && !arguments->output)
+        return cli_usage(cli, "no output given: add -o FILE.nvdb");
+    if (arguments->resolution > 0 && arguments->voxel_size > 0)
+        return cli_usage(cli, "--resolution and --voxel-size exclude each other");
+    if (arguments->tris && arguments->no_tris)
+        return cli_usage(cli, "--tris and --no-tris exclude each other");
+    if (arguments->resume && (arguments->no_tris || arguments->parse_only))
+        return cli_usage(cli, "--resume goes on with a chunk file: leave out %s",
+                         arguments->no_tris ? "--no-tris" : "--parse-only");
+    return 0;
+}
+
+int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc, char **argv)
+{
+    int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
+    arguments->inputs = (const char *const *)argv + optind;
+    arguments->input_count = (uint32_t)(argc - optind);
+    if (status == 0)
+        status = check_arguments(cli, arguments);
+    if (status == 0 && arguments->resolution == 0 && arguments->voxel_size == 0)
+        arguments->resolution = DEFAULT_RESOLUTION;
+    return status;
+}

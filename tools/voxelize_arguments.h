@@ -1,0 +1,23 @@
+/* voxelize_arguments.h - what the command line of bisque-voxelize says. */
+#ifndef VOXELIZE_ARGUMENTS_H
+#define VOXELIZE_ARGUMENTS_H
+
+#include "libvoxel/voxel.h"
+#include "tools/cli.h"
+
+struct voxelize_arguments {
+    const char *const *inputs;
+    uint32_t input_count;
+    const char *output;
+    uint64_t resolution; /* 0: a voxel size is given */
+    double voxel_size;   /* 0: not given */
+    enum vox_grid_type grid_type;
+    enum vox_scan_normals scan_normals;
+    const char *vdb, *texture, *tris;
+    bool no_tris, parse_only, resume, verify;
+};
+
+/* All that can be checked without looking at a file. Returns as cli_parse_options() does. */
+int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc, char **argv);
+
+#endif

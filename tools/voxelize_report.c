@@ -1,0 +1,119 @@
+/* voxelize_report.c - see voxelize_report.h. */
+#include "tools/voxelize_report.h"
+
+static void print_inputs(const struct voxelize_arguments *arguments)
+{
+    if (arguments->input_count == 1)
+        printf("%s: ", arguments->inputs[0]);
+    else
+        printf("%u files: ", arguments->input_count);
+}
+
+static void print_read(const struct voxelize_job *job)
+{
+    const struct vox_sort_report *sort = &job->sort;
+    char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
+    print_inputs(job->arguments);
+    printf("%s, %s, %s, %s, %.2f s\n", cli_things_text(sort->vertices, "vertex", "vertices", vertices),
+           cli_things_text(sort->faces, "face", "faces", faces),
+           cli_things_text(sort->triangles, "triangle", "triangles", triangles),
+           cli_size_text(sort->bytes_read, size), sort->seconds_read);
+    const char *first = "left out: ";
+    const char *next = cli_print_count(first, sort->degenerate_triangles, "degenerate triangle",
+                                       "degenerate triangles");
+    next = cli_print_count(next, sort->short_faces, "face with fewer than three corners",
+                           "faces with fewer than three corners");
+    next = cli_print_count(next, sort->unused_vertices, "unused vertex", "unused vertices");
+    next = cli_print_count(next, sort->skipped_lines, "unknown line", "unknown lines");
+    if (next != first)
+        putchar('\n');
+}
+
+static void print_grid(const struct voxelize_job *job)
+{
+    const struct vox_voxelize_report *grid = &job->grid;
+    const struct voxelize_arguments *arguments = job->arguments;
+    char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
+    if (!job->sorted_input && !job->resumed && !job->temporary_tris)
+        printf("%s: %s, %s, %.2f s\n", job->tris_path,
+               cli_things_text(job->sort.chunks, "chunk", "chunks", chunks), cli_size_text(job->sort.tris_bytes, size),
+               job->sort.seconds_sort);
+    printf("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
+           cli_things_text(grid->voxels, "voxel", "voxels", voxels),
+           (long long)grid->index_max[0] - grid->index_min[0] + 1,
+           (long long)grid->index_max[1] - grid->index_min[1] + 1,
+           (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
+           cli_size_text(grid->grid_bytes, size), grid->has_color ? ", with colour" : "",
+           grid->seconds);
+    if (arguments->vdb)
+        printf("%s: the same as OpenVDB\n", arguments->vdb);
+}
+
+static json_t *inputs_json(const struct voxelize_arguments *arguments)
+{
+    json_t *list = json_array();
+    for (uint32_t i = 0; list && i < arguments->input_count; i++) {
+        if (json_array_append_new(list, cli_json_text(arguments->inputs[i])) != 0) {
+            json_decref(list);
+            list = NULL;
+        }
+    }
+    return list;
+}
+
+static json_t *sort_json(const struct vox_sort_report *sort)
+{
+    return json_pack(
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
+        " s:f, s:f}",
+        "bytes_read", (json_int_t)sort->bytes_read, "vertices", (json_int_t)sort->vertices, "faces",
+        (json_int_t)sort->faces, "triangles", (json_int_t)sort->triangles, "degenerate_triangles",
+        (json_int_t)sort->degenerate_triangles, "short_faces", (json_int_t)sort->short_faces,
+        "unused_vertices", (json_int_t)sort->unused_vertices, "skipped_lines",
+        (json_int_t)sort->skipped_lines, "chunks", (json_int_t)sort->chunks, "tris_bytes",
+        (json_int_t)sort->tris_bytes, "temp_bytes", (json_int_t)sort->temp_bytes, "origin",
+        sort->origin[0], sort->origin[1], sort->origin[2], "has_normals", (int)sort->has_normals,
+        "has_texcoords", (int)sort->has_texcoords, "has_colors", (int)sort->has_colors,
+        "seconds_read", sort->seconds_read, "seconds_sort", sort->seconds_sort);
+}
+
+static json_t *grid_json(const struct vox_voxelize_report *grid)
+{
+    return json_pack("{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:f}",
+                     "triangles", (json_int_t)grid->triangles, "voxels", (json_int_t)grid->voxels,
+                     "second_records", (json_int_t)grid->second_records, "leaves",
+                     (json_int_t)grid->leaves, "lowers", (json_int_t)grid->lowers, "uppers",
+                     (json_int_t)grid->uppers, "grid_bytes", (json_int_t)grid->grid_bytes,
+                     "voxel_size", grid->voxel_size, "index_min", grid->index_min[0],
+                     grid->index_min[1], grid->index_min[2], "index_max", grid->index_max[0],
+                     grid->index_max[1], grid->index_max[2], "has_color", (int)grid->has_color,
+                     "seconds", grid->seconds);
+}
+
+static int print_json(const struct voxelize_job *job)
+{
+    const struct voxelize_arguments *arguments = job->arguments;
+    bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
+    json_t *root = json_pack("{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments), "resumed", (int)job->resumed,
+                             "grid_path", cli_json_text(arguments->output), "tris_path",
+                             cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
+                             cli_json_text(arguments->vdb), "scan",
+                             job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
+                             arguments->parse_only ? json_null() : grid_json(&job->grid));
+    return cli_print_json(job->cli, root);
+}
+
+int voxelize_report_print(const struct voxelize_job *job)
+{
+    if (job->cli->json)
+        return print_json(job);
+    if (job->resumed)
+        printf("%s: complete from the run before, reading and sorting were skipped\n", job->tris_path);
+    else if (!job->sorted_input)
+        print_read(job);
+    if (!job->arguments->parse_only)
+        print_grid(job);
+    cli_print_cost(job->cli);
+    return 0;
+}
+
