@@ -108,4 +108,12 @@ struct bake_cuda_device {
 /* Describes device number `index` < count. */
 CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bake_cuda_device *out);
 
+/* The kernel for any device, ended by a zero; "" where the program was built without a compiler for it. */
+extern const char bake_cuda_ptx[];
+
+struct bsq_ctx;
+/* Loads the driver and finds device number `index`; the error lists what is there: BSQ_ENODEVICE. */
+int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
+                     struct bake_cuda_device *out);
+
 #endif

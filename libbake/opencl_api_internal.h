@@ -66,4 +66,9 @@ struct bake_opencl_device {
 bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
                         struct bake_opencl_device *out);
 
+/* Makes the kernel's program; to be released also after a failure, where it is not NULL. Errors: BSQ_ENODEVICE with
+ * the compiler's messages. */
+int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
+                      const struct bake_opencl_device *device, cl_context context, cl_program *out);
+
 #endif
