@@ -2,19 +2,14 @@
 #include "libvoxel/block.h"
 #include "libvoxel/lane_code.h"
 
-static uint64_t color_count(bool has_color)
+uint64_t vox_block_bytes(void)
 {
-    return has_color ? BLOCK_SAMPLES + 1 : 0;
+    return sizeof(struct vox_block);
 }
 
-uint64_t vox_block_bytes(bool has_color)
+int vox_block_create(struct bsq_ctx *ctx, struct vox_block **out)
 {
-    return sizeof(struct vox_block) + color_count(has_color) * sizeof(struct vox_color_sum);
-}
-
-int vox_block_create(struct bsq_ctx *ctx, bool has_color, struct vox_block **out)
-{
-    return bsq_alloc(ctx, "triangle pieces", vox_block_bytes(has_color), 1, out);
+    return bsq_alloc(ctx, "triangle pieces", sizeof **out, 1, out);
 }
 
 void vox_block_destroy(struct bsq_ctx *ctx, struct vox_block *block)

@@ -7,8 +7,8 @@
 /* Room for the pieces of triangles on their way to the sums; one a worker. */
 struct vox_block;
 
-uint64_t vox_block_bytes(bool has_color);
-int vox_block_create(struct bsq_ctx *ctx, bool has_color, struct vox_block **out);
+uint64_t vox_block_bytes(void);
+int vox_block_create(struct bsq_ctx *ctx, struct vox_block **out);
 void vox_block_destroy(struct bsq_ctx *ctx, struct vox_block *block); /* NULL is allowed */
 
 /* What is added, and where to. */

@@ -13,20 +13,24 @@
 #include "libvoxel/clip.h"
 #include "libvoxel/shade_lanes.h"
 
-static_assert(sizeof(struct vox_sum) == 64, "a sample is two vectors of four");
-static_assert(sizeof(struct vox_color_sum) == 32, "a colour is a vector of four");
+static_assert(sizeof(struct vox_sum) == 64, "sums are two rows of four");
+static_assert(sizeof(struct vox_color_sum) == 32, "a colour is a row of four");
+static_assert(sizeof(struct block_piece) == 32, "a piece is a row of four");
 
 /* ---- triangles ---- */
 
-/* Corners, and what goes with them, of the triangles with these places in the block. */
+/* Corners, and what goes with them, of the triangles with these places in the block; puts down what
+ * their pieces have in common. */
 LANES_INLINE void load_triangles(const struct vox_accumulation *what,
                                  const uint16_t places[LANE_COUNT], struct shade_triangles *t)
 {
     const struct vox_chunk *chunk = what->chunk;
     const struct block_triangle *triangle[LANE_COUNT];
+    struct block_facts *facts[LANE_COUNT];
     const int32_t *low[LANE_COUNT];
     for (int l = 0; l < LANE_COUNT; l++) {
         triangle[l] = &what->block->triangles[places[l]];
+        facts[l] = &what->block->facts[places[l]];
         low[l] = triangle[l]->low;
     }
     t->has_normals = chunk->normals != NULL;
@@ -35,14 +39,15 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
     t->has_color = what->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {
         const double *points[LANE_COUNT];
-        const float *normals[LANE_COUNT];
+        const float *normals[LANE_COUNT], *rises[LANE_COUNT];
         for (int l = 0; l < LANE_COUNT; l++) {
             uint32_t vertex = chunk->source.triangles[triangle[l]->number][i];
             points[l] = chunk->points[vertex];
             normals[l] = t->has_normals ? chunk->normals[vertex] : NULL;
-            t->rise[i][l] = chunk->rises ? (double)chunk->rises[vertex] : 0.0;
+            rises[l] = chunk->rises ? &chunk->rises[vertex] : NULL;
         }
         lanes_gather(points, low, t->p[i]);
+        t->rise[i] = chunk->rises ? lanes_gather_float(rises) : lanes_all(0.0);
         if (t->has_normals)
             lanes_gather_floats(normals, t->normal[i]);
         else
@@ -56,6 +61,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
                 t->rgb[i][k][l] = rgb[i][k];
     }
     shade_prepare(t);
+    shade_put_facts(t, facts);
 }
 
 /* Cells of a triangle's bounds, and a last number that is 0. */
@@ -79,68 +85,92 @@ LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)
 
 /* ---- small triangles ---- */
 
-/* Where the next sample of each lane goes. */
-struct outlets {
-    uint32_t at[LANE_COUNT];
+/* Along an axis: what each cell from the lowest on adds to a voxel's number, with the sign bit
+ * where it is beside the window. */
+struct cell_numbers {
+    lane_mask of[DIVIDE_MAX_PLANES + 1];
 };
 
-LANES_INLINE void put_samples(struct vox_block *block, struct outlets *outlets, unsigned taken,
-                              uint8_t cell, const lanes sample[8], const lanes color[4],
-                              bool has_color)
+LANES_INLINE void number_cells(const struct vox_accumulation *what, lanes low, int axis, int planes,
+                               struct cell_numbers *numbers)
 {
-    double *to[2][LANE_COUNT], *colors[LANE_COUNT];
-    for (int l = 0; l < LANE_COUNT; l++) {
-        uint32_t at = taken >> l & 1 ? outlets->at[l] : BLOCK_SAMPLES;
-        to[0][l] = block->samples[at].normal;
-        to[1][l] = block->samples[at].center;
-        colors[l] = has_color ? block->colors[at].rgb : NULL;
-        block->cells[at] = cell;
-        outlets->at[l] += taken >> l & 1;
+    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis;
+    double lo = what->window->lo[axis], hi = what->window->hi[axis];
+    for (int i = 0; i <= planes; i++) {
+        lanes at = low + (double)i;
+        lane_mask bits = lanes_integer_bits(at - (double)what->region->lo[axis]);
+        numbers->of[i] =
+            (bits & 0x78) << shift | (bits & 7) << inner | (((at < lo) | (at > hi)) & INT64_MIN);
     }
-    lanes_scatter(sample, to[0]);
-    lanes_scatter(sample + 4, to[1]);
-    if (has_color)
-        lanes_scatter(color, colors);
 }
 
-/* Divides and shades up to LANE_COUNT triangles of the kind that has these planes. */
+/* Puts pieces down, a lane each at to[l]. */
+LANES_INLINE void put_pieces(const struct shade_triangles *t, lanes area, const lanes moment[2],
+                             lane_mask number, struct vox_block *block,
+                             const uint32_t to[LANE_COUNT])
+{
+    double *pieces[LANE_COUNT], *weights[LANE_COUNT];
+    for (int l = 0; l < LANE_COUNT; l++) {
+        pieces[l] = &block->pieces[to[l]].area;
+        weights[l] = &block->weights[to[l]].normal;
+    }
+    if (t->has_normals) {
+        lanes normal, center = lanes_all(0.0);
+        lane_mask cancels;
+        shade_weigh(t, area, moment, &normal, &center, &cancels);
+        number |= cancels & ((long long)PIECE_FLAT << 32);
+        lanes_scatter_pairs(normal, center, weights);
+    }
+    const lanes in[4] = {area, moment[0], moment[1], (lanes)number};
+    lanes_scatter(in, pieces);
+}
+
+/* Divides up to LANE_COUNT triangles of the kind that has these planes. */
 LANES_INLINE void divide_batch(const struct vox_accumulation *what, const uint16_t *order,
                                uint32_t count, const int planes[3])
 {
     struct vox_block *block = what->block;
     struct divide_piece pieces[DIVIDE_MAX_CELLS], *piece = pieces;
     struct shade_triangles t;
-    struct outlets outlets;
+    struct cell_numbers numbers[3];
+    const int32_t *low[LANE_COUNT];
+    uint32_t to[LANE_COUNT];
     uint16_t places[LANE_COUNT];
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
         places[l] = order[l < count ? l : count - 1];
-        outlets.at[l] = block->sample_count + l * cells;
+        low[l] = block->triangles[places[l]].low;
+        to[l] = l < count ? block->piece_count + l * cells : BLOCK_PIECES;
     }
     load_triangles(what, places, &t);
+    lanes lowest[3], part = t.area / 3.0;
+    lanes_gather_integers(low, lowest);
+    for (int a = 0; a < 3; a++)
+        number_cells(what, lowest[a], a, planes[a], &numbers[a]);
     unsigned active = (1u << count) - 1;
     unsigned doubtful = lanes_bits(divide_small((const lanes(*)[3])t.p, planes, pieces)) & active;
     active &= ~doubtful;
     for (int x = 0; x <= planes[0]; x++)
         for (int y = 0; y <= planes[1]; y++)
             for (int z = 0; z <= planes[2]; z++, piece++) {
-                unsigned taken = lanes_bits(piece->share > 0.0) & active;
+                lane_mask number = numbers[0].of[x] | numbers[1].of[y] | numbers[2].of[z];
+                unsigned taken = lanes_bits((piece->share > 0.0) & ~(number < 0)) & active;
                 if (taken == 0)
                     continue;
-                const lanes cell[3] = {lanes_all(x), lanes_all(y), lanes_all(z)};
-                lanes scale = 1.0 / (3.0 * piece->share), sample[8], color[4];
-                lanes b[2] = {piece->moment[0] * scale, piece->moment[1] * scale};
-                shade_pieces(&t, piece->share, b, cell, sample, color);
-                put_samples(block, &outlets, taken, (uint8_t)(x << 4 | y << 2 | z), sample, color,
-                            t.has_color);
+                const lanes moment[2] = {part * piece->moment[0], part * piece->moment[1]};
+                number |= lanes_all_bits((uint64_t)(x << 4 | y << 2 | z) << 32);
+                put_pieces(&t, t.area * piece->share, moment, number, block, to);
+                for (int l = 0; l < LANE_COUNT; l++)
+                    to[l] += taken >> l & 1;
             }
     for (uint32_t l = 0; l < count; l++) {
         struct block_triangle *triangle = &block->triangles[places[l]];
-        triangle->first = (uint16_t)(block->sample_count + l * cells);
-        triangle->count = (uint16_t)(outlets.at[l] - triangle->first);
+        uint32_t first = block->piece_count + l * cells;
+        triangle->first = (uint16_t)first;
+        triangle->count = (uint16_t)(to[l] - first);
         triangle->alone = doubtful >> l & 1;
     }
-    block->sample_count += count * cells;
+    block->piece_count += count * cells;
 }
 
 static void divide_kind(const struct vox_accumulation *what, const uint16_t *order, uint32_t count,
@@ -153,47 +183,81 @@ static void divide_kind(const struct vox_accumulation *what, const uint16_t *ord
     }
 }
 
+/* ---- pieces ---- */
+
+/* A triangle whose pieces are added. */
+struct source {
+    const struct vox_block *block;
+    const struct block_facts *facts;
+    struct vox_accumulator *sums;
+    bool smooth, curved, has_color;
+};
+
+LANES_INLINE struct source source_of(const struct vox_accumulation *what, uint32_t place)
+{
+    bool smooth = what->chunk->normals != NULL;
+    return (struct source){.block = what->block,
+                           .facts = &what->block->facts[place],
+                           .sums = what->sums,
+                           .smooth = smooth,
+                           .curved = smooth && what->chunk->coarse,
+                           .has_color = what->sums->colors != NULL};
+}
+
+/* Adds piece i of the block. cell: lower corner of its voxel, from that of the triangle's lowest.
+ * rgb: its colour, and 1; NULL: that of the triangle. */
+LANES_INLINE int add_piece(const struct source *from, uint32_t i, const double cell[4],
+                           const double rgb[4])
+{
+    const struct block_piece *piece = &from->block->pieces[i];
+    struct vox_piece_sum sum;
+    if (from->smooth && !(piece->cell & PIECE_FLAT))
+        shade_smooth(from->facts, piece, cell, &from->block->weights[i], from->curved, &sum);
+    else
+        shade_flat(from->facts, piece, cell, &sum);
+    if (rgb)
+        sum.color = piece->area * *(const vox_four *)rgb;
+    else if (from->has_color)
+        shade_mean(from->facts, ROW_COLOR, piece, &sum.color);
+    return vox_accumulator_add(from->sums, piece->voxel, &sum);
+}
+
+LANES_INLINE int add_pieces(const struct source *from, uint32_t first, uint32_t count)
+{
+    int status = vox_accumulator_make_room(from->sums);
+    for (uint32_t i = first; i < first + count && status == 0; i++)
+        status = add_piece(from, i, shade_cells[from->block->pieces[i].cell % PIECE_FLAT], NULL);
+    return status;
+}
+
 /* ---- other triangles ---- */
 
-/* A triangle whose pieces come one after the other: in all lanes at first, then a piece a lane. */
+/* A triangle, the same in all lanes, whose pieces come one after the other and wait for lanes to
+ * fill. */
 struct single {
     const struct vox_accumulation *what;
+    struct source from;
     const int32_t *low;
     struct shade_triangles triangles;
     uint32_t image; /* UINT32_MAX: no texture */
     double uv[3][2];
     uint32_t count; /* pieces that wait */
-    lanes share, b[2], cell[3], rgb[3];
-    uint32_t voxels[LANE_COUNT];
+    lanes area, moment[2];
+    lane_mask number;
+    double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
 };
 
 static int add_waiting(struct single *s)
 {
-    const struct vox_accumulation *what = s->what;
-    struct vox_sum samples[LANE_COUNT] = {0};
-    struct vox_color_sum colors[LANE_COUNT] = {0};
-    double *to[2][LANE_COUNT], *rgb[LANE_COUNT];
-    lanes sample[8], color[4];
-    uint32_t count = s->count;
-    int status = 0;
-    for (int l = 0; l < LANE_COUNT; l++) {
-        to[0][l] = samples[l].normal;
-        to[1][l] = samples[l].center;
-        rgb[l] = colors[l].rgb;
-    }
-    shade_pieces(&s->triangles, s->share, s->b, s->cell, sample, color);
-    lanes_scatter(sample, to[0]);
-    lanes_scatter(sample + 4, to[1]);
-    if (s->image != UINT32_MAX) {
-        color[3] = sample[3];
-        for (int k = 0; k < 3; k++)
-            color[k] = sample[3] * s->rgb[k];
-    }
-    if (s->triangles.has_color)
-        lanes_scatter(color, rgb);
-    s->count = 0;
+    uint32_t to[LANE_COUNT], count = s->count;
+    bool textured = s->image != UINT32_MAX;
+    int status = vox_accumulator_make_room(s->from.sums);
+    for (uint32_t l = 0; l < LANE_COUNT; l++)
+        to[l] = BLOCK_PIECES + l;
+    put_pieces(&s->triangles, s->area, s->moment, s->number, s->what->block, to);
     for (uint32_t l = 0; l < count && status == 0; l++)
-        status = vox_accumulator_add(what->sums, s->voxels[l], &samples[l], &colors[l]);
+        status = add_piece(&s->from, to[l], s->cells[l], textured ? s->rgb[l] : NULL);
+    s->count = 0;
     return status;
 }
 
@@ -202,22 +266,20 @@ static int take_piece(void *arg, const struct vox_piece *piece)
     struct single *s = arg;
     const int32_t *origin = s->what->region->lo;
     uint32_t l = s->count++, at[3];
-    s->share[l] = piece->fraction;
+    double area = s->triangles.area[0] * piece->fraction;
+    s->area[l] = area > VOX_NO_AREA ? area : VOX_NO_AREA;
     for (int k = 0; k < 2; k++)
-        s->b[k][l] = piece->b[k];
+        s->moment[k][l] = s->area[l] * piece->b[k];
     for (int k = 0; k < 3; k++) {
-        s->cell[k][l] = piece->cell[k] - s->low[k];
+        s->cells[l][k] = piece->cell[k] - s->low[k];
         at[k] = (uint32_t)(piece->cell[k] - origin[k]);
     }
-    s->voxels[l] = vox_voxel_number(at[0], at[1], at[2]);
+    s->number[l] = vox_voxel_number(at[0], at[1], at[2]);
     if (s->image != UINT32_MAX) {
-        double rgb[3];
         int status = vox_shade_texture(s->what->shading, s->image, (const double(*)[2])s->uv,
-                                       piece->b, piece->uv_extent, rgb);
+                                       piece->b, piece->uv_extent, s->rgb[l]);
         if (status < 0)
             return status;
-        for (int k = 0; k < 3; k++)
-            s->rgb[k][l] = rgb[k];
     }
     return s->count == LANE_COUNT ? add_waiting(s) : 0;
 }
@@ -235,10 +297,12 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *wh
         .corner = {chunk->points[v[0]], chunk->points[v[1]], chunk->points[v[2]]},
         .cells = &cells,
     };
-    struct single s = {.what = what, .low = triangle->low};
+    struct single s = {.what = what, .from = source_of(what, place), .low = triangle->low};
     uint16_t places[LANE_COUNT];
-    for (int l = 0; l < LANE_COUNT; l++)
+    for (int l = 0; l < LANE_COUNT; l++) {
         places[l] = (uint16_t)place;
+        s.rgb[l][3] = 1.0;
+    }
     load_triangles(what, places, &s.triangles);
     s.image = vox_shade_image(what->shading, chunk, triangle->number);
     if (s.image != UINT32_MAX) {
@@ -261,48 +325,6 @@ static bool contains(const struct vox_box *box, const int32_t cell[3])
     return !outside;
 }
 
-/* Lists the samples of the triangles from *next on in their order, up to one that is to be added
- * alone; leaves out those beside the window. Returns their number. */
-LANES_INLINE uint32_t list_samples(const struct vox_accumulation *what, uint32_t *next)
-{
-    struct vox_block *block = what->block;
-    const int32_t *origin = what->region->lo;
-    uint32_t count = 0;
-    for (; *next < block->triangle_count && !block->triangles[*next].alone; ++*next) {
-        const struct block_triangle *triangle = &block->triangles[*next];
-        for (uint32_t i = triangle->first; i < (uint32_t)triangle->first + triangle->count; i++) {
-            uint32_t cell = block->cells[i];
-            int32_t at[3] = {triangle->low[0] + (int32_t)(cell >> 4),
-                             triangle->low[1] + (int32_t)(cell >> 2 & 3),
-                             triangle->low[2] + (int32_t)(cell & 3)};
-            block->voxels[count] =
-                vox_voxel_number((uint32_t)(at[0] - origin[0]), (uint32_t)(at[1] - origin[1]),
-                                 (uint32_t)(at[2] - origin[2]));
-            block->places[count] = (uint16_t)i;
-            count += triangle->inside || contains(what->window, at);
-        }
-    }
-    return count;
-}
-
-/* Samples whose sums are on their way from memory. */
-enum { SAMPLES_AHEAD = 12 };
-
-LANES_INLINE int add_samples(const struct vox_accumulation *what, uint32_t count)
-{
-    const struct vox_block *block = what->block;
-    struct vox_accumulator *sums = what->sums;
-    int status = 0;
-    for (uint32_t i = 0; i < count && status == 0; i++) {
-        uint32_t place = block->places[i];
-        if (i + SAMPLES_AHEAD < count)
-            vox_accumulator_expect(sums, block->voxels[i + SAMPLES_AHEAD]);
-        status = vox_accumulator_add(sums, block->voxels[i], &block->samples[place],
-                                     &block->colors[place]);
-    }
-    return status;
-}
-
 /* Adds the block's triangles, and empties it. */
 static int add_block(const struct vox_accumulation *what)
 {
@@ -321,14 +343,16 @@ static int add_block(const struct vox_accumulation *what)
     for (uint32_t kind = 0; kind < KIND_LARGE; kind++)
         if (counts[kind] > 0)
             divide_kind(what, block->order + starts[kind] - counts[kind], counts[kind], kind);
-    for (uint32_t next = 0; next < block->triangle_count && status == 0;) {
-        if (block->triangles[next].alone)
-            status = add_alone(what, next++);
+    for (uint32_t place = 0; place < block->triangle_count && status == 0; place++) {
+        const struct block_triangle *triangle = &block->triangles[place];
+        const struct source from = source_of(what, place);
+        if (triangle->alone)
+            status = add_alone(what, place);
         else
-            status = add_samples(what, list_samples(what, &next));
+            status = add_pieces(&from, triangle->first, triangle->count);
     }
     block->triangle_count = 0;
-    block->sample_count = 0;
+    block->piece_count = 0;
     return status;
 }
 
@@ -344,24 +368,23 @@ static int add_group(const struct vox_accumulation *what, uint32_t begin, uint32
         if (four_any((cells.low > window.high) | (cells.high < window.low)))
             continue;
         four_ints planes = cells.high - cells.low;
-        uint32_t samples = 0, kind = KIND_LARGE;
+        uint32_t pieces = 0, kind = KIND_LARGE;
         if (!four_any(planes > DIVIDE_MAX_PLANES) &&
             (!what->shading->textures ||
              vox_shade_image(what->shading, what->chunk, i) == UINT32_MAX)) {
             kind = (uint32_t)(planes[0] << 4 | planes[1] << 2 | planes[2]);
-            samples = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
+            pieces = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
         }
-        if (samples > *room || block->triangle_count == BLOCK_TRIANGLES) {
+        if (pieces > *room || block->triangle_count == BLOCK_TRIANGLES) {
             status = add_block(what);
-            *room = BLOCK_SAMPLES;
+            *room = BLOCK_PIECES;
         }
-        *room -= samples;
+        *room -= pieces;
         struct block_triangle *to = &block->triangles[block->triangle_count++];
         memcpy(to->low, &cells.low, sizeof to->low);
         to->number = i;
         to->kind = (uint8_t)kind;
         to->alone = kind == KIND_LARGE;
-        to->inside = !four_any((cells.low < window.low) | (cells.high > window.high));
     }
     return status;
 }
@@ -377,9 +400,9 @@ static bool overlap(const struct vox_box *a, const struct vox_box *b)
 static int accumulate_chunk(const struct vox_accumulation *what, uint64_t *counted)
 {
     const struct vox_chunk *chunk = what->chunk;
-    uint32_t count = chunk->source.triangle_count, room = BLOCK_SAMPLES;
+    uint32_t count = chunk->source.triangle_count, room = BLOCK_PIECES;
     int status = 0;
-    what->block->triangle_count = what->block->sample_count = 0;
+    what->block->triangle_count = what->block->piece_count = 0;
     for (uint32_t g = 0; g < chunk->group_count && status == 0; g++) {
         const struct vox_box *bounds = &chunk->groups[g];
         if (!overlap(bounds, what->window))

@@ -4,7 +4,7 @@
 
 #include "libvoxel/accumulate.h"
 
-enum { BLOCK_TRIANGLES = 256, BLOCK_SAMPLES = 3072 };
+enum { BLOCK_TRIANGLES = 256, BLOCK_PIECES = 3072, BLOCK_LANES_MAX = 4 };
 
 /* Triangles by the planes that cut them, two bits an axis; the last kind is cut by more, or has a
  * texture. */
@@ -13,22 +13,56 @@ enum { KIND_LARGE = 64, KIND_COUNT };
 struct block_triangle {
     int32_t low[4];        /* lowest cell, in the lattice; and 0 */
     uint32_t number;       /* in the chunk */
-    uint16_t first, count; /* of its samples */
+    uint16_t first, count; /* of its pieces */
     uint8_t kind;
-    bool inside; /* all its cells are in the window */
-    bool alone;  /* to be divided by itself */
+    bool alone; /* to be divided by itself */
+};
+
+/* What the pieces of a triangle have in common, in rows of four (shade_lanes.h). */
+enum block_row {
+    ROW_CORNER,        /* first corner from the centre of the lowest cell, 1 */
+    ROW_EDGE1,         /* from there to the second, 0 */
+    ROW_EDGE2,         /* and to the third, 0 */
+    ROW_FLAT,          /* unit normal of the triangle's plane, 0 */
+    ROW_NORMAL,        /* at the first corner, 0 */
+    ROW_TURN1,         /* from there to that at the second, 0 */
+    ROW_TURN2,         /* and to that at the third, 0 */
+    ROW_SHADED,        /* 0; 1 where the normals do not go with the triangle's plane, else 0 */
+    ROW_COLOR,         /* at the first corner, 1; or all 0 */
+    ROW_COLOR_CHANGE1, /* from there to that at the second, 0 */
+    ROW_COLOR_CHANGE2, /* and to that at the third, 0 */
+    ROW_COUNT
+};
+
+struct block_facts {
+    double row[ROW_COUNT][4];
+};
+
+/* Bit of a piece's cell: it has the triangle's own normal, as those of the corners cancel. */
+enum { PIECE_FLAT = 64 };
+
+/* A piece, in a form of which its sums are sums of products. */
+struct block_piece {
+    double area;      /* in voxel faces */
+    double moment[2]; /* area times weight of the second and third corner at the centroid */
+    uint32_t voxel;   /* in the region */
+    uint32_t cell;    /* from the lowest of the triangle, two bits an axis */
+};
+
+/* How much of area times interpolated normal goes to the sums of normals and of centres. */
+struct block_weights {
+    double normal, center;
 };
 
 struct vox_block {
-    uint32_t triangle_count, sample_count;
+    uint32_t triangle_count, piece_count;
     struct block_triangle triangles[BLOCK_TRIANGLES];
+    struct block_facts facts[BLOCK_TRIANGLES];
     uint16_t order[BLOCK_TRIANGLES]; /* by kind */
-    /* The last takes what is not wanted. */
-    struct vox_sum samples[BLOCK_SAMPLES + 1];
-    uint8_t cells[BLOCK_SAMPLES + 1]; /* from the lowest of the triangle, two bits an axis */
-    uint32_t voxels[BLOCK_SAMPLES];   /* of the samples in the order of triangles, in the region */
-    uint16_t places[BLOCK_SAMPLES];   /* where these samples are */
-    struct vox_color_sum colors[];    /* of the samples, where the scan has colour */
+    /* Behind are pieces of a triangle that is divided by itself, and what is not wanted. */
+    struct block_piece pieces[BLOCK_PIECES + BLOCK_LANES_MAX];
+    struct block_weights
+        weights[BLOCK_PIECES + BLOCK_LANES_MAX]; /* where normals are interpolated */
 };
 
 #endif

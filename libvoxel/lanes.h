@@ -18,6 +18,8 @@
 #define LANE_COUNT 2
 #ifdef __SSE4_1__
 #include <smmintrin.h>
+#elif defined __SSE2__
+#include <emmintrin.h>
 #endif
 #endif
 
@@ -41,6 +43,18 @@ LANES_INLINE lanes lanes_keep(lane_mask mask, lanes x)
 LANES_INLINE lanes lanes_abs(lanes x)
 {
     return (lanes)((lane_mask)x & INT64_MAX);
+}
+
+/* x in all lanes */
+LANES_INLINE lane_mask lanes_all_bits(uint64_t x)
+{
+    return (long long)x - (lane_mask){0};
+}
+
+/* Two's complement of whole numbers in the low 51 bits, others above. */
+LANES_INLINE lane_mask lanes_integer_bits(lanes x)
+{
+    return (lane_mask)(x + 0x1.8p52);
 }
 
 /* Four whole numbers, whatever the number of lanes: a voxel and a number that does not matter. */
@@ -90,6 +104,26 @@ LANES_INLINE bool four_any(four_ints mask)
 }
 
 #endif
+
+/* Bit i: number i is not 0. */
+LANES_INLINE uint32_t sixteen_bits(const uint32_t from[16])
+{
+#ifdef __SSE2__
+    const __m128i zero = _mm_setzero_si128();
+    __m128i is_zero[4];
+    for (int i = 0; i < 4; i++)
+        is_zero[i] =
+            _mm_cmpeq_epi32(_mm_loadu_si128((const __m128i *)(const void *)(from + 4 * i)), zero);
+    __m128i half[2] = {_mm_packs_epi32(is_zero[0], is_zero[1]),
+                       _mm_packs_epi32(is_zero[2], is_zero[3])};
+    return (uint32_t)_mm_movemask_epi8(_mm_packs_epi16(half[0], half[1])) ^ 0xffff;
+#else
+    uint32_t bits = 0;
+    for (int i = 0; i < 16; i++)
+        bits |= (uint32_t)(from[i] != 0) << i;
+    return bits;
+#endif
+}
 
 #if defined __AVX2__
 
@@ -145,6 +179,17 @@ LANES_INLINE void lanes_gather(const double *const from[LANE_COUNT],
         out[k] = turned[k];
 }
 
+/* Lane i of out[k] becomes from[i][k]. from[i] has four readable numbers. */
+LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], lanes out[3])
+{
+    lanes in[4], turned[4];
+    for (int i = 0; i < 4; i++)
+        in[i] = _mm256_cvtepi32_pd(_mm_loadu_si128((const __m128i *)(const void *)from[i]));
+    lanes_transpose(in, turned);
+    for (int k = 0; k < 3; k++)
+        out[k] = turned[k];
+}
+
 /* Lane i of out[k] becomes from[i][k]. */
 LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], lanes out[4])
 {
@@ -165,6 +210,12 @@ LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes
         out[k] = turned[k];
 }
 
+/* Lane i becomes *from[i]. */
+LANES_INLINE lanes lanes_gather_float(const float *const from[LANE_COUNT])
+{
+    return _mm256_cvtps_pd(_mm_setr_ps(*from[0], *from[1], *from[2], *from[3]));
+}
+
 /* to[i][k] becomes lane i of in[k]. */
 LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
 {
@@ -172,6 +223,16 @@ LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
     lanes_transpose(in, turned);
     for (int i = 0; i < 4; i++)
         _mm256_storeu_pd(to[i], turned[i]);
+}
+
+/* to[i][0] and to[i][1] become lane i of x and of y. */
+LANES_INLINE void lanes_scatter_pairs(lanes x, lanes y, double *const to[LANE_COUNT])
+{
+    lanes even = _mm256_unpacklo_pd(x, y), odd = _mm256_unpackhi_pd(x, y);
+    _mm_storeu_pd(to[0], _mm256_castpd256_pd128(even));
+    _mm_storeu_pd(to[1], _mm256_castpd256_pd128(odd));
+    _mm_storeu_pd(to[2], _mm256_extractf128_pd(even, 1));
+    _mm_storeu_pd(to[3], _mm256_extractf128_pd(odd, 1));
 }
 
 #else
@@ -216,6 +277,12 @@ LANES_INLINE void lanes_gather(const double *const from[LANE_COUNT],
         out[k] = (lanes){from[0][k] - low[0][k], from[1][k] - low[1][k]};
 }
 
+LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], lanes out[3])
+{
+    for (int k = 0; k < 3; k++)
+        out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
+}
+
 LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], lanes out[4])
 {
     for (int k = 0; k < 4; k++)
@@ -228,11 +295,24 @@ LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes
         out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
 }
 
+LANES_INLINE lanes lanes_gather_float(const float *const from[LANE_COUNT])
+{
+    return (lanes){(double)*from[0], (double)*from[1]};
+}
+
 LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
 {
     for (int k = 0; k < 4; k++) {
         to[0][k] = in[k][0];
         to[1][k] = in[k][1];
+    }
+}
+
+LANES_INLINE void lanes_scatter_pairs(lanes x, lanes y, double *const to[LANE_COUNT])
+{
+    for (int i = 0; i < 2; i++) {
+        to[i][0] = x[i];
+        to[i][1] = y[i];
     }
 }
 

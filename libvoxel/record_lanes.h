@@ -66,7 +66,7 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_
     }
     lanes_gather_four(half[0], sum);
     lanes_gather_four(half[1], sum + 4);
-    lanes length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[3];
+    lanes length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[7];
     lane_mask has = length > 0.0;
     for (int k = 0; k < 3; k++)
         n[k] = lanes_select(has, sum[k] / length, lanes_all(k == 2));
@@ -77,7 +77,7 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_
     d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
     lanes coverage = lanes_min(length / area, lanes_all(1.0));
     *plane = (record_round(d * 32767.0) & 0xffff) | record_round(coverage * 255.0) << 16 |
-             ((sum[7] > 0.0) & (long long)FMT_NVDB_PLANE_SHADED);
+             ((sum[3] > 0.0) & (long long)FMT_NVDB_PLANE_SHADED);
 }
 
 static void make_records(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,

@@ -5,12 +5,19 @@
  * away from it, its own sum cannot cancel. */
 #include "libvoxel/region.h"
 #include "libvoxel/lane_code.h"
+#include "libvoxel/lanes.h"
 
 #include <math.h>
 #include <string.h>
 
 /* A second record below this share of the first one's area is noise. */
 static const double second_share = 0.01;
+
+/* What all voxels of a brick, or of the region, take, and what is kept ready beyond. */
+enum {
+    SUMS_MIN = 2 * VOX_BRICK_VOXELS + VOX_PIECES_AT_ONCE,
+    SUMS_MAX = 2 * VOX_BRICKS * VOX_BRICK_VOXELS + VOX_PIECES_AT_ONCE
+};
 
 /* ---- memory ---- */
 
@@ -22,30 +29,29 @@ static uint64_t bytes_per_sum(bool has_color)
 
 static uint64_t capacity_bytes(uint64_t bricks, uint64_t sums, bool has_color)
 {
-    return sizeof(struct vox_accumulator) + (bricks + 1) * sizeof(struct vox_brick) +
+    return sizeof(struct vox_accumulator) + (bricks + 1) * sizeof(vox_brick) +
            (sums + 1) * bytes_per_sum(has_color);
 }
 
 uint64_t vox_accumulator_bytes_min(bool has_color)
 {
-    return capacity_bytes(1, 2 * VOX_BRICK_VOXELS, has_color);
+    return capacity_bytes(1, SUMS_MIN, has_color);
 }
 
 uint64_t vox_accumulator_bytes_max(bool has_color)
 {
-    return capacity_bytes(VOX_BRICKS, UINT64_C(2) * VOX_BRICKS * VOX_BRICK_VOXELS, has_color);
+    return capacity_bytes(VOX_BRICKS, SUMS_MAX, has_color);
 }
 
 /* A surface leaves about 80 records in a brick, so most of the memory is theirs. */
 static void set_capacities(struct vox_accumulator *a, uint64_t bytes, bool has_color)
 {
-    uint64_t bricks = bytes / 5 / sizeof(struct vox_brick);
+    uint64_t bricks = bytes / 5 / sizeof(vox_brick);
     bricks = bricks < 1 ? 1 : bricks > VOX_BRICKS ? VOX_BRICKS : bricks;
     uint64_t rest = capacity_bytes(bricks, 0, has_color);
     uint64_t sums = bytes > rest ? (bytes - rest) / bytes_per_sum(has_color) : 0;
-    const uint64_t least = 2 * VOX_BRICK_VOXELS, most = 2 * VOX_BRICKS * VOX_BRICK_VOXELS;
     a->brick_capacity = (uint32_t)bricks;
-    a->sum_capacity = (uint32_t)(sums < least ? least : sums > most ? most : sums);
+    a->sum_capacity = (uint32_t)(sums < SUMS_MIN ? SUMS_MIN : sums > SUMS_MAX ? SUMS_MAX : sums);
 }
 
 int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
@@ -90,21 +96,24 @@ void vox_accumulator_clear(struct vox_accumulator *a)
     if (a->brick_count > 0)
         memset(a->brick_of, 0, sizeof a->brick_of);
     a->brick_count = 0;
-    a->sum_count = 0;
+    a->sum_count = a->ready_count = 0;
 }
 
 /* ---- adding ---- */
 
-uint32_t vox_accumulator_open(struct vox_accumulator *a)
+/* Records that are made ready together. */
+enum { READY_STEP = 2 * VOX_PIECES_AT_ONCE };
+
+bool vox_accumulator_make_ready(struct vox_accumulator *a)
 {
-    if (a->sum_count == a->sum_capacity)
-        return 0;
-    uint32_t number = ++a->sum_count;
-    memset(&a->sums[number], 0, sizeof a->sums[number]);
-    a->others[number] = 0;
+    uint32_t first = a->ready_count + 1, count = a->sum_capacity - a->ready_count;
+    count = count < READY_STEP ? count : READY_STEP;
+    memset(&a->sums[first], 0, count * sizeof *a->sums);
+    memset(&a->others[first], 0, count * sizeof *a->others);
     if (a->colors)
-        memset(&a->colors[number], 0, sizeof a->colors[number]);
-    return number;
+        memset(&a->colors[first], 0, count * sizeof *a->colors);
+    a->ready_count += count;
+    return a->ready_count - a->sum_count >= VOX_PIECES_AT_ONCE;
 }
 
 bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
@@ -117,22 +126,22 @@ bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
 }
 
 /* Length of a normal times the cosine of its angle to a record's. */
-static double along(const double normal[3], const struct vox_sum *sum)
+static double along(const struct vox_piece_sum *piece, const struct vox_sum *sum)
 {
+    const double normal[3] = {piece->normal[0], piece->normal[1], piece->normal[2]};
     double length = sqrt(vox_dot(sum->normal, sum->normal));
     return length > 0.0 ? vox_dot(normal, sum->normal) / length : 0.0;
 }
 
 uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
-                                const struct vox_sum *piece)
+                                const struct vox_piece_sum *piece)
 {
     uint32_t second = a->others[first];
-    const double *normal = piece->normal;
     if (second == 0)
-        return a->others[first] = vox_accumulator_open(a);
+        return a->others[first] = ++a->sum_count;
     if (!vox_faces_away(piece, &a->sums[second]))
         return second;
-    return along(normal, &a->sums[second]) > along(normal, &a->sums[first]) ? second : first;
+    return along(piece, &a->sums[second]) > along(piece, &a->sums[first]) ? second : first;
 }
 
 /* ---- records ---- */
@@ -211,16 +220,29 @@ static void make_records(const struct vox_accumulator *a, const uint32_t *number
         records[i].color = encode_color(&a->colors[numbers[i]], tables);
 }
 
+/* Sums are in the order in which voxels were first touched; they are asked for ahead of time. */
+static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, uint64_t mask[8])
+{
+    for (uint32_t word = 0; word < 8; word++) {
+        mask[word] = 0;
+        for (uint32_t i = 0; i < 64; i += 16)
+            mask[word] |= (uint64_t)sixteen_bits(slots + 64 * word + i) << i;
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
+            __builtin_prefetch(&a->sums[slots[64 * word + (uint32_t)__builtin_ctzll(bits)]]);
+    }
+}
+
 static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
                          const struct vox_color_tables *tables, struct vox_leaves *leaves)
 {
-    const struct vox_brick *from = &a->bricks[a->brick_of[brick]];
+    const uint32_t *slots = a->bricks[a->brick_of[brick]];
+    uint64_t *mask = leaves->masks[leaves->leaf_count];
     struct brick_records chosen;
     chosen.first_count = chosen.second_count = 0;
-    memcpy(leaves->masks[leaves->leaf_count], from->mask, sizeof from->mask);
+    find_voxels(a, slots, mask);
     for (uint32_t word = 0; word < 8; word++)
-        for (uint64_t bits = from->mask[word]; bits; bits &= bits - 1)
-            choose_records(a, from->sum[64 * word + (uint32_t)__builtin_ctzll(bits)], &chosen);
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
+            choose_records(a, slots[64 * word + (uint32_t)__builtin_ctzll(bits)], &chosen);
 
     struct fmt_nvdb_record *records = leaves->records + leaves->record_count;
     make_records(a, chosen.first, chosen.first_count, tables, records);
@@ -232,7 +254,7 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     leaves->record_count += chosen.first_count;
     leaves->second_count += chosen.second_count;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
-    widen(leaves, brick, from->mask);
+    widen(leaves, brick, mask);
 }
 
 static uint64_t count_seconds(const struct vox_accumulator *a)

@@ -1,22 +1,32 @@
-/* shade_lanes.h - what the pieces of triangles say of their voxels, several pieces side by side. */
+/* shade_lanes.h - what the pieces of triangles add to their voxels.
+ *
+ * What takes roots and quotients is found for several triangles, or pieces of several, at once.
+ * What a piece adds is then a sum of rows of four, its triangle's, times numbers that are its own.
+ * So it comes out in the form of the sums.
+ *
+ * Where a value is q at the first corner and differs by d and e at the others, a piece's area times
+ * the mean of that value over the piece is area * q + moment[0] * d + moment[1] * e. */
 #ifndef VOX_SHADE_LANES_H
 #define VOX_SHADE_LANES_H
 
+#include "libvoxel/block.h"
 #include "libvoxel/divide_lanes.h"
-#include "libvoxel/shade.h"
 
 /* Triangles side by side, in voxels from the lower corner of a cell of each. */
 struct shade_triangles {
     lanes p[3][3];    /* corner, axis */
     lanes edge[2][3]; /* from the first corner to the others */
     lanes flat[3];    /* unit normal of the plane, zero where there is no area */
-    lanes area;       /* in voxel faces */
+    lanes area;       /* in voxel faces, VOX_NO_AREA at least */
     bool has_normals;
     bool curved;        /* so large that planes differ from the surface that the normals describe */
     bool detached;      /* and no surface through facets of this size belongs to the normals */
     lanes normal[3][3]; /* corner, axis; unit */
-    lanes rise[3];      /* of the surface they describe above the corners, in voxels */
-    /* Of corners 01, 12, 20: 8 times the height of the arc over the edge that has the corners'
+    lanes squares[3];   /* of the corners' normals */
+    lanes gaps[3];      /* of corners 01, 12, 20: squares of their normals' distances */
+    lanes agreements[3]; /* of the corners' normals with the plane's */
+    lanes rise[3];       /* of the surface they describe above the corners, in voxels */
+    /* Of corners 01, 12, 20: 4 times the height of the arc over the edge that has the corners'
      * normals. */
     lanes arc[3];
     lane_mask facet; /* the plane is too far from that surface to go with the normals */
@@ -45,7 +55,7 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
     n[2] = e[0] * f[1] - e[1] * f[0];
     lanes length = lanes_sqrt(shade_dot(n, n));
     lanes scale = lanes_keep(length > 0.0, 1.0 / length);
-    t->area = 0.5 * length;
+    t->area = lanes_max(0.5 * length, lanes_all(VOX_NO_AREA));
     for (int k = 0; k < 3; k++)
         t->flat[k] = n[k] * scale;
 }
@@ -61,6 +71,18 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
     }
 }
 
+/* What the lengths of interpolated normals follow from, and their agreement with the plane. */
+LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
+{
+    for (int i = 0; i < 3; i++) {
+        const lanes *n = t->normal[i], *next = t->normal[(i + 1) % 3];
+        const lanes turn[3] = {next[0] - n[0], next[1] - n[1], next[2] - n[2]};
+        t->squares[i] = shade_dot(n, n);
+        t->gaps[i] = shade_dot(turn, turn);
+        t->agreements[i] = shade_dot(n, t->flat);
+    }
+}
+
 /* Highest arc over an edge, and highest rise above a corner, onto which pieces are lifted, in
  * voxels: they have to stay with their voxel. */
 #define SHADE_LIFT_LIMIT 0.1
@@ -70,12 +92,13 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
  */
 LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 {
-    const lanes limit = lanes_all(8.0 * SHADE_LIFT_LIMIT), highest = lanes_all(SHADE_LIFT_LIMIT);
+    const lanes limit = lanes_all(4.0 * SHADE_LIFT_LIMIT), highest = lanes_all(SHADE_LIFT_LIMIT);
     for (int i = 0; i < 3; i++) {
         const int j = (i + 1) % 3;
         lanes arc = lanes_all(0.0);
         for (int a = 0; a < 3; a++)
             arc += (t->p[i][a] - t->p[j][a]) * (t->normal[i][a] - t->normal[j][a]);
+        arc *= 0.5;
         t->facet |= lanes_abs(arc) > limit;
         t->arc[i] = lanes_min(lanes_max(arc, -limit), limit);
         t->facet |= lanes_abs(t->rise[i]) > highest;
@@ -88,81 +111,154 @@ LANES_INLINE void shade_prepare(struct shade_triangles *t)
 {
     shade_measure(t);
     t->facet = (lane_mask){0};
-    if (t->has_normals)
+    if (t->has_normals) {
         shade_settle_normals(t);
+        shade_measure_normals(t);
+    }
     if (t->curved)
         shade_measure_arcs(t);
     if (t->detached)
         t->facet = lanes_all(0.0) < 1.0;
 }
 
+/* ---- facts ---- */
+
+LANES_INLINE void shade_put_row(struct block_facts *const facts[LANE_COUNT], enum block_row row,
+                                const lanes first[3], lanes fourth)
+{
+    const lanes in[4] = {first[0], first[1], first[2], fourth};
+    double *to[LANE_COUNT];
+    for (int l = 0; l < LANE_COUNT; l++)
+        to[l] = facts[l]->row[row];
+    lanes_scatter(in, to);
+}
+
+LANES_INLINE void shade_put_difference(struct block_facts *const facts[LANE_COUNT],
+                                       enum block_row row, const lanes to[3], const lanes from[3])
+{
+    const lanes difference[3] = {to[0] - from[0], to[1] - from[1], to[2] - from[2]};
+    shade_put_row(facts, row, difference, lanes_all(0.0));
+}
+
+LANES_INLINE void shade_put_colors(const struct shade_triangles *t,
+                                   struct block_facts *const facts[LANE_COUNT])
+{
+    lanes rgb[3][3];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            rgb[i][k] = t->colored * t->rgb[i][k];
+    shade_put_row(facts, ROW_COLOR, rgb[0], t->colored);
+    shade_put_difference(facts, ROW_COLOR_CHANGE1, rgb[1], rgb[0]);
+    shade_put_difference(facts, ROW_COLOR_CHANGE2, rgb[2], rgb[0]);
+}
+
+/* What the triangles' pieces have in common. */
+LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
+                                  struct block_facts *const facts[LANE_COUNT])
+{
+    const lanes zero = lanes_all(0.0), none[3] = {zero, zero, zero};
+    const lanes corner[3] = {t->p[0][0] - 0.5, t->p[0][1] - 0.5, t->p[0][2] - 0.5};
+    shade_put_row(facts, ROW_CORNER, corner, lanes_all(1.0));
+    shade_put_row(facts, ROW_EDGE1, t->edge[0], zero);
+    shade_put_row(facts, ROW_EDGE2, t->edge[1], zero);
+    shade_put_row(facts, ROW_FLAT, t->flat, zero);
+    if (t->has_normals) {
+        shade_put_row(facts, ROW_NORMAL, t->normal[0], zero);
+        shade_put_difference(facts, ROW_TURN1, t->normal[1], t->normal[0]);
+        shade_put_difference(facts, ROW_TURN2, t->normal[2], t->normal[0]);
+    }
+    if (t->curved)
+        shade_put_row(facts, ROW_SHADED, none, lanes_keep(t->facet, lanes_all(1.0)));
+    if (t->has_color)
+        shade_put_colors(t, facts);
+}
+
 /* ---- pieces ---- */
 
-LANES_INLINE lanes shade_blend(lanes first, lanes second, lanes third, const lanes b[2])
+LANES_INLINE lanes shade_sum(const lanes x[3], const lanes y[3])
 {
-    return first + b[0] * (second - first) + b[1] * (third - first);
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
 }
 
-/* Interpolated unit normal; normals that cancel say less than the triangle itself. */
-LANES_INLINE void shade_normal(const struct shade_triangles *t, const lanes b[2], lanes normal[3])
-{
-    for (int k = 0; k < 3; k++)
-        normal[k] = shade_blend(t->normal[0][k], t->normal[1][k], t->normal[2][k], b);
-    lanes square = shade_dot(normal, normal), scale = 1.0 / lanes_sqrt(square);
-    for (int k = 0; k < 3; k++)
-        normal[k] = lanes_select(square > 1e-12, normal[k] * scale, t->flat[k]);
-}
-
-/* Moves a piece from the triangle's plane onto the curved surface, so that the plane of a voxel
+/* Directions count as far as they agree with the triangle's: then coverage tells how well a voxel's
+ * plane stands for its surface.
+ *
+ * Centres are moved from the triangle's plane onto the curved surface, so that the plane of a voxel
  * goes with its normal. At weights w the tangent plane of corner i is (p_i - p) . n_i away, and
  * half the mean of these is the height of a surface of constant curvature (Boubekeur & Alexa,
  * "Phong Tessellation", 2008, blend the same planes). With p = sum of w_i p_i that is half the sum
  * of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. Corners that are not on that surface take
- * their neighbourhood along. */
-LANES_INLINE void shade_lift(const struct shade_triangles *t, const lanes b[2],
-                             const lanes normal[3], lanes center[3])
+ * their neighbourhood along.
+ *
+ * The square of the interpolated normal is the sum of w_i n_i^2 less that of w_i w_j (n_i - n_j)^2.
+ * All is computed with weights times area. */
+LANES_INLINE void shade_weigh(const struct shade_triangles *t, lanes area, const lanes moment[2],
+                              lanes *normal, lanes *center, lane_mask *cancels)
 {
-    lanes w = 1.0 - b[0] - b[1];
-    lanes height = 0.5 * (w * b[0] * t->arc[0] + b[0] * b[1] * t->arc[1] + b[1] * w * t->arc[2]);
-    height += w * t->rise[0] + b[0] * t->rise[1] + b[1] * t->rise[2];
-    for (int k = 0; k < 3; k++)
-        center[k] += height * normal[k];
+    const lanes w[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
+    const lanes pairs[3] = {w[0] * w[1], w[1] * w[2], w[2] * w[0]};
+    lanes square = area * shade_sum(w, t->squares) - shade_sum(pairs, t->gaps);
+    lanes inverse = 1.0 / (area * lanes_sqrt(square)), across = area * inverse;
+    *cancels = ~(square > 1e-12 * (area * area));
+    *normal = area * lanes_abs(shade_sum(w, t->agreements)) * (across * across);
+    if (t->curved)
+        *center = (shade_sum(pairs, t->arc) + area * shade_sum(w, t->rise)) * inverse;
 }
 
-/* The sums that pieces add to: as struct vox_sum, and as its colour where t->has_color and the
- * colour does not come from a texture. `share` of the triangle's area, centroids at weights b, in
- * the cell whose lower corner is `cell`. */
-LANES_INLINE void shade_pieces(const struct shade_triangles *t, lanes share, const lanes b[2],
-                               const lanes cell[3], lanes sample[8], lanes color[4])
+LANES_INLINE const vox_four *shade_row(const struct block_facts *facts, enum block_row row)
 {
-    lanes area = lanes_max(t->area * share, lanes_all(VOX_NO_AREA));
-    lanes center[3], normal[3];
-    for (int k = 0; k < 3; k++) {
-        center[k] = t->p[0][k] + b[0] * t->edge[0][k] + b[1] * t->edge[1][k] - (cell[k] + 0.5);
-        normal[k] = t->flat[k];
+    return (const vox_four *)facts->row[row];
+}
+
+/* Area times mean over the piece of what is `row` at the first corner, and differs by the two rows
+ * that follow it at the others. */
+LANES_INLINE void shade_mean(const struct block_facts *facts, enum block_row row,
+                             const struct block_piece *piece, vox_four *mean)
+{
+    *mean = piece->area * *shade_row(facts, row) + piece->moment[0] * *shade_row(facts, row + 1) +
+            piece->moment[1] * *shade_row(facts, row + 2);
+}
+
+/* Corners of cells from that of the lowest, by block_piece's number. */
+#define SHADE_CELLS_Z(x, y)                                                                        \
+    {x, y, 0, 0}, {x, y, 1, 0}, {x, y, 2, 0},                                                      \
+    {                                                                                              \
+        x, y, 3, 0                                                                                 \
     }
-    sample[7] = lanes_all(0.0);
-    if (t->has_normals) {
-        shade_normal(t, b, normal);
-        if (t->curved) {
-            shade_lift(t, b, normal, center);
-            sample[7] = lanes_keep(t->facet, area);
-        }
-        /* Directions count as far as they agree with the triangle's: then coverage tells how well a
-         * voxel's plane stands for its surface. */
-        lanes agreement = lanes_abs(shade_dot(normal, t->flat));
-        for (int k = 0; k < 3; k++)
-            normal[k] = agreement * normal[k];
-    }
-    for (int k = 0; k < 3; k++) {
-        sample[k] = area * normal[k];
-        sample[4 + k] = area * center[k];
-    }
-    sample[3] = area;
-    if (t->has_color) {
-        color[3] = area * t->colored;
-        for (int k = 0; k < 3; k++)
-            color[k] = color[3] * shade_blend(t->rgb[0][k], t->rgb[1][k], t->rgb[2][k], b);
+#define SHADE_CELLS_Y(x)                                                                           \
+    SHADE_CELLS_Z(x, 0), SHADE_CELLS_Z(x, 1), SHADE_CELLS_Z(x, 2), SHADE_CELLS_Z(x, 3)
+static const double shade_cells[64][4] = {SHADE_CELLS_Y(0), SHADE_CELLS_Y(1), SHADE_CELLS_Y(2),
+                                          SHADE_CELLS_Y(3)};
+
+/* Area times centroid, from the centre of the cell, whose lower corner is `cell`. */
+LANES_INLINE void shade_center(const struct block_facts *facts, const struct block_piece *piece,
+                               const double cell[4], vox_four *center)
+{
+    *center = piece->area * (*shade_row(facts, ROW_CORNER) - *(const vox_four *)cell) +
+              piece->moment[0] * *shade_row(facts, ROW_EDGE1) +
+              piece->moment[1] * *shade_row(facts, ROW_EDGE2);
+}
+
+/* The sums for a piece that has the triangle's own normal. */
+LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block_piece *piece,
+                             const double cell[4], struct vox_piece_sum *sum)
+{
+    sum->normal = piece->area * *shade_row(facts, ROW_FLAT);
+    shade_center(facts, piece, cell, &sum->center);
+}
+
+/* And for one with a normal that is interpolated. */
+LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct block_piece *piece,
+                               const double cell[4], const struct block_weights *weights,
+                               bool curved, struct vox_piece_sum *sum)
+{
+    vox_four normal;
+    shade_mean(facts, ROW_NORMAL, piece, &normal);
+    sum->normal = weights->normal * normal;
+    shade_center(facts, piece, cell, &sum->center);
+    if (curved) {
+        sum->normal += *shade_row(facts, ROW_SHADED);
+        sum->center += weights->center * normal;
     }
 }
 

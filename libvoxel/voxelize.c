@@ -79,7 +79,7 @@ static int make_plan(const struct job *job, struct plan *plan)
         if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
             plan->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
     }
-    uint64_t sums_min = vox_accumulator_bytes_min(color), blocks = job->workers * vox_block_bytes(color);
+    uint64_t sums_min = vox_accumulator_bytes_min(color), blocks = job->workers * vox_block_bytes();
     uint64_t need =
         plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
     if (available < need)
@@ -192,7 +192,7 @@ static int make_workers(struct job *job, const struct plan *plan)
         struct vox_worker *own = &job->own[i];
         status = vox_accumulator_create(job->ctx, plan->accumulator_bytes, color, &own->sums);
         if (status == 0)
-            status = vox_block_create(job->ctx, color, &own->block);
+            status = vox_block_create(job->ctx, &own->block);
     }
     if (status < 0)
         return status;

@@ -136,7 +136,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     size_t count;
     const struct vox_lane_code *const *code = kinds(&count);
     assert_int_equal(vox_shading_init(ctx, &header, 0, &shading), 0);
-    assert_int_equal(vox_block_create(ctx, true, &block), 0);
+    assert_int_equal(vox_block_create(ctx, &block), 0);
     for (size_t c = 0; c < count; c++) {
         uint64_t counted = 0;
         assert_int_equal(vox_accumulator_create(ctx, 64 << 20, true, &sums[c]), 0);
