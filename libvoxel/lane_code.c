@@ -2,8 +2,9 @@
 #include "libvoxel/lane_code.h"
 #include "libvoxel/accumulate_lanes.h"
 #include "libvoxel/record_lanes.h"
+#include "libvoxel/ring_lanes.h"
 
-const struct vox_lane_code vox_lane_code_plain = {accumulate_chunk, make_records};
+const struct vox_lane_code vox_lane_code_plain = {accumulate_chunk, make_records, add_rings};
 
 const struct vox_lane_code *vox_lane_code(void)
 {

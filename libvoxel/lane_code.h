@@ -6,6 +6,13 @@
 
 #include "libvoxel/accumulate.h"
 
+/* Sums over the triangles around a vertex. */
+struct vox_ring {
+    double area_vector[3], area; /* twice */
+    double moment[3]; /* three times area times the centroid's distance from the vertex */
+    double unused;
+};
+
 struct vox_lane_code {
     /* As vox_accumulate_chunk(). */
     int (*accumulate_chunk)(const struct vox_accumulation *what, uint64_t *counted);
@@ -13,6 +20,10 @@ struct vox_lane_code {
      * FMT_NVDB_PLANE_SECOND. */
     void (*make_records)(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,
                          struct fmt_nvdb_record *records);
+    /* Adds the chunk's triangles to the rings around their corners, whose numbers are those of the
+     * vertices. Ring 0 takes what is not wanted; triangles that have no other are left out. */
+    void (*add_rings)(const struct fmt_tris_chunk *chunk, const uint32_t *ring_of,
+                      struct vox_ring *rings);
 };
 
 extern const struct vox_lane_code vox_lane_code_plain;

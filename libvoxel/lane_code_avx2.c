@@ -4,6 +4,7 @@
 #ifdef __AVX2__
 #include "libvoxel/accumulate_lanes.h"
 #include "libvoxel/record_lanes.h"
+#include "libvoxel/ring_lanes.h"
 
-const struct vox_lane_code vox_lane_code_avx2 = {accumulate_chunk, make_records};
+const struct vox_lane_code vox_lane_code_avx2 = {accumulate_chunk, make_records, add_rings};
 #endif

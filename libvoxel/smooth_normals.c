@@ -4,26 +4,20 @@
  * every chunk file, though only scans that are coarse for the grid need them; so the neighbours,
  * found by their bounds, are looked at again, and matched by position. */
 #include "libvoxel/smooth_normals.h"
+#include "libvoxel/lane_code.h"
 
 #include <math.h>
 #include <pthread.h>
 #include <string.h>
 
-/* Sums over the triangles around a vertex. */
-struct ring {
-    double area_vector[3], area; /* twice */
-    double moment[3]; /* three times area times the centroid's distance from the vertex */
-};
-
 /* Room for one call. */
 struct desk {
     bool busy;
-    uint32_t *table; /* positions, open addressing: vertex number + 1, 0 is free */
-    uint32_t *twins; /* of each vertex of the chunk: the first vertex at its position */
-    uint32_t
-        *mates; /* of each vertex of a neighbour: the chunk's vertex at its position + 1, or 0 */
-    struct ring *rings; /* of each vertex that is its own twin */
-    void *scratch;      /* a neighbour that nobody lends */
+    uint32_t *table;        /* positions, open addressing: vertex number + 1, 0 is free */
+    uint32_t *twins;        /* of each vertex of the chunk: the first vertex at its position + 1 */
+    uint32_t *mates;        /* of each vertex of a neighbour: the same, 0 where there is none */
+    struct vox_ring *rings; /* by these numbers */
+    void *scratch;          /* a neighbour that nobody lends */
 };
 
 struct vox_smooth {
@@ -59,7 +53,8 @@ static uint64_t desk_bytes(const struct fmt_tris_file *file)
 {
     uint64_t vertices = largest_vertex_count(file);
     return sizeof(struct desk) + table_size(vertices) * sizeof(uint32_t) +
-           vertices * (2 * sizeof(uint32_t) + sizeof(struct ring)) + fmt_tris_load_size_max(file);
+           vertices * 2 * sizeof(uint32_t) + (vertices + 1) * sizeof(struct vox_ring) +
+           fmt_tris_load_size_max(file);
 }
 
 static int make_desk(struct vox_smooth *s, struct desk *d)
@@ -69,7 +64,8 @@ static int make_desk(struct vox_smooth *s, struct desk *d)
     if ((status = bsq_alloc(s->ctx, "smooth normals", size, sizeof *d->table, &d->table)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->twins, &d->twins)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->mates, &d->mates)) < 0 ||
-        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->rings, &d->rings)) < 0)
+        (status = bsq_alloc(s->ctx, "smooth normals", vertices + 1, sizeof *d->rings, &d->rings)) <
+            0)
         return status;
     return bsq_alloc(s->ctx, "smooth normals", fmt_tris_load_size_max(s->file), 1, &d->scratch);
 }
@@ -175,12 +171,12 @@ static void enter_vertices(const struct desk *d, uint32_t slot_mask,
                            const struct fmt_tris_chunk *chunk)
 {
     memset(d->table, 0, ((uint64_t)slot_mask + 1) * sizeof *d->table);
-    memset(d->rings, 0, (uint64_t)chunk->vertex_count * sizeof *d->rings);
+    memset(d->rings, 0, ((uint64_t)chunk->vertex_count + 1) * sizeof *d->rings);
     for (uint32_t v = 0; v < chunk->vertex_count; v++) {
         uint32_t slot = find_slot(d, slot_mask, chunk, chunk->positions[v]);
         if (!d->table[slot])
             d->table[slot] = v + 1;
-        d->twins[v] = d->table[slot] - 1;
+        d->twins[v] = d->table[slot];
     }
 }
 
@@ -204,58 +200,6 @@ static bool match_vertices(const struct desk *d, uint32_t slot_mask,
 
 /* ---- sums ---- */
 
-/* Twice the area vector, and its length. */
-static void area_vector(const float a[3], const float b[3], const float c[3], double n[4])
-{
-    double u[3], v[3];
-    for (int k = 0; k < 3; k++) {
-        u[k] = (double)b[k] - (double)a[k];
-        v[k] = (double)c[k] - (double)a[k];
-    }
-    n[0] = u[1] * v[2] - u[2] * v[1];
-    n[1] = u[2] * v[0] - u[0] * v[2];
-    n[2] = u[0] * v[1] - u[1] * v[0];
-    n[3] = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
-}
-
-/* Adds a triangle to the ring of its corner i. */
-static void add(struct ring *ring, const struct fmt_tris_chunk *chunk, const uint32_t v[3], int i,
-                const double n[4])
-{
-    const float *p = chunk->positions[v[i]];
-    const float *q = chunk->positions[v[(i + 1) % 3]], *r = chunk->positions[v[(i + 2) % 3]];
-    for (int k = 0; k < 3; k++) {
-        ring->area_vector[k] += n[k];
-        ring->moment[k] += n[3] * (((double)q[k] - (double)p[k]) + ((double)r[k] - (double)p[k]));
-    }
-    ring->area += n[3];
-}
-
-static void add_own(const struct desk *d, const struct fmt_tris_chunk *chunk)
-{
-    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
-        const uint32_t *v = chunk->triangles[t];
-        double n[4];
-        area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
-        for (int i = 0; i < 3; i++)
-            add(&d->rings[d->twins[v[i]]], chunk, v, i, n);
-    }
-}
-
-static void add_neighbour(const struct desk *d, const struct fmt_tris_chunk *other)
-{
-    for (uint32_t t = 0; t < other->triangle_count; t++) {
-        const uint32_t *v = other->triangles[t];
-        if (!(d->mates[v[0]] | d->mates[v[1]] | d->mates[v[2]]))
-            continue;
-        double n[4];
-        area_vector(other->positions[v[0]], other->positions[v[1]], other->positions[v[2]], n);
-        for (int i = 0; i < 3; i++)
-            if (d->mates[v[i]])
-                add(&d->rings[d->mates[v[i]] - 1], other, v, i, n);
-    }
-}
-
 static bool touch(const struct fmt_tris_chunk_info *a, const struct fmt_tris_chunk_info *b)
 {
     bool yes = true;
@@ -277,7 +221,7 @@ static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender 
         return status;
     const struct fmt_tris_chunk *neighbour = lent ? lent : &own;
     if (match_vertices(d, s->slot_mask, chunk, &fmt_tris_chunks(s->file)[index], neighbour))
-        add_neighbour(d, neighbour);
+        vox_lane_code()->add_rings(neighbour, d->mates, d->rings);
     if (lent)
         lender->take_back(lender->arg, other);
     return 0;
@@ -292,7 +236,7 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
     enter_vertices(d, s->slot_mask, chunk);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == index)
-            add_own(d, chunk);
+            vox_lane_code()->add_rings(chunk, d->twins, d->rings);
         else if (touch(&infos[i], &infos[index]))
             status = add_chunk(s, lender, d, index, chunk, i);
     }
@@ -306,7 +250,7 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
  * an eighth more: at voxels of half a texel 0.16 and 0.03 degrees instead of 0.24 and 0.05. */
 static const double ring_share = 9.0 / 8.0;
 
-static void finish_vertex(const struct ring *ring, float normal[3], float *rise)
+static void finish_vertex(const struct vox_ring *ring, float normal[3], float *rise)
 {
     const double *n = ring->area_vector, *m = ring->moment;
     double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);

@@ -189,11 +189,81 @@ static void test_sums(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+enum { RING_VERTICES = 100 };
+
+/* As struct vox_ring describes it, from scratch for one vertex. */
+static struct vox_ring expected_ring(const struct fmt_tris_chunk *chunk, uint32_t vertex)
+{
+    struct vox_ring ring = {.area = 0.0};
+    for (uint32_t t = 0; t < chunk->triangle_count; t++)
+        for (int i = 0; i < 3; i++) {
+            const uint32_t *v = chunk->triangles[t];
+            if (v[i] != vertex)
+                continue;
+            double corner[3][3], n[3], length;
+            for (int k = 0; k < 3; k++)
+                for (int a = 0; a < 3; a++)
+                    corner[k][a] = chunk->positions[v[(i + k) % 3]][a];
+            for (int a = 0; a < 3; a++) {
+                int b = (a + 1) % 3, c = (a + 2) % 3;
+                n[a] = (corner[1][b] - corner[0][b]) * (corner[2][c] - corner[0][c]) -
+                       (corner[1][c] - corner[0][c]) * (corner[2][b] - corner[0][b]);
+            }
+            length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+            for (int a = 0; a < 3; a++) {
+                ring.area_vector[a] += n[a];
+                ring.moment[a] +=
+                    length * (corner[0][a] + corner[1][a] + corner[2][a] - 3.0 * corner[0][a]);
+            }
+            ring.area += length;
+        }
+    return ring;
+}
+
+/* Vertex 0 has no ring of its own. */
+static void test_rings(void **state)
+{
+    (void)state;
+    uint64_t seed = 7;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    float positions[RING_VERTICES][3];
+    uint32_t triangles[3 * RING_VERTICES][3], ring_of[RING_VERTICES];
+    for (uint32_t v = 0; v < RING_VERTICES; v++) {
+        for (int a = 0; a < 3; a++)
+            positions[v][a] = (float)(10.0 * scan_random(&seed));
+        ring_of[v] = v;
+    }
+    for (uint32_t t = 0; t < 3 * RING_VERTICES; t++)
+        for (int i = 0; i < 3; i++)
+            triangles[t][i] = (t + (uint32_t)i * (1 + t % 7)) % RING_VERTICES;
+    const struct fmt_tris_chunk chunk = {.vertex_count = RING_VERTICES,
+                                         .triangle_count = 3 * RING_VERTICES,
+                                         .positions = (const float(*)[3])positions,
+                                         .triangles = (const uint32_t(*)[3])triangles};
+    struct vox_ring rings[2][RING_VERTICES];
+    size_t count;
+    const struct vox_lane_code *const *code = kinds(&count);
+    for (size_t c = 0; c < count; c++) {
+        memset(rings[c], 0, sizeof rings[c]);
+        code[c]->add_rings(&chunk, ring_of, rings[c]);
+        assert_memory_equal(rings[c], rings[0], sizeof rings[c]);
+    }
+    for (uint32_t v = 1; v < RING_VERTICES; v++) {
+        const struct vox_ring expected = expected_ring(&chunk, v), *ring = &rings[0][v];
+        assert_true(fabs(ring->area - expected.area) < 1e-9);
+        for (int a = 0; a < 3; a++) {
+            assert_true(fabs(ring->area_vector[a] - expected.area_vector[a]) < 1e-9);
+            assert_true(fabs(ring->moment[a] - expected.moment[a]) < 1e-7);
+        }
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_records),
         cmocka_unit_test(test_sums),
+        cmocka_unit_test(test_rings),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
