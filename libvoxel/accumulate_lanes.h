@@ -15,7 +15,7 @@
 
 static_assert(sizeof(struct vox_sum) == 64, "sums are two rows of four");
 static_assert(sizeof(struct vox_color_sum) == 32, "a colour is a row of four");
-static_assert(sizeof(struct block_piece) == 32, "a piece is a row of four");
+static_assert(sizeof(struct block_piece) == 64, "a piece begins with a row of four");
 
 /* ---- triangles ---- */
 
@@ -85,8 +85,8 @@ LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)
 
 /* ---- small triangles ---- */
 
-/* Along an axis: what each cell from the lowest on adds to a voxel's number, with the sign bit
- * where it is beside the window. */
+/* Along an axis: what each cell from the lowest on adds to a voxel's number in the low and to a
+ * piece's cell in the high half, or all ones where it is beside the window. */
 struct cell_numbers {
     lane_mask of[DIVIDE_MAX_PLANES + 1];
 };
@@ -94,25 +94,24 @@ struct cell_numbers {
 LANES_INLINE void number_cells(const struct vox_accumulation *what, lanes low, int axis, int planes,
                                struct cell_numbers *numbers)
 {
-    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis;
+    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = 32 + 4 - 2 * axis;
     double lo = what->window->lo[axis], hi = what->window->hi[axis];
     for (int i = 0; i <= planes; i++) {
         lanes at = low + (double)i;
         lane_mask bits = lanes_integer_bits(at - (double)what->region->lo[axis]);
-        numbers->of[i] =
-            (bits & 0x78) << shift | (bits & 7) << inner | (((at < lo) | (at > hi)) & INT64_MIN);
+        numbers->of[i] = (bits & 0x78) << shift | (bits & 7) << inner | (long long)i << cell |
+                         (at < lo) | (at > hi);
     }
 }
 
-/* Puts pieces down, a lane each at to[l]. */
+/* Puts pieces down, a lane each so many bytes into the block's pieces. */
 LANES_INLINE void put_pieces(const struct shade_triangles *t, lanes area, const lanes moment[2],
-                             lane_mask number, struct vox_block *block,
-                             const uint32_t to[LANE_COUNT])
+                             lane_mask number, struct vox_block *block, lane_mask offset)
 {
     double *pieces[LANE_COUNT], *weights[LANE_COUNT];
     for (int l = 0; l < LANE_COUNT; l++) {
-        pieces[l] = &block->pieces[to[l]].area;
-        weights[l] = &block->weights[to[l]].normal;
+        pieces[l] = (double *)(void *)((char *)block->pieces + offset[l]);
+        weights[l] = pieces[l] + 4;
     }
     if (t->has_normals) {
         lanes normal, center = lanes_all(0.0);
@@ -125,50 +124,62 @@ LANES_INLINE void put_pieces(const struct shade_triangles *t, lanes area, const 
     lanes_scatter(in, pieces);
 }
 
+/* Shades what divide_small() has made of the triangles that are active, and puts it down from
+ * offsets on, one after the other. Returns the offsets behind. */
+LANES_INLINE lane_mask put_divided(const struct shade_triangles *t, const int planes[3],
+                                   const struct divide_piece *piece,
+                                   const struct cell_numbers numbers[3], lane_mask active,
+                                   struct vox_block *block, lane_mask offset)
+{
+    lanes part = t->area / 3.0;
+    for (int x = 0; x <= planes[0]; x++)
+        for (int y = 0; y <= planes[1]; y++) {
+            lane_mask row = numbers[0].of[x] | numbers[1].of[y];
+            for (int z = 0; z <= planes[2]; z++, piece++) {
+                lane_mask number = row | numbers[2].of[z];
+                lane_mask taken = (piece->share > 0.0) & (number >= 0) & active;
+                if (lanes_bits(taken) == 0)
+                    continue;
+                const lanes moment[2] = {part * piece->moment[0], part * piece->moment[1]};
+                put_pieces(t, t->area * piece->share, moment, number, block, offset);
+                offset += taken & (long long)sizeof(struct block_piece);
+            }
+        }
+    return offset;
+}
+
 /* Divides up to LANE_COUNT triangles of the kind that has these planes. */
 LANES_INLINE void divide_batch(const struct vox_accumulation *what, const uint16_t *order,
                                uint32_t count, const int planes[3])
 {
     struct vox_block *block = what->block;
-    struct divide_piece pieces[DIVIDE_MAX_CELLS], *piece = pieces;
+    struct divide_piece pieces[DIVIDE_MAX_CELLS];
     struct shade_triangles t;
     struct cell_numbers numbers[3];
     const int32_t *low[LANE_COUNT];
-    uint32_t to[LANE_COUNT];
+    uint32_t first[LANE_COUNT];
     uint16_t places[LANE_COUNT];
+    lane_mask offset = {0}, active = {0};
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
         places[l] = order[l < count ? l : count - 1];
         low[l] = block->triangles[places[l]].low;
-        to[l] = l < count ? block->piece_count + l * cells : BLOCK_PIECES;
+        first[l] = l < count ? block->piece_count + l * cells : BLOCK_PIECES;
+        offset[l] = (long long)(first[l] * sizeof(struct block_piece));
+        active[l] = -(long long)(l < count);
     }
     load_triangles(what, places, &t);
-    lanes lowest[3], part = t.area / 3.0;
+    lanes lowest[3];
     lanes_gather_integers(low, lowest);
     for (int a = 0; a < 3; a++)
         number_cells(what, lowest[a], a, planes[a], &numbers[a]);
-    unsigned active = (1u << count) - 1;
-    unsigned doubtful = lanes_bits(divide_small((const lanes(*)[3])t.p, planes, pieces)) & active;
-    active &= ~doubtful;
-    for (int x = 0; x <= planes[0]; x++)
-        for (int y = 0; y <= planes[1]; y++)
-            for (int z = 0; z <= planes[2]; z++, piece++) {
-                lane_mask number = numbers[0].of[x] | numbers[1].of[y] | numbers[2].of[z];
-                unsigned taken = lanes_bits((piece->share > 0.0) & ~(number < 0)) & active;
-                if (taken == 0)
-                    continue;
-                const lanes moment[2] = {part * piece->moment[0], part * piece->moment[1]};
-                number |= lanes_all_bits((uint64_t)(x << 4 | y << 2 | z) << 32);
-                put_pieces(&t, t.area * piece->share, moment, number, block, to);
-                for (int l = 0; l < LANE_COUNT; l++)
-                    to[l] += taken >> l & 1;
-            }
+    lane_mask doubtful = divide_small((const lanes(*)[3])t.p, planes, pieces);
+    offset = put_divided(&t, planes, pieces, numbers, active & ~doubtful, block, offset);
     for (uint32_t l = 0; l < count; l++) {
         struct block_triangle *triangle = &block->triangles[places[l]];
-        uint32_t first = block->piece_count + l * cells;
-        triangle->first = (uint16_t)first;
-        triangle->count = (uint16_t)(to[l] - first);
-        triangle->alone = doubtful >> l & 1;
+        triangle->first = (uint16_t)first[l];
+        triangle->count = (uint16_t)((size_t)offset[l] / sizeof(struct block_piece) - first[l]);
+        triangle->alone = doubtful[l] != 0;
     }
     block->piece_count += count * cells;
 }
@@ -187,7 +198,6 @@ static void divide_kind(const struct vox_accumulation *what, const uint16_t *ord
 
 /* A triangle whose pieces are added. */
 struct source {
-    const struct vox_block *block;
     const struct block_facts *facts;
     struct vox_accumulator *sums;
     bool smooth, curved, has_color;
@@ -196,38 +206,57 @@ struct source {
 LANES_INLINE struct source source_of(const struct vox_accumulation *what, uint32_t place)
 {
     bool smooth = what->chunk->normals != NULL;
-    return (struct source){.block = what->block,
-                           .facts = &what->block->facts[place],
+    return (struct source){.facts = &what->block->facts[place],
                            .sums = what->sums,
                            .smooth = smooth,
                            .curved = smooth && what->chunk->coarse,
                            .has_color = what->sums->colors != NULL};
 }
 
-/* Adds piece i of the block. cell: lower corner of its voxel, from that of the triangle's lowest.
- * rgb: its colour, and 1; NULL: that of the triangle. */
-LANES_INLINE int add_piece(const struct source *from, uint32_t i, const double cell[4],
-                           const double rgb[4])
+/* Adds a piece. cell: lower corner of its voxel, from that of the triangle's lowest. rgb: its
+ * colour, and 1; NULL: that of the triangle. */
+LANES_INLINE int add_piece(const struct source *from, const struct block_piece *piece,
+                           const double cell[4], const double rgb[4])
 {
-    const struct block_piece *piece = &from->block->pieces[i];
     struct vox_piece_sum sum;
     if (from->smooth && !(piece->cell & PIECE_FLAT))
-        shade_smooth(from->facts, piece, cell, &from->block->weights[i], from->curved, &sum);
+        shade_smooth(from->facts, piece, cell, from->curved, &sum);
     else
         shade_flat(from->facts, piece, cell, &sum);
     if (rgb)
         sum.color = piece->area * *(const vox_four *)rgb;
     else if (from->has_color)
         shade_mean(from->facts, ROW_COLOR, piece, &sum.color);
-    return vox_accumulator_add(from->sums, piece->voxel, &sum);
+    return vox_accumulator_add(from->sums, piece->voxel, &sum, from->has_color);
 }
 
-LANES_INLINE int add_pieces(const struct source *from, uint32_t first, uint32_t count)
+LANES_INLINE int add_run(const struct source *from, const struct block_piece *pieces,
+                         uint32_t count)
 {
+    const struct block_piece *end = pieces + count;
     int status = vox_accumulator_make_room(from->sums);
-    for (uint32_t i = first; i < first + count && status == 0; i++)
-        status = add_piece(from, i, shade_cells[from->block->pieces[i].cell % PIECE_FLAT], NULL);
+    if (status != 0)
+        return status;
+    for (; pieces < end; pieces++)
+        status |= add_piece(from, pieces, shade_cells[pieces->cell % PIECE_FLAT], NULL);
     return status;
+}
+
+/* Adds the pieces of a triangle of the block. What most scans need has a loop of its own. */
+LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t place)
+{
+    struct source from = source_of(what, place);
+    const struct block_triangle *triangle = &what->block->triangles[place];
+    const struct block_piece *pieces = &what->block->pieces[triangle->first];
+    if (from.has_color)
+        return add_run(&from, pieces, triangle->count);
+    from.has_color = false;
+    if (!from.smooth) {
+        from.smooth = from.curved = false;
+        return add_run(&from, pieces, triangle->count);
+    }
+    from.smooth = true;
+    return add_run(&from, pieces, triangle->count);
 }
 
 /* ---- other triangles ---- */
@@ -249,14 +278,16 @@ struct single {
 
 static int add_waiting(struct single *s)
 {
-    uint32_t to[LANE_COUNT], count = s->count;
+    uint32_t count = s->count;
+    lane_mask offset = {0};
     bool textured = s->image != UINT32_MAX;
     int status = vox_accumulator_make_room(s->from.sums);
     for (uint32_t l = 0; l < LANE_COUNT; l++)
-        to[l] = BLOCK_PIECES + l;
-    put_pieces(&s->triangles, s->area, s->moment, s->number, s->what->block, to);
+        offset[l] = (long long)((BLOCK_PIECES + l) * sizeof(struct block_piece));
+    put_pieces(&s->triangles, s->area, s->moment, s->number, s->what->block, offset);
     for (uint32_t l = 0; l < count && status == 0; l++)
-        status = add_piece(&s->from, to[l], s->cells[l], textured ? s->rgb[l] : NULL);
+        status = add_piece(&s->from, &s->what->block->pieces[BLOCK_PIECES + l], s->cells[l],
+                           textured ? s->rgb[l] : NULL);
     s->count = 0;
     return status;
 }
@@ -344,12 +375,10 @@ static int add_block(const struct vox_accumulation *what)
         if (counts[kind] > 0)
             divide_kind(what, block->order + starts[kind] - counts[kind], counts[kind], kind);
     for (uint32_t place = 0; place < block->triangle_count && status == 0; place++) {
-        const struct block_triangle *triangle = &block->triangles[place];
-        const struct source from = source_of(what, place);
-        if (triangle->alone)
+        if (block->triangles[place].alone)
             status = add_alone(what, place);
         else
-            status = add_pieces(&from, triangle->first, triangle->count);
+            status = add_pieces(what, place);
     }
     block->triangle_count = 0;
     block->piece_count = 0;

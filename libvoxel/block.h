@@ -46,12 +46,11 @@ struct block_piece {
     double area;      /* in voxel faces */
     double moment[2]; /* area times weight of the second and third corner at the centroid */
     uint32_t voxel;   /* in the region */
-    uint32_t cell;    /* from the lowest of the triangle, two bits an axis */
-};
-
-/* How much of area times interpolated normal goes to the sums of normals and of centres. */
-struct block_weights {
-    double normal, center;
+    uint32_t cell;    /* from the lowest of the triangle, two bits an axis; PIECE_FLAT */
+    double
+        normal_weight; /* how much of area times interpolated normal goes to the sum of normals */
+    double center_weight; /* and to that of centres */
+    double unused[2];     /* a piece has a cache line */
 };
 
 struct vox_block {
@@ -61,8 +60,6 @@ struct vox_block {
     uint16_t order[BLOCK_TRIANGLES]; /* by kind */
     /* Behind are pieces of a triangle that is divided by itself, and what is not wanted. */
     struct block_piece pieces[BLOCK_PIECES + BLOCK_LANES_MAX];
-    struct block_weights
-        weights[BLOCK_PIECES + BLOCK_LANES_MAX]; /* where normals are interpolated */
 };
 
 #endif

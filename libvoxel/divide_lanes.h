@@ -170,6 +170,8 @@ LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3]
     const int q = (axis + 1) % 3, r = (axis + 2) % 3;
     const int strides[3] = {stride[axis], stride[q], stride[r]};
     lanes across[3], inverse[3];
+    if (planes[axis] == 0)
+        return;
     for (int i = 0; i < 3; i++)
         across[i] = p[i][axis];
     for (int i = 0; i < 3; i++)
@@ -207,9 +209,10 @@ LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
     for (int a = 0; a < 3; a++)
         divide_line(p[1][a], p[2][a] - p[1][a], planes[a], &edge[a], &doubtful);
     divide_edge(edge, cells, pieces);
-    for (int a = 0; a < 3; a++)
-        if (planes[a] > 0)
-            divide_axis(p, a, planes, stride, pieces, &doubtful);
+    /* Written out, lest the axis becomes a variable. */
+    divide_axis(p, 0, planes, stride, pieces, &doubtful);
+    divide_axis(p, 1, planes, stride, pieces, &doubtful);
+    divide_axis(p, 2, planes, stride, pieces, &doubtful);
     for (int i = 0; i < count; i++)
         doubtful |= (pieces[i].share != 0.0) & ~(pieces[i].share > DIVIDE_LEAST_SHARE);
     return doubtful;

@@ -135,11 +135,10 @@ static inline bool vox_faces_away(const struct vox_piece_sum *piece, const struc
     return __builtin_expect(d < 0.0, 0) && d * d > 0.25 * 0.25 * vox_dot(sum->normal, sum->normal) * area * area;
 }
 
-/* Adds one piece, of an area above 0, to a voxel. The colour is not looked at where the accumulator
- * has none. The order of calls decides which record a piece goes to. Returns 0 or VOX_REGION_FULL,
+/* Adds one piece, of an area above 0, to a voxel. has_color: whether the accumulator has colours. The order of calls decides which record a piece goes to. Returns 0 or VOX_REGION_FULL,
  * with nothing added. */
 static inline int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
-                                      const struct vox_piece_sum *piece)
+                                      const struct vox_piece_sum *piece, bool has_color)
 {
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
@@ -157,7 +156,7 @@ static inline int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
     struct vox_sum *sum = &a->sums[number];
     *(vox_four *)sum->normal += piece->normal;
     *(vox_four *)sum->center += piece->center;
-    if (a->colors)
+    if (has_color)
         *(vox_four *)a->colors[number].rgb += piece->color;
     return 0;
 }

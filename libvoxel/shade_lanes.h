@@ -249,16 +249,15 @@ LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block
 
 /* And for one with a normal that is interpolated. */
 LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct block_piece *piece,
-                               const double cell[4], const struct block_weights *weights,
-                               bool curved, struct vox_piece_sum *sum)
+                               const double cell[4], bool curved, struct vox_piece_sum *sum)
 {
     vox_four normal;
     shade_mean(facts, ROW_NORMAL, piece, &normal);
-    sum->normal = weights->normal * normal;
+    sum->normal = piece->normal_weight * normal;
     shade_center(facts, piece, cell, &sum->center);
     if (curved) {
         sum->normal += *shade_row(facts, ROW_SHADED);
-        sum->center += weights->center * normal;
+        sum->center += piece->center_weight * normal;
     }
 }
 
