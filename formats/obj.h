@@ -99,6 +99,9 @@ struct fmt_obj_steps {
 int fmt_obj_read_steps(struct fmt_obj_reader *reader, const struct fmt_obj_steps *steps, void *arg,
                        struct fmt_obj_totals *totals);
 unsigned fmt_obj_max_slots(const struct fmt_obj_reader *reader);
+/* The same for any context; a slot takes up to FMT_OBJ_SLOT_BYTES, as a rule. */
+unsigned fmt_obj_slots_for(uint64_t memory_bytes, unsigned threads);
+#define FMT_OBJ_SLOT_BYTES ((uint64_t)4 << 20)
 
 /* What samples of the text say of the whole, within some percent of ordinary scans. */
 struct fmt_obj_estimate {

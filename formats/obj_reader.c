@@ -378,15 +378,23 @@ static int finish(void *arg, void *slot_memory, uint64_t sequence)
 
 /* ---- reading ---- */
 
-/* Two slots a thread keep all busy; fewer where the budget is small. */
+/* Two slots a thread keep all busy as a rule. Four outlast a serial step that takes long now and
+ * then, as where it touches memory for the first time; they may take a small part of the budget. */
+unsigned fmt_obj_slots_for(uint64_t memory_bytes, unsigned threads)
+{
+    uint64_t affordable = memory_bytes / 8 / (slot_text_multiple * OBJ_BLOCK_BYTES);
+    uint64_t count = 2 * (uint64_t)threads, generous = affordable / 4;
+    if (count > affordable)
+        count = affordable > 2 ? affordable : 2;
+    else if (count < generous)
+        count = generous < 2 * count ? generous : 2 * count;
+    return (unsigned)count;
+}
+
 unsigned fmt_obj_max_slots(const struct fmt_obj_reader *reader)
 {
     const struct bsq_ctx *ctx = reader->ctx;
-    uint64_t affordable = bsq_memory_limit(ctx) / 8 / (slot_text_multiple * OBJ_BLOCK_BYTES);
-    uint64_t count = 2 * (uint64_t)bsq_threads(ctx);
-    if (count > affordable)
-        count = affordable > 2 ? affordable : 2;
-    return (unsigned)count;
+    return fmt_obj_slots_for(bsq_memory_limit(ctx), bsq_threads(ctx));
 }
 
 static int run_job(struct job *job, uint64_t blocks)

@@ -67,15 +67,28 @@ static uint64_t record_gap(const struct batches *b)
     return RECORD_SLACK / b->scattered->layout.bytes + 1;
 }
 
-/* Half of what is left for chunks in the making, the rest for the batch. */
+/* Slots for chunks in the making: as many as the limits say, or half of what is left has room for;
+ * twice as many where that is little, as writing takes long now and then. */
+static unsigned count_slots(const struct batches *b, uint64_t left)
+{
+    uint64_t bytes = chunk_builder_bytes(b->scan->attributes), usual = b->scan->limits->slots;
+    uint64_t most = left / 2 / bytes, generous = left / 8 / bytes;
+    uint64_t count = usual;
+    if (count > most)
+        count = most > 1 ? most : 1;
+    else if (count < generous)
+        count = generous < 2 * usual ? generous : 2 * usual;
+    return (unsigned)count;
+}
+
+/* What chunks in the making leave is for the batch. */
 static void divide_memory(struct batches *b)
 {
     const struct sort_limits *limits = b->scan->limits;
     const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES;
     uint64_t used = bsq_memory_used(b->ctx), limit = bsq_memory_limit(b->ctx);
     uint64_t left = limit > used + limits->reserve_bytes ? limit - used - limits->reserve_bytes : 0;
-    uint64_t slots = left / 2 / chunk_builder_bytes(b->scan->attributes);
-    b->slot_count = slots < 1 ? 1 : (unsigned)(slots < limits->slots ? slots : limits->slots);
+    b->slot_count = count_slots(b, left);
     uint64_t slot_bytes = b->slot_count * chunk_builder_bytes(b->scan->attributes);
     uint64_t carry_bytes = carry * b->scattered->layout.bytes;
     left = left > slot_bytes + carry_bytes ? left - slot_bytes - carry_bytes : 0;

@@ -24,7 +24,7 @@ void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limi
 {
     uint64_t least = vox_memory_min(threads);
     uint64_t rest = budget > least ? budget - least : 0;
-    uint64_t reading = 8 * MIB * threads; /* of the OBJ reader */
+    uint64_t reading = fmt_obj_slots_for(budget, threads) * FMT_OBJ_SLOT_BYTES;
     *limits = (struct sort_limits){
         .column_bytes = 8 * MIB + rest / 4 * 3,
         .column_shift = rest >= 256 * MIB ? COLUMN_LARGE_SHIFT : COLUMN_SMALL_SHIFT,
