@@ -4,8 +4,7 @@
  * one axis that it passes through. So a triangle's share is the sum of its areas seen along the three axes, which is what its
  * cross product holds.
  *
- * That is too much only where triangles share voxels, so what is refused is more than twice what there is room for, and never a
- * grid with fewer voxels than triangles: such a grid is about as large as the scan. */
+ * That is too much only where triangles share voxels, so what is refused is more than twice what there is room for. */
 #include "libvoxel/estimate.h"
 
 #include <inttypes.h>
@@ -18,16 +17,28 @@
 static const double huge_voxels = 1e9;
 static const double fine_voxels = 16.0; /* voxels of a triangle where no more detail can come of smaller ones */
 
+/* Chunks that tell the size of an ordinary grid: some milliseconds. */
+enum { SAMPLES = 16 };
+
 /* A surface passes through 8 x 8 of a leaf's 512 voxels. */
 static const double voxels_of_leaf = 64.0;
+/* As measured: a normal and a plane, and a voxel's share of leaves and second records; a colour. */
+static const double voxel_bytes = 11.0, color_bytes = 4.0;
 static const double certainty = 0.5; /* the share of the estimate that is there at least */
+
+/* A chunk that is looked at. */
+struct sample {
+    double area;
+    uint32_t triangles;
+};
 
 struct area_job {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
     uint8_t *scratch; /* one chunk a worker */
     uint64_t scratch_bytes;
-    double *areas; /* one a chunk, so that the sum does not depend on threads */
+    struct sample *samples; /* their sum does not depend on threads */
+    uint64_t count;
     unsigned workers;
 };
 
@@ -53,18 +64,19 @@ static double projected_areas(const struct fmt_tris_chunk *chunk)
     return sum / 2;
 }
 
-/* Every workers-th chunk, from the index on. */
+/* Every workers-th sample, from the index on. Samples are spread evenly over the file. */
 static int sum_areas(void *arg, uint64_t index, unsigned worker)
 {
     struct area_job *job = arg;
-    uint64_t count = fmt_tris_get_header(job->file)->chunk_count;
+    uint64_t chunks = fmt_tris_get_header(job->file)->chunk_count;
     void *scratch = job->scratch + index * job->scratch_bytes;
     int status = 0;
     (void)worker;
-    for (uint64_t i = index; i < count && status == 0; i += job->workers) {
+    for (uint64_t i = index; i < job->count && status == 0; i += job->workers) {
+        uint64_t number = (2 * i + 1) * chunks / (2 * job->count);
         struct fmt_tris_chunk chunk;
-        if ((status = bsq_check(job->ctx)) == 0 && (status = fmt_tris_load(job->file, i, scratch, &chunk)) == 0)
-            job->areas[i] = projected_areas(&chunk);
+        if ((status = bsq_check(job->ctx)) == 0 && (status = fmt_tris_load(job->file, number, scratch, &chunk)) == 0)
+            job->samples[i] = (struct sample){projected_areas(&chunk), chunk.triangle_count};
     }
     return status;
 }
@@ -77,22 +89,26 @@ static unsigned choose_workers(const struct area_job *job)
     return room >= threads ? threads : room > 0 ? (unsigned)room : 1;
 }
 
-int estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, double *voxels)
+int estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice,
+                    uint64_t chunks_max, double *voxels)
 {
-    uint64_t count = fmt_tris_get_header(file)->chunk_count;
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
     struct area_job job = {.ctx = ctx, .file = file, .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
+    job.count = header->chunk_count < chunks_max ? header->chunk_count : chunks_max;
     job.workers = choose_workers(&job);
-    int status = bsq_calloc(ctx, "areas of chunks", count, sizeof *job.areas, &job.areas);
+    int status = bsq_calloc(ctx, "areas of chunks", job.count, sizeof *job.samples, &job.samples);
     if (status == 0)
         status = bsq_alloc(ctx, "areas of chunks", job.workers, job.scratch_bytes, &job.scratch);
     if (status == 0)
         status = bsq_parallel_for(ctx, job.workers, sum_areas, &job);
-    double area = 0.0;
-    for (uint64_t i = 0; i < count && status == 0; i++)
-        area += job.areas[i];
-    *voxels = area / lattice->h / lattice->h;
+    double area = 0.0, triangles = 0.0;
+    for (uint64_t i = 0; i < job.count && status == 0; i++) {
+        area += job.samples[i].area;
+        triangles += job.samples[i].triangles;
+    }
+    *voxels = triangles > 0.0 ? area * ((double)header->triangle_count / triangles) / lattice->h / lattice->h : 0.0;
     bsq_free(ctx, job.scratch);
-    bsq_free(ctx, job.areas);
+    bsq_free(ctx, job.samples);
     return status;
 }
 
@@ -112,34 +128,43 @@ static double voxels_by_bounds(const struct fmt_tris_file *file, const struct vo
     return sum;
 }
 
-/* Normals and planes, colours, leaves and the words that find second records. */
-static double grid_bytes(double voxels, bool has_color)
+double estimate_bytes(double voxels, bool has_color)
 {
-    return voxels * ((has_color ? 12.0 : 8.0) + 96.0 / voxels_of_leaf + 8.0 / 32.0);
+    return voxels * (voxel_bytes + (has_color ? color_bytes : 0.0));
 }
 
-int estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, bool has_color,
-                   const char *grid_path)
+/* Nothing is said of a grid with fewer voxels than triangles: it is about as large as the scan. */
+static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, double voxels,
+                      double bytes, const char *grid_path)
 {
     uint64_t triangles = fmt_tris_get_header(file)->triangle_count;
-    double voxels;
-    if (voxels_by_bounds(file, lattice) < huge_voxels)
+    if (voxels < huge_voxels || voxels < (double)triangles)
         return 0;
-    int status = estimate_voxels(ctx, file, lattice, &voxels);
-    if (status < 0 || voxels < huge_voxels || voxels < (double)triangles)
-        return status;
     if (certainty * voxels / voxels_of_leaf > (double)UINT32_MAX)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "%s: about %.2g voxels of %g would be in the grid, which has no more than %" PRIu32
                         " leaves of 8x8x8; choose larger voxels",
                         grid_path, voxels, lattice->h, UINT32_MAX);
-    double bytes = grid_bytes(voxels, has_color);
     if (voxels > fine_voxels * (double)triangles)
         bsq_warn(ctx,
                  "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, and while it is made twice that: voxels are small "
                  "for a scan of %" PRIu64 " triangles",
                  grid_path, voxels, lattice->h, bytes / 0x1p30, triangles);
+    return 0;
+}
+
+int estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, bool has_color,
+                   const char *grid_path)
+{
+    uint64_t chunks_max = voxels_by_bounds(file, lattice) < huge_voxels ? SAMPLES : UINT64_MAX;
+    double voxels;
+    int status = estimate_voxels(ctx, file, lattice, chunks_max, &voxels);
+    if (status < 0)
+        return status;
+    double bytes = estimate_bytes(voxels, has_color);
+    if ((status = judge_huge(ctx, file, lattice, voxels, bytes, grid_path)) < 0)
+        return status;
     /* Sections are temporary files until they are joined. */
-    uint64_t least = (uint64_t)(certainty * bytes);
+    uint64_t least = (uint64_t)fmin(certainty * bytes, 0x1p62);
     return bsq_require_space(ctx, grid_path, least, least);
 }

@@ -75,6 +75,13 @@ if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/n
     [ ! -s here.txt ]
     check "nothing was written" $?
 
+    # The grid's need is known when the chunk file is complete, which stays, for --resume.
+    small_disk 50 vase.obj -o disk/a.nvdb --resolution 512
+    code 74
+    err_like '^bisque-voxelize: disk: [0-9]* bytes are needed for outputs and temporary files, [0-9]* are free$'
+    [ "$(tr '\n' ' ' <here.txt)" = "a.tris a.tris.job " ]
+    check "the chunk file and its record are left" $?
+
     # Temporary files count where they go.
     small_disk 8 vase.obj -o a.nvdb --tmpdir disk --resolution 512 --memory "${least}M" --threads 2
     code 74
