@@ -324,7 +324,7 @@ $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
 	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@
 $(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
-$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 $(BUILD)/tests/bench-rays-counters: $(call rays_objs) $(BUILD)/counted/tests/bench/rays_counters.c.o \

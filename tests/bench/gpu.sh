@@ -1,11 +1,13 @@
 #!/bin/sh
 # Measures bisque-bake on the GPUs of this machine and prints tables in Markdown: whole bakes on cpu, cuda and opencl,
-# their maps held against the processor's, and the kernel with other registers and blocks than the default.
+# their maps held against the processor's, and the kernel, beside what the memory allows and with other registers and
+# blocks than the default.
 #
-#   tests/bench/gpu.sh [small|full]
+#   tests/bench/gpu.sh [small|full] [all|bakes|kernel]
 #
 #   small          1024 x 1024 with 2 x 2 samples from a grid of 512 voxels; to try the script
 #   full           4096 x 4096 with 4 x 4 samples from a grid of 2048 voxels (default)
+#   bakes, kernel  only that part, where a call may not take long; default: all
 #   BENCH_BUNDLE   a directory made by `make gpu-bundle`, with programs and libraries; default: build/gpu where it is,
 #                  else the programs are built
 #   BENCH_DIR      where scans and maps go, and scans stay for the next run; default: a temporary directory
@@ -20,7 +22,15 @@ case ${1:-full} in
 small) triangles=100000 resolution=512 size=1024 samples=2 ;;
 full) triangles=4000000 resolution=2048 size=4096 samples=4 ;;
 *)
-    echo "usage: tests/bench/gpu.sh [small|full]" >&2
+    echo "usage: tests/bench/gpu.sh [small|full] [all|bakes|kernel]" >&2
+    exit 64
+    ;;
+esac
+what=${2:-all}
+case $what in
+all | bakes | kernel) ;;
+*)
+    echo "gpu: $what is not all, bakes or kernel" >&2
     exit 64
     ;;
 esac
@@ -86,11 +96,11 @@ echo
 
 # ---- bakes ----
 
-# bake DEVICE TYPE DESTINATION: maps of that OpenEXR type; the report goes to a file.
+# bake DEVICE TYPE DESTINATION [OPTION VALUE]: maps of that OpenEXR type; the report goes to a file.
 bake()
 {
     bisque-bake --progress none --json --device "$1" --size $size --samples $samples "--$2" --maps normal,color,mask \
-        "$scan" low.obj -o "$1_<MAP>.exr" >"$3" 2>bake.err || {
+        ${4:+"$4" "$5"} "$scan" low.obj -o "$1_<MAP>.exr" >"$3" 2>bake.err || {
         say "$1: $(cat bake.err)"
         return 1
     }
@@ -123,40 +133,77 @@ agreement()
     if [ $same = yes ]; then
         echo "the same bytes"
     else
-        bisque-compare cpu_normal.exr "$1_normal.exr" 2>&1 | grep '^degrees' || echo "cannot be compared"
+        bisque-compare "$1_normal.exr" cpu_normal.exr >compared 2>&1
+        grep '^degrees' compared >/dev/null && grep -E '^(degrees|share)' compared | paste -sd ';' || echo "cannot be compared"
     fi
 }
 
-echo "## Whole bakes: $size x $size texels, $samples x $samples samples, grid of $resolution voxels ($(wc -c <"$scan") bytes)"
-echo
-echo "Seconds; the fastest of $rounds runs (cpu: one) of normal, colour and mask as half floats. Open includes the upload;"
-echo "kernels and copies run within trace. Maps are compared as floats."
-echo
-echo "| device | all | open | upload | trace | kernels | calls | copies | padding | resolve | write | 10^9 pairs/s in kernels | maps |"
-echo "|---|---|---|---|---|---|---|---|---|---|---|---|---|"
-for device in cpu cuda opencl; do
-    bake_often $device || continue
-    f=$device.json
-    printf '| %s: %s ' $device "$(field device $f)"
-    for name in seconds seconds_open seconds_upload seconds_trace seconds_kernels; do
-        printf '| %s ' "$(seconds $name $f)"
+# passes: a line of a table for a device's memory that has no room for the grid: tiles and a quarter of it.
+passes()
+{
+    ! bake cuda float round.json --gpu-memory 1M 2>/dev/null || return 1
+    tiles=$(sed -n 's/.*take \([0-9]*\) bytes of the device.*/\1/p' bake.err)
+    [ -n "$tiles" ] && bake cuda float cuda.json --gpu-memory $((tiles + $(wc -c <"$scan") / 4)) || {
+        say "passes: $(cat bake.err)"
+        return 1
+    }
+    echo "With $((tiles + $(wc -c <"$scan") / 4)) bytes of the GPU's memory, $tiles of them for tiles: $(field passes cuda.json) passes," \
+        "$(seconds seconds cuda.json) s, trace $(seconds seconds_trace cuda.json) s, of it upload" \
+        "$(seconds seconds_upload cuda.json) s beside kernels of $(seconds seconds_kernels cuda.json) s; maps: $(agreement cuda)."
+}
+
+bakes()
+{
+    echo "## Whole bakes: $size x $size texels, $samples x $samples samples, grid of $resolution voxels ($(wc -c <"$scan") bytes)"
+    echo
+    echo "Seconds; the fastest of $rounds runs (cpu: one) of normal, colour and mask as half floats. Open includes the upload;"
+    echo "kernels and copies run within trace; GB/s are the grid's bytes by the upload. Maps are compared as floats."
+    echo
+    echo "| device | all | open | upload | GB/s | trace | kernels | calls | copies | padding | resolve | write |" \
+        "10^9 pairs/s in kernels | maps |"
+    echo "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+    for device in cpu cuda opencl; do
+        bake_often $device || continue
+        f=$device.json
+        printf '| %s: %s ' $device "$(field device $f)"
+        for name in seconds seconds_open seconds_upload; do
+            printf '| %s ' "$(seconds $name $f)"
+        done
+        awk -v n="$(wc -c <"$scan")" -v s="$(field seconds_upload $f)" \
+            'BEGIN { if (s > 0) printf "| %.2f ", n / s / 1e9; else printf "| – " }'
+        for name in seconds_trace seconds_kernels; do
+            printf '| %s ' "$(seconds $name $f)"
+        done
+        printf '| %s ' "$(field kernel_calls $f)"
+        for name in seconds_copies seconds_padding seconds_resolve seconds_write; do
+            printf '| %s ' "$(seconds $name $f)"
+        done
+        awk -v n="$(field samples $f)" -v s="$(field seconds_kernels $f)" \
+            'BEGIN { if (s > 0) printf "| %.3f ", n / s / 1e9; else printf "| – " }'
+        if [ $device = cpu ]; then
+            echo "| reference |"
+        else
+            echo "| $(agreement $device) |"
+        fi
     done
-    printf '| %s ' "$(field kernel_calls $f)"
-    for name in seconds_copies seconds_padding seconds_resolve seconds_write; do
-        printf '| %s ' "$(seconds $name $f)"
-    done
-    awk -v n="$(field samples $f)" -v s="$(field seconds_kernels $f)" \
-        'BEGIN { if (s > 0) printf "| %.3f ", n / s / 1e9; else printf "| – " }'
-    if [ $device = cpu ]; then
-        echo "| reference |"
-    else
-        echo "| $(agreement $device) |"
-    fi
-done
-echo
+    echo
+    passes
+    echo
+}
 
 # ---- the kernel ----
 
-echo "## The kernel on cuda, with other registers and blocks"
-echo
-bench-gpu-trace "$scan" low.obj $size $samples 2>&1
+kernel()
+{
+    echo "## The kernel on cuda, beside its limits, and with other registers and blocks"
+    echo
+    bench-gpu-trace "$scan" low.obj $size $samples 2>&1
+}
+
+case $what in
+all)
+    bakes
+    kernel
+    ;;
+bakes | kernel) $what ;;
+esac

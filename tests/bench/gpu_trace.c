@@ -1,11 +1,11 @@
-/* gpu_trace.c - how long the kernel takes on an NVIDIA GPU, with other numbers of registers and
- * shapes of blocks than the default: a Markdown table. Each line is the better of two runs over the
- * whole map; the texels' checksums have to be the same. */
+/* gpu_trace.c - how long the kernel takes on an NVIDIA GPU: beside what its memory allows, and with
+ * other numbers of registers and shapes of blocks than the default, as Markdown tables. Each line
+ * is the better of two runs over the whole map; the texels' checksums have to be the same. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "tests/bench/rays.h"
+#include "tests/bench/gpu_limits.h"
 
 struct measured {
     double kernels, wall, open;
@@ -40,6 +40,13 @@ static int measure(struct rays_scene *scene, const struct bake_cuda_tuning *tuni
     }
     bake_device_close(device);
     return status;
+}
+
+static int measure_default(struct rays_scene *scene)
+{
+    struct measured m;
+    int status = measure(scene, NULL, &m);
+    return status < 0 ? status : gpu_limits_print(scene, m.kernels);
 }
 
 static int measure_all(struct rays_scene *scene)
@@ -81,6 +88,8 @@ int main(int argc, char **argv)
         return 71;
     status =
         rays_open(ctx, argv[1], argv[2], (uint32_t)atoi(argv[3]), (uint32_t)atoi(argv[4]), &scene);
+    if (status == 0)
+        status = measure_default(&scene);
     if (status == 0)
         status = measure_all(&scene);
     if (status < 0)

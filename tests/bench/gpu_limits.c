@@ -1,0 +1,156 @@
+/* gpu_limits.c - what the memory of a GPU lets the kernel take at least, beside what it takes. */
+#define BK_COUNTERS
+#include "tests/bench/gpu_limits.h"
+
+#include <stdio.h>
+
+#include "libbake/cuda_api_internal.h"
+#include "libbake/kernel/bk_sample.h"
+#include "libbake/part_internal.h"
+
+enum { MEMORY_CLOCK_RATE = 36, GLOBAL_MEMORY_BUS_WIDTH = 37 }; /* attributes: kHz, bits */
+
+/* Rows of texels of which one is counted. */
+enum { COUNTED = 4 };
+
+static _Thread_local bk_counts counts;
+
+bk_counts *bk_counts_of_thread(void)
+{
+    return &counts;
+}
+
+struct counter {
+    const struct rays_scene *scene;
+    bk_grid grid;
+    bk_counts *workers;
+};
+
+static void add(bk_counts *to, const bk_counts *more)
+{
+    to->rays += more->rays;
+    to->steps += more->steps;
+    to->fetches += more->fetches;
+    to->planes += more->planes;
+    to->blends += more->blends;
+}
+
+/* Texel by texel with nothing kept between them, as work items are. */
+static int count_tile(void *arg, const struct rays_tile *tile)
+{
+    struct counter *counter = arg;
+    for (uint32_t row = 0; row < tile->tile.height; row += COUNTED)
+        for (uint32_t column = 0; column < tile->tile.width; column++) {
+            bk_cache cache = bk_cache_empty();
+            bk_sample_texel(&counter->grid, &counter->scene->job.params, &cache,
+                            counter->scene->triangles, &tile->tile, tile->sample_triangles, column,
+                            row);
+        }
+    add(&counter->workers[tile->worker], &counts);
+    counts = (bk_counts){0};
+    return 0;
+}
+
+static bk_grid grid_of(const struct rays_scene *scene)
+{
+    const struct fmt_nvdb_grid *file = &scene->surface.grid;
+    bk_grid grid;
+    bk_grid_from_params(&grid, &scene->job.params);
+    grid.tiles = (const bk_ulong *)(const void *)file->tiles;
+    grid.uppers = (const bk_ulong *)(const void *)file->uppers;
+    grid.lowers = (const bk_ulong *)(const void *)file->lowers;
+    grid.leaves = (const bk_ulong *)(const void *)file->leaves;
+    grid.normals = file->normals;
+    grid.planes = file->planes;
+    grid.colors = file->colors;
+    grid.seconds = &file->seconds[0][0];
+    return grid;
+}
+
+static int count(struct rays_scene *scene, bk_counts *out)
+{
+    struct counter counter = {.scene = scene, .grid = grid_of(scene)};
+    int status = bsq_calloc(scene->ctx, "counts", bsq_threads(scene->ctx), sizeof *counter.workers,
+                            &counter.workers);
+    *out = (bk_counts){0};
+    if (status < 0)
+        return status;
+    status = rays_for_tiles(scene, count_tile, &counter);
+    for (unsigned w = 0; w < bsq_threads(scene->ctx); w++)
+        add(out, &counter.workers[w]);
+    bsq_free(scene->ctx, counter.workers);
+    return status;
+}
+
+/* Bytes a second between the first GPU and its memory, by its clock and bus; 0: it does not say. */
+static double memory_bandwidth(void)
+{
+    struct bake_cuda_api api;
+    struct bake_cuda_device device;
+    CUresult code;
+    int devices, khz = 0, bits = 0;
+    if (bake_cuda_load(&api, &devices, &code) != BAKE_CUDA_WORKS ||
+        bake_cuda_device(&api, 0, &device) != CUDA_SUCCESS ||
+        api.cuDeviceGetAttribute(&khz, MEMORY_CLOCK_RATE, device.device) != CUDA_SUCCESS ||
+        api.cuDeviceGetAttribute(&bits, GLOBAL_MEMORY_BUS_WIDTH, device.device) != CUDA_SUCCESS)
+        return 0;
+    return 2.0 * 1e3 * khz * bits / 8; /* two transfers a clock */
+}
+
+static double grid_bytes(const struct rays_scene *scene)
+{
+    struct bake_part whole;
+    double bytes = 0;
+    bake_part_whole(scene->job.grid, &scene->job.params, &whole);
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        bytes += (double)whole.bytes[i];
+    return bytes;
+}
+
+static void print_line(const char *what, double bytes, double bandwidth, double seconds)
+{
+    printf("| %s | %.3f ", what, 1e-9 * bytes);
+    if (bandwidth > 0)
+        printf("| %.2f | %.1f |\n", 1e3 * bytes / bandwidth, seconds * bandwidth / bytes);
+    else
+        printf("| - | - |\n");
+}
+
+/* What a pair asks of the grid: two words a node, a word a step, a leaf's words and a record a
+ * plane, those of two layers and eight records a blend. */
+static double asked_bytes(const bk_counts *c, bool color)
+{
+    const double record = 8, word = 8;
+    return (double)c->fetches * 2 * word + (double)c->steps * word +
+           (double)c->planes * (2 * word + record) +
+           (double)c->blends * (4 * word + 8 * (record + (color ? 4 : 0)));
+}
+
+int gpu_limits_print(struct rays_scene *scene, double kernel_seconds)
+{
+    const double bandwidth = memory_bandwidth(), pairs = (double)scene->count;
+    const double texels = pairs / (scene->samples * scene->samples);
+    const double tiles = pairs * sizeof(uint32_t) + texels * sizeof(struct bk_texel);
+    bk_counts c;
+    int status = count(scene, &c);
+    if (status < 0)
+        return status;
+    const double asked =
+        asked_bytes(&c, scene->job.params.flags & BK_HAS_COLOR) / (double)c.rays * pairs;
+    printf("%.1f million ray pairs; each %.2f steps, %.2f nodes looked up, %.2f planes, %.2f "
+           "blends. Kernels took %.1f ms. ",
+           1e-6 * pairs, (double)c.steps / (double)c.rays, (double)c.fetches / (double)c.rays,
+           (double)c.planes / (double)c.rays, (double)c.blends / (double)c.rays,
+           1e3 * kernel_seconds);
+    if (bandwidth > 0)
+        printf("The GPU's memory moves %.0f GB/s.\n\n", 1e-9 * bandwidth);
+    else
+        printf("The GPU does not say what its memory moves.\n\n");
+    puts("| bytes | GB | ms at that | times that long |\n|---|---|---|---|");
+    print_line("the grid, samples and texels once", grid_bytes(scene) + tiles, bandwidth,
+               kernel_seconds);
+    print_line("all that rays ask for, as if there were no caches", asked + tiles, bandwidth,
+               kernel_seconds);
+    puts("");
+    return 0;
+}
