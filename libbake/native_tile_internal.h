@@ -1,5 +1,5 @@
-/* native_tile_internal.h - traces a tile BK_WIDTH samples at a time. Included by one source for each set of
- * instructions, with BK_WIDTH and NATIVE_TILE defined. */
+/* native_tile_internal.h - traces a tile BK_WIDTH samples at a time. Included by one source for
+ * each set of instructions, with BK_WIDTH and NATIVE_TILE defined. */
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/native_internal.h"
 
@@ -51,6 +51,26 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
     }
 }
 
+/* Every second bit of a number of six, the others left out. */
+_Static_assert(BAKE_NATIVE_SQUARE == 8, "six bits number the texels of a square");
+static uint32_t even_bits(uint32_t bits)
+{
+    return (bits & 1) | (bits >> 1 & 2) | (bits >> 2 & 4);
+}
+
+/* A square of texels in Morton order (1966): those of a group are near each other on both axes. */
+static void add_square(struct group *group, const struct bk_tile *tile,
+                       const uint32_t *sample_triangles, uint32_t x, uint32_t y,
+                       struct bk_texel *texels)
+{
+    for (uint32_t i = 0; i < BAKE_NATIVE_SQUARE * BAKE_NATIVE_SQUARE; i++) {
+        const uint32_t column = x + even_bits(i), row = y + even_bits(i >> 1);
+        if (column < tile->width && row < tile->height)
+            add_texel(group, tile, sample_triangles, column, row,
+                      &texels[(uint64_t)row * tile->width + column]);
+    }
+}
+
 void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
                  const struct bk_triangle *triangles, const struct bk_tile *tile,
                  const uint32_t *sample_triangles, struct bk_texel *texels)
@@ -62,10 +82,6 @@ void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
         group.places[i] = bk_sample_place(0, i, params->samples);
     for (uint32_t y = 0; y < tile->height; y += BAKE_NATIVE_SQUARE)
         for (uint32_t x = 0; x < tile->width; x += BAKE_NATIVE_SQUARE)
-            for (uint32_t row = y; row < y + BAKE_NATIVE_SQUARE && row < tile->height; row++)
-                for (uint32_t column = x; column < x + BAKE_NATIVE_SQUARE && column < tile->width;
-                     column++)
-                    add_texel(&group, tile, sample_triangles, column, row,
-                              &texels[(uint64_t)row * tile->width + column]);
+            add_square(&group, tile, sample_triangles, x, y, texels);
     trace_group(&group);
 }

@@ -1,5 +1,5 @@
 /* test_lanes.c - the kernel gives the same bits for any number of lanes and order of samples:
- * groups of four, eight and sixteen in squares of texels against one sample at a time, row by row. */
+ * groups of four, eight and sixteen in squares of texels, in Morton order, against one sample at a time, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
