@@ -6,6 +6,7 @@
 #include <math.h>
 #include <pthread.h>
 
+#include "base/positions.h"
 #include "formats/texture.h"
 #include "formats/tris.h"
 #include "libbake/exact_internal.h"
@@ -36,9 +37,8 @@ static inline uint64_t exact_left_of_budget(const struct bsq_ctx *ctx)
 
 /* Sums of normals by position, see exact_smooth.c. */
 struct exact_smooth {
-    uint32_t *table; /* open addressing: number of the entry + 1 */
-    uint32_t table_mask;
-    uint32_t *entry_of; /* of each vertex of the chunk; UINT32_MAX: not needed */
+    struct bsq_positions table; /* of positions */
+    uint32_t *entry_of; /* of each vertex of the chunk, + 1; 0: not needed */
     float (*positions)[3];
     double (*sums)[4]; /* of cross products, and of their lengths */
     uint32_t count;

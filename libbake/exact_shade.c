@@ -51,7 +51,7 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
 static void add_smooth(const struct place *place, int corner, double sum[3])
 {
     const struct exact_smooth *smooth = &place->slot->smooth;
-    const double *n = smooth->sums[smooth->entry_of[place->v[corner]]];
+    const double *n = smooth->sums[smooth->entry_of[place->v[corner]] - 1];
     double length = sqrt(dot(n, n));
     if (!(length >= FMT_TRIS_CREASE_SHARE * n[3]) || !(length > 0)) {
         n = place->cross;

@@ -10,77 +10,42 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define NO_ENTRY UINT32_MAX
-
 /* ---- memory ---- */
-
-static uint32_t table_size(uint32_t vertices)
-{
-    uint32_t size = 16;
-    while (size < 2 * vertices)
-        size *= 2;
-    return size;
-}
 
 uint64_t exact_smooth_bytes(uint32_t vertices)
 {
     const struct exact_smooth *s = NULL;
-    return table_size(vertices) * sizeof *s->table +
+    return (uint64_t)bsq_positions_slots(vertices) * sizeof *s->table.slots +
            (uint64_t)vertices * (sizeof *s->sums + sizeof *s->positions + sizeof *s->entry_of);
 }
 
 void exact_smooth_begin(struct exact_slot *slot)
 {
     struct exact_smooth *s = &slot->smooth;
-    const uint32_t vertices = slot->chunk.vertex_count, size = table_size(vertices);
+    const uint32_t vertices = slot->chunk.vertex_count, slots = bsq_positions_slots(vertices);
     s->sums = slot->smooth_memory;
     s->positions = (float(*)[3])(void *)(s->sums + vertices);
     s->entry_of = (uint32_t *)(void *)(s->positions + vertices);
-    s->table = s->entry_of + vertices;
-    s->table_mask = size - 1;
+    s->table = (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
     s->count = 0;
-    memset(s->table, 0, size * sizeof *s->table);
-    memset(s->entry_of, 0xff, vertices * sizeof *s->entry_of);
+    memset(s->table.slots, 0, slots * sizeof *s->table.slots);
+    memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
 }
 
 /* ---- vertices by position ---- */
 
-static uint64_t hash(const float position[3])
-{
-    uint32_t bits[3];
-    for (int k = 0; k < 3; k++) {
-        float p = position[k] + 0.0f; /* one zero */
-        memcpy(&bits[k], &p, sizeof p);
-    }
-    uint64_t h = (bits[0] | (uint64_t)bits[1] << 32) * UINT64_C(0x9e3779b97f4a7c15);
-    h = (h ^ h >> 29 ^ bits[2]) * UINT64_C(0xbf58476d1ce4e5b9);
-    return h ^ h >> 32;
-}
-
-/* Place in the table of the position, or of the gap where it would be. */
-static uint32_t find(const struct exact_smooth *s, const float position[3])
-{
-    uint32_t at = (uint32_t)hash(position) & s->table_mask;
-    for (; s->table[at] != 0; at = (at + 1) & s->table_mask) {
-        const float *p = s->positions[s->table[at] - 1];
-        if (p[0] == position[0] && p[1] == position[1] && p[2] == position[2])
-            break;
-    }
-    return at;
-}
-
 void exact_smooth_need(struct exact_slot *slot, uint32_t vertex)
 {
     struct exact_smooth *s = &slot->smooth;
-    if (s->entry_of[vertex] != NO_ENTRY)
+    if (s->entry_of[vertex] != 0)
         return;
-    const uint32_t at = find(s, slot->chunk.positions[vertex]);
-    if (s->table[at] == 0) {
+    uint32_t *entry = bsq_positions_find(&s->table, slot->chunk.positions[vertex]);
+    if (*entry == 0) {
         memcpy(s->positions[s->count], slot->chunk.positions[vertex], sizeof *s->positions);
         memset(s->sums[s->count], 0, sizeof *s->sums);
-        s->table[at] = ++s->count;
+        *entry = ++s->count;
     }
-    s->entry_of[vertex] = s->table[at] - 1;
+    s->entry_of[vertex] = *entry;
 }
 
 /* ---- sums ---- */
@@ -93,41 +58,43 @@ static bool inside(const struct exact_box *box, const float p[3])
     return in;
 }
 
-static void map_vertices(const struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
-                         const struct exact_box *box, uint32_t *map)
+/* Twice the triangle's area vector, and its length. */
+static void area_vector(const float a[3], const float b[3], const float c[3], double n[4])
 {
-    for (uint32_t v = 0; v < chunk->vertex_count; v++)
-        map[v] = inside(box, chunk->positions[v])
-                     ? s->table[find(s, chunk->positions[v])] - 1 /* NO_ENTRY in a gap */
-                     : NO_ENTRY;
+    double u[3], v[3];
+    for (int k = 0; k < 3; k++) {
+        u[k] = (double)b[k] - (double)a[k];
+        v[k] = (double)c[k] - (double)a[k];
+    }
+    n[0] = u[1] * v[2] - u[2] * v[1];
+    n[1] = u[2] * v[0] - u[0] * v[2];
+    n[2] = u[0] * v[1] - u[1] * v[0];
+    n[3] = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
 }
 
+/* map: of the chunk's vertices, the numbers of their sums + 1, 0 where there are none. */
 static void add_triangles(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
                           const uint32_t *map)
 {
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         const uint32_t *v = chunk->triangles[t];
-        if ((map[v[0]] & map[v[1]] & map[v[2]]) == NO_ENTRY)
+        if ((map[v[0]] | map[v[1]] | map[v[2]]) == 0)
             continue;
-        const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
-                    *c = chunk->positions[v[2]];
-        double p[3], q[3];
-        for (int k = 0; k < 3; k++) {
-            p[k] = (double)b[k] - (double)a[k];
-            q[k] = (double)c[k] - (double)a[k];
-        }
-        const double cross[3] = {p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2],
-                                 p[0] * q[1] - p[1] * q[0]};
-        const double length =
-            sqrt(cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]);
+        double n[4];
+        area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
         for (int i = 0; i < 3; i++) {
-            if (map[v[i]] == NO_ENTRY)
+            if (map[v[i]] == 0)
                 continue;
-            for (int k = 0; k < 3; k++)
-                s->sums[map[v[i]]][k] += cross[k];
-            s->sums[map[v[i]]][3] += length;
+            for (int k = 0; k < 4; k++)
+                s->sums[map[v[i]] - 1][k] += n[k];
         }
     }
+}
+
+static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk, const struct exact_box *box, uint32_t *map)
+{
+    if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count, map))
+        add_triangles(s, chunk, map);
 }
 
 static struct exact_box bounds_of(const struct exact_smooth *s)
@@ -171,8 +138,7 @@ int exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
         const uint32_t number = scratch->near[i];
         if (number == slot->number) {
             /* Vertices that share a needed one's position count as well. */
-            map_vertices(s, &slot->chunk, &box, s->entry_of);
-            add_triangles(s, &slot->chunk, s->entry_of);
+            add_chunk(s, &slot->chunk, &box, s->entry_of);
             continue;
         }
         if (!reaches(s, &exact->chunks[number]))
@@ -181,8 +147,7 @@ int exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
         int status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
         if (status < 0)
             return status;
-        map_vertices(s, &neighbour, &box, scratch->map);
-        add_triangles(s, &neighbour, scratch->map);
+        add_chunk(s, &neighbour, &box, scratch->map);
     }
     return 0;
 }

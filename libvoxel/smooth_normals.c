@@ -10,20 +10,21 @@
 #include <pthread.h>
 #include <string.h>
 
+#include "base/positions.h"
+
 /* Room for one call. */
 struct desk {
     bool busy;
-    uint32_t *table;        /* positions, open addressing: vertex number + 1, 0 is free */
-    uint32_t *twins;        /* of each vertex of the chunk: the first vertex at its position + 1 */
-    uint32_t *mates;        /* of each vertex of a neighbour: the same, 0 where there is none */
-    struct vox_ring *rings; /* by these numbers */
-    void *scratch;          /* a neighbour that nobody lends */
+    struct bsq_positions table; /* of the chunk's vertices */
+    uint32_t *twins;            /* of each vertex of the chunk: the first vertex at its position + 1 */
+    uint32_t *mates;            /* of each vertex of a neighbour: the same, 0 where there is none */
+    struct vox_ring *rings;     /* by these numbers */
+    void *scratch;              /* a neighbour that nobody lends */
 };
 
 struct vox_smooth {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
-    uint32_t slot_mask; /* table size - 1 */
     pthread_mutex_t lock;
     pthread_cond_t left; /* a desk became free */
     unsigned desk_count;
@@ -40,28 +41,20 @@ static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
     return largest;
 }
 
-/* At most half full. */
-static uint64_t table_size(uint64_t vertices)
-{
-    uint64_t size = 16;
-    while (size < 2 * vertices)
-        size *= 2;
-    return size;
-}
-
 static uint64_t desk_bytes(const struct fmt_tris_file *file)
 {
-    uint64_t vertices = largest_vertex_count(file);
-    return sizeof(struct desk) + table_size(vertices) * sizeof(uint32_t) +
-           vertices * 2 * sizeof(uint32_t) + (vertices + 1) * sizeof(struct vox_ring) +
+    uint32_t vertices = largest_vertex_count(file);
+    return sizeof(struct desk) + (uint64_t)bsq_positions_slots(vertices) * sizeof(uint32_t) +
+           (uint64_t)vertices * 2 * sizeof(uint32_t) + ((uint64_t)vertices + 1) * sizeof(struct vox_ring) +
            fmt_tris_load_size_max(file);
 }
 
 static int make_desk(struct vox_smooth *s, struct desk *d)
 {
-    uint64_t vertices = largest_vertex_count(s->file), size = (uint64_t)s->slot_mask + 1;
+    uint32_t vertices = largest_vertex_count(s->file), slots = bsq_positions_slots(vertices);
     int status;
-    if ((status = bsq_alloc(s->ctx, "smooth normals", size, sizeof *d->table, &d->table)) < 0 ||
+    d->table.mask = slots - 1;
+    if ((status = bsq_alloc(s->ctx, "smooth normals", slots, sizeof *d->table.slots, &d->table.slots)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->twins, &d->twins)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->mates, &d->mates)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices + 1, sizeof *d->rings, &d->rings)) <
@@ -81,7 +74,6 @@ int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uns
         return status;
     s->ctx = ctx;
     s->file = file;
-    s->slot_mask = (uint32_t)(table_size(largest_vertex_count(file)) - 1);
     s->desk_count = most < 1 ? 1 : most < calls ? (unsigned)most : calls;
     pthread_mutex_init(&s->lock, NULL);
     pthread_cond_init(&s->left, NULL);
@@ -101,7 +93,7 @@ void vox_smooth_destroy(struct vox_smooth *s)
         return;
     for (unsigned i = 0; s->desks && i < s->desk_count; i++) {
         struct desk *d = &s->desks[i];
-        bsq_free(s->ctx, d->table);
+        bsq_free(s->ctx, d->table.slots);
         bsq_free(s->ctx, d->twins);
         bsq_free(s->ctx, d->mates);
         bsq_free(s->ctx, d->rings);
@@ -138,64 +130,16 @@ static void stand_up(struct vox_smooth *s, struct desk *desk)
 
 /* ---- positions ---- */
 
-/* The same for both zeros, which are equal positions. */
-static uint64_t hash_position(const float p[3])
+static void enter_vertices(const struct desk *d, const struct fmt_tris_chunk *chunk)
 {
-    uint64_t hash = 0;
-    for (int a = 0; a < 3; a++) {
-        float value = p[a] + 0.0f;
-        uint32_t bits;
-        memcpy(&bits, &value, sizeof bits);
-        hash = (hash ^ bits) * UINT64_C(0x9e3779b97f4a7c15);
-        hash ^= hash >> 32;
-    }
-    return hash;
-}
-
-static bool same_position(const float a[3], const float b[3])
-{
-    return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
-}
-
-/* Table slot of a position: holds the first vertex there, or is free. */
-static uint32_t find_slot(const struct desk *d, uint32_t slot_mask,
-                          const struct fmt_tris_chunk *chunk, const float p[3])
-{
-    uint32_t slot = (uint32_t)hash_position(p) & slot_mask;
-    while (d->table[slot] && !same_position(chunk->positions[d->table[slot] - 1], p))
-        slot = (slot + 1) & slot_mask;
-    return slot;
-}
-
-static void enter_vertices(const struct desk *d, uint32_t slot_mask,
-                           const struct fmt_tris_chunk *chunk)
-{
-    memset(d->table, 0, ((uint64_t)slot_mask + 1) * sizeof *d->table);
+    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
     memset(d->rings, 0, ((uint64_t)chunk->vertex_count + 1) * sizeof *d->rings);
     for (uint32_t v = 0; v < chunk->vertex_count; v++) {
-        uint32_t slot = find_slot(d, slot_mask, chunk, chunk->positions[v]);
-        if (!d->table[slot])
-            d->table[slot] = v + 1;
-        d->twins[v] = d->table[slot];
+        uint32_t *slot = bsq_positions_find(&d->table, chunk->positions[v]);
+        if (*slot == 0)
+            *slot = v + 1;
+        d->twins[v] = *slot;
     }
-}
-
-/* Fills in the mates of the neighbour's vertices; false where there are none. */
-static bool match_vertices(const struct desk *d, uint32_t slot_mask,
-                           const struct fmt_tris_chunk *chunk,
-                           const struct fmt_tris_chunk_info *info,
-                           const struct fmt_tris_chunk *other)
-{
-    uint32_t any = 0;
-    for (uint32_t v = 0; v < other->vertex_count; v++) {
-        const float *p = other->positions[v];
-        bool inside = true;
-        for (int a = 0; a < 3; a++)
-            inside &= (p[a] >= info->bounds_min[a]) & (p[a] <= info->bounds_max[a]);
-        d->mates[v] = inside ? d->table[find_slot(d, slot_mask, chunk, p)] : 0;
-        any |= d->mates[v];
-    }
-    return any != 0;
 }
 
 /* ---- sums ---- */
@@ -209,8 +153,7 @@ static bool touch(const struct fmt_tris_chunk_info *a, const struct fmt_tris_chu
 }
 
 static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                     const struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk,
-                     uint32_t other)
+                     const struct desk *d, const struct fmt_tris_chunk_info *info, uint32_t other)
 {
     const struct fmt_tris_chunk *lent;
     struct fmt_tris_chunk own = {0};
@@ -220,7 +163,7 @@ static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender 
     if (status < 0)
         return status;
     const struct fmt_tris_chunk *neighbour = lent ? lent : &own;
-    if (match_vertices(d, s->slot_mask, chunk, &fmt_tris_chunks(s->file)[index], neighbour))
+    if (bsq_positions_match(&d->table, info->bounds_min, info->bounds_max, neighbour->positions, neighbour->vertex_count, d->mates))
         vox_lane_code()->add_rings(neighbour, d->mates, d->rings);
     if (lent)
         lender->take_back(lender->arg, other);
@@ -228,17 +171,18 @@ static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender 
 }
 
 static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                       const struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk)
+                       struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk)
 {
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
     uint32_t count = (uint32_t)fmt_tris_get_header(s->file)->chunk_count;
     int status = 0;
-    enter_vertices(d, s->slot_mask, chunk);
+    d->table.positions = chunk->positions;
+    enter_vertices(d, chunk);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == index)
             vox_lane_code()->add_rings(chunk, d->twins, d->rings);
         else if (touch(&infos[i], &infos[index]))
-            status = add_chunk(s, lender, d, index, chunk, i);
+            status = add_chunk(s, lender, d, &infos[index], i);
     }
     return status;
 }
