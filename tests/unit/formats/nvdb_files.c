@@ -31,14 +31,6 @@ int nvdb_remove_directory(void **state)
     return rmdir(directory);
 }
 
-struct bsq_ctx *nvdb_context(unsigned threads, uint64_t memory)
-{
-    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
 uint8_t *nvdb_read_file(const char *name, uint64_t *size)
 {
     FILE *file = fopen(name, "rb");

@@ -9,7 +9,6 @@ extern char nvdb_path[64], nvdb_other_path[64];
 int nvdb_make_directory(void **state);
 int nvdb_remove_directory(void **state);
 
-struct bsq_ctx *nvdb_context(unsigned threads, uint64_t memory);
 /* To be freed with free(). */
 uint8_t *nvdb_read_file(const char *name, uint64_t *size);
 

@@ -15,6 +15,7 @@
 #include <cmocka.h>
 
 #include "formats/exr.h"
+#include "tests/unit/fixture.h"
 
 static char directory[64];
 static char path[128];
@@ -34,20 +35,6 @@ static int remove_directory(void **state)
     (void)state;
     unlink(path);
     return rmdir(directory); /* fails where a temporary file was left behind */
-}
-
-static struct bsq_ctx *new_context(unsigned threads, uint64_t memory)
-{
-    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
-static void free_context(struct bsq_ctx *ctx)
-{
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 static uint32_t next_random(uint32_t *state)
@@ -126,7 +113,7 @@ static const uint32_t sizes[][3] = {/* width, height, rows at a time */
 static void test_round_trip_is_exact(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(4, 0);
+    struct bsq_ctx *ctx = test_context(4, 0);
     for (size_t s = 0; s < sizeof sizes / sizeof *sizes; ++s)
         for (int type = FMT_EXR_HALF; type <= FMT_EXR_FLOAT; ++type) {
             uint32_t width = sizes[s][0], height = sizes[s][1];
@@ -149,14 +136,14 @@ static void test_round_trip_is_exact(void **state)
             fmt_exr_image_free(ctx, &image);
             free(samples);
         }
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_other_reader_agrees(void **state)
 {
     (void)state;
     enum { WIDTH = 45, HEIGHT = 39 };
-    struct bsq_ctx *ctx = new_context(3, 0);
+    struct bsq_ctx *ctx = test_context(3, 0);
     float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 99);
     write_image(ctx, WIDTH, HEIGHT, FMT_EXR_HALF, samples, 11);
     ImfInputFile *input = ImfOpenInputFile(path);
@@ -180,7 +167,7 @@ static void test_other_reader_agrees(void **state)
     ImfCloseInputFile(input);
     free(pixels);
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_bytes_do_not_depend_on_threads(void **state)
@@ -191,7 +178,7 @@ static void test_bytes_do_not_depend_on_threads(void **state)
     uint8_t *first = NULL;
     size_t first_size = 0;
     for (unsigned threads = 1; threads <= 5; threads += 2) {
-        struct bsq_ctx *ctx = new_context(threads, 0);
+        struct bsq_ctx *ctx = test_context(threads, 0);
         write_image(ctx, WIDTH, HEIGHT, FMT_EXR_HALF, samples, 10 * threads + 1);
         size_t size;
         uint8_t *bytes = read_bytes(path, &size);
@@ -203,7 +190,7 @@ static void test_bytes_do_not_depend_on_threads(void **state)
             first = bytes;
             first_size = size;
         }
-        free_context(ctx);
+        test_context_end(ctx);
     }
     free(first);
     free(samples);
@@ -233,7 +220,7 @@ static void test_reads_tiles_of_other_writers(void **state)
     static const int compressions[] = {IMF_NO_COMPRESSION, IMF_RLE_COMPRESSION,
                                        IMF_ZIPS_COMPRESSION, IMF_ZIP_COMPRESSION,
                                        IMF_PIZ_COMPRESSION};
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     ImfRgba *pixels = calloc(WIDTH * HEIGHT, sizeof *pixels);
     for (size_t i = 0; i < WIDTH * HEIGHT; ++i) {
         ImfFloatToHalf((float)(i % WIDTH), &pixels[i].r);
@@ -258,7 +245,7 @@ static void test_reads_tiles_of_other_writers(void **state)
         fmt_exr_image_free(ctx, &image);
     }
     free(pixels);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void expect_damage(struct bsq_ctx *ctx, const char *what, size_t where)
@@ -276,7 +263,7 @@ static void expect_damage(struct bsq_ctx *ctx, const char *what, size_t where)
 static void test_truncated_files_are_refused(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_EXR_HALF, samples, 40);
     size_t size;
@@ -286,7 +273,7 @@ static void test_truncated_files_are_refused(void **state)
         expect_damage(ctx, "length", length);
     }
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* Any result is right as long as nothing is read or written out of bounds (sanitizers watch) and
@@ -296,7 +283,7 @@ static void test_flipped_bytes_do_no_harm(void **state)
     (void)state;
     uint32_t seed = (uint32_t)getpid();
     print_message("seed %u\n", seed);
-    struct bsq_ctx *ctx = new_context(1, UINT64_C(256) << 20);
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(256) << 20);
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_EXR_FLOAT, samples, 40);
     size_t size;
@@ -317,13 +304,13 @@ static void test_flipped_bytes_do_no_harm(void **state)
     }
     free(bytes);
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_sizes_are_held_against_the_budget(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(1, UINT64_C(8) << 20);
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
     size_t size;
@@ -341,14 +328,14 @@ static void test_sizes_are_held_against_the_budget(void **state)
     assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
     free(bytes);
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* Made OpenEXR allocate a table of 256 MiB for a file of 10 KB. */
 static void test_a_table_of_blocks_is_held_against_the_file(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(1, UINT64_C(1) << 40);
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
     size_t size;
@@ -366,13 +353,13 @@ static void test_a_table_of_blocks_is_held_against_the_file(void **state)
     assert_true(bsq_memory_high(ctx) < 1 << 20);
     free(bytes);
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_nothing_is_left_of_a_discarded_file(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     unlink(path);
     float *samples = random_samples(20 * 40 * 3, 3);
     struct fmt_exr_options options = {
@@ -392,7 +379,7 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
     assert_int_equal(fmt_exr_commit(writer), BSQ_EBUG);
     assert_int_equal(access(path, F_OK), -1);
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 int main(void)

@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "formats/nvdb_writer_internal.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/formats/nvdb_files.h"
 #include "tests/unit/formats/nvdb_scene.h"
 
@@ -92,7 +93,7 @@ static void compare_info(const struct fmt_nvdb_info *info, const struct fmt_nvdb
 static void round_trip(uint64_t seed, unsigned per_cluster, enum fmt_nvdb_type type, bool color)
 {
     print_message("seed %llu\n", (unsigned long long)seed);
-    struct bsq_ctx *ctx = nvdb_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct scene scene;
     scene_random(&scene, seed, per_cluster, true);
     scene.info.type = type;
@@ -130,7 +131,7 @@ static void test_round_trip(void **state)
 static void test_full_leaves(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = nvdb_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct scene scene;
     scene_random(&scene, 9, 1, false);
     free(scene.voxels);
@@ -167,7 +168,7 @@ static void test_same_bytes(void **state)
     uint8_t *bytes[2];
     uint64_t size[2];
     for (int i = 0; i < 2; i++) {
-        struct bsq_ctx *ctx = nvdb_context(i ? 3 : 1, i ? 0 : UINT64_C(8) << 20);
+        struct bsq_ctx *ctx = test_context(i ? 3 : 1, i ? 0 : UINT64_C(8) << 20);
         struct fmt_nvdb_totals totals;
         assert_ok(ctx, scene_write(ctx, names[i], &scene, &totals));
         assert_true(bsq_memory_high(ctx) < UINT64_C(4) << 20);
@@ -199,7 +200,7 @@ static bool run(const char *command, char *output, size_t size, int *status)
 static void test_nanovdb_tools(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct scene scene;
     scene_random(&scene, 6, 2000, false);
     struct fmt_nvdb_totals totals;

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "formats/nvdb_writer_internal.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/formats/nvdb_files.h"
 #include "tests/unit/formats/nvdb_scene.h"
 #include "tests/unit/sanitized.h"
@@ -71,7 +72,7 @@ struct small_file {
 
 static void small_file_open(struct small_file *file, enum fmt_nvdb_type type)
 {
-    file->ctx = nvdb_context(1, 0);
+    file->ctx = test_context(1, 0);
     scene_random(&file->scene, 7, 12, false);
     /* One root tile is enough, and every byte of it is tried. */
     uint64_t kept = 0;
@@ -204,7 +205,7 @@ static void test_forged(void **state)
 
 static void assert_open_fails(const uint8_t *bytes, uint64_t size, const char *expected)
 {
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     FILE *file = fopen(nvdb_path, "wb");
     assert_int_equal(fwrite(bytes, 1, size, file), size);
     fclose(file);
@@ -237,7 +238,7 @@ static void test_messages(void **state)
     record->version = 9;
     assert_open_fails(bytes, file.size, "version 9");
     record->version = NVDB_RECORD_VERSION;
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(ctx, "/nowhere/a.nvdb", &grid), BSQ_ENOINPUT);
     bsq_ctx_destroy(ctx);

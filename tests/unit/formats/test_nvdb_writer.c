@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "formats/nvdb_writer_internal.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/formats/nvdb_files.h"
 
 /* ---- wrong use of the writer ---- */
@@ -40,7 +41,7 @@ static void assert_refused(const struct fmt_nvdb_region *first,
                            const struct fmt_nvdb_region *second, const char *expected)
 {
     unlink(nvdb_path);
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_writer *writer = new_writer(ctx);
     if (first)
         assert_ok(ctx, fmt_nvdb_append(writer, first));
@@ -82,7 +83,7 @@ static void test_region_in_parts(void **state)
     rest.records += 3;
     struct fmt_nvdb_totals totals;
     struct bsq_map map[2];
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     char copy[sizeof nvdb_path + 8];
     snprintf(copy, sizeof copy, "%s.whole", nvdb_path);
     for (int parts = 0; parts < 2; parts++) {
@@ -126,7 +127,7 @@ static void test_order_of_regions(void **state)
         struct fmt_nvdb_region right = small_region(b[0], b[1], b[2]);
         assert_refused(&right, &left, "out of order");
         assert_refused(&left, &left, "out of order");
-        struct bsq_ctx *ctx = nvdb_context(1, 0);
+        struct bsq_ctx *ctx = test_context(1, 0);
         struct fmt_nvdb_writer *writer = new_writer(ctx);
         assert_ok(ctx, fmt_nvdb_append(writer, &left));
         assert_ok(ctx, fmt_nvdb_append(writer, &right));
@@ -163,7 +164,7 @@ static void test_nothing_to_write(void **state)
 {
     (void)state;
     unlink(nvdb_path);
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_writer *writer = new_writer(ctx);
     struct fmt_nvdb_region nothing = {.origin = {0, 0, 0}};
     assert_ok(ctx, fmt_nvdb_append(writer, &nothing));
@@ -179,7 +180,7 @@ static void test_limits(void **state)
     (void)state;
     static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
     for (int i = 0; i < 3; i++) {
-        struct bsq_ctx *ctx = nvdb_context(1, 0);
+        struct bsq_ctx *ctx = test_context(1, 0);
         struct fmt_nvdb_writer *writer = new_writer(ctx);
         struct fmt_nvdb_region region = small_region(0, 0, 0);
         region.records = region.second = flagged;
@@ -200,7 +201,7 @@ static void test_limits(void **state)
 static void test_unwritable(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = nvdb_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
     struct fmt_nvdb_writer *writer;
     assert_int_equal(fmt_nvdb_create(ctx, "/nowhere/a.nvdb", &info, &writer), BSQ_ECANTCREAT);

@@ -13,6 +13,7 @@
 #include <cmocka.h>
 
 #include "formats/png_image.h"
+#include "tests/unit/fixture.h"
 
 static char directory[64];
 static char path[128];
@@ -32,20 +33,6 @@ static int remove_directory(void **state)
     (void)state;
     unlink(path);
     return rmdir(directory); /* fails where a temporary file was left behind */
-}
-
-static struct bsq_ctx *new_context(unsigned threads)
-{
-    struct bsq_ctx_options options = {.threads = threads};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
-static void free_context(struct bsq_ctx *ctx)
-{
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 static void write_image(struct bsq_ctx *ctx, const struct fmt_png_options *options,
@@ -98,7 +85,7 @@ static void test_16_bits_are_rounded(void **state)
     (void)state;
     enum { WIDTH = 401, HEIGHT = 500 }; /* several bands of the compression */
     static const uint32_t channel_counts[] = {1, 3, 4};
-    struct bsq_ctx *ctx = new_context(3);
+    struct bsq_ctx *ctx = test_context(3, 0);
     for (int c = 0; c < 3; ++c) {
         uint32_t channels = channel_counts[c];
         struct fmt_png_options options = {
@@ -129,14 +116,14 @@ static void test_16_bits_are_rounded(void **state)
         free_image(&image);
         free(samples);
     }
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_color_is_encoded_as_srgb_but_alpha_is_not(void **state)
 {
     (void)state;
     enum { WIDTH = 256 };
-    struct bsq_ctx *ctx = new_context(1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_png_options options = {
         .width = WIDTH, .height = 1, .channel_count = 4, .bits = 16, .srgb = true};
     float samples[WIDTH * 4];
@@ -153,7 +140,7 @@ static void test_color_is_encoded_as_srgb_but_alpha_is_not(void **state)
         assert_int_equal(sample16(&image, 0, 4 * i + 3), i * 257);
     }
     free_image(&image);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* Mean of a channel over a block of the image. */
@@ -171,7 +158,7 @@ static void test_dither_keeps_the_mean(void **state)
 {
     (void)state;
     enum { SIZE = 128, BLOCK = 16 };
-    struct bsq_ctx *ctx = new_context(2);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct fmt_png_options options = {.width = SIZE, .height = SIZE, .channel_count = 3, .bits = 8};
     float *samples = malloc(SIZE * SIZE * 3 * sizeof *samples);
     for (int level = 0; level <= 20; ++level) {
@@ -192,14 +179,14 @@ static void test_dither_keeps_the_mean(void **state)
         free_image(&image);
     }
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_black_and_white_do_not_dither(void **state)
 {
     (void)state;
     enum { SIZE = 64 };
-    struct bsq_ctx *ctx = new_context(2);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct fmt_png_options options = {
         .width = SIZE, .height = SIZE, .channel_count = 1, .bits = 8, .srgb = true};
     float *samples = malloc(SIZE * SIZE * sizeof *samples);
@@ -212,7 +199,7 @@ static void test_black_and_white_do_not_dither(void **state)
             assert_int_equal(image.rows[y][x], x < SIZE / 2 ? 0 : 255);
     free_image(&image);
     free(samples);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
@@ -227,7 +214,7 @@ static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
     uint8_t *bytes[3];
     size_t sizes[3];
     for (unsigned i = 0; i < 3; ++i) {
-        struct bsq_ctx *ctx = new_context(2 * i + 1);
+        struct bsq_ctx *ctx = test_context(2 * i + 1, 0);
         write_image(ctx, &options, samples, 1 + 170 * i);
         FILE *file = fopen(path, "rb");
         assert_non_null(file);
@@ -236,7 +223,7 @@ static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
         fclose(file);
         assert_int_equal(sizes[i], sizes[0]);
         assert_memory_equal(bytes[i], bytes[0], sizes[0]);
-        free_context(ctx);
+        test_context_end(ctx);
     }
     for (unsigned i = 0; i < 3; ++i)
         free(bytes[i]);
@@ -246,7 +233,7 @@ static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
 static void test_nothing_is_left_of_a_discarded_file(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     float samples[8 * 3] = {0};
     unlink(path);
     struct fmt_png_options options = {.width = 8, .height = 4, .channel_count = 3, .bits = 8};
@@ -260,7 +247,7 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
     assert_int_equal(access(path, F_OK), -1);
     bsq_clear_error(ctx);
     assert_int_equal(fmt_png_create(ctx, "/nonexistent/a.png", &options, &writer), BSQ_ECANTCREAT);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 int main(void)

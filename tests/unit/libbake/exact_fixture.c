@@ -9,6 +9,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/exact_fixture.h"
 
 static char directory[64];
@@ -95,14 +96,6 @@ struct triangle_scan exact_square(void)
     return mesh;
 }
 
-struct bsq_ctx *exact_context(unsigned threads, uint64_t memory)
-{
-    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory, .tmpdir = "/tmp"};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
 void exact_write_scan(const struct triangle_scan *mesh, uint32_t chunk_triangles)
 {
     triangle_scan_write(mesh, (const double[3]){100, 0, -7}, chunk_triangles, exact_scan_path);
@@ -113,7 +106,7 @@ void exact_write_scan(const struct triangle_scan *mesh, uint32_t chunk_triangles
 void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *rays, uint64_t count,
                  struct bake_exact_hit *hits)
 {
-    struct bsq_ctx *ctx = exact_context(setup->threads, setup->memory);
+    struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
     struct bake_exact_options options = {.path = exact_scan_path,
                                          .normals = setup->flat ? BAKE_SCAN_NORMALS_FLAT
                                                                 : BAKE_SCAN_NORMALS_SMOOTH,

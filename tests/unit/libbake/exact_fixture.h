@@ -26,7 +26,6 @@ struct triangle_scan exact_torus(uint32_t nu, uint32_t nv);
  * (2 2) (0 2). */
 struct triangle_scan exact_square(void);
 
-struct bsq_ctx *exact_context(unsigned threads, uint64_t memory);
 /* Makes the mesh the scan, moved away from the origin. */
 void exact_write_scan(const struct triangle_scan *mesh, uint32_t chunk_triangles);
 

@@ -12,6 +12,7 @@
 
 #include "formats/exr.h"
 #include "libbake/bake.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 /* The sheet's half width, wavelength and the low square's distance below it, in voxels; the
@@ -32,25 +33,11 @@ static void color_at(double u, double v, float color[3])
     color[2] = 0.2f;
 }
 
-static struct bsq_ctx *new_context(unsigned threads, uint64_t memory)
-{
-    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory, .tmpdir = "/tmp"};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
-static void free_context(struct bsq_ctx *ctx)
-{
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
-}
-
 /* ---- the scene ---- */
 
 static void write_grid(const char *path, bool with_color)
 {
-    struct bsq_ctx *ctx = new_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct analytic_grid *grid = analytic_grid_create();
     int64_t count = (int64_t)(2 * half * SAMPLES_A_VOXEL);
     double step = 2 * half / (double)count;
@@ -218,7 +205,7 @@ static struct errors normal_errors(const struct fmt_exr_image *image, bool objec
 static void test_normals_are_those_of_the_formula(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     for (int variant = 0; variant < 3; ++variant) {
         struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
         options.green_down = variant == 1;
@@ -238,13 +225,13 @@ static void test_normals_are_those_of_the_formula(void **state)
         fmt_exr_image_free(ctx, &image);
         unlink(in_directory("normal.exr"));
     }
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_report_counts_samples(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("n.exr"));
     options.samples = 3;
     struct bake_report report;
@@ -260,7 +247,7 @@ static void test_report_counts_samples(void **state)
     assert_true(report.front > reach && report.front < 1.5 * reach + 2.1);
     assert_true(report.back >= 2 && report.back < 2.1);
     unlink(in_directory("n.exr"));
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* ---- colour, mask, padding ---- */
@@ -268,7 +255,7 @@ static void test_report_counts_samples(void **state)
 static void test_colors_are_those_of_the_formula(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(3, 0);
+    struct bsq_ctx *ctx = test_context(3, 0);
     struct bake_options options = options_for(color_path, in_directory("<MAP>.exr"));
     struct bake_report report;
     bake(ctx, &options, &report); /* default maps: normal and color */
@@ -291,13 +278,13 @@ static void test_colors_are_those_of_the_formula(void **state)
     fmt_exr_image_free(ctx, &image);
     unlink(in_directory("normal.exr"));
     unlink(in_directory("color.exr"));
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_misses_are_masked_and_filled(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
     options.front = depth; /* crests are out of reach */
@@ -333,13 +320,13 @@ static void test_misses_are_masked_and_filled(void **state)
     fmt_exr_image_free(ctx, &normal);
     unlink(in_directory("normal.exr"));
     unlink(in_directory("mask.exr"));
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_padding_surrounds_the_chart(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("n.exr"));
     struct bake_report report;
     bake(ctx, &options, &report);
@@ -359,7 +346,7 @@ static void test_padding_surrounds_the_chart(void **state)
         }
     fmt_exr_image_free(ctx, &image);
     unlink(in_directory("n.exr"));
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* ---- determinism ---- */
@@ -386,7 +373,7 @@ static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
     uint8_t *first[3] = {NULL};
     size_t sizes[3] = {0};
     for (size_t r = 0; r < sizeof runs / sizeof *runs; ++r) {
-        struct bsq_ctx *ctx = new_context(runs[r].threads, runs[r].memory);
+        struct bsq_ctx *ctx = test_context(runs[r].threads, runs[r].memory);
         struct bake_options options = options_for(color_path, in_directory("<MAP>.exr"));
         options.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK;
         options.width = 1000; /* 28 MB of samples */
@@ -409,7 +396,7 @@ static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
                 sizes[i] = size;
             }
         }
-        free_context(ctx);
+        test_context_end(ctx);
     }
     for (int i = 0; i < 3; ++i)
         free(first[i]);
@@ -420,7 +407,7 @@ static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
 static void test_preview_is_written_with_the_maps(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(color_path, in_directory("<MAP>.png"));
     options.format = BAKE_FORMAT_DEFAULT;
     options.preview_path = in_directory("preview.png");
@@ -433,21 +420,21 @@ static void test_preview_is_written_with_the_maps(void **state)
     assert_true(size > 10000);
     assert_memory_equal(bytes, "\x89PNG\r\n\x1a\n", 8);
     free(bytes);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* ---- errors ---- */
 
 static void expect_failure(const struct bake_options *options, int status, const char *text)
 {
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_report report;
     assert_int_equal(bake_run(ctx, options, &report), status);
     if (!strstr(bsq_error(ctx), text)) {
         print_message("\"%s\" lacks \"%s\"\n", bsq_error(ctx), text);
         fail();
     }
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_errors_name_the_reason(void **state)
@@ -489,13 +476,13 @@ static void test_errors_name_the_reason(void **state)
 static void test_interruption_leaves_nothing(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
     struct bake_report report;
     bsq_interrupt(ctx);
     assert_int_equal(bake_run(ctx, &options, &report), BSQ_EINTR);
     assert_int_equal(access(in_directory("normal.exr"), F_OK), -1);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 int main(void)

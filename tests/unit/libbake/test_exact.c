@@ -11,6 +11,7 @@
 
 #include "base/octahedral.h"
 #include "libbake/exact_tree_internal.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/exact_fixture.h"
 
 /* ---- the curve ---- */
@@ -178,7 +179,7 @@ static void test_damaged_chunk_is_reported(void **state)
     fseek(file, 3000, SEEK_SET);
     fputc(byte ^ 0x55, file);
     fclose(file);
-    struct bsq_ctx *ctx = exact_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_exact_options options = {.path = exact_scan_path};
     struct bake_exact *exact;
     struct bake_exact_ray rays[400];

@@ -13,6 +13,7 @@
 
 #include "formats/exr.h"
 #include "libbake/bake.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/triangle_scan.h"
 #include "tests/unit/sanitized.h"
 
@@ -37,20 +38,6 @@ static void normal_at(double x, double y, double n[3])
     double length = sqrt(n[0] * n[0] + n[1] * n[1] + 1);
     for (int k = 0; k < 3; k++)
         n[k] /= length;
-}
-
-static struct bsq_ctx *new_context(unsigned threads, uint64_t memory)
-{
-    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory, .tmpdir = "/tmp"};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
-static void free_context(struct bsq_ctx *ctx)
-{
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- the scene ---- */
@@ -147,7 +134,7 @@ static double channel(const struct fmt_exr_image *image, uint32_t x, uint32_t y,
 static void test_maps_are_those_of_the_formula(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     for (int space = 0; space < 2; space++) {
         struct bake_options options = options_for(1, in_directory("<MAP>.exr"));
         struct bake_report report;
@@ -185,7 +172,7 @@ static void test_maps_are_those_of_the_formula(void **state)
         unlink(in_directory("normal.exr"));
         unlink(in_directory("color.exr"));
     }
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static uint64_t file_hash(const char *path)
@@ -211,7 +198,7 @@ static void test_bytes_depend_on_neither_chunks_nor_threads_nor_budget(void **st
     uint64_t expected[3] = {0};
     for (unsigned c = 0; c < sizeof cases / sizeof *cases; c++) {
         static const char *const names[3] = {"normal.exr", "color.exr", "look.png"};
-        struct bsq_ctx *ctx = new_context(cases[c].threads, cases[c].memory);
+        struct bsq_ctx *ctx = test_context(cases[c].threads, cases[c].memory);
         struct bake_options options = options_for(cases[c].scan, in_directory("<MAP>.exr"));
         struct bake_report report;
         options.samples = TEST_SANITIZED ? 1 : 3;
@@ -226,14 +213,14 @@ static void test_bytes_depend_on_neither_chunks_nor_threads_nor_budget(void **st
                 expected[i] = hash;
             assert_true(hash == expected[i]);
         }
-        free_context(ctx);
+        test_context_end(ctx);
     }
 }
 
 static void test_flat_normals(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_options options = options_for(0, in_directory("n.exr"));
     struct bake_report report;
     struct fmt_exr_image image;
@@ -256,17 +243,17 @@ static void test_flat_normals(void **state)
     assert_true(fabs(2 * channel(&image, 10, 20, "G") - 1 - n[1] / length) < 1e-4);
     fmt_exr_image_free(ctx, &image);
     unlink(in_directory("n.exr"));
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void expect_failure(const struct bake_options *options, int expected, const char *text)
 {
-    struct bsq_ctx *ctx = new_context(2, 0);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_report report;
     assert_int_equal(bake_run(ctx, options, &report), expected);
     if (!strstr(bsq_error(ctx), text))
         fail_msg("\"%s\" has no \"%s\"", bsq_error(ctx), text);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 static void test_errors_name_the_reason(void **state)
@@ -298,12 +285,12 @@ static void test_errors_name_the_reason(void **state)
 static void test_colour_is_known_beforehand(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     bool color = false;
     assert_int_equal(bake_scan_has_color(ctx, scan_paths[0], &color), 0);
     assert_true(color);
     assert_int_equal(bake_scan_has_color(ctx, "/nonexistent.tris", &color), BSQ_ENOINPUT);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 int main(void)

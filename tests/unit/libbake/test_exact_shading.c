@@ -10,6 +10,7 @@
 
 #include "base/octahedral.h"
 #include "formats/png_image.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/exact_fixture.h"
 
 /* ---- normals ---- */
@@ -170,7 +171,7 @@ static void test_vertex_colors_mix_in_linear_light(void **state)
 
 static void write_picture(uint32_t side)
 {
-    struct bsq_ctx *ctx = exact_context(1, 0);
+    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_png_options options = {
         .width = side, .height = side, .channel_count = 3, .bits = 8, .srgb = true};
     struct fmt_png_writer *png;

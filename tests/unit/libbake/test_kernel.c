@@ -12,6 +12,7 @@
 #include "base/octahedral.h"
 #include "libbake/device_internal.h"
 #include "libbake/kernel/bk_sample.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 #define PI 3.14159265358979323846
@@ -21,23 +22,15 @@ static struct bsq_ctx *context;
 static int make_context(void **state)
 {
     (void)state;
-    return bsq_ctx_create(NULL, &context);
+    context = test_context(0, 0);
+    return 0;
 }
 
 static int free_context(void **state)
 {
     (void)state;
-    assert_int_equal(bsq_memory_used(context), 0);
-    bsq_ctx_destroy(context);
+    test_context_end(context);
     return 0;
-}
-
-static uint64_t announce_seed(void)
-{
-    const char *text = getenv("BSQ_TEST_SEED");
-    uint64_t seed = text ? strtoull(text, NULL, 0) : 20080312;
-    print_message("BSQ_TEST_SEED=%llu\n", (unsigned long long)seed);
-    return seed;
 }
 
 static int by_value(const void *a, const void *b)
@@ -74,7 +67,7 @@ static void test_srgb_table(void **state)
 static void test_decode_normal(void **state)
 {
     (void)state;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     for (int i = 0; i < 200000; i++) {
         uint32_t word = (uint32_t)(analytic_random(&seed) * 4294967296.0);
         struct bsq_vec3 expected = bsq_oct_unpack(word);
@@ -93,7 +86,7 @@ static void test_decode_normal(void **state)
 static void test_tangent_space(void **state)
 {
     (void)state;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     for (int i = 0; i < 100000; i++) {
         double n[3], t[3], target[3];
         analytic_random_unit(&seed, n);
@@ -185,7 +178,7 @@ static void test_tangent_space_of_halves(void **state)
 {
     (void)state;
     const double rounding = sqrt(3) / 2048;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     int mirrored = 0, skewed = 0;
     for (int i = 0; i < 100000; i++) {
         const bool alike = i & 2;
@@ -262,7 +255,7 @@ static struct bk_grid kernel_grid(const struct fmt_nvdb_grid *grid, struct bk_pa
 static void test_lookup(void **state)
 {
     (void)state;
-    uint64_t seed = announce_seed(), active = 0, seconds = 0;
+    uint64_t seed = test_seed(), active = 0, seconds = 0;
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
     int32_t corners[8][3];
@@ -416,7 +409,7 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
 static void test_traversal(void **state)
 {
     (void)state;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     struct bk_params params = {.flags = BK_NEAREST};
     struct fmt_nvdb_grid grid;
     int32_t corners[8][3];
@@ -468,7 +461,7 @@ static void test_traversal(void **state)
 static void test_degenerate_rays(void **state)
 {
     (void)state;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
     int32_t corners[8][3];

@@ -12,6 +12,7 @@
 #include <cmocka.h>
 
 #include "libbake/mikkt_internal.h"
+#include "tests/unit/fixture.h"
 
 struct soup {
     uint64_t count;
@@ -21,13 +22,6 @@ struct soup {
     float (*expected)[3][4];
     float (*tangents)[3][4];
 };
-
-static struct bsq_ctx *new_context(void)
-{
-    struct bsq_ctx *ctx = NULL;
-    assert_int_equal(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx), 0);
-    return ctx;
-}
 
 static struct soup new_soup(uint64_t count)
 {
@@ -52,7 +46,7 @@ static void free_soup(struct soup *s)
 
 static void compute(struct soup *s)
 {
-    struct bsq_ctx *ctx = new_context();
+    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bake_mikkt(ctx, s->count, (const float(*)[3][3])s->positions,
                                 (const float(*)[3][3])s->normals,
                                 (const float(*)[3][2])s->texcoords, s->tangents),
@@ -240,7 +234,7 @@ static void test_negative_zero_welds(void **state)
 static void test_empty(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = new_context();
+    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bake_mikkt(ctx, 0, NULL, NULL, NULL, NULL), 0);
     bsq_ctx_destroy(ctx);
 }

@@ -10,20 +10,7 @@
 
 #include "base/parallel.h"
 #include "libbake/padding_internal.h"
-
-static struct bsq_ctx *new_context(unsigned threads)
-{
-    struct bsq_ctx_options options = {.threads = threads, .tmpdir = "/tmp"};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
-
-static void free_context(struct bsq_ctx *ctx)
-{
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
-}
+#include "tests/unit/fixture.h"
 
 static uint32_t next_random(uint32_t *state)
 {
@@ -135,7 +122,7 @@ static void test_sources_are_the_nearest(void **state)
     (void)state;
     uint32_t seed = (uint32_t)getpid();
     print_message("seed %u\n", seed);
-    struct bsq_ctx *ctx = new_context(3);
+    struct bsq_ctx *ctx = test_context(3, 0);
     uint8_t valid[60 * 60];
     int64_t expected[60 * 60];
     static const uint32_t paddings[] = {0, 1, 2, 5, 16, UINT32_MAX};
@@ -149,7 +136,7 @@ static void test_sources_are_the_nearest(void **state)
         check_image(ctx, &map, expected, padding, 1 + next_random(&seed) % 20, true);
         check_image(ctx, &map, expected, padding, 1 + next_random(&seed) % 20, false);
     }
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 /* A single texel far from its bands: what is carried must reach over all of them. */
@@ -157,7 +144,7 @@ static void test_padding_reaches_over_many_bands(void **state)
 {
     (void)state;
     enum { WIDTH = 300, HEIGHT = 40 };
-    struct bsq_ctx *ctx = new_context(2);
+    struct bsq_ctx *ctx = test_context(2, 0);
     uint8_t *valid = calloc(WIDTH * HEIGHT, 1);
     int64_t *expected = malloc(WIDTH * HEIGHT * sizeof *expected);
     struct map map = {WIDTH, HEIGHT, valid};
@@ -174,7 +161,7 @@ static void test_padding_reaches_over_many_bands(void **state)
     check_image(ctx, &map, expected, UINT32_MAX, 7, true);
     free(valid);
     free(expected);
-    free_context(ctx);
+    test_context_end(ctx);
 }
 
 int main(void)

@@ -10,6 +10,7 @@
 #include <cmocka.h>
 
 #include "libbake/device_internal.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 #define PI 3.14159265358979323846
@@ -19,23 +20,15 @@ static struct bsq_ctx *context;
 static int make_context(void **state)
 {
     (void)state;
-    return bsq_ctx_create(NULL, &context);
+    context = test_context(0, 0);
+    return 0;
 }
 
 static int free_context(void **state)
 {
     (void)state;
-    assert_int_equal(bsq_memory_used(context), 0);
-    bsq_ctx_destroy(context);
+    test_context_end(context);
     return 0;
-}
-
-static uint64_t announce_seed(void)
-{
-    const char *text = getenv("BSQ_TEST_SEED");
-    uint64_t seed = text ? strtoull(text, NULL, 0) : 20080312;
-    print_message("BSQ_TEST_SEED=%llu\n", (unsigned long long)seed);
-    return seed;
 }
 
 static int by_value(const void *a, const void *b)
@@ -79,7 +72,7 @@ static void test_sphere(void **state)
     struct analytic_grid *source = analytic_grid_create();
     double *angles = malloc(RAYS * sizeof *angles), squares = 0;
     size_t count = 0, grazing = 0, false_hits = 0;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
 
@@ -167,7 +160,7 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags)
     struct analytic_sine sine = analytic_sine_make(wavelength, 40, centre);
     struct analytic_grid *source = analytic_grid_create();
     double *angles = malloc(RAYS * sizeof *angles), worst = 0, products = 0, squares = 0;
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     struct sine_errors errors;
     struct bk_params params = {.flags = flags};
     struct fmt_nvdb_grid grid;
@@ -249,7 +242,7 @@ static void test_thin_plate(void **state)
 {
     (void)state;
     static const float red[3] = {1, 0, 0}, blue[3] = {0, 0, 1};
-    uint64_t seed = announce_seed();
+    uint64_t seed = test_seed();
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
 

@@ -1,5 +1,6 @@
 /* A grid has the same bytes for any budget, number of threads and chunks. */
 #include "voxelize_fixture.h"
+#include "tests/unit/fixture.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -16,7 +17,7 @@ static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
         unsigned threads;
     } ways[] = {{1024, 1}, {1024, 2}, {1024, 7}, {32, 1}, {128, 3}};
     for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
-        struct bsq_ctx *ctx = vox_make_context(ways[i].mebibytes, ways[i].threads);
+        struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
             .tris_path = f->tris,
             .grid_path = i == 0 ? f->grid : f->other,
@@ -77,7 +78,7 @@ static void test_solid_regions_in_little_memory(void **state)
         unsigned threads;
     } ways[] = {{256, 2}, {20, 4}, {12, 1}};
     for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
-        struct bsq_ctx *ctx = vox_make_context(ways[i].mebibytes, ways[i].threads);
+        struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
             .tris_path = f->tris,
             .grid_path = i == 0 ? f->grid : f->other,

@@ -1,5 +1,6 @@
 #include "voxelize_fixture.h"
 #include "base/file.h"
+#include "tests/unit/fixture.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
@@ -8,14 +9,6 @@
 #include <string.h>
 #include <unistd.h>
 #include <cmocka.h>
-
-struct bsq_ctx *vox_make_context(uint64_t mebibytes, unsigned threads)
-{
-    struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.memory_bytes = mebibytes << 20, .threads = threads};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
 
 int vox_set_up(void **state)
 {
@@ -27,7 +20,7 @@ int vox_set_up(void **state)
     snprintf(f->grid, sizeof f->grid, "%s/scan.nvdb", f->directory);
     snprintf(f->other, sizeof f->other, "%s/other.nvdb", f->directory);
     snprintf(f->image, sizeof f->image, "%s/texture.png", f->directory);
-    f->ctx = vox_make_context(512, 2);
+    f->ctx = test_context(2, 512 << 20);
     *state = f;
     return 0;
 }
@@ -96,7 +89,7 @@ double record_coverage(struct fmt_nvdb_record record)
 
 void expect_same_bytes(const char *a, const char *b)
 {
-    struct bsq_ctx *ctx = vox_make_context(16, 1);
+    struct bsq_ctx *ctx = test_context(1, 16 << 20);
     struct bsq_map x, y;
     assert_int_equal(bsq_map_open(ctx, a, &x), 0);
     assert_int_equal(bsq_map_open(ctx, b, &y), 0);

@@ -14,7 +14,6 @@ struct vox_fixture {
 /* For cmocka; nothing but the fixture's files may be left in the end. */
 int vox_set_up(void **state);
 int vox_tear_down(void **state);
-struct bsq_ctx *vox_make_context(uint64_t mebibytes, unsigned threads);
 
 /* As a chunk file with 4000 triangles in a chunk. */
 void vox_write_scan(const struct vox_fixture *f, const struct scan_mesh *mesh);

@@ -1,0 +1,39 @@
+/* fixture.h - what tests of all libraries begin and end with. */
+#ifndef TEST_FIXTURE_H
+#define TEST_FIXTURE_H
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <cmocka.h>
+
+#include "base/context.h"
+
+/* memory: the budget in bytes, 0: the default. */
+static inline struct bsq_ctx *test_context(unsigned threads, uint64_t memory)
+{
+    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory};
+    struct bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+/* Everything must have been given back. */
+static inline void test_context_end(struct bsq_ctx *ctx)
+{
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* Of random numbers; printed, so that a failure can be repeated with BSQ_TEST_SEED. */
+static inline uint64_t test_seed(void)
+{
+    const char *text = getenv("BSQ_TEST_SEED");
+    uint64_t seed = text ? strtoull(text, NULL, 0) : 20080312;
+    print_message("BSQ_TEST_SEED=%llu\n", (unsigned long long)seed);
+    return seed;
+}
+
+#endif
