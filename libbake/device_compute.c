@@ -225,7 +225,7 @@ static const char *run_tile(struct bake_compute *compute, unsigned worker,
 {
     const uint64_t texel_count = (uint64_t)tile->width * tile->height;
     const uint64_t samples = texel_count * texel_samples(compute);
-    struct bake_tile_times times;
+    struct bake_compute_worker *own = &compute->workers[worker];
     const char *call = compute->calls->write(compute, worker, part, tile, sample_triangles,
                                              samples * sizeof *sample_triangles, code);
 
@@ -234,11 +234,10 @@ static const char *run_tile(struct bake_compute *compute, unsigned worker,
     if (*code == 0)
         call = compute->calls->read(compute, worker, texels, texel_count * sizeof *texels, code);
     if (*code == 0)
-        call = compute->calls->times(compute, worker, &times, code);
+        call = compute->calls->times(compute, worker, &own->times, code);
     if (*code == 0) {
-        bake_slices_learn(&compute->workers[worker].slices, samples,
-                          times.kernels.end - times.kernels.start);
-        note_times(compute, &times);
+        bake_slices_learn(&own->slices, samples, own->times.kernels.end - own->times.kernels.start);
+        note_times(compute, &own->times);
     }
     return call;
 }

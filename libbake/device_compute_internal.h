@@ -70,6 +70,7 @@ struct bake_compute_calls {
 struct bake_compute_worker {
     bool open;
     struct bake_slices slices;
+    struct bake_tile_times times; /* of its last tile */
     uint64_t launches;
 };
 

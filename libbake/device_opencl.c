@@ -155,19 +155,18 @@ static int set_arguments(const struct opencl *cl, const struct worker *worker,
 
     for (cl_uint i = 0; i < BAKE_PART_ARRAYS && code == CL_SUCCESS; i++) {
         const cl_mem array = buffer_of(part->arrays[i]);
-        code = cl->api.clSetKernelArg(worker->kernel, i, sizeof array, &array);
+        code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &array);
     }
     if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof triangles, &triangles);
+        code = cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof(cl_mem), &triangles);
     if (code == CL_SUCCESS)
         code =
             cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof part->params, &part->params);
     if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_SAMPLES, sizeof worker->samples,
-                                      &worker->samples);
+        code =
+            cl->api.clSetKernelArg(worker->kernel, ARG_SAMPLES, sizeof(cl_mem), &worker->samples);
     if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_TEXELS, sizeof worker->texels,
-                                      &worker->texels);
+        code = cl->api.clSetKernelArg(worker->kernel, ARG_TEXELS, sizeof(cl_mem), &worker->texels);
     if (code == CL_SUCCESS)
         code = cl->api.clSetKernelArg(worker->kernel, ARG_TILE, sizeof *tile, tile);
     return code;
