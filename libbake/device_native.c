@@ -88,27 +88,25 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
         params->flags |= BK_HAS_COLOR;
 }
 
-static struct bk_grid native_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params)
+void bake_native_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                      struct bk_grid *out)
 {
-    struct bk_grid native;
-
-    bk_grid_from_params(&native, params);
-    native.tiles = (const bk_ulong *)(const void *)grid->tiles;
-    native.uppers = (const bk_ulong *)(const void *)grid->uppers;
-    native.lowers = (const bk_ulong *)(const void *)grid->lowers;
-    native.leaves = (const bk_ulong *)(const void *)grid->leaves;
-    native.normals = grid->normals;
-    native.planes = grid->planes;
-    native.colors = grid->colors;
-    native.seconds = &grid->seconds[0][0];
-    return native;
+    bk_grid_from_params(out, params);
+    out->tiles = (const bk_ulong *)(const void *)grid->tiles;
+    out->uppers = (const bk_ulong *)(const void *)grid->uppers;
+    out->lowers = (const bk_ulong *)(const void *)grid->lowers;
+    out->leaves = (const bk_ulong *)(const void *)grid->leaves;
+    out->normals = grid->normals;
+    out->planes = grid->planes;
+    out->colors = grid->colors;
+    out->seconds = &grid->seconds[0][0];
 }
 
 void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                     const float origin[3], const float direction[3], float t_min, float t_max,
                     const float facing[3], struct bk_hit *hit)
 {
-    struct bk_grid native = native_grid(grid, params);
+    struct bk_grid native;
     struct bk_cache cache = bk_cache_empty();
 
     const bk_vec3w d = bk_v3w(direction[0], direction[1], direction[2]);
@@ -120,6 +118,7 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                            .t_max = t_max};
     bk_hits hits;
 
+    bake_native_grid(grid, params, &native);
     bk_trace(&native, params, &cache, &line, &hits);
     *hit = (struct bk_hit){.found = hits.found,
                            .t = hits.t,
@@ -189,7 +188,7 @@ int bake_native_open(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     native->base.trace = native_trace;
     native->base.close = native_close;
     native->ctx = ctx;
-    native->grid = native_grid(job->grid, &job->params);
+    bake_native_grid(job->grid, &job->params, &native->grid);
     native->params = job->params;
     native->triangles = job->triangles;
     native->tile = widest_code();

@@ -7,6 +7,10 @@
 
 struct bk_grid;
 
+/* The arrays of a mapped file as the kernel takes them; valid while it is open. */
+void bake_native_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                      struct bk_grid *out);
+
 /* Texels are taken in squares of this side: what they share of the grid stays in the first cache.
  */
 enum { BAKE_NATIVE_SQUARE = 8 };

@@ -6,6 +6,7 @@
 
 #include "libbake/cuda_api_internal.h"
 #include "libbake/kernel/bk_sample.h"
+#include "libbake/native_internal.h"
 #include "libbake/part_internal.h"
 
 enum { MEMORY_CLOCK_RATE = 36, GLOBAL_MEMORY_BUS_WIDTH = 37 }; /* attributes: kHz, bits */
@@ -51,30 +52,15 @@ static int count_tile(void *arg, const struct rays_tile *tile)
     return 0;
 }
 
-static bk_grid grid_of(const struct rays_scene *scene)
-{
-    const struct fmt_nvdb_grid *file = &scene->surface.grid;
-    bk_grid grid;
-    bk_grid_from_params(&grid, &scene->job.params);
-    grid.tiles = (const bk_ulong *)(const void *)file->tiles;
-    grid.uppers = (const bk_ulong *)(const void *)file->uppers;
-    grid.lowers = (const bk_ulong *)(const void *)file->lowers;
-    grid.leaves = (const bk_ulong *)(const void *)file->leaves;
-    grid.normals = file->normals;
-    grid.planes = file->planes;
-    grid.colors = file->colors;
-    grid.seconds = &file->seconds[0][0];
-    return grid;
-}
-
 static int count(struct rays_scene *scene, bk_counts *out)
 {
-    struct counter counter = {.scene = scene, .grid = grid_of(scene)};
+    struct counter counter = {.scene = scene};
     int status = bsq_calloc(scene->ctx, "counts", bsq_threads(scene->ctx), sizeof *counter.workers,
                             &counter.workers);
     *out = (bk_counts){0};
     if (status < 0)
         return status;
+    bake_native_grid(&scene->surface.grid, &scene->job.params, &counter.grid);
     status = rays_for_tiles(scene, count_tile, &counter);
     for (unsigned w = 0; w < bsq_threads(scene->ctx); w++)
         add(out, &counter.workers[w]);

@@ -12,6 +12,7 @@
 #include "base/octahedral.h"
 #include "libbake/device_internal.h"
 #include "libbake/kernel/bk_sample.h"
+#include "libbake/native_internal.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
@@ -62,8 +63,8 @@ static void test_srgb_table(void **state)
     }
 }
 
-/* Every word is valid; where a coordinate is -32768, which the encoder never writes, the decoders may
- * differ from base/octahedral.h. The kernel has one for single words and one for lanes. */
+/* Every word is valid; where a coordinate is -32768, which the encoder never writes, the decoders
+ * may differ from base/octahedral.h. The kernel has one for single words and one for lanes. */
 static void test_decode_normal(void **state)
 {
     (void)state;
@@ -240,15 +241,7 @@ static struct bk_grid kernel_grid(const struct fmt_nvdb_grid *grid, struct bk_pa
 {
     struct bk_grid kernel;
     bake_params_from_grid(grid, params);
-    bk_grid_from_params(&kernel, params);
-    kernel.tiles = (const bk_ulong *)(const void *)grid->tiles;
-    kernel.uppers = (const bk_ulong *)(const void *)grid->uppers;
-    kernel.lowers = (const bk_ulong *)(const void *)grid->lowers;
-    kernel.leaves = (const bk_ulong *)(const void *)grid->leaves;
-    kernel.normals = grid->normals;
-    kernel.planes = grid->planes;
-    kernel.colors = grid->colors;
-    kernel.seconds = &grid->seconds[0][0];
+    bake_native_grid(grid, params, &kernel);
     return kernel;
 }
 

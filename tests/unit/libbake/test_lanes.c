@@ -1,5 +1,6 @@
 /* test_lanes.c - the kernel gives the same bits for any number of lanes and order of samples:
- * groups of four, eight and sixteen in squares of texels, in Morton order, against one sample at a time, row by row. */
+ * groups of four, eight and sixteen in squares of texels, in Morton order, against one sample at a
+ * time, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -79,15 +80,7 @@ static int setup(void **state)
     f->params.samples = SAMPLES;
     f->params.front = 9;
     f->params.back = 14;
-    bk_grid_from_params(&f->grid, &f->params);
-    f->grid.tiles = (const bk_ulong *)(const void *)f->file.tiles;
-    f->grid.uppers = (const bk_ulong *)(const void *)f->file.uppers;
-    f->grid.lowers = (const bk_ulong *)(const void *)f->file.lowers;
-    f->grid.leaves = (const bk_ulong *)(const void *)f->file.leaves;
-    f->grid.normals = f->file.normals;
-    f->grid.planes = f->file.planes;
-    f->grid.colors = f->file.colors;
-    f->grid.seconds = &f->file.seconds[0][0];
+    bake_native_grid(&f->file, &f->params, &f->grid);
     for (int i = 0; i < TRIANGLES; i++)
         make_triangle(&f->triangles[i], &seed);
     /* One without a direction: it covers texels and finds nothing. */
