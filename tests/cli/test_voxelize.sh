@@ -320,7 +320,7 @@ err_like '^bisque-voxelize: .*File too large$'
 files box.nvdb box.obj box.tris
 
 for signal in TERM HUP; do
-    interrupted $signal voxelizing bisque-voxelize box.obj -o a.nvdb --no-tris --resolution 16000
+    interrupted $signal voxelizing bisque-voxelize box.obj -o a.nvdb --no-tris --resolution 6000
     files box.nvdb box.obj box.tris
 done
 
