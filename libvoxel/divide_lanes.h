@@ -25,8 +25,8 @@ enum {
 };
 
 /* Least share of the triangle's area that a piece has, and least change of a coordinate along a
- * line that crosses a plane, lest digits get lost: where both are at their least, a piece's centroid
- * is still within some millionths of the triangle's size. */
+ * line that crosses a plane, lest digits get lost: where both are at their least, a piece's
+ * centroid is still within some millionths of the triangle's size. */
 #define DIVIDE_LEAST_SHARE 1e-7
 #define DIVIDE_LEAST_SLOPE 1e-3
 
