@@ -159,15 +159,18 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *what, const uint16
     const int32_t *low[LANE_COUNT];
     uint32_t first[LANE_COUNT];
     uint16_t places[LANE_COUNT];
-    lane_mask offset = {0}, active = {0};
+    long long offsets[LANE_COUNT], actives[LANE_COUNT];
+    lane_mask offset, active;
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
         places[l] = order[l < count ? l : count - 1];
         low[l] = block->triangles[places[l]].low;
         first[l] = l < count ? block->piece_count + l * cells : BLOCK_PIECES;
-        offset[l] = (long long)(first[l] * sizeof(struct block_piece));
-        active[l] = -(long long)(l < count);
+        offsets[l] = (long long)(first[l] * sizeof(struct block_piece));
+        actives[l] = -(long long)(l < count);
     }
+    memcpy(&offset, offsets, sizeof offset);
+    memcpy(&active, actives, sizeof active);
     load_triangles(what, places, &t);
     lanes lowest[3];
     lanes_gather_integers(low, lowest);
@@ -242,7 +245,8 @@ LANES_INLINE int add_run(const struct source *from, const struct block_piece *pi
     return status;
 }
 
-/* Adds the pieces of a triangle of the block. What most scans need has a loop of its own. */
+/* Adds the pieces of a triangle of the block. The compiler is told what is known, so that what most
+ * scans need has loops without what only others do. */
 LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t place)
 {
     struct source from = source_of(what, place);
@@ -252,7 +256,7 @@ LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t place)
         return add_run(&from, pieces, triangle->count);
     from.has_color = false;
     if (!from.smooth) {
-        from.smooth = from.curved = false;
+        from.smooth = false;
         return add_run(&from, pieces, triangle->count);
     }
     from.smooth = true;

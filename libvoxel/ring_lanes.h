@@ -8,7 +8,9 @@
 
 typedef double ring_four __attribute__((vector_size(32), aligned(8), may_alias));
 typedef float ring_floats __attribute__((vector_size(16)));
-typedef long long ring_order __attribute__((vector_size(32)));
+
+/* The coordinates with these numbers. */
+#define RING_TURN(x, i, j, k) __builtin_shufflevector(x, x, i, j, k, 3)
 
 /* What a triangle adds to the rings around its corners, in the form of struct vox_ring. */
 struct ring_share {
@@ -18,7 +20,6 @@ struct ring_share {
 static inline __attribute__((always_inline)) void
 ring_share_of(const struct fmt_tris_chunk *chunk, const uint32_t v[3], struct ring_share *share)
 {
-    const ring_order next = {1, 2, 0, 3}, after = {2, 0, 1, 3};
     ring_four corner[3], edge[3];
     for (int i = 0; i < 3; i++) {
         const float *p = chunk->positions[v[i]];
@@ -28,8 +29,8 @@ ring_share_of(const struct fmt_tris_chunk *chunk, const uint32_t v[3], struct ri
     for (int i = 0; i < 3; i++)
         edge[i] = corner[(i + 1) % 3] - corner[i];
     const ring_four a = edge[0], b = -edge[2];
-    ring_four area = __builtin_shuffle(a, next) * __builtin_shuffle(b, after) -
-                     __builtin_shuffle(a, after) * __builtin_shuffle(b, next);
+    ring_four area = RING_TURN(a, 1, 2, 0) * RING_TURN(b, 2, 0, 1) -
+                     RING_TURN(a, 2, 0, 1) * RING_TURN(b, 1, 2, 0);
     ring_four squares = area * area;
     double length = sqrt(squares[0] + squares[1] + squares[2]);
     area[3] = length;

@@ -251,8 +251,10 @@ LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block
 LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct block_piece *piece,
                                const double cell[4], bool curved, struct vox_piece_sum *sum)
 {
-    vox_four normal;
-    shade_mean(facts, ROW_NORMAL, piece, &normal);
+    /* As shade_mean(), but not in memory, where two lanes would wait for it. */
+    const vox_four normal = piece->area * *shade_row(facts, ROW_NORMAL) +
+                            piece->moment[0] * *shade_row(facts, ROW_TURN1) +
+                            piece->moment[1] * *shade_row(facts, ROW_TURN2);
     sum->normal = piece->normal_weight * normal;
     shade_center(facts, piece, cell, &sum->center);
     if (curved) {
