@@ -35,6 +35,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
     }
     t->has_normals = chunk->normals != NULL;
     t->curved = t->has_normals && chunk->coarse;
+    t->lift_limit = chunk->wide ? SHADE_LIFT_LIMIT : SHADE_LIFT_LIMIT_CLOSE;
     t->detached = t->curved && !chunk->rises && chunk->large;
     t->has_color = what->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {

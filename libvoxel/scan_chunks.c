@@ -117,6 +117,9 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 /* And above which the scan's own normals are to be believed rather than the planes of its facets.
  */
 #define LARGE_EDGE_SQUARE 4.0
+/* And above which normals that Bisque made are blended well without their planes, wherever pieces
+ * would have to be lifted far. */
+#define WIDE_EDGE_SQUARE 6.0
 
 /* Mean square of the triangles' first edges, in voxels. */
 static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[3])
@@ -205,6 +208,7 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
     double square = mean_edge_square(source, content->points);
     content->coarse = square > COARSE_EDGE_SQUARE;
     content->large = square > LARGE_EDGE_SQUARE;
+    content->wide = source->normals || square > WIDE_EDGE_SQUARE;
     content->rises = NULL;
     make_groups(c, slot);
     content->normals = (const float(*)[3])normals;

@@ -18,6 +18,7 @@ struct vox_chunk {
     const float (*normals)[3]; /* unit, or zero; NULL: those of the triangles; as points */
     const float *rises; /* of the surface of these normals above the vertices, in voxels; NULL: 0 */
     bool large;         /* more than coarse: facets are flat over several voxels */
+    bool wide;          /* pieces are not to be lifted far */
     bool coarse;        /* triangles are large enough for their facets to show in the grid */
     const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
     uint32_t group_count;
