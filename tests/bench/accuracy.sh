@@ -2,9 +2,9 @@
 # Measures how far maps baked from voxels are from exact ones, and prints tables in Markdown.
 # tests/bench/ACCURACY.md says how to read them.
 #
-#   BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny]...
+#   BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny|waves]...
 #
-#   sine, vase, bunny: these scans only
+#   sine, vase, bunny, waves: these scans only
 #   BIN, TESTS     directories with the programs and with generate-scan
 #   BENCH_DIR      where maps and heat maps stay; without it they go to a temporary directory beside
 #                  BIN, which is removed in the end
@@ -18,12 +18,12 @@ case ${1:-medium} in
 small) scan_triangles=2000000 bunny_triangles=2000000 size=1024 ;;
 medium) scan_triangles=10000000 bunny_triangles=10000000 size=2048 ;;
 *)
-    echo "usage: BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny]..." >&2
+    echo "usage: BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny|waves]..." >&2
     exit 64
     ;;
 esac
 shift $(($# > 0))
-[ $# -gt 0 ] || set -- sine vase bunny
+[ $# -gt 0 ] || set -- sine vase bunny waves
 samples=4
 ratios="2 1 0.5 0.25"
 finer=", against four times the triangles"
@@ -208,12 +208,16 @@ vase()
     discard vase
 }
 
+has_bunny()
+{
+    [ -n "$SCANS" ] && [ -f "$SCANS/bunny.obj" ] && return
+    say "no bunny.obj in SCANS: left out"
+    return 1
+}
+
 bunny()
 {
-    if [ -z "$SCANS" ] || [ ! -f "$SCANS/bunny.obj" ]; then
-        say "no bunny.obj in SCANS: left out"
-        return
-    fi
+    has_bunny || return
     "$TESTS/generate-scan" --triangles $bunny_triangles "$SCANS/bunny.obj" -o bunny.obj || exit 73
     prepare bunny bunny.obj "$SCANS/bunny_low.obj" $size
     rm bunny.obj
@@ -228,13 +232,35 @@ bunny()
     discard bunny
 }
 
+# The bunny's waves alone, without the creases between its faces, stretched 1, 2 and 4 times and as steep as before:
+# triangles stay as large as they are, so a wave has more of them. Shortest waves are about 8 texels long, or 4 in small.
+waves()
+{
+    has_bunny || return
+    diagonal=$(calc "$(awk -f "$here/accuracy_diagonal.awk" "$SCANS/bunny.obj")") || exit 65
+    for stretch in 1 2 4; do
+        "$TESTS/generate-scan" --triangles $bunny_triangles --rounded --amplitude "$(calc "0.002 * $stretch")" \
+            --wavelength "$(calc "0.03 * $diagonal * $stretch")" "$SCANS/bunny.obj" -o waves.obj || exit 73
+        prepare "waves$stretch" waves.obj "$SCANS/bunny_low.obj" $size
+        rm waves.obj
+        for ratio in $ratios; do
+            detail=$(calc "8 * $stretch * $size / 2048 / $ratio")
+            case $detail in
+            8 | 16 | 32) both_samplings "waves$stretch" "$ratio" "$detail" "bunny's waves, $((bunny_triangles / 1000000))M triangles" ;;
+            esac
+        done
+        discard "waves$stretch"
+    done
+}
+
 for scan; do
     case $scan in
     sine) sines ;;
     vase) vase ;;
     bunny) bunny ;;
+    waves) waves ;;
     *)
-        say "$scan is not sine, vase or bunny"
+        say "$scan is not sine, vase, bunny or waves"
         exit 64
         ;;
     esac

@@ -20,7 +20,8 @@ static const char usage[] =
     "      --shuffle SEED    faces in random order\n"
     "      --offset X,Y,Z    added to every position\n"
     "      --amplitude A     displacement as a share of the diagonal (default 0.002)\n"
-    "      --wavelength W    of the sine (default 10)\n";
+    "      --rounded         the small scan's edges are no creases\n"
+    "      --wavelength W    of the sine (default 10), the longest of an amplified scan (default 0.03 diagonals)\n";
 
 static int bad_usage(void)
 {
@@ -31,13 +32,13 @@ static int bad_usage(void)
 int main(int argc, char **argv)
 {
     struct generate_options options = {.triangles = 2000000, .corners = 3, .amplitude = 0.002,
-                                       .wavelength = 10};
-    enum { NORMALS = 256, UVS, CORNERS, SHUFFLE, OFFSET, AMPLITUDE, WAVELENGTH };
+                                       .wavelength = 0};
+    enum { NORMALS = 256, UVS, CORNERS, SHUFFLE, OFFSET, AMPLITUDE, ROUNDED, WAVELENGTH };
     static const struct option table[] = {
         {"triangles", 1, 0, 'n'}, {"colors", 0, 0, 'c'},     {"normals", 0, 0, NORMALS},
         {"uvs", 0, 0, UVS},       {"corners", 1, 0, CORNERS}, {"shuffle", 1, 0, SHUFFLE},
         {"offset", 1, 0, OFFSET}, {"output", 1, 0, 'o'},     {"amplitude", 1, 0, AMPLITUDE},
-        {"wavelength", 1, 0, WAVELENGTH}, {0}};
+        {"rounded", 0, 0, ROUNDED}, {"wavelength", 1, 0, WAVELENGTH}, {0}};
     for (int c; (c = getopt_long(argc, argv, "n:co:", table, NULL)) != -1;) {
         switch (c) {
         case 'n': options.triangles = strtoull(optarg, NULL, 10); break;
@@ -48,6 +49,7 @@ int main(int argc, char **argv)
         case CORNERS: options.corners = (unsigned)strtoul(optarg, NULL, 10); break;
         case SHUFFLE: options.shuffle = 1, options.seed = strtoull(optarg, NULL, 10); break;
         case AMPLITUDE: options.amplitude = strtod(optarg, NULL); break;
+        case ROUNDED: options.rounded = 1; break;
         case WAVELENGTH: options.wavelength = strtod(optarg, NULL); break;
         case OFFSET:
             if (sscanf(optarg, "%lf,%lf,%lf", options.offset, options.offset + 1,
@@ -58,7 +60,7 @@ int main(int argc, char **argv)
         }
     }
     if (optind + 1 != argc || !options.output || options.triangles < 1 ||
-        !(options.wavelength > 0) ||
+        !(options.wavelength >= 0) ||
         (options.corners != 3 && (options.corners < 4 || options.corners % 2)))
         return bad_usage();
     if (!strcmp(argv[optind], "vase"))

@@ -13,6 +13,7 @@ struct small {
     uint64_t (*face)[3], (*edge)[3]; /* edge numbers opposite to corners 2, 0, 1: 01, 12, 20 */
     uint64_t vertices, faces, edges, k;
     double height, wavelength;
+    int rounded;
 };
 
 struct half_edge {
@@ -113,6 +114,23 @@ static double bump(const struct small *m, const double p[3])
     return m->height * sum;
 }
 
+/* Lifts a point of a face from its plane onto a surface that bends as the corners' normals say (Boubekeur & Alexa,
+ * "Phong Tessellation", 2008): old edges are no creases then. */
+static void round_point(const struct small *m, uint64_t f, const double w[3], double p[3])
+{
+    double lift[3] = {0};
+    for (int c = 0; c < 3; c++) {
+        const double *corner = m->position[m->face[f][c]], *n = m->normal[m->face[f][c]];
+        double above = 0;
+        for (int i = 0; i < 3; i++)
+            above += (p[i] - corner[i]) * n[i];
+        for (int i = 0; i < 3; i++)
+            lift[i] -= 0.5 * w[c] * above * n[i];
+    }
+    for (int i = 0; i < 3; i++)
+        p[i] += lift[i];
+}
+
 /* The point with weights (w0, w1, w2) / k on face f, displaced, as a line of text. */
 static void put_point(struct small *m, struct text_writer *text, const double *offset, uint64_t f,
                       uint64_t w0, uint64_t w1)
@@ -124,6 +142,8 @@ static void put_point(struct small *m, struct text_writer *text, const double *o
             p[i] += w[c] * m->position[m->face[f][c]][i];
             n[i] += w[c] * m->normal[m->face[f][c]][i];
         }
+    if (m->rounded)
+        round_point(m, f, w, p);
     double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), h = bump(m, p);
     text_string(text, "v");
     for (int i = 0; i < 3; i++)
@@ -200,7 +220,7 @@ static void put_small_face(struct small *m, struct text_writer *text, uint64_t f
     text_string(text, "\n");
 }
 
-static void measure(struct small *m, double amplitude)
+static void measure(struct small *m, const struct generate_options *options)
 {
     double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, d = 0;
     for (uint64_t v = 0; v < m->vertices; v++)
@@ -210,8 +230,9 @@ static void measure(struct small *m, double amplitude)
         }
     for (int i = 0; i < 3; i++)
         d += (high[i] - low[i]) * (high[i] - low[i]);
-    m->height = amplitude * sqrt(d);
-    m->wavelength = 0.03 * sqrt(d);
+    m->height = options->amplitude * sqrt(d);
+    m->wavelength = options->wavelength > 0 ? options->wavelength : 0.03 * sqrt(d);
+    m->rounded = options->rounded;
 }
 
 void generate_amplified(const struct generate_options *options, const char *input)
@@ -221,7 +242,7 @@ void generate_amplified(const struct generate_options *options, const char *inpu
     read_small(&m, input);
     number_edges(&m);
     smooth_normals(&m);
-    measure(&m, options->amplitude);
+    measure(&m, options);
     m.k = (uint64_t)fmax(1, round(sqrt((double)options->triangles / (double)m.faces)));
     text_open(&text, options->output);
     put_points(&m, &text, options->offset);

@@ -12,7 +12,8 @@ struct generate_options {
     uint64_t seed;
     double offset[3];     /* added to every position: geo-referenced scans */
     double amplitude;     /* amplify: height of the displacement as a share of the diagonal */
-    double wavelength;    /* sine: in world units */
+    int rounded;          /* amplify: no creases along the edges of the small scan */
+    double wavelength;    /* sine, and the longest waves of amplify: in world units; 0: the usual one */
     const char *output;
 };
 

@@ -82,7 +82,7 @@ static void put_triangle(struct patch *patch, uint64_t index, int normals)
 static void open_patch(struct patch *patch, const struct generate_options *options)
 {
     set_axes(patch->axis);
-    patch->k = 6.283185307179586 / options->wavelength;
+    patch->k = 6.283185307179586 / (options->wavelength > 0 ? options->wavelength : 10);
     patch->height = tan(SLOPE) / patch->k;
     for (int i = 0; i < 3; i++)
         patch->offset[i] = options->offset[i];
