@@ -76,8 +76,8 @@ uint64_t vox_memory_min(unsigned threads);
 int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t obj_count,
                    struct vox_sort_report *report);
 
-/* Normals of a scan that has none of its own. Where its triangles are smaller than a voxel both are the same, as a
- * voxel averages over many of them. */
+/* Normals of a scan that has none of its own. Where its edges are shorter than 0.7 voxels both are the same, as a
+ * voxel averages over several triangles. */
 enum vox_scan_normals {
     VOX_NORMALS_SMOOTH, /* interpolated between vertices; each is the area-weighted mean around it */
     VOX_NORMALS_FLAT    /* those of the triangles */

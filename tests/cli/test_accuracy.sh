@@ -155,6 +155,7 @@ half_texels()
 # Exact normals of small triangles with the formula's normals are the formula's.
 half_texels "waves of 8 voxels, the formula's normals" 0.2 3 6.25 --triangles 611618 --normals
 # Voxels smaller than triangles without normals: planes have to go with normals that are interpolated.
+half_texels "triangles of 0.8 voxels, 10 to a wave" 0.15 3 6.25 --triangles 59858
 half_texels "triangles of 1.3 voxels, 10 to a wave" 0.4 2 10 --triangles 23328
 half_texels "triangles of 1.6 voxels, 10 to a wave" 0.15 3 12.9 --triangles 14112
 half_texels "triangles of 2.6 voxels, 10 to a wave" 0.2 1.2 20 --triangles 5832
