@@ -228,9 +228,9 @@ LANES_INLINE int add_piece(const struct source *from, const struct block_piece *
     else
         shade_flat(from->facts, piece, cell, &sum);
     if (rgb)
-        sum.color = piece->area * *(const vox_four *)rgb;
+        sum.color = row_times(piece->area, row_load(rgb));
     else if (from->has_color)
-        shade_mean(from->facts, ROW_COLOR, piece, &sum.color);
+        sum.color = shade_mean(shade_rows(from->facts, ROW_COLOR), piece);
     return vox_accumulator_add(from->sums, piece->voxel, &sum, from->has_color);
 }
 

@@ -57,6 +57,86 @@ LANES_INLINE lane_mask lanes_integer_bits(lanes x)
     return (lane_mask)(x + 0x1.8p52);
 }
 
+/* Four numbers of one thing, whatever the number of lanes. Not one vector: compilers keep vectors
+ * larger than the processor's in memory, where loads wait for smaller stores. */
+#define ROW_PARTS (4 / LANE_COUNT)
+struct row {
+    lanes part[ROW_PARTS];
+};
+
+/* At any double. */
+typedef double lanes_in_memory __attribute__((vector_size(8 * LANE_COUNT), aligned(8), may_alias));
+
+LANES_INLINE struct row row_load(const double *from)
+{
+    struct row x;
+    for (int i = 0; i < ROW_PARTS; i++)
+        x.part[i] = *(const lanes_in_memory *)(from + i * LANE_COUNT);
+    return x;
+}
+
+LANES_INLINE void row_store(struct row x, double *to)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        *(lanes_in_memory *)(to + i * LANE_COUNT) = x.part[i];
+}
+
+LANES_INLINE struct row row_sum(struct row a, struct row b)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        a.part[i] += b.part[i];
+    return a;
+}
+
+LANES_INLINE struct row row_difference(struct row a, struct row b)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        a.part[i] -= b.part[i];
+    return a;
+}
+
+LANES_INLINE struct row row_product(struct row a, struct row b)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        a.part[i] *= b.part[i];
+    return a;
+}
+
+LANES_INLINE struct row row_times(double factor, struct row x)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        x.part[i] *= lanes_all(factor);
+    return x;
+}
+
+/* Adds x to the four numbers. */
+LANES_INLINE void row_add(double *to, struct row x)
+{
+    row_store(row_sum(row_load(to), x), to);
+}
+
+LANES_INLINE struct row row_of(double a, double b, double c, double d)
+{
+    const double numbers[4] = {a, b, c, d};
+    struct row x;
+    for (int i = 0; i < 4; i++)
+        x.part[i / LANE_COUNT][i % LANE_COUNT] = numbers[i];
+    return x;
+}
+
+/* x with another last number */
+LANES_INLINE struct row row_with_last(struct row x, double last)
+{
+    x.part[3 / LANE_COUNT][3 % LANE_COUNT] = last;
+    return x;
+}
+
+/* The number with this index. */
+LANES_INLINE double row_number(struct row x, int i)
+{
+    return x.part[i / LANE_COUNT][i % LANE_COUNT];
+}
+
 /* Four whole numbers, whatever the number of lanes: a voxel and a number that does not matter. */
 typedef int32_t four_ints __attribute__((vector_size(16)));
 
@@ -126,6 +206,13 @@ LANES_INLINE uint32_t sixteen_bits(const uint32_t from[16])
 }
 
 #if defined __AVX2__
+
+/* The numbers with indices 1, 2, 0 and 3. */
+LANES_INLINE struct row row_turn(struct row x)
+{
+    x.part[0] = _mm256_permute4x64_pd(x.part[0], 0xc9);
+    return x;
+}
 
 LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
 {
@@ -236,6 +323,12 @@ LANES_INLINE void lanes_scatter_pairs(lanes x, lanes y, double *const to[LANE_CO
 }
 
 #else
+
+LANES_INLINE struct row row_turn(struct row x)
+{
+    return (struct row){{__builtin_shufflevector(x.part[0], x.part[1], 1, 2),
+                         __builtin_shufflevector(x.part[0], x.part[1], 0, 3)}};
+}
 
 LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
 {

@@ -126,20 +126,19 @@ bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
 }
 
 /* Length of a normal times the cosine of its angle to a record's. */
-static double along(const struct vox_piece_sum *piece, const struct vox_sum *sum)
+static double along(const struct vox_sum *piece, const struct vox_sum *sum)
 {
-    const double normal[3] = {piece->normal[0], piece->normal[1], piece->normal[2]};
     double length = sqrt(vox_dot(sum->normal, sum->normal));
-    return length > 0.0 ? vox_dot(normal, sum->normal) / length : 0.0;
+    return length > 0.0 ? vox_dot(piece->normal, sum->normal) / length : 0.0;
 }
 
 uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
-                                const struct vox_piece_sum *piece)
+                                const struct vox_sum *piece)
 {
     uint32_t second = a->others[first];
     if (second == 0)
         return a->others[first] = ++a->sum_count;
-    if (!vox_faces_away(piece, &a->sums[second]))
+    if (!vox_faces_away(row_load(piece->normal), piece->area, &a->sums[second]))
         return second;
     return along(piece, &a->sums[second]) > along(piece, &a->sums[first]) ? second : first;
 }

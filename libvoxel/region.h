@@ -4,12 +4,13 @@
  * 8^3 voxel slots, per voxel one record or two. Sums are double, so that a million small pieces in
  * one voxel lose nothing. Not thread-safe: one accumulator a worker, reused for every region.
  *
- * Every fourth piece or so is the first in its voxel, which no processor can foresee. So records are
- * made ready ahead of need, and adding takes no branch for that. */
+ * Every fourth piece or so is the first in its voxel, which no processor can foresee. So records
+ * are made ready ahead of need, and adding takes no branch for that. */
 #ifndef VOX_REGION_H
 #define VOX_REGION_H
 
 #include "formats/nvdb.h"
+#include "libvoxel/lanes.h"
 #include "libvoxel/voxel_color.h"
 
 enum {
@@ -24,8 +25,9 @@ enum {
 
 /* Sums over pieces. */
 struct vox_sum {
-    double normal[3]; /* of area times normal, whose length, at most 1, is the weight of its direction */
-    double shaded;    /* number of pieces whose normal does not go with the plane the centres lie in */
+    double normal[3]; /* of area times normal, whose length, at most 1, is the weight of its
+                         direction */
+    double shaded; /* number of pieces whose normal does not go with the plane the centres lie in */
     double center[3]; /* of area times centroid, from the voxel's centre, in voxels */
     double area;      /* in voxel faces */
 };
@@ -50,7 +52,8 @@ struct vox_accumulator {
     uint32_t ready_count; /* records that are zero, or not any more */
 };
 
-/* Number of a voxel in the region, of coordinates from 0 to 127: its brick, then its place there. */
+/* Number of a voxel in the region, of coordinates from 0 to 127: its brick, then its place there.
+ */
 static inline uint32_t vox_voxel_number(uint32_t x, uint32_t y, uint32_t z)
 {
     return (x >> 3) << 17 | (y >> 3) << 13 | (z >> 3) << 9 | (x & 7) << 6 | (y & 7) << 3 | (z & 7);
@@ -109,17 +112,14 @@ static inline int vox_accumulator_make_room(struct vox_accumulator *a)
     return room || vox_accumulator_make_ready(a) ? 0 : VOX_REGION_FULL;
 }
 
-/* The members of the structures above come in fours. */
-typedef double vox_four __attribute__((vector_size(32), aligned(8), may_alias));
-
 /* A piece in the form of the sums: the members of struct vox_sum and of struct vox_color_sum. */
 struct vox_piece_sum {
-    vox_four normal, center, color;
+    struct row normal, center, color;
 };
 
 /* The record that a piece belongs to which faces away from the voxel's first one. */
 uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
-                                const struct vox_piece_sum *piece);
+                                const struct vox_sum *piece);
 
 static inline double vox_dot(const double a[3], const double b[3])
 {
@@ -128,17 +128,19 @@ static inline double vox_dot(const double a[3], const double b[3])
 
 /* Whether the cosine between a piece's normal and a record's is below -1/4: the two sides of a wall
  * and of a blade are, those of a box's edge are not. */
-static inline bool vox_faces_away(const struct vox_piece_sum *piece, const struct vox_sum *sum)
+LANES_INLINE bool vox_faces_away(struct row normal, double area, const struct vox_sum *sum)
 {
-    vox_four products = piece->normal * *(const vox_four *)sum->normal;
-    double d = products[0] + products[1] + products[2], area = piece->center[3];
-    return __builtin_expect(d < 0.0, 0) && d * d > 0.25 * 0.25 * vox_dot(sum->normal, sum->normal) * area * area;
+    struct row products = row_product(normal, row_load(sum->normal));
+    double d = row_number(products, 0) + row_number(products, 1) + row_number(products, 2);
+    return __builtin_expect(d < 0.0, 0) &&
+           d * d > 0.25 * 0.25 * vox_dot(sum->normal, sum->normal) * area * area;
 }
 
-/* Adds one piece, of an area above 0, to a voxel. has_color: whether the accumulator has colours. The order of calls decides which record a piece goes to. Returns 0 or VOX_REGION_FULL,
- * with nothing added. */
-static inline int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
-                                      const struct vox_piece_sum *piece, bool has_color)
+/* Adds one piece, of an area above 0, to a voxel. has_color: whether the accumulator has colours.
+ * The order of calls decides which record a piece goes to. Returns 0 or VOX_REGION_FULL, with
+ * nothing added. */
+LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
+                                     const struct vox_piece_sum *piece, bool has_color)
 {
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
@@ -148,16 +150,18 @@ static inline int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
     number = fresh ? next : number;
     *slot = number;
     a->sum_count += fresh;
-    if (vox_faces_away(piece, &a->sums[number])) {
-        const struct vox_piece_sum in_memory = *piece; /* while `piece` itself is in registers */
+    if (vox_faces_away(piece->normal, row_number(piece->center, 3), &a->sums[number])) {
+        struct vox_sum in_memory; /* while `piece` itself is in registers */
+        row_store(piece->normal, in_memory.normal);
+        row_store(piece->center, in_memory.center);
         number = vox_accumulator_choose(a, number, &in_memory);
     }
 
     struct vox_sum *sum = &a->sums[number];
-    *(vox_four *)sum->normal += piece->normal;
-    *(vox_four *)sum->center += piece->center;
+    row_add(sum->normal, piece->normal);
+    row_add(sum->center, piece->center);
     if (has_color)
-        *(vox_four *)a->colors[number].rgb += piece->color;
+        row_add(a->colors[number].rgb, piece->color);
     return 0;
 }
 

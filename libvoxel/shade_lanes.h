@@ -209,18 +209,29 @@ LANES_INLINE void shade_weigh(const struct shade_triangles *t, lanes area, const
         *center = (shade_sum(pairs, t->arc) + area * shade_sum(w, t->rise)) * inverse;
 }
 
-LANES_INLINE const vox_four *shade_row(const struct block_facts *facts, enum block_row row)
+/* A row, and the two that follow it. */
+struct shade_rows {
+    struct row row[3];
+};
+
+LANES_INLINE struct row shade_row(const struct block_facts *facts, enum block_row row)
 {
-    return (const vox_four *)facts->row[row];
+    return row_load(facts->row[row]);
 }
 
-/* Area times mean over the piece of what is `row` at the first corner, and differs by the two rows
- * that follow it at the others. */
-LANES_INLINE void shade_mean(const struct block_facts *facts, enum block_row row,
-                             const struct block_piece *piece, vox_four *mean)
+LANES_INLINE struct shade_rows shade_rows(const struct block_facts *facts, enum block_row row)
 {
-    *mean = piece->area * *shade_row(facts, row) + piece->moment[0] * *shade_row(facts, row + 1) +
-            piece->moment[1] * *shade_row(facts, row + 2);
+    return (struct shade_rows){
+        {shade_row(facts, row), shade_row(facts, row + 1), shade_row(facts, row + 2)}};
+}
+
+/* Area times mean over the piece of what is the first row at the first corner, and differs by the
+ * others at the others. */
+LANES_INLINE struct row shade_mean(struct shade_rows rows, const struct block_piece *piece)
+{
+    return row_sum(
+        row_sum(row_times(piece->area, rows.row[0]), row_times(piece->moment[0], rows.row[1])),
+        row_times(piece->moment[1], rows.row[2]));
 }
 
 /* Corners of cells from that of the lowest, by block_piece's number. */
@@ -235,35 +246,32 @@ static const double shade_cells[64][4] = {SHADE_CELLS_Y(0), SHADE_CELLS_Y(1), SH
                                           SHADE_CELLS_Y(3)};
 
 /* Area times centroid, from the centre of the cell, whose lower corner is `cell`. */
-LANES_INLINE void shade_center(const struct block_facts *facts, const struct block_piece *piece,
-                               const double cell[4], vox_four *center)
+LANES_INLINE struct row shade_center(const struct block_facts *facts,
+                                     const struct block_piece *piece, const double cell[4])
 {
-    *center = piece->area * (*shade_row(facts, ROW_CORNER) - *(const vox_four *)cell) +
-              piece->moment[0] * *shade_row(facts, ROW_EDGE1) +
-              piece->moment[1] * *shade_row(facts, ROW_EDGE2);
+    struct shade_rows rows = shade_rows(facts, ROW_CORNER);
+    rows.row[0] = row_difference(rows.row[0], row_load(cell));
+    return shade_mean(rows, piece);
 }
 
 /* The sums for a piece that has the triangle's own normal. */
 LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block_piece *piece,
                              const double cell[4], struct vox_piece_sum *sum)
 {
-    sum->normal = piece->area * *shade_row(facts, ROW_FLAT);
-    shade_center(facts, piece, cell, &sum->center);
+    sum->normal = row_times(piece->area, shade_row(facts, ROW_FLAT));
+    sum->center = shade_center(facts, piece, cell);
 }
 
 /* And for one with a normal that is interpolated. */
 LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct block_piece *piece,
                                const double cell[4], bool curved, struct vox_piece_sum *sum)
 {
-    /* As shade_mean(), but not in memory, where two lanes would wait for it. */
-    const vox_four normal = piece->area * *shade_row(facts, ROW_NORMAL) +
-                            piece->moment[0] * *shade_row(facts, ROW_TURN1) +
-                            piece->moment[1] * *shade_row(facts, ROW_TURN2);
-    sum->normal = piece->normal_weight * normal;
-    shade_center(facts, piece, cell, &sum->center);
+    struct row normal = shade_mean(shade_rows(facts, ROW_NORMAL), piece);
+    sum->normal = row_times(piece->normal_weight, normal);
+    sum->center = shade_center(facts, piece, cell);
     if (curved) {
-        sum->normal += *shade_row(facts, ROW_SHADED);
-        sum->center += piece->center_weight * normal;
+        sum->normal = row_sum(sum->normal, shade_row(facts, ROW_SHADED));
+        sum->center = row_sum(sum->center, row_times(piece->center_weight, normal));
     }
 }
 
