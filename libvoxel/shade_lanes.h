@@ -179,11 +179,6 @@ LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
 
 /* ---- pieces ---- */
 
-LANES_INLINE lanes shade_sum(const lanes x[3], const lanes y[3])
-{
-    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
-}
-
 /* Directions count as far as they agree with the triangle's: then coverage tells how well a voxel's
  * plane stands for its surface.
  *
@@ -201,12 +196,12 @@ LANES_INLINE void shade_weigh(const struct shade_triangles *t, lanes area, const
 {
     const lanes w[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
     const lanes pairs[3] = {w[0] * w[1], w[1] * w[2], w[2] * w[0]};
-    lanes square = area * shade_sum(w, t->squares) - shade_sum(pairs, t->gaps);
+    lanes square = area * shade_dot(w, t->squares) - shade_dot(pairs, t->gaps);
     lanes inverse = 1.0 / (area * lanes_sqrt(square)), across = area * inverse;
     *cancels = ~(square > 1e-12 * (area * area));
-    *normal = area * lanes_abs(shade_sum(w, t->agreements)) * (across * across);
+    *normal = area * lanes_abs(shade_dot(w, t->agreements)) * (across * across);
     if (t->curved)
-        *center = (shade_sum(pairs, t->arc) + area * shade_sum(w, t->rise)) * inverse;
+        *center = (shade_dot(pairs, t->arc) + area * shade_dot(w, t->rise)) * inverse;
 }
 
 /* A row, and the two that follow it. */

@@ -274,9 +274,20 @@ CUresult cuCtxSetCurrent(CUcontext context)
 CUresult cuMemGetInfo_v2(size_t *free_bytes, size_t *total)
 {
     BEGIN_IN_CONTEXT;
+    pthread_mutex_lock(&lock);
     *free_bytes = memory_bytes - used_bytes;
+    pthread_mutex_unlock(&lock);
     *total = memory_bytes;
     return CUDA_SUCCESS;
+}
+
+static bool take_bytes(size_t bytes)
+{
+    pthread_mutex_lock(&lock);
+    bool fits = bytes <= memory_bytes - used_bytes;
+    used_bytes += fits ? bytes : 0;
+    pthread_mutex_unlock(&lock);
+    return fits;
 }
 
 CUresult cuMemAlloc_v2(CUdeviceptr *memory, size_t bytes)
@@ -286,7 +297,7 @@ CUresult cuMemAlloc_v2(CUdeviceptr *memory, size_t bytes)
     BEGIN_IN_CONTEXT;
     if (bytes == 0)
         return INVALID_VALUE;
-    if (bytes > memory_bytes - used_bytes)
+    if (!take_bytes(bytes))
         return CUDA_ERROR_OUT_OF_MEMORY;
     allocation = calloc(1, sizeof *allocation);
     allocation->memory = malloc(bytes);
@@ -295,7 +306,6 @@ CUresult cuMemAlloc_v2(CUdeviceptr *memory, size_t bytes)
     pthread_mutex_lock(&lock);
     allocation->next = allocations;
     allocations = allocation;
-    used_bytes += bytes;
     pthread_mutex_unlock(&lock);
     count_live(1);
     *memory = (CUdeviceptr)(uintptr_t)allocation->memory + DEVICE_ADDRESS;
