@@ -231,6 +231,8 @@ LANES_INLINE int add_piece(const struct source *from, const struct block_piece *
         sum.color = row_times(piece->area, row_load(rgb));
     else if (from->has_color)
         sum.color = shade_mean(shade_rows(from->facts, ROW_COLOR), piece);
+    else
+        sum.color = (struct row){0};
     return vox_accumulator_add(from->sums, piece->voxel, &sum, from->has_color);
 }
 
