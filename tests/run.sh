@@ -3,9 +3,11 @@
 # the counts. A program that fails without saying which test did counts as one failure.
 set -u
 export CMOCKA_MESSAGE_OUTPUT=TAP
-# Only programs that were built with config=tsan read this.
+# Only programs that were built with config=tsan, or config=asan, read these.
 # Drivers are asked for their devices in a fork.
-export TSAN_OPTIONS="suppressions=$(cd "$(dirname "$0")" && pwd)/lint/tsan.supp die_after_fork=0 ${TSAN_OPTIONS-}"
+lint=$(cd "$(dirname "$0")/lint" && pwd) || exit 1
+export TSAN_OPTIONS="suppressions=$lint/tsan.supp die_after_fork=0 ${TSAN_OPTIONS-}"
+export LSAN_OPTIONS="suppressions=$lint/lsan.supp:print_suppressions=0:${LSAN_OPTIONS-}"
 # Compiled kernels are kept beside the tests, not among the user's.
 XDG_CACHE_HOME=$(cd "${TESTS:?}" && pwd)/cache || exit 1
 export XDG_CACHE_HOME
