@@ -38,7 +38,7 @@ int vox_tear_down(void **state)
     return 0;
 }
 
-struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolution, double voxel_size)
+static int voxelize(const struct vox_fixture *f, uint32_t resolution, double voxel_size, struct vox_voxelize_report *report)
 {
     struct vox_voxelize_options options = {
         .tris_path = f->tris,
@@ -46,8 +46,13 @@ struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolu
         .resolution = resolution,
         .voxel_size = voxel_size,
     };
+    return vox_voxelize(f->ctx, &options, report);
+}
+
+struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolution, double voxel_size)
+{
     struct vox_voxelize_report report;
-    int status = vox_voxelize(f->ctx, &options, &report);
+    int status = voxelize(f, resolution, voxel_size, &report);
     if (status != 0)
         print_message("%s\n", bsq_error(f->ctx));
     assert_int_equal(status, 0);
@@ -57,14 +62,8 @@ struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolu
 void vox_expect_failure(struct vox_fixture *f, uint32_t resolution, double voxel_size, int status,
                         const char *text)
 {
-    struct vox_voxelize_options options = {
-        .tris_path = f->tris,
-        .grid_path = f->grid,
-        .resolution = resolution,
-        .voxel_size = voxel_size,
-    };
     struct vox_voxelize_report report;
-    assert_int_equal(vox_voxelize(f->ctx, &options, &report), status);
+    assert_int_equal(voxelize(f, resolution, voxel_size, &report), status);
     if (!strstr(bsq_error(f->ctx), text))
         print_message("%s\n", bsq_error(f->ctx));
     assert_non_null(strstr(bsq_error(f->ctx), text));
