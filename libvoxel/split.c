@@ -1,14 +1,12 @@
 /* split.c - see split.h.
  *
- * Neighbours in the file mostly are neighbours in space, so triangles of a cell are noted as links
- * of a chain. Then each cell's chain is coded at one go: in a file without any order a cell's
- * triangles still share runs. */
+ * Neighbours in the file mostly are neighbours in space, so triangles are noted as links, one
+ * behind the other in one cell. Then each cell's links are coded at one go: in a file without any
+ * order a cell's triangles still share runs. */
 #include "libvoxel/split.h"
 #include "base/polygon.h"
 
 #include <math.h>
-
-#define NO_LINK UINT32_MAX
 
 /* ---- memory ---- */
 
@@ -27,7 +25,7 @@ static uint32_t coded_bound(const struct split_plan *plan, uint32_t kinds)
 uint64_t splitter_bytes(const struct split_plan *plan, uint64_t triangles, uint32_t max_size)
 {
     uint64_t each = sizeof(struct run_header) + sizeof(struct split_piece) +
-                    sizeof(struct split_link) + sizeof(uint32_t[3]) +
+                    2 * sizeof(struct split_link) + sizeof(uint32_t[3]) +
                     coded_bound(plan, FACE_KIND_COUNT);
     return each * triangles + 44 * (uint64_t)max_size + ((uint64_t)4 << 3 * plan->levels);
 }
@@ -36,16 +34,16 @@ int splitter_init(struct splitter *s, struct bsq_ctx *ctx, const struct split_pl
 {
     uint64_t cells = (uint64_t)1 << 3 * plan->levels;
     *s = (struct splitter){.ctx = ctx, .plan = plan};
-    int status = bsq_alloc(ctx, "faces", cells, sizeof *s->chains, &s->chains);
+    int status = bsq_alloc(ctx, "faces", cells, sizeof *s->cell_pieces, &s->cell_pieces);
     if (status == 0)
-        memset(s->chains, 0xff, cells * sizeof *s->chains);
+        memset(s->cell_pieces, 0xff, cells * sizeof *s->cell_pieces);
     return status;
 }
 
 void splitter_free(struct splitter *s)
 {
-    void *parts[] = {s->pieces, s->bytes,   s->corners,           s->links,
-                     s->chains, s->polygon, s->polygon_triangles, s->polygon_scratch};
+    void *parts[] = {s->pieces,      s->bytes,   s->corners,           s->links,          s->sorted,
+                     s->cell_pieces, s->polygon, s->polygon_triangles, s->polygon_scratch};
     for (size_t i = 0; s->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(s->ctx, parts[i]);
     memset(s, 0, sizeof *s);
@@ -68,6 +66,13 @@ static int room_for_triangles(struct splitter *s, uint64_t triangles, uint32_t m
         return status;
     return bsq_grow(s->ctx, what, max_size, 8, &s->polygon_scratch, &s->polygon_capacity[2]);
 }
+
+#define NO_PIECE UINT32_MAX
+
+/* What comes this far ahead of what is in hand is asked for: without it a file whose faces have no
+ * order waits for memory at every corner. */
+#define CORNERS_AHEAD 48
+#define LINKS_AHEAD   16
 
 /* ---- triangles ---- */
 
@@ -123,8 +128,8 @@ static inline bool lacks_texcoord(const struct face_group *group, uint32_t a, ui
 
 static void add_link(struct splitter *s, uint32_t cell, uint32_t material)
 {
-    s->links[s->link_count++] = (struct split_link){
-        .cell = cell, .first = (uint32_t)s->triangles, .material = material, .next = NO_LINK};
+    s->links[s->link_count++] =
+        (struct split_link){.cell = cell, .first = (uint32_t)s->triangles, .material = material};
 }
 
 static inline bool has_no_area(const float *const p[3])
@@ -193,6 +198,9 @@ static void add_faces(struct splitter *s, struct source *source)
         uint32_t size = group->sizes ? group->sizes[f] : 3;
         while (change < group->change_count && group->changes[change].face <= f)
             set_material(source, group->changes[change++].material);
+        for (uint32_t k = corner + CORNERS_AHEAD;
+             !source->values && k < corner + CORNERS_AHEAD + size && k < group->corner_count; k++)
+            __builtin_prefetch(corner_position(s, source, k));
         if (size == 3)
             add_triangle(s, source, corner, corner + 1, corner + 2);
         else
@@ -211,8 +219,12 @@ static inline void mark_vertex(atomic_uint_least64_t *used, uint64_t vertex)
 
 static void mark_used(atomic_uint_least64_t *used, const struct face_group *group)
 {
-    for (uint32_t c = 0; c < group->corner_count; c++)
-        mark_vertex(used, group->indices[FACE_VERTEX][c]);
+    const uint64_t *vertex = group->indices[FACE_VERTEX];
+    for (uint32_t c = 0; c < group->corner_count; c++) {
+        if (c + CORNERS_AHEAD < group->corner_count)
+            __builtin_prefetch(&used[vertex[c + CORNERS_AHEAD] / 64], 1);
+        mark_vertex(used, vertex[c]);
+    }
 }
 
 /* ---- coding ---- */
@@ -308,72 +320,96 @@ static unsigned form_of(const struct source *source)
     return form;
 }
 
-/* Writes all links of a cell as runs; returns how many triangles. */
-static uint32_t put_chain(struct splitter *s, const struct source *source, uint32_t link,
-                          struct writer *w)
+/* Writes a link's triangles, in the run before where that has room. */
+static void put_link(struct splitter *s, const struct source *source, unsigned form,
+                     const struct split_link *link, struct writer *w)
+{
+    for (uint32_t t = link->first; t < link->first + link->count; t++) {
+        if (w->run.triangles == 0 || w->run.triangles == RUN_TRIANGLES ||
+            w->run.material != link->material)
+            begin_run(w, form, link->material);
+        if (source->values)
+            put_values(s, source, w, w->run.triangles > 0 ? w->before : NULL, s->corners[t]);
+        else
+            put_indices(source->group, w, s->corners[t]);
+        w->before = s->corners[t];
+        w->run.triangles++;
+    }
+}
+
+/* Sorts links by cell, in the file's order within each, and makes a piece of each cell's. */
+static void sort_links(struct splitter *s)
+{
+    uint32_t end = 0;
+    s->piece_count = 0;
+    for (uint32_t i = 0; i < s->link_count; i++) {
+        uint32_t *number = &s->cell_pieces[s->links[i].cell];
+        if (*number == NO_PIECE) {
+            *number = s->piece_count++;
+            s->pieces[*number] = (struct split_piece){.cell = s->links[i].cell};
+        }
+        s->pieces[*number].links++;
+    }
+    for (uint32_t i = 0; i < s->piece_count; i++)
+        s->pieces[i].first_link = end += s->pieces[i].links;
+    for (uint32_t i = s->link_count; i-- > 0;)
+        s->sorted[--s->pieces[s->cell_pieces[s->links[i].cell]].first_link] = s->links[i];
+    for (uint32_t i = 0; i < s->piece_count; i++)
+        s->cell_pieces[s->pieces[i].cell] = NO_PIECE;
+}
+
+/* Asks for the indices of links to come. Inlined always, as GCC leaves out calls of functions that
+ * do nothing but ask. */
+static inline __attribute__((always_inline)) void ask_for_links(const struct splitter *s,
+                                                                const struct face_group *group,
+                                                                unsigned form, uint32_t turn)
+{
+    if (turn + 2 * LINKS_AHEAD >= s->link_count)
+        return;
+    __builtin_prefetch(s->corners[s->sorted[turn + 2 * LINKS_AHEAD].first]);
+    const uint32_t corner = s->corners[s->sorted[turn + LINKS_AHEAD].first][0];
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+        if (form >> kind & 1)
+            __builtin_prefetch(&group->indices[kind][corner]);
+}
+
+/* Writes all links of a cell as runs. */
+static void put_piece(struct splitter *s, const struct source *source, struct split_piece *piece,
+                      struct writer *w)
 {
     const unsigned form = form_of(source);
-    uint32_t total = 0;
-    for (; link != NO_LINK; link = s->links[link].next) {
-        const struct split_link *l = &s->links[link];
-        for (uint32_t t = l->first; t < l->first + l->count; t++) {
-            if (w->run.triangles == 0 || w->run.triangles == RUN_TRIANGLES ||
-                w->run.material != l->material)
-                begin_run(w, form, l->material);
-            if (source->values)
-                put_values(s, source, w, w->run.triangles > 0 ? w->before : NULL, s->corners[t]);
-            else
-                put_indices(source->group, w, s->corners[t]);
-            w->before = s->corners[t];
-            w->run.triangles++;
-        }
-        total += l->count;
+    piece->offset = (uint64_t)(w->to - s->bytes);
+    for (uint32_t i = piece->first_link; i < piece->first_link + piece->links; i++) {
+        ask_for_links(s, source->group, form, i);
+        put_link(s, source, form, &s->sorted[i], w);
+        piece->triangles += s->sorted[i].count;
     }
     end_run(w);
-    return total;
+    piece->bytes = (uint64_t)(w->to - s->bytes) - piece->offset;
 }
 
-/* Joins links of the same cell; returns how many chains there are. */
-static uint32_t join_links(struct splitter *s)
+static int code_links(struct splitter *s, const struct source *source)
 {
-    uint32_t chains = 0;
-    for (uint32_t i = 0; i < s->link_count; i++) {
-        uint32_t *last = &s->chains[s->links[i].cell];
-        s->links[i].is_first = *last == NO_LINK;
-        chains += s->links[i].is_first;
-        if (*last != NO_LINK)
-            s->links[*last].next = i;
-        *last = i;
-    }
-    for (uint32_t i = 0; i < s->link_count; i++)
-        s->chains[s->links[i].cell] = NO_LINK;
-    return chains;
-}
-
-static int code_chains(struct splitter *s, const struct source *source)
-{
-    uint64_t kinds = 0, chains = join_links(s);
+    const char *what = "faces";
+    uint64_t kinds = 0, cells = (uint64_t)1 << 3 * s->plan->levels;
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
         kinds += source->group->indices[kind] != NULL;
     uint64_t runs = s->link_count + s->triangles / RUN_TRIANGLES;
     uint64_t bound = s->triangles * coded_bound(s->plan, (uint32_t)kinds) +
                      runs * sizeof(struct run_header) + CORNER_CODE_SLACK;
-    int status = bsq_grow(s->ctx, "faces", bound, 1, &s->bytes, &s->bytes_capacity);
-    if (status == 0)
-        status =
-            bsq_grow(s->ctx, "faces", chains, sizeof *s->pieces, &s->pieces, &s->piece_capacity);
+    uint64_t pieces = cells < s->link_count ? cells : s->link_count;
+    int status;
+    if ((status = bsq_grow(s->ctx, what, bound, 1, &s->bytes, &s->bytes_capacity)) < 0 ||
+        (status = bsq_grow(s->ctx, what, s->link_count, sizeof *s->sorted, &s->sorted,
+                           &s->sorted_capacity)) < 0 ||
+        (status =
+             bsq_grow(s->ctx, what, pieces, sizeof *s->pieces, &s->pieces, &s->piece_capacity)) < 0)
+        return status;
+    sort_links(s);
     struct writer w = {.to = s->bytes};
-    s->piece_count = 0;
-    for (uint32_t i = 0; status == 0 && i < s->link_count; i++) {
-        if (!s->links[i].is_first)
-            continue;
-        struct split_piece *piece = &s->pieces[s->piece_count++];
-        piece->cell = s->links[i].cell;
-        piece->offset = (uint64_t)(w.to - s->bytes);
-        piece->triangles = put_chain(s, source, i, &w);
-        piece->bytes = (uint64_t)(w.to - s->bytes) - piece->offset;
-    }
-    return status;
+    for (uint32_t i = 0; i < s->piece_count; i++)
+        put_piece(s, source, &s->pieces[i], &w);
+    return 0;
 }
 
 /* ---- plain groups ----
@@ -484,5 +520,5 @@ int split_group(struct splitter *s, const struct face_group *group,
     if (s->plan->used)
         mark_used(s->plan->used, group);
     add_faces(s, &source);
-    return code_chains(s, &source);
+    return code_links(s, &source);
 }

@@ -22,13 +22,13 @@ struct split_plan {
 /* The runs of one cell from one group. */
 struct split_piece {
     uint32_t cell, triangles;
-    uint64_t offset, bytes; /* in the splitter's bytes */
+    uint32_t first_link, links; /* in the splitter's sorted links; of plain groups 0 */
+    uint64_t offset, bytes;     /* in the splitter's bytes */
 };
 
-/* Some triangles of the group one behind the other in one cell, and the next ones in that cell. */
+/* Some triangles of the group one behind the other in one cell. */
 struct split_link {
-    uint32_t cell, first, count, material, next;
-    bool is_first;
+    uint32_t cell, first, count, material;
 };
 
 struct splitter {
@@ -40,11 +40,12 @@ struct splitter {
     uint8_t *bytes;
     uint64_t triangles, degenerate;
     /* Buffers; capacities in elements. */
-    uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity;
+    uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity, sorted_capacity;
     uint32_t (*corners)[3]; /* of the triangles, numbers in the group */
     struct split_link *links;
     uint32_t link_count;
-    uint32_t *chains; /* for each cell its last link; UINT32_MAX between groups */
+    struct split_link *sorted; /* the links by cell */
+    uint32_t *cell_pieces;     /* for each cell its piece; UINT32_MAX between groups */
     /* Of the largest polygon. */
     double (*polygon)[3];
     uint32_t *polygon_triangles, *polygon_scratch;
