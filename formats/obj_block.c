@@ -9,7 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "formats/obj_number.h"
+#include "formats/obj_line.h"
 
 const char *const obj_kind_names[OBJ_KIND_COUNT] = {"vertex", "texture coordinate", "normal"};
 
@@ -33,18 +33,17 @@ int obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_
 {
     if (size > UINT64_MAX - OBJ_TEXT_PADDING)
         return bsq_fail(ctx, BSQ_ENOMEM, "a block of text is too long");
-    if (size + OBJ_TEXT_PADDING <= block->text_capacity)
-        return 0;
-    return bsq_grow(ctx, "OBJ text", size + OBJ_TEXT_PADDING, 1, &block->text,
-                    &block->text_capacity);
+    return bsq_grow(ctx, "OBJ text", size + OBJ_TEXT_PADDING, 1, &block->buffer,
+                    &block->buffer_capacity);
 }
 
-void obj_text_terminate(struct obj_block *block, uint64_t size)
+void obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t end)
 {
+    block->text = block->buffer + begin;
+    block->size = end - begin;
     /* Two line ends: the last line may lack its own and even end in a continuation. */
-    block->size = size;
-    memset(block->text + size, 0, OBJ_TEXT_PADDING);
-    memset(block->text + size, '\n', 2);
+    memset(block->buffer + end, 0, OBJ_TEXT_PADDING);
+    memset(block->buffer + end, '\n', 2);
 }
 
 void obj_quote(const char *text, const char *end, char *out, size_t size)
@@ -369,27 +368,6 @@ static const char *parse_attributes(struct parser *parser, const char *p, uint64
     return p;
 }
 
-/* "f 1 2 3" and nothing else, the line that most of a scan's faces are; NULL, with nothing stored,
- * where this one is written otherwise. */
-static inline const char *parse_plain_triangle(struct obj_block *block, const char *p)
-{
-    uint64_t corner = block->corner_count, index[3];
-    if (corner + 3 > block->corner_capacity[OBJ_VERTEX] ||
-        block->face_count >= block->face_capacity || block->has_corners[OBJ_TEXCOORD] ||
-        block->has_corners[OBJ_NORMAL])
-        return NULL;
-    p = obj_three_integers(p, index);
-    if (!p || index[0] == 0 || index[1] == 0 || index[2] == 0)
-        return NULL;
-    uint64_t *to = block->corners[OBJ_VERTEX] + corner;
-    for (int i = 0; i < 3; i++)
-        to[i] = index[i] - 1;
-    block->corner_count = corner + 3;
-    block->face_sizes[block->face_count++] = 3;
-    block->lines++;
-    return p;
-}
-
 static const char *parse_face(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
@@ -500,10 +478,8 @@ static inline const char *parse_line(struct parser *parser, const char *p)
         if (is_separator(p[1]))
             return parse_vertex(parser, p + 1);
     }
-    if (p[0] == 'f' && is_separator(p[1])) {
-        const char *after = p[1] == ' ' ? parse_plain_triangle(parser->block, p + 2) : NULL;
-        return after ? after : parse_face(parser, p + 1);
-    }
+    if (p[0] == 'f' && is_separator(p[1]))
+        return parse_face(parser, p + 1);
     if (p[0] == 'f' && p[1] == 'o' && is_separator(p[2])) /* its name before version 3 */
         return parse_face(parser, p + 2);
     if (p[0] == '#')
@@ -516,6 +492,62 @@ static inline const char *parse_line(struct parser *parser, const char *p)
     if (p[0] == '\0')
         return fail(parser, "not a text file (zero byte)");
     return parse_other(parser, p);
+}
+
+/* ---- runs of plain lines ----
+ *
+ * As many lines "v 0.5 -1.5 2.5", or "f 1 2 3", as come one behind the other and have room; both
+ * return where they end. */
+
+static const char *parse_plain_vertices(struct obj_block *block, const char *p, const char *end)
+{
+    const uint64_t first = block->count[OBJ_VERTEX];
+    uint64_t vertex = first;
+    while (p < end && vertex < block->position_capacity && p[0] == 'v' && p[1] == ' ') {
+        const char *after = obj_three_numbers(p + 2, block->positions[vertex]);
+        if (!after)
+            break;
+        p = after;
+        vertex++;
+    }
+    block->count[OBJ_VERTEX] = vertex;
+    block->lines += vertex - first;
+    return p;
+}
+
+static const char *parse_plain_triangles(struct obj_block *block, const char *p, const char *end,
+                                         uint64_t last_face)
+{
+    const uint64_t first = block->face_count;
+    const uint64_t room = (block->corner_capacity[OBJ_VERTEX] - block->corner_count) / 3;
+    uint64_t limit = first + room;
+    if (limit > block->face_capacity)
+        limit = block->face_capacity;
+    if (limit > last_face) /* whose line is to be known */
+        limit = last_face;
+    uint64_t face = first, *corners = block->corners[OBJ_VERTEX] + block->corner_count;
+    while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {
+        const char *after = obj_three_indices(p + 2, corners);
+        if (!after)
+            break;
+        p = after;
+        corners += 3;
+        block->face_sizes[face++] = 3;
+    }
+    block->face_count = face;
+    block->corner_count += 3 * (face - first);
+    block->lines += face - first;
+    return p;
+}
+
+static const char *parse_plain_lines(struct obj_block *block, const char *p, const char *end,
+                                     uint64_t last_face)
+{
+    if (p[0] == 'v' && !block->has_colors)
+        return parse_plain_vertices(block, p, end);
+    if (p[0] == 'f' && !block->has_corners[OBJ_TEXCOORD] && !block->has_corners[OBJ_NORMAL])
+        return parse_plain_triangles(block, p, end, last_face);
+    return p;
 }
 
 static void reset(struct obj_block *block)
@@ -538,6 +570,9 @@ int obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_file_s
     if (at_file_start && block->size >= 3 && !memcmp(p, "\xef\xbb\xbf", 3))
         p += 3;
     while (p && p < end && block->face_count <= last_face) {
+        p = parse_plain_lines(block, p, end, last_face);
+        if (p >= end)
+            break;
         uint64_t line = block->lines;
         p = parse_line(&parser, skip_blanks(block, p));
         if (block->failed || block->face_count > last_face)
@@ -548,7 +583,7 @@ int obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_file_s
 
 void obj_block_free(struct bsq_ctx *ctx, struct obj_block *block)
 {
-    bsq_free(ctx, block->text);
+    bsq_free(ctx, block->buffer);
     bsq_free(ctx, block->positions);
     bsq_free(ctx, block->colors);
     bsq_free(ctx, block->texcoords);

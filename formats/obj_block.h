@@ -30,8 +30,10 @@ struct obj_statement {
 
 /* Reused buffers and the result of parsing into them. Zero at first. */
 struct obj_block {
-    char *text; /* `size` bytes, then line ends and zeros, see obj_text_terminate() */
-    uint64_t size, text_capacity;
+    char *buffer; /* holds the text */
+    uint64_t buffer_capacity;
+    const char *text; /* `size` bytes, then line ends and zeros, see obj_block_set_text() */
+    uint64_t size;
 
     double (*positions)[3];
     float (*colors)[3];
@@ -62,10 +64,10 @@ struct obj_block {
     char error[160];
 };
 
-/* Makes room for `size` bytes of text and what must follow it. */
+/* Makes room in the buffer for `size` bytes and what must follow the text. */
 int obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_t size);
-/* Sets the size of the text and writes what must follow it. */
-void obj_text_terminate(struct obj_block *block, uint64_t size);
+/* Bytes [begin, end) of the buffer are the text. Writes what must follow it. */
+void obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t end);
 
 /* Parses block->text. at_file_start: a byte order mark may come first. Stops behind face
  * number `last_face` (UINT64_MAX: never), `lines` being the line of that face. Wrong text is not a

@@ -34,9 +34,9 @@ static inline bool obj_is_delimiter(char c)
 const char *obj_number_general(const char *text, double *out);
 
 #ifdef __SSE4_1__
-/* The integer that the digits of text[0..end) form when the point at `point` is left out;
- * end <= 16. `digits` holds the text's bytes minus '0'. */
-static inline uint64_t obj_digits_without_point(__m128i digits, int point, int end)
+/* Four groups of four decimal digits each, the highest first, that the digits of text[0..end) form
+ * when the point at `point` is left out; end <= 16. `digits` holds the text's bytes minus '0'. */
+static inline __m128i obj_digit_groups(__m128i digits, int point, int end)
 {
     const __m128i iota = _mm_setr_epi8(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
     /* Right-aligns: lanes before the first digit get a negative source, which shuffles to zero. */
@@ -44,10 +44,20 @@ static inline uint64_t obj_digits_without_point(__m128i digits, int point, int e
     source = _mm_sub_epi8(source, _mm_cmpgt_epi8(source, _mm_set1_epi8((char)(point - 1))));
     __m128i d = _mm_shuffle_epi8(digits, source);
     d = _mm_maddubs_epi16(d, _mm_set1_epi16(1 << 8 | 10));
-    d = _mm_madd_epi16(d, _mm_set1_epi32(1 << 16 | 100));
-    d = _mm_packus_epi32(d, d);
-    d = _mm_madd_epi16(d, _mm_set1_epi32(1 << 16 | 10000));
-    uint64_t halves = (uint64_t)_mm_cvtsi128_si64(d);
+    return _mm_madd_epi16(d, _mm_set1_epi32(1 << 16 | 100));
+}
+
+/* Two numbers' groups become their upper and lower eight digits, one behind the other. */
+static inline __m128i obj_join_groups(__m128i a, __m128i b)
+{
+    return _mm_madd_epi16(_mm_packus_epi32(a, b), _mm_set1_epi32(1 << 16 | 10000));
+}
+
+/* The integer that all digits form. */
+static inline uint64_t obj_digits_without_point(__m128i digits, int point, int end)
+{
+    __m128i groups = obj_digit_groups(digits, point, end);
+    uint64_t halves = (uint64_t)_mm_cvtsi128_si64(obj_join_groups(groups, groups));
     return (halves & 0xffffffffu) * 100000000u + (halves >> 32);
 }
 #endif
@@ -121,40 +131,5 @@ static inline const char *obj_integer(const char *text, uint64_t *out)
     *out = value;
     return count <= 18 ? text + count : NULL;
 }
-
-#ifdef __SSE4_1__
-/* Parses "1 22 333" and a line feed: three integers of at most 8 digits with single blanks between
- * them, in at most 32 bytes. All four ends are seen at once, so that no integer waits for the one
- * before it. NULL where the text is anything else. */
-static inline const char *obj_three_integers(const char *text, uint64_t out[3])
-{
-    const __m128i zero = _mm_set1_epi8('0'), nine = _mm_set1_epi8(9);
-    __m128i low = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)text), zero);
-    __m128i high = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)(text + 16)), zero);
-    unsigned low_mask = (unsigned)_mm_movemask_epi8(_mm_cmpeq_epi8(_mm_min_epu8(low, nine), low));
-    unsigned high_mask =
-        (unsigned)_mm_movemask_epi8(_mm_cmpeq_epi8(_mm_min_epu8(high, nine), high));
-    unsigned first = ~(low_mask | high_mask << 16); /* bytes that are no digits */
-    unsigned second = first & (first - 1), third = second & (second - 1);
-    if (third == 0)
-        return NULL;
-    unsigned a = (unsigned)__builtin_ctz(first), b = (unsigned)__builtin_ctz(second);
-    unsigned c = (unsigned)__builtin_ctz(third);
-    /* Each length less one must be below 8; a length of zero wraps. */
-    if (((a - 1) | (b - a - 2) | (c - b - 2)) >= 8 || text[a] != ' ' || text[b] != ' ' ||
-        text[c] != '\n')
-        return NULL;
-    out[0] = obj_digits_value(text, a);
-    out[1] = obj_digits_value(text + a + 1, b - a - 1);
-    out[2] = obj_digits_value(text + b + 1, c - b - 1);
-    return text + c + 1;
-}
-#else
-static inline const char *obj_three_integers(const char *text, uint64_t out[3])
-{
-    (void)text, (void)out;
-    return NULL;
-}
-#endif
 
 #endif

@@ -60,8 +60,8 @@ static int load_until(struct bsq_ctx *ctx, const struct bsq_file *file, struct o
     int status = obj_block_reserve_text(ctx, block, end - window->offset);
     if (status)
         return status;
-    status = bsq_file_read(ctx, file, block->text + have, end - window->end, window->end);
-    window->text = block->text;
+    status = bsq_file_read(ctx, file, block->buffer + have, end - window->end, window->end);
+    window->text = block->buffer;
     window->end = end;
     return status;
 }
@@ -93,7 +93,6 @@ int obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t ind
         start = end = behind;
     }
     *offset = start;
-    memmove(block->text, block->text + (start - window.offset), end - start);
-    obj_text_terminate(block, end - start);
+    obj_block_set_text(block, start - window.offset, end - window.offset);
     return 0;
 }

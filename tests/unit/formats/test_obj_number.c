@@ -11,7 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "formats/obj_number.h"
+#include "formats/obj_line.h"
 
 static uint64_t random_state = 20081;
 
@@ -292,8 +292,19 @@ static void test_integers(void **state)
     assert_null(obj_integer("123456789012345678901234567890123456", &value));
 }
 
-/* obj_three_integers() takes exactly "a b c" and a line feed, and hands all else back. */
-static void test_three_integers(void **state)
+/* What was parsed ends with the line feed at `length`; without SSE nothing is. */
+static void check_end(const char *end, const char *line, int length)
+{
+#ifdef __SSE4_1__
+    assert_ptr_equal(end, line + length);
+#else
+    (void)line, (void)length;
+    assert_null(end);
+#endif
+}
+
+/* obj_three_indices() takes exactly "a b c" and a line feed, and hands all else back. */
+static void test_three_indices(void **state)
 {
     (void)state;
     print_message("seed %" PRIu64 "\n", random_state);
@@ -308,6 +319,8 @@ static void test_three_integers(void **state)
             plain &= digits >= 1 && digits <= 8;
             length += append_digits(buffer + length, digits);
             expected[k] = strtoull(buffer + start, NULL, 10);
+            plain &= expected[k] != 0;
+            expected[k]--;
             char after = k == 2 ? '\n' : ' ';
             if (below(30) == 0)
                 after = " \n\t/\r-:"[below(7)];
@@ -316,22 +329,81 @@ static void test_three_integers(void **state)
         }
         for (int k = 0; k < 32; k++)
             buffer[length + k] = "01 f\n"[below(5)];
-        const char *end = obj_three_integers(buffer, values);
+        const char *end = obj_three_indices(buffer, values);
         if (!plain) {
             assert_null(end);
-        } else if (end) { /* without SSE none is taken */
-            assert_ptr_equal(end, buffer + length);
-            assert_memory_equal(values, expected, sizeof values);
+            continue;
         }
+        check_end(end, buffer, length);
+        if (end)
+            assert_memory_equal(values, expected, sizeof values);
     }
     uint64_t values[3];
     static const char line[96] = "f 12345678 1 98765432\n";
-    const char *end = obj_three_integers(line + 2, values);
-#ifdef __SSE4_1__
-    assert_ptr_equal(end, line + strlen(line));
-#else
-    assert_null(end);
-#endif
+    check_end(obj_three_indices(line + 2, values), line, (int)strlen(line));
+    assert_null(obj_three_indices("1 0 3\n                          ", values));
+}
+
+/* A number as "%.6f" would print it, or with another count of digits up to 15, or something else;
+ * *plain: it has a point and at most 15 digits. Returns its length. */
+static int any_coordinate(char *out, bool *plain)
+{
+    unsigned whole = below(6) ? below(4) : below(16), fraction = below(6) ? 6 : below(17);
+    char *p = out;
+    if (below(2))
+        *p++ = '-';
+    p += append_digits(p, whole);
+    bool point = below(40) > 0;
+    if (point)
+        *p++ = '.';
+    p += append_digits(p, fraction);
+    *plain &= point && whole + fraction >= 1 && whole + fraction <= 15;
+    if (below(60) == 0) {
+        *p++ = "+-eE,"[below(5)];
+        *plain = false;
+    }
+    *p = '\0';
+    return (int)(p - out);
+}
+
+/* obj_three_numbers() takes exactly "x y z" and a line feed, rounds like strtod(), and hands all
+ * else back. */
+static void test_three_numbers(void **state)
+{
+    (void)state;
+    print_message("seed %" PRIu64 "\n", random_state);
+    int taken = 0;
+    for (int i = 0; i < 1000000; i++) {
+        char buffer[256] = {0};
+        double expected[3], values[3];
+        bool plain = true;
+        int length = 0;
+        for (int k = 0; k < 3; k++) {
+            char text[64];
+            int size = any_coordinate(text, &plain);
+            memcpy(buffer + length, text, (size_t)size);
+            expected[k] = reference(text);
+            length += size;
+            char after = k == 2 ? '\n' : ' ';
+            if (below(40) == 0)
+                after = " \n\t/\r-"[below(6)];
+            plain &= after == (k == 2 ? '\n' : ' ');
+            buffer[length++] = after;
+        }
+        for (int k = 0; k < 64; k++)
+            buffer[length + k] = "01 v.-\n"[below(7)];
+        const char *end = obj_three_numbers(buffer, values);
+        if (!plain || length > 48) {
+            if (end)
+                fail_msg("\"%s\" is taken", buffer);
+            continue;
+        }
+        check_end(end, buffer, length);
+        if (end && memcmp(values, expected, sizeof values) != 0)
+            fail_msg("\"%s\" gives %a %a %a", buffer, values[0], values[1], values[2]);
+        taken += end != NULL;
+    }
+    assert_true(taken == 0 || taken > 300000);
 }
 
 int main(void)
@@ -340,7 +412,8 @@ int main(void)
         cmocka_unit_test(test_shapes_in_the_wild), cmocka_unit_test(test_rejected),
         cmocka_unit_test(test_random_shapes),      cmocka_unit_test(test_printed_doubles),
         cmocka_unit_test(test_midpoints),          cmocka_unit_test(test_other_locale),
-        cmocka_unit_test(test_integers),           cmocka_unit_test(test_three_integers),
+        cmocka_unit_test(test_integers),           cmocka_unit_test(test_three_indices),
+        cmocka_unit_test(test_three_numbers),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
