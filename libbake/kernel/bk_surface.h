@@ -159,7 +159,8 @@ BK_FN bk_uint bk_cell_values(const bk_grid *grid, bk_cache *cache, bk_int x, bk_
             const bk_ulong base = bk_leaf_rank(grid, words, layer + i, 0);
             const bk_ulong voxels = words[BK_LEAF_MASK + layer + i];
             active |= bk_layer_pair(grid, voxels, base, bit, values + 4 * i) << 4 * i;
-            active |= bk_layer_pair(grid, voxels, base, bit + 8u, values + 4 * i + 2) << (4 * i + 2);
+            active |= bk_layer_pair(grid, voxels, base, bit + 8u, values + 4 * i + 2)
+                      << (4 * i + 2);
         }
         return active;
     }
@@ -244,65 +245,93 @@ BK_FN bk_sides bk_sides_at(bk_fw u)
     return sides;
 }
 
-/* What one corner of the cell says in each lane. */
+/* The weights of a cell's corners for points in each lane. */
+typedef struct bk_weights {
+    bk_sides x, y, z;
+} bk_weights;
+
+/* What one corner of the cell says in each lane. All else follows from this and the weights: little
+ * is kept, since what eight corners say fills a processor's registers, and a GPU's. */
 typedef struct bk_corner {
     bk_vec3w normal;
-    bk_fw f;        /* distance of the point to the plane */
-    bk_vec3w e;     /* point minus foot point (of the voxel's centre on its plane) */
-    bk_fw w;        /* tent weight */
-    bk_fw s;        /* smooth weight */
-    bk_vec3w slope; /* gradient of s by bk_sides.slope, of planes that go with their normals */
+    bk_fw offset; /* of the plane from the voxel's centre */
+    bk_fw f;      /* distance of the point to the plane */
+    bk_fw gate;   /* share that the corner has in its weights */
+    bk_fw trust;  /* the same, 0 where the plane does not go with the normal */
 } bk_corner;
 
 /* Corner i of a cell. Records of other sheets get no weight. */
-BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, const bk_sides *x,
-                             const bk_sides *y, const bk_sides *z)
+BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, const bk_weights *at)
 {
     const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;
     const bk_iw planes = bk_load_lanes(cell->planes[i]);
     const bk_fw zero = bk_splat(0.0f), d = bk_snorm16w(planes);
     const bk_vec3w n = bk_decode_normalw(bk_load_lanes(cell->normals[i]));
     const bk_fw agreement = bk_dotw(n, sheet);
-    const bk_fw f = n.x * x->r[ix] + n.y * y->r[iy] + n.z * z->r[iz] - d;
+    const bk_fw f = n.x * at->x.r[ix] + n.y * at->y.r[iy] + n.z * at->z.r[iz] - d;
     const bk_fw near =
         bk_maxw(1.0f - f * f * (1.0f / (BK_SHEET_DISTANCE * BK_SHEET_DISTANCE)), zero);
-    /* A facet's plane says nothing of a normal that was interpolated over it. */
-    const bk_fw trust = 1.0f - bk_to_fw((planes & BK_PLANE_SHADED) >> 25);
     const bk_mask there = (bk_load_lanes(cell->present) & (bk_int)(1u << i)) != 0;
-    const bk_fw gate = bk_keep(bk_less(zero, agreement) & there, near);
-    const bk_fw syz = gate * (y->smooth[iy] * z->smooth[iz]);
     bk_corner corner;
 
     corner.normal = n;
+    corner.offset = d;
     corner.f = f;
-    corner.e = bk_v3w(x->r[ix] - n.x * d, y->r[iy] - n.y * d, z->r[iz] - n.z * d);
-    corner.w = gate * (x->tent[ix] * (y->tent[iy] * z->tent[iz]));
-    corner.s = x->smooth[ix] * syz;
-    corner.slope = bk_v3w(x->slope[ix] * (trust * syz),
-                          x->smooth[ix] * (trust * (gate * (y->slope[iy] * z->smooth[iz]))),
-                          x->smooth[ix] * (trust * (gate * (y->smooth[iy] * z->slope[iz]))));
+    corner.gate = bk_keep(bk_less(zero, agreement) & there, near);
+    /* A facet's plane says nothing of a normal that was interpolated over it. */
+    corner.trust = corner.gate * (1.0f - bk_to_fw((planes & BK_PLANE_SHADED) >> 25));
     return corner;
 }
 
+/* Tent weight of corner i. */
+BK_FN bk_fw bk_tent(const bk_corner *corner, bk_uint i, const bk_weights *at)
+{
+    return corner->gate * (at->x.tent[i >> 2] * (at->y.tent[i >> 1 & 1u] * at->z.tent[i & 1u]));
+}
+
+/* Smooth weight of corner i. */
+BK_FN bk_fw bk_smooth(const bk_corner *corner, bk_uint i, const bk_weights *at)
+{
+    return at->x.smooth[i >> 2] *
+           (corner->gate * (at->y.smooth[i >> 1 & 1u] * at->z.smooth[i & 1u]));
+}
+
+/* Gradient of the smooth weight of corner i by bk_sides.slope. */
+BK_FN bk_vec3w bk_weight_slope(const bk_corner *corner, bk_uint i, const bk_weights *at)
+{
+    const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;
+    const bk_fw trust = corner->trust;
+
+    return bk_v3w(at->x.slope[ix] * (trust * (at->y.smooth[iy] * at->z.smooth[iz])),
+                  at->x.smooth[ix] * (trust * (at->y.slope[iy] * at->z.smooth[iz])),
+                  at->x.smooth[ix] * (trust * (at->y.smooth[iy] * at->z.slope[iz])));
+}
+
 /* Blended linear colour of one lane with the corners' tent weights, whose sum is `weight`. */
-BK_FN bk_vec3 bk_blend_color(const bk_grid *grid, const bk_cell *cell, const bk_corner corners[8],
+BK_FN bk_vec3 bk_blend_color(const bk_grid *grid, const bk_cell *cell, const bk_fw tents[8],
                              bk_uint lane, float weight)
 {
     bk_vec3 color = bk_v3(0.0f, 0.0f, 0.0f);
     bk_uint i;
 
     for (i = 0; i < 8; i++) {
-        const float w = bk_lane(corners[i].w, lane);
+        const float w = bk_lane(tents[i], lane);
         if (w > 0.0f)
             color = bk_add_scaled(color, w, bk_decode_color(grid->colors[cell->numbers[i][lane]]));
     }
     return bk_scale(color, 1.0f / weight);
 }
 
-/* Half the sum of the prediction errors of a plane if the normal were n and if it were its own. */
-BK_FN bk_fw bk_predict(const bk_corner *corner, bk_vec3w n)
+/* Half the sum of the prediction errors of the plane of corner i if the normal were n and if it
+ * were its own. */
+BK_FN bk_fw bk_predict(const bk_corner *corner, bk_uint i, const bk_weights *at, bk_vec3w n)
 {
-    return 0.5f * (corner->f + bk_dotw(corner->e, n));
+    /* The point minus the foot point, of the voxel's centre on its plane. */
+    const bk_vec3w e = bk_v3w(at->x.r[i >> 2] - corner->normal.x * corner->offset,
+                              at->y.r[i >> 1 & 1u] - corner->normal.y * corner->offset,
+                              at->z.r[i & 1u] - corner->normal.z * corner->offset);
+
+    return 0.5f * (corner->f + bk_dotw(e, n));
 }
 
 /* Sum of the terms of corners i and i + 4. */
@@ -320,16 +349,16 @@ typedef struct bk_blend {
 } bk_blend;
 
 /* The tent blend of the corners' normals, unit. */
-BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8])
+BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8], const bk_fw tents[8])
 {
     bk_fw x[4], y[4], z[4];
     bk_uint i;
 
     for (i = 0; i < 4; i++) {
         const bk_corner *a = &corners[i], *b = &corners[i + 4];
-        x[i] = a->w * a->normal.x + b->w * b->normal.x;
-        y[i] = a->w * a->normal.y + b->w * b->normal.y;
-        z[i] = a->w * a->normal.z + b->w * b->normal.z;
+        x[i] = tents[i] * a->normal.x + tents[i + 4] * b->normal.x;
+        y[i] = tents[i] * a->normal.y + tents[i + 4] * b->normal.y;
+        z[i] = tents[i] * a->normal.z + tents[i + 4] * b->normal.z;
     }
     return bk_unitw(bk_v3w(bk_sum_pairs(x), bk_sum_pairs(y), bk_sum_pairs(z)));
 }
@@ -343,9 +372,10 @@ BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8])
  * third derivative. The gradient of the blended h, with smooth weights, adds just that to the
  * normal; along a line it is the derivative of the cubic Hermite interpolant, BK_MEAN_SLOPE apart.
  * Leaves a third of the tent blend's error at details of 4 and 8 voxels, half of it at 16. */
-BK_FN bk_blend bk_blend_corners(const bk_corner corners[8])
+BK_FN bk_blend bk_blend_corners(const bk_corner corners[8], const bk_fw tents[8],
+                                const bk_weights *at)
 {
-    const bk_vec3w n = bk_blend_tent(corners);
+    const bk_vec3w n = bk_blend_tent(corners, tents);
     bk_fw h[8], w[4], s[4], sh[4], cx[4], cy[4], cz[4], total;
     bk_vec3w c;
     bk_mask small;
@@ -354,22 +384,24 @@ BK_FN bk_blend bk_blend_corners(const bk_corner corners[8])
 
     for (i = 0; i < 4; i++) {
         const bk_corner *a = &corners[i], *b = &corners[i + 4];
-        h[i] = bk_predict(a, n);
-        h[i + 4] = bk_predict(b, n);
-        w[i] = a->w + b->w;
-        s[i] = a->s + b->s;
-        sh[i] = a->s * h[i] + b->s * h[i + 4];
+        const bk_fw sa = bk_smooth(a, i, at), sb = bk_smooth(b, i + 4, at);
+        h[i] = bk_predict(a, i, at, n);
+        h[i + 4] = bk_predict(b, i + 4, at, n);
+        w[i] = tents[i] + tents[i + 4];
+        s[i] = sa + sb;
+        sh[i] = sa * h[i] + sb * h[i + 4];
     }
     blend.weight = bk_sum_pairs(w);
     total = bk_sum_pairs(s);
     blend.found = bk_less(bk_splat(0.0f), blend.weight) & bk_less(bk_splat(0.0f), total);
     blend.distance = bk_sum_pairs(sh) / total;
     for (i = 0; i < 4; i++) {
-        const bk_corner *a = &corners[i], *b = &corners[i + 4];
+        const bk_vec3w a = bk_weight_slope(&corners[i], i, at);
+        const bk_vec3w b = bk_weight_slope(&corners[i + 4], i + 4, at);
         const bk_fw ha = h[i] - blend.distance, hb = h[i + 4] - blend.distance;
-        cx[i] = a->slope.x * ha + b->slope.x * hb;
-        cy[i] = a->slope.y * ha + b->slope.y * hb;
-        cz[i] = a->slope.z * ha + b->slope.z * hb;
+        cx[i] = a.x * ha + b.x * hb;
+        cy[i] = a.y * ha + b.y * hb;
+        cz[i] = a.z * ha + b.z * hb;
     }
     c = bk_scalew(bk_v3w(bk_sum_pairs(cx), bk_sum_pairs(cy), bk_sum_pairs(cz)), 1.0f / total);
     small = bk_less(bk_dotw(c, c), bk_splat(BK_CORRECTION_MAX * BK_CORRECTION_MAX));

@@ -531,9 +531,10 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     const bk_fw cz = bk_floorw(point.z - 0.5f);
     const bk_iw vx = ray->bx + bk_to_iw(cx), vy = ray->by + bk_to_iw(cy);
     const bk_iw vz = ray->bz + bk_to_iw(cz);
-    const bk_sides x = bk_sides_at(point.x - 0.5f - cx), y = bk_sides_at(point.y - 0.5f - cy);
-    const bk_sides z = bk_sides_at(point.z - 0.5f - cz);
+    const bk_weights at = {bk_sides_at(point.x - 0.5f - cx), bk_sides_at(point.y - 0.5f - cy),
+                           bk_sides_at(point.z - 0.5f - cz)};
     bk_corner corners[8];
+    bk_fw tents[8];
     bk_cell cell;
     bk_blend blend;
     bk_fw slope, shift;
@@ -546,9 +547,11 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
                          bk_lane3(&hits->normal, lane), lane, &cell);
         else
             bk_cell_clear(lane, &cell);
-    for (i = 0; i < 8; i++)
-        corners[i] = bk_corner_at(&cell, i, hits->normal, &x, &y, &z);
-    blend = bk_blend_corners(corners);
+    for (i = 0; i < 8; i++) {
+        corners[i] = bk_corner_at(&cell, i, hits->normal, &at);
+        tents[i] = bk_tent(&corners[i], i, &at);
+    }
+    blend = bk_blend_corners(corners, tents, &at);
     slope = bk_dotw(blend.normal, ray->direction);
     shift = bk_maxw(bk_splat(-0.5f), bk_minw(bk_splat(0.5f), blend.distance / slope));
     steep = bk_less(bk_splat(BK_GRAZING), bk_absw(slope)) & blend.found;
@@ -557,9 +560,8 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     if (params->flags & BK_HAS_COLOR)
         for (lane = 0; lane < BK_WIDTH; lane++)
             if (hits->found & bk_bits(blend.found) & 1u << lane)
-                bk_set_lane3(
-                    &hits->color, lane,
-                    bk_blend_color(grid, &cell, corners, lane, bk_lane(blend.weight, lane)));
+                bk_set_lane3(&hits->color, lane,
+                             bk_blend_color(grid, &cell, tents, lane, bk_lane(blend.weight, lane)));
 }
 
 /* Traces lines to the surfaces nearest to their origins. */
