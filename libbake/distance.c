@@ -45,10 +45,11 @@ static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
     for (int k = 0; k < 3; ++k) {
         double p = 0, n = 0;
         for (int c = 0; c < 3; ++c) {
-            p += (double)probe->weights[c] * positions[c][k];
+            /* Moved first: the weights' sum is 1 but for rounding, which far from the origin is a long way. */
+            p += (double)probe->weights[c] * (positions[c][k] - surface->translation[k]);
             n += (double)probe->weights[c] * (double)normals[c][k];
         }
-        ray.origin[k] = (float)((p - surface->translation[k]) / surface->unit);
+        ray.origin[k] = (float)(p / surface->unit);
         normal[k] = (float)n;
     }
     struct bsq_vec3 unit = bsq_unit3(bsq_v3(normal[0], normal[1], normal[2]));

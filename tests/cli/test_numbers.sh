@@ -24,13 +24,14 @@ moved()
         { print }' "$4"
 }
 
-# maps NAME: normals of NAME.nvdb and exact ones of NAME.tris, on NAME_low.obj.
+# maps NAME: normals of NAME.nvdb and exact ones of NAME.tris, on NAME_low.obj, and the lengths of their rays.
 maps()
 {
     for kind in nvdb tris; do
         run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --float \
-            -o "$1_${kind}_<MAP>.exr"
+            -o "$1_${kind}_<MAP>.exr" --json
         code 0
+        jq -r '"\(.front) \(.back)"' "$out" >"$1_$kind.rays"
     done
 }
 
@@ -69,6 +70,11 @@ voxelize geo --resolution 100
 check "a geo-referenced scan is no cause for a warning" $?
 maps geo
 alike plain geo --max-p95 0.05 --min-agreement 0.99
+for kind in nvdb tris; do
+    paste -d ' ' plain_$kind.rays geo_$kind.rays |
+        awk '{ exit !($1 > 0 && $2 > 0 && ($1 / $3 - 1)^2 < 1e-4 && ($2 / $4 - 1)^2 < 1e-4) }'
+    check "rays are as long as at the origin ($kind)" $?
+done
 # A detail of a thousandth, far away: two triangles that differ by it are both there.
 printf 'v 500000.123 5000000.456 0\nv 500000.124 5000000.456 0\nv 500000.123 5000000.457 0
 v 500001.123 5000001.456 0\nf 1 2 3\nf 1 2 4\n' >fine.obj
