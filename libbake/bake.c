@@ -107,7 +107,7 @@ static int open_inputs(struct job *job)
     if (status < 0)
         return status;
     status = choose_maps(job);
-    if (status == 0 && (job->maps & BAKE_MAP_COLOR || job->options->preview_path))
+    if (status == 0 && job->maps & BAKE_MAP_COLOR)
         status = bake_surface_use_color(&job->surface);
     if (status < 0)
         return status;

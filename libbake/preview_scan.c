@@ -44,7 +44,8 @@ static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_ex
     if (hit->triangle == BAKE_EXACT_NONE)
         return preview_background(row);
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
-    struct bsq_vec3 albedo = strip->preview->surface->color
+    /* Grey beside a mesh without a colour map, so that the two pictures are to be the same. */
+    struct bsq_vec3 albedo = strip->preview->color.texels
                                  ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
                                  : preview_grey();
     return preview_shade(strip->view, normal, albedo);

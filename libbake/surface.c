@@ -29,7 +29,7 @@ static int open_grid(struct bake_surface *surface, const struct bake_options *op
         return status;
     }
     const struct fmt_nvdb_info *info = &surface->grid.info;
-    surface->has_color = surface->color = info->has_color;
+    surface->has_color = info->has_color;
     memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
     memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
     memcpy(surface->translation, info->translation, sizeof surface->translation);
@@ -102,10 +102,7 @@ int bake_surface_check(const struct bake_surface *surface)
 
 int bake_surface_use_color(struct bake_surface *surface)
 {
-    if (!surface->exact || !surface->has_color || surface->color)
-        return 0;
-    surface->color = true;
-    return bake_exact_use_color(surface->exact);
+    return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : 0;
 }
 
 int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out)

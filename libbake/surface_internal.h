@@ -10,7 +10,6 @@ struct bake_surface {
     struct bake_exact *exact;  /* NULL: a grid */
     struct fmt_nvdb_grid grid; /* open where exact is NULL */
     bool has_color;            /* the scan has */
-    bool color;                /* hits have */
     double scan_min[3], scan_max[3];
     /* Rays are in index space: (world - translation) / unit; voxels, or the scan's own units. */
     double translation[3], unit;
@@ -29,7 +28,7 @@ void bake_surface_close(struct bake_surface *surface); /* a zeroed one is allowe
  * was traced cannot be relied on. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
 
-/* Hits have colours from now on, if the scan has. Not from parallel work. */
+/* Hits have colours from now on, if the scan has. Once at most; not from parallel work. */
 int bake_surface_use_color(struct bake_surface *surface);
 
 /* Traces rays on all threads, in any number. Limits and the hits' t are in world units; hits of a

@@ -248,6 +248,11 @@ out_like '^look\.png: preview$'
 is_png n.png 96 48 16
 [ "$(magic look.png 8)" = 89504e470d0a1a0a ]
 check "the preview is a PNG file" $?
+$bake --device cpu --size 96x48 colored.nvdb low.obj -o n.png --preview grey.png --maps normal
+code 0
+cmp -s look.png grey.png
+check "without a colour map the preview shows the scan without colours" $?
+rm grey.png
 $bake $small plain.nvdb low.obj -o n8.png --png-bits 8 --maps normal
 code 0
 is_png n8.png 96 96 8
