@@ -213,8 +213,10 @@ int cli_parse_size(struct cli *cli, const char *option, const char *text, uint64
     if (is_decimal(text) && !(text[0] == '0' && (text[1] | 0x20) == 'x'))
         number = strtold(text, &end);
     long double bytes = number * (long double)unit_factor(end);
-    if (end == text || !(bytes >= 1.0L && bytes < 0x1p63L))
+    if (end == text || !(bytes >= 1.0L))
         return cli_usage(cli, "%s: \"%s\" is not a size such as 512MiB or 4G", option, text);
+    if (!(bytes < 0x1p63L))
+        return cli_usage(cli, "%s: \"%s\" is too large a size: less than 8388608T is possible", option, text);
     *out = (uint64_t)bytes;
     return 0;
 }

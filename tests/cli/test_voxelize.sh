@@ -54,9 +54,13 @@ for x in 0 -1 inf 0x1p3 1e999 '' 1mm; do
     $vox box.obj -o a.nvdb --voxel-size "$x"
     refused 64 "$p --voxel-size: \"$x\" is not a positive number"
 done
-for size in 0 -1G G 1.5.2G 4GG 0x10 1e30 ''; do
+for size in 0 -1G G 1.5.2G 4GG 0x10 ''; do
     $vox box.obj -o a.nvdb --memory "$size"
     refused 64 "$p --memory: \"$size\" is not a size such as 512MiB or 4G"
+done
+for size in 1e30 8388608T 99999999T 9223372036854775808; do
+    $vox box.obj -o a.nvdb --memory "$size"
+    refused 64 "$p --memory: \"$size\" is too large a size: less than 8388608T is possible"
 done
 $vox box.obj -o a.nvdb --threads 0
 refused 64 "$p --threads: \"0\" is not a whole number from 1 to 65536"
