@@ -1,8 +1,9 @@
 /* bake_report.c - see bake_report.h. */
 #include "tools/bake_report.h"
 
-/* More misses than this in a hundred rays are worth a hint. */
-enum { MISSES_PERCENT = 5 };
+/* More than this in a hundred rays that miss, in a hundred samples in charts above one another, or in a hundred triangles
+ * outside of the map, are worth a hint. */
+enum { HINT_PERCENT = 5 };
 
 /* ---- devices ---- */
 
@@ -48,7 +49,7 @@ static void hint_at_misses(struct cli *cli, const struct bake_arguments *argumen
                            const struct bake_report *report)
 {
     uint64_t samples = report->hits + report->misses;
-    if (percent(report->misses, samples) <= MISSES_PERCENT)
+    if (percent(report->misses, samples) <= HINT_PERCENT)
         return;
     bsq_warn(cli->ctx,
              "%.1f %% of the samples found no surface within %g in front and %g behind: "
@@ -57,6 +58,25 @@ static void hint_at_misses(struct cli *cli, const struct bake_arguments *argumen
              arguments->bake.two_sided
                  ? ""
                  : ", or --two-sided where the scan's faces are wound inwards");
+}
+
+static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
+{
+    if (percent(report->overlapping_samples, report->samples) > HINT_PERCENT)
+        bsq_warn(cli->ctx,
+                 "%.1f %% of the samples lie in several triangles, as charts overlap: they show what the first "
+                 "triangle in the file sees",
+                 percent(report->overlapping_samples, report->samples));
+}
+
+static void hint_at_outside(struct cli *cli, const struct bake_report *report)
+{
+    char triangles[CLI_TEXT];
+    if (percent(report->outside_uv_triangles, report->low_triangles) > HINT_PERCENT)
+        bsq_warn(cli->ctx,
+                 "texture coordinates of %s reach out of 0..1: what lies outside, in another UDIM tile say, is not "
+                 "baked",
+                 cli_things_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
 }
 
 static void print_report(const struct cli *cli, const struct bake_arguments *arguments,
@@ -143,6 +163,8 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments, c
                       char *const *paths)
 {
     hint_at_misses(cli, arguments, report);
+    hint_at_overlaps(cli, report);
+    hint_at_outside(cli, report);
     if (cli->json)
         return print_json(cli, arguments, report, paths);
     print_report(cli, arguments, report, paths);

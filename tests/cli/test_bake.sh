@@ -291,6 +291,23 @@ grep -q '^bisque-bake: warning: .* % of the samples found no surface within 0.03
 check "a hint at misses" $?
 rm moved.*
 
+# ---- charts above one another, and outside of the map ----
+
+# All six sides in one place.
+awk '/^vt / { $2 = NR % 4 < 2 ? .25 : .75; $3 = NR % 4 == 1 || NR % 4 == 2 ? .25 : .75 } { print }' low.obj >stacked.obj
+$bake $small plain.nvdb stacked.obj -o charts.exr --json
+code 0
+json '.overlapping_samples == .samples'
+grep -q "^$p warning: 100\.0 % of the samples lie in several triangles, as charts overlap: " "$err"
+check "a hint at charts that overlap" $?
+awk '/^vt / { $2 += 0.5 } { print }' low.obj >outside.obj
+$bake $small plain.nvdb outside.obj -o charts.exr --json
+code 0
+json '.outside_uv_triangles * 20 > .low_triangles and .overlapping_samples == 0'
+grep -Eq "^$p warning: texture coordinates of [0-9]+ triangles reach out of 0\.\.1: " "$err"
+check "a hint at charts outside of the map" $?
+rm charts.exr stacked.obj outside.obj
+
 # ---- failures on the way ----
 
 command="bisque-bake with a file size limit" code=0
