@@ -214,6 +214,19 @@ static int create_image(struct job *job)
     return bake_image_create(job->ctx, &image, &job->image);
 }
 
+/* Whether longer rays are what helps: sizes and places of the two are about the same. */
+static bool in_same_place(const struct bake_surface *scan, const struct bake_lowmesh *low)
+{
+    double scan_side = 0, low_side = 0, gap = 0;
+    for (int k = 0; k < 3; ++k) {
+        scan_side = fmax(scan_side, scan->scan_max[k] - scan->scan_min[k]);
+        low_side = fmax(low_side, low->bounds_max[k] - low->bounds_min[k]);
+        gap = fmax(gap, fmax(low->bounds_min[k] - scan->scan_max[k],
+                             scan->scan_min[k] - low->bounds_max[k]));
+    }
+    return low_side < 4 * scan_side && scan_side < 4 * low_side && gap < 0.1 * scan_side;
+}
+
 static int fail_without_hit(const struct job *job)
 {
     const struct bake_surface *scan = &job->surface;
@@ -222,12 +235,18 @@ static int fail_without_hit(const struct job *job)
         return bsq_fail(job->ctx, BSQ_EDATA,
                         "%s: no texel lies in a triangle: are the texture coordinates in 0..1?",
                         job->options->mesh_path);
+    /* Seven digits, as float32 has: of coordinates of a map's grid, six leave out the metres. */
     return bsq_fail(job->ctx, BSQ_EDATA,
-                    "no ray hit: the scan spans (%g %g %g) to (%g %g %g), the low mesh (%g %g %g) "
-                    "to (%g %g %g): are they in the same place and units?",
-                    scan->scan_min[0], scan->scan_min[1], scan->scan_min[2], scan->scan_max[0],
-                    scan->scan_max[1], scan->scan_max[2], low->bounds_min[0], low->bounds_min[1],
-                    low->bounds_min[2], low->bounds_max[0], low->bounds_max[1], low->bounds_max[2]);
+                    "no ray hit within %g in front and %g behind: the scan spans (%.7g %.7g %.7g) to "
+                    "(%.7g %.7g %.7g), the low mesh (%.7g %.7g %.7g) to (%.7g %.7g %.7g): %s",
+                    job->report->front, job->report->back, scan->scan_min[0], scan->scan_min[1],
+                    scan->scan_min[2], scan->scan_max[0], scan->scan_max[1], scan->scan_max[2],
+                    low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
+                    low->bounds_max[1], low->bounds_max[2],
+                    !in_same_place(scan, low) ? "are they in the same place and units?"
+                    : job->options->two_sided ? "try a larger --front and --back"
+                                              : "try a larger --front and --back, or --two-sided "
+                                                "where the scan's faces are wound inwards");
 }
 
 static int trace_exact(struct job *job)

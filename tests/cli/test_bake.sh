@@ -291,6 +291,25 @@ grep -q '^bisque-bake: warning: .* % of the samples found no surface within 0.03
 check "a hint at misses" $?
 rm moved.*
 
+# A box within the box, one farther away, and one in other units: no ray hits.
+spans='no ray hit within 0\.0625 in front and 0\.0625 behind: the scan spans \(0 0 0\) to \(1 2 3\), the low mesh '
+# without_hit SCALE MOVE TEXT OPTION...: the vertices are moved, and scaled from the scan's centre.
+without_hit()
+{
+    awk -v s="$1" -v m="$2" '/^v / { $2 = .5 + ($2 - .5) * s + m; $3 = 1 + ($3 - 1) * s; $4 = 1.5 + ($4 - 1.5) * s }
+        { print }' low.obj >away.obj
+    text=$3
+    shift 3
+    $bake $small plain.nvdb away.obj -o a.exr --front 0.0625 --back 0.0625 "$@"
+    code 65
+    err_like "^$p $spans.*$text\$"
+}
+without_hit 0.75 0 ': try a larger --front and --back, or --two-sided where the scan.s faces are wound inwards'
+without_hit 0.75 0 ': try a larger --front and --back' --two-sided
+without_hit 1 5000000 '\(5000000 0 0\) to \(5000001 2 3\): are they in the same place and units\?'
+without_hit 1000 0 ': are they in the same place and units\?'
+rm away.obj
+
 # ---- charts above one another, and outside of the map ----
 
 # All six sides in one place.
