@@ -50,6 +50,11 @@ struct fmt_obj_reader {
     struct obj_names materials, libraries;
 };
 
+/* ---- obj_foreign.c ---- */
+
+/* BSQ_EDATA, with what the file is and what to do, where its first bytes say that it is of a well-known other kind. */
+int obj_refuse_foreign(struct bsq_ctx *ctx, const struct bsq_file *file, const char *path);
+
 /* ---- obj_text.c ---- */
 
 /* Loads the lines that begin in the file's bytes [index, index + 1) * OBJ_BLOCK_BYTES into

@@ -49,6 +49,8 @@ static int open_source(struct bsq_ctx *ctx, const char *path, struct obj_source 
     int status = fmt_string_copy(ctx, path, &source->path);
     if (!status)
         status = bsq_file_open(ctx, path, &source->file);
+    if (!status)
+        status = obj_refuse_foreign(ctx, &source->file, path);
     source->size = source->file.size;
     source->block_count = source->size / OBJ_BLOCK_BYTES + (source->size % OBJ_BLOCK_BYTES != 0);
     bsq_file_close(ctx, &source->file);

@@ -192,8 +192,8 @@ static void test_errors(void **state)
         {"f 1//-1 2 3\n", "bad.obj:1: face refers to normal -1, file has 0 so far"},
         {"v 0 0 \x01zzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzz\n",
          "bad.obj:1: \"?zzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzz...\" is not a finite number"},
-        {"ply\nformat ascii 1.0\n",
-         "bad.obj:1: not an OBJ file: \"ply\" is no statement of that format"},
+        {"solid statue\nfacet normal 0 0 1\n",
+         "bad.obj:1: not an OBJ file: \"solid statue\" is no statement of that format"},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
         obj_expect_text_error(cases[i].text, cases[i].message);
@@ -203,6 +203,26 @@ static void test_errors(void **state)
     obj_expect_error(png, sizeof png - 1, "bad.obj:3: not a text file (zero byte)");
     static const char utf16[] = "v\0 \0\x31\0";
     obj_expect_error(utf16, sizeof utf16 - 1, "bad.obj:1: not a text file (zero byte)");
+}
+
+static void test_other_kinds_of_files_are_named(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *bytes;
+        size_t size;
+        const char *message;
+    } cases[] = {
+        {"\x1f\x8b\x08\0", 4, "bad.obj: not an OBJ file, but one packed by gzip: unpack it first"},
+        {"PK\x03\x04\x14\0", 6, "bad.obj: not an OBJ file, but a ZIP archive: unpack it first"},
+        {"ply\nformat ascii 1.0\n", 21, "bad.obj: not an OBJ file, but a PLY file: export the mesh as OBJ"},
+        {"ply\r\nformat binary", 19, "bad.obj: not an OBJ file, but a PLY file: export the mesh as OBJ"},
+        {"\xff\xfev\0 \0", 6, "bad.obj: not an OBJ file, but text in UTF-16: save it as UTF-8"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        obj_expect_error(cases[i].bytes, cases[i].size, cases[i].message);
+    /* Cut short, the beginning of any of them is text that is no statement, or nothing. */
+    obj_expect_error("PK", 2, "bad.obj:1: not an OBJ file: \"PK\" is no statement of that format");
 }
 
 static void test_missing_file(void **state)
@@ -250,6 +270,7 @@ int main(void)
         cmocka_unit_test(test_empty_files),
         cmocka_unit_test(test_several_files),
         cmocka_unit_test(test_errors),
+        cmocka_unit_test(test_other_kinds_of_files_are_named),
         cmocka_unit_test(test_missing_file),
         cmocka_unit_test(test_fail_index),
     };
