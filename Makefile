@@ -81,7 +81,10 @@ $(BUILD)/obj/%.cc.o: %.cc
 # The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
 $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
 # Chosen at run time where the processor has it.
-$(BUILD)/obj/libvoxel/lane_code_avx2.c.o: CFLAGS += $(if $(filter x86_64,$(shell uname -m)),-mavx2)
+ifneq ($(filter x86_64,$(shell uname -m)),)
+$(BUILD)/obj/libvoxel/lane_code_avx2.c.o: CFLAGS += -mavx2 -mno-fma
+$(BUILD)/obj/libvoxel/lane_code_avx512.c.o: CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 -mlzcnt -mno-fma
+endif
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 

@@ -20,9 +20,10 @@ static_assert(sizeof(struct block_piece) == 64, "a piece begins with a row of fo
 /* ---- triangles ---- */
 
 /* Corners, and what goes with them, of the triangles with these places in the block; puts down what
- * their pieces have in common. */
+ * their pieces have in common. lowest: their lowest cells. */
 LANES_INLINE void load_triangles(const struct vox_accumulation *what,
-                                 const uint16_t places[LANE_COUNT], struct shade_triangles *t)
+                                 const uint16_t places[LANE_COUNT], struct shade_triangles *t,
+                                 lanes lowest[3])
 {
     const struct vox_chunk *chunk = what->chunk;
     const struct block_triangle *triangle[LANE_COUNT];
@@ -33,6 +34,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
         facts[l] = &what->block->facts[places[l]];
         low[l] = triangle[l]->low;
     }
+    lanes_gather_integers(low, lowest);
     t->has_normals = chunk->normals != NULL;
     t->curved = t->has_normals && chunk->coarse;
     t->lift_limit = chunk->wide ? SHADE_LIFT_LIMIT : SHADE_LIFT_LIMIT_CLOSE;
@@ -47,8 +49,11 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
             normals[l] = t->has_normals ? chunk->normals[vertex] : NULL;
             rises[l] = chunk->rises ? &chunk->rises[vertex] : NULL;
         }
-        lanes_gather(points, low, t->p[i]);
-        t->rise[i] = chunk->rises ? lanes_gather_float(rises) : lanes_all(0.0);
+        lanes corner[4];
+        lanes_gather_four(points, corner);
+        for (int k = 0; k < 3; k++)
+            t->p[i][k] = corner[k] - lowest[k];
+        t->weights.rise[i] = chunk->rises ? lanes_gather_float(rises) : lanes_all(0.0);
         if (t->has_normals)
             lanes_gather_floats(normals, t->normal[i]);
         else
@@ -86,67 +91,129 @@ LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)
 
 /* ---- small triangles ---- */
 
-/* Along an axis: what each cell from the lowest on adds to a voxel's number in the low and to a
- * piece's cell in the high half, or all ones where it is beside the window. */
+/* Along an axis: what each cell from the lowest on adds to a piece's number, or all ones where it
+ * is beside the window. The number is that of the piece's voxel, and above that its cell, lane and
+ * place, as in struct block_piece. */
 struct cell_numbers {
-    lane_mask of[DIVIDE_MAX_PLANES + 1];
+    lane_ints of[DIVIDE_MAX_PLANES + 1];
 };
+
+enum { NUMBER_CELL = 32, NUMBER_LANE = 40, NUMBER_PLACE = 48 };
 
 LANES_INLINE void number_cells(const struct vox_accumulation *what, lanes low, int axis, int planes,
                                struct cell_numbers *numbers)
 {
-    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = 32 + 4 - 2 * axis;
-    double lo = what->window->lo[axis], hi = what->window->hi[axis];
+    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = NUMBER_CELL + 4 - 2 * axis;
+    const lanes lo = lanes_all(what->window->lo[axis]), hi = lanes_all(what->window->hi[axis]);
     for (int i = 0; i <= planes; i++) {
         lanes at = low + (double)i;
-        lane_mask bits = lanes_integer_bits(at - (double)what->region->lo[axis]);
-        numbers->of[i] = (bits & 0x78) << shift | (bits & 7) << inner | (long long)i << cell |
-                         (at < lo) | (at > hi);
+        lane_ints bits = lanes_integer_bits(at - (double)what->region->lo[axis]);
+        bits = (bits & 0x78) << shift | (bits & 7) << inner | (long long)i << cell;
+        numbers->of[i] = lanes_set_bits(lanes_less(at, lo) | lanes_less(hi, at), bits,
+                                        lanes_all_bits(UINT64_MAX));
     }
 }
 
-/* Puts pieces down, a lane each so many bytes into the block's pieces. */
-LANES_INLINE void put_pieces(const struct shade_triangles *t, lanes area, const lanes moment[2],
-                             lane_mask number, struct vox_block *block, lane_mask offset)
+/* Pieces on their way into the block. Eight lanes would often be half empty, and are filled one
+ * after the other; with fewer, a lane's pieces are those of its triangle, and some go nowhere. */
+struct queue {
+    uint32_t count;
+    double area[(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
+    double moment[2][(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
+    long long number[(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
+};
+
+LANES_INLINE lane_ints nowhere(void)
 {
-    double *pieces[LANE_COUNT], *weights[LANE_COUNT];
-    for (int l = 0; l < LANE_COUNT; l++) {
-        pieces[l] = (double *)(void *)((char *)block->pieces + offset[l]);
-        weights[l] = pieces[l] + 4;
-    }
-    if (t->has_normals) {
-        lanes normal, center = lanes_all(0.0);
-        lane_mask cancels;
-        shade_weigh(t, area, moment, &normal, &center, &cancels);
-        number |= cancels & ((long long)PIECE_FLAT << 32);
-        lanes_scatter_pairs(normal, center, weights);
-    }
-    const lanes in[4] = {area, moment[0], moment[1], (lanes)number};
-    lanes_scatter(in, pieces);
+    return lanes_all_bits((uint64_t)BLOCK_NOWHERE << NUMBER_PLACE);
 }
 
-/* Shades what divide_small() has made of the triangles that are active, and puts it down from
- * offsets on, one after the other. Returns the offsets behind. */
-LANES_INLINE lane_mask put_divided(const struct shade_triangles *t, const int planes[3],
-                                   const struct divide_piece *piece,
-                                   const struct cell_numbers numbers[3], lane_mask active,
-                                   struct vox_block *block, lane_mask offset)
+/* Queues the lanes that are taken. */
+LANES_INLINE void queue_lanes(struct queue *queue, lane_mask taken, lanes area,
+                              const lanes moment[2], lane_ints number)
 {
+    const uint32_t at = queue->count;
+#if LANE_COUNT == 8
+    lanes_store(lanes_pack(taken, area), &queue->area[at]);
+    for (int k = 0; k < 2; k++)
+        lanes_store(lanes_pack(taken, moment[k]), &queue->moment[k][at]);
+    lanes_store_ints((lane_ints)lanes_pack(taken, (lanes)number), &queue->number[at]);
+    queue->count = at + (uint32_t)__builtin_popcount(lanes_bits(taken));
+#else
+    if (lanes_bits(taken) == 0)
+        return;
+    lanes_store(area, &queue->area[at]);
+    for (int k = 0; k < 2; k++)
+        lanes_store(moment[k], &queue->moment[k][at]);
+    lanes_store_ints((lane_ints)lanes_select(taken, (lanes)number, (lanes)nowhere()),
+                     &queue->number[at]);
+    queue->count = at + LANE_COUNT;
+#endif
+}
+
+/* What the weights of queued pieces follow from. */
+LANES_INLINE struct shade_weights weights_of(const struct shade_triangles *t, lane_ints number)
+{
+#if LANE_COUNT == 8
+    return shade_pick(&t->weights, t->curved, number >> NUMBER_LANE);
+#else
+    (void)number;
+    return t->weights;
+#endif
+}
+
+/* Weighs the queue's pieces and puts them into the block. */
+LANES_INLINE void put_queue(const struct shade_triangles *t, struct queue *queue,
+                            struct vox_block *block)
+{
+    lanes_store_ints(nowhere(), &queue->number[queue->count]);
+    for (uint32_t done = 0; done < queue->count; done += LANE_COUNT) {
+        double *pieces[LANE_COUNT];
+        const lanes moment[2] = {lanes_load(&queue->moment[0][done]),
+                                 lanes_load(&queue->moment[1][done])};
+        lanes area = lanes_load(&queue->area[done]);
+        lane_ints number = lanes_load_ints(&queue->number[done]);
+        for (uint32_t l = 0; l < LANE_COUNT; l++)
+            pieces[l] = &block->pieces[queue->number[done + l] >> NUMBER_PLACE].area;
+        if (t->has_normals) {
+            const struct shade_weights of = weights_of(t, number);
+            lanes normal, center = lanes_all(0.0);
+            lane_mask cancels;
+            shade_weigh(&of, t->curved, area, moment, &normal, &center, &cancels);
+            number = lanes_set_bits(cancels, number,
+                                    lanes_all_bits((uint64_t)PIECE_FLAT << NUMBER_CELL));
+            const lanes in[6] = {area, moment[0], moment[1], (lanes)number, normal, center};
+            lanes_scatter_six(in, pieces);
+        } else {
+            const lanes in[4] = {area, moment[0], moment[1], (lanes)number};
+            lanes_scatter(in, pieces);
+        }
+    }
+}
+
+/* Queues what divide_small() has made of triangles, their pieces with places from `where` on.
+ * Returns the places behind. */
+LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int planes[3],
+                                     const struct divide_piece *piece,
+                                     const struct cell_numbers numbers[3], lane_ints where,
+                                     struct queue *queue)
+{
+    const lane_ints next = lanes_all_bits(UINT64_C(1) << NUMBER_PLACE);
     lanes part = t->area / 3.0;
+    queue->count = 0;
     for (int x = 0; x <= planes[0]; x++)
         for (int y = 0; y <= planes[1]; y++) {
-            lane_mask row = numbers[0].of[x] | numbers[1].of[y];
+            lane_ints row = numbers[0].of[x] | numbers[1].of[y];
             for (int z = 0; z <= planes[2]; z++, piece++) {
-                lane_mask number = row | numbers[2].of[z];
-                lane_mask taken = (piece->share > 0.0) & (number >= 0) & active;
-                if (lanes_bits(taken) == 0)
-                    continue;
+                lane_ints number = row | numbers[2].of[z] | where;
+                lane_mask taken =
+                    lanes_less(lanes_all(0.0), piece->share) & ~lanes_signs((lanes)number);
                 const lanes moment[2] = {part * piece->moment[0], part * piece->moment[1]};
-                put_pieces(t, t->area * piece->share, moment, number, block, offset);
-                offset += taken & (long long)sizeof(struct block_piece);
+                queue_lanes(queue, taken, t->area * piece->share, moment, number);
+                where = lanes_add_ints(taken, where, next);
             }
         }
-    return offset;
+    return where;
 }
 
 /* Divides up to LANE_COUNT triangles of the kind that has these planes. */
@@ -157,33 +224,31 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *what, const uint16
     struct divide_piece pieces[DIVIDE_MAX_CELLS];
     struct shade_triangles t;
     struct cell_numbers numbers[3];
-    const int32_t *low[LANE_COUNT];
-    uint32_t first[LANE_COUNT];
+    struct queue queue;
     uint16_t places[LANE_COUNT];
-    long long offsets[LANE_COUNT], actives[LANE_COUNT];
-    lane_mask offset, active;
+    long long where[LANE_COUNT];
+    lanes lowest[3];
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
-        places[l] = order[l < count ? l : count - 1];
-        low[l] = block->triangles[places[l]].low;
-        first[l] = l < count ? block->piece_count + l * cells : BLOCK_PIECES;
-        offsets[l] = (long long)(first[l] * sizeof(struct block_piece));
-        actives[l] = -(long long)(l < count);
+        bool used = l < count;
+        places[l] = order[used ? l : count - 1];
+        where[l] = (long long)l << NUMBER_LANE | (long long)(block->piece_count + l * cells)
+                                                     << NUMBER_PLACE;
+        where[l] = used ? where[l] : -1;
     }
-    memcpy(&offset, offsets, sizeof offset);
-    memcpy(&active, actives, sizeof active);
-    load_triangles(what, places, &t);
-    lanes lowest[3];
-    lanes_gather_integers(low, lowest);
+    load_triangles(what, places, &t, lowest);
     for (int a = 0; a < 3; a++)
         number_cells(what, lowest[a], a, planes[a], &numbers[a]);
     lane_mask doubtful = divide_small((const lanes(*)[3])t.p, planes, pieces);
-    offset = put_divided(&t, planes, pieces, numbers, active & ~doubtful, block, offset);
+    lanes_store_ints(queue_divided(&t, planes, pieces, numbers, lanes_load_ints(where), &queue),
+                     where);
+    put_queue(&t, &queue, block);
     for (uint32_t l = 0; l < count; l++) {
         struct block_triangle *triangle = &block->triangles[places[l]];
-        triangle->first = (uint16_t)first[l];
-        triangle->count = (uint16_t)((size_t)offset[l] / sizeof(struct block_piece) - first[l]);
-        triangle->alone = doubtful[l] != 0;
+        uint32_t first = block->piece_count + l * cells;
+        triangle->first = (uint16_t)first;
+        triangle->count = (uint16_t)((uint32_t)(where[l] >> NUMBER_PLACE) - first);
+        triangle->alone = lanes_bits(doubtful) >> l & 1;
     }
     block->piece_count += count * cells;
 }
@@ -276,26 +341,20 @@ struct single {
     const int32_t *low;
     struct shade_triangles triangles;
     uint32_t image; /* UINT32_MAX: no texture */
-    double uv[3][2];
-    uint32_t count; /* pieces that wait */
-    lanes area, moment[2];
-    lane_mask number;
+    double area, uv[3][2];
+    struct queue queue;
     double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
 };
 
 static int add_waiting(struct single *s)
 {
-    uint32_t count = s->count;
-    lane_mask offset = {0};
     bool textured = s->image != UINT32_MAX;
     int status = vox_accumulator_make_room(s->from.sums);
-    for (uint32_t l = 0; l < LANE_COUNT; l++)
-        offset[l] = (long long)((BLOCK_PIECES + l) * sizeof(struct block_piece));
-    put_pieces(&s->triangles, s->area, s->moment, s->number, s->what->block, offset);
-    for (uint32_t l = 0; l < count && status == 0; l++)
-        status = add_piece(&s->from, &s->what->block->pieces[BLOCK_PIECES + l], s->cells[l],
-                           textured ? s->rgb[l] : NULL);
-    s->count = 0;
+    put_queue(&s->triangles, &s->queue, s->what->block);
+    for (uint32_t i = 0; i < s->queue.count && status == 0; i++)
+        status = add_piece(&s->from, &s->what->block->pieces[BLOCK_PIECES + i], s->cells[i],
+                           textured ? s->rgb[i] : NULL);
+    s->queue.count = 0;
     return status;
 }
 
@@ -303,23 +362,25 @@ static int take_piece(void *arg, const struct vox_piece *piece)
 {
     struct single *s = arg;
     const int32_t *origin = s->what->region->lo;
-    uint32_t l = s->count++, at[3];
-    double area = s->triangles.area[0] * piece->fraction;
-    s->area[l] = area > VOX_NO_AREA ? area : VOX_NO_AREA;
+    uint32_t i = s->queue.count++, at[3];
+    double area = s->area * piece->fraction;
+    area = area > VOX_NO_AREA ? area : VOX_NO_AREA;
+    s->queue.area[i] = area;
     for (int k = 0; k < 2; k++)
-        s->moment[k][l] = s->area[l] * piece->b[k];
+        s->queue.moment[k][i] = area * piece->b[k];
     for (int k = 0; k < 3; k++) {
-        s->cells[l][k] = piece->cell[k] - s->low[k];
+        s->cells[i][k] = piece->cell[k] - s->low[k];
         at[k] = (uint32_t)(piece->cell[k] - origin[k]);
     }
-    s->number[l] = vox_voxel_number(at[0], at[1], at[2]);
+    s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | (long long)(BLOCK_PIECES + i)
+                                                                     << NUMBER_PLACE;
     if (s->image != UINT32_MAX) {
         int status = vox_shade_texture(s->what->shading, s->image, (const double(*)[2])s->uv,
-                                       piece->b, piece->uv_extent, s->rgb[l]);
+                                       piece->b, piece->uv_extent, s->rgb[i]);
         if (status < 0)
             return status;
     }
-    return s->count == LANE_COUNT ? add_waiting(s) : 0;
+    return s->queue.count == LANE_COUNT ? add_waiting(s) : 0;
 }
 
 static __attribute__((noinline)) int add_alone(const struct vox_accumulation *what, uint32_t place)
@@ -335,13 +396,20 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *wh
         .corner = {chunk->points[v[0]], chunk->points[v[1]], chunk->points[v[2]]},
         .cells = &cells,
     };
-    struct single s = {.what = what, .from = source_of(what, place), .low = triangle->low};
+    struct single s;
+    lanes lowest[3];
     uint16_t places[LANE_COUNT];
+    s.what = what;
+    s.from = source_of(what, place);
+    s.low = triangle->low;
+    s.queue.count = 0;
     for (int l = 0; l < LANE_COUNT; l++) {
         places[l] = (uint16_t)place;
+        s.cells[l][3] = 0.0;
         s.rgb[l][3] = 1.0;
     }
-    load_triangles(what, places, &s.triangles);
+    load_triangles(what, places, &s.triangles, lowest);
+    s.area = s.triangles.area[0];
     s.image = vox_shade_image(what->shading, chunk, triangle->number);
     if (s.image != UINT32_MAX) {
         for (int i = 0; i < 3; i++)
@@ -350,7 +418,7 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *wh
         clip.uv = (const double(*)[2])s.uv;
     }
     int status = vox_clip(&clip, what->region, what->window, take_piece, &s);
-    return status == 0 && s.count > 0 ? add_waiting(&s) : status;
+    return status == 0 && s.queue.count > 0 ? add_waiting(&s) : status;
 }
 
 /* ---- blocks ---- */

@@ -4,7 +4,12 @@
 
 #include "libvoxel/accumulate.h"
 
-enum { BLOCK_TRIANGLES = 256, BLOCK_PIECES = 3072, BLOCK_LANES_MAX = 4 };
+enum {
+    BLOCK_TRIANGLES = 256,
+    BLOCK_PIECES = 3072,
+    BLOCK_LANES_MAX = 8,
+    BLOCK_NOWHERE = BLOCK_PIECES + BLOCK_LANES_MAX
+};
 
 /* Triangles by the planes that cut them, two bits an axis; the last kind is cut by more, or has a
  * texture. */
@@ -46,7 +51,9 @@ struct block_piece {
     double area;      /* in voxel faces */
     double moment[2]; /* area times weight of the second and third corner at the centroid */
     uint32_t voxel;   /* in the region */
-    uint32_t cell;    /* from the lowest of the triangle, two bits an axis; PIECE_FLAT */
+    uint8_t cell;     /* from the lowest of the triangle, two bits an axis; PIECE_FLAT */
+    uint8_t lane;     /* of the triangle, while several are divided */
+    uint16_t place;   /* of the piece in the block */
     double
         normal_weight; /* how much of area times interpolated normal goes to the sum of normals */
     double center_weight; /* and to that of centres */
@@ -56,10 +63,10 @@ struct block_piece {
 struct vox_block {
     uint32_t triangle_count, piece_count;
     struct block_triangle triangles[BLOCK_TRIANGLES];
-    struct block_facts facts[BLOCK_TRIANGLES];
     uint16_t order[BLOCK_TRIANGLES]; /* by kind */
-    /* Behind are pieces of a triangle that is divided by itself, and what is not wanted. */
-    struct block_piece pieces[BLOCK_PIECES + BLOCK_LANES_MAX];
+    _Alignas(64) struct block_facts facts[BLOCK_TRIANGLES];
+    /* Behind are pieces of a triangle that is divided by itself, and one that is not wanted. */
+    _Alignas(64) struct block_piece pieces[BLOCK_NOWHERE + 1];
 };
 
 #endif

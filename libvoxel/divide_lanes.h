@@ -55,11 +55,13 @@ LANES_INLINE void divide_line(lanes at, lanes slope, int planes, struct divide_s
     }
     /* A coordinate that stays the same crosses nothing; signs of zero tell below from above then.
      */
-    lane_mask down = (lane_mask)slope < 0, flat = lanes_abs(slope) < DIVIDE_LEAST_SLOPE;
+    lane_mask down = lanes_signs(slope);
+    lane_mask flat = lanes_less(lanes_abs(slope), lanes_all(DIVIDE_LEAST_SLOPE));
     lanes inverse = 1.0 / slope, before = lanes_keep(down, one), end = one - before;
     for (int i = 0; i < planes; i++) {
         lanes s = ((double)(i + 1) - at) * inverse;
-        *doubtful |= (s == 0.0) | (s == 1.0) | (flat & ~((s < -0.1) | (s > 1.1)));
+        *doubtful |= lanes_equal(s, zero) | lanes_equal(s, one);
+        *doubtful |= flat & ~(lanes_less(s, lanes_all(-0.1)) | lanes_less(lanes_all(1.1), s));
         spans->crossing[i] = s;
         s = lanes_min(lanes_max(s, zero), one);
         spans->from[i] = lanes_min(before, s);
@@ -80,28 +82,25 @@ struct divide_cut {
 LANES_INLINE void divide_border(const lanes p[3], const lanes inverse[3], double plane,
                                 struct divide_cut *cut, lane_mask *doubtful)
 {
+    const lanes zero = lanes_all(0.0);
     lanes d[3], t[3];
-    lane_mask above[3], rises[3], falls[3];
+    lane_mask below[3], rises[3], falls[3];
     for (int i = 0; i < 3; i++) {
         d[i] = p[i] - plane;
-        above[i] = d[i] >= 0.0;
+        below[i] = lanes_less(d[i], zero);
         t[i] = d[i] * inverse[i];
-        *doubtful |= d[i] == 0.0;
+        *doubtful |= lanes_equal(d[i], zero);
     }
     for (int i = 0; i < 3; i++) {
-        rises[i] = ~above[i] & above[(i + 1) % 3];
-        falls[i] = above[i] & ~above[(i + 1) % 3];
+        rises[i] = below[i] & ~below[(i + 1) % 3];
+        falls[i] = ~below[i] & below[(i + 1) % 3];
     }
     /* Weights (t, 0) on the first edge, (1 - t, t) on the second, (0, 1 - t) on the third. */
     lanes rest1 = 1.0 - t[1], rest2 = 1.0 - t[2];
-    cut->rise[0] =
-        (lanes)((lane_mask)lanes_keep(rises[0], t[0]) | (lane_mask)lanes_keep(rises[1], rest1));
-    cut->rise[1] =
-        (lanes)((lane_mask)lanes_keep(rises[1], t[1]) | (lane_mask)lanes_keep(rises[2], rest2));
-    cut->fall[0] =
-        (lanes)((lane_mask)lanes_keep(falls[0], t[0]) | (lane_mask)lanes_keep(falls[1], rest1));
-    cut->fall[1] =
-        (lanes)((lane_mask)lanes_keep(falls[1], t[1]) | (lane_mask)lanes_keep(falls[2], rest2));
+    cut->rise[0] = lanes_select(rises[1], rest1, lanes_keep(rises[0], t[0]));
+    cut->rise[1] = lanes_select(rises[1], t[1], lanes_keep(rises[2], rest2));
+    cut->fall[0] = lanes_select(falls[1], rest1, lanes_keep(falls[0], t[0]));
+    cut->fall[1] = lanes_select(falls[1], t[1], lanes_keep(falls[2], rest2));
 }
 
 /* Adds the parts of the line in which one plane cuts the triangle. `below` is the first cell of the
@@ -160,7 +159,7 @@ LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_plane
 {
     for (int j = 0; j < q_planes; j++)
         for (int k = 0; k < r_planes; k++)
-            *doubtful |= q->crossing[j] == r->crossing[k];
+            *doubtful |= lanes_equal(q->crossing[j], r->crossing[k]);
 }
 
 /* The lines of all planes across an axis. */
@@ -204,7 +203,7 @@ LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
     const int cells[3] = {planes[0] + 1, planes[1] + 1, planes[2] + 1};
     const int stride[3] = {cells[1] * cells[2], cells[2], 1};
     const int count = cells[0] * stride[0];
-    lane_mask doubtful = (lane_mask){0};
+    lane_mask doubtful = lanes_none();
     struct divide_spans edge[3];
     for (int a = 0; a < 3; a++)
         divide_line(p[1][a], p[2][a] - p[1][a], planes[a], &edge[a], &doubtful);
@@ -214,7 +213,8 @@ LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
     divide_axis(p, 1, planes, stride, pieces, &doubtful);
     divide_axis(p, 2, planes, stride, pieces, &doubtful);
     for (int i = 0; i < count; i++)
-        doubtful |= (pieces[i].share != 0.0) & ~(pieces[i].share > DIVIDE_LEAST_SHARE);
+        doubtful |= ~(lanes_equal(pieces[i].share, lanes_all(0.0)) |
+                      lanes_less(lanes_all(DIVIDE_LEAST_SHARE), pieces[i].share));
     return doubtful;
 }
 

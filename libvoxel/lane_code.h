@@ -26,10 +26,12 @@ struct vox_lane_code {
                       struct vox_ring *rings);
 };
 
-extern const struct vox_lane_code vox_lane_code_plain;
 #ifdef __x86_64__
-extern const struct vox_lane_code vox_lane_code_avx2;
+extern const struct vox_lane_code vox_lane_code_avx2, vox_lane_code_avx512;
 #endif
+
+/* The code for 2, 4 or 8 lanes; NULL where this processor cannot run it. */
+const struct vox_lane_code *vox_lane_code_of(unsigned count);
 
 /* The best that the processor can run. */
 const struct vox_lane_code *vox_lane_code(void);

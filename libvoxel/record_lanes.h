@@ -16,10 +16,10 @@ LANES_INLINE int_lanes record_round_floats(float_lanes x)
 }
 
 /* The same of |x| < 2^51. */
-LANES_INLINE lane_mask record_round(lanes x)
+LANES_INLINE lane_ints record_round(lanes x)
 {
     const int64_t bits = INT64_C(0x4338000000000000); /* of 1.5 * 2^52 */
-    return (lane_mask)(x + 6755399441055744.0) - bits;
+    return (lane_ints)(x + 6755399441055744.0) - bits;
 }
 
 LANES_INLINE float_lanes record_abs(float_lanes x)
@@ -56,7 +56,7 @@ LANES_INLINE int_lanes record_pack_normal(const lanes unit[3])
 }
 
 LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_lanes *normal,
-                              lane_mask *plane)
+                              lane_ints *plane)
 {
     lanes sum[8], n[3];
     const double *half[2][LANE_COUNT];
@@ -67,7 +67,7 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_
     lanes_gather_four(half[0], sum);
     lanes_gather_four(half[1], sum + 4);
     lanes length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[7];
-    lane_mask has = length > 0.0;
+    lane_mask has = lanes_less(lanes_all(0.0), length);
     for (int k = 0; k < 3; k++)
         n[k] = lanes_select(has, sum[k] / length, lanes_all(k == 2));
     *normal = record_pack_normal(n);
@@ -76,8 +76,10 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_
     lanes d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
     d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
     lanes coverage = lanes_min(length / area, lanes_all(1.0));
-    *plane = (record_round(d * 32767.0) & 0xffff) | record_round(coverage * 255.0) << 16 |
-             ((sum[3] > 0.0) & (long long)FMT_NVDB_PLANE_SHADED);
+    lane_mask shaded = lanes_less(lanes_all(0.0), sum[3]);
+    *plane = lanes_set_bits(shaded, record_round(d * 32767.0) & 0xffff,
+                            lanes_all_bits(FMT_NVDB_PLANE_SHADED)) |
+             record_round(coverage * 255.0) << 16;
 }
 
 static void make_records(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,
@@ -86,7 +88,7 @@ static void make_records(const struct vox_sum *sums, const uint32_t *numbers, ui
     for (uint64_t done = 0; done < count; done += LANE_COUNT) {
         const struct vox_sum *from[LANE_COUNT];
         int_lanes normal;
-        lane_mask plane;
+        lane_ints plane;
         for (uint64_t l = 0; l < LANE_COUNT; l++)
             from[l] = &sums[numbers[done + l < count ? done + l : done]];
         record_make(from, &normal, &plane);

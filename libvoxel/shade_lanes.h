@@ -12,6 +12,17 @@
 #include "libvoxel/block.h"
 #include "libvoxel/divide_lanes.h"
 
+/* What the weights of a triangle's pieces follow from. */
+struct shade_weights {
+    lanes squares[3];    /* of the corners' normals */
+    lanes gaps[3];       /* of corners 01, 12, 20: squares of their normals' distances */
+    lanes agreements[3]; /* of the corners' normals with the plane's */
+    lanes rise[3];       /* of the surface they describe above the corners, in voxels */
+    /* Of corners 01, 12, 20: 4 times the height of the arc over the edge that has the corners'
+     * normals. */
+    lanes arc[3];
+};
+
 /* Triangles side by side, in voxels from the lower corner of a cell of each. */
 struct shade_triangles {
     lanes p[3][3];    /* corner, axis */
@@ -23,13 +34,7 @@ struct shade_triangles {
     double lift_limit;  /* highest arc and rise, in voxels */
     bool detached;      /* and no surface through facets of this size belongs to the normals */
     lanes normal[3][3]; /* corner, axis; unit */
-    lanes squares[3];   /* of the corners' normals */
-    lanes gaps[3];      /* of corners 01, 12, 20: squares of their normals' distances */
-    lanes agreements[3]; /* of the corners' normals with the plane's */
-    lanes rise[3];       /* of the surface they describe above the corners, in voxels */
-    /* Of corners 01, 12, 20: 4 times the height of the arc over the edge that has the corners'
-     * normals. */
-    lanes arc[3];
+    struct shade_weights weights;
     lane_mask facet; /* the plane is too far from that surface to go with the normals */
     bool has_color;
     lanes rgb[3][3]; /* corner, channel; linear light */
@@ -55,7 +60,7 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
     n[1] = e[2] * f[0] - e[0] * f[2];
     n[2] = e[0] * f[1] - e[1] * f[0];
     lanes length = lanes_sqrt(shade_dot(n, n));
-    lanes scale = lanes_keep(length > 0.0, 1.0 / length);
+    lanes scale = lanes_keep(lanes_less(lanes_all(0.0), length), 1.0 / length);
     t->area = lanes_max(0.5 * length, lanes_all(VOX_NO_AREA));
     for (int k = 0; k < 3; k++)
         t->flat[k] = n[k] * scale;
@@ -66,7 +71,7 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
 LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
 {
     for (int i = 0; i < 3; i++) {
-        lane_mask has = shade_dot(t->normal[i], t->normal[i]) > 0.0;
+        lane_mask has = lanes_less(lanes_all(0.0), shade_dot(t->normal[i], t->normal[i]));
         for (int k = 0; k < 3; k++)
             t->normal[i][k] = lanes_select(has, t->normal[i][k], t->flat[k]);
     }
@@ -78,16 +83,17 @@ LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
     for (int i = 0; i < 3; i++) {
         const lanes *n = t->normal[i], *next = t->normal[(i + 1) % 3];
         const lanes turn[3] = {next[0] - n[0], next[1] - n[1], next[2] - n[2]};
-        t->squares[i] = shade_dot(n, n);
-        t->gaps[i] = shade_dot(turn, turn);
-        t->agreements[i] = shade_dot(n, t->flat);
+        t->weights.squares[i] = shade_dot(n, n);
+        t->weights.gaps[i] = shade_dot(turn, turn);
+        t->weights.agreements[i] = shade_dot(n, t->flat);
     }
 }
 
 /* Highest arc over an edge, and highest rise above a corner, onto which pieces are lifted, in
  * voxels: they have to stay with their voxel. Close to the size of a voxel triangles need their
  * planes, as blended normals alone lose detail: waves of 10 triangles, each 1.6 voxels and with
- * slopes of 20 degrees, err by 0.32 degrees with the lower limit and by 0.11 with the higher one. */
+ * slopes of 20 degrees, err by 0.32 degrees with the lower limit and by 0.11 with the higher one.
+ */
 #define SHADE_LIFT_LIMIT       0.1
 #define SHADE_LIFT_LIMIT_CLOSE 0.2
 
@@ -99,14 +105,13 @@ LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
     const lanes limit = lanes_all(4.0 * t->lift_limit), highest = lanes_all(t->lift_limit);
     for (int i = 0; i < 3; i++) {
         const int j = (i + 1) % 3;
-        lanes arc = lanes_all(0.0);
+        lanes arc = lanes_all(0.0), rise = t->weights.rise[i];
         for (int a = 0; a < 3; a++)
             arc += (t->p[i][a] - t->p[j][a]) * (t->normal[i][a] - t->normal[j][a]);
         arc *= 0.5;
-        t->facet |= lanes_abs(arc) > limit;
-        t->arc[i] = lanes_min(lanes_max(arc, -limit), limit);
-        t->facet |= lanes_abs(t->rise[i]) > highest;
-        t->rise[i] = lanes_min(lanes_max(t->rise[i], -highest), highest);
+        t->facet |= lanes_less(limit, lanes_abs(arc)) | lanes_less(highest, lanes_abs(rise));
+        t->weights.arc[i] = lanes_min(lanes_max(arc, -limit), limit);
+        t->weights.rise[i] = lanes_min(lanes_max(rise, -highest), highest);
     }
 }
 
@@ -114,7 +119,7 @@ LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 LANES_INLINE void shade_prepare(struct shade_triangles *t)
 {
     shade_measure(t);
-    t->facet = (lane_mask){0};
+    t->facet = lanes_none();
     if (t->has_normals) {
         shade_settle_normals(t);
         shade_measure_normals(t);
@@ -122,7 +127,7 @@ LANES_INLINE void shade_prepare(struct shade_triangles *t)
     if (t->curved)
         shade_measure_arcs(t);
     if (t->detached)
-        t->facet = lanes_all(0.0) < 1.0;
+        t->facet = ~lanes_none();
 }
 
 /* ---- facts ---- */
@@ -179,6 +184,23 @@ LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
 
 /* ---- pieces ---- */
 
+#if LANE_COUNT == 8
+/* Those of the triangles with these indices, of whose bits only the lowest matter. */
+LANES_INLINE struct shade_weights shade_pick(const struct shade_weights *from, bool curved,
+                                             lane_ints which)
+{
+    struct shade_weights to;
+    for (int i = 0; i < 3; i++) {
+        to.squares[i] = lanes_pick(from->squares[i], which);
+        to.gaps[i] = lanes_pick(from->gaps[i], which);
+        to.agreements[i] = lanes_pick(from->agreements[i], which);
+        to.rise[i] = curved ? lanes_pick(from->rise[i], which) : lanes_all(0.0);
+        to.arc[i] = curved ? lanes_pick(from->arc[i], which) : lanes_all(0.0);
+    }
+    return to;
+}
+#endif
+
 /* Directions count as far as they agree with the triangle's: then coverage tells how well a voxel's
  * plane stands for its surface.
  *
@@ -191,17 +213,18 @@ LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
  *
  * The square of the interpolated normal is the sum of w_i n_i^2 less that of w_i w_j (n_i - n_j)^2.
  * All is computed with weights times area. */
-LANES_INLINE void shade_weigh(const struct shade_triangles *t, lanes area, const lanes moment[2],
-                              lanes *normal, lanes *center, lane_mask *cancels)
+LANES_INLINE void shade_weigh(const struct shade_weights *of, bool curved, lanes area,
+                              const lanes moment[2], lanes *normal, lanes *center,
+                              lane_mask *cancels)
 {
     const lanes w[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
     const lanes pairs[3] = {w[0] * w[1], w[1] * w[2], w[2] * w[0]};
-    lanes square = area * shade_dot(w, t->squares) - shade_dot(pairs, t->gaps);
+    lanes square = area * shade_dot(w, of->squares) - shade_dot(pairs, of->gaps);
     lanes inverse = 1.0 / (area * lanes_sqrt(square)), across = area * inverse;
-    *cancels = ~(square > 1e-12 * (area * area));
-    *normal = area * lanes_abs(shade_dot(w, t->agreements)) * (across * across);
-    if (t->curved)
-        *center = (shade_dot(pairs, t->arc) + area * shade_dot(w, t->rise)) * inverse;
+    *cancels = ~lanes_less(1e-12 * (area * area), square);
+    *normal = area * lanes_abs(shade_dot(w, of->agreements)) * (across * across);
+    if (curved)
+        *center = (shade_dot(pairs, of->arc) + area * shade_dot(w, of->rise)) * inverse;
 }
 
 /* A row, and the two that follow it. */

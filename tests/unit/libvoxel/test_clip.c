@@ -346,8 +346,8 @@ static void test_small_triangles_side_by_side(void **state)
         lane_mask doubt = divide_small((const lanes(*)[3])p, planes, pieces);
         for (int l = 0; l < LANE_COUNT; l++) {
             checked++;
-            doubtful += doubt[l] != 0;
-            if (!doubt[l])
+            doubtful += lanes_bits(doubt) >> l & 1;
+            if (!(lanes_bits(doubt) >> l & 1))
                 check_lane((const double(*)[3])batch[l], l, planes, pieces);
         }
     }
@@ -374,7 +374,7 @@ static void test_touching_planes_is_doubtful(void **state)
             assert_true(put_in_lane(table[i], l, p, planes));
         lane_mask doubt = divide_small((const lanes(*)[3])p, planes, pieces);
         for (int l = 0; l < LANE_COUNT; l++)
-            assert_true(doubt[l] != 0);
+            assert_true(lanes_bits(doubt) >> l & 1);
     }
 }
 

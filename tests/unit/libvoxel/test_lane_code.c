@@ -10,16 +10,20 @@
 #include <string.h>
 #include <cmocka.h>
 
+enum { KINDS_MAX = 3 };
+
 /* The kinds that this processor can run; *count of them. */
 static const struct vox_lane_code *const *kinds(size_t *count)
 {
-    static const struct vox_lane_code *found[2];
+    static const struct vox_lane_code *found[KINDS_MAX];
     *count = 0;
-    found[(*count)++] = &vox_lane_code_plain;
-#ifdef __x86_64__
-    if (__builtin_cpu_supports("avx2"))
-        found[(*count)++] = &vox_lane_code_avx2;
-#endif
+    for (unsigned width = 2; width <= 8; width *= 2) {
+        const struct vox_lane_code *code = vox_lane_code_of(width);
+        if (code)
+            found[(*count)++] = code;
+        else
+            print_message("this processor has not the instructions for %u lanes\n", width);
+    }
     return found;
 }
 
@@ -131,7 +135,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     struct fmt_tris_header header = {.attributes = FMT_TRIS_COLORS};
     struct vox_shading shading;
     struct vox_box region = {{0, 0, 0}, {127, 127, 127}}, window = {{0, 8, 0}, {127, 119, 127}};
-    struct vox_accumulator *sums[2];
+    struct vox_accumulator *sums[KINDS_MAX];
     struct vox_block *block;
     size_t count;
     const struct vox_lane_code *const *code = kinds(&count);
@@ -240,7 +244,7 @@ static void test_rings(void **state)
                                          .triangle_count = 3 * RING_VERTICES,
                                          .positions = (const float(*)[3])positions,
                                          .triangles = (const uint32_t(*)[3])triangles};
-    struct vox_ring rings[2][RING_VERTICES];
+    struct vox_ring rings[KINDS_MAX][RING_VERTICES];
     size_t count;
     const struct vox_lane_code *const *code = kinds(&count);
     for (size_t c = 0; c < count; c++) {

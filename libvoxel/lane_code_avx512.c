@@ -1,0 +1,10 @@
+/* lane_code_avx512.c - eight lanes; compiled for processors that have AVX-512. */
+#include "libvoxel/lane_code.h"
+
+#ifdef __AVX512DQ__
+#include "libvoxel/accumulate_lanes.h"
+#include "libvoxel/record_lanes.h"
+#include "libvoxel/ring_lanes.h"
+
+const struct vox_lane_code vox_lane_code_avx512 = {accumulate_chunk, make_records, add_rings};
+#endif
