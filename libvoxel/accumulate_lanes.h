@@ -10,6 +10,7 @@
 #include <assert.h>
 
 #include "libvoxel/block.h"
+#include "libvoxel/chunk_cell.h"
 #include "libvoxel/clip.h"
 #include "libvoxel/shade_lanes.h"
 
@@ -38,26 +39,28 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
     t->has_normals = chunk->normals != NULL;
     t->curved = t->has_normals && chunk->coarse;
     t->lift_limit = chunk->wide ? SHADE_LIFT_LIMIT : SHADE_LIFT_LIMIT_CLOSE;
-    t->detached = t->curved && !chunk->rises && chunk->large;
+    t->detached = t->curved && !chunk->made && chunk->large;
     t->has_color = what->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {
         const double *points[LANE_COUNT];
-        const float *normals[LANE_COUNT], *rises[LANE_COUNT];
+        const float *normals[LANE_COUNT];
         for (int l = 0; l < LANE_COUNT; l++) {
             uint32_t vertex = chunk->source.triangles[triangle[l]->number][i];
             points[l] = chunk->points[vertex];
             normals[l] = t->has_normals ? chunk->normals[vertex] : NULL;
-            rises[l] = chunk->rises ? &chunk->rises[vertex] : NULL;
         }
         lanes corner[4];
         lanes_gather_four(points, corner);
         for (int k = 0; k < 3; k++)
             t->p[i][k] = corner[k] - lowest[k];
-        t->weights.rise[i] = chunk->rises ? lanes_gather_float(rises) : lanes_all(0.0);
-        if (t->has_normals)
-            lanes_gather_floats(normals, t->normal[i]);
-        else
+        if (t->has_normals) {
+            lanes in[4];
+            lanes_gather_floats(normals, in);
+            memcpy(t->normal[i], in, sizeof t->normal[i]);
+            t->weights.rise[i] = in[3];
+        } else {
             memset(t->normal[i], 0, sizeof t->normal[i]);
+        }
     }
     for (int l = 0; t->has_color && l < LANE_COUNT; l++) {
         double rgb[3][3];
@@ -78,9 +81,10 @@ struct cell_bounds {
 LANES_INLINE struct cell_bounds cells_of(const struct vox_chunk *chunk, uint32_t triangle)
 {
     const uint32_t *v = chunk->source.triangles[triangle];
-    four_ints p = four_load(chunk->cells[v[0]]), q = four_load(chunk->cells[v[1]]);
-    four_ints r = four_load(chunk->cells[v[2]]);
-    return (struct cell_bounds){four_min(four_min(p, q), r), four_max(four_max(p, q), r)};
+    struct row p = row_load(chunk->points[v[0]]), q = row_load(chunk->points[v[1]]);
+    struct row r = row_load(chunk->points[v[2]]);
+    return (struct cell_bounds){vox_chunk_cell(chunk, row_min(row_min(p, q), r)),
+                                vox_chunk_cell(chunk, row_max(row_max(p, q), r))};
 }
 
 LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)

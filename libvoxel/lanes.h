@@ -87,6 +87,28 @@ struct row {
     row_part part[ROW_PARTS];
 };
 
+LANES_INLINE row_part row_part_min(row_part a, row_part b)
+{
+#ifdef __AVX2__
+    return _mm256_min_pd(a, b);
+#elif defined __SSE2__
+    return _mm_min_pd(a, b);
+#else
+    return (row_part){a[0] < b[0] ? a[0] : b[0], a[1] < b[1] ? a[1] : b[1]};
+#endif
+}
+
+LANES_INLINE row_part row_part_max(row_part a, row_part b)
+{
+#ifdef __AVX2__
+    return _mm256_max_pd(a, b);
+#elif defined __SSE2__
+    return _mm_max_pd(a, b);
+#else
+    return (row_part){a[0] > b[0] ? a[0] : b[0], a[1] > b[1] ? a[1] : b[1]};
+#endif
+}
+
 LANES_INLINE struct row row_load(const double *from)
 {
     struct row x;
@@ -167,6 +189,20 @@ LANES_INLINE four_ints four_load(const int32_t from[4])
     return x;
 }
 
+/* Largest whole numbers that are not larger, where these are in the range of int32_t. */
+LANES_INLINE four_ints row_floor(struct row x)
+{
+#ifdef __AVX2__
+    return (four_ints)_mm256_cvttpd_epi32(_mm256_floor_pd(x.part[0]));
+#elif defined __SSE4_1__
+    return (four_ints)_mm_unpacklo_epi64(_mm_cvttpd_epi32(_mm_floor_pd(x.part[0])),
+                                         _mm_cvttpd_epi32(_mm_floor_pd(x.part[1])));
+#else
+    return (four_ints){(int32_t)floor(x.part[0][0]), (int32_t)floor(x.part[0][1]),
+                       (int32_t)floor(x.part[1][0]), (int32_t)floor(x.part[1][1])};
+#endif
+}
+
 #ifdef __SSE4_1__
 
 LANES_INLINE four_ints four_min(four_ints a, four_ints b)
@@ -223,6 +259,21 @@ LANES_INLINE uint32_t sixteen_bits(const uint32_t from[16])
         bits |= (uint32_t)(from[i] != 0) << i;
     return bits;
 #endif
+}
+
+/* a < b ? a : b, and a > b ? a : b */
+LANES_INLINE struct row row_min(struct row a, struct row b)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        a.part[i] = row_part_min(a.part[i], b.part[i]);
+    return a;
+}
+
+LANES_INLINE struct row row_max(struct row a, struct row b)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        a.part[i] = row_part_max(a.part[i], b.part[i]);
+    return a;
 }
 
 /* The numbers with indices 1, 2, 0 and 3. */

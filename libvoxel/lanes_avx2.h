@@ -93,19 +93,12 @@ LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], l
         out[k] = turned[k];
 }
 
-LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[3])
+LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[4])
 {
-    lanes in[4], turned[4];
+    lanes in[4];
     for (int i = 0; i < 4; i++)
         in[i] = _mm256_cvtps_pd(_mm_loadu_ps(from[i]));
-    lanes_transpose(in, turned);
-    for (int k = 0; k < 3; k++)
-        out[k] = turned[k];
-}
-
-LANES_INLINE lanes lanes_gather_float(const float *const from[LANE_COUNT])
-{
-    return _mm256_cvtps_pd(_mm_setr_ps(*from[0], *from[1], *from[2], *from[3]));
+    lanes_transpose(in, out);
 }
 
 LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])

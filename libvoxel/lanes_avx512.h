@@ -120,20 +120,15 @@ LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], l
     out[2] = _mm512_cvtepi32_pd(_mm512_castsi512_si256(z));
 }
 
-LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[3])
+LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[4])
 {
     __m512i rows = lanes_four_rows((const void *const *)from);
     __m512i more_rows = lanes_four_rows((const void *const *)from + 4);
-    __m512i xy = lanes_two_columns(rows, more_rows, 0), z = lanes_two_columns(rows, more_rows, 2);
+    __m512i xy = lanes_two_columns(rows, more_rows, 0), zw = lanes_two_columns(rows, more_rows, 2);
     out[0] = _mm512_cvtps_pd((__m256)_mm512_castsi512_si256(xy));
     out[1] = _mm512_cvtps_pd((__m256)_mm512_extracti64x4_epi64(xy, 1));
-    out[2] = _mm512_cvtps_pd((__m256)_mm512_castsi512_si256(z));
-}
-
-LANES_INLINE lanes lanes_gather_float(const float *const from[LANE_COUNT])
-{
-    return _mm512_cvtps_pd(_mm256_setr_ps(*from[0], *from[1], *from[2], *from[3], *from[4],
-                                          *from[5], *from[6], *from[7]));
+    out[2] = _mm512_cvtps_pd((__m256)_mm512_castsi512_si256(zw));
+    out[3] = _mm512_cvtps_pd((__m256)_mm512_extracti64x4_epi64(zw, 1));
 }
 
 LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])

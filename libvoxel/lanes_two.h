@@ -93,17 +93,11 @@ LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], l
         out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
 }
 
-/* Lane i of out[k] becomes from[i][k]. from[i] has four readable numbers. */
-LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[3])
+/* Lane i of out[k] becomes from[i][k]. */
+LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[4])
 {
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < 4; k++)
         out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
-}
-
-/* Lane i becomes *from[i]. */
-LANES_INLINE lanes lanes_gather_float(const float *const from[LANE_COUNT])
-{
-    return (lanes){(double)*from[0], (double)*from[1]};
 }
 
 /* to[i][k] becomes lane i of in[k]. */

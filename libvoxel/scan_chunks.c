@@ -5,9 +5,8 @@
  * virtual-storage computer", 1966). Slots are allocated when first used. */
 #include "libvoxel/scan_chunks.h"
 #include "base/octahedral.h"
-#include "libvoxel/lanes.h"
+#include "libvoxel/chunk_cell.h"
 
-#include <math.h>
 #include <pthread.h>
 #include <string.h>
 
@@ -44,7 +43,7 @@ struct vox_chunks {
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
-    uint64_t points_at, cells_at, normals_at, rises_at, groups_at, slot_bytes;
+    uint64_t points_at, normals_at, groups_at, slot_bytes;
 };
 
 /* ---- layout of a slot ---- */
@@ -66,12 +65,8 @@ static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool
     uint64_t groups = (triangles + VOX_GROUP_TRIANGLES - 1) / VOX_GROUP_TRIANGLES;
     bool normals = smooth || (header->attributes & FMT_TRIS_NORMALS);
     c->points_at = align64(fmt_tris_load_size_max(file));
-    /* Vectors of three are loaded as four numbers. */
-    c->cells_at = c->points_at + align64(vertices * sizeof(double[3]) + sizeof(double));
-    c->normals_at = c->cells_at + align64(vertices * sizeof(int32_t[4]));
-    c->rises_at =
-        c->normals_at + (normals ? align64(vertices * sizeof(float[3]) + sizeof(float)) : 0);
-    c->groups_at = c->rises_at + (smooth ? align64(vertices * sizeof(float)) : 0);
+    c->normals_at = c->points_at + align64(vertices * sizeof(double[4]));
+    c->groups_at = c->normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
     c->slot_bytes = c->groups_at + align64(groups * sizeof(struct vox_box));
 }
 
@@ -84,30 +79,24 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- loading ---- */
 
-/* Points are not below the lattice, but what lies on its upper bounds has its cell just above and
- * is counted to the last. */
 static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
-                       double (*points)[3], int32_t (*cells)[4])
+                       double (*points)[4])
 {
     for (uint32_t v = 0; v < source->vertex_count; v++) {
-        for (int a = 0; a < 3; a++) {
-            double p = vox_lattice_coordinate(lattice, source->positions[v][a], a);
-            int32_t cell = (int32_t)floor(p), last = lattice->voxels.hi[a];
-            points[v][a] = p;
-            cells[v][a] = cell < last ? cell : last;
-        }
-        cells[v][3] = 0;
+        for (int a = 0; a < 3; a++)
+            points[v][a] = vox_lattice_coordinate(lattice, source->positions[v][a], a);
+        points[v][3] = 0.0;
     }
-    points[source->vertex_count][0] = 0.0;
 }
 
-static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[3])
+static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[4])
 {
     for (uint32_t v = 0; v < source->vertex_count; v++) {
         struct bsq_vec3 n = bsq_oct_unpack(source->normals[v]);
         normals[v][0] = n.x;
         normals[v][1] = n.y;
         normals[v][2] = n.z;
+        normals[v][3] = 0.0f;
     }
 }
 
@@ -124,7 +113,7 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 #define WIDE_EDGE_SQUARE 6.0
 
 /* Mean square of the triangles' first edges, in voxels. */
-static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[3])
+static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[4])
 {
     double sum = 0.0;
     for (uint32_t t = 0; t < source->triangle_count; t++) {
@@ -137,14 +126,15 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, const double
 
 static struct vox_box group_box(const struct vox_chunk *chunk, uint32_t begin, uint32_t end)
 {
-    four_ints low = four_load(chunk->cells[chunk->source.triangles[begin][0]]), high = low;
+    struct row least = row_load(chunk->points[chunk->source.triangles[begin][0]]), most = least;
     struct vox_box box;
     for (uint32_t t = begin; t < end; t++)
         for (int corner = 0; corner < 3; corner++) {
-            four_ints cell = four_load(chunk->cells[chunk->source.triangles[t][corner]]);
-            low = four_min(low, cell);
-            high = four_max(high, cell);
+            struct row point = row_load(chunk->points[chunk->source.triangles[t][corner]]);
+            least = row_min(point, least);
+            most = row_max(point, most);
         }
+    four_ints low = vox_chunk_cell(chunk, least), high = vox_chunk_cell(chunk, most);
     memcpy(box.lo, &low, sizeof box.lo);
     memcpy(box.hi, &high, sizeof box.hi);
     return box;
@@ -183,16 +173,11 @@ static void take_back(void *arg, uint32_t chunk)
 }
 
 static int smooth_normals(struct vox_chunks *c, uint32_t chunk, struct slot *slot,
-                          float (*normals)[3])
+                          float (*normals)[4])
 {
     const struct vox_smooth_lender lender = {c, lend, take_back};
-    const struct fmt_tris_chunk *source = &slot->content.source;
-    float *rises = (float *)(void *)(slot->memory + c->rises_at);
-    int status = vox_smooth_normals(c->smooth, &lender, chunk, source, normals, rises);
-    for (uint32_t v = 0; status == 0 && v < source->vertex_count; v++)
-        rises[v] = (float)((double)rises[v] / c->lattice->h);
-    slot->content.rises = rises;
-    return status;
+    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->lattice->h,
+                              normals);
 }
 
 /* The second step: what voxelizing needs beside. */
@@ -200,20 +185,19 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
     const struct fmt_tris_chunk *source = &content->source;
-    double(*points)[3] = (double(*)[3])(void *)(slot->memory + c->points_at);
-    int32_t(*cells)[4] = (int32_t(*)[4])(void *)(slot->memory + c->cells_at);
-    float(*normals)[3] = (float(*)[3])(void *)(slot->memory + c->normals_at);
+    double(*points)[4] = (double(*)[4])(void *)(slot->memory + c->points_at);
+    float(*normals)[4] = (float(*)[4])(void *)(slot->memory + c->normals_at);
     int status = 0;
-    map_points(c->lattice, source, points, cells);
-    content->points = (const double(*)[3])points;
-    content->cells = (const int32_t(*)[4])cells;
+    map_points(c->lattice, source, points);
+    content->points = (const double(*)[4])points;
+    memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
     double square = mean_edge_square(source, content->points);
     content->coarse = square > COARSE_EDGE_SQUARE;
     content->large = square > LARGE_EDGE_SQUARE;
     content->wide = source->normals || square > WIDE_EDGE_SQUARE;
-    content->rises = NULL;
+    content->made = !source->normals;
     make_groups(c, slot);
-    content->normals = (const float(*)[3])normals;
+    content->normals = (const float(*)[4])normals;
     if (source->normals) {
         unpack_normals(source, normals);
     } else if (c->smooth && content->coarse) {

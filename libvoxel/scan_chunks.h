@@ -13,10 +13,12 @@ enum { VOX_GROUP_TRIANGLES = 64 };
 
 struct vox_chunk {
     struct fmt_tris_chunk source;
-    const double (*points)[3]; /* positions in lattice coordinates; one more number is readable */
-    const int32_t (*cells)[4]; /* cells of the points, 0 */
-    const float (*normals)[3]; /* unit, or zero; NULL: those of the triangles; as points */
-    const float *rises; /* of the surface of these normals above the vertices, in voxels; NULL: 0 */
+    const double (*points)[4]; /* positions in lattice coordinates, 0 */
+    int32_t last_cell[4];      /* what lies above belongs to it too, on each axis; and anything */
+    /* Unit, or zero, and how far above the vertex the surface of these normals is, in voxels; NULL:
+     * those of the triangles. */
+    const float (*normals)[4];
+    bool made;          /* the normals are not the scan's own */
     bool large;         /* more than coarse: facets are flat over several voxels */
     bool wide;          /* pieces are not to be lifted far */
     bool coarse;        /* triangles are large enough for their facets to show in the grid */

@@ -194,7 +194,7 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
  * an eighth more: at voxels of half a texel 0.16 and 0.03 degrees instead of 0.24 and 0.05. */
 static const double ring_share = 9.0 / 8.0;
 
-static void finish_vertex(const struct vox_ring *ring, float normal[3], float *rise)
+static void finish_vertex(const struct vox_ring *ring, double h, float normal[4])
 {
     const double *n = ring->area_vector, *m = ring->moment;
     double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
@@ -202,16 +202,17 @@ static void finish_vertex(const struct vox_ring *ring, float normal[3], float *r
     double height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * ring->area);
     for (int k = 0; k < 3; k++)
         normal[k] = smooth ? (float)(n[k] / length) : 0.0f;
-    *rise = smooth ? (float)(ring_share * height) : 0.0f;
+    float rise = smooth ? (float)(ring_share * height) : 0.0f;
+    normal[3] = (float)((double)rise / h);
 }
 
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender, uint32_t index,
-                       const struct fmt_tris_chunk *chunk, float (*normals)[3], float *rises)
+                       const struct fmt_tris_chunk *chunk, double h, float (*normals)[4])
 {
     struct desk *desk = sit_down(s);
     int status = sum_normals(s, lender, desk, index, chunk);
     for (uint32_t v = 0; status == 0 && v < chunk->vertex_count; v++)
-        finish_vertex(&desk->rings[desk->twins[v]], normals[v], &rises[v]);
+        finish_vertex(&desk->rings[desk->twins[v]], h, normals[v]);
     stand_up(s, desk);
     return status;
 }

@@ -22,12 +22,12 @@ struct vox_smooth_lender {
 
 /* Area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices at the
  * same position are one, whichever chunk they are in. `chunk` is number `index`, decoded; `normals`
- * has one entry a vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE). `rises`: how
- * far above each vertex, along its normal and in world units, the surface lies that these normals,
+ * has one entry a vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE); and fourth how
+ * far above the vertex, along its normal and in units of h, the surface lies that these normals,
  * interpolated, belong to; 0 at creases. The sums run in the order of triangles in the file, so the
  * result does not depend on who asks when. Thread-safe; a call waits while there is no room. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
-                       uint32_t index, const struct fmt_tris_chunk *chunk, float (*normals)[3],
-                       float *rises);
+                       uint32_t index, const struct fmt_tris_chunk *chunk, double h,
+                       float (*normals)[4]);
 
 #endif

@@ -100,9 +100,8 @@ enum { TRIANGLES = 3000 };
 
 /* A chunk of triangles of all small sizes about a region of 128^3. */
 struct soup {
-    double points[3 * TRIANGLES + 1][3];
-    int32_t cells[3 * TRIANGLES][4];
-    float normals[3 * TRIANGLES + 1][3];
+    double points[3 * TRIANGLES][4];
+    float normals[3 * TRIANGLES][4];
     uint32_t colors[3 * TRIANGLES];
     uint32_t triangles[TRIANGLES][3];
     struct vox_box groups[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
@@ -119,9 +118,9 @@ static void make_soup(struct soup *soup)
         for (uint32_t v = 3 * t; v < 3 * t + 3; v++) {
             for (int a = 0; a < 3; a++) {
                 soup->points[v][a] = at[a] + size * (scan_random(&seed) - 0.5);
-                soup->cells[v][a] = (int32_t)floor(soup->points[v][a]);
                 soup->normals[v][a] = (float)(scan_random(&seed) - 0.5);
             }
+            soup->normals[v][3] = (float)(0.6 * scan_random(&seed) - 0.3);
             soup->colors[v] = (uint32_t)(4294967296.0 * scan_random(&seed));
             soup->triangles[t][v - 3 * t] = v;
         }
@@ -179,13 +178,13 @@ static void test_sums(void **state)
                    .vertex_count = 3 * TRIANGLES,
                    .colors = soup->colors,
                    .triangles = (const uint32_t(*)[3])soup->triangles},
-        .points = (const double(*)[3])soup->points,
-        .cells = (const int32_t(*)[4])soup->cells,
+        .points = (const double(*)[4])soup->points,
+        .last_cell = {999, 999, 999},
         .groups = soup->groups,
         .group_count = (TRIANGLES + VOX_GROUP_TRIANGLES - 1) / VOX_GROUP_TRIANGLES,
     };
     check_sums(ctx, &chunk);
-    chunk.normals = (const float(*)[3])soup->normals;
+    chunk.normals = (const float(*)[4])soup->normals;
     check_sums(ctx, &chunk);
     chunk.coarse = true;
     check_sums(ctx, &chunk);
