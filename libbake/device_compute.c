@@ -191,21 +191,30 @@ static int compute_load(struct bake_backend *backend, unsigned slot, const struc
 
 /* ---- tiles ---- */
 
+static uint32_t least(uint32_t a, uint32_t b)
+{
+    return a < b ? a : b;
+}
+
 static const char *launch_slices(struct bake_compute *compute, unsigned worker,
                                  const struct bake_compute_part *part, const struct bk_tile *tile,
                                  int *code)
 {
     struct bake_compute_worker *own = &compute->workers[worker];
+    const uint32_t n = compute->params.samples, lines = bake_slice_lines(n);
     const uint32_t rows =
-        bake_slice_rows(&own->slices, tile->width * texel_samples(compute), tile->height);
+        bake_slice_rows(&own->slices, (uint64_t)tile->width * n * lines, tile->height);
     const char *call = "";
 
-    for (uint32_t row = 0; row < tile->height && *code == 0; row += rows) {
-        const uint32_t left = tile->height - row;
-        call = compute->calls->launch(compute, worker, part, tile, row,
-                                      row + (left < rows ? left : rows), code);
-        own->launches++;
-    }
+    for (uint32_t line = 0; line < n && *code == 0; line += lines)
+        for (uint32_t row = 0; row < tile->height && *code == 0; row += rows) {
+            const struct bake_slice slice = {.first_row = row,
+                                             .end_row = row + least(rows, tile->height - row),
+                                             .first_line = line,
+                                             .end_line = line + least(lines, n - line)};
+            call = compute->calls->launch(compute, worker, part, tile, &slice, code);
+            own->launches++;
+        }
     return call;
 }
 

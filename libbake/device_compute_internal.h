@@ -1,6 +1,7 @@
-/* device_compute_internal.h - what devices with memory and queues of their own have in common, whatever the API
- * that they are spoken to with: the grid goes up through a ring of two pieces of host memory, workers trace tiles in
- * slices of rows, and the device's clock tells how long it took. An API brings struct bake_compute_calls. */
+/* device_compute_internal.h - what devices with memory and queues of their own have in common,
+ * whatever the API that they are spoken to with: the grid goes up through a ring of two pieces of
+ * host memory, workers trace tiles in slices of rows, and the device's clock tells how long it
+ * took. An API brings struct bake_compute_calls. */
 #ifndef BAKE_DEVICE_COMPUTE_INTERNAL_H
 #define BAKE_DEVICE_COMPUTE_INTERNAL_H
 
@@ -30,8 +31,8 @@ struct bake_compute;
 
 enum { BAKE_COMPUTE_TEXT = 192 };
 
-/* Each call but those without a result leaves 0 or the API's error in *code; where it returns a name, that is the
- * API's function that failed. */
+/* Each call but those without a result leaves 0 or the API's error in *code; where it returns a
+ * name, that is the API's function that failed. */
 struct bake_compute_calls {
     /* Text of an error. buffer: BAKE_COMPUTE_TEXT bytes. */
     const char *(*describe)(const struct bake_compute *compute, int code, char *buffer);
@@ -41,8 +42,8 @@ struct bake_compute_calls {
     /* Memory; `bytes` may be 0 for arrays that are never read. */
     void (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out, int *code);
     void (*release)(struct bake_compute *compute, bake_memory memory);
-    /* Begins to copy a piece of the stage to a place in memory, waits until one may be filled again, or until all
-     * are copied. */
+    /* Begins to copy a piece of the stage to a place in memory, waits until one may be filled
+     * again, or until all are copied. */
     void (*send)(struct bake_compute *compute, unsigned piece, uint64_t bytes, bake_memory to,
                  uint64_t at, int *code);
     void (*wait_for_piece)(struct bake_compute *compute, unsigned piece, int *code);
@@ -51,18 +52,18 @@ struct bake_compute_calls {
     /* A worker's queue and memory for tiles; what was opened is closed, also after a failure. */
     const char *(*open_worker)(struct bake_compute *compute, unsigned worker, int *code);
     void (*close_worker)(struct bake_compute *compute, unsigned worker);
-    /* A tile: puts its samples, rows from first_row to end_row - 1 any number of times, and its texels into the
-     * worker's queue; the last waits for all of it. */
+    /* A tile: puts its samples, slices of it in order, and its texels into the worker's queue; the
+     * last waits for all of it. */
     const char *(*write)(struct bake_compute *compute, unsigned worker,
                          const struct bake_compute_part *part, const struct bk_tile *tile,
                          const uint32_t *sample_triangles, uint64_t bytes, int *code);
     const char *(*launch)(struct bake_compute *compute, unsigned worker,
                           const struct bake_compute_part *part, const struct bk_tile *tile,
-                          uint32_t first_row, uint32_t end_row, int *code);
+                          const struct bake_slice *slice, int *code);
     const char *(*read)(struct bake_compute *compute, unsigned worker, struct bk_texel *texels,
                         uint64_t bytes, int *code);
-    const char *(*times)(struct bake_compute *compute, unsigned worker,
-                         struct bake_tile_times *out, int *code);
+    const char *(*times)(struct bake_compute *compute, unsigned worker, struct bake_tile_times *out,
+                         int *code);
     /* After a tile, `code` what came of it: the host's memory is no longer used. */
     void (*leave)(struct bake_compute *compute, unsigned worker, int code);
 };
@@ -97,7 +98,8 @@ struct bake_compute {
     struct bake_busy copies, kernels;
 };
 
-/* Begins a structure that is zero. `close` has to end with bake_compute_free(), also after a failure. */
+/* Begins a structure that is zero. `close` has to end with bake_compute_free(), also after a
+ * failure. */
 void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx,
                        const struct bake_compute_calls *calls,
                        void (*close)(struct bake_backend *backend));
@@ -108,8 +110,8 @@ int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *jo
 uint64_t bake_compute_sample_bytes(const struct bake_compute *compute);
 uint64_t bake_compute_texel_bytes(const struct bake_compute *compute);
 
-/* Sets aside what is on the device for the whole job; the rest of `limit` is for the grid. buffer_bytes: the largest
- * buffer. Errors: BSQ_ENODEVICE where that is not enough, BSQ_ENOMEM. */
+/* Sets aside what is on the device for the whole job; the rest of `limit` is for the grid.
+ * buffer_bytes: the largest buffer. Errors: BSQ_ENODEVICE where that is not enough, BSQ_ENOMEM. */
 int bake_compute_share_memory(struct bake_compute *compute, const struct bake_job *job,
                               uint64_t limit, uint64_t buffer_bytes);
 /* Takes bytes of the host's budget until the device is closed. */

@@ -15,9 +15,10 @@ enum {
     STAGE_BYTES = 16 << 20 /* of the grid at a time */
 };
 
-/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. The compiler likes some 185
- * registers, which leaves room for 8 warps on a multiprocessor; with 128 there are 16, which hide
- * more of the memory's latency. */
+/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. The compiler likes some 168
+ * registers, which leaves room for 12 warps on a multiprocessor; with 128 there are 16, which hide
+ * more of the memory's latency. What does not fit 128 is written and read once a ray pair, outside
+ * of the loops that walk. */
 static const struct bake_cuda_tuning default_tuning = {
     .registers = 128, .block_width = 8, .block_height = 16};
 
@@ -28,6 +29,8 @@ enum { BEFORE_SAMPLES, BEFORE_KERNELS, AFTER_KERNELS, AFTER_TEXELS, EVENTS };
 struct worker {
     CUstream stream;
     CUevent events[EVENTS];
+    CUevent before;     /* the end of its tile before, or when it was made */
+    double before_time; /* on the device's clock */
     CUdeviceptr samples, texels;
     void *host_samples, *host_texels; /* page-locked */
 };
@@ -113,6 +116,8 @@ static void cuda_close_worker(struct bake_compute *compute, unsigned number)
     for (int i = 0; i < EVENTS; i++)
         if (worker->events[i])
             cuda->api.cuEventDestroy(worker->events[i]);
+    if (worker->before)
+        cuda->api.cuEventDestroy(worker->before);
     if (worker->samples)
         cuda->api.cuMemFree(worker->samples);
     if (worker->texels)
@@ -124,12 +129,37 @@ static void cuda_close_worker(struct bake_compute *compute, unsigned number)
     *worker = (struct worker){0};
 }
 
+/* Seconds from one event to another that is over, as float: from one some hours ago they are
+ * coarse. */
+static const char *elapsed(const struct cuda *cuda, CUevent from, CUevent to, double *seconds,
+                           int *code)
+{
+    float milliseconds = 0;
+
+    *code = cuda->api.cuEventElapsedTime(&milliseconds, from, to);
+    *seconds = 1e-3 * (double)milliseconds;
+    return "cuEventElapsedTime";
+}
+
+static const char *begin_clock(struct cuda *cuda, struct worker *worker, int *code)
+{
+    *code = cuda->api.cuEventCreate(&worker->before, CU_EVENT_BLOCKING_SYNC);
+    if (*code == CUDA_SUCCESS)
+        *code = cuda->api.cuEventRecord(worker->before, worker->stream);
+    if (*code == CUDA_SUCCESS)
+        *code = cuda->api.cuEventSynchronize(worker->before);
+    if (*code != CUDA_SUCCESS)
+        return "cuEventRecord";
+    return elapsed(cuda, cuda->origin, worker->before, &worker->before_time, code);
+}
+
 static const char *cuda_open_worker(struct bake_compute *compute, unsigned number, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct worker *worker = &cuda->workers[number];
     const uint64_t sample_bytes = bake_compute_sample_bytes(compute);
     const uint64_t texel_bytes = bake_compute_texel_bytes(compute);
+    const char *call;
 
     *code = cuda->api.cuStreamCreate(&worker->stream, CU_STREAM_NON_BLOCKING);
     if (*code != CUDA_SUCCESS)
@@ -138,6 +168,9 @@ static const char *cuda_open_worker(struct bake_compute *compute, unsigned numbe
         *code = cuda->api.cuEventCreate(&worker->events[i], CU_EVENT_BLOCKING_SYNC);
     if (*code != CUDA_SUCCESS)
         return "cuEventCreate";
+    call = begin_clock(cuda, worker, code);
+    if (*code != CUDA_SUCCESS)
+        return call;
     *code = cuda->api.cuMemAlloc(&worker->samples, sample_bytes);
     if (*code == CUDA_SUCCESS)
         *code = cuda->api.cuMemAlloc(&worker->texels, texel_bytes);
@@ -170,7 +203,7 @@ static const char *cuda_write(struct bake_compute *compute, unsigned number,
 
 static const char *cuda_launch(struct bake_compute *compute, unsigned number,
                                const struct bake_compute_part *part, const struct bk_tile *tile,
-                               uint32_t first_row, uint32_t end_row, int *code)
+                               const struct bake_slice *slice, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct worker *worker = &cuda->workers[number];
@@ -178,17 +211,32 @@ static const char *cuda_launch(struct bake_compute *compute, unsigned number,
     CUdeviceptr a[BAKE_PART_ARRAYS], triangles = compute->triangles;
     struct bk_params params = part->params;
     struct bk_tile whole = *tile;
-    void *arguments[] = {&a[BAKE_TILES],   &a[BAKE_UPPERS],  &a[BAKE_LOWERS], &a[BAKE_LEAVES],
-                         &a[BAKE_NORMALS], &a[BAKE_PLANES],  &a[BAKE_COLORS], &a[BAKE_SECONDS],
-                         &triangles,       &params,          &whole,          &first_row,
-                         &end_row,         &worker->samples, &worker->texels};
+    struct bake_slice part_of_it = *slice;
+    const uint32_t rows = slice->end_row - slice->first_row;
+    void *arguments[] = {&a[BAKE_TILES],
+                         &a[BAKE_UPPERS],
+                         &a[BAKE_LOWERS],
+                         &a[BAKE_LEAVES],
+                         &a[BAKE_NORMALS],
+                         &a[BAKE_PLANES],
+                         &a[BAKE_COLORS],
+                         &a[BAKE_SECONDS],
+                         &triangles,
+                         &params,
+                         &whole,
+                         &part_of_it.first_row,
+                         &part_of_it.end_row,
+                         &part_of_it.first_line,
+                         &part_of_it.end_line,
+                         &worker->samples,
+                         &worker->texels};
 
     for (int i = 0; i < BAKE_PART_ARRAYS; i++)
         a[i] = part->arrays[i];
     *code = cuda->api.cuLaunchKernel(
         cuda->kernel, (tile->width + tuning->block_width - 1) / tuning->block_width,
-        (end_row - first_row + tuning->block_height - 1) / tuning->block_height, 1,
-        tuning->block_width, tuning->block_height, 1, 0, worker->stream, arguments, NULL);
+        (rows + tuning->block_height - 1) / tuning->block_height, 1, tuning->block_width,
+        tuning->block_height, 1, 0, worker->stream, arguments, NULL);
     return "cuLaunchKernel";
 }
 
@@ -216,16 +264,21 @@ static const char *cuda_times(struct bake_compute *compute, unsigned number,
                               struct bake_tile_times *out, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
-    double at[EVENTS];
+    struct worker *worker = &cuda->workers[number];
+    CUevent from = worker->before;
+    double at[EVENTS], since = worker->before_time, seconds;
 
+    /* Each from the one before, so that a long job's times are as exact as a short one's. */
     for (int i = 0; i < EVENTS; i++) {
-        float milliseconds;
-        *code = cuda->api.cuEventElapsedTime(&milliseconds, cuda->origin,
-                                             cuda->workers[number].events[i]);
+        const char *call = elapsed(cuda, from, worker->events[i], &seconds, code);
         if (*code != CUDA_SUCCESS)
-            return "cuEventElapsedTime";
-        at[i] = 1e-3 * (double)milliseconds;
+            return call;
+        at[i] = since += seconds;
+        from = worker->events[i];
     }
+    worker->events[AFTER_TEXELS] = worker->before;
+    worker->before = from;
+    worker->before_time = since;
     out->samples = (struct bake_span){at[BEFORE_SAMPLES], at[BEFORE_KERNELS]};
     out->kernels = (struct bake_span){at[BEFORE_KERNELS], at[AFTER_KERNELS]};
     out->texels = (struct bake_span){at[AFTER_KERNELS], at[AFTER_TEXELS]};
@@ -300,16 +353,19 @@ static int open_context(struct cuda *cuda)
         code = cuda->api.cuEventCreate(&cuda->origin, 0);
     if (code == CUDA_SUCCESS)
         code = cuda->api.cuEventRecord(cuda->origin, NULL);
+    if (code == CUDA_SUCCESS) /* nothing else waits for the default stream */
+        code = cuda->api.cuEventSynchronize(cuda->origin);
     return code == CUDA_SUCCESS ? 0 : bake_compute_fail(&cuda->compute, "cuEventRecord", code);
 }
 
-/* What of the device's memory is free. */
+/* What of the device's memory is free, but for a sixteenth: the driver takes some for what does not
+ * fit a thread's registers when the first kernel is launched, and rounds each array up. */
 static int ask_memory(struct cuda *cuda, uint64_t *limit)
 {
     size_t free_bytes = 0, all_bytes = 0;
     CUresult code = cuda->api.cuMemGetInfo(&free_bytes, &all_bytes);
 
-    *limit = free_bytes;
+    *limit = free_bytes - free_bytes / 16;
     return code == CUDA_SUCCESS ? 0 : bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
 }
 

@@ -23,6 +23,8 @@ enum {
     ARG_TILE,
     ARG_FIRST_ROW,
     ARG_END_ROW,
+    ARG_FIRST_LINE,
+    ARG_END_LINE,
     ARG_SAMPLES,
     ARG_TEXELS
 };
@@ -139,7 +141,7 @@ static const char *opencl_open_worker(struct bake_compute *compute, unsigned num
                                              bake_compute_sample_bytes(compute), NULL, code);
     if (*code != CL_SUCCESS)
         return "clCreateBuffer";
-    worker->texels = cl->api.clCreateBuffer(cl->context, CL_MEM_WRITE_ONLY,
+    worker->texels = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_WRITE,
                                             bake_compute_texel_bytes(compute), NULL, code);
     if (*code != CL_SUCCESS)
         return "clCreateBuffer";
@@ -195,20 +197,25 @@ static size_t round_up(size_t count, size_t step)
 
 static const char *opencl_launch(struct bake_compute *compute, unsigned number,
                                  const struct bake_compute_part *part, const struct bk_tile *tile,
-                                 uint32_t first_row, uint32_t end_row, int *code)
+                                 const struct bake_slice *slice, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
     const size_t group[2] = {GROUP, GROUP};
-    const size_t size[2] = {round_up(tile->width, GROUP), round_up(end_row - first_row, GROUP)};
-    cl_event *event = first_row == 0            ? &worker->events[FIRST_KERNEL]
-                      : end_row == tile->height ? &worker->events[LAST_KERNEL]
-                                                : NULL;
+    const size_t size[2] = {round_up(tile->width, GROUP),
+                            round_up(slice->end_row - slice->first_row, GROUP)};
+    const uint32_t bounds[] = {slice->first_row, slice->end_row, slice->first_line,
+                               slice->end_line};
+    const bool first = slice->first_row == 0 && slice->first_line == 0;
+    const bool last = slice->end_row == tile->height && slice->end_line == part->params.samples;
+    cl_event *event = first  ? &worker->events[FIRST_KERNEL]
+                      : last ? &worker->events[LAST_KERNEL]
+                             : NULL;
 
-    (void)part;
-    *code = cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW, sizeof first_row, &first_row);
-    if (*code == CL_SUCCESS)
-        *code = cl->api.clSetKernelArg(worker->kernel, ARG_END_ROW, sizeof end_row, &end_row);
+    *code = CL_SUCCESS;
+    for (cl_uint i = 0; i < 4 && *code == CL_SUCCESS; i++)
+        *code =
+            cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW + i, sizeof bounds[i], &bounds[i]);
     if (*code != CL_SUCCESS)
         return "clSetKernelArg";
     *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size, group, 0,

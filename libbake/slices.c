@@ -8,6 +8,13 @@ static uint64_t current(const struct bake_slices *slices)
     return slices->samples ? slices->samples : BAKE_SLICE_FIRST;
 }
 
+uint32_t bake_slice_lines(uint32_t n)
+{
+    if (n <= BAKE_SLICE_THREAD / n)
+        return n;
+    return n < BAKE_SLICE_THREAD ? BAKE_SLICE_THREAD / n : 1;
+}
+
 uint32_t bake_slice_rows(const struct bake_slices *slices, uint64_t row_samples, uint32_t height)
 {
     uint64_t rows = row_samples ? current(slices) / row_samples : height;

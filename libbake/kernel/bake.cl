@@ -1,7 +1,8 @@
 /* bake.cl - the kernel's entry on devices, as OpenCL C or CUDA: one work item a texel of a tile. */
 #include "bk_sample.h"
 
-/* Work items are (column, row - first_row), rows up to end_row - 1; `texels` holds the whole tile. */
+/* Work items are (column, row - first_row), rows up to end_row - 1. Of each texel lines first_line to end_line - 1 of its
+ * samples are traced; the first call starts at 0, later ones go on with its sums. `texels` holds the whole tile. */
 BK_KERNEL bake_tile(const BK_GLOBAL bk_ulong *BK_RESTRICT tiles,
                     const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,
                     const BK_GLOBAL bk_ulong *BK_RESTRICT lowers,
@@ -12,11 +13,13 @@ BK_KERNEL bake_tile(const BK_GLOBAL bk_ulong *BK_RESTRICT tiles,
                     const BK_GLOBAL bk_uint *BK_RESTRICT seconds,
                     const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_params params,
                     bk_tile tile, bk_uint first_row, bk_uint end_row,
+                    bk_uint first_line, bk_uint end_line,
                     const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles,
                     BK_GLOBAL bk_texel *BK_RESTRICT texels)
 {
     const bk_uint column = bk_work_x(), row = first_row + bk_work_y();
     bk_cache cache = bk_cache_empty();
+    bk_texel texel;
     bk_grid grid;
 
     if (column >= tile.width || row >= end_row)
@@ -30,6 +33,9 @@ BK_KERNEL bake_tile(const BK_GLOBAL bk_ulong *BK_RESTRICT tiles,
     grid.planes = planes;
     grid.colors = colors;
     grid.seconds = seconds;
-    texels[(bk_ulong)row * tile.width + column] =
-        bk_sample_texel(&grid, &params, &cache, triangles, &tile, sample_triangles, column, row);
+    texels += (bk_ulong)row * tile.width + column;
+    texel = first_line ? *texels : bk_texel_empty();
+    bk_sample_texel(&grid, &params, &cache, triangles, &tile, sample_triangles, column, row,
+                    first_line, end_line, &texel);
+    *texels = texel;
 }

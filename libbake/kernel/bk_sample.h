@@ -149,20 +149,19 @@ BK_FN float bk_sample_place(bk_uint texel, bk_uint i, bk_uint n)
 }
 
 #if BK_WIDTH == 1
-/* Texel (column, row) of a tile. */
-BK_FN bk_texel bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                               const BK_GLOBAL bk_triangle *triangles, const bk_tile *tile,
-                               const BK_GLOBAL bk_uint *sample_triangles, bk_uint column,
-                               bk_uint row)
+/* Adds lines of samples from `begin` to end - 1 to the sums of texel (column, row) of a tile. */
+BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                           const BK_GLOBAL bk_triangle *triangles, const bk_tile *tile,
+                           const BK_GLOBAL bk_uint *sample_triangles, bk_uint column, bk_uint row,
+                           bk_uint begin, bk_uint end, bk_texel *texel)
 {
     const bk_uint n = params->samples;
-    bk_texel texel = bk_texel_empty();
     bk_samples samples;
     bk_hits hits;
     bk_uint i, j;
 
     samples.count = 1;
-    for (j = 0; j < n; j++) {
+    for (j = begin; j < end; j++) {
         samples.y[0] = bk_sample_place(tile->y + row, j, n);
         for (i = 0; i < n; i++) {
             samples.x[0] = bk_sample_place(tile->x + column, i, n);
@@ -170,10 +169,9 @@ BK_FN bk_texel bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_
             if (samples.triangle[0] == BK_NO_TRIANGLE)
                 continue;
             bk_trace_samples(grid, params, cache, triangles, &samples, &hits);
-            bk_add_hit(&hits, 0, &texel);
+            bk_add_hit(&hits, 0, texel);
         }
     }
-    return texel;
 }
 #endif
 

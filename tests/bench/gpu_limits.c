@@ -43,9 +43,10 @@ static int count_tile(void *arg, const struct rays_tile *tile)
     for (uint32_t row = 0; row < tile->tile.height; row += COUNTED)
         for (uint32_t column = 0; column < tile->tile.width; column++) {
             bk_cache cache = bk_cache_empty();
+            bk_texel texel = bk_texel_empty();
             bk_sample_texel(&counter->grid, &counter->scene->job.params, &cache,
                             counter->scene->triangles, &tile->tile, tile->sample_triangles, column,
-                            row);
+                            row, 0, counter->scene->job.params.samples, &texel);
         }
     add(&counter->workers[tile->worker], &counts);
     counts = (bk_counts){0};

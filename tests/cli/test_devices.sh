@@ -59,6 +59,17 @@ if [ -s "$ptx" ]; then
     [ -z "$(ls gone_* 2>/dev/null)" ]
     check "no map of a failed job" $?
 
+    # In passes: the next part goes up while this one is traced, else the first kernel would never end; and the fake
+    # refuses kernels and copies that do not wait for each other.
+    cuda --device cuda --threads 2 $maps -o 'x_<MAP>.exr' --gpu-memory 1M
+    least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p; s/.*take \([0-9]*\) bytes of the device.*/\1/p' "$err")
+    FAKE_CUDA_HOLD=2 cuda --device cuda --threads 2 $maps -o 'passes_<MAP>.exr' --gpu-memory $((${least:-1} + 3000000)) --json
+    code 0
+    json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
+    for map in normal color mask; do
+        same cpu_$map.exr passes_$map.exr
+    done
+
     cuda --device cuda:1 $maps -o 'x_<MAP>.exr'
     refused 69 "$p there is no device cuda:1; there is cuda:0 Fake GPU 0"
     FAKE_CUDA_DEVICES=0 cuda --device cuda $maps -o 'x_<MAP>.exr'

@@ -2,7 +2,13 @@
  * with the kernel compiled as C. It is stricter than a driver, so that tests find what a GPU would
  * forgive on most days:
  *  - work in streams happens only when somebody waits for it, or frees memory;
+ *  - kernels and copies of several streams that use the same memory without waiting for each other
+ * are an error;
  *  - device addresses are no host addresses, and copies are held against the allocations;
+ *  - copies that nobody waits for are between the device and page-locked memory, else a driver
+ * would wait;
+ *  - a thread without a context can do nothing, not even free;
+ *  - the first launch takes a 32nd of the memory, for what is not in registers;
  *  - the PTX's entry has to have the parameters that launches pass;
  *  - whatever is not freed at the end is counted on standard error.
  * It obeys the environment, read by cuInit():
@@ -11,11 +17,14 @@
  *  FAKE_CUDA_CAPABILITY=NN    of each (90)
  *  FAKE_CUDA_FAIL=CALL:N:CODE the Nth call of a function fails so, and all after it where CODE is
  * 700 or more FAKE_CUDA_NS=N             a sample takes N nanoseconds of the time that events tell;
- * else events tell real time */
+ * else events tell real time FAKE_CUDA_HOURS=N          so many went by on that clock before the
+ * first kernel FAKE_CUDA_HOLD=N           the first kernel ends only once a copy was put into a
+ * stream that is older than its own and was waited for N times before; after 20 seconds it fails */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #include "base/clock.h"
 #include "libbake/cuda_api_internal.h"
@@ -40,10 +49,14 @@ enum {
 
 #define DEVICE_ADDRESS (1ull << 62)
 
+enum { MOST_STREAMS = 256 };
+
 struct allocation {
     char *memory;
     size_t bytes;
     struct allocation *next;
+    unsigned uses[MOST_STREAMS],
+        writes[MOST_STREAMS]; /* by work that each stream has not done yet */
 };
 
 /* What a launch passes, in the kernel's order. */
@@ -51,11 +64,11 @@ struct arguments {
     CUdeviceptr arrays[9];
     bk_params params;
     bk_tile tile;
-    bk_uint first_row, end_row;
+    bk_uint first_row, end_row, first_line, end_line;
     CUdeviceptr samples, texels;
 };
 static const size_t argument_bytes[] = {
-    8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_tile), 4, 4, 8, 8};
+    8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_tile), 4, 4, 4, 4, 8, 8};
 enum { ARGUMENTS = sizeof argument_bytes / sizeof argument_bytes[0] };
 
 struct work {
@@ -65,12 +78,17 @@ struct work {
     size_t bytes;
     struct arguments arguments;
     unsigned width, height; /* of the grid, in threads */
+    CUdeviceptr used[11];   /* the last `written` are written to */
+    unsigned use_count, written;
     CUevent event;
     struct work *next;
 };
 
 struct CUstream_st {
-    pthread_mutex_t lock; /* of the work and its execution */
+    pthread_mutex_t lock;         /* of the work and its execution */
+    unsigned number;              /* in the order of their making, from 1 */
+    unsigned waits, copies_since; /* how often it was waited for; copies put in after the waits that
+                                     `hold` asks for */
     struct work *first, *last;
     CUstream next;
 };
@@ -87,7 +105,11 @@ static CUstream streams;
 static struct CUstream_st default_stream = {.lock = PTHREAD_MUTEX_INITIALIZER};
 static int device_count = -1, capability, live, failing_code, sticky;
 static size_t memory_bytes, used_bytes;
-static double sample_seconds, virtual_now;
+static double sample_seconds, virtual_now, hours;
+static size_t local_bytes; /* that the first launch took */
+static unsigned streams_made;
+static unsigned hold; /* the waits that the first kernel's end is held for; 0: it is not held */
+static pthread_cond_t released = PTHREAD_COND_INITIALIZER;
 static char failing_call[64];
 static unsigned calls_left;
 
@@ -184,6 +206,8 @@ CUresult cuInit(unsigned flags)
     memory_bytes = setting("FAKE_CUDA_MEMORY", 1u << 30);
     capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
     sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
+    hours = (double)setting("FAKE_CUDA_HOURS", 0);
+    hold = (unsigned)setting("FAKE_CUDA_HOLD", 0);
     sticky = 0;
     calls_left = 0;
     if (fail && sscanf(fail, "%63[^:]:%u:%d", failing_call, &calls_left, &failing_code) != 3)
@@ -252,6 +276,10 @@ CUresult cuDevicePrimaryCtxRetain(CUcontext *context, CUdevice device)
 
 CUresult cuDevicePrimaryCtxRelease_v2(CUdevice device)
 {
+    pthread_mutex_lock(&lock);
+    used_bytes -= local_bytes;
+    local_bytes = 0;
+    pthread_mutex_unlock(&lock);
     count_live(-1);
     return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
 }
@@ -328,10 +356,16 @@ static void *device_memory(CUdeviceptr address, size_t bytes)
 
 static void run_stream(CUstream stream, CUevent until);
 
+/* Frees work after a failure too, so that what is left over is told; but not without a context. */
+#define NEED_CONTEXT                                                                               \
+    if (!current)                                                                                  \
+    return 201
+
 CUresult cuMemFree_v2(CUdeviceptr memory)
 {
     char *at = device_memory(memory, 1);
 
+    NEED_CONTEXT;
     for (CUstream stream = streams; stream; stream = stream->next)
         run_stream(stream, NULL);
     pthread_mutex_lock(&lock);
@@ -351,29 +385,113 @@ CUresult cuMemFree_v2(CUdeviceptr memory)
     return INVALID_VALUE;
 }
 
+/* Page-locked memory of the host. */
+struct locked {
+    char *memory;
+    size_t bytes;
+    struct locked *next;
+};
+static struct locked *page_locked; /* under the lock */
+
 CUresult cuMemAllocHost_v2(void **memory, size_t bytes)
 {
+    struct locked *locked;
+
     BEGIN_IN_CONTEXT;
-    *memory = malloc(bytes);
-    count_live(1);
+    if (bytes == 0)
+        return INVALID_VALUE;
+    locked = malloc(sizeof *locked);
+    *locked = (struct locked){.memory = *memory = malloc(bytes), .bytes = bytes};
+    pthread_mutex_lock(&lock);
+    locked->next = page_locked;
+    page_locked = locked;
+    live++;
+    pthread_mutex_unlock(&lock);
     return CUDA_SUCCESS;
 }
 
 CUresult cuMemFreeHost(void *memory)
 {
-    free(memory);
-    count_live(-1);
-    return CUDA_SUCCESS;
+    CUresult code = INVALID_VALUE;
+
+    NEED_CONTEXT;
+    pthread_mutex_lock(&lock);
+    for (struct locked **link = &page_locked; *link; link = &(*link)->next) {
+        struct locked *gone = *link;
+        if (gone->memory != memory)
+            continue;
+        *link = gone->next;
+        free(gone->memory);
+        free(gone);
+        live--;
+        code = CUDA_SUCCESS;
+        break;
+    }
+    pthread_mutex_unlock(&lock);
+    return code;
+}
+
+static bool is_locked(const void *memory, size_t bytes)
+{
+    const char *at = memory;
+    bool found = false;
+
+    pthread_mutex_lock(&lock);
+    for (const struct locked *l = page_locked; l && !found; l = l->next)
+        found = at >= l->memory && at + bytes <= l->memory + l->bytes;
+    pthread_mutex_unlock(&lock);
+    return found;
 }
 
 /* ---- streams ---- */
 
-static void append(CUstream stream, const struct work *work)
+static struct allocation *find_allocation(CUdeviceptr address)
+{
+    const char *at =
+        (char *)(uintptr_t)(address - DEVICE_ADDRESS); // NOLINT: the fake's own addresses
+    struct allocation *a = allocations;
+
+    while (a && !(at >= a->memory && at < a->memory + a->bytes))
+        a = a->next;
+    return a;
+}
+
+/* Under the lock: notes that a stream has or has not work to do that uses memory. False where
+ * another stream has work to do with the same memory, and either writes: nothing tells which comes
+ * first. */
+static bool note_uses(const struct work *work, CUstream stream, int change)
+{
+    bool alone = true;
+
+    for (unsigned i = 0; i < work->use_count; i++) {
+        struct allocation *a = find_allocation(work->used[i]);
+        const bool writes = i + work->written >= work->use_count;
+        if (!a) /* an empty array */
+            continue;
+        a->uses[stream->number] += (unsigned)change;
+        a->writes[stream->number] += writes ? (unsigned)change : 0;
+        for (unsigned s = 0; s < MOST_STREAMS; s++)
+            if (s != stream->number && (writes ? a->uses[s] : a->writes[s]))
+                alone = false;
+    }
+    return alone;
+}
+
+/* Puts work into a stream. */
+static CUresult append(CUstream stream, const struct work *work)
 {
     struct work *copy = malloc(sizeof *copy);
+    bool alone;
 
     *copy = *work;
     copy->next = NULL;
+    pthread_mutex_lock(&lock);
+    alone = note_uses(work, stream, 1);
+    if (work->kind == COPY && hold && stream->waits >= hold) {
+        stream->copies_since++;
+        pthread_cond_broadcast(&released);
+    }
+    pthread_mutex_unlock(&lock);
     pthread_mutex_lock(&stream->lock);
     if (stream->last)
         stream->last->next = copy;
@@ -381,6 +499,32 @@ static void append(CUstream stream, const struct work *work)
         stream->first = copy;
     stream->last = copy;
     pthread_mutex_unlock(&stream->lock);
+    if (!alone)
+        fputs("fake CUDA: two streams use the same memory at the same time\n", stderr);
+    return alone ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+/* Keeps the first kernel from ending before the copy that it is held for. */
+static CUresult hold_kernel(CUstream own)
+{
+    struct timespec end;
+    int late = 0;
+    bool copied = false;
+
+    clock_gettime(CLOCK_REALTIME, &end);
+    end.tv_sec += 20;
+    pthread_mutex_lock(&lock);
+    while (hold && !copied && !late) {
+        for (CUstream s = streams; s && !copied; s = s->next)
+            copied = s->number < own->number && s->copies_since > 0;
+        if (!copied)
+            late = pthread_cond_timedwait(&released, &lock, &end);
+    }
+    hold = 0;
+    if (late)
+        sticky = 702; /* CUDA_ERROR_LAUNCH_TIMEOUT */
+    pthread_mutex_unlock(&lock);
+    return late ? 702 : CUDA_SUCCESS;
 }
 
 #define ARRAY(type, n) ((const type *)device_memory(a->arrays[n], 1))
@@ -405,15 +549,18 @@ static void run_kernel(const struct work *work)
         for (bk_uint x = 0; x < work->width; x++) {
             bk_cache cache = bk_cache_empty();
             bk_uint row = a->first_row + y;
-            if (x < a->tile.width && row < a->end_row)
-                texels[(size_t)row * a->tile.width + x] = bk_sample_texel(
-                    &grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->tile, samples, x, row);
+            bk_texel *to = texels + (size_t)row * a->tile.width + x;
+            if (x >= a->tile.width || row >= a->end_row)
+                continue;
+            if (a->first_line == 0)
+                *to = bk_texel_empty();
+            bk_sample_texel(&grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->tile, samples, x,
+                            row, a->first_line, a->end_line, to);
         }
     if (sample_seconds > 0) {
-        uint64_t texel_count = (uint64_t)a->tile.width * (a->end_row - a->first_row);
+        uint64_t lines = (uint64_t)(a->end_row - a->first_row) * (a->end_line - a->first_line);
         pthread_mutex_lock(&lock);
-        virtual_now +=
-            sample_seconds * (double)(texel_count * a->params.samples * a->params.samples);
+        virtual_now += sample_seconds * (double)(lines * a->tile.width * a->params.samples);
         pthread_mutex_unlock(&lock);
     }
 }
@@ -442,6 +589,11 @@ static void run_stream(CUstream stream, CUevent until)
         if (!stream->first)
             stream->last = NULL;
         run_work(work);
+        if (work->kind == LAUNCH)
+            hold_kernel(stream);
+        pthread_mutex_lock(&lock);
+        note_uses(work, stream, -1);
+        pthread_mutex_unlock(&lock);
         free(work);
     }
     pthread_mutex_unlock(&stream->lock);
@@ -455,6 +607,7 @@ CUresult cuStreamCreate(CUstream *stream, unsigned flags)
     pthread_mutex_lock(&lock);
     (*stream)->next = streams;
     streams = *stream;
+    (*stream)->number = ++streams_made % MOST_STREAMS;
     live++;
     pthread_mutex_unlock(&lock);
     return flags <= CU_STREAM_NON_BLOCKING ? CUDA_SUCCESS : INVALID_VALUE;
@@ -463,12 +616,16 @@ CUresult cuStreamCreate(CUstream *stream, unsigned flags)
 CUresult cuStreamSynchronize(CUstream stream)
 {
     run_stream(stream, NULL);
+    pthread_mutex_lock(&lock);
+    stream->waits++;
+    pthread_mutex_unlock(&lock);
     BEGIN_IN_CONTEXT;
     return CUDA_SUCCESS;
 }
 
 CUresult cuStreamDestroy_v2(CUstream stream)
 {
+    NEED_CONTEXT;
     run_stream(stream, NULL);
     pthread_mutex_lock(&lock);
     for (CUstream *link = &streams; *link; link = &(*link)->next)
@@ -485,24 +642,33 @@ CUresult cuStreamDestroy_v2(CUstream stream)
 
 CUresult cuMemcpyHtoDAsync_v2(CUdeviceptr to, const void *from, size_t bytes, CUstream stream)
 {
-    struct work work = {.kind = COPY, .to = device_memory(to, bytes), .from = from, .bytes = bytes};
+    struct work work = {.kind = COPY,
+                        .to = device_memory(to, bytes),
+                        .from = from,
+                        .bytes = bytes,
+                        .used = {to},
+                        .use_count = 1,
+                        .written = 1};
 
     BEGIN_IN_CONTEXT;
-    if (!work.to)
+    if (!work.to || !is_locked(from, bytes))
         return INVALID_VALUE;
-    append(stream, &work);
-    return CUDA_SUCCESS;
+    return append(stream, &work);
 }
 
 CUresult cuMemcpyDtoHAsync_v2(void *to, CUdeviceptr from, size_t bytes, CUstream stream)
 {
-    struct work work = {.kind = COPY, .to = to, .from = device_memory(from, bytes), .bytes = bytes};
+    struct work work = {.kind = COPY,
+                        .to = to,
+                        .from = device_memory(from, bytes),
+                        .bytes = bytes,
+                        .used = {from},
+                        .use_count = 1};
 
     BEGIN_IN_CONTEXT;
-    if (!work.from)
+    if (!work.from || !is_locked(to, bytes))
         return INVALID_VALUE;
-    append(stream, &work);
-    return CUDA_SUCCESS;
+    return append(stream, &work);
 }
 
 CUresult cuEventCreate(CUevent *event, unsigned flags)
@@ -515,6 +681,7 @@ CUresult cuEventCreate(CUevent *event, unsigned flags)
 
 CUresult cuEventDestroy_v2(CUevent event)
 {
+    NEED_CONTEXT;
     free(event);
     count_live(-1);
     return CUDA_SUCCESS;
@@ -527,10 +694,7 @@ CUresult cuEventRecord(CUevent event, CUstream stream)
     BEGIN_IN_CONTEXT;
     event->stream = stream ? stream : &default_stream;
     event->pending = 1;
-    append(event->stream, &work);
-    if (!stream)
-        run_stream(&default_stream, NULL);
-    return CUDA_SUCCESS;
+    return append(event->stream, &work);
 }
 
 CUresult cuEventSynchronize(CUevent event)
@@ -600,6 +764,7 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
 
 CUresult cuModuleUnload(CUmodule module)
 {
+    NEED_CONTEXT;
     count_live(-1);
     return module ? CUDA_SUCCESS : INVALID_HANDLE;
 }
@@ -611,16 +776,31 @@ CUresult cuModuleGetFunction(CUfunction *function, CUmodule module, const char *
     return strcmp(name, "bake_tile") == 0 ? CUDA_SUCCESS : NOT_FOUND;
 }
 
+/* For what is not in registers, with the first launch; and the clock goes on. */
+static bool take_local_memory(void)
+{
+    bool taken = true;
+
+    if (local_bytes == 0) {
+        local_bytes = memory_bytes / 32;
+        taken = take_bytes(local_bytes);
+        pthread_mutex_lock(&lock);
+        virtual_now += 3600 * hours;
+        pthread_mutex_unlock(&lock);
+    }
+    return taken;
+}
+
 CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, unsigned grid_z,
                         unsigned block_x, unsigned block_y, unsigned block_z, unsigned shared_bytes,
                         CUstream stream, void **parameters, void **extra)
 {
     struct work work = {.kind = LAUNCH, .width = grid_x * block_x, .height = grid_y * block_y};
     struct arguments *a = &work.arguments;
-    void *to[ARGUMENTS] = {&a->arrays[0], &a->arrays[1], &a->arrays[2], &a->arrays[3],
-                           &a->arrays[4], &a->arrays[5], &a->arrays[6], &a->arrays[7],
-                           &a->arrays[8], &a->params,    &a->tile,      &a->first_row,
-                           &a->end_row,   &a->samples,   &a->texels};
+    void *to[ARGUMENTS] = {
+        &a->arrays[0], &a->arrays[1],  &a->arrays[2], &a->arrays[3], &a->arrays[4], &a->arrays[5],
+        &a->arrays[6], &a->arrays[7],  &a->arrays[8], &a->params,    &a->tile,      &a->first_row,
+        &a->end_row,   &a->first_line, &a->end_line,  &a->samples,   &a->texels};
 
     BEGIN_IN_CONTEXT;
     if (!function || grid_x * grid_y != grid_x * grid_y * grid_z ||
@@ -629,6 +809,12 @@ CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, u
         return INVALID_VALUE;
     for (int i = 0; i < ARGUMENTS; i++)
         memcpy(to[i], parameters[i], argument_bytes[i]);
-    append(stream, &work);
-    return CUDA_SUCCESS;
+    for (int i = 0; i < 9; i++)
+        work.used[work.use_count++] = a->arrays[i];
+    work.used[work.use_count++] = a->samples;
+    work.used[work.use_count++] = a->texels;
+    work.written = 1;
+    if (!take_local_memory())
+        return CUDA_ERROR_OUT_OF_MEMORY;
+    return append(stream, &work);
 }

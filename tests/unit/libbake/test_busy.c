@@ -9,6 +9,7 @@
 #include <cmocka.h>
 
 #include "libbake/busy_internal.h"
+#include "libbake/device_internal.h"
 #include "libbake/slices_internal.h"
 
 static void test_overlaps_count_once(void **state)
@@ -80,12 +81,26 @@ static void test_slices_follow(void **state)
     assert_int_equal(bake_slice_rows(&slices, 1, UINT32_MAX), UINT32_MAX);
 }
 
+/* A thread of the device never traces more of a texel in one call than it can in time, and calls of
+ * a texel's lines are as few as that allows. */
+static void test_slices_of_texels(void **state)
+{
+    (void)state;
+    for (uint32_t n = 1; n <= BAKE_MOST_SAMPLES; n++) {
+        const uint32_t lines = bake_slice_lines(n);
+        assert_in_range(lines, 1, n);
+        assert_true(lines * n <= BAKE_SLICE_THREAD);
+        assert_true(lines == n || (lines + 1) * n > BAKE_SLICE_THREAD);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_overlaps_count_once),
         cmocka_unit_test(test_many),
         cmocka_unit_test(test_slices_follow),
+        cmocka_unit_test(test_slices_of_texels),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

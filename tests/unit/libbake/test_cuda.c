@@ -13,6 +13,7 @@
 
 #include "libbake/cuda_api_internal.h"
 #include "libbake/device_backend_internal.h"
+#include "libbake/slices_internal.h"
 #include "tests/unit/libbake/traced_sheet.h"
 
 /* The driver's name is looked up among the libraries that are open already. */
@@ -33,7 +34,7 @@ static int open_fake(void)
 
 static void restore(void)
 {
-    static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL", "NS"};
+    static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL", "NS", "HOURS"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -72,6 +73,17 @@ static int each_setup(void **state)
 static void assert_same(const struct bk_texel *a, const struct bk_texel *b, size_t count)
 {
     assert_memory_equal(a, b, count * sizeof *a);
+}
+
+static uint64_t grid_bytes(const struct fixture *f)
+{
+    struct bake_part whole;
+    uint64_t sum = 0;
+
+    bake_part_whole(&f->grid, &f->job.params, &whole);
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        sum += whole.bytes[i];
+    return sum;
 }
 
 static void test_same_bits(void **state)
@@ -155,6 +167,65 @@ static void test_slices(void **state)
     free(cuda);
 }
 
+/* What a tile took is told exactly, however long ago the device was opened: events' distances are
+ * floats. */
+static void test_times_after_days(void **state)
+{
+    struct fixture *f = *state;
+    struct bk_texel *cuda = calloc(TEXELS, sizeof *cuda);
+    const double seconds = 1e-9 * 10 * TEXELS * SAMPLES * SAMPLES;
+    struct bake_device_times times;
+
+    setenv("FAKE_CUDA_NS", "10", 1);
+    setenv("FAKE_CUDA_HOURS", "100", 1);
+    times = times_of(f, 3, cuda);
+    assert_true(times.kernels > 0.99 * 3 * seconds && times.kernels < 1.01 * 3 * seconds);
+    free(cuda);
+}
+
+/* A driver needs some of the memory itself: a grid that would take all of it is traced in passes.
+ */
+static void test_memory_for_the_driver(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_device *device;
+    uint64_t part, buffer, other;
+    char bytes[32];
+
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    assert_true(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(other + grid_bytes(f)));
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    snprintf(bytes, sizeof bytes, "%llu",
+             (unsigned long long)(other + grid_bytes(f)) / 15 * 16 + 32);
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    {
+        struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
+        struct bk_texel *cuda = traced_sheet_trace(f, "cuda", 0);
+        assert_same(native, cuda, TEXELS);
+        free(native);
+        free(cuda);
+    }
+}
+
+/* The samples of a texel are traced by several calls where there are many. */
+static void test_slices_of_texels(void **state)
+{
+    enum { N = 33 /* calls of 7 lines, the last of 5 */ };
+    uint64_t none, launches;
+    struct bk_texel *native = traced_sheet_trace_dense(*state, "cpu", N, &none);
+    struct bk_texel *cuda = traced_sheet_trace_dense(*state, "cuda", N, &launches);
+
+    assert_same(native, cuda, DENSE_TEXELS);
+    assert_int_equal(launches, (N + BAKE_SLICE_THREAD / N - 1) / (BAKE_SLICE_THREAD / N));
+    free(native);
+    free(cuda);
+}
+
 static void expect_failure(struct fixture *f, const char *device, const char *message)
 {
     struct bake_device *opened;
@@ -204,7 +275,7 @@ static void test_small_device(void **state)
 
     setenv("FAKE_CUDA_MEMORY", "1000", 1);
     assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
-    assert_non_null(strstr(bsq_error(f->ctx), "of the device's memory, 1000 are allowed"));
+    assert_non_null(strstr(bsq_error(f->ctx), "of the device's memory, 938 are allowed"));
     bsq_clear_error(f->ctx);
 }
 
@@ -377,6 +448,9 @@ int main(void)
         cmocka_unit_test_setup(test_same_bits, each_setup),
         cmocka_unit_test_setup(test_small_tile, each_setup),
         cmocka_unit_test_setup(test_slices, each_setup),
+        cmocka_unit_test_setup(test_times_after_days, each_setup),
+        cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
+        cmocka_unit_test_setup(test_slices_of_texels, each_setup),
         cmocka_unit_test_setup(test_absent, each_setup),
         cmocka_unit_test_setup(test_wrong_architecture, each_setup),
         cmocka_unit_test_setup(test_compiler_refuses, each_setup),

@@ -85,7 +85,8 @@ static double difference(const struct bk_texel *a, const struct bk_texel *b)
 static void test_opencl_agrees(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0), *opencl = traced_sheet_trace(f, "opencl", 1);
+    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0),
+                    *opencl = traced_sheet_trace(f, "opencl", 1);
     uint64_t rough = 0, differing_hits = 0;
 
     if (!opencl) {
@@ -139,6 +140,29 @@ static void test_opencl_small_tile(void **state)
     bake_device_close(native);
 }
 
+/* The samples of a texel are traced by several calls where there are many. */
+static void test_opencl_slices_of_texels(void **state)
+{
+    struct fixture *f = *state;
+    uint64_t none, launches;
+    struct bk_texel *native = traced_sheet_trace_dense(f, "cpu", 33, &none);
+    struct bk_texel *opencl = traced_sheet_trace_dense(f, "opencl", 33, &launches);
+
+    if (!opencl) {
+        free(native);
+        bsq_clear_error(f->ctx);
+        skip();
+    }
+    assert_true(launches > 1);
+    for (int i = 0; i < DENSE_TEXELS; i++) {
+        assert_int_equal(native[i].covered, opencl[i].covered);
+        assert_true(fabs((double)native[i].hits - opencl[i].hits) <= 1);
+        assert_true(difference(&native[i], &opencl[i]) < ROUGH);
+    }
+    free(native);
+    free(opencl);
+}
+
 static void test_names(void **state)
 {
     static const char *const bad[] = {"gpu",       "",          "opencl:",           "opencl:x",
@@ -187,9 +211,13 @@ static void test_list_and_auto(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_native_map),    cmocka_unit_test(test_object_space),
-        cmocka_unit_test(test_opencl_agrees), cmocka_unit_test(test_opencl_small_tile),
-        cmocka_unit_test(test_names),         cmocka_unit_test(test_list_and_auto),
+        cmocka_unit_test(test_native_map),
+        cmocka_unit_test(test_object_space),
+        cmocka_unit_test(test_opencl_agrees),
+        cmocka_unit_test(test_opencl_small_tile),
+        cmocka_unit_test(test_opencl_slices_of_texels),
+        cmocka_unit_test(test_names),
+        cmocka_unit_test(test_list_and_auto),
     };
     return cmocka_run_group_tests(tests, traced_sheet_setup, traced_sheet_teardown);
 }

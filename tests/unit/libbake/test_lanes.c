@@ -110,9 +110,12 @@ static void one_by_one(const struct fixture *f, const struct bk_params *params,
 {
     bk_cache cache = bk_cache_empty();
     for (uint32_t row = 0; row < HEIGHT; row++)
-        for (uint32_t column = 0; column < WIDTH; column++)
-            texels[row * WIDTH + column] = bk_sample_texel(&f->grid, params, &cache, f->triangles,
-                                                           tile, f->samples, column, row);
+        for (uint32_t column = 0; column < WIDTH; column++) {
+            struct bk_texel *texel = &texels[row * WIDTH + column];
+            *texel = bk_texel_empty();
+            bk_sample_texel(&f->grid, params, &cache, f->triangles, tile, f->samples, column, row,
+                            0, params->samples, texel);
+        }
 }
 
 static void compare(const struct fixture *f, uint32_t flags)

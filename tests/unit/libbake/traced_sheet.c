@@ -119,3 +119,32 @@ struct bk_texel *traced_sheet_trace(struct fixture *f, const char *name, unsigne
     bake_device_close(device);
     return texels;
 }
+
+struct bk_texel *traced_sheet_trace_dense(struct fixture *f, const char *name, uint32_t n,
+                                          uint64_t *launches)
+{
+    const struct bk_tile tile = {
+        .x = WIDTH / 2, .y = HEIGHT / 2, .width = DENSE_WIDTH, .height = DENSE_HEIGHT};
+    struct bk_texel *texels = calloc(DENSE_TEXELS, sizeof *texels);
+    uint32_t *samples = calloc(DENSE_TEXELS, n * n * sizeof *samples);
+    struct bake_job job = f->job;
+    struct bake_device_times times;
+    struct bake_device *device;
+
+    job.params.samples = n;
+    job.tile_texels = DENSE_TEXELS;
+    for (uint32_t i = 0; i < DENSE_TEXELS * n * n; i += 7)
+        samples[i] = i % 2 ? 1 : BK_NO_TRIANGLE;
+    if (bake_device_open(f->ctx, name, &job, &device) < 0) {
+        print_message("%s\n", bsq_error(f->ctx));
+        free(texels);
+        free(samples);
+        return NULL;
+    }
+    assert_int_equal(bake_device_trace(device, &tile, samples, texels, 0), 0);
+    bake_device_times(device, &times);
+    *launches = times.launches;
+    bake_device_close(device);
+    free(samples);
+    return texels;
+}

@@ -27,4 +27,10 @@ int traced_sheet_teardown(void **state);
  * be freed with free(). */
 struct bk_texel *traced_sheet_trace(struct fixture *f, const char *device, unsigned worker);
 
+/* The same of a few texels in the middle of the map, with n x n samples each. *launches: kernel
+ * calls. */
+enum { DENSE_WIDTH = 5, DENSE_HEIGHT = 3, DENSE_TEXELS = DENSE_WIDTH * DENSE_HEIGHT };
+struct bk_texel *traced_sheet_trace_dense(struct fixture *f, const char *device, uint32_t n,
+                                          uint64_t *launches);
+
 #endif
