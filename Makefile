@@ -187,7 +187,7 @@ $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(ar
 
 # A CUDA driver without a GPU, which tests open instead of a real one.
 fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
-$(fake_cuda): $(BUILD)/obj/tests/fake/fake_cuda.c.o
+$(fake_cuda): $(patsubst %,$(BUILD)/obj/tests/fake/%.c.o,fake_cuda ptx)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libcuda.so.1 -o $@ $^ -lm
 crashing_driver := $(BUILD)/tests/fake/crashing_driver.so

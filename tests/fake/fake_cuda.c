@@ -1,25 +1,26 @@
 /* fake_cuda.c - a libcuda.so.1 without a GPU: what libbake/cuda_api_internal.h uses of the driver,
- * with the kernel compiled as C. It is stricter than a driver, so that tests find what a GPU would
- * forgive on most days:
+ * with the kernel compiled as C, or its PTX run by ptx.c. It is stricter than a driver, so that
+ * tests find what a GPU would forgive on most days:
  *  - work in streams happens only when somebody waits for it, or frees memory;
- *  - kernels and copies of several streams that use the same memory without waiting for each other
- * are an error;
+ *  - streams must not use the same memory without waiting for each other, unless all only read;
  *  - device addresses are no host addresses, and copies are held against the allocations;
- *  - copies that nobody waits for are between the device and page-locked memory, else a driver
- * would wait;
+ *  - the host's side of a copy has to be page-locked, where a driver would silently wait;
  *  - a thread without a context can do nothing, not even free;
  *  - the first launch takes a 32nd of the memory, for what is not in registers;
  *  - the PTX's entry has to have the parameters that launches pass;
  *  - whatever is not freed at the end is counted on standard error.
  * It obeys the environment, read by cuInit():
- *  FAKE_CUDA_DEVICES=N        how many there are (1)
- *  FAKE_CUDA_MEMORY=BYTES     of each (1 GiB)
- *  FAKE_CUDA_CAPABILITY=NN    of each (90)
- *  FAKE_CUDA_FAIL=CALL:N:CODE the Nth call of a function fails so, and all after it where CODE is
- * 700 or more FAKE_CUDA_NS=N             a sample takes N nanoseconds of the time that events tell;
- * else events tell real time FAKE_CUDA_HOURS=N          so many went by on that clock before the
- * first kernel FAKE_CUDA_HOLD=N           the first kernel ends only once a copy was put into a
- * stream that is older than its own and was waited for N times before; after 20 seconds it fails */
+ *  - FAKE_CUDA_DEVICES=N: how many there are (1);
+ *  - FAKE_CUDA_MEMORY=BYTES: of each (1 GiB);
+ *  - FAKE_CUDA_CAPABILITY=NN: of each (90);
+ *  - FAKE_CUDA_FAIL=CALL:N:CODE: the Nth call of a function fails so, and if CODE is 700 or more
+ *    all calls after it;
+ *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of the time that events tell, else that is real;
+ *  - FAKE_CUDA_HOURS=N: so many went by on that clock before the first kernel;
+ *  - FAKE_CUDA_HOLD=N: the first kernel ends only once a copy was put into a stream that is older
+ *    than its own and was waited for N times before; after 20 seconds it fails;
+ *  - FAKE_CUDA_PTX=1: kernels are the PTX that was loaded;
+ *  - FAKE_CUDA_COUNT=1: the end tells how many of its instructions warps went through. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -29,6 +30,7 @@
 #include "base/clock.h"
 #include "libbake/cuda_api_internal.h"
 #include "libbake/kernel/bk_sample.h"
+#include "tests/fake/ptx.h"
 
 /* What is exported has the types that the program calls it with. */
 #define DECLARE(name, symbol, parameters) CUresult symbol parameters;
@@ -77,8 +79,8 @@ struct work {
     const void *from;
     size_t bytes;
     struct arguments arguments;
-    unsigned width, height; /* of the grid, in threads */
-    CUdeviceptr used[11];   /* the last `written` are written to */
+    unsigned grid[2], block[2];
+    CUdeviceptr used[11]; /* the last `written` are written to */
     unsigned use_count, written;
     CUevent event;
     struct work *next;
@@ -109,6 +111,9 @@ static double sample_seconds, virtual_now, hours;
 static size_t local_bytes; /* that the first launch took */
 static unsigned streams_made;
 static unsigned hold; /* the waits that the first kernel's end is held for; 0: it is not held */
+static bool runs_ptx;
+static struct ptx *ptx;       /* loaded, where it is run */
+static uint64_t instructions; /* of warps */
 static pthread_cond_t released = PTHREAD_COND_INITIALIZER;
 static char failing_call[64];
 static unsigned calls_left;
@@ -160,6 +165,9 @@ __attribute__((destructor)) static void report(void)
 {
     if (live)
         fprintf(stderr, "fake CUDA: %d objects are left\n", live);
+    if (getenv("FAKE_CUDA_COUNT"))
+        fprintf(stderr, "fake CUDA: %llu instructions of warps\n",
+                (unsigned long long)instructions);
 }
 
 /* ---- devices ---- */
@@ -207,6 +215,7 @@ CUresult cuInit(unsigned flags)
     capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
     sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     hours = (double)setting("FAKE_CUDA_HOURS", 0);
+    runs_ptx = setting("FAKE_CUDA_PTX", 0);
     hold = (unsigned)setting("FAKE_CUDA_HOLD", 0);
     sticky = 0;
     calls_left = 0;
@@ -527,11 +536,24 @@ static CUresult hold_kernel(CUstream own)
     return late ? 702 : CUDA_SUCCESS;
 }
 
+/* Where each of the kernel's arguments is. */
+static void place_arguments(struct arguments *a, void *to[ARGUMENTS])
+{
+    void *const places[ARGUMENTS] = {
+        &a->arrays[0], &a->arrays[1],  &a->arrays[2], &a->arrays[3], &a->arrays[4], &a->arrays[5],
+        &a->arrays[6], &a->arrays[7],  &a->arrays[8], &a->params,    &a->tile,      &a->first_row,
+        &a->end_row,   &a->first_line, &a->end_line,  &a->samples,   &a->texels};
+
+    memcpy(to, places, sizeof places);
+}
+
 #define ARRAY(type, n) ((const type *)device_memory(a->arrays[n], 1))
 
-static void run_kernel(const struct work *work)
+static void run_c(const struct work *work)
 {
     const struct arguments *a = &work->arguments;
+    const unsigned width = work->grid[0] * work->block[0];
+    const unsigned height = work->grid[1] * work->block[1];
     const bk_uint *samples = device_memory(a->samples, 1);
     bk_texel *texels = device_memory(a->texels, 1);
     bk_grid grid;
@@ -545,8 +567,8 @@ static void run_kernel(const struct work *work)
     grid.planes = ARRAY(bk_uint, 5);
     grid.colors = a->arrays[6] ? ARRAY(bk_uint, 6) : NULL;
     grid.seconds = ARRAY(bk_uint, 7);
-    for (bk_uint y = 0; y < work->height; y++)
-        for (bk_uint x = 0; x < work->width; x++) {
+    for (bk_uint y = 0; y < height; y++)
+        for (bk_uint x = 0; x < width; x++) {
             bk_cache cache = bk_cache_empty();
             bk_uint row = a->first_row + y;
             bk_texel *to = texels + (size_t)row * a->tile.width + x;
@@ -557,6 +579,36 @@ static void run_kernel(const struct work *work)
             bk_sample_texel(&grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->tile, samples, x,
                             row, a->first_line, a->end_line, to);
         }
+}
+
+static void run_ptx(struct work *work)
+{
+    void *parameters[ARGUMENTS];
+    struct ptx_launch launch = {.grid_x = work->grid[0],
+                                .grid_y = work->grid[1],
+                                .block_x = work->block[0],
+                                .block_y = work->block[1],
+                                .parameters = parameters,
+                                .memory = device_memory};
+    bool fine;
+
+    place_arguments(&work->arguments, parameters);
+    fine = ptx_run(ptx, &launch);
+    pthread_mutex_lock(&lock);
+    instructions += launch.instructions;
+    if (!fine)
+        sticky = STICKY; /* CUDA_ERROR_ILLEGAL_ADDRESS */
+    pthread_mutex_unlock(&lock);
+}
+
+static void run_kernel(struct work *work)
+{
+    const struct arguments *a = &work->arguments;
+
+    if (ptx)
+        run_ptx(work);
+    else
+        run_c(work);
     if (sample_seconds > 0) {
         uint64_t lines = (uint64_t)(a->end_row - a->first_row) * (a->end_line - a->first_line);
         pthread_mutex_lock(&lock);
@@ -565,7 +617,7 @@ static void run_kernel(const struct work *work)
     }
 }
 
-static void run_work(const struct work *work)
+static void run_work(struct work *work)
 {
     if (work->kind == COPY) {
         memcpy(work->to, work->from, work->bytes);
@@ -719,9 +771,9 @@ CUresult cuEventElapsedTime(float *milliseconds, CUevent from, CUevent to)
 /* ---- kernels ---- */
 
 /* Whether the entry's parameters have the sizes of argument_bytes. */
-static int entry_fits(const char *ptx)
+static int entry_fits(const char *kernel)
 {
-    const char *at = strstr(ptx, ".entry bake_tile(");
+    const char *at = strstr(kernel, ".entry bake_tile(");
     const char *end = at ? strchr(at, ')') : NULL;
 
     for (int i = 0; i < ARGUMENTS; i++) {
@@ -745,18 +797,20 @@ static int entry_fits(const char *ptx)
 CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count, int *options,
                             void **values)
 {
-    const char *ptx = image, *target = strstr(ptx, ".target sm_");
+    const char *text = image, *target = strstr(text, ".target sm_");
     char *log = NULL;
 
     BEGIN_IN_CONTEXT;
     for (unsigned i = 0; i < count; i++)
         if (options[i] == CU_JIT_ERROR_LOG_BUFFER)
             log = values[i];
-    if (!target || atoi(target + strlen(".target sm_")) > capability || !entry_fits(ptx)) {
+    if (!target || atoi(target + strlen(".target sm_")) > capability || !entry_fits(text)) {
         if (log)
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;
     }
+    if (runs_ptx && !(ptx = ptx_read(image, "bake_tile")))
+        return INVALID_PTX;
     *module = (CUmodule)&allocations;
     count_live(1);
     return CUDA_SUCCESS;
@@ -765,6 +819,8 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
 CUresult cuModuleUnload(CUmodule module)
 {
     NEED_CONTEXT;
+    ptx_free(ptx);
+    ptx = NULL;
     count_live(-1);
     return module ? CUDA_SUCCESS : INVALID_HANDLE;
 }
@@ -795,18 +851,16 @@ CUresult cuLaunchKernel(CUfunction function, unsigned grid_x, unsigned grid_y, u
                         unsigned block_x, unsigned block_y, unsigned block_z, unsigned shared_bytes,
                         CUstream stream, void **parameters, void **extra)
 {
-    struct work work = {.kind = LAUNCH, .width = grid_x * block_x, .height = grid_y * block_y};
+    struct work work = {.kind = LAUNCH, .grid = {grid_x, grid_y}, .block = {block_x, block_y}};
     struct arguments *a = &work.arguments;
-    void *to[ARGUMENTS] = {
-        &a->arrays[0], &a->arrays[1],  &a->arrays[2], &a->arrays[3], &a->arrays[4], &a->arrays[5],
-        &a->arrays[6], &a->arrays[7],  &a->arrays[8], &a->params,    &a->tile,      &a->first_row,
-        &a->end_row,   &a->first_line, &a->end_line,  &a->samples,   &a->texels};
+    void *to[ARGUMENTS];
 
     BEGIN_IN_CONTEXT;
     if (!function || grid_x * grid_y != grid_x * grid_y * grid_z ||
         block_x * block_y * block_z > 1024 || block_x * block_y * block_z % 32 != 0 ||
         grid_y > 65535 || shared_bytes || extra)
         return INVALID_VALUE;
+    place_arguments(a, to);
     for (int i = 0; i < ARGUMENTS; i++)
         memcpy(to[i], parameters[i], argument_bytes[i]);
     for (int i = 0; i < 9; i++)

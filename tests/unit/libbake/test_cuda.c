@@ -34,7 +34,8 @@ static int open_fake(void)
 
 static void restore(void)
 {
-    static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL", "NS", "HOURS"};
+    static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL",
+                                        "NS",      "HOURS",  "PTX"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -102,6 +103,22 @@ static void test_same_bits(void **state)
         free(native);
         free(cuda);
     }
+}
+
+/* The PTX itself gives them too. */
+static void test_same_bits_with_ptx(void **state)
+{
+    struct fixture *f = *state;
+    uint64_t launches;
+    struct bk_texel *native, *cuda;
+
+    setenv("FAKE_CUDA_PTX", "1", 1);
+    test_same_bits(state);
+    native = traced_sheet_trace_dense(f, "cpu", 17, &launches);
+    cuda = traced_sheet_trace_dense(f, "cuda", 17, &launches);
+    assert_same(native, cuda, DENSE_TEXELS);
+    free(native);
+    free(cuda);
 }
 
 /* Each worker has buffers of its own, and a tile may be smaller than the largest. */
@@ -446,6 +463,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup(test_same_bits, each_setup),
+        cmocka_unit_test_setup(test_same_bits_with_ptx, each_setup),
         cmocka_unit_test_setup(test_small_tile, each_setup),
         cmocka_unit_test_setup(test_slices, each_setup),
         cmocka_unit_test_setup(test_times_after_days, each_setup),
