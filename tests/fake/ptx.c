@@ -1,6 +1,7 @@
-/* ptx.c - reads PTX into instructions, and takes warps through them. The threads of a warp each
- * have a place; those that are least far in the text go on together, until all have returned:
- * branches meet again where a GPU's do. */
+/* ptx.c - reads PTX into instructions, and takes warps through them. Where the threads of a warp
+ * part, they meet again at the first place that all of them come to, as GPUs arrange it (Fung,
+ * Sham, Yuan, Aamodt, "Dynamic Warp Formation and Scheduling for Efficient GPU Control Flow", 2007,
+ * section 2: immediate post-dominators and a stack). */
 #include "tests/fake/ptx.h"
 
 #include <ctype.h>
@@ -9,7 +10,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LANES = 32, MOST_OPERANDS = 6, MOST_PARAMETERS = 64, LOCAL_BYTES = 4096, MOST_BANKS = 16 };
+enum {
+    LANES = 32,
+    MOST_OPERANDS = 6,
+    MOST_PARAMETERS = 64,
+    LOCAL_BYTES = 4096,
+    MOST_BANKS = 16,
+    MOST_PATHS = 256
+};
 
 /* Address spaces start here, so that one cannot pass for another. */
 #define CONSTANT_BASE (1ull << 40)
@@ -22,9 +30,10 @@ static const unsigned type_bytes[] = {1, 2, 4, 8, 2, 4, 8, 2, 4, 8, 4, 0};
 
 #define OPERATIONS(X)                                                                              \
     X(abs)                                                                                         \
-    X(add) X(and) X(bfe) X(bfi) X(bra) X(cvt) X(cvta) X(div) X(ld) X(mad) X(max) X(min) X(mov)     \
-        X(mul) X(neg) X(not ) X(or) X(popc) X(rcp) X(ret) X(selp) X(setp) X(shl) X(shr) X(sqrt)    \
-            X(st) X(sub) X(xor)
+    X(add)                                                                                         \
+    X(and) X(bfe) X(bfi) X(bra) X(cvt) X(cvta) X(div) X(ld) X(mad) X(max) X(min) X(mov) X(mul)     \
+        X(neg) X(not ) X(or) X(popc) X(rcp) X(ret) X(selp) X(setp) X(shl) X(shr) X(sqrt) X(st)     \
+            X(sub) X(xor)
 #define OPERATION_NUMBER(name) OP_##name,
 #define OPERATION_NAME(name)   #name,
 enum operation { OPERATIONS(OPERATION_NUMBER) OPERATION_COUNT };
@@ -56,6 +65,7 @@ struct instruction {
     bool unless;
     unsigned vector; /* of loads and stores: how many registers */
     unsigned target; /* of a branch */
+    unsigned meet;   /* where threads that part here meet again */
     unsigned operand_count;
     struct operand operands[MOST_OPERANDS];
 };
@@ -420,6 +430,105 @@ static bool read_body(struct reader *r, const char *body)
     return fine;
 }
 
+/* ---- where threads meet ---- */
+
+/* Instructions from `first` on without a way in or out between. */
+struct block {
+    unsigned first, end, next[2], next_count;
+    uint8_t
+        *after; /* for each block, whether all ways lead through it; the last stands for the end */
+    unsigned after_count;
+};
+
+static unsigned split(const struct ptx *ptx, struct block *blocks, unsigned *block_of)
+{
+    uint8_t *begins = calloc(ptx->count + 1, 1);
+    unsigned count = 0;
+
+    begins[0] = 1;
+    for (unsigned i = 0; i < ptx->count; i++)
+        if (ptx->code[i].operation == OP_bra || ptx->code[i].operation == OP_ret) {
+            begins[i + 1] = 1;
+            if (ptx->code[i].operation == OP_bra)
+                begins[ptx->code[i].target] = 1;
+        }
+    for (unsigned i = 0; i < ptx->count; i++) {
+        if (begins[i])
+            blocks[count++].first = i;
+        block_of[i] = count - 1;
+    }
+    block_of[ptx->count] = count;
+    blocks[count].first = ptx->count;
+    free(begins);
+    return count;
+}
+
+static void link_blocks(const struct ptx *ptx, struct block *blocks, unsigned count,
+                        const unsigned *block_of)
+{
+    for (unsigned b = 0; b < count; b++) {
+        struct block *block = &blocks[b];
+        const struct instruction *last;
+        block->end = blocks[b + 1].first;
+        last = &ptx->code[block->end - 1];
+        if (last->operation == OP_bra)
+            block->next[block->next_count++] = block_of[last->target];
+        if (last->operation == OP_ret)
+            block->next[block->next_count++] = count;
+        else if (last->operation != OP_bra || last->guard >= 0)
+            block->next[block->next_count++] = b + 1;
+    }
+}
+
+/* Which blocks each way from a block leads through: more and more are found not to be. */
+static void find_after(struct block *blocks, unsigned count)
+{
+    bool changed = true;
+
+    while (changed) {
+        changed = false;
+        for (unsigned b = count; b-- > 0;)
+            for (unsigned i = 0; i <= count; i++) {
+                bool all = true;
+                for (unsigned n = 0; n < blocks[b].next_count; n++)
+                    all &= blocks[blocks[b].next[n]].after[i];
+                if (i != b && blocks[b].after[i] && !all) {
+                    blocks[b].after[i] = 0;
+                    changed = true;
+                }
+            }
+    }
+    for (unsigned b = 0; b <= count; b++)
+        for (unsigned i = 0; i <= count; i++)
+            blocks[b].after_count += blocks[b].after[i];
+}
+
+static void find_meetings(struct ptx *ptx)
+{
+    struct block *blocks = calloc(ptx->count + 1, sizeof *blocks);
+    unsigned *block_of = calloc(ptx->count + 1, sizeof *block_of);
+    const unsigned count = split(ptx, blocks, block_of);
+
+    link_blocks(ptx, blocks, count, block_of);
+    for (unsigned b = 0; b <= count; b++) {
+        blocks[b].after = malloc(count + 1);
+        memset(blocks[b].after, b < count, count + 1);
+    }
+    blocks[count].after[count] = 1;
+    find_after(blocks, count);
+    for (unsigned b = 0; b < count; b++) {
+        unsigned first = count; /* the one that all others come after */
+        for (unsigned i = 0; i < count; i++)
+            if (i != b && blocks[b].after[i] && blocks[i].after_count > blocks[first].after_count)
+                first = i;
+        ptx->code[blocks[b].end - 1].meet = blocks[first].first;
+    }
+    for (unsigned b = 0; b <= count; b++)
+        free(blocks[b].after);
+    free(blocks);
+    free(block_of);
+}
+
 struct ptx *ptx_read(const char *text, const char *name)
 {
     struct reader r = {.ptx = calloc(1, sizeof *r.ptx)};
@@ -439,6 +548,7 @@ struct ptx *ptx_read(const char *text, const char *name)
         ptx_free(r.ptx);
         return NULL;
     }
+    find_meetings(r.ptx);
     return r.ptx;
 }
 
@@ -455,8 +565,14 @@ void ptx_free(struct ptx *ptx)
 
 struct thread {
     uint64_t *registers;
-    unsigned place, special[SPECIALS];
+    unsigned special[SPECIALS];
     uint8_t local[LOCAL_BYTES];
+};
+
+/* Threads at a place, which wait where they meet others. */
+struct path {
+    unsigned place, meet;
+    uint32_t threads; /* bits */
 };
 
 struct warp {
@@ -464,6 +580,8 @@ struct warp {
     struct ptx_launch *launch;
     const uint8_t *parameters;
     struct thread threads[LANES];
+    struct path paths[MOST_PATHS]; /* the last one is gone along */
+    unsigned path_count;
 };
 
 static float as_float(uint64_t bits)
@@ -751,48 +869,77 @@ static bool move_memory(struct warp *warp, struct thread *thread, const struct i
     return true;
 }
 
+static bool is_on(const struct thread *thread, const struct instruction *in)
+{
+    return in->guard < 0 || (thread->registers[in->guard] & 1) != in->unless;
+}
+
 static bool step(struct warp *warp, struct thread *thread, const struct instruction *in)
 {
-    thread->place++;
-    if (in->guard >= 0 && (thread->registers[in->guard] & 1) == in->unless)
+    uint64_t values[MOST_OPERANDS] = {0};
+
+    if (!is_on(thread, in))
         return true;
-    if (in->operation == OP_bra) {
-        thread->place = in->target;
-    } else if (in->operation == OP_ret) {
-        thread->place = warp->ptx->count;
-    } else if (in->operation == OP_ld || in->operation == OP_st) {
+    if (in->operation == OP_ld || in->operation == OP_st)
         return move_memory(warp, thread, in);
-    } else {
-        uint64_t values[MOST_OPERANDS] = {0};
-        for (unsigned i = 1; i < in->operand_count; i++)
-            values[i] = get(thread, &in->operands[i]);
-        thread->registers[in->operands[0].number] = narrow(compute(in, values), result_type(in));
-    }
+    for (unsigned i = 1; i < in->operand_count; i++)
+        values[i] = get(thread, &in->operands[i]);
+    thread->registers[in->operands[0].number] = narrow(compute(in, values), result_type(in));
     return true;
+}
+
+/* Where only some threads branch, both ways are gone one after the other, and then on from where
+ * they meet. */
+static void branch(struct warp *warp, const struct instruction *in)
+{
+    struct path *path = &warp->paths[warp->path_count - 1];
+    const struct path whole = *path;
+    uint32_t taken = 0;
+
+    for (int i = 0; i < LANES; i++)
+        if (whole.threads >> i & 1 && is_on(&warp->threads[i], in))
+            taken |= UINT32_C(1) << i;
+    path->place = taken ? in->target : whole.place + 1;
+    if (taken == 0 || taken == whole.threads)
+        return;
+    if (in->meet != whole.meet) {
+        path->place = in->meet;
+        warp->path_count++;
+    }
+    warp->paths[warp->path_count - 1] =
+        (struct path){whole.place + 1, in->meet, whole.threads & ~taken};
+    warp->paths[warp->path_count++] = (struct path){in->target, in->meet, taken};
 }
 
 static bool run_warp(struct warp *warp)
 {
-    const unsigned end = warp->ptx->count;
     bool fine = true;
 
-    for (;;) {
-        unsigned place = end;
-        for (int i = 0; i < LANES; i++)
-            if (warp->threads[i].place < place)
-                place = warp->threads[i].place;
-        if (place == end || !fine)
-            return fine;
+    while (fine && warp->path_count > 0) {
+        struct path *path = &warp->paths[warp->path_count - 1];
+        const struct instruction *in = &warp->ptx->code[path->place];
+        if (path->place == path->meet) {
+            warp->path_count--;
+            continue;
+        }
         warp->launch->instructions++;
-        for (int i = 0; i < LANES && fine; i++)
-            if (warp->threads[i].place == place)
-                fine = step(warp, &warp->threads[i], &warp->ptx->code[place]);
+        if (in->operation == OP_bra) {
+            branch(warp, in);
+            fine = warp->path_count + 2 < MOST_PATHS || refuse("branches are too deep", "");
+            continue;
+        }
+        for (int i = 0; i < LANES && fine && in->operation != OP_ret; i++)
+            if (path->threads >> i & 1)
+                fine = step(warp, &warp->threads[i], in);
+        path->place = in->operation == OP_ret ? warp->ptx->count : path->place + 1;
     }
+    return fine;
 }
 
 static void begin_warp(struct warp *warp, unsigned block_x, unsigned block_y, unsigned first)
 {
     const struct ptx_launch *launch = warp->launch;
+    uint32_t threads = 0;
 
     for (unsigned i = 0; i < LANES; i++) {
         struct thread *thread = &warp->threads[i];
@@ -804,10 +951,12 @@ static void begin_warp(struct warp *warp, unsigned block_x, unsigned block_y, un
                                     launch->block_y,
                                     block_x,
                                     block_y};
-        thread->place = there ? 0 : warp->ptx->count;
+        threads |= (uint32_t)there << i;
         memcpy(thread->special, special, sizeof special);
         memset(thread->registers, 0xa5, warp->ptx->registers * sizeof *thread->registers);
     }
+    warp->paths[0] = (struct path){.meet = warp->ptx->count, .threads = threads};
+    warp->path_count = 1;
 }
 
 bool ptx_run(const struct ptx *ptx, struct ptx_launch *launch)
