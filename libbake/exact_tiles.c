@@ -13,7 +13,7 @@
 #include "base/parallel.h"
 #include "libbake/exact_tree_internal.h"
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/tiles_internal.h"
+#include "libbake/tile_workers_internal.h"
 
 struct tile {
     uint64_t place;   /* on the curve */
@@ -21,18 +21,10 @@ struct tile {
     uint32_t samples; /* inside triangles */
 };
 
-struct worker {
-    uint32_t *sample_triangles;
-    struct bk_texel *texels; /* of a row */
-    float *resolved;
-    uint64_t covered_texels, samples, hits, overlaps;
-};
-
 struct job {
     struct bsq_ctx *ctx;
     const struct bake_exact_tiles *tiles;
-    uint32_t channels;
-    struct worker *workers;
+    struct bake_tile_workers workers; /* with texels for a row */
     struct tile *order;
     uint32_t tile_count;
     struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
@@ -70,7 +62,7 @@ static uint32_t tile_samples(const struct job *job, const struct bk_tile *tile)
 static int count_tile(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
-    struct worker *worker = &job->workers[number];
+    struct bake_tile_worker *worker = &job->workers.workers[number];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, (uint32_t)index);
     const uint32_t all = tile_samples(job, &tile);
     uint64_t overlaps = 0;
@@ -127,12 +119,12 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
     struct job *job = arg;
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    const uint32_t *sample = job->workers[number].sample_triangles;
+    const uint32_t *sample = job->workers.workers[number].sample_triangles;
     const uint32_t columns = tile.width * job->tiles->samples;
     const uint32_t rows = tile.height * job->tiles->samples;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
-    bake_raster_fill(job->tiles->raster, place->index, job->workers[number].sample_triangles,
-                     &overlaps);
+    bake_raster_fill(job->tiles->raster, place->index,
+                     job->workers.workers[number].sample_triangles, &overlaps);
     for (uint32_t row = 0; row < rows; row++)
         for (uint32_t column = 0; column < columns; column++, sample++) {
             float x, y;
@@ -209,21 +201,16 @@ static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t 
 static int resolve_tile(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
-    struct worker *worker = &job->workers[number];
+    struct bake_tile_worker *worker = &job->workers.workers[number];
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
     uint64_t overlaps, next = job->starts[job->first + index] - job->starts[job->first];
-    float *out = worker->resolved;
     bake_raster_fill(job->tiles->raster, place->index, worker->sample_triangles, &overlaps);
     for (uint32_t row = 0; row < tile.height; row++) {
         sum_row(job, &tile, row, worker->sample_triangles, &next, worker->texels);
-        for (uint32_t i = 0; i < tile.width; i++, out += job->channels) {
-            const struct bk_texel *texel = &worker->texels[i];
-            worker->covered_texels += texel->covered > 0;
-            worker->samples += texel->covered;
-            worker->hits += texel->hits;
-            bake_resolve_texel(texel, job->tiles->maps, out);
-        }
+        bake_tile_worker_resolve(&job->workers, worker, tile.width,
+                                 worker->resolved +
+                                     (size_t)row * tile.width * job->workers.channels);
     }
     return bake_image_write(job->tiles->image, tile.x, tile.y, tile.width, tile.height,
                             worker->resolved);
@@ -288,25 +275,6 @@ static int run_batches(struct job *job)
 
 /* ---- memory ---- */
 
-static int allocate_workers(struct job *job)
-{
-    const uint64_t side = job->tiles->tile_size, samples = job->tiles->samples;
-    int status =
-        bsq_calloc(job->ctx, "workers", bsq_threads(job->ctx), sizeof *job->workers, &job->workers);
-    for (unsigned w = 0; status == 0 && w < bsq_threads(job->ctx); w++) {
-        struct worker *worker = &job->workers[w];
-        status = bsq_alloc(job->ctx, "samples of a tile", side * side * samples,
-                           samples * sizeof(uint32_t), &worker->sample_triangles);
-        if (status == 0)
-            status = bsq_alloc(job->ctx, "texels of a tile", side, sizeof *worker->texels,
-                               &worker->texels);
-        if (status == 0)
-            status = bsq_alloc(job->ctx, "texels of a tile", side * side,
-                               job->channels * sizeof(float), &worker->resolved);
-    }
-    return status;
-}
-
 static int allocate_tiles(struct job *job)
 {
     job->tile_count = bake_raster_tile_count(job->tiles->raster);
@@ -344,18 +312,7 @@ static int allocate_rays(struct job *job)
 
 static void release(struct job *job, struct bake_report *report)
 {
-    for (unsigned w = 0; job->workers && w < bsq_threads(job->ctx); w++) {
-        const struct worker *worker = &job->workers[w];
-        report->covered_texels += worker->covered_texels;
-        report->samples += worker->samples;
-        report->hits += worker->hits;
-        report->misses += worker->samples - worker->hits;
-        report->overlapping_samples += worker->overlaps;
-        bsq_free(job->ctx, worker->sample_triangles);
-        bsq_free(job->ctx, worker->texels);
-        bsq_free(job->ctx, worker->resolved);
-    }
-    bsq_free(job->ctx, job->workers);
+    bake_tile_workers_end(job->ctx, &job->workers, report);
     bsq_free(job->ctx, job->order);
     bsq_free(job->ctx, job->starts);
     bsq_free(job->ctx, job->footprint_table);
@@ -367,8 +324,9 @@ static void release(struct job *job, struct bake_report *report)
 int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
                            struct bake_report *report)
 {
-    struct job job = {.ctx = ctx, .tiles = tiles, .channels = bake_image_channels(tiles->image)};
-    int status = allocate_workers(&job);
+    struct job job = {.ctx = ctx, .tiles = tiles};
+    int status = bake_tile_workers_create(ctx, tiles->tile_size, tiles->samples, tiles->tile_size,
+                                          tiles->maps, &job.workers);
     if (status == 0)
         status = allocate_tiles(&job);
     if (status == 0)

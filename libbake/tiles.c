@@ -6,26 +6,17 @@
 #include "libbake/tiles_internal.h"
 
 #include "base/parallel.h"
-#include "base/vec.h"
 #include "libbake/surface_internal.h"
+#include "libbake/tile_workers_internal.h"
 
 #include <string.h>
 
 enum { LARGEST_TILE = 256, USUAL_TILE = 64, SMALLEST_TILE = 8, TILES_A_THREAD = 16 };
 
-struct worker {
-    uint32_t *sample_triangles;
-    struct bk_texel *texels;
-    float *resolved;
-    /* Counts of this worker, joined at the end. */
-    uint64_t covered_texels, samples, hits, overlaps;
-};
-
 struct trace {
     struct bsq_ctx *ctx;
     const struct bake_tiles *tiles;
-    uint32_t channels;
-    struct worker *workers;
+    struct bake_tile_workers workers;
     uint64_t pass; /* that runs; 0 without a plan */
 };
 
@@ -51,25 +42,6 @@ uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, ui
     return side;
 }
 
-void bake_resolve_texel(const struct bk_texel *texel, uint32_t maps, float *out)
-{
-    float *share = out++;
-    float weight = texel->hits > 0 ? 1.0f / (float)texel->hits : 0.0f;
-    *share = texel->covered == 0 ? BAKE_OUTSIDE
-             : texel->hits == 0  ? BAKE_MISSED
-                                 : (float)texel->hits / (float)texel->covered;
-    if (maps & BAKE_MAP_NORMAL) {
-        struct bsq_vec3 n = bsq_unit3(bsq_v3(texel->normal[0], texel->normal[1], texel->normal[2]));
-        if (*share > 0.0f && !(bsq_dot3(n, n) > 0.0f))
-            *share = BAKE_MISSED; /* the samples cancel each other: there is no direction */
-        *out++ = n.x;
-        *out++ = n.y;
-        *out++ = n.z;
-    }
-    for (uint32_t c = 0; maps & BAKE_MAP_COLOR && c < 3; ++c)
-        *out++ = texel->color[c] * weight;
-}
-
 /* Moves the samples of a rectangle of a tile's texels to the front, row after row. */
 static void crop_samples(uint32_t *samples, const struct bk_tile *tile, uint32_t n,
                          const struct bake_rectangle *texels)
@@ -83,7 +55,7 @@ static void crop_samples(uint32_t *samples, const struct bk_tile *tile, uint32_t
 static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsigned number)
 {
     const struct bake_tiles *tiles = trace->tiles;
-    struct worker *worker = &trace->workers[number];
+    struct bake_tile_worker *worker = &trace->workers.workers[number];
     const struct bk_tile whole = bake_raster_tile(tiles->raster, piece->tile);
     const struct bake_rectangle *texels = &piece->texels;
     const struct bk_tile tile = {whole.x + texels->x, whole.y + texels->y, texels->width,
@@ -99,14 +71,8 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
         status = bake_surface_check(tiles->surface);
     if (status < 0)
         return status;
-    uint32_t count = tile.width * tile.height;
-    for (uint32_t i = 0; i < count; ++i) {
-        const struct bk_texel *texel = &worker->texels[i];
-        worker->covered_texels += texel->covered > 0;
-        worker->samples += texel->covered;
-        worker->hits += texel->hits;
-        bake_resolve_texel(texel, tiles->maps, worker->resolved + (size_t)i * trace->channels);
-    }
+    const uint32_t count = tile.width * tile.height;
+    bake_tile_worker_resolve(&trace->workers, worker, count, worker->resolved);
     bsq_progress_add(trace->ctx, count);
     return bake_image_write(tiles->image, tile.x, tile.y, tile.width, tile.height,
                             worker->resolved);
@@ -149,44 +115,13 @@ static int run_passes(struct trace *trace)
     return status;
 }
 
-static int allocate_worker(const struct trace *trace, struct worker *worker)
-{
-    struct bsq_ctx *ctx = trace->ctx;
-    uint64_t side = trace->tiles->tile_size, samples = trace->tiles->samples;
-    int status = bsq_alloc(ctx, "samples of a tile", side * side * samples,
-                           samples * sizeof(uint32_t), &worker->sample_triangles);
-    if (status == 0)
-        status = bsq_alloc(ctx, "texels of a tile", side * side, sizeof *worker->texels,
-                           &worker->texels);
-    if (status == 0)
-        status = bsq_alloc(ctx, "texels of a tile", side * side, trace->channels * sizeof(float),
-                           &worker->resolved);
-    return status;
-}
-
-static void end_worker(struct bsq_ctx *ctx, const struct worker *worker, struct bake_report *report)
-{
-    report->covered_texels += worker->covered_texels;
-    report->samples += worker->samples;
-    report->hits += worker->hits;
-    report->misses += worker->samples - worker->hits;
-    report->overlapping_samples += worker->overlaps;
-    bsq_free(ctx, worker->sample_triangles);
-    bsq_free(ctx, worker->texels);
-    bsq_free(ctx, worker->resolved);
-}
-
 int bake_trace_tiles(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                      struct bake_report *report)
 {
-    struct trace trace = {
-        .ctx = ctx, .tiles = tiles, .channels = bake_image_channels(tiles->image)};
-    unsigned threads = bsq_threads(ctx);
-    int status = bsq_calloc(ctx, "workers", threads, sizeof *trace.workers, &trace.workers);
-    if (status < 0)
-        return status;
-    for (unsigned w = 0; status == 0 && w < threads; ++w)
-        status = allocate_worker(&trace, &trace.workers[w]);
+    struct trace trace = {.ctx = ctx, .tiles = tiles};
+    int status = bake_tile_workers_create(ctx, tiles->tile_size, tiles->samples,
+                                          (uint64_t)tiles->tile_size * tiles->tile_size,
+                                          tiles->maps, &trace.workers);
     if (status == 0) {
         uint32_t count = bake_raster_tile_count(tiles->raster);
         uint64_t texels = 0;
@@ -199,8 +134,6 @@ int bake_trace_tiles(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
             tiles->plan ? run_passes(&trace) : bsq_parallel_for(ctx, count, trace_tile, &trace);
         bsq_progress_end(ctx);
     }
-    for (unsigned w = 0; w < threads; ++w)
-        end_worker(ctx, &trace.workers[w], report);
-    bsq_free(ctx, trace.workers);
+    bake_tile_workers_end(ctx, &trace.workers, report);
     return status;
 }

@@ -22,13 +22,8 @@ struct bake_tiles {
     uint32_t tile_size;
 };
 
-/* Traces and resolves every tile: the normal is the unit vector of the sum over a texel's hits, the
- * colour their mean. Adds to the report's covered_texels, samples, hits, misses and
- * overlapping_samples. */
+/* Traces and resolves every tile, and adds to the report what bake_tile_workers_end() does. */
 int bake_trace_tiles(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                      struct bake_report *report);
-
-/* Turns a texel's sums into what an image stores of it. */
-void bake_resolve_texel(const struct bk_texel *texel, uint32_t maps, float *out);
 
 #endif
