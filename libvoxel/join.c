@@ -232,28 +232,6 @@ static bool pager_is_thrashing(const struct pager *pager)
     return pager->bytes_read > 6 * pager->column->spool.bytes;
 }
 
-static int fetch_paged(struct join *join, struct pager *pager, const struct face_group *group,
-                       const uint64_t *indices, uint8_t *to)
-{
-    const uint32_t bytes = pager->column->element_bytes;
-    for (uint32_t c = 0; c < group->corner_count; c++) {
-        const uint8_t *from;
-        if (indices[c] == FMT_OBJ_NONE)
-            continue;
-        uint32_t before = repeated_corner(group, indices, c);
-        if (before != NOT_REPEATED) {
-            memcpy(to + (uint64_t)c * bytes, to + (uint64_t)before * bytes, bytes);
-            continue;
-        }
-        int status = pager_get(pager, indices[c], &from);
-        if (status < 0)
-            return status;
-        memcpy(to + (uint64_t)c * bytes, from, bytes);
-    }
-    join->gave_up = pager_is_thrashing(pager);
-    return join->gave_up ? BSQ_EBUG : 0;
-}
-
 /* ---- third pass ---- */
 
 static int allocate_buffers(struct join *join, struct joined *joined)
@@ -282,28 +260,46 @@ static int refill(struct join *join, const struct joined *joined, struct stream 
     return status;
 }
 
-static int fetch_joined(struct join *join, struct joined *joined, const struct face_group *group,
-                        const uint64_t *indices, uint8_t *to)
+/* The element that comes next in the stream of its bucket, as corners are in the order of the first pass. */
+static int take_joined(struct join *join, struct joined *joined, uint64_t index,
+                       const uint8_t **element)
 {
-    const uint32_t bytes = joined->element_bytes;
+    struct stream *stream = &joined->streams[index >> joined->shift];
+    if (stream->at == stream->fill) {
+        int status = refill(join, joined, stream);
+        if (status < 0)
+            return status;
+    }
+    *element = stream->buffer + stream->at;
+    stream->at += joined->element_bytes;
+    return 0;
+}
+
+/* ---- corners ---- */
+
+/* From a column in a file: by pages, or in the order of the first pass. */
+static int fetch_file(struct join *join, struct joined *column, const struct face_group *group,
+                      const uint64_t *indices, uint8_t *to)
+{
+    const uint32_t bytes = column->element_bytes;
+    const bool paged = join->method == JOIN_BY_PAGES;
     for (uint32_t c = 0; c < group->corner_count; c++) {
+        const uint8_t *from;
+        int status = 0;
         if (indices[c] == FMT_OBJ_NONE)
             continue;
         uint32_t before = repeated_corner(group, indices, c);
-        if (before != NOT_REPEATED) {
-            memcpy(to + (uint64_t)c * bytes, to + (uint64_t)before * bytes, bytes);
-            continue;
-        }
-        struct stream *stream = &joined->streams[indices[c] >> joined->shift];
-        if (stream->at == stream->fill) {
-            int status = refill(join, joined, stream);
-            if (status < 0)
-                return status;
-        }
-        memcpy(to + (uint64_t)c * bytes, stream->buffer + stream->at, bytes);
-        stream->at += bytes;
+        if (before != NOT_REPEATED)
+            from = to + (uint64_t)before * bytes;
+        else
+            status = paged ? pager_get(&column->pager, indices[c], &from)
+                           : take_joined(join, column, indices[c], &from);
+        if (status < 0)
+            return status;
+        memcpy(to + (uint64_t)c * bytes, from, bytes);
     }
-    return 0;
+    join->gave_up = paged && pager_is_thrashing(&column->pager);
+    return join->gave_up ? BSQ_EBUG : 0;
 }
 
 static void fetch_memory(const struct column *column, const uint64_t *indices, uint32_t count,
@@ -339,10 +335,8 @@ int join_fetch(struct join *join, const struct face_group *group, struct corner_
             continue;
         if (!join->columns[i].active)
             fetch_memory(&join->scan->columns[i], indices, group->corner_count, to[i]);
-        else if (join->method == JOIN_BY_PAGES)
-            status = fetch_paged(join, &join->columns[i].pager, group, indices, to[i]);
         else
-            status = fetch_joined(join, &join->columns[i], group, indices, to[i]);
+            status = fetch_file(join, &join->columns[i], group, indices, to[i]);
     }
     return status;
 }
