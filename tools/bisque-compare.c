@@ -135,7 +135,7 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
     if (status != 0)
         return status;
     if (argc - optind != 2)
-        return cli_usage(cli, "two EXR files are needed; see --help");
+        return cli_usage(cli, "two EXR files are needed (see --help)");
     arguments->compare.a_path = argv[optind];
     arguments->compare.b_path = argv[optind + 1];
     double agreement = arguments->limits[MIN_AGREEMENT];

@@ -66,7 +66,7 @@ check "pictures are PNG files" $?
 rm h.png g.png t.exr
 
 $compare
-refused 64 "$p two EXR files are needed; see --help"
+refused 64 "$p two EXR files are needed (see --help)"
 $compare a_normal.exr a_normal.exr --max-mean -1
 code 64
 $compare a_normal.exr a_normal.exr --min-agreement 2 --mask-a a_mask.exr --mask-b a_mask.exr
