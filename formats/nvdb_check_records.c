@@ -73,6 +73,5 @@ int nvdb_check_records(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bo
     uint64_t words = grid->voxel_count / 32 + 1;
     if (grid->normals[0] || grid->planes[0] || (grid->colors && grid->colors[0]))
         return bad_record(&c, 0, "value, as it is the background");
-    return bsq_parallel_for(ctx, (words + WORDS_PER_PIECE - 1) / WORDS_PER_PIECE,
-                            check_piece, &c);
+    return bsq_parallel_for(ctx, (words + WORDS_PER_PIECE - 1) / WORDS_PER_PIECE, check_piece, &c);
 }

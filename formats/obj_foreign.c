@@ -11,7 +11,7 @@ static const struct foreign {
 } foreign_kinds[] = {
     {"\x1f\x8b", 2, "one packed by gzip", "unpack it first"},
     {"BZh", 3, "one packed by bzip2", "unpack it first"},
-    {"\xfd" "7zXZ", 5, "one packed by xz", "unpack it first"},
+    {"\3757zXZ", 5, "one packed by xz", "unpack it first"},
     {"\x28\xb5\x2f\xfd", 4, "one packed by Zstandard", "unpack it first"},
     {"PK\x03\x04", 4, "a ZIP archive", "unpack it first"},
     {"7z\xbc\xaf\x27\x1c", 6, "a 7z archive", "unpack it first"},
@@ -34,7 +34,8 @@ int obj_refuse_foreign(struct bsq_ctx *ctx, const struct bsq_file *file, const c
     for (size_t i = 0; i < sizeof foreign_kinds / sizeof *foreign_kinds; i++) {
         const struct foreign *foreign = &foreign_kinds[i];
         if (size >= foreign->size && memcmp(head, foreign->magic, foreign->size) == 0)
-            return bsq_fail(ctx, BSQ_EDATA, "%s: not an OBJ file, but %s: %s", path, foreign->kind, foreign->advice);
+            return bsq_fail(ctx, BSQ_EDATA, "%s: not an OBJ file, but %s: %s", path, foreign->kind,
+                            foreign->advice);
     }
     return 0;
 }

@@ -37,9 +37,10 @@ struct bsq_ctx *tris_context(const struct fmt_tris_file *file)
 static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     if (h->version == __builtin_bswap32(TRIS_VERSION))
-        return bsq_fail(file->ctx, BSQ_EDATA,
-                        "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
-                        file->file.path);
+        return bsq_fail(
+            file->ctx, BSQ_EDATA,
+            "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
+            file->file.path);
     if (h->version != TRIS_VERSION)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32 ", this program reads version %u",

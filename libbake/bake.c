@@ -125,8 +125,7 @@ static int choose_distances(struct job *job)
     struct bk_params *params = &job->traced.params;
     double front = options->front, back = options->back;
     if (front < 0 || back < 0) {
-        int status =
-            bake_measure_distances(&job->surface, params, &job->mesh, &front, &back);
+        int status = bake_measure_distances(&job->surface, params, &job->mesh, &front, &back);
         if (status < 0)
             return status;
         if (options->front >= 0)
@@ -236,17 +235,18 @@ static int fail_without_hit(const struct job *job)
                         "%s: no texel lies in a triangle: are the texture coordinates in 0..1?",
                         job->options->mesh_path);
     /* Seven digits, as float32 has: of coordinates of a map's grid, six leave out the metres. */
-    return bsq_fail(job->ctx, BSQ_EDATA,
-                    "no ray hit within %g in front and %g behind: the scan spans (%.7g %.7g %.7g) to "
-                    "(%.7g %.7g %.7g), the low mesh (%.7g %.7g %.7g) to (%.7g %.7g %.7g): %s",
-                    job->report->front, job->report->back, scan->scan_min[0], scan->scan_min[1],
-                    scan->scan_min[2], scan->scan_max[0], scan->scan_max[1], scan->scan_max[2],
-                    low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
-                    low->bounds_max[1], low->bounds_max[2],
-                    !in_same_place(scan, low) ? "are they in the same place and units?"
-                    : job->options->two_sided ? "try a larger --front and --back"
-                                              : "try a larger --front and --back, or --two-sided "
-                                                "where the scan's faces are wound inwards");
+    return bsq_fail(
+        job->ctx, BSQ_EDATA,
+        "no ray hit within %g in front and %g behind: the scan spans (%.7g %.7g %.7g) to "
+        "(%.7g %.7g %.7g), the low mesh (%.7g %.7g %.7g) to (%.7g %.7g %.7g): %s",
+        job->report->front, job->report->back, scan->scan_min[0], scan->scan_min[1],
+        scan->scan_min[2], scan->scan_max[0], scan->scan_max[1], scan->scan_max[2],
+        low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
+        low->bounds_max[1], low->bounds_max[2],
+        !in_same_place(scan, low) ? "are they in the same place and units?"
+        : job->options->two_sided ? "try a larger --front and --back"
+                                  : "try a larger --front and --back, or --two-sided "
+                                    "where the scan's faces are wound inwards");
 }
 
 static int trace_exact(struct job *job)
@@ -343,8 +343,7 @@ static int open_outputs(struct job *job)
     const struct bake_traced traced = {.front = job->report->front,
                                        .back = job->report->back,
                                        .sampling = job->surface.exact ? "exact" : sampling};
-    int status =
-        bake_map_files_open(job->ctx, job->options, job->maps, &traced, &job->files);
+    int status = bake_map_files_open(job->ctx, job->options, job->maps, &traced, &job->files);
     if (status == 0 && job->options->preview_path)
         status = bake_preview_open(job->ctx, job->options->preview_path, &job->preview_file);
     return status;

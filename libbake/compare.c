@@ -101,15 +101,17 @@ static enum bake_compare_kind kind_of_map(const struct bake_comparison *c, bool 
 
 /* Maps may say what their values are; where they disagree, an error would be a number without
  * meaning. Maps that say nothing are judged by their values alone. */
-static int same_meaning(struct bsq_ctx *ctx, const struct bake_compare_options *o, const struct bake_comparison *c)
+static int same_meaning(struct bsq_ctx *ctx, const struct bake_compare_options *o,
+                        const struct bake_comparison *c)
 {
-    static const char *const names[] = {"bisque:map", "bisque:normalSpace", "bisque:tangents", "bisque:green",
-                                        "bisque:encoding"};
+    static const char *const names[] = {"bisque:map", "bisque:normalSpace", "bisque:tangents",
+                                        "bisque:green", "bisque:encoding"};
     for (unsigned i = 0; !o->force && i < sizeof names / sizeof *names; i++) {
         const char *a = fmt_exr_image_attribute(&c->a, names[i]);
         const char *b = fmt_exr_image_attribute(&c->b, names[i]);
         if (a && b && strcmp(a, b) != 0)
-            return bsq_fail(ctx, BSQ_EDATA, "%s has %s \"%s\", %s has \"%s\": these maps do not compare", o->a_path,
+            return bsq_fail(ctx, BSQ_EDATA,
+                            "%s has %s \"%s\", %s has \"%s\": these maps do not compare", o->a_path,
                             names[i], a, o->b_path, b);
     }
     return 0;
@@ -359,8 +361,8 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     if (!status)
         status = choose_kind(ctx, options, &c);
     if (!status)
-        status = bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors,
-                           &c.errors);
+        status =
+            bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors);
     if (!status)
         status = bsq_parallel_for(ctx, c.a.height, measure_row, &c);
     if (!status)

@@ -53,7 +53,8 @@ static void fill(struct canvas *canvas, int64_t x0, int64_t y0, int64_t width, i
 static const float ink[3] = {0.92f, 0.92f, 0.90f};
 
 /* Text with its top left corner at (x, y), `scale` pixels to a dot. */
-static void write_text(struct canvas *canvas, int64_t x, int64_t y, unsigned scale, const char *text)
+static void write_text(struct canvas *canvas, int64_t x, int64_t y, unsigned scale,
+                       const char *text)
 {
     for (; *text; text++, x += (BAKE_GLYPH_WIDTH + 1) * scale) {
         const uint8_t *rows = bake_glyph(*text);
@@ -94,13 +95,14 @@ void bake_scale_layout(int64_t width, unsigned scale, double top, const char *un
                        struct bake_scale_label labels[BAKE_SCALE_TICKS])
 {
     static const int by_weight[BAKE_SCALE_TICKS] = {4, 0, 2, 1, 3};
-    int64_t margin = BAKE_SCALE_MARGIN * scale, bar = width - 2 * margin, gap = BAKE_GLYPH_WIDTH * scale;
+    int64_t margin = BAKE_SCALE_MARGIN * scale, bar = width - 2 * margin,
+            gap = BAKE_GLYPH_WIDTH * scale;
     for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
         int tick = by_weight[i];
         bool last = tick == BAKE_SCALE_TICKS - 1;
         struct bake_scale_label *label = &labels[tick];
-        snprintf(label->text, sizeof label->text, "%.3g%s%s", top * tick / (BAKE_SCALE_TICKS - 1), last ? "+ " : "",
-                 last ? unit : "");
+        snprintf(label->text, sizeof label->text, "%.3g%s%s", top * tick / (BAKE_SCALE_TICKS - 1),
+                 last ? "+ " : "", last ? unit : "");
         label->tick = margin + bar * tick / (BAKE_SCALE_TICKS - 1);
         label->width = text_width(label->text, scale) - scale;
         label->left = last ? width - label->width - 2 * scale : label->tick - label->width / 2;
@@ -115,7 +117,8 @@ static void draw_scale(struct canvas *canvas, int64_t y, unsigned scale, double 
                        const char *unit, bool colored)
 {
     struct bake_scale_label labels[BAKE_SCALE_TICKS];
-    int64_t margin = BAKE_SCALE_MARGIN * scale, width = (int64_t)canvas->width - 2 * margin, bar = 8 * scale;
+    int64_t margin = BAKE_SCALE_MARGIN * scale, width = (int64_t)canvas->width - 2 * margin,
+            bar = 8 * scale;
     for (int64_t x = 0; colored && x < width; x++) {
         float color[3];
         heat((double)x / (double)width, color);
@@ -149,14 +152,15 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
         return status;
     for (uint64_t y = 0; y < height && (status = bsq_check(ctx)) == 0; y++)
         for (uint64_t x = 0; x < width; x++) {
-            float error = comparison->errors[y * width + x], *pixel = canvas.pixels[y * canvas.width + x];
+            float error = comparison->errors[y * width + x],
+                  *pixel = canvas.pixels[y * canvas.width + x];
             if (error < 0)
                 memcpy(pixel, empty, sizeof empty);
             else
                 heat((double)error / top, pixel);
         }
-    draw_scale(&canvas, (int64_t)height + 4 * scale, scale, top, bake_compare_unit(comparison->kind),
-               true);
+    draw_scale(&canvas, (int64_t)height + 4 * scale, scale, top,
+               bake_compare_unit(comparison->kind), true);
     if (status == 0)
         status = canvas_write(ctx, &canvas, path);
     bsq_free(ctx, canvas.pixels);
@@ -203,13 +207,15 @@ int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comp
         float color[3];
         int64_t bar = (int64_t)((double)bins[i] / (double)most * CHART_HEIGHT + 0.5);
         heat(0.25 + 0.75 * i / BINS, color);
-        fill(&canvas, CHART_MARGIN + i * BIN_WIDTH, CHART_TOP + CHART_HEIGHT - bar, BIN_WIDTH, bar, color);
+        fill(&canvas, CHART_MARGIN + i * BIN_WIDTH, CHART_TOP + CHART_HEIGHT - bar, BIN_WIDTH, bar,
+             color);
     }
     fill(&canvas, CHART_MARGIN, CHART_TOP + CHART_HEIGHT, BINS * BIN_WIDTH, 1, ink);
     draw_mark(&canvas, report->mean, top, 2, "mean");
     draw_mark(&canvas, report->p95, top, 18, "p95");
     draw_mark(&canvas, report->p99, top, 2, "p99");
-    draw_scale(&canvas, CHART_TOP + CHART_HEIGHT - 14, 2, top, bake_compare_unit(report->kind), false);
+    draw_scale(&canvas, CHART_TOP + CHART_HEIGHT - 14, 2, top, bake_compare_unit(report->kind),
+               false);
     status = canvas_write(ctx, &canvas, path);
     bsq_free(ctx, canvas.pixels);
     return status;

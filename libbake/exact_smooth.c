@@ -26,7 +26,8 @@ void exact_smooth_begin(struct exact_slot *slot)
     s->sums = slot->smooth_memory;
     s->positions = (float(*)[3])(void *)(s->sums + vertices);
     s->entry_of = (uint32_t *)(void *)(s->positions + vertices);
-    s->table = (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
+    s->table =
+        (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
     s->count = 0;
     memset(s->table.slots, 0, slots * sizeof *s->table.slots);
     memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
@@ -91,9 +92,11 @@ static void add_triangles(struct exact_smooth *s, const struct fmt_tris_chunk *c
     }
 }
 
-static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk, const struct exact_box *box, uint32_t *map)
+static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
+                      const struct exact_box *box, uint32_t *map)
 {
-    if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count, map))
+    if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count,
+                            map))
         add_triangles(s, chunk, map);
 }
 

@@ -15,7 +15,8 @@
 
 /* From here on a grid is worth a look at the triangles, and a warning where these are few: it takes minutes and 10 GB. */
 static const double huge_voxels = 1e9;
-static const double fine_voxels = 16.0; /* voxels of a triangle where no more detail can come of smaller ones */
+/* Voxels of a triangle where no more detail can come of smaller ones. */
+static const double fine_voxels = 16.0;
 
 /* Chunks that tell the size of an ordinary grid: some milliseconds. */
 enum { SAMPLES = 16 };
@@ -75,7 +76,8 @@ static int sum_areas(void *arg, uint64_t index, unsigned worker)
     for (uint64_t i = index; i < job->count && status == 0; i += job->workers) {
         uint64_t number = (2 * i + 1) * chunks / (2 * job->count);
         struct fmt_tris_chunk chunk;
-        if ((status = bsq_check(job->ctx)) == 0 && (status = fmt_tris_load(job->file, number, scratch, &chunk)) == 0)
+        if ((status = bsq_check(job->ctx)) == 0 &&
+            (status = fmt_tris_load(job->file, number, scratch, &chunk)) == 0)
             job->samples[i] = (struct sample){projected_areas(&chunk), chunk.triangle_count};
     }
     return status;
@@ -89,11 +91,13 @@ static unsigned choose_workers(const struct area_job *job)
     return room >= threads ? threads : room > 0 ? (unsigned)room : 1;
 }
 
-int estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice,
-                    uint64_t chunks_max, double *voxels)
+int estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                    const struct vox_lattice *lattice, uint64_t chunks_max, double *voxels)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
-    struct area_job job = {.ctx = ctx, .file = file, .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
+    struct area_job job = {.ctx = ctx,
+                           .file = file,
+                           .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
     job.count = header->chunk_count < chunks_max ? header->chunk_count : chunks_max;
     job.workers = choose_workers(&job);
     int status = bsq_calloc(ctx, "areas of chunks", job.count, sizeof *job.samples, &job.samples);
@@ -106,7 +110,9 @@ int estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const
         area += job.samples[i].area;
         triangles += job.samples[i].triangles;
     }
-    *voxels = triangles > 0.0 ? area * ((double)header->triangle_count / triangles) / lattice->h / lattice->h : 0.0;
+    *voxels = triangles > 0.0
+                  ? area * ((double)header->triangle_count / triangles) / lattice->h / lattice->h
+                  : 0.0;
     bsq_free(ctx, job.scratch);
     bsq_free(ctx, job.samples);
     return status;
@@ -122,7 +128,8 @@ static double voxels_by_bounds(const struct fmt_tris_file *file, const struct vo
     for (uint64_t i = 0; i < fmt_tris_get_header(file)->chunk_count; i++) {
         double side[3];
         for (int a = 0; a < 3; a++)
-            side[a] = ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / lattice->h;
+            side[a] =
+                ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / lattice->h;
         sum += side[0] * side[1] + side[1] * side[2] + side[2] * side[0];
     }
     return sum;
@@ -134,27 +141,30 @@ double estimate_bytes(double voxels, bool has_color)
 }
 
 /* Nothing is said of a grid with fewer voxels than triangles: it is about as large as the scan. */
-static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, double voxels,
-                      double bytes, const char *grid_path)
+static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      const struct vox_lattice *lattice, double voxels, double bytes,
+                      const char *grid_path)
 {
     uint64_t triangles = fmt_tris_get_header(file)->triangle_count;
     if (voxels < huge_voxels || voxels < (double)triangles)
         return 0;
     if (certainty * voxels / voxels_of_leaf > (double)UINT32_MAX)
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "%s: about %.2g voxels of %g would be in the grid, which has no more than %" PRIu32
-                        " leaves of 8x8x8; choose larger voxels",
-                        grid_path, voxels, lattice->h, UINT32_MAX);
+        return bsq_fail(
+            ctx, BSQ_EUSAGE,
+            "%s: about %.2g voxels of %g would be in the grid, which has no more than %" PRIu32
+            " leaves of 8x8x8; choose larger voxels",
+            grid_path, voxels, lattice->h, UINT32_MAX);
     if (voxels > fine_voxels * (double)triangles)
-        bsq_warn(ctx,
-                 "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, and while it is made twice that: voxels are small "
-                 "for a scan of %" PRIu64 " triangles",
-                 grid_path, voxels, lattice->h, bytes / 0x1p30, triangles);
+        bsq_warn(
+            ctx,
+            "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, and while it is made twice that: voxels are small "
+            "for a scan of %" PRIu64 " triangles",
+            grid_path, voxels, lattice->h, bytes / 0x1p30, triangles);
     return 0;
 }
 
-int estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice, bool has_color,
-                   const char *grid_path)
+int estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                   const struct vox_lattice *lattice, bool has_color, const char *grid_path)
 {
     uint64_t chunks_max = voxels_by_bounds(file, lattice) < huge_voxels ? SAMPLES : UINT64_MAX;
     double voxels;

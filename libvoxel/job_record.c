@@ -62,7 +62,8 @@ static int absolute(struct bsq_ctx *ctx, const char *path, char **out)
 static int hash_samples(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t *hash)
 {
     uint8_t *samples;
-    uint64_t whole = (uint64_t)SAMPLES * SAMPLE_BYTES, size = file->size < whole ? file->size : whole;
+    uint64_t whole = (uint64_t)SAMPLES * SAMPLE_BYTES,
+             size = file->size < whole ? file->size : whole;
     int status = bsq_alloc(ctx, "samples", whole, 1, &samples);
     if (status < 0)
         return status;
@@ -157,7 +158,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
         status = no_memory(ctx, options->tris_path);
     }
     if (status == 0)
-        status = options->texture_path ? absolute(ctx, options->texture_path, &job->texture) : name_none(ctx, &job->texture);
+        status = options->texture_path ? absolute(ctx, options->texture_path, &job->texture)
+                                       : name_none(ctx, &job->texture);
     for (uint32_t i = 0; i < options->obj_count && status == 0; i++)
         status = add_source(job, options->obj_paths[i], false);
     if (status < 0)
@@ -190,7 +192,8 @@ static void put(struct text *text, const char *format, ...)
     va_list arguments;
     va_start(arguments, format);
     /* With room for the terminator, which the next piece overwrites. */
-    int length = vsnprintf(text->at ? text->at + text->size : NULL, text->at ? LINE_BYTES : 0, format, arguments);
+    int length = vsnprintf(text->at ? text->at + text->size : NULL, text->at ? LINE_BYTES : 0,
+                           format, arguments);
     va_end(arguments);
     text->size += (size_t)length;
 }
@@ -247,13 +250,13 @@ static int read_seal(struct bsq_ctx *ctx, const char *tris_path, struct seal *ou
 
 static void put_record(const struct vox_job *job, const struct seal *seal, struct text *text)
 {
-    put(text, FIRST_LINE "\nversion %s\nchunks %016" PRIx64 " %" PRIu64 "\ntexture ", BSQ_VERSION, seal->checksum,
-        seal->bytes);
+    put(text, FIRST_LINE "\nversion %s\nchunks %016" PRIx64 " %" PRIu64 "\ntexture ", BSQ_VERSION,
+        seal->checksum, seal->bytes);
     put_path(text, job->texture);
     for (uint64_t i = 0; i < job->count; i++) {
         const struct source *s = &job->sources[i];
-        put(text, "%s %d %" PRIu64 " %" PRId64 ".%09" PRId64 " %016" PRIx64 " ", s->library ? "mtl" : "obj", !s->absent,
-            s->bytes, s->seconds, s->nanoseconds, s->hash);
+        put(text, "%s %d %" PRIu64 " %" PRId64 ".%09" PRId64 " %016" PRIx64 " ",
+            s->library ? "mtl" : "obj", !s->absent, s->bytes, s->seconds, s->nanoseconds, s->hash);
         put_path(text, s->path);
     }
 }
@@ -265,7 +268,8 @@ static int write_text(struct vox_job *job, const char *text, size_t size)
     int status = bsq_output_open(job->ctx, job->record_path, &output);
     if (status < 0)
         return status;
-    int length = snprintf(end, sizeof end, "end %016" PRIx64 "\n", (uint64_t)XXH3_64bits(text, size));
+    int length =
+        snprintf(end, sizeof end, "end %016" PRIx64 "\n", (uint64_t)XXH3_64bits(text, size));
     if ((status = bsq_output_write(output, text, size)) == 0)
         status = bsq_output_write(output, end, (uint64_t)length);
     if (status == 0)
@@ -313,25 +317,30 @@ static int changed(const struct vox_job *job, const struct source *then, const s
 {
     const char *tris = job->tris_path;
     if (then->absent != now->absent)
-        return bsq_fail(job->ctx, BSQ_EDATA, "%s has %s since %s was made: this job cannot be resumed", then->path,
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s has %s since %s was made: this job cannot be resumed", then->path,
                         now->absent ? "disappeared" : "appeared", tris);
     if (then->bytes != now->bytes)
         return bsq_fail(job->ctx, BSQ_EDATA,
-                        "%s has changed since %s was made from it, from %" PRIu64 " bytes to %" PRIu64
-                        ": this job cannot be resumed",
+                        "%s has changed since %s was made from it, from %" PRIu64
+                        " bytes to %" PRIu64 ": this job cannot be resumed",
                         then->path, tris, then->bytes, now->bytes);
-    return bsq_fail(job->ctx, BSQ_EDATA, "%s has changed since %s was made from it, %s: this job cannot be resumed",
+    return bsq_fail(job->ctx, BSQ_EDATA,
+                    "%s has changed since %s was made from it, %s: this job cannot be resumed",
                     then->path, tris,
-                    then->hash != now->hash ? "its content is another" : "it was written again at another time");
+                    then->hash != now->hash ? "its content is another"
+                                            : "it was written again at another time");
 }
 
 /* Holds the next source of the record against that of the job. */
 static int check_source(struct vox_job *job, uint64_t number, const struct source *then)
 {
     struct source now = {.library = then->library};
-    if (!then->library && (number >= job->count || strcmp(job->sources[number].path, then->path) != 0))
-        return bsq_fail(job->ctx, BSQ_EUSAGE, "%s was made from %s%s%s: this job cannot be resumed", job->tris_path,
-                        then->path, number < job->count ? ", not from " : " too", number < job->count ? job->sources[number].path : "");
+    if (!then->library &&
+        (number >= job->count || strcmp(job->sources[number].path, then->path) != 0))
+        return bsq_fail(job->ctx, BSQ_EUSAGE, "%s was made from %s%s%s: this job cannot be resumed",
+                        job->tris_path, then->path, number < job->count ? ", not from " : " too",
+                        number < job->count ? job->sources[number].path : "");
     int status = identify(job->ctx, then->path, &now);
     return status < 0 || same_content(then, &now) ? status : changed(job, then, &now);
 }
@@ -344,19 +353,24 @@ static int check_line(struct vox_job *job, char *line, uint64_t *objects)
     if (strncmp(line, "version ", 8) == 0)
         return strcmp(line + 8, BSQ_VERSION) == 0
                    ? 0
-                   : bsq_fail(job->ctx, BSQ_EDATA, "%s was made by version %s, this is " BSQ_VERSION ": this job cannot be resumed",
+                   : bsq_fail(job->ctx, BSQ_EDATA,
+                              "%s was made by version %s, this is " BSQ_VERSION
+                              ": this job cannot be resumed",
                               job->tris_path, line + 8);
     if (strncmp(line, "texture ", 8) == 0) {
         read_path(line + 8);
         return strcmp(line + 8, job->texture) == 0
                    ? 0
-                   : bsq_fail(job->ctx, BSQ_EUSAGE, "%s was made with %s%s, not with %s%s: this job cannot be resumed",
+                   : bsq_fail(job->ctx, BSQ_EUSAGE,
+                              "%s was made with %s%s, not with %s%s: this job cannot be resumed",
                               job->tris_path, strcmp(line + 8, "-") ? "texture " : "no texture",
-                              strcmp(line + 8, "-") ? line + 8 : "", strcmp(job->texture, "-") ? "texture " : "none",
+                              strcmp(line + 8, "-") ? line + 8 : "",
+                              strcmp(job->texture, "-") ? "texture " : "none",
                               strcmp(job->texture, "-") ? job->texture : "");
     }
-    if (sscanf(line, "%3s %d %" SCNu64 " %" SCNd64 ".%" SCNd64 " %" SCNx64 " %n", kind, &present, &then.bytes, &then.seconds,
-               &then.nanoseconds, &then.hash, &at) != 6 || at == 0)
+    if (sscanf(line, "%3s %d %" SCNu64 " %" SCNd64 ".%" SCNd64 " %" SCNx64 " %n", kind, &present,
+               &then.bytes, &then.seconds, &then.nanoseconds, &then.hash, &at) != 6 ||
+        at == 0)
         return 0;
     then.library = strcmp(kind, "mtl") == 0;
     then.absent = !present;
@@ -383,7 +397,8 @@ static int read_record(struct vox_job *job, char **out)
         (status = bsq_file_read(job->ctx, &file, text, file.size, 0)) == 0) {
         text[file.size] = '\0';
         char *end = strstr(text, "\nend ");
-        if (end && sscanf(end + 1, "end %" SCNx64, &sum) == 1 && XXH3_64bits(text, (size_t)(end + 1 - text)) == sum &&
+        if (end && sscanf(end + 1, "end %" SCNx64, &sum) == 1 &&
+            XXH3_64bits(text, (size_t)(end + 1 - text)) == sum &&
             strncmp(text, FIRST_LINE "\n", sizeof FIRST_LINE) == 0) {
             end[1] = '\0';
             *out = text;
@@ -405,13 +420,16 @@ int vox_job_resume(struct vox_job *job, bool *sorted)
     if (status < 0 || now.bytes == 0 || (status = read_record(job, &text)) < 0 || !text)
         return status;
     line = strstr(text, "\nchunks ");
-    bool whole = line && sscanf(line, "\nchunks %" SCNx64 " %" SCNu64, &then.checksum, &then.bytes) == 2 &&
+    bool whole = line &&
+                 sscanf(line, "\nchunks %" SCNx64 " %" SCNu64, &then.checksum, &then.bytes) == 2 &&
                  now.checksum == then.checksum && now.bytes == then.bytes;
-    for (line = whole ? strtok_r(text, "\n", &rest) : NULL; line && status == 0; line = strtok_r(NULL, "\n", &rest))
+    for (line = whole ? strtok_r(text, "\n", &rest) : NULL; line && status == 0;
+         line = strtok_r(NULL, "\n", &rest))
         status = check_line(job, line, &objects);
     if (status == 0 && whole && objects < job->count)
-        status = bsq_fail(job->ctx, BSQ_EUSAGE, "%s was not made from %s: this job cannot be resumed", job->tris_path,
-                          job->sources[objects].path);
+        status =
+            bsq_fail(job->ctx, BSQ_EUSAGE, "%s was not made from %s: this job cannot be resumed",
+                     job->tris_path, job->sources[objects].path);
     *sorted = status == 0 && whole;
     bsq_free(job->ctx, text);
     return status;

@@ -60,10 +60,11 @@ static int init_by_size(struct bsq_ctx *ctx, const struct fmt_tris_header *heade
         double lo = floor(vox_lattice_coordinate(out, header->bounds_min[a], a));
         double hi = floor(vox_lattice_coordinate(out, header->bounds_max[a], a));
         if (!(lo >= -index_limit) || !(hi < index_limit))
-            return bsq_fail(ctx, BSQ_EUSAGE,
-                            "%s: with a voxel size of %g the scan reaches from index %.12g to %.12g "
-                            "along %c, beyond the limit of +-%.0f",
-                            path, voxel_size, lo, hi, "xyz"[a], index_limit);
+            return bsq_fail(
+                ctx, BSQ_EUSAGE,
+                "%s: with a voxel size of %g the scan reaches from index %.12g to %.12g "
+                "along %c, beyond the limit of +-%.0f",
+                path, voxel_size, lo, hi, "xyz"[a], index_limit);
         out->voxels.lo[a] = (int32_t)lo;
         out->voxels.hi[a] = (int32_t)hi;
     }
@@ -78,9 +79,10 @@ int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, 
     int status = resolution > 0 ? init_by_resolution(ctx, header, path, resolution, out)
                                 : init_by_size(ctx, header, path, voxel_size, out);
     if (status == 0 && (out->h < FLT_MIN || 1.0 / out->h < FLT_MIN))
-        status = bsq_fail(ctx, resolution > 0 ? BSQ_EDATA : BSQ_EUSAGE,
-                          "%s: voxels of %g are beyond the 32-bit numbers of a NanoVDB grid, %g to %g", path, out->h,
-                          (double)FLT_MIN, 1.0 / (double)FLT_MIN);
+        status =
+            bsq_fail(ctx, resolution > 0 ? BSQ_EDATA : BSQ_EUSAGE,
+                     "%s: voxels of %g are beyond the 32-bit numbers of a NanoVDB grid, %g to %g",
+                     path, out->h, (double)FLT_MIN, 1.0 / (double)FLT_MIN);
     return status;
 }
 

@@ -26,7 +26,8 @@ static double regions_of(const struct vox_box *box)
     return regions;
 }
 
-static struct vox_box run_box(const struct vox_lattice *lattice, const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
+static struct vox_box run_box(const struct vox_lattice *lattice, const struct fmt_tris_chunk *chunk,
+                              uint32_t begin, uint32_t end)
 {
     float min[3] = {INFINITY, INFINITY, INFINITY}, max[3] = {-INFINITY, -INFINITY, -INFINITY};
     for (uint32_t t = begin; t < end; t++)
@@ -41,14 +42,15 @@ static struct vox_box run_box(const struct vox_lattice *lattice, const struct fm
 
 static int add_part(struct maker *maker, uint32_t chunk, const struct vox_box *box)
 {
-    int status =
-        bsq_grow(maker->ctx, "parts of chunks", maker->count + 1, sizeof *maker->parts, &maker->parts, &maker->capacity);
+    int status = bsq_grow(maker->ctx, "parts of chunks", maker->count + 1, sizeof *maker->parts,
+                          &maker->parts, &maker->capacity);
     if (status == 0)
         maker->parts[maker->count++] = (struct vox_part){*box, chunk};
     return status;
 }
 
-static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
+static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_chunk *chunk,
+                   uint32_t begin, uint32_t end)
 {
     struct vox_box box = run_box(maker->lattice, chunk, begin, end);
     if (end - begin == 1 || maker->count >= maker->most || regions_of(&box) <= few_regions)
@@ -58,11 +60,14 @@ static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_c
     return status < 0 ? status : add_run(maker, number, chunk, middle, end);
 }
 
-int vox_parts_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_lattice *lattice,
-                     const struct vox_box *boxes, uint64_t bytes, struct vox_part **parts, uint64_t *count)
+int vox_parts_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                     const struct vox_lattice *lattice, const struct vox_box *boxes, uint64_t bytes,
+                     struct vox_part **parts, uint64_t *count)
 {
     uint64_t chunks = fmt_tris_get_header(file)->chunk_count;
-    struct maker maker = {.ctx = ctx, .lattice = lattice, .most = bytes / (sizeof *maker.parts + vox_schedule_entry_bytes())};
+    struct maker maker = {.ctx = ctx,
+                          .lattice = lattice,
+                          .most = bytes / (sizeof *maker.parts + vox_schedule_entry_bytes())};
     void *scratch = NULL;
     int status = 0;
     for (uint64_t i = 0; i < chunks && status == 0; i++) {
@@ -73,7 +78,8 @@ int vox_parts_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, cons
         if (far && status == 0 && (status = bsq_check(ctx)) == 0)
             status = fmt_tris_load(file, i, scratch, &chunk);
         if (status == 0)
-            status = far ? add_run(&maker, (uint32_t)i, &chunk, 0, chunk.triangle_count) : add_part(&maker, (uint32_t)i, &boxes[i]);
+            status = far ? add_run(&maker, (uint32_t)i, &chunk, 0, chunk.triangle_count)
+                         : add_part(&maker, (uint32_t)i, &boxes[i]);
     }
     bsq_free(ctx, scratch);
     if (status < 0)

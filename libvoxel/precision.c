@@ -35,7 +35,8 @@ void precision_choose_origin(const double min[3], const double max[3], double or
     }
 }
 
-uint64_t precision_count_merged(const double (*positions)[3], uint64_t count, const double origin[3])
+uint64_t precision_count_merged(const double (*positions)[3], uint64_t count,
+                                const double origin[3])
 {
     uint64_t merged = 0;
     for (uint64_t v = 1; v < count; v++) {
@@ -49,13 +50,16 @@ uint64_t precision_count_merged(const double (*positions)[3], uint64_t count, co
     return merged;
 }
 
-void precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merged, const float min[3], const float max[3])
+void precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merged,
+                           const float min[3], const float max[3])
 {
     if (merged > 0)
-        bsq_warn(ctx,
-                 "%s: %llu %s fell together with the one before: positions are kept to %.2g of the scan's units, as "
-                 "32-bit numbers are at its size",
-                 path, (unsigned long long)merged, merged == 1 ? "vertex" : "vertices", precision_spacing(min, max));
+        bsq_warn(
+            ctx,
+            "%s: %llu %s fell together with the one before: positions are kept to %.2g of the scan's units, as "
+            "32-bit numbers are at its size",
+            path, (unsigned long long)merged, merged == 1 ? "vertex" : "vertices",
+            precision_spacing(min, max));
 }
 
 /* Mean edge of a chunk's triangles, if they cover a surface about as large as its bounds. */
@@ -69,7 +73,8 @@ static double edge_of(const struct fmt_tris_chunk_info *chunk)
     return sqrt(square / chunk->triangle_count);
 }
 
-void precision_warn_grid(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
+void precision_warn_grid(struct bsq_ctx *ctx, const char *path,
+                         const struct fmt_tris_header *header,
                          const struct fmt_tris_chunk_info *chunks, double h)
 {
     uint64_t coarse = 0;
@@ -79,8 +84,13 @@ void precision_warn_grid(struct bsq_ctx *ctx, const char *path, const struct fmt
     }
     double spacing = precision_spacing(header->bounds_min, header->bounds_max);
     if (2 * coarse > header->triangle_count)
-        bsq_warn(ctx, "%s: positions are kept to %.2g of the scan's units, which is coarse for the edges of %llu of its triangles",
-                 path, spacing, (unsigned long long)coarse);
+        bsq_warn(
+            ctx,
+            "%s: positions are kept to %.2g of the scan's units, which is coarse for the edges of %llu of its triangles",
+            path, spacing, (unsigned long long)coarse);
     else if (h < least_spacings * spacing)
-        bsq_warn(ctx, "%s: positions are kept to %.2g of the scan's units, which is coarse for voxels of %.2g", path, spacing, h);
+        bsq_warn(
+            ctx,
+            "%s: positions are kept to %.2g of the scan's units, which is coarse for voxels of %.2g",
+            path, spacing, h);
 }

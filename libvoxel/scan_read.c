@@ -353,8 +353,10 @@ int scan_finish(struct scan *scan, struct fmt_obj_reader *reader)
         return status;
     if (scan->clamped_colors > 0)
         bsq_warn(scan->ctx, "%s: colours out of range were clamped at %llu %s", scan->obj_paths[0],
-                 (unsigned long long)scan->clamped_colors, scan->clamped_colors == 1 ? "vertex" : "vertices");
-    precision_warn_merged(scan->ctx, scan->obj_paths[0], scan->merged_vertices, scan->bounds_min, scan->bounds_max);
+                 (unsigned long long)scan->clamped_colors,
+                 scan->clamped_colors == 1 ? "vertex" : "vertices");
+    precision_warn_merged(scan->ctx, scan->obj_paths[0], scan->merged_vertices, scan->bounds_min,
+                          scan->bounds_max);
     if (scan->faces.face_count == 0)
         return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->obj_paths[0]);
     return check_indices(scan, reader);

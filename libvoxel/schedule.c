@@ -214,7 +214,8 @@ bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, struct vox_regi
         return false;
     *chunk = s->parts[s->heap[0].part].chunk;
     *after = VOX_REGION_KEY_NEVER;
-    while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) && s->parts[s->heap[0].part].chunk == *chunk) {
+    while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) &&
+           s->parts[s->heap[0].part].chunk == *chunk) {
         struct vox_region_key next = advance(s);
         if (vox_region_before(next, *after))
             *after = next;

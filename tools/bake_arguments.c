@@ -98,7 +98,8 @@ static int parse_maps(struct cli *cli, struct bake_options *bake)
         size_t length = strcspn(word, ",");
         uint32_t map = 0;
         for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
-            if (strlen(bake_map_names[i].name) == length && !memcmp(word, bake_map_names[i].name, length))
+            if (strlen(bake_map_names[i].name) == length &&
+                !memcmp(word, bake_map_names[i].name, length))
                 map = bake_map_names[i].map;
         }
         if (map == 0)
@@ -144,7 +145,8 @@ static int parse_size(struct cli *cli, struct bake_options *bake)
         good = parse_side(&at, &bake->height);
     }
     if (!good || *at != '\0')
-        return cli_usage(cli, "--size: \"%s\" is not N or WxH with numbers from 1 to %d", optarg, MAX_SIZE);
+        return cli_usage(cli, "--size: \"%s\" is not N or WxH with numbers from 1 to %d", optarg,
+                         MAX_SIZE);
     return 0;
 }
 
@@ -181,8 +183,7 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
         return status;
     case OPT_SCAN_NORMALS:
         if ((status = cli_parse_word(cli, "--scan-normals", optarg, normals, &choice)) == 0)
-            bake->scan_normals =
-                choice == 0 ? BAKE_SCAN_NORMALS_SMOOTH : BAKE_SCAN_NORMALS_FLAT;
+            bake->scan_normals = choice == 0 ? BAKE_SCAN_NORMALS_SMOOTH : BAKE_SCAN_NORMALS_FLAT;
         return status;
     case OPT_NORMAL_SPACE:
         if ((status = cli_parse_word(cli, "--normal-space", optarg, spaces, &choice)) == 0)
@@ -278,7 +279,8 @@ static int choose_format(struct cli *cli, struct bake_arguments *arguments)
     return 0;
 }
 
-static int check_arguments(struct cli *cli, struct bake_arguments *arguments, int count, char **inputs)
+static int check_arguments(struct cli *cli, struct bake_arguments *arguments, int count,
+                           char **inputs)
 {
     struct bake_options *bake = &arguments->bake;
     arguments->files = inputs;

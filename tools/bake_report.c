@@ -63,20 +63,22 @@ static void hint_at_misses(struct cli *cli, const struct bake_arguments *argumen
 static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
 {
     if (percent(report->overlapping_samples, report->samples) > HINT_PERCENT)
-        bsq_warn(cli->ctx,
-                 "%.1f %% of the samples lie in several triangles, as charts overlap: they show what the first "
-                 "triangle in the file sees",
-                 percent(report->overlapping_samples, report->samples));
+        bsq_warn(
+            cli->ctx,
+            "%.1f %% of the samples lie in several triangles, as charts overlap: they show what the first "
+            "triangle in the file sees",
+            percent(report->overlapping_samples, report->samples));
 }
 
 static void hint_at_outside(struct cli *cli, const struct bake_report *report)
 {
     char triangles[CLI_TEXT];
     if (percent(report->outside_uv_triangles, report->low_triangles) > HINT_PERCENT)
-        bsq_warn(cli->ctx,
-                 "texture coordinates of %s reach out of 0..1: what lies outside, in another UDIM tile say, is not "
-                 "baked",
-                 cli_things_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
+        bsq_warn(
+            cli->ctx,
+            "texture coordinates of %s reach out of 0..1: what lies outside, in another UDIM tile say, is not "
+            "baked",
+            cli_things_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
 }
 
 static void print_report(const struct cli *cli, const struct bake_arguments *arguments,
@@ -91,15 +93,15 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
     const char *next =
         cli_print_count(first, report->degenerate_uv_triangles, "triangle without area in UV space",
                         "triangles without area in UV space");
-    next =
-        cli_print_count(next, report->outside_uv_triangles, "triangle reaching out of 0..1 in UV space",
-                        "triangles reaching out of 0..1 in UV space");
+    next = cli_print_count(next, report->outside_uv_triangles,
+                           "triangle reaching out of 0..1 in UV space",
+                           "triangles reaching out of 0..1 in UV space");
     next = cli_print_count(next, report->overlapping_samples, "sample of overlapping triangles",
                            "samples of overlapping triangles");
     if (next != first)
         putchar('\n');
-    printf("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
-           bake->scan_path, cli_things_text(report->samples, "sample", "samples", samples),
+    printf("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n", bake->scan_path,
+           cli_things_text(report->samples, "sample", "samples", samples),
            cli_count_text(report->misses, misses), percent(report->misses, report->samples),
            report->front, report->back, report->device);
     for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
@@ -112,9 +114,10 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
            report->seconds_open, report->seconds_trace, report->seconds_padding,
            report->seconds_resolve, report->seconds_write, report->seconds_preview);
     if (report->kernel_calls > 0)
-        printf("device: upload %.2f, kernels %.3f in %s, copies %.3f\n",
-               report->seconds_upload, report->seconds_kernels,
-               cli_things_text(report->kernel_calls, "call", "calls", samples), report->seconds_copies);
+        printf("device: upload %.2f, kernels %.3f in %s, copies %.3f\n", report->seconds_upload,
+               report->seconds_kernels,
+               cli_things_text(report->kernel_calls, "call", "calls", samples),
+               report->seconds_copies);
     if (report->passes > 1)
         printf("passes: %s, the grid is larger than what may be used of the device's memory\n",
                cli_count_text(report->passes, samples));
@@ -154,13 +157,13 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         "seconds_padding", report->seconds_padding, "seconds_resolve", report->seconds_resolve,
         "seconds_write", report->seconds_write, "seconds_preview", report->seconds_preview,
         "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
-        "seconds_copies", report->seconds_copies, "kernel_calls",
-        (json_int_t)report->kernel_calls, "passes", (json_int_t)report->passes);
+        "seconds_copies", report->seconds_copies, "kernel_calls", (json_int_t)report->kernel_calls,
+        "passes", (json_int_t)report->passes);
     return cli_print_json(cli, root);
 }
 
-int bake_report_print(struct cli *cli, const struct bake_arguments *arguments, const struct bake_report *report,
-                      char *const *paths)
+int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
+                      const struct bake_report *report, char *const *paths)
 {
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, report);

@@ -34,8 +34,11 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
         status = cli_check_output(cli, paths[i], inputs, 2);
     }
-    if (status == 0 && !cli_ends_with(bake->output_path, ".exr") && !cli_ends_with(bake->output_path, ".png"))
-        status = cli_usage(cli, "%s: maps are OpenEXR or PNG files: let the name end in .exr or .png", bake->output_path);
+    if (status == 0 && !cli_ends_with(bake->output_path, ".exr") &&
+        !cli_ends_with(bake->output_path, ".png"))
+        status =
+            cli_usage(cli, "%s: maps are OpenEXR or PNG files: let the name end in .exr or .png",
+                      bake->output_path);
     if (status == 0 && bake->preview_path)
         status = cli_check_picture(cli, bake->preview_path, inputs, 2);
     return status;

@@ -20,7 +20,8 @@ static int recognise_inputs(struct voxelize_job *job)
         if (kind == FMT_KIND_OTHER)
             continue;
         if (kind != FMT_KIND_TRIS)
-            return bsq_fail(job->cli->ctx, BSQ_EDATA, "%s: a grid already; one is made from OBJ files or a chunk file",
+            return bsq_fail(job->cli->ctx, BSQ_EDATA,
+                            "%s: a grid already; one is made from OBJ files or a chunk file",
                             arguments->inputs[i]);
         if (arguments->input_count > 1)
             return cli_usage(job->cli, "%s: a chunk file must be the only input",
@@ -30,7 +31,9 @@ static int recognise_inputs(struct voxelize_job *job)
         if (arguments->texture || arguments->tris || arguments->resume)
             return cli_usage(job->cli, "%s is a chunk file already: leave out %s",
                              arguments->inputs[i],
-                             arguments->tris ? "--tris" : arguments->texture ? "--texture" : "--resume");
+                             arguments->tris      ? "--tris"
+                             : arguments->texture ? "--texture"
+                                                  : "--resume");
         job->sorted_input = true;
     }
     return 0;

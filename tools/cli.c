@@ -112,7 +112,8 @@ int cli_parse_options(struct cli *cli, int argc, char **argv, const struct optio
         int status = take(cli, arguments, option);
         if (status != 0)
             return status;
-        const struct option *own = option >= CLI_OWN || option == 'o' ? find_option(options, option) : NULL;
+        const struct option *own =
+            option >= CLI_OWN || option == 'o' ? find_option(options, option) : NULL;
         if (own && strcmp(own->name, "verify") != 0)
             cli->job_option = own->name;
     }
@@ -216,7 +217,8 @@ int cli_parse_size(struct cli *cli, const char *option, const char *text, uint64
     if (end == text || !(bytes >= 1.0L))
         return cli_usage(cli, "%s: \"%s\" is not a size such as 512MiB or 4G", option, text);
     if (!(bytes < 0x1p63L))
-        return cli_usage(cli, "%s: \"%s\" is too large a size: less than 8388608T is possible", option, text);
+        return cli_usage(cli, "%s: \"%s\" is too large a size: less than 8388608T is possible",
+                         option, text);
     *out = (uint64_t)bytes;
     return 0;
 }
@@ -321,7 +323,8 @@ int cli_check_output(struct cli *cli, const char *path, const char *const *input
     return status;
 }
 
-int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs, uint32_t input_count)
+int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs,
+                      uint32_t input_count)
 {
     int status = cli_check_output(cli, path, inputs, input_count);
     if (status == 0 && !cli_ends_with(path, ".png"))

@@ -46,7 +46,8 @@ const char *cli_count_text(uint64_t count, char *buffer)
 const char *cli_things_text(uint64_t count, const char *singular, const char *plural, char *buffer)
 {
     char digits[CLI_TEXT];
-    snprintf(buffer, CLI_TEXT, "%s %s", cli_count_text(count, digits), count == 1 ? singular : plural);
+    snprintf(buffer, CLI_TEXT, "%s %s", cli_count_text(count, digits),
+             count == 1 ? singular : plural);
     return buffer;
 }
 

@@ -8,29 +8,33 @@ static void print_sound(const char *path, const struct fmt_verify_report *r)
     cli_things_text(r->triangles, "triangle", "triangles", triangles);
     cli_size_text(r->file_bytes, size);
     if (r->kind == FMT_VERIFY_TRIS)
-        printf("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version, triangles,
-               cli_things_text(r->vertices, "vertex", "vertices", more), cli_things_text(r->chunks, "chunk", "chunks", parts),
-               size);
+        printf("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version,
+               triangles, cli_things_text(r->vertices, "vertex", "vertices", more),
+               cli_things_text(r->chunks, "chunk", "chunks", parts), size);
     else
-        printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n", path, r->version,
-               r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
-               r->type == FMT_NVDB_MASK ? "mask" : "onindex", cli_things_text(r->voxels, "voxel", "voxels", parts),
-               cli_things_text(r->second_records, "second record", "second records", more), triangles,
-               r->has_color ? ", with colour" : "", size);
+        printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
+               path, r->version, r->nanovdb_version[0], r->nanovdb_version[1],
+               r->nanovdb_version[2], r->type == FMT_NVDB_MASK ? "mask" : "onindex",
+               cli_things_text(r->voxels, "voxel", "voxels", parts),
+               cli_things_text(r->second_records, "second record", "second records", more),
+               triangles, r->has_color ? ", with colour" : "", size);
 }
 
 static json_t *sound_json(const char *path, const struct fmt_verify_report *r)
 {
     if (r->kind == FMT_VERIFY_TRIS)
-        return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I}", "path", cli_json_text(path), "ok", 1, "kind", "tris",
-                         "version", (int)r->version, "file_bytes", (json_int_t)r->file_bytes, "triangles",
-                         (json_int_t)r->triangles, "vertices", (json_int_t)r->vertices, "chunks", (json_int_t)r->chunks);
-    return json_pack("{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path", cli_json_text(path),
-                     "ok", 1, "kind", "nvdb", "version", (int)r->version, "nanovdb_version", (int)r->nanovdb_version[0],
-                     (int)r->nanovdb_version[1], (int)r->nanovdb_version[2], "grid_type",
-                     r->type == FMT_NVDB_MASK ? "mask" : "onindex", "file_bytes", (json_int_t)r->file_bytes, "triangles",
-                     (json_int_t)r->triangles, "voxels", (json_int_t)r->voxels, "second_records",
-                     (json_int_t)r->second_records, "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
+        return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I}", "path", cli_json_text(path),
+                         "ok", 1, "kind", "tris", "version", (int)r->version, "file_bytes",
+                         (json_int_t)r->file_bytes, "triangles", (json_int_t)r->triangles,
+                         "vertices", (json_int_t)r->vertices, "chunks", (json_int_t)r->chunks);
+    return json_pack("{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
+                     cli_json_text(path), "ok", 1, "kind", "nvdb", "version", (int)r->version,
+                     "nanovdb_version", (int)r->nanovdb_version[0], (int)r->nanovdb_version[1],
+                     (int)r->nanovdb_version[2], "grid_type",
+                     r->type == FMT_NVDB_MASK ? "mask" : "onindex", "file_bytes",
+                     (json_int_t)r->file_bytes, "triangles", (json_int_t)r->triangles, "voxels",
+                     (json_int_t)r->voxels, "second_records", (json_int_t)r->second_records,
+                     "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
 }
 
 /* Checks one file. The entry for the list, NULL where there is no list or no memory. */
@@ -47,8 +51,8 @@ static int verify_file(struct cli *cli, const char *path, json_t **entry)
     if (cli->json && status == 0)
         *entry = sound_json(path, &report);
     else if (cli->json)
-        *entry = json_pack("{s:o, s:b, s:i, s:o}", "path", cli_json_text(path), "ok", 0, "status", -status, "error",
-                           cli_json_text(bsq_error(cli->ctx)));
+        *entry = json_pack("{s:o, s:b, s:i, s:o}", "path", cli_json_text(path), "ok", 0, "status",
+                           -status, "error", cli_json_text(bsq_error(cli->ctx)));
     return status;
 }
 

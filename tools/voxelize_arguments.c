@@ -143,7 +143,8 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
     return 0;
 }
 
-int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc, char **argv)
+int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
+                             char **argv)
 {
     int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
     arguments->inputs = (const char *const *)argv + optind;

@@ -14,7 +14,8 @@ static void print_read(const struct voxelize_job *job)
     const struct vox_sort_report *sort = &job->sort;
     char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
     print_inputs(job->arguments);
-    printf("%s, %s, %s, %s, %.2f s\n", cli_things_text(sort->vertices, "vertex", "vertices", vertices),
+    printf("%s, %s, %s, %s, %.2f s\n",
+           cli_things_text(sort->vertices, "vertex", "vertices", vertices),
            cli_things_text(sort->faces, "face", "faces", faces),
            cli_things_text(sort->triangles, "triangle", "triangles", triangles),
            cli_size_text(sort->bytes_read, size), sort->seconds_read);
@@ -36,8 +37,8 @@ static void print_grid(const struct voxelize_job *job)
     char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
     if (!job->sorted_input && !job->resumed && !job->temporary_tris)
         printf("%s: %s, %s, %.2f s\n", job->tris_path,
-               cli_things_text(job->sort.chunks, "chunk", "chunks", chunks), cli_size_text(job->sort.tris_bytes, size),
-               job->sort.seconds_sort);
+               cli_things_text(job->sort.chunks, "chunk", "chunks", chunks),
+               cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
     printf("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
            cli_things_text(grid->voxels, "voxel", "voxels", voxels),
            (long long)grid->index_max[0] - grid->index_min[0] + 1,
@@ -94,12 +95,13 @@ static int print_json(const struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
-    json_t *root = json_pack("{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments), "resumed", (int)job->resumed,
-                             "grid_path", cli_json_text(arguments->output), "tris_path",
-                             cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
-                             cli_json_text(arguments->vdb), "scan",
-                             job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
-                             arguments->parse_only ? json_null() : grid_json(&job->grid));
+    json_t *root =
+        json_pack("{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments),
+                  "resumed", (int)job->resumed, "grid_path", cli_json_text(arguments->output),
+                  "tris_path", cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
+                  cli_json_text(arguments->vdb), "scan",
+                  job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
+                  arguments->parse_only ? json_null() : grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
 
@@ -108,7 +110,8 @@ int voxelize_report_print(const struct voxelize_job *job)
     if (job->cli->json)
         return print_json(job);
     if (job->resumed)
-        printf("%s: complete from the run before, reading and sorting were skipped\n", job->tris_path);
+        printf("%s: complete from the run before, reading and sorting were skipped\n",
+               job->tris_path);
     else if (!job->sorted_input)
         print_read(job);
     if (!job->arguments->parse_only)
@@ -116,4 +119,3 @@ int voxelize_report_print(const struct voxelize_job *job)
     cli_print_cost(job->cli);
     return 0;
 }
-
