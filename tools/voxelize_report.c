@@ -105,8 +105,28 @@ static int print_json(const struct voxelize_job *job)
     return cli_print_json(job->cli, root);
 }
 
+/* A surface that reaches across all of the grid touches as many voxels as there are along it, at least. Where there are fewer
+ * it is in pieces, and what lies between them has taken the voxels. */
+static void hint_at_stray_pieces(const struct voxelize_job *job)
+{
+    const struct vox_voxelize_report *grid = &job->grid;
+    char voxels[CLI_TEXT];
+    int64_t side = 0;
+    for (int a = 0; a < 3; a++) {
+        int64_t length = (int64_t)grid->index_max[a] - grid->index_min[a] + 1;
+        side = length > side ? length : side;
+    }
+    if (!job->arguments->parse_only && grid->voxels < (uint64_t)side)
+        bsq_warn(job->cli->ctx,
+                 "%s: only %s in a grid of %lld along the longest side: is there something far "
+                 "away from the scan, or are its files in different units?",
+                 job->arguments->output, cli_things_text(grid->voxels, "voxel", "voxels", voxels),
+                 (long long)side);
+}
+
 int voxelize_report_print(const struct voxelize_job *job)
 {
+    hint_at_stray_pieces(job);
     if (job->cli->json)
         return print_json(job);
     if (job->resumed)
