@@ -2,6 +2,7 @@
 #include "formats/recognise.h"
 
 #include <string.h>
+#include <strings.h>
 
 #include "base/file.h"
 #include "formats/tris_internal.h"
@@ -33,11 +34,22 @@ int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
     return 0;
 }
 
+/* What else the file is, to be said behind what it is not. An OBJ has no first bytes of its own: its name has to do. */
+static const char *otherwise(const char *path, enum fmt_kind kind)
+{
+    size_t length = strlen(path);
+    if (kind == FMT_KIND_VDB)
+        return ", but one of OpenVDB";
+    if (length >= 4 && strcasecmp(path + length - 4, ".obj") == 0)
+        return "; bisque-voxelize makes both from an OBJ file";
+    return "";
+}
+
 int fmt_recognise_scan(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
 {
     int status = fmt_recognise(ctx, path, out);
     if (status == 0 && *out != FMT_KIND_TRIS && *out != FMT_KIND_NVDB)
         status = bsq_fail(ctx, BSQ_EDATA, "%s: neither a chunk file nor a NanoVDB file%s", path,
-                          *out == FMT_KIND_VDB ? ", but one of OpenVDB" : "");
+                          otherwise(path, *out));
     return status;
 }

@@ -93,7 +93,8 @@ static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fm
                           struct bake_lowmesh *out)
 {
     if (mesh->corner_texcoords == NULL)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: no texture coordinates", path);
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: no texture coordinates: the low mesh has to be unwrapped", path);
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         for (int i = 0; i < 3; i++) {
             uint32_t index = mesh->corner_texcoords[t][i];

@@ -119,13 +119,13 @@ refused 66 "$p none.nvdb: No such file or directory"
 $bake plain.nvdb none.obj -o a.exr --maps normal
 refused 66 "$p none.obj: No such file or directory"
 $bake low.obj plain.nvdb -o a.exr
-refused 65 "$p low.obj: neither a chunk file nor a NanoVDB file"
+refused 65 "$p low.obj: neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from an OBJ file"
 $bake plain.nvdb low.obj -o 'a_<MAP>.exr' --maps normal,color
 code 65
 err_like '^bisque-bake: plain\.nvdb.*colour'
 sed 's,/[0-9]*,,g; /^vt/d' low.obj >bare.obj
 $bake plain.nvdb bare.obj -o a.exr
-refused 65 "$p bare.obj: no texture coordinates"
+refused 65 "$p bare.obj: no texture coordinates: the low mesh has to be unwrapped"
 sed '$s,/[0-9]*,,g' low.obj >bare.obj
 $bake plain.nvdb bare.obj -o a.exr
 code 65
