@@ -11,6 +11,9 @@
 #include <math.h>
 #include <string.h>
 
+/* Of colours from 0 to 1. */
+static const float largest_of_one = 2.0f;
+
 void scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
                const char *const *obj_paths, const char *tris_path)
 {
@@ -157,13 +160,15 @@ static bool color_given(const float color[3])
     return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
 }
 
+/* Of 0..1 or of 0..255, as the first colours say. Light that a tool left a little above 1 must not turn the scan black; of bytes,
+ * the largest of thousands is hardly ever that small. */
 static void choose_color_scale(struct scan *scan, const struct fmt_obj_block *block)
 {
     float max = 0.0f;
     for (uint64_t v = 0; v < block->vertex_count; v++)
         for (int i = 0; i < 3; i++)
             max = fmaxf(max, block->colors[v][i]);
-    scan->color_scale = max > 1.0f ? 1.0f : 255.0f;
+    scan->color_scale = max > largest_of_one ? 1.0f : 255.0f;
     scan->has_colors = true;
 }
 

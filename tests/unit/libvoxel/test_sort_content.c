@@ -93,6 +93,14 @@ static void colors_are_of_zero_to_one_or_of_bytes(void **state)
     assert_int_equal(color_at(&got, 0, 1), 0xff000000u);
     assert_int_equal(f->warnings, 1);
     assert_non_null(strstr(f->warning, "2 vertices"));
+    /* Light that is a little too bright is none of bytes. */
+    got.count = 0;
+    expect_sorted(f, sort_text(f, "v 0 0 0 0 0.5 1\nv 1 0 0 1 1.01 1\nv 0 1 0\nf 1 2 3\n"));
+    read_sorted(f, &got, NULL);
+    assert_int_equal(color_at(&got, 0, 0), 0xffff8000u);
+    assert_int_equal(color_at(&got, 1, 0), 0xffffffffu);
+    assert_int_equal(f->warnings, 2);
+    assert_non_null(strstr(f->warning, "1 vertex"));
     free(got.list);
 }
 
