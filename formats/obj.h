@@ -67,6 +67,7 @@ struct fmt_obj_totals {
     uint64_t bytes, vertices, texcoords, normals, faces, corners;
     uint64_t skipped_lines; /* statements that are not in the OBJ standard */
     uint64_t short_faces;   /* f with fewer than three corners: skipped */
+    bool has_polypaint;     /* comments have ZBrush's colours (#MRGB), which are not read */
 };
 
 struct fmt_obj_reader;

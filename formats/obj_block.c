@@ -482,8 +482,10 @@ static inline const char *parse_line(struct parser *parser, const char *p)
         return parse_face(parser, p + 1);
     if (p[0] == 'f' && p[1] == 'o' && is_separator(p[2])) /* its name before version 3 */
         return parse_face(parser, p + 2);
-    if (p[0] == '#')
+    if (p[0] == '#') {
+        parser->block->has_polypaint |= strncmp(p, "#MRGB ", 6) == 0;
         return skip_comment(parser, p);
+    }
     int size = line_end_size(p);
     if (size) {
         parser->block->lines++;
@@ -555,7 +557,7 @@ static void reset(struct obj_block *block)
     memset(block->count, 0, sizeof block->count);
     memset(block->has_corners, 0, sizeof block->has_corners);
     memset(block->relative, 0, sizeof block->relative);
-    block->has_colors = false;
+    block->has_colors = block->has_polypaint = false;
     block->face_count = block->corner_count = block->statement_count = 0;
     block->lines = block->known_lines = block->skipped_lines = block->short_faces = 0;
     block->failed = false;

@@ -42,6 +42,7 @@ struct obj_block {
     uint64_t count[OBJ_KIND_COUNT];
     uint64_t position_capacity, color_capacity, texcoord_capacity, normal_capacity;
     bool has_colors;
+    bool has_polypaint; /* a comment has ZBrush's colours, which are not read */
 
     uint32_t *face_sizes;
     uint64_t *corners[OBJ_KIND_COUNT];

@@ -313,6 +313,7 @@ static void pass_block(struct job *job, const struct slot *slot)
     totals->corners += block->corner_count;
     totals->skipped_lines += block->skipped_lines;
     totals->short_faces += block->short_faces;
+    totals->has_polypaint |= block->has_polypaint;
     if (slot->change_count)
         job->material = slot->changes[slot->change_count - 1].material;
     job->sequence += block->size > 0;

@@ -360,6 +360,10 @@ int scan_finish(struct scan *scan, struct fmt_obj_reader *reader)
         bsq_warn(scan->ctx, "%s: colours out of range were clamped at %llu %s", scan->obj_paths[0],
                  (unsigned long long)scan->clamped_colors,
                  scan->clamped_colors == 1 ? "vertex" : "vertices");
+    if (scan->totals.has_polypaint && !scan->has_colors)
+        bsq_warn(scan->ctx,
+                 "%s: ZBrush's polypaint is not read: export a texture of it for --texture",
+                 scan->obj_paths[0]);
     precision_warn_merged(scan->ctx, scan->obj_paths[0], scan->merged_vertices, scan->bounds_min,
                           scan->bounds_max);
     if (scan->faces.face_count == 0)

@@ -292,6 +292,20 @@ grep -q "$(printf '\033')\\[K\$" "$err"
 check "the bar is taken away in the end" $?
 rm a.*
 
+# ---- colours in comments, as ZBrush writes them, are not read, which is said ----
+
+{ cat box.obj; echo '#MRGB ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000'; } >zbrush.obj
+$vox zbrush.obj -o zbrush.nvdb --resolution 8
+code 0
+[ "$(cat "$err")" = "$p warning: zbrush.obj: ZBrush's polypaint is not read: export a texture of it for --texture" ]
+check "a hint at polypaint" $?
+awk '/^v / { print $0, 1, 0, 0; next } { print }' zbrush.obj >both.obj
+$vox both.obj -o both.nvdb --resolution 8
+code 0
+[ ! -s "$err" ]
+check "no hint where there are colours" $?
+rm zbrush.* both.*
+
 # ---- one of a thing is not many ----
 
 printf 'v 0 0 0 1 1 300\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
