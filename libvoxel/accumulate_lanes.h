@@ -269,70 +269,94 @@ static void divide_kind(const struct vox_accumulation *what, const uint16_t *ord
 
 /* ---- pieces ---- */
 
-/* A triangle whose pieces are added. */
+/* Where pieces come from, and go. */
 struct source {
-    const struct block_facts *facts;
+    const struct vox_block *block;
     struct vox_accumulator *sums;
     bool smooth, curved, has_color;
 };
 
-LANES_INLINE struct source source_of(const struct vox_accumulation *what, uint32_t place)
+LANES_INLINE struct source source_of(const struct vox_accumulation *what)
 {
     bool smooth = what->chunk->normals != NULL;
-    return (struct source){.facts = &what->block->facts[place],
+    return (struct source){.block = what->block,
                            .sums = what->sums,
                            .smooth = smooth,
                            .curved = smooth && what->chunk->coarse,
                            .has_color = what->sums->colors != NULL};
 }
 
-/* Adds a piece. cell: lower corner of its voxel, from that of the triangle's lowest. rgb: its
- * colour, and 1; NULL: that of the triangle. */
-LANES_INLINE int add_piece(const struct source *from, const struct block_piece *piece,
-                           const double cell[4], const double rgb[4])
+/* Adds a piece of the triangle at this place. cell: lower corner of its voxel, from that of the
+ * triangle's lowest. rgb: its colour, and 1; NULL: that of the triangle. */
+LANES_INLINE int add_piece(const struct source *from, uint32_t place,
+                           const struct block_piece *piece, const double cell[4],
+                           const double rgb[4])
 {
+    const struct block_facts *facts = &from->block->facts[place];
     struct vox_piece_sum sum;
     if (from->smooth && !(piece->cell & PIECE_FLAT))
-        shade_smooth(from->facts, piece, cell, from->curved, &sum);
+        shade_smooth(facts, piece, cell, from->curved, &sum);
     else
-        shade_flat(from->facts, piece, cell, &sum);
+        shade_flat(facts, piece, cell, &sum);
     if (rgb)
         sum.color = row_times(piece->area, row_load(rgb));
     else if (from->has_color)
-        sum.color = shade_mean(shade_rows(from->facts, ROW_COLOR), piece);
+        sum.color = shade_mean(shade_rows(facts, ROW_COLOR), piece);
     else
         sum.color = (struct row){0};
     return vox_accumulator_add(from->sums, piece->voxel, &sum, from->has_color);
 }
 
-LANES_INLINE int add_run(const struct source *from, const struct block_piece *pieces,
-                         uint32_t count)
+LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)
 {
-    const struct block_piece *end = pieces + count;
     int status = vox_accumulator_make_room(from->sums);
     if (status != 0)
         return status;
-    for (; pieces < end; pieces++)
-        status |= add_piece(from, pieces, shade_cells[pieces->cell % PIECE_FLAT], NULL);
+    for (uint32_t i = 0; i < count; i++) {
+        const struct block_piece *piece = &from->block->pieces[run[i] % BLOCK_RUN_TRIANGLE];
+        status |= add_piece(from, run[i] / BLOCK_RUN_TRIANGLE, piece,
+                            shade_cells[piece->cell % PIECE_FLAT], NULL);
+    }
     return status;
 }
 
-/* Adds the pieces of a triangle of the block. The compiler is told what is known, so that what most
- * scans need has loops without what only others do. */
-LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t place)
+LANES_INLINE int add_runs(const struct source *from, uint32_t count)
 {
-    struct source from = source_of(what, place);
-    const struct block_triangle *triangle = &what->block->triangles[place];
-    const struct block_piece *pieces = &what->block->pieces[triangle->first];
+    int status = 0;
+    for (uint32_t done = 0; done < count && status == 0; done += VOX_PIECES_AT_ONCE) {
+        uint32_t left = count - done;
+        status = add_run(from, from->block->run + done,
+                         left < VOX_PIECES_AT_ONCE ? left : VOX_PIECES_AT_ONCE);
+    }
+    return status;
+}
+
+/* Adds the first pieces of the block's run. The compiler is told what is known, so that what most
+ * scans need has loops without what only others do. */
+LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t count)
+{
+    struct source from = source_of(what);
     if (from.has_color)
-        return add_run(&from, pieces, triangle->count);
+        return add_runs(&from, count);
     from.has_color = false;
     if (!from.smooth) {
         from.smooth = false;
-        return add_run(&from, pieces, triangle->count);
+        return add_runs(&from, count);
     }
     from.smooth = true;
-    return add_run(&from, pieces, triangle->count);
+    return add_runs(&from, count);
+}
+
+/* Puts the pieces of the triangle at this place behind the block's run. Most have so few that there
+ * is no branch to foresee. */
+LANES_INLINE uint32_t append_pieces(struct vox_block *block, uint32_t place, uint32_t count)
+{
+    const struct block_triangle *triangle = &block->triangles[place];
+    const uint32_t first = place * BLOCK_RUN_TRIANGLE + triangle->first;
+    for (uint32_t done = 0; done < triangle->count || done == 0; done += BLOCK_RUN_STEP)
+        for (uint32_t i = done; i < done + BLOCK_RUN_STEP; i++)
+            block->run[count + i] = first + i;
+    return count + triangle->count;
 }
 
 /* ---- other triangles ---- */
@@ -342,6 +366,7 @@ LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t place)
 struct single {
     const struct vox_accumulation *what;
     struct source from;
+    uint32_t place;
     const int32_t *low;
     struct shade_triangles triangles;
     uint32_t image; /* UINT32_MAX: no texture */
@@ -356,7 +381,7 @@ static int add_waiting(struct single *s)
     int status = vox_accumulator_make_room(s->from.sums);
     put_queue(&s->triangles, &s->queue, s->what->block);
     for (uint32_t i = 0; i < s->queue.count && status == 0; i++)
-        status = add_piece(&s->from, &s->what->block->pieces[BLOCK_PIECES + i], s->cells[i],
+        status = add_piece(&s->from, s->place, &s->what->block->pieces[BLOCK_PIECES + i], s->cells[i],
                            textured ? s->rgb[i] : NULL);
     s->queue.count = 0;
     return status;
@@ -404,7 +429,8 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *wh
     lanes lowest[3];
     uint16_t places[LANE_COUNT];
     s.what = what;
-    s.from = source_of(what, place);
+    s.from = source_of(what);
+    s.place = place;
     s.low = triangle->low;
     s.queue.count = 0;
     for (int l = 0; l < LANE_COUNT; l++) {
@@ -453,12 +479,19 @@ static int add_block(const struct vox_accumulation *what)
     for (uint32_t kind = 0; kind < KIND_LARGE; kind++)
         if (counts[kind] > 0)
             divide_kind(what, block->order + starts[kind] - counts[kind], counts[kind], kind);
+    uint32_t count = 0;
     for (uint32_t place = 0; place < block->triangle_count && status == 0; place++) {
-        if (block->triangles[place].alone)
+        if (!block->triangles[place].alone) {
+            count = append_pieces(block, place, count);
+            continue;
+        }
+        status = add_pieces(what, count);
+        count = 0;
+        if (status == 0)
             status = add_alone(what, place);
-        else
-            status = add_pieces(what, place);
     }
+    if (status == 0)
+        status = add_pieces(what, count);
     block->triangle_count = 0;
     block->piece_count = 0;
     return status;

@@ -8,6 +8,8 @@ enum {
     BLOCK_TRIANGLES = 256,
     BLOCK_PIECES = 3072,
     BLOCK_LANES_MAX = 8,
+    BLOCK_RUN_TRIANGLE = 1 << 16, /* in a run, what a triangle's place is multiplied with */
+    BLOCK_RUN_STEP = 8,
     BLOCK_NOWHERE = BLOCK_PIECES + BLOCK_LANES_MAX
 };
 
@@ -64,6 +66,8 @@ struct vox_block {
     uint32_t triangle_count, piece_count;
     struct block_triangle triangles[BLOCK_TRIANGLES];
     uint16_t order[BLOCK_TRIANGLES]; /* by kind */
+    /* Pieces in the order in which they are added, and the places of their triangles. */
+    uint32_t run[BLOCK_PIECES + BLOCK_RUN_STEP];
     _Alignas(64) struct block_facts facts[BLOCK_TRIANGLES];
     /* Behind are pieces of a triangle that is divided by itself, and one that is not wanted. */
     _Alignas(64) struct block_piece pieces[BLOCK_NOWHERE + 1];
