@@ -122,7 +122,7 @@ LANES_INLINE void number_cells(const struct vox_accumulation *what, lanes low, i
  * after the other; with fewer, a lane's pieces are those of its triangle, and some go nowhere. */
 struct queue {
     uint32_t count;
-    double area[(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
+    _Alignas(64) double area[(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
     double moment[2][(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
     long long number[(DIVIDE_MAX_CELLS + 1) * LANE_COUNT];
 };
@@ -196,11 +196,11 @@ LANES_INLINE void put_queue(const struct shade_triangles *t, struct queue *queue
 }
 
 /* Queues what divide_small() has made of triangles, their pieces with places from `where` on.
- * Returns the places behind. */
+ * Returns the places behind. Of doubtful triangles anything may be queued. */
 LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int planes[3],
                                      const struct divide_piece *piece,
                                      const struct cell_numbers numbers[3], lane_ints where,
-                                     struct queue *queue)
+                                     struct queue *queue, lane_mask *doubtful)
 {
     const lane_ints next = lanes_all_bits(UINT64_C(1) << NUMBER_PLACE);
     lanes part = t->area / 3.0;
@@ -210,8 +210,7 @@ LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int 
             lane_ints row = numbers[0].of[x] | numbers[1].of[y];
             for (int z = 0; z <= planes[2]; z++, piece++) {
                 lane_ints number = row | numbers[2].of[z] | where;
-                lane_mask taken =
-                    lanes_less(lanes_all(0.0), piece->share) & ~lanes_signs((lanes)number);
+                lane_mask taken = divide_touching(piece, doubtful) & ~lanes_signs((lanes)number);
                 const lanes moment[2] = {part * piece->moment[0], part * piece->moment[1]};
                 queue_lanes(queue, taken, t->area * piece->share, moment, number);
                 where = lanes_add_ints(taken, where, next);
@@ -220,22 +219,21 @@ LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int 
     return where;
 }
 
-/* Divides up to LANE_COUNT triangles of the kind that has these planes. */
-LANES_INLINE void divide_batch(const struct vox_accumulation *what, const uint16_t *order,
-                               uint32_t count, const int planes[3])
+/* Divides the first `count` of these triangles of the kind that has these planes. */
+LANES_INLINE void divide_batch(const struct vox_accumulation *what,
+                               const uint16_t places[LANE_COUNT], uint32_t count,
+                               const int planes[3])
 {
     struct vox_block *block = what->block;
     struct divide_piece pieces[DIVIDE_MAX_CELLS];
     struct shade_triangles t;
     struct cell_numbers numbers[3];
     struct queue queue;
-    uint16_t places[LANE_COUNT];
     long long where[LANE_COUNT];
     lanes lowest[3];
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
         bool used = l < count;
-        places[l] = order[used ? l : count - 1];
         where[l] = (long long)l << NUMBER_LANE | (long long)(block->piece_count + l * cells)
                                                      << NUMBER_PLACE;
         where[l] = used ? where[l] : -1;
@@ -244,8 +242,9 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *what, const uint16
     for (int a = 0; a < 3; a++)
         number_cells(what, lowest[a], a, planes[a], &numbers[a]);
     lane_mask doubtful = divide_small((const lanes(*)[3])t.p, planes, pieces);
-    lanes_store_ints(queue_divided(&t, planes, pieces, numbers, lanes_load_ints(where), &queue),
-                     where);
+    lane_ints behind = queue_divided(&t, planes, pieces, numbers, lanes_load_ints(where), &queue,
+                                     &doubtful);
+    lanes_store_ints(behind, where);
     put_queue(&t, &queue, block);
     for (uint32_t l = 0; l < count; l++) {
         struct block_triangle *triangle = &block->triangles[places[l]];
@@ -263,7 +262,11 @@ static void divide_kind(const struct vox_accumulation *what, const uint16_t *ord
     const int planes[3] = {(int)(kind >> 4), (int)(kind >> 2 & 3), (int)(kind & 3)};
     for (uint32_t done = 0; done < count; done += LANE_COUNT) {
         uint32_t left = count - done;
-        divide_batch(what, order + done, left < LANE_COUNT ? left : LANE_COUNT, planes);
+        uint16_t padded[LANE_COUNT];
+        for (uint32_t l = 0; left < LANE_COUNT && l < LANE_COUNT; l++)
+            padded[l] = order[done + (l < left ? l : 0)];
+        divide_batch(what, left < LANE_COUNT ? padded : order + done,
+                     left < LANE_COUNT ? left : LANE_COUNT, planes);
     }
 }
 

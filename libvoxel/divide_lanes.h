@@ -195,14 +195,13 @@ LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3]
 
 /* Divides triangles whose corners p[corner][axis] lie in cells 0 to planes[axis], counted from the
  * lowest that each touches. Cell (x, y, z) becomes pieces[(x * (planes[1] + 1) + y) * (planes[2] +
- * 1) + z]; a triangle that does not touch it has a share of 0 there. Returns the doubtful
- * triangles, about whose pieces nothing can be said. */
+ * 1) + z]; divide_touching() tells of which triangles. Returns doubtful triangles, about whose
+ * pieces nothing can be said, and the cells may tell of more. */
 LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
                                     struct divide_piece *pieces)
 {
     const int cells[3] = {planes[0] + 1, planes[1] + 1, planes[2] + 1};
     const int stride[3] = {cells[1] * cells[2], cells[2], 1};
-    const int count = cells[0] * stride[0];
     lane_mask doubtful = lanes_none();
     struct divide_spans edge[3];
     for (int a = 0; a < 3; a++)
@@ -212,10 +211,15 @@ LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
     divide_axis(p, 0, planes, stride, pieces, &doubtful);
     divide_axis(p, 1, planes, stride, pieces, &doubtful);
     divide_axis(p, 2, planes, stride, pieces, &doubtful);
-    for (int i = 0; i < count; i++)
-        doubtful |= ~(lanes_equal(pieces[i].share, lanes_all(0.0)) |
-                      lanes_less(lanes_all(DIVIDE_LEAST_SHARE), pieces[i].share));
     return doubtful;
+}
+
+/* The triangles that touch the cell; with those for which that is not sure, doubtful. */
+LANES_INLINE lane_mask divide_touching(const struct divide_piece *piece, lane_mask *doubtful)
+{
+    lane_mask touching = lanes_less(lanes_all(DIVIDE_LEAST_SHARE), piece->share);
+    *doubtful |= ~(touching | lanes_equal(piece->share, lanes_all(0.0)));
+    return touching;
 }
 
 #endif

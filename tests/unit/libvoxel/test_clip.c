@@ -294,6 +294,15 @@ static bool put_in_lane(const double (*c)[3], int lane, lanes p[3][3], int plane
     return true;
 }
 
+/* Divides, and returns all doubtful triangles. */
+static lane_mask divide(const lanes p[3][3], const int planes[3], struct divide_piece *pieces)
+{
+    lane_mask doubtful = divide_small(p, planes, pieces);
+    for (int i = 0; i < (planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1); i++)
+        divide_touching(&pieces[i], &doubtful);
+    return doubtful;
+}
+
 /* The pieces of one lane against those that cutting polygons yields. */
 static void check_lane(const double (*c)[3], int lane, const int planes[3],
                        const struct divide_piece *piece)
@@ -343,7 +352,7 @@ static void test_small_triangles_side_by_side(void **state)
         struct divide_piece pieces[DIVIDE_MAX_CELLS];
         for (int l = 0; l < LANE_COUNT; l++)
             put_in_lane((const double(*)[3])batch[l], l, p, planes);
-        lane_mask doubt = divide_small((const lanes(*)[3])p, planes, pieces);
+        lane_mask doubt = divide((const lanes(*)[3])p, planes, pieces);
         for (int l = 0; l < LANE_COUNT; l++) {
             checked++;
             doubtful += lanes_bits(doubt) >> l & 1;
@@ -372,7 +381,7 @@ static void test_touching_planes_is_doubtful(void **state)
         int planes[3];
         for (int l = 0; l < LANE_COUNT; l++)
             assert_true(put_in_lane(table[i], l, p, planes));
-        lane_mask doubt = divide_small((const lanes(*)[3])p, planes, pieces);
+        lane_mask doubt = divide((const lanes(*)[3])p, planes, pieces);
         for (int l = 0; l < LANE_COUNT; l++)
             assert_true(lanes_bits(doubt) >> l & 1);
     }
