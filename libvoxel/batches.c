@@ -145,6 +145,20 @@ static void release(struct batches *b)
 
 /* ---- loading and sorting ---- */
 
+static void make_entries(const struct batches *b, const uint8_t *records, uint64_t first,
+                         uint32_t count, struct entry *entries)
+{
+    const struct record_layout *layout = &b->scattered->layout;
+    for (uint32_t i = 0; layout->plain && i < count; i++)
+        entries[i] = (struct entry){
+            .key = scattered_plain_key(b->scattered, b->scan, records + 12 * (uint64_t)i),
+            .record = (uint32_t)(first + i)};
+    for (uint32_t i = 0; !layout->plain && i < count; i++)
+        entries[i] = (struct entry){
+            .key = scattered_key(b->scattered, b->scan, records + (uint64_t)i * layout->bytes),
+            .record = (uint32_t)(first + i)};
+}
+
 static int sort_part(void *arg, uint64_t index, unsigned worker)
 {
     struct batches *b = arg;
@@ -158,10 +172,7 @@ static int sort_part(void *arg, uint64_t index, unsigned worker)
         int status = run_reader_next(reader, records, &count);
         if (status < 0)
             return status;
-        for (uint32_t i = 0; i < count; i++)
-            b->entries[part->at + done + i] =
-                (struct entry){.key = scattered_key(b->scattered, b->scan, records + i * bytes),
-                               .record = (uint32_t)(part->record + done + i)};
+        make_entries(b, records, part->record + done, count, b->entries + part->at + done);
         done += count;
     }
     order_sort(b->entries + part->at, b->scratch + part->at, part->count,

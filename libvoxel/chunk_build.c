@@ -32,7 +32,7 @@ uint64_t chunk_builder_bytes(uint32_t attributes)
     uint64_t triangle = 12 + (attributes & FMT_TRIS_MATERIALS ? 4 : 0);
     return vertex * MAX_VERTICES + triangle * FMT_TRIS_CHUNK_TRIANGLES +
            ((uint64_t)4 << MAX_TABLE_BITS) + (sizeof(struct corner_cache) << CACHE_BITS) +
-           (sizeof(struct plain_cache) << PLAIN_CACHE_BITS) +
+           (sizeof(uint64_t) << PLAIN_CACHE_BITS) +
            fmt_tris_encoded_bound(attributes, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES);
 }
 
@@ -273,79 +273,95 @@ static void build_triangles(struct chunk_builder *b, const uint8_t *records,
 
 /* ---- plain triangles ----
  *
- * What costs time are a new vertex's position and its place in the table, which no cache holds. So
- * some triangles are looked at together: first those of their corners are noted that the small
- * cache does not know, then each step is taken for all of these, having asked for the memory of the
- * next one. The cache's numbers of noted corners are numbers of notes until then. */
+ * What costs time are a new vertex's position and its place in the table, which no cache holds, and
+ * branches that depend on which corners are known. So some triangles are looked at together: first
+ * those of their corners are noted that the small cache does not know, without a branch, then each
+ * step is taken for all of these, having asked for the memory of the next one. The cache's numbers
+ * of noted corners are numbers of notes until then. */
 
 #define GROUP_TRIANGLES 128u
 #define NOTE_FLAG       (1u << 31)
 
 struct note {
-    uint32_t index, number;
-    struct plain_cache *cached;
     uint64_t hash;
+    uint64_t *cached;
+    uint32_t index, number;
 };
 
-/* A free place of the cache holds an index that no scan has. */
-static uint32_t note_corners(struct chunk_builder *b, const uint8_t *records,
-                             const struct entry *entries, uint32_t count, uint32_t (*out)[3],
-                             struct note *notes)
+/* A free place of the cache holds an index that no scan has. One note more may be written than
+ * there are. */
+static uint32_t note_corners(uint64_t *cache, const uint8_t *records, const struct entry *entries,
+                             uint32_t count, uint32_t (*out)[3], struct note *notes)
 {
-    const struct column *positions = &b->scan->columns[SCAN_POSITIONS];
     uint32_t noted = 0;
     for (uint32_t t = 0; t < count; t++) {
-        uint32_t index[3];
-        memcpy(index, records + (uint64_t)entries[t].record * sizeof index, sizeof index);
-        for (int k = 0; k < 3; k++) {
-            struct plain_cache *cached =
-                &b->plain[index[k] * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
-            if (cached->index != index[k]) {
-                __builtin_prefetch(column_at(positions, index[k], 12));
-                *cached = (struct plain_cache){index[k], NOTE_FLAG | noted};
-                notes[noted].index = index[k];
-                notes[noted++].cached = cached;
-            }
-            out[t][k] = cached->number;
+        const uint8_t *record = records + (uint64_t)entries[t].record * 12;
+        for (uint32_t k = 0; k < 3; k++) {
+            uint32_t index;
+            memcpy(&index, record + 4 * k, 4);
+            uint64_t *place = &cache[index * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
+            uint64_t cached = *place, fresh = (uint64_t)(NOTE_FLAG | noted) << 32 | index;
+            uint32_t unknown = (uint32_t)cached != index;
+            cached ^= (cached ^ fresh) & (0 - (uint64_t)unknown);
+            *place = cached;
+            out[t][k] = (uint32_t)(cached >> 32);
+            notes[noted].index = index;
+            notes[noted].cached = place;
+            noted += unknown;
         }
     }
     return noted;
 }
 
+/* Number of the vertex in the chunk, entered where it is new. */
+static inline uint32_t number_position(struct chunk_builder *b, const float position[3],
+                                       uint64_t hash)
+{
+    const struct vertex v = {.position = {position[0], position[1], position[2]}};
+    return number_hashed(b, &v, hash);
+}
+
 static void number_notes(struct chunk_builder *b, struct note *notes, uint32_t noted)
 {
     const struct column *positions = &b->scan->columns[SCAN_POSITIONS];
+    for (uint32_t i = 0; i < noted; i++)
+        __builtin_prefetch(column_at(positions, notes[i].index, 12));
     for (uint32_t i = 0; i < noted; i++) {
         notes[i].hash = hash_position(column_at(positions, notes[i].index, 12));
         __builtin_prefetch(&b->table[table_slot(b, notes[i].hash)]);
     }
     for (uint32_t i = 0; i < noted; i++) {
-        struct vertex v = {0};
-        memcpy(v.position, column_at(positions, notes[i].index, 12), 12);
-        notes[i].number = number_hashed(b, &v, notes[i].hash);
-        if (notes[i].cached->number == (NOTE_FLAG | i))
-            notes[i].cached->number = notes[i].number;
+        const float *position = column_at(positions, notes[i].index, 12);
+        notes[i].number = number_position(b, position, notes[i].hash);
+        uint64_t note = (uint64_t)(NOTE_FLAG | i) << 32 | notes[i].index;
+        if (*notes[i].cached == note)
+            *notes[i].cached = (uint64_t)notes[i].number << 32 | notes[i].index;
+    }
+}
+
+/* Numbers of notes become those of their vertices. */
+static void resolve_notes(const struct note *notes, uint32_t *numbers, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t noted = 0 - (numbers[i] >> 31), note = numbers[i] & ~NOTE_FLAG & noted;
+        numbers[i] = (notes[note].number & noted) | (numbers[i] & ~noted);
     }
 }
 
 static void build_plain(struct chunk_builder *b, const uint8_t *records,
                         const struct entry *entries, uint32_t count)
 {
-    struct note notes[3 * GROUP_TRIANGLES];
+    struct note notes[3 * GROUP_TRIANGLES + 1];
+    notes[0].number = 0;
     memset(b->plain, 0xff, sizeof *b->plain << PLAIN_CACHE_BITS);
     for (uint32_t first = 0, end; first < count; first = end) {
         end = count - first < GROUP_TRIANGLES ? count : first + GROUP_TRIANGLES;
         for (uint32_t t = end; t < count && t < end + GROUP_TRIANGLES; t++)
             __builtin_prefetch(records + (uint64_t)entries[t].record * sizeof(uint32_t[3]));
-        uint32_t noted =
-            note_corners(b, records, entries + first, end - first, b->triangles + first, notes);
+        uint32_t noted = note_corners(b->plain, records, entries + first, end - first,
+                                      b->triangles + first, notes);
         number_notes(b, notes, noted);
-        for (uint32_t t = first; t < end; t++)
-            for (int k = 0; k < 3; k++) {
-                uint32_t number = b->triangles[t][k];
-                b->triangles[t][k] =
-                    number & NOTE_FLAG ? notes[number & ~NOTE_FLAG].number : number;
-            }
+        resolve_notes(notes, b->triangles[first], 3 * (end - first));
     }
 }
 

@@ -14,10 +14,6 @@ struct corner_cache {
     uint32_t number;
 };
 
-/* The same for plain records, see record_layout. */
-struct plain_cache {
-    uint32_t index, number;
-};
 
 /* Reused for many chunks; one for each chunk in the making. */
 struct chunk_builder {
@@ -34,7 +30,7 @@ struct chunk_builder {
     uint32_t *table; /* hash table of vertices */
     uint32_t table_bits;
     struct corner_cache *cache; /* direct-mapped; either this or the next one is used */
-    struct plain_cache *plain;
+    uint64_t *plain; /* the same for plain records: the index below the number */
     /* Result. */
     void *encoded;
     uint64_t encoded_bytes;

@@ -24,21 +24,28 @@ int scatter_collect(struct scattered *out, const struct splitter *splitter);
 /* Vertices of the scan without a bit in `used`. */
 uint64_t scatter_unused(const struct scan *scan, const atomic_uint_least64_t *used);
 
-/* Key of a record's triangle. */
+/* Key of a plain record's triangle, see record_layout. */
+static inline uint64_t scattered_plain_key(const struct scattered *scattered,
+                                           const struct scan *scan, const uint8_t *record)
+{
+    const struct column *positions = &scan->columns[SCAN_POSITIONS];
+    const float *p[3];
+    uint32_t cell[3], index[3];
+    memcpy(index, record, sizeof index);
+    for (uint32_t k = 0; k < 3; k++)
+        p[k] = column_at(positions, index[k], 12);
+    morton_cells(&scattered->cube, p[0], p[1], p[2], cell);
+    return morton_key(cell);
+}
+
+/* Key of any record's triangle. */
 static inline uint64_t scattered_key(const struct scattered *scattered, const struct scan *scan,
                                      const uint8_t *record)
 {
     const struct record_layout *layout = &scattered->layout;
     float copies[3][3];
     const float *p[3];
-    uint32_t cell[3], index[3];
-    if (layout->plain) {
-        memcpy(index, record, sizeof index);
-        for (uint32_t k = 0; k < 3; k++)
-            p[k] = column_at(&scan->columns[SCAN_POSITIONS], index[k], 12);
-        morton_cells(&scattered->cube, p[0], p[1], p[2], cell);
-        return morton_key(cell);
-    }
+    uint32_t cell[3];
     for (uint32_t k = 0; k < 3; k++)
         p[k] = record_position(layout, scan, record + k * layout->corner_bytes, copies[k]);
     morton_cells(&scattered->cube, p[0], p[1], p[2], cell);
