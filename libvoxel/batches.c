@@ -37,6 +37,7 @@ struct batches {
     unsigned reader_count;
     struct part *parts;
     uint64_t part_count, part_capacity;
+    uint64_t largest_part;
     uint64_t count;       /* triangles in the batch; the sorted ones carried over come first */
     uint64_t records_end; /* parts leave a gap behind them, see record_gap() */
 
@@ -81,6 +82,22 @@ static unsigned count_slots(const struct batches *b, uint64_t left)
     return (unsigned)count;
 }
 
+/* Triangles that a batch should have. A small one touches little memory and stays near the core,
+ * but threads wait for each other where one ends, so each is to sort several cells of it; and it
+ * must not be too small for cells to be sorted whole. */
+static uint64_t wanted_capacity(const struct batches *b)
+{
+    const struct cells *cells = &b->scattered->cells;
+    uint64_t wanted = (uint64_t)bsq_threads(b->ctx) << 18, largest = 0;
+    for (uint32_t c = 0; c < cells->cell_count; c++)
+        largest = cells->list[c].items > largest ? cells->list[c].items : largest;
+    if (wanted < 1 << 19)
+        wanted = 1 << 19;
+    if (wanted < FMT_TRIS_CHUNK_TRIANGLES + 4 * largest)
+        wanted = FMT_TRIS_CHUNK_TRIANGLES + 4 * largest;
+    return wanted < b->scan->limits->batch_triangles ? wanted : b->scan->limits->batch_triangles;
+}
+
 /* What chunks in the making leave is for the batch. */
 static void divide_memory(struct batches *b)
 {
@@ -93,8 +110,8 @@ static void divide_memory(struct batches *b)
     uint64_t carry_bytes = carry * b->scattered->layout.bytes;
     left = left > slot_bytes + carry_bytes ? left - slot_bytes - carry_bytes : 0;
     b->capacity = left / triangle_bytes(b);
-    if (b->capacity > limits->batch_triangles)
-        b->capacity = limits->batch_triangles;
+    if (b->capacity > wanted_capacity(b))
+        b->capacity = wanted_capacity(b);
     uint64_t all = b->scattered->triangles + 2 * record_gap(b) * b->scattered->cells.cell_count;
     bool enough = b->capacity >= all;
     if (enough)
@@ -159,6 +176,14 @@ static void make_entries(const struct batches *b, const uint8_t *records, uint64
             .record = (uint32_t)(first + i)};
 }
 
+/* Where a worker may sort a part. The same place for one part after the other, so that it stays in
+ * the core's cache; but large parts need one each. */
+static struct entry *scratch_for(const struct batches *b, const struct part *part, unsigned worker)
+{
+    uint64_t share = b->capacity / bsq_threads(b->ctx);
+    return b->scratch + (b->largest_part <= share ? worker * share : part->at);
+}
+
 static int sort_part(void *arg, uint64_t index, unsigned worker)
 {
     struct batches *b = arg;
@@ -175,7 +200,7 @@ static int sort_part(void *arg, uint64_t index, unsigned worker)
         make_entries(b, records, part->record + done, count, b->entries + part->at + done);
         done += count;
     }
-    order_sort(b->entries + part->at, b->scratch + part->at, part->count,
+    order_sort(b->entries + part->at, scratch_for(b, part, worker), part->count,
                MORTON_KEY_BITS - 3 * part->levels);
     return 0;
 }
@@ -232,7 +257,7 @@ static void carry_over(struct batches *b)
     b->count = left;
     b->records_end = left + record_gap(b);
     b->cut = 0;
-    b->part_count = 0;
+    b->part_count = b->largest_part = 0;
 }
 
 static int write_batch(struct batches *b)
@@ -267,6 +292,7 @@ static int add_part(struct batches *b, struct part part)
     part.at = b->count;
     part.record = b->records_end;
     b->parts[b->part_count++] = part;
+    b->largest_part = part.count > b->largest_part ? part.count : b->largest_part;
     b->count += part.count;
     b->records_end += part.count + record_gap(b);
     return 0;

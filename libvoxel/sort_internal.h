@@ -16,7 +16,7 @@ struct sort_limits {
     uint64_t direct_memory;   /* the same while faces are scattered as they are read; 0: they are not */
     uint64_t join_bytes;      /* buffers while spilled columns are joined */
     uint64_t reserve_bytes;   /* left free when batches take the rest */
-    uint64_t batch_triangles; /* sorted at a time; more than a chunk's */
+    uint64_t batch_triangles; /* sorted at a time, at most; more than a chunk's */
     uint32_t cell_levels;     /* 2^levels cells an axis at first; 1 to 5 */
     uint32_t index_bytes;     /* least width of an index in a record, 1 to 8 */
     uint32_t slots;           /* groups and chunks at a time, at most */
