@@ -11,10 +11,7 @@
 #include "libbake/opencl_api_internal.h"
 
 enum {
-    STAGE_BYTES = 8 << 20, /* of the grid at a time */
-    /* Side of a work group. It is the same for all tiles: some drivers compile once for each size.
-     */
-    GROUP = 8
+    STAGE_BYTES = 8 << 20 /* of the grid at a time */
 };
 
 enum {
@@ -36,6 +33,7 @@ enum { COPIED_SAMPLES, FIRST_KERNEL, LAST_KERNEL, COPIED_TEXELS, EVENTS };
 struct worker {
     cl_command_queue queue;
     cl_kernel kernel;
+    size_t group[2]; /* the same for all tiles: some drivers compile once for each size */
     cl_mem samples, texels;
     cl_event events[EVENTS];
 };
@@ -47,7 +45,8 @@ struct opencl {
     cl_context context;
     cl_program program;
     cl_command_queue upload;
-    cl_event taken[2]; /* the device has what was in the piece of the stage */
+    cl_mem pinned[2];  /* the pieces of the stage, mapped */
+    cl_event taken[2]; /* the device has what was in the piece */
     struct worker *workers;
 };
 
@@ -125,6 +124,17 @@ static void opencl_close_worker(struct bake_compute *compute, unsigned number)
     *worker = (struct worker){0};
 }
 
+/* A kernel that needs many registers may allow fewer work items than the device does. */
+static int choose_group(const struct opencl *cl, struct worker *worker)
+{
+    size_t most = 0;
+    const int code = cl->api.clGetKernelWorkGroupInfo(
+        worker->kernel, cl->device.id, CL_KERNEL_WORK_GROUP_SIZE, sizeof most, &most, NULL);
+
+    bake_opencl_group(most, cl->device.group_sides, worker->group);
+    return code;
+}
+
 static const char *opencl_open_worker(struct bake_compute *compute, unsigned number, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
@@ -137,6 +147,9 @@ static const char *opencl_open_worker(struct bake_compute *compute, unsigned num
     worker->kernel = cl->api.clCreateKernel(cl->program, "bake_tile", code);
     if (*code != CL_SUCCESS)
         return "clCreateKernel";
+    *code = choose_group(cl, worker);
+    if (*code != CL_SUCCESS)
+        return "clGetKernelWorkGroupInfo";
     worker->samples = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY,
                                              bake_compute_sample_bytes(compute), NULL, code);
     if (*code != CL_SUCCESS)
@@ -201,9 +214,8 @@ static const char *opencl_launch(struct bake_compute *compute, unsigned number,
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
-    const size_t group[2] = {GROUP, GROUP};
-    const size_t size[2] = {round_up(tile->width, GROUP),
-                            round_up(slice->end_row - slice->first_row, GROUP)};
+    const size_t size[2] = {round_up(tile->width, worker->group[0]),
+                            round_up(slice->end_row - slice->first_row, worker->group[1])};
     const uint32_t bounds[] = {slice->first_row, slice->end_row, slice->first_line,
                                slice->end_line};
     const bool first = slice->first_row == 0 && slice->first_line == 0;
@@ -218,8 +230,8 @@ static const char *opencl_launch(struct bake_compute *compute, unsigned number,
             cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW + i, sizeof bounds[i], &bounds[i]);
     if (*code != CL_SUCCESS)
         return "clSetKernelArg";
-    *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size, group, 0,
-                                           NULL, event);
+    *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size,
+                                           worker->group, 0, NULL, event);
     if (*code != CL_SUCCESS)
         return "clEnqueueNDRangeKernel";
     *code = cl->api.clFlush(worker->queue);
@@ -343,19 +355,33 @@ static uint64_t memory_limit(const struct opencl *cl)
     return limit;
 }
 
+/* Memory that the device can copy from by itself; drivers first copy other memory into such. */
+static int open_piece(struct opencl *cl, int piece)
+{
+    cl_int code;
+
+    cl->pinned[piece] =
+        cl->api.clCreateBuffer(cl->context, CL_MEM_ALLOC_HOST_PTR, STAGE_BYTES, NULL, &code);
+    if (code != CL_SUCCESS)
+        return bake_compute_fail(&cl->compute, "clCreateBuffer", code);
+    cl->compute.stage.pieces[piece] = cl->api.clEnqueueMapBuffer(
+        cl->upload, cl->pinned[piece], CL_TRUE, CL_MAP_WRITE, 0, STAGE_BYTES, 0, NULL, NULL, &code);
+    return code == CL_SUCCESS ? 0 : bake_compute_fail(&cl->compute, "clEnqueueMapBuffer", code);
+}
+
 static int open_upload(struct opencl *cl)
 {
-    struct bake_stage *stage = &cl->compute.stage;
     cl_int code;
-    int status = 0;
+    int status = bake_compute_reserve(&cl->compute, "staging of the grid", 2 * STAGE_BYTES);
 
-    stage->piece_bytes = STAGE_BYTES;
+    cl->compute.stage.piece_bytes = STAGE_BYTES;
+    if (status < 0)
+        return status;
     cl->upload = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
     if (code != CL_SUCCESS)
         return bake_compute_fail(&cl->compute, "clCreateCommandQueue", code);
     for (int i = 0; i < 2 && status == 0; i++)
-        status =
-            bsq_alloc(cl->compute.ctx, "staging of the grid", STAGE_BYTES, 1, &stage->pieces[i]);
+        status = open_piece(cl, i);
     return status;
 }
 
@@ -366,10 +392,16 @@ static void close_upload(struct opencl *cl)
     for (int i = 0; i < 2; i++) {
         if (cl->taken[i])
             cl->api.clReleaseEvent(cl->taken[i]);
-        bsq_free(cl->compute.ctx, cl->compute.stage.pieces[i]);
+        if (cl->compute.stage.pieces[i])
+            cl->api.clEnqueueUnmapMemObject(cl->upload, cl->pinned[i], cl->compute.stage.pieces[i],
+                                            0, NULL, NULL);
+        if (cl->pinned[i])
+            cl->api.clReleaseMemObject(cl->pinned[i]);
     }
-    if (cl->upload)
+    if (cl->upload) {
+        cl->api.clFinish(cl->upload);
         cl->api.clReleaseCommandQueue(cl->upload);
+    }
 }
 
 static int open_context(struct opencl *cl)

@@ -42,12 +42,24 @@ const char *bake_opencl_error(cl_int code, char *buffer)
         CASE(CL_INVALID_CONTEXT)
         CASE(CL_INVALID_COMMAND_QUEUE)
         CASE(CL_INVALID_MEM_OBJECT)
+        CASE(CL_INVALID_PLATFORM)
+        CASE(CL_INVALID_QUEUE_PROPERTIES)
+        CASE(CL_INVALID_BINARY)
+        CASE(CL_INVALID_PROGRAM)
+        CASE(CL_INVALID_OPERATION)
+        CASE(CL_INVALID_EVENT)
+        CASE(CL_MAP_FAILURE)
+        CASE(CL_PROFILING_INFO_NOT_AVAILABLE)
+        CASE(CL_EXEC_STATUS_ERROR_FOR_EVENTS_IN_WAIT_LIST)
         CASE(CL_INVALID_BUILD_OPTIONS)
         CASE(CL_INVALID_PROGRAM_EXECUTABLE)
         CASE(CL_INVALID_KERNEL_NAME)
+        CASE(CL_INVALID_KERNEL_DEFINITION)
+        CASE(CL_INVALID_KERNEL)
         CASE(CL_INVALID_KERNEL_ARGS)
         CASE(CL_INVALID_ARG_SIZE)
         CASE(CL_INVALID_WORK_GROUP_SIZE)
+        CASE(CL_INVALID_WORK_ITEM_SIZE)
         CASE(CL_INVALID_GLOBAL_WORK_SIZE)
         CASE(CL_INVALID_BUFFER_SIZE)
     default:
@@ -91,6 +103,18 @@ static void describe_driver(const struct bake_opencl_api *api, struct bake_openc
     snprintf(out->driver, sizeof out->driver, "%s\n%s\n%s", platform, device, driver);
 }
 
+/* Devices have three sides at least. */
+static void describe_groups(const struct bake_opencl_api *api, struct bake_opencl_device *out)
+{
+    size_t sides[16] = {0};
+
+    if (api->clGetDeviceInfo(out->id, CL_DEVICE_MAX_WORK_ITEM_SIZES, sizeof sides, sides, NULL) !=
+        CL_SUCCESS)
+        sides[0] = sides[1] = 1;
+    out->group_sides[0] = sides[0];
+    out->group_sides[1] = sides[1];
+}
+
 static void describe(const struct bake_opencl_api *api, cl_platform_id platform, cl_device_id id,
                      struct bake_opencl_device *out)
 {
@@ -111,6 +135,17 @@ static void describe(const struct bake_opencl_api *api, cl_platform_id platform,
         device_number(api, id, CL_DEVICE_SINGLE_FP_CONFIG, 8) & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT;
     out->memory_bytes = device_number(api, id, CL_DEVICE_GLOBAL_MEM_SIZE, 8);
     out->buffer_bytes = device_number(api, id, CL_DEVICE_MAX_MEM_ALLOC_SIZE, 8);
+    describe_groups(api, out);
+}
+
+void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t sides[2])
+{
+    sides[0] = sides[1] = 8;
+    for (int i = 0; i < 2; i++)
+        while (sides[i] > 1 && sides[i] > most_sides[i])
+            sides[i] /= 2;
+    while (sides[0] * sides[1] > 1 && sides[0] * sides[1] > most_items)
+        sides[sides[1] >= sides[0]] /= 2;
 }
 
 enum { PLATFORMS_MAX = 64, DEVICES_MAX = 256 }; /* more are left out */

@@ -28,8 +28,11 @@
     X(clReleaseProgram)                                                                            \
     X(clCreateKernel)                                                                              \
     X(clReleaseKernel)                                                                             \
+    X(clGetKernelWorkGroupInfo)                                                                    \
     X(clSetKernelArg)                                                                              \
     X(clEnqueueWriteBuffer)                                                                        \
+    X(clEnqueueMapBuffer)                                                                          \
+    X(clEnqueueUnmapMemObject)                                                                     \
     X(clEnqueueReadBuffer)                                                                         \
     X(clEnqueueNDRangeKernel)                                                                      \
     X(clWaitForEvents)                                                                             \
@@ -59,7 +62,11 @@ struct bake_opencl_device {
     char driver[256]; /* versions of platform, device and driver */
     bool is_gpu, host_memory, rounds_correctly;
     uint64_t memory_bytes, buffer_bytes; /* of the device; of one buffer at most */
+    size_t group_sides[2];               /* of a work group at most */
 };
+
+/* Sides of a work group: powers of two, 8 x 8 where the kernel and the device can have so many. */
+void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t sides[2]);
 
 /* Describes device number `index` (platforms in the loader's order, devices in the platform's),
  * skipping devices that are unavailable or have no compiler. False past the last. */

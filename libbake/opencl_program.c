@@ -2,6 +2,7 @@
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "libbake/kernel_cache_internal.h"
 #include "libbake/opencl_api_internal.h"
@@ -19,7 +20,7 @@ struct program {
     cl_program program;
 };
 
-/* The end of a build log holds the last error; line breaks become " | ". */
+/* From the build log's first error on, if a line speaks of one; line breaks become " | ". */
 static int fail_build(struct program *p, cl_int code)
 {
     char *log = NULL, line[400] = "", number[32];
@@ -29,7 +30,10 @@ static int fail_build(struct program *p, cl_int code)
     if (bytes && bsq_calloc(p->ctx, "build log", bytes + 1, 1, &log) == 0)
         p->api->clGetProgramBuildInfo(p->program, p->device->id, CL_PROGRAM_BUILD_LOG, bytes, log,
                                       NULL);
-    for (const char *c = log; c && *c && used + 4 < sizeof line; c++) {
+    const char *from = log ? strstr(log, "error") : NULL;
+    while (from && from > log && from[-1] != '\n')
+        from--;
+    for (const char *c = from ? from : log; c && *c && used + 4 < sizeof line; c++) {
         const char *piece = *c == '\n' ? " | " : (char[2]){*c, '\0'};
         used += (size_t)snprintf(line + used, sizeof line - used, "%s", piece);
     }

@@ -9,6 +9,7 @@
 
 #include <cmocka.h>
 
+#include "libbake/opencl_api_internal.h"
 #include "tests/unit/libbake/traced_sheet.h"
 
 /* OpenCL's division and square root may be 3 ulp off, and positions with them; a ray that grazes a
@@ -163,6 +164,25 @@ static void test_opencl_slices_of_texels(void **state)
     free(opencl);
 }
 
+/* Work groups are as large as kernels and devices allow, and powers of two. */
+static void test_opencl_groups(void **state)
+{
+    static const struct {
+        size_t items, sides[2], expected[2];
+    } cases[] = {
+        {256, {256, 256}, {8, 8}},  {64, {64, 64}, {8, 8}},    {63, {64, 64}, {8, 4}},
+        {16, {1024, 1024}, {4, 4}}, {1, {1024, 1024}, {1, 1}}, {1024, {1024, 1}, {8, 1}},
+        {4, {6, 3}, {2, 2}},        {0, {0, 0}, {1, 1}},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        size_t sides[2];
+        bake_opencl_group(cases[i].items, cases[i].sides, sides);
+        assert_int_equal(sides[0], cases[i].expected[0]);
+        assert_int_equal(sides[1], cases[i].expected[1]);
+    }
+}
+
 static void test_names(void **state)
 {
     static const char *const bad[] = {"gpu",       "",          "opencl:",           "opencl:x",
@@ -216,6 +236,7 @@ int main(void)
         cmocka_unit_test(test_opencl_agrees),
         cmocka_unit_test(test_opencl_small_tile),
         cmocka_unit_test(test_opencl_slices_of_texels),
+        cmocka_unit_test(test_opencl_groups),
         cmocka_unit_test(test_names),
         cmocka_unit_test(test_list_and_auto),
     };
