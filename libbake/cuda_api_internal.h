@@ -26,6 +26,13 @@ enum {
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR = 75,
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR = 76,
 
+    CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED = 102,
+
+    CU_MEM_ALLOCATION_TYPE_PINNED = 1,
+    CU_MEM_LOCATION_TYPE_DEVICE = 1,
+    CU_MEM_ACCESS_FLAGS_PROT_READWRITE = 3,
+    CU_MEM_ALLOC_GRANULARITY_MINIMUM = 0,
+
     CU_STREAM_NON_BLOCKING = 1,
     CU_EVENT_BLOCKING_SYNC = 1, /* waiting threads sleep */
 
@@ -33,6 +40,24 @@ enum {
     CU_JIT_ERROR_LOG_BUFFER = 5,
     CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES = 6
 };
+
+/* CUmemAllocationProp */
+struct bake_cuda_allocation {
+    int type, handle_types;
+    int location_type, location_id;
+    void *windows;
+    unsigned char compression, direct;
+    unsigned short usage;
+    unsigned char reserved[4];
+};
+_Static_assert(sizeof(struct bake_cuda_allocation) == 32, "as NVIDIA's header has it");
+
+/* CUmemAccessDesc */
+struct bake_cuda_access {
+    int location_type, location_id;
+    int flags;
+};
+_Static_assert(sizeof(struct bake_cuda_access) == 12, "as NVIDIA's header has it");
 
 /* X(name, symbol in the library, parameters). The symbols with a version are what NVIDIA's own
  * header maps the names to since CUDA 11.0. */
@@ -56,6 +81,22 @@ enum {
       (CUfunction * function, CUmodule module, const char *name))                                  \
     X(cuMemAlloc, cuMemAlloc_v2, (CUdeviceptr * memory, size_t bytes))                             \
     X(cuMemFree, cuMemFree_v2, (CUdeviceptr memory))                                               \
+    X(cuMemGetAllocationGranularity, cuMemGetAllocationGranularity,                                \
+      (size_t * bytes, const struct bake_cuda_allocation *allocation, int option))                 \
+    X(cuMemAddressReserve, cuMemAddressReserve,                                                    \
+      (CUdeviceptr * at, size_t bytes, size_t alignment, CUdeviceptr wanted,                       \
+       unsigned long long flags))                                                                  \
+    X(cuMemAddressFree, cuMemAddressFree, (CUdeviceptr at, size_t bytes))                          \
+    X(cuMemCreate, cuMemCreate,                                                                    \
+      (unsigned long long *handle, size_t bytes, const struct bake_cuda_allocation *allocation,    \
+       unsigned long long flags))                                                                  \
+    X(cuMemRelease, cuMemRelease, (unsigned long long handle))                                     \
+    X(cuMemMap, cuMemMap,                                                                          \
+      (CUdeviceptr at, size_t bytes, size_t offset, unsigned long long handle,                     \
+       unsigned long long flags))                                                                  \
+    X(cuMemUnmap, cuMemUnmap, (CUdeviceptr at, size_t bytes))                                      \
+    X(cuMemSetAccess, cuMemSetAccess,                                                              \
+      (CUdeviceptr at, size_t bytes, const struct bake_cuda_access *access, size_t count))         \
     X(cuMemAllocHost, cuMemAllocHost_v2, (void **memory, size_t bytes))                            \
     X(cuMemFreeHost, cuMemFreeHost, (void *memory))                                                \
     X(cuMemcpyHtoDAsync, cuMemcpyHtoDAsync_v2,                                                     \
@@ -108,11 +149,13 @@ struct bake_cuda_device {
 /* Describes device number `index` < count. */
 CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bake_cuda_device *out);
 
-/* The kernel for any device, ended by a zero; "" where the program was built without a compiler for it. */
+/* The kernel for any device, ended by a zero; "" where the program was built without a compiler for
+ * it. */
 extern const char bake_cuda_ptx[];
 
 struct bsq_ctx;
-/* Loads the driver and finds device number `index`; the error lists what is there: BSQ_ENODEVICE. */
+/* Loads the driver and finds device number `index`; the error lists what is there: BSQ_ENODEVICE.
+ */
 int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
                      struct bake_cuda_device *out);
 

@@ -1,14 +1,14 @@
 /* device_cuda.c - the kernel on an NVIDIA GPU, through the driver API.
  *
  * The kernel comes as PTX that was made when the program was built; the driver turns it into code
- * for the card and keeps that. Each array of the grid is in memory of its own. Every
- * worker has its own stream, tile memory on the device, and page-locked memory on the host, from
- * and to which the device copies by itself; so workers overlap each other's copies and kernels and
- * never wait for a lock. */
+ * for the card and keeps that. Each array of the grid is in memory of its own (cuda_memory.c).
+ * Every worker has its own stream, tile memory on the device, and page-locked memory on the host,
+ * from and to which the device copies by itself; so workers overlap each other's copies and kernels
+ * and never wait for a lock. */
 #include <stdio.h>
 #include <string.h>
 
-#include "libbake/cuda_api_internal.h"
+#include "libbake/cuda_memory_internal.h"
 #include "libbake/device_compute_internal.h"
 
 enum {
@@ -40,6 +40,7 @@ struct cuda {
     struct bake_cuda_api api;
     struct bake_cuda_device device;
     struct bake_cuda_tuning tuning;
+    struct bake_cuda_memory memory;
     CUcontext context;
     CUmodule module;
     CUfunction kernel;
@@ -67,16 +68,15 @@ static const char *cuda_attach(struct bake_compute *compute, int *code)
 
 static void cuda_allocate(struct bake_compute *compute, uint64_t bytes, bake_memory *out, int *code)
 {
-    struct cuda *cuda = (struct cuda *)compute;
-    CUdeviceptr memory = 0;
+    CUdeviceptr memory;
 
-    *code = bytes ? cuda->api.cuMemAlloc(&memory, bytes) : CUDA_SUCCESS;
+    *code = bake_cuda_memory_get(&((struct cuda *)compute)->memory, bytes, &memory);
     *out = memory;
 }
 
 static void cuda_release(struct bake_compute *compute, bake_memory memory)
 {
-    ((struct cuda *)compute)->api.cuMemFree(memory);
+    bake_cuda_memory_give(&((struct cuda *)compute)->memory, memory);
 }
 
 static void cuda_send(struct bake_compute *compute, unsigned piece, uint64_t bytes, bake_memory to,
@@ -366,7 +366,14 @@ static int ask_memory(struct cuda *cuda, uint64_t *limit)
     CUresult code = cuda->api.cuMemGetInfo(&free_bytes, &all_bytes);
 
     *limit = free_bytes - free_bytes / 16;
-    return code == CUDA_SUCCESS ? 0 : bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
+    if (code != CUDA_SUCCESS)
+        return bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
+    code = bake_cuda_memory_init(&cuda->memory, &cuda->api, cuda->device.device,
+                                 cuda->tuning.piece_bytes ? cuda->tuning.piece_bytes
+                                                          : BAKE_BUFFER_MOST);
+    return code == CUDA_SUCCESS
+               ? 0
+               : bake_compute_fail(&cuda->compute, "cuMemGetAllocationGranularity", code);
 }
 
 static int open_upload(struct cuda *cuda)
@@ -427,8 +434,9 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
         status = load_kernel(cuda);
     if (status == 0)
         status = ask_memory(cuda, &limit);
-    if (status == 0) /* no limit of a buffer but the memory's */
-        status = bake_compute_share_memory(compute, job, limit, UINT64_MAX);
+    if (status == 0)
+        status =
+            bake_compute_share_memory(compute, job, limit, bake_cuda_memory_most(&cuda->memory));
     if (status == 0)
         status = open_upload(cuda);
     return status < 0 ? status : bake_compute_send_triangles(compute, job);

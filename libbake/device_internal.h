@@ -13,6 +13,7 @@ enum { BAKE_MOST_SAMPLES = 256 }; /* N; 65536 a texel */
 struct bake_cuda_tuning {
     unsigned registers; /* of a thread at most; 0: as many as the compiler likes */
     unsigned block_width, block_height; /* threads; a multiple of 32 together, at most 1024 */
+    uint64_t piece_bytes; /* longest piece of the device's memory; 0: the limit of all devices */
 };
 
 /* Everything that stays the same over a job; pointers stay valid until the device is closed. */

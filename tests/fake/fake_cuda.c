@@ -19,6 +19,7 @@
  *  - FAKE_CUDA_HOURS=N: so many went by on that clock before the first kernel;
  *  - FAKE_CUDA_HOLD=N: the first kernel ends only once a copy was put into a stream that is older
  *    than its own and was waited for N times before; after 20 seconds it fails;
+ *  - FAKE_CUDA_MAPS=0: no memory can be mapped to addresses;
  *  - FAKE_CUDA_PTX=1: kernels are the PTX that was loaded;
  *  - FAKE_CUDA_COUNT=1: the end tells how many of its instructions warps went through. */
 #include <pthread.h>
@@ -57,6 +58,7 @@ struct allocation {
     char *memory;
     size_t bytes;
     struct allocation *next;
+    bool mapped, open; /* a piece of a reservation; it may be read and written */
     unsigned uses[MOST_STREAMS],
         writes[MOST_STREAMS]; /* by work that each stream has not done yet */
 };
@@ -112,6 +114,7 @@ static size_t local_bytes; /* that the first launch took */
 static unsigned streams_made;
 static unsigned hold; /* the waits that the first kernel's end is held for; 0: it is not held */
 static bool runs_ptx;
+static int maps_memory;
 static struct ptx *ptx;       /* loaded, where it is run */
 static uint64_t instructions; /* of warps */
 static pthread_cond_t released = PTHREAD_COND_INITIALIZER;
@@ -216,6 +219,7 @@ CUresult cuInit(unsigned flags)
     sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     hours = (double)setting("FAKE_CUDA_HOURS", 0);
     runs_ptx = setting("FAKE_CUDA_PTX", 0);
+    maps_memory = (int)setting("FAKE_CUDA_MAPS", 1);
     hold = (unsigned)setting("FAKE_CUDA_HOLD", 0);
     sticky = 0;
     calls_left = 0;
@@ -268,6 +272,8 @@ CUresult cuDeviceGetAttribute(int *value, int attribute, CUdevice device)
         *value = capability / 10;
     else if (attribute == CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR)
         *value = capability % 10;
+    else if (attribute == CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED)
+        *value = maps_memory;
     else
         return INVALID_VALUE;
     return is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
@@ -349,19 +355,46 @@ CUresult cuMemAlloc_v2(CUdeviceptr *memory, size_t bytes)
     return CUDA_SUCCESS;
 }
 
-/* Host address of `bytes` bytes of device memory; NULL where they are not all of one allocation. */
+static struct allocation *find_allocation(CUdeviceptr address)
+{
+    const char *at =
+        (char *)(uintptr_t)(address - DEVICE_ADDRESS); // NOLINT: the fake's own addresses
+    struct allocation *a = allocations;
+
+    while (a && !(at >= a->memory && at < a->memory + a->bytes))
+        a = a->next;
+    return a;
+}
+
+/* Host address of `bytes` bytes of device memory; NULL where they are not all of one allocation or
+ * of pieces of one reservation. */
 static void *device_memory(CUdeviceptr address, size_t bytes)
 {
-    char *at = (char *)(uintptr_t)(address - DEVICE_ADDRESS); // NOLINT: the fake's own addresses
-    void *found = NULL;
+    bool found = true;
 
     pthread_mutex_lock(&lock);
-    for (struct allocation *a = allocations; a && !found; a = a->next)
-        if (at >= a->memory && at + bytes <= a->memory + a->bytes)
-            found = at;
+    for (size_t done = 0; done < bytes && found;) {
+        const struct allocation *a = find_allocation(address + done);
+        found = a && (!a->mapped || a->open);
+        if (found) /* mapped pieces may go on one behind the other */
+            done = (size_t)(a->memory + a->bytes - (char *)(uintptr_t)(address - DEVICE_ADDRESS));
+        if (found && done < bytes)
+            found = a->mapped;
+    }
     pthread_mutex_unlock(&lock);
-    return found;
+    return found ? (char *)(uintptr_t)(address - DEVICE_ADDRESS) : NULL; // NOLINT: as above
 }
+
+/* Addresses that were reserved; pieces of memory are mapped there one by one, each of which is an
+ * allocation then. */
+struct reservation {
+    char *memory;
+    size_t bytes, mapped;
+    struct reservation *next;
+};
+static struct reservation *reservations; /* under the lock */
+enum { STEP_BYTES = 64 << 10, MOST_PIECES = 1000 };
+static size_t pieces[MOST_PIECES]; /* made and not mapped yet, by handle */
 
 static void run_stream(CUstream stream, CUevent until);
 
@@ -380,7 +413,7 @@ CUresult cuMemFree_v2(CUdeviceptr memory)
     pthread_mutex_lock(&lock);
     for (struct allocation **link = &allocations; *link; link = &(*link)->next) {
         struct allocation *gone = *link;
-        if (gone->memory != at)
+        if (gone->memory != at || gone->mapped)
             continue;
         *link = gone->next;
         used_bytes -= gone->bytes;
@@ -392,6 +425,173 @@ CUresult cuMemFree_v2(CUdeviceptr memory)
     }
     pthread_mutex_unlock(&lock);
     return INVALID_VALUE;
+}
+
+static bool is_on_device(const struct bake_cuda_allocation *a)
+{
+    return a->type == CU_MEM_ALLOCATION_TYPE_PINNED && a->handle_types == 0 &&
+           a->location_type == CU_MEM_LOCATION_TYPE_DEVICE && is_device(a->location_id) &&
+           !a->windows && !a->compression && !a->direct && !a->usage;
+}
+
+CUresult cuMemGetAllocationGranularity(size_t *bytes, const struct bake_cuda_allocation *allocation,
+                                       int option)
+{
+    BEGIN;
+    *bytes = STEP_BYTES;
+    return is_on_device(allocation) && option == CU_MEM_ALLOC_GRANULARITY_MINIMUM ? CUDA_SUCCESS
+                                                                                  : INVALID_VALUE;
+}
+
+CUresult cuMemAddressReserve(CUdeviceptr *at, size_t bytes, size_t alignment, CUdeviceptr wanted,
+                             unsigned long long flags)
+{
+    struct reservation *r;
+
+    BEGIN;
+    if (bytes == 0 || bytes % STEP_BYTES || alignment || wanted || flags)
+        return INVALID_VALUE;
+    r = calloc(1, sizeof *r);
+    *r = (struct reservation){.memory = aligned_alloc(STEP_BYTES, bytes), .bytes = bytes};
+    memset(r->memory, 0xa5, bytes);
+    pthread_mutex_lock(&lock);
+    r->next = reservations;
+    reservations = r;
+    live++;
+    pthread_mutex_unlock(&lock);
+    *at = (CUdeviceptr)(uintptr_t)r->memory + DEVICE_ADDRESS;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemAddressFree(CUdeviceptr at, size_t bytes)
+{
+    const char *memory = (char *)(uintptr_t)(at - DEVICE_ADDRESS); // NOLINT: as above
+    CUresult code = INVALID_VALUE;
+
+    pthread_mutex_lock(&lock);
+    for (struct reservation **link = &reservations; *link; link = &(*link)->next) {
+        struct reservation *gone = *link;
+        if (gone->memory != memory || gone->bytes != bytes || gone->mapped)
+            continue;
+        *link = gone->next;
+        free(gone->memory);
+        free(gone);
+        live--;
+        code = CUDA_SUCCESS;
+        break;
+    }
+    pthread_mutex_unlock(&lock);
+    return code;
+}
+
+CUresult cuMemCreate(unsigned long long *handle, size_t bytes,
+                     const struct bake_cuda_allocation *allocation, unsigned long long flags)
+{
+    BEGIN;
+    if (bytes == 0 || bytes % STEP_BYTES || !is_on_device(allocation) || flags)
+        return INVALID_VALUE;
+    if (!take_bytes(bytes))
+        return CUDA_ERROR_OUT_OF_MEMORY;
+    pthread_mutex_lock(&lock);
+    for (*handle = 1; pieces[*handle]; ++*handle)
+        if (*handle == MOST_PIECES - 1)
+            abort();
+    pieces[*handle] = bytes;
+    live++;
+    pthread_mutex_unlock(&lock);
+    return CUDA_SUCCESS;
+}
+
+/* A piece that is mapped has become an allocation. */
+CUresult cuMemRelease(unsigned long long handle)
+{
+    if (handle >= 2 * MOST_PIECES)
+        return INVALID_HANDLE;
+    pthread_mutex_lock(&lock);
+    if (handle < MOST_PIECES && pieces[handle]) {
+        used_bytes -= pieces[handle];
+        pieces[handle] = 0;
+        live--;
+    }
+    pthread_mutex_unlock(&lock);
+    return CUDA_SUCCESS;
+}
+
+static struct reservation *find_reservation(const char *memory, size_t bytes)
+{
+    struct reservation *r = reservations;
+
+    while (r && !(memory >= r->memory && memory + bytes <= r->memory + r->bytes))
+        r = r->next;
+    return r;
+}
+
+CUresult cuMemMap(CUdeviceptr at, size_t bytes, size_t offset, unsigned long long handle,
+                  unsigned long long flags)
+{
+    char *memory = (char *)(uintptr_t)(at - DEVICE_ADDRESS); // NOLINT: as above
+    struct allocation *allocation;
+    struct reservation *r;
+
+    BEGIN;
+    if (handle >= MOST_PIECES || pieces[handle] != bytes || offset || flags || at % STEP_BYTES)
+        return INVALID_VALUE;
+    pthread_mutex_lock(&lock);
+    r = find_reservation(memory, bytes);
+    if (r) {
+        allocation = calloc(1, sizeof *allocation);
+        *allocation = (struct allocation){
+            .memory = memory, .bytes = bytes, .mapped = true, .next = allocations};
+        allocations = allocation;
+        r->mapped += bytes;
+        pieces[handle] = 0;
+    }
+    pthread_mutex_unlock(&lock);
+    return r ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuMemSetAccess(CUdeviceptr at, size_t bytes, const struct bake_cuda_access *access,
+                        size_t count)
+{
+    struct allocation *a;
+
+    BEGIN;
+    pthread_mutex_lock(&lock);
+    a = find_allocation(at);
+    if (a && a->bytes == bytes && a->mapped && count == 1 && is_device(access->location_id) &&
+        access->location_type == CU_MEM_LOCATION_TYPE_DEVICE &&
+        access->flags == CU_MEM_ACCESS_FLAGS_PROT_READWRITE)
+        a->open = true;
+    pthread_mutex_unlock(&lock);
+    return a && a->open ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+/* Unlike freeing, this does not wait for the device. */
+CUresult cuMemUnmap(CUdeviceptr at, size_t bytes)
+{
+    const char *memory = (char *)(uintptr_t)(at - DEVICE_ADDRESS); // NOLINT: as above
+    CUresult code = INVALID_VALUE;
+
+    pthread_mutex_lock(&lock);
+    for (struct allocation **link = &allocations; *link; link = &(*link)->next) {
+        struct allocation *gone = *link;
+        bool used = false;
+        if (gone->memory != memory || gone->bytes != bytes || !gone->mapped)
+            continue;
+        for (int s = 0; s < MOST_STREAMS; s++)
+            used |= gone->uses[s] > 0;
+        if (used)
+            fputs("fake CUDA: memory is unmapped while it is used\n", stderr);
+        find_reservation(memory, bytes)->mapped -= bytes;
+        *link = gone->next;
+        used_bytes -= bytes;
+        live--;
+        free(gone);
+        code = used ? INVALID_VALUE : CUDA_SUCCESS;
+        break;
+    }
+    pthread_mutex_unlock(&lock);
+    return code;
 }
 
 /* Page-locked memory of the host. */
@@ -453,17 +653,6 @@ static bool is_locked(const void *memory, size_t bytes)
 }
 
 /* ---- streams ---- */
-
-static struct allocation *find_allocation(CUdeviceptr address)
-{
-    const char *at =
-        (char *)(uintptr_t)(address - DEVICE_ADDRESS); // NOLINT: the fake's own addresses
-    struct allocation *a = allocations;
-
-    while (a && !(at >= a->memory && at < a->memory + a->bytes))
-        a = a->next;
-    return a;
-}
 
 /* Under the lock: notes that a stream has or has not work to do that uses memory. False where
  * another stream has work to do with the same memory, and either writes: nothing tells which comes

@@ -35,7 +35,7 @@ static int open_fake(void)
 static void restore(void)
 {
     static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL",
-                                        "NS",      "HOURS",  "PTX"};
+                                        "NS",      "HOURS",  "PTX",        "MAPS"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -227,6 +227,47 @@ static void test_memory_for_the_driver(void **state)
         free(native);
         free(cuda);
     }
+}
+
+/* No piece of memory is longer than a limit: a longer array, as the upper nodes are here, is made
+ * of several; or, where the device cannot do that, the grid is traced in passes. */
+static void test_pieces_of_memory(void **state)
+{
+    static const char *const failures[] = {"cuMemAddressReserve:1:2",
+                                           "cuMemCreate:1:2",
+                                           "cuMemCreate:2:2",
+                                           "cuMemMap:1:2",
+                                           "cuMemMap:3:2",
+                                           "cuMemSetAccess:1:2",
+                                           "cuMemSetAccess:2:2"};
+    const struct bake_cuda_tuning tuning = {
+        .registers = 128, .block_width = 8, .block_height = 16, .piece_bytes = (128 << 10) + 1};
+    struct fixture *f = *state;
+    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
+    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
+    struct bake_device *device;
+    uint64_t part, buffer, other;
+
+    f->job.cuda_tuning = &tuning;
+    cuda = traced_sheet_trace(f, "cuda", 0);
+    assert_same(native, cuda, TEXELS);
+    assert_int_equal(live(), 0);
+    for (size_t i = 0; i < sizeof failures / sizeof *failures; i++) {
+        setenv("FAKE_CUDA_FAIL", failures[i], 1);
+        assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
+        assert_non_null(strstr(bsq_error(f->ctx), "CUDA_ERROR_OUT_OF_MEMORY"));
+        bsq_clear_error(f->ctx);
+        assert_int_equal(live(), 0);
+    }
+    restore();
+    setenv("FAKE_CUDA_MAPS", "0", 1);
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    assert_int_equal(buffer, tuning.piece_bytes);
+    bake_device_close(device);
+    f->job.cuda_tuning = NULL;
+    free(native);
+    free(cuda);
 }
 
 /* The samples of a texel are traced by several calls where there are many. */
@@ -468,6 +509,7 @@ int main(void)
         cmocka_unit_test_setup(test_slices, each_setup),
         cmocka_unit_test_setup(test_times_after_days, each_setup),
         cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
+        cmocka_unit_test_setup(test_pieces_of_memory, each_setup),
         cmocka_unit_test_setup(test_slices_of_texels, each_setup),
         cmocka_unit_test_setup(test_absent, each_setup),
         cmocka_unit_test_setup(test_wrong_architecture, each_setup),
