@@ -19,7 +19,7 @@
 #define BK_MARGIN_FOLD   0.4f
 
 /* A record whose plane passes this far from the hit belongs to another sheet of the same
- * orientation. */
+ * orientation, or to the other side of a crease: weights fall smoothly to 0. */
 #define BK_SHEET_DISTANCE 0.75f
 /* Records are means over their voxels, which lowers slopes by 1/24 of their second derivatives.
  * Along a line the cubic p whose means are two records' heights and slopes g has p' = (1 - u) g0 +
@@ -78,6 +78,12 @@ typedef struct bk_record {
     bk_iw low, high; /* words of the record's number */
 } bk_record;
 
+/* Length of a record's mean normal. It is 1 where the surface in the voxel is flat. */
+BK_FN bk_fw bk_coverage(bk_iw planes)
+{
+    return bk_to_fw(planes >> 16 & 255) * (1.0f / 255.0f);
+}
+
 /* The surface's distance from its mean plane. A smooth one errs by about half the curvature times
  * the square of half a voxel's diagonal: 0.1 voxels at a curvature radius of 4 voxels. Rough
  * surfaces with details of 2 voxels and slopes of 50 degrees lose one ray in 20000 with a margin of
@@ -85,7 +91,7 @@ typedef struct bk_record {
  * the fold's angle, tells how deep. At a box's edge the faces end 0.35 voxels from the plane. */
 BK_FN bk_fw bk_margin(bk_iw planes)
 {
-    const bk_fw coverage = bk_to_fw(planes >> 16 & 255) * (1.0f / 255.0f);
+    const bk_fw coverage = bk_coverage(planes);
 
     return BK_MARGIN_SMOOTH +
            BK_MARGIN_FOLD * bk_sqrtw(bk_maxw(0.98f - coverage * coverage, bk_splat(0.0f)));
@@ -260,7 +266,11 @@ typedef struct bk_corner {
     bk_fw trust;  /* the same, 0 where the plane does not go with the normal */
 } bk_corner;
 
-/* Corner i of a cell. Records of other sheets get no weight. */
+/* Corner i of a cell. Records of other sheets get no weight, and those of folds little: their normal
+ * is neither side's, while records around have those of both. With the eighth power of coverage half
+ * of the weight is left where a surface turns by 45 degrees, 1/16 at 90, and all but a twentieth on
+ * a cylinder of 2.5 voxels. Of the powers 4, 8, 16 and 32 it leaves fewest texels that err by more
+ * than 5 degrees. */
 BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, const bk_weights *at)
 {
     const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;
@@ -272,12 +282,14 @@ BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, con
     const bk_fw near =
         bk_maxw(1.0f - f * f * (1.0f / (BK_SHEET_DISTANCE * BK_SHEET_DISTANCE)), zero);
     const bk_mask there = (bk_load_lanes(cell->present) & (bk_int)(1u << i)) != 0;
+    const bk_fw coverage = bk_coverage(planes), squared = coverage * coverage;
+    const bk_fw fourth = squared * squared, smooth = fourth * fourth;
     bk_corner corner;
 
     corner.normal = n;
     corner.offset = d;
     corner.f = f;
-    corner.gate = bk_keep(bk_less(zero, agreement) & there, near);
+    corner.gate = bk_keep(bk_less(zero, agreement) & there, (near * near) * smooth);
     /* A facet's plane says nothing of a normal that was interpolated over it. */
     corner.trust = corner.gate * (1.0f - bk_to_fw((planes & BK_PLANE_SHADED) >> 25));
     return corner;
