@@ -177,8 +177,12 @@ static int compute_load(struct bake_backend *backend, unsigned slot, const struc
     const double started = bsq_seconds_now();
     char text[BAKE_COMPUTE_TEXT];
     const char *what;
-    int status = load_part(compute, &compute->parts[slot], part, &what), unused;
+    int status, unused;
 
+    /* A whole grid goes up before there is anything to trace; parts while the threads trace others.
+     */
+    compute->stage.ctx = part->whole ? compute->ctx : NULL;
+    status = load_part(compute, &compute->parts[slot], part, &what);
     if (status < 0) {
         compute->calls->drain(compute, &unused);
         snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,

@@ -6,6 +6,8 @@
 
 #include <stdint.h>
 
+struct bsq_ctx;
+
 struct bake_stage {
     char *pieces[2]; /* of piece_bytes each */
     uint64_t piece_bytes;
@@ -15,6 +17,10 @@ struct bake_stage {
      * other piece may be filled. 0 or a negative status, which the functions below pass on. */
     int (*send)(void *device, unsigned turn, uint64_t bytes);
     void *device;
+    /* Whose threads fill a piece together: one thread takes a file's pages several times slower
+     * than a device takes them from the piece. NULL: the calling thread, where the others are busy.
+     */
+    struct bsq_ctx *ctx;
 };
 
 /* Sends bytes of data behind those that were put there before. stage: a struct bake_stage, so that
