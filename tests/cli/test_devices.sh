@@ -81,6 +81,12 @@ if [ -s "$ptx" ]; then
     command="awk -f check_ptx.awk $ptx" code=0
     awk -f "$top/libbake/kernel/check_ptx.awk" "$ptx" >"$out" 2>"$err" || code=$?
     check "the PTX rounds as the processor does" "$code"
+    # Drivers take PTX up to their own version: CUDA 11.0, the oldest that has all functions, up to 7.0.
+    if [ -z "${ptx##*clang*}" ]; then
+        version=$(sed -n 's/^\.version \([0-9]*\)\.\([0-9]*\)$/\1\2/p' "$ptx")
+        [ "${version:-99}" -le 70 ]
+        check "the PTX is for drivers since CUDA 11.0" $?
+    fi
     for bad in 'fma.rn.f32 %f1, %f2, %f3, %f4;' 'mul.f32 %f1, %f2, %f3;' 'div.full.f32 %f1, %f2, %f3;' \
         'sqrt.approx.f32 %f1, %f2;' 'add.rn.ftz.f32 %f1, %f2, %f3;' 'add.rn.f64 %fd1, %fd2, %fd3;'; do
         { cat "$ptx"; printf '\t%s\n' "$bad"; } >bad.ptx
