@@ -61,7 +61,9 @@ static int measure_all(struct rays_scene *scene)
            "|---|---|---|---|---|---|---|---|\n");
     for (size_t r = 0; r < sizeof registers / sizeof *registers; r++)
         for (size_t b = 0; b < sizeof blocks / sizeof *blocks && status == 0; b++) {
-            const struct bake_cuda_tuning tuning = {registers[r], blocks[b][0], blocks[b][1]};
+            const struct bake_cuda_tuning tuning = {.registers = registers[r],
+                                                    .block_width = blocks[b][0],
+                                                    .block_height = blocks[b][1]};
             status = measure(scene, &tuning, &m);
             if (status == 0)
                 printf("| %u | %u x %u | %.1f | %.3f | %" PRIu64 " | %.3f | %.3f | %016" PRIx64

@@ -31,9 +31,10 @@ static const unsigned type_bytes[] = {1, 2, 4, 8, 2, 4, 8, 2, 4, 8, 4, 0};
 #define OPERATIONS(X)                                                                              \
     X(abs)                                                                                         \
     X(add)                                                                                         \
-    X(and) X(bfe) X(bfi) X(bra) X(cvt) X(cvta) X(div) X(ld) X(mad) X(max) X(min) X(mov) X(mul)     \
-        X(neg) X(not ) X(or) X(popc) X(rcp) X(ret) X(selp) X(setp) X(shl) X(shr) X(sqrt) X(st)     \
-            X(sub) X(xor)
+    X(and)                                                                                         \
+    X(bfe) X(bfi) X(bra) X(cvt) X(cvta) X(div) X(ld) X(mad) X(max) X(min) X(mov) X(mul) X(neg)     \
+        X(not ) X(or) X(popc) X(rcp) X(ret) X(selp) X(setp) X(shl) X(shr) X(sqrt) X(st) X(sub)     \
+            X(xor)
 #define OPERATION_NUMBER(name) OP_##name,
 #define OPERATION_NAME(name)   #name,
 enum operation { OPERATIONS(OPERATION_NUMBER) OPERATION_COUNT };
