@@ -226,6 +226,58 @@ static void test_sine_nearest(void **state)
     assert_true(errors.average > 1 && errors.average < 2.1 && errors.p95 < 4.4);
 }
 
+/* A ridge whose sides fall by 40 degrees, turned against the grid. The record of a voxel that the ridge
+ * passes through has neither side's normal. Where it counted as others do, normals within two voxels of
+ * the ridge erred by 4.7 degrees on average, and 22 % of them by more than 5. */
+static void test_crease(void **state)
+{
+    (void)state;
+    enum { RAYS = 200000, CELLS = 480 };
+    const double centre[3] = {100.3, -57.2, 33.7}, slope = tan(40 * PI / 180);
+    const struct analytic_sine frame = analytic_sine_make(100, 20, centre);
+    struct analytic_grid *source = analytic_grid_create();
+    double *angles = malloc(RAYS * sizeof *angles), normals[2][3], at[3];
+    uint64_t seed = test_seed();
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+    size_t above = 0;
+
+    for (int side = 0; side < 2; side++)
+        for (int k = 0; k < 3; k++)
+            normals[side][k] = (frame.axes[2][k] + (side ? slope : -slope) * frame.axes[0][k]) /
+                               sqrt(1 + slope * slope);
+    for (int i = 0; i < CELLS; i++)
+        for (int j = 0; j < CELLS; j++) {
+            double u = (i + 0.5) / 12 - 20, v = (j + 0.5) / 12 - 20;
+            analytic_sine_point(&frame, u, v, -slope * fabs(u), at);
+            analytic_grid_add(source, at, normals[u > 0], sqrt(1 + slope * slope) / 144, NULL);
+        }
+    analytic_grid_open(context, source, false, &grid);
+    analytic_grid_free(source);
+    bake_params_from_grid(&grid, &params);
+    for (int i = 0; i < RAYS; i++) {
+        double u = 4 * (analytic_random(&seed) - 0.5), v = 30 * (analytic_random(&seed) - 0.5);
+        float o[3], d[3], facing[3];
+        struct bk_hit hit;
+        analytic_sine_point(&frame, u, v, 10, at);
+        for (int k = 0; k < 3; k++) {
+            o[k] = (float)at[k];
+            facing[k] = (float)frame.axes[2][k];
+            d[k] = -facing[k];
+        }
+        bake_trace_ray(&grid, &params, o, d, 0, 20, facing, &hit);
+        assert_true(hit.found);
+        angles[i] = angle_degrees(normals[u > 0], hit.normal);
+        above += angles[i] > 5;
+    }
+    double average = mean(angles, RAYS), share = (double)above / RAYS;
+    print_message("ridge: normals within two voxels err by %.2f degrees, %.3f by more than 5\n",
+                  average, share);
+    assert_true(average < 4.1 && share < 0.19);
+    fmt_nvdb_close(context, &grid);
+    free(angles);
+}
+
 static void add_plane(struct analytic_grid *grid, double z, double up, const float color[3])
 {
     for (int i = 0; i < 40 * 8; i++)
@@ -360,6 +412,7 @@ int main(void)
         cmocka_unit_test(test_sphere),
         cmocka_unit_test(test_sine_accuracy),
         cmocka_unit_test(test_sine_nearest),
+        cmocka_unit_test(test_crease),
         cmocka_unit_test(test_thin_plate),
         cmocka_unit_test(test_range),
         cmocka_unit_test(test_voxels_at_the_ends_of_the_index_range_are_refused),
