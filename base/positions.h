@@ -38,16 +38,56 @@ static inline uint32_t bsq_position_hash(const float p[3])
     return (uint32_t)(h ^ h >> 32);
 }
 
-/* Slot of the position, or the free one where it belongs. */
-static inline uint32_t *bsq_positions_find(const struct bsq_positions *table, const float p[3])
+/* Slot of the position, which has this hash, or the free one where it belongs. */
+static inline uint32_t *bsq_positions_find_hashed(const struct bsq_positions *table, const float p[3], uint32_t hash)
 {
-    uint32_t at = bsq_position_hash(p) & table->mask;
+    uint32_t at = hash & table->mask;
     for (; table->slots[at] != 0; at = (at + 1) & table->mask) {
         const float *q = table->positions[table->slots[at] - 1];
-        if (q[0] == p[0] && q[1] == p[1] && q[2] == p[2])
+        if ((q[0] == p[0]) & (q[1] == p[1]) & (q[2] == p[2]))
             break;
     }
     return &table->slots[at];
+}
+
+static inline uint32_t *bsq_positions_find(const struct bsq_positions *table, const float p[3])
+{
+    return bsq_positions_find_hashed(table, p, bsq_position_hash(p));
+}
+
+/* Positions that are looked for together, so that the table's slots are there when they are needed. */
+enum { BSQ_POSITIONS_BATCH = 64 };
+
+typedef float bsq_four_floats __attribute__((vector_size(16)));
+typedef int32_t bsq_four_masks __attribute__((vector_size(16)));
+
+/* Those of a batch inside the bounds: their indices. Returns their number. Four positions at a time are three vectors. */
+static inline uint32_t bsq_positions_inside(const float min[3], const float max[3], const float (*positions)[3],
+                                            uint32_t count, uint32_t inside[BSQ_POSITIONS_BATCH])
+{
+    const bsq_four_floats low[3] = {
+        {min[0], min[1], min[2], min[0]}, {min[1], min[2], min[0], min[1]}, {min[2], min[0], min[1], min[2]}};
+    const bsq_four_floats high[3] = {
+        {max[0], max[1], max[2], max[0]}, {max[1], max[2], max[0], max[1]}, {max[2], max[0], max[1], max[2]}};
+    uint32_t found = 0;
+    for (uint32_t i = 0; i < count; i += 4) {
+        uint32_t left = count - i < 4 ? count - i : 4;
+        bsq_four_floats numbers[3] = {{0.0f}};
+        bsq_four_masks within[3];
+        int32_t all[12];
+        if (left == 4)
+            memcpy(numbers, positions[i], sizeof numbers);
+        else
+            memcpy(numbers, positions[i], left * sizeof *positions);
+        for (int k = 0; k < 3; k++)
+            within[k] = (numbers[k] >= low[k]) & (numbers[k] <= high[k]);
+        memcpy(all, within, sizeof all);
+        for (uint32_t k = 0; k < left; k++) {
+            inside[found] = i + k;
+            found += (uint32_t)(all[3 * k] & all[3 * k + 1] & all[3 * k + 2] & 1);
+        }
+    }
+    return found;
 }
 
 /* numbers[i]: of positions[i] in the table + 1, or 0; bounds are those of what is in the table. Whether there is any. */
@@ -55,13 +95,20 @@ static inline bool bsq_positions_match(const struct bsq_positions *table, const 
                                        const float (*positions)[3], uint32_t count, uint32_t *numbers)
 {
     uint32_t any = 0;
-    for (uint32_t i = 0; i < count; i++) {
-        const float *p = positions[i];
-        bool inside = true;
-        for (int a = 0; a < 3; a++)
-            inside &= (p[a] >= min[a]) & (p[a] <= max[a]);
-        numbers[i] = inside ? *bsq_positions_find(table, p) : 0;
-        any |= numbers[i];
+    for (uint32_t done = 0; done < count; done += BSQ_POSITIONS_BATCH) {
+        uint32_t batch = count - done < BSQ_POSITIONS_BATCH ? count - done : BSQ_POSITIONS_BATCH;
+        uint32_t inside[BSQ_POSITIONS_BATCH], hashes[BSQ_POSITIONS_BATCH];
+        uint32_t found = bsq_positions_inside(min, max, positions + done, batch, inside);
+        memset(numbers + done, 0, batch * sizeof *numbers);
+        for (uint32_t i = 0; i < found; i++) {
+            hashes[i] = bsq_position_hash(positions[done + inside[i]]);
+            __builtin_prefetch(&table->slots[hashes[i] & table->mask]);
+        }
+        for (uint32_t i = 0; i < found; i++) {
+            uint32_t at = done + inside[i];
+            numbers[at] = *bsq_positions_find_hashed(table, positions[at], hashes[i]);
+            any |= numbers[at];
+        }
     }
     return any != 0;
 }
