@@ -146,7 +146,7 @@ static bool bounds_valid(const float min[3], const float max[3])
 static uint64_t load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
 {
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    return l.bytes + (l.short_indices ? tris_align8(12 * (uint64_t)info->triangle_count) : 0);
+    return l.short_indices ? tris_align8(l.triangles + 12 * (uint64_t)info->triangle_count) : l.bytes;
 }
 
 static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_info *info)
@@ -298,23 +298,41 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
     return file->load_size_max;
 }
 
-/* Largest index; widens them into `wide` where they are stored in 16 bits. */
-static uint32_t take_indices(const uint8_t *stored, bool short_indices, uint32_t *wide,
-                             uint32_t count)
+/* Indices that are widened at once. */
+enum { WIDEN_STEP = 8 };
+
+static uint32_t widen_step(uint8_t *stored, uint32_t first, uint32_t count)
+{
+    uint16_t from[WIDEN_STEP] = {0};
+    uint32_t to[WIDEN_STEP], max = 0;
+    memcpy(from, stored + (uint64_t)first * sizeof *from, count * sizeof *from);
+    for (uint32_t i = 0; i < WIDEN_STEP; i++) {
+        to[i] = from[i];
+        max = to[i] > max ? to[i] : max;
+    }
+    memcpy(stored + (uint64_t)first * sizeof *to, to, count * sizeof *to);
+    return max;
+}
+
+/* Turns indices of 16 bits into those of 32 where they are, from the last to the first, as there is room behind
+ * them. Returns the largest. */
+static uint32_t widen_indices(uint8_t *stored, uint32_t count)
+{
+    uint32_t first = count - count % WIDEN_STEP;
+    uint32_t max = widen_step(stored, first, count - first);
+    while (first > 0) {
+        first -= WIDEN_STEP;
+        uint32_t here = widen_step(stored, first, WIDEN_STEP);
+        max = here > max ? here : max;
+    }
+    return max;
+}
+
+static uint32_t largest_index(const uint32_t *indices, uint32_t count)
 {
     uint32_t max = 0;
-    if (short_indices) {
-        const uint16_t *from = (const uint16_t *)(const void *)stored;
-        for (uint32_t i = 0; i < count; i++) {
-            uint32_t index = from[i];
-            wide[i] = index;
-            max = index > max ? index : max;
-        }
-    } else {
-        const uint32_t *from = (const uint32_t *)(const void *)stored;
-        for (uint32_t i = 0; i < count; i++)
-            max = from[i] > max ? from[i] : max;
-    }
+    for (uint32_t i = 0; i < count; i++)
+        max = indices[i] > max ? indices[i] : max;
     return max;
 }
 
@@ -366,8 +384,7 @@ static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
         out->colors = (const uint32_t *)(const void *)(bytes + l->colors);
     if (attributes & FMT_TRIS_MATERIALS)
         out->materials = (const uint32_t *)(const void *)(bytes + l->materials);
-    const uint8_t *indices = bytes + (l->short_indices ? l->bytes : l->triangles);
-    out->triangles = (const uint32_t(*)[3])(const void *)indices;
+    out->triangles = (const uint32_t(*)[3])(const void *)(bytes + l->triangles);
 }
 
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
@@ -390,8 +407,8 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     out->triangle_count = info->triangle_count;
     out->vertex_count = info->vertex_count;
     place_chunk(out, bytes, &l, attributes);
-    uint32_t max = take_indices(bytes + l.triangles, l.short_indices,
-                                (uint32_t *)(void *)(bytes + l.bytes), 3 * info->triangle_count);
+    uint32_t max = l.short_indices ? widen_indices(bytes + l.triangles, 3 * info->triangle_count)
+                                   : largest_index(out->triangles[0], 3 * info->triangle_count);
     if (max >= info->vertex_count)
         return tris_damaged_chunk(file, index, "an index is out of range");
     if (!positions_inside(out, info))
