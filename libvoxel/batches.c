@@ -166,9 +166,12 @@ static void make_entries(const struct batches *b, const uint8_t *records, uint64
                          uint32_t count, struct entry *entries)
 {
     const struct record_layout *layout = &b->scattered->layout;
+    /* Copies, which what is written cannot change as far as the compiler knows. */
+    const struct morton_cube cube = b->scattered->cube;
+    const struct column positions = b->scan->columns[SCAN_POSITIONS];
     for (uint32_t i = 0; layout->plain && i < count; i++)
         entries[i] = (struct entry){
-            .key = scattered_plain_key(b->scattered, b->scan, records + 12 * (uint64_t)i),
+            .key = scattered_plain_key(&cube, &positions, records + 12 * (uint64_t)i),
             .record = (uint32_t)(first + i)};
     for (uint32_t i = 0; !layout->plain && i < count; i++)
         entries[i] = (struct entry){

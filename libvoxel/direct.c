@@ -161,34 +161,34 @@ static int on_block(void *arg, const struct fmt_obj_block *block)
     return status;
 }
 
-/* Largest index but "none", plus one; *none: whether there is one. */
-static uint64_t index_end(const uint64_t *indices, uint64_t count, bool *none)
+/* No index but "none" is `end` or more. Both are below 2^62, so that the difference tells, and "none"
+ * is what wraps to `end`. */
+static bool all_below(const uint64_t *indices, uint64_t count, uint64_t end)
 {
-    uint64_t end = 0, any_none = 0;
-    for (uint64_t i = 0; i < count; i++) {
-        uint64_t next = indices[i] + 1;
-        end = next > end ? next : end;
-        any_none |= next == 0;
-    }
-    *none = any_none != 0;
-    return end;
+    uint64_t differences = 0;
+    for (uint64_t i = 0; i < count; i++)
+        differences |= end - 1 - indices[i];
+    return differences >> 63 == 0;
+}
+
+static bool any_none(const uint64_t *indices, uint64_t count)
+{
+    bool any = false;
+    for (uint64_t i = 0; i < count; i++)
+        any |= indices[i] == FMT_OBJ_NONE;
+    return any;
 }
 
 /* All indices of the block are those of elements that were read. */
 static bool indices_are_known(const struct scan *scan, const struct fmt_obj_block *block,
                               bool *lacks_texcoord)
 {
-    bool none;
-    if (index_end(block->corner_vertices, block->corner_count, &none) >
-        scan_count(scan, SCAN_POSITIONS))
-        return false;
-    if (block->corner_normals && index_end(block->corner_normals, block->corner_count, &none) >
-                                     scan_count(scan, SCAN_NORMALS))
-        return false;
-    *lacks_texcoord = true;
-    return !block->corner_texcoords ||
-           index_end(block->corner_texcoords, block->corner_count, lacks_texcoord) <=
-               scan_count(scan, SCAN_TEXCOORDS);
+    const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
+    const uint64_t count = block->corner_count;
+    *lacks_texcoord = !texcoords || any_none(texcoords, count);
+    return all_below(block->corner_vertices, count, scan_count(scan, SCAN_POSITIONS)) &&
+           (!normals || all_below(normals, count, scan_count(scan, SCAN_NORMALS))) &&
+           (!texcoords || all_below(texcoords, count, scan_count(scan, SCAN_TEXCOORDS)));
 }
 
 static int copy_changes(struct block_slot *slot, const struct fmt_obj_block *block)

@@ -49,17 +49,16 @@ static inline uint64_t morton_key(const uint32_t cell[3])
 }
 
 /* The same of coordinates below 32. */
-static inline uint32_t morton_short_spread(uint32_t x)
-{
-    x = (x | x << 8) & 0x100fu;
-    x = (x | x << 4) & 0x10c3u;
-    return (x | x << 2) & 0x1249u;
-}
-
 static inline uint32_t morton_short_key(const uint32_t cell[3])
 {
-    return morton_short_spread(cell[0]) << 2 | morton_short_spread(cell[1]) << 1 |
-           morton_short_spread(cell[2]);
+#define SPREAD2(x) (x), (x) + 1
+#define SPREAD4(x) SPREAD2(x), SPREAD2((x) + 8)
+#define SPREAD8(x) SPREAD4(x), SPREAD4((x) + 64)
+    static const uint16_t spread[32] = {SPREAD8(0), SPREAD8(512), SPREAD8(4096), SPREAD8(4608)};
+#undef SPREAD2
+#undef SPREAD4
+#undef SPREAD8
+    return (uint32_t)spread[cell[0]] << 2 | (uint32_t)spread[cell[1]] << 1 | spread[cell[2]];
 }
 
 /* A cube with 2^21 cells an axis over the bounds of a scan. */

@@ -25,16 +25,15 @@ int scatter_collect(struct scattered *out, const struct splitter *splitter);
 uint64_t scatter_unused(const struct scan *scan, const atomic_uint_least64_t *used);
 
 /* Key of a plain record's triangle, see record_layout. */
-static inline uint64_t scattered_plain_key(const struct scattered *scattered,
-                                           const struct scan *scan, const uint8_t *record)
+static inline uint64_t scattered_plain_key(const struct morton_cube *cube,
+                                           const struct column *positions, const uint8_t *record)
 {
-    const struct column *positions = &scan->columns[SCAN_POSITIONS];
     const float *p[3];
     uint32_t cell[3], index[3];
     memcpy(index, record, sizeof index);
     for (uint32_t k = 0; k < 3; k++)
         p[k] = column_at(positions, index[k], 12);
-    morton_cells(&scattered->cube, p[0], p[1], p[2], cell);
+    morton_cells(cube, p[0], p[1], p[2], cell);
     return morton_key(cell);
 }
 

@@ -137,12 +137,13 @@ static inline bool has_no_area(const float *const p[3])
     return !surely_has_area(p[0], p[1], p[2]) && without_area(p[0], p[1], p[2]);
 }
 
-static inline uint32_t cell_of(const struct split_plan *plan, const float *const p[3])
+static inline uint32_t cell_of(const struct morton_cube *cube, uint32_t levels,
+                               const float *const p[3])
 {
     uint32_t cell[3];
-    morton_cells(&plan->cube, p[0], p[1], p[2], cell);
+    morton_cells(cube, p[0], p[1], p[2], cell);
     for (int k = 0; k < 3; k++)
-        cell[k] >>= MORTON_AXIS_BITS - plan->levels;
+        cell[k] >>= MORTON_AXIS_BITS - levels;
     return morton_short_key(cell);
 }
 
@@ -155,7 +156,7 @@ static inline void add_triangle(struct splitter *s, const struct source *source,
         s->degenerate++;
         return;
     }
-    uint32_t number = cell_of(s->plan, p);
+    uint32_t number = cell_of(&s->plan->cube, s->plan->levels, p);
     uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
     if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
         s->links[s->link_count - 1].material != material)
@@ -466,7 +467,10 @@ static void put_plain(struct splitter *s, struct writer *w, const uint64_t v[3],
 /* False where there would be too many pieces; what is in the splitter then means nothing. */
 static bool split_plain(struct splitter *s, const struct face_group *group)
 {
-    const struct column *positions = &s->plan->scan->columns[SCAN_POSITIONS];
+    /* Copies, which what is written cannot change as far as the compiler knows. */
+    const struct column positions = s->plan->scan->columns[SCAN_POSITIONS];
+    const struct morton_cube cube = s->plan->cube;
+    const uint32_t levels = s->plan->levels;
     const uint32_t material = run_material(group->first_material, true);
     const uint64_t *v = group->indices[FACE_VERTEX];
     const uint32_t most = plain_pieces(group->face_count);
@@ -477,14 +481,14 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     for (uint32_t t = 0; t < group->face_count; t++, v += 3) {
         const float *p[3];
         for (int k = 0; k < 3; k++)
-            p[k] = column_at(positions, v[k], 12);
+            p[k] = column_at(&positions, v[k], 12);
         if (has_no_area(p)) {
             s->degenerate++;
             for (int k = 0; s->plan->used && k < 3; k++)
                 mark_vertex(s->plan->used, v[k]);
             continue;
         }
-        uint32_t number = cell_of(s->plan, p);
+        uint32_t number = cell_of(&cube, levels, p);
         bool first = number != cell || w.run.triangles == RUN_TRIANGLES;
         if (number != cell) {
             end_piece(s, &w);
