@@ -152,10 +152,20 @@ static void enlarge_table(struct chunk_builder *b)
     }
 }
 
+/* Numbers the vertex whose values are behind those of all others. */
+static inline uint32_t enter_vertex(struct chunk_builder *b, uint32_t slot, uint64_t hash)
+{
+    uint32_t number = b->vertex_count++;
+    b->table[slot] = table_entry(hash, number);
+    if (b->table_bits < MAX_TABLE_BITS && b->vertex_count > (3u << b->table_bits) / 4)
+        enlarge_table(b);
+    return number;
+}
+
 static uint32_t add_vertex(struct chunk_builder *b, const struct vertex *v, uint32_t slot,
                            uint64_t hash)
 {
-    uint32_t number = b->vertex_count++;
+    const uint32_t number = b->vertex_count;
     memcpy(b->positions[number], v->position, 12);
     if (b->normals)
         b->normals[number] = v->normal;
@@ -163,10 +173,7 @@ static uint32_t add_vertex(struct chunk_builder *b, const struct vertex *v, uint
         memcpy(b->texcoords[number], v->texcoord, 8);
     if (b->colors)
         b->colors[number] = v->color;
-    b->table[slot] = table_entry(hash, number);
-    if (b->table_bits < MAX_TABLE_BITS && b->vertex_count > (3u << b->table_bits) / 4)
-        enlarge_table(b);
-    return number;
+    return enter_vertex(b, slot, hash);
 }
 
 /* Number of the vertex in the chunk, entered where it is new. */
@@ -282,86 +289,98 @@ static void build_triangles(struct chunk_builder *b, const uint8_t *records,
 #define GROUP_TRIANGLES 128u
 #define NOTE_FLAG       (1u << 31)
 
-struct note {
-    uint64_t hash;
-    uint64_t *cached;
-    uint32_t index, number;
+/* One more may be written than there are. */
+struct notes {
+    uint32_t index[3 * GROUP_TRIANGLES + 1], number[3 * GROUP_TRIANGLES + 1];
+    uint64_t hash[3 * GROUP_TRIANGLES];
 };
 
-/* A free place of the cache holds an index that no scan has. One note more may be written than
- * there are. */
-static uint32_t note_corners(uint64_t *cache, const uint8_t *records, const struct entry *entries,
-                             uint32_t count, uint32_t (*out)[3], struct note *notes)
+static inline uint64_t *plain_place(uint64_t *cache, uint32_t index)
 {
-    uint32_t noted = 0;
+    return &cache[index * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
+}
+
+/* A free place of the cache holds an index that no scan has. */
+static uint32_t note_corners(uint64_t *cache, const uint8_t *records, const struct entry *entries,
+                             uint32_t count, uint32_t (*out)[3], struct notes *notes)
+{
+    const uint64_t flag = (uint64_t)NOTE_FLAG << 32;
+    uint64_t noted = 0;
     for (uint32_t t = 0; t < count; t++) {
         const uint8_t *record = records + (uint64_t)entries[t].record * 12;
         for (uint32_t k = 0; k < 3; k++) {
             uint32_t index;
             memcpy(&index, record + 4 * k, 4);
-            uint64_t *place = &cache[index * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
-            uint64_t cached = *place, fresh = (uint64_t)(NOTE_FLAG | noted) << 32 | index;
-            uint32_t unknown = (uint32_t)cached != index;
-            cached ^= (cached ^ fresh) & (0 - (uint64_t)unknown);
+            uint64_t *place = plain_place(cache, index), cached = *place;
+            uint64_t unknown = (uint32_t)cached != index;
+            cached ^= (cached ^ (flag | noted << 32 | index)) & (0 - unknown);
             *place = cached;
             out[t][k] = (uint32_t)(cached >> 32);
-            notes[noted].index = index;
-            notes[noted].cached = place;
+            notes->index[noted] = index;
             noted += unknown;
         }
     }
-    return noted;
+    return (uint32_t)noted;
 }
 
-/* Number of the vertex in the chunk, entered where it is new. */
+/* As number_hashed(), of a vertex that is a position and nothing else. */
 static inline uint32_t number_position(struct chunk_builder *b, const float position[3],
                                        uint64_t hash)
 {
-    const struct vertex v = {.position = {position[0], position[1], position[2]}};
-    return number_hashed(b, &v, hash);
+    const uint32_t mask = (1u << b->table_bits) - 1;
+    uint32_t slot = table_slot(b, hash), entry;
+    for (; (entry = b->table[slot]) != 0; slot = (slot + 1) & mask) {
+        uint32_t number = (entry & NUMBER_MASK) - 1;
+        /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): bit by bit, as same_vertex() */
+        if (entry == table_entry(hash, number) && memcmp(b->positions[number], position, 12) == 0)
+            return number;
+    }
+    memcpy(b->positions[b->vertex_count], position, 12);
+    return enter_vertex(b, slot, hash);
 }
 
-static void number_notes(struct chunk_builder *b, struct note *notes, uint32_t noted)
+static void number_notes(struct chunk_builder *b, struct notes *notes, uint32_t noted)
 {
-    const struct column *positions = &b->scan->columns[SCAN_POSITIONS];
+    const struct column positions = b->scan->columns[SCAN_POSITIONS];
     for (uint32_t i = 0; i < noted; i++)
-        __builtin_prefetch(column_at(positions, notes[i].index, 12));
+        __builtin_prefetch(column_at(&positions, notes->index[i], 12));
     for (uint32_t i = 0; i < noted; i++) {
-        notes[i].hash = hash_position(column_at(positions, notes[i].index, 12));
-        __builtin_prefetch(&b->table[table_slot(b, notes[i].hash)]);
+        notes->hash[i] = hash_position(column_at(&positions, notes->index[i], 12));
+        __builtin_prefetch(&b->table[table_slot(b, notes->hash[i])]);
     }
     for (uint32_t i = 0; i < noted; i++) {
-        const float *position = column_at(positions, notes[i].index, 12);
-        notes[i].number = number_position(b, position, notes[i].hash);
-        uint64_t note = (uint64_t)(NOTE_FLAG | i) << 32 | notes[i].index;
-        if (*notes[i].cached == note)
-            *notes[i].cached = (uint64_t)notes[i].number << 32 | notes[i].index;
+        const uint32_t index = notes->index[i];
+        uint32_t number = number_position(b, column_at(&positions, index, 12), notes->hash[i]);
+        uint64_t *place = plain_place(b->plain, index);
+        if (*place == ((uint64_t)(NOTE_FLAG | i) << 32 | index))
+            *place = (uint64_t)number << 32 | index;
+        notes->number[i] = number;
     }
 }
 
 /* Numbers of notes become those of their vertices. */
-static void resolve_notes(const struct note *notes, uint32_t *numbers, uint32_t count)
+static void resolve_notes(const struct notes *notes, uint32_t *numbers, uint32_t count)
 {
     for (uint32_t i = 0; i < count; i++) {
         uint32_t noted = 0 - (numbers[i] >> 31), note = numbers[i] & ~NOTE_FLAG & noted;
-        numbers[i] = (notes[note].number & noted) | (numbers[i] & ~noted);
+        numbers[i] = (notes->number[note] & noted) | (numbers[i] & ~noted);
     }
 }
 
 static void build_plain(struct chunk_builder *b, const uint8_t *records,
                         const struct entry *entries, uint32_t count)
 {
-    struct note notes[3 * GROUP_TRIANGLES + 1];
-    notes[0].number = 0;
+    struct notes notes;
+    notes.number[0] = 0;
     memset(b->plain, 0xff, sizeof *b->plain << PLAIN_CACHE_BITS);
     for (uint32_t first = 0, end; first < count; first = end) {
         end = count - first < GROUP_TRIANGLES ? count : first + GROUP_TRIANGLES;
         for (uint32_t t = end; t < count && t < end + GROUP_TRIANGLES; t++)
             __builtin_prefetch(records + (uint64_t)entries[t].record * sizeof(uint32_t[3]));
         uint32_t noted = note_corners(b->plain, records, entries + first, end - first,
-                                      b->triangles + first, notes);
-        number_notes(b, notes, noted);
-        resolve_notes(notes, b->triangles[first], 3 * (end - first));
+                                      b->triangles + first, &notes);
+        number_notes(b, &notes, noted);
+        resolve_notes(&notes, b->triangles[first], 3 * (end - first));
     }
 }
 

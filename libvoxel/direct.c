@@ -161,8 +161,8 @@ static int on_block(void *arg, const struct fmt_obj_block *block)
     return status;
 }
 
-/* No index but "none" is `end` or more. Both are below 2^62, so that the difference tells, and "none"
- * is what wraps to `end`. */
+/* No index but "none" is `end` or more. Both are below 2^62, so that the difference tells, and
+ * "none" is what wraps to `end`. */
 static bool all_below(const uint64_t *indices, uint64_t count, uint64_t end)
 {
     uint64_t differences = 0;
