@@ -232,25 +232,35 @@ bunny()
     discard bunny
 }
 
-# The bunny's waves alone, without the creases between its faces, stretched 1, 2 and 4 times and as steep as before:
-# triangles stay as large as they are, so a wave has more of them. Shortest waves are about 8 texels long, or 4 in small.
+# waves_of NAME TITLE TRIANGLES STRETCH RATIO...: the bunny's waves, STRETCH times as long and as steep as ever, 0: none. The old
+# edges are rounded, though not away. Shortest waves are 6 to 11 texels long in medium and half of that in small, by direction;
+# tables say 8 and 4.
+waves_of()
+{
+    surface=$1 title="$2, $(($3 / 1000000))M triangles" triangles=$3 stretch=$4
+    shift 4
+    "$TESTS/generate-scan" --triangles "$triangles" --rounded --amplitude "$(calc "0.002 * $stretch")" \
+        --wavelength "$(calc "0.03 * $diagonal * $stretch")" "$SCANS/bunny.obj" -o waves.obj || exit 73
+    prepare "$surface" waves.obj "$SCANS/bunny_low.obj" $size
+    rm waves.obj
+    for ratio; do
+        detail=-
+        [ "$stretch" = 0 ] || detail=$(calc "8 * $stretch * $size / 2048 / $ratio")
+        both_samplings "$surface" "$ratio" "$detail" "$title"
+    done
+    discard "$surface"
+}
+
+# What the waves' own length, the triangles and the small scan beneath have in the bunny's errors.
 waves()
 {
     has_bunny || return
     diagonal=$(calc "$(awk -f "$here/accuracy_diagonal.awk" "$SCANS/bunny.obj")") || exit 65
-    for stretch in 1 2 4; do
-        "$TESTS/generate-scan" --triangles $bunny_triangles --rounded --amplitude "$(calc "0.002 * $stretch")" \
-            --wavelength "$(calc "0.03 * $diagonal * $stretch")" "$SCANS/bunny.obj" -o waves.obj || exit 73
-        prepare "waves$stretch" waves.obj "$SCANS/bunny_low.obj" $size
-        rm waves.obj
-        for ratio in $ratios; do
-            detail=$(calc "8 * $stretch * $size / 2048 / $ratio")
-            case $detail in
-            8 | 16 | 32) both_samplings "waves$stretch" "$ratio" "$detail" "bunny's waves, $((bunny_triangles / 1000000))M triangles" ;;
-            esac
-        done
-        discard "waves$stretch"
-    done
+    waves_of waves "bunny's waves" $bunny_triangles 1 1 0.5 0.25
+    waves_of long "bunny's waves" $bunny_triangles 2 2 1 0.5
+    waves_of fine "bunny's waves" $((4 * bunny_triangles)) 1 1 0.5 0.25
+    # shellcheck disable=SC2086 # a list
+    waves_of still "bunny without waves" $bunny_triangles 0 $ratios
 }
 
 for scan; do
