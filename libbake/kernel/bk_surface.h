@@ -266,11 +266,11 @@ typedef struct bk_corner {
     bk_fw trust;  /* the same, 0 where the plane does not go with the normal */
 } bk_corner;
 
-/* Corner i of a cell. Records of other sheets get no weight, and those of folds little: their normal
- * is neither side's, while records around have those of both. With the eighth power of coverage half
- * of the weight is left where a surface turns by 45 degrees, 1/16 at 90, and all but a twentieth on
- * a cylinder of 2.5 voxels. Of the powers 4, 8, 16 and 32 it leaves fewest texels that err by more
- * than 5 degrees. */
+/* Corner i of a cell. Records of other sheets get no weight, and those of folds little: their
+ * normal is neither side's, while records around have those of both. With the eighth power of
+ * coverage half of the weight is left where a surface turns by 45 degrees, 1/16 at 90, and all but
+ * a twentieth on a cylinder of 2.5 voxels. Of the powers 4, 8, 16 and 32 it leaves fewest texels
+ * that err by more than 5 degrees, on the bunny and on the vase. */
 BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, const bk_weights *at)
 {
     const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;

@@ -226,9 +226,9 @@ static void test_sine_nearest(void **state)
     assert_true(errors.average > 1 && errors.average < 2.1 && errors.p95 < 4.4);
 }
 
-/* A ridge whose sides fall by 40 degrees, turned against the grid. The record of a voxel that the ridge
- * passes through has neither side's normal. Where it counted as others do, normals within two voxels of
- * the ridge erred by 4.7 degrees on average, and 22 % of them by more than 5. */
+/* A ridge whose sides fall by 40 degrees, turned against the grid. The record of a voxel that the
+ * ridge passes through has neither side's normal. Where it counted as others do, normals within two
+ * voxels of the ridge erred by 4.7 degrees on average, and 22 % of them by more than 5. */
 static void test_crease(void **state)
 {
     (void)state;
