@@ -187,7 +187,7 @@ $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(ar
 
 # A CUDA driver without a GPU, which tests open instead of a real one.
 fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
-$(fake_cuda): $(patsubst %,$(BUILD)/obj/tests/fake/%.c.o,fake_cuda ptx)
+$(fake_cuda): $(patsubst %.c,$(BUILD)/obj/%.c.o,$(wildcard tests/fake/fake_*.c tests/fake/ptx_*.c))
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libcuda.so.1 -o $@ $^ -lm
 crashing_driver := $(BUILD)/tests/fake/crashing_driver.so

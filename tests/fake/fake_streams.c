@@ -1,0 +1,256 @@
+/* fake_streams.c - the fake's streams, which do their work only when somebody waits for it; copies,
+ * and events. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "base/clock.h"
+#include "tests/fake/fake_cuda_internal.h"
+
+struct CUstream_st {
+    pthread_mutex_t lock;         /* of the work and its execution */
+    unsigned number;              /* in the order of their making, from 1 */
+    unsigned waits, copies_since; /* how often it was waited for; copies put in after the waits that
+                                     `hold` asks for */
+    struct work *first, *last;
+    CUstream next;
+};
+
+struct CUevent_st {
+    CUstream stream; /* recorded there */
+    int pending;
+    double at;
+};
+
+static CUstream streams; /* under the lock */
+static struct CUstream_st default_stream = {.lock = PTHREAD_MUTEX_INITIALIZER};
+static unsigned streams_made;
+static pthread_cond_t released = PTHREAD_COND_INITIALIZER;
+
+/* Under the lock: notes that a stream has or has not work to do that uses memory. False where
+ * another stream has work to do with the same memory, and either writes: nothing tells which comes
+ * first. */
+static bool note_uses(const struct work *work, CUstream stream, int change)
+{
+    bool alone = true;
+
+    for (unsigned i = 0; i < work->use_count; i++) {
+        struct allocation *a = fake_find_allocation(work->used[i]);
+        const bool writes = i + work->written >= work->use_count;
+        if (!a) /* an empty array */
+            continue;
+        a->uses[stream->number] += (unsigned)change;
+        a->writes[stream->number] += writes ? (unsigned)change : 0;
+        for (unsigned s = 0; s < MOST_STREAMS; s++)
+            if (s != stream->number && (writes ? a->uses[s] : a->writes[s]))
+                alone = false;
+    }
+    return alone;
+}
+
+CUresult fake_append(CUstream stream, const struct work *work)
+{
+    struct work *copy = malloc(sizeof *copy);
+    bool alone;
+
+    *copy = *work;
+    copy->next = NULL;
+    pthread_mutex_lock(&fake.lock);
+    alone = note_uses(work, stream, 1);
+    if (work->kind == COPY && fake.hold && stream->waits >= fake.hold) {
+        stream->copies_since++;
+        pthread_cond_broadcast(&released);
+    }
+    pthread_mutex_unlock(&fake.lock);
+    pthread_mutex_lock(&stream->lock);
+    if (stream->last)
+        stream->last->next = copy;
+    else
+        stream->first = copy;
+    stream->last = copy;
+    pthread_mutex_unlock(&stream->lock);
+    if (!alone)
+        fputs("fake CUDA: two streams use the same memory at the same time\n", stderr);
+    return alone ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+/* Keeps the first kernel from ending before the copy that it is held for. */
+static CUresult hold_kernel(CUstream own)
+{
+    struct timespec end;
+    int late = 0;
+    bool copied = false;
+
+    clock_gettime(CLOCK_REALTIME, &end);
+    end.tv_sec += 20;
+    pthread_mutex_lock(&fake.lock);
+    while (fake.hold && !copied && !late) {
+        for (CUstream s = streams; s && !copied; s = s->next)
+            copied = s->number < own->number && s->copies_since > 0;
+        if (!copied)
+            late = pthread_cond_timedwait(&released, &fake.lock, &end);
+    }
+    fake.hold = 0;
+    if (late)
+        fake.sticky = 702; /* CUDA_ERROR_LAUNCH_TIMEOUT */
+    pthread_mutex_unlock(&fake.lock);
+    return late ? 702 : CUDA_SUCCESS;
+}
+
+static void run_work(struct work *work)
+{
+    if (work->kind == COPY) {
+        memcpy(work->to, work->from, work->bytes);
+    } else if (work->kind == LAUNCH) {
+        fake_run_kernel(work);
+    } else {
+        pthread_mutex_lock(&fake.lock);
+        work->event->at = fake.sample_seconds > 0 ? fake.virtual_now : bsq_seconds_now();
+        pthread_mutex_unlock(&fake.lock);
+        work->event->pending = 0;
+    }
+}
+
+/* Does a stream's work, up to an event where one is given. */
+static void run_stream(CUstream stream, CUevent until)
+{
+    pthread_mutex_lock(&stream->lock);
+    while (stream->first && !(until && !until->pending)) {
+        struct work *work = stream->first;
+        stream->first = work->next;
+        if (!stream->first)
+            stream->last = NULL;
+        run_work(work);
+        if (work->kind == LAUNCH)
+            hold_kernel(stream);
+        pthread_mutex_lock(&fake.lock);
+        note_uses(work, stream, -1);
+        pthread_mutex_unlock(&fake.lock);
+        free(work);
+    }
+    pthread_mutex_unlock(&stream->lock);
+}
+
+void fake_run_streams(void)
+{
+    for (CUstream stream = streams; stream; stream = stream->next)
+        run_stream(stream, NULL);
+}
+
+CUresult cuStreamCreate(CUstream *stream, unsigned flags)
+{
+    BEGIN_IN_CONTEXT;
+    *stream = calloc(1, sizeof **stream);
+    pthread_mutex_init(&(*stream)->lock, NULL);
+    pthread_mutex_lock(&fake.lock);
+    (*stream)->next = streams;
+    streams = *stream;
+    (*stream)->number = ++streams_made % MOST_STREAMS;
+    fake.live++;
+    pthread_mutex_unlock(&fake.lock);
+    return flags <= CU_STREAM_NON_BLOCKING ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuStreamSynchronize(CUstream stream)
+{
+    run_stream(stream, NULL);
+    pthread_mutex_lock(&fake.lock);
+    stream->waits++;
+    pthread_mutex_unlock(&fake.lock);
+    BEGIN_IN_CONTEXT;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuStreamDestroy_v2(CUstream stream)
+{
+    NEED_CONTEXT;
+    run_stream(stream, NULL);
+    pthread_mutex_lock(&fake.lock);
+    for (CUstream *link = &streams; *link; link = &(*link)->next)
+        if (*link == stream) {
+            *link = stream->next;
+            break;
+        }
+    fake.live--;
+    pthread_mutex_unlock(&fake.lock);
+    pthread_mutex_destroy(&stream->lock);
+    free(stream);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemcpyHtoDAsync_v2(CUdeviceptr to, const void *from, size_t bytes, CUstream stream)
+{
+    struct work work = {.kind = COPY,
+                        .to = fake_device_memory(to, bytes),
+                        .from = from,
+                        .bytes = bytes,
+                        .used = {to},
+                        .use_count = 1,
+                        .written = 1};
+
+    BEGIN_IN_CONTEXT;
+    if (!work.to || !fake_is_locked(from, bytes))
+        return INVALID_VALUE;
+    return fake_append(stream, &work);
+}
+
+CUresult cuMemcpyDtoHAsync_v2(void *to, CUdeviceptr from, size_t bytes, CUstream stream)
+{
+    struct work work = {.kind = COPY,
+                        .to = to,
+                        .from = fake_device_memory(from, bytes),
+                        .bytes = bytes,
+                        .used = {from},
+                        .use_count = 1};
+
+    BEGIN_IN_CONTEXT;
+    if (!work.from || !fake_is_locked(to, bytes))
+        return INVALID_VALUE;
+    return fake_append(stream, &work);
+}
+
+CUresult cuEventCreate(CUevent *event, unsigned flags)
+{
+    BEGIN_IN_CONTEXT;
+    *event = calloc(1, sizeof **event);
+    fake_count_live(1);
+    return flags <= CU_EVENT_BLOCKING_SYNC ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuEventDestroy_v2(CUevent event)
+{
+    NEED_CONTEXT;
+    free(event);
+    fake_count_live(-1);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuEventRecord(CUevent event, CUstream stream)
+{
+    struct work work = {.kind = RECORD, .event = event};
+
+    BEGIN_IN_CONTEXT;
+    event->stream = stream ? stream : &default_stream;
+    event->pending = 1;
+    return fake_append(event->stream, &work);
+}
+
+CUresult cuEventSynchronize(CUevent event)
+{
+    if (event->pending)
+        run_stream(event->stream, event);
+    BEGIN_IN_CONTEXT;
+    return CUDA_SUCCESS;
+}
+
+CUresult cuEventElapsedTime(float *milliseconds, CUevent from, CUevent to)
+{
+    BEGIN_IN_CONTEXT;
+    if (!from->stream || !to->stream)
+        return INVALID_HANDLE;
+    if (from->pending || to->pending)
+        return NOT_READY;
+    *milliseconds = (float)(1e3 * (to->at - from->at));
+    return CUDA_SUCCESS;
+}
