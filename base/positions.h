@@ -73,18 +73,18 @@ static inline uint32_t bsq_positions_inside(const float min[3], const float max[
     for (uint32_t i = 0; i < count; i += 4) {
         uint32_t left = count - i < 4 ? count - i : 4;
         bsq_four_floats numbers[3] = {{0.0f}};
-        bsq_four_masks within[3];
-        int32_t all[12];
+        int32_t within[12];
         if (left == 4)
             memcpy(numbers, positions[i], sizeof numbers);
         else
             memcpy(numbers, positions[i], left * sizeof *positions);
-        for (int k = 0; k < 3; k++)
-            within[k] = (numbers[k] >= low[k]) & (numbers[k] <= high[k]);
-        memcpy(all, within, sizeof all);
+        for (int k = 0; k < 3; k++) {
+            bsq_four_masks four = (numbers[k] >= low[k]) & (numbers[k] <= high[k]);
+            memcpy(&within[4 * k], &four, sizeof four);
+        }
         for (uint32_t k = 0; k < left; k++) {
             inside[found] = i + k;
-            found += (uint32_t)(all[3 * k] & all[3 * k + 1] & all[3 * k + 2] & 1);
+            found += (uint32_t)(within[3 * k] & within[3 * k + 1] & within[3 * k + 2] & 1);
         }
     }
     return found;
