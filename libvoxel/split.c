@@ -140,7 +140,7 @@ static inline bool has_no_area(const float *const p[3])
 static inline uint32_t cell_of(const struct morton_cube *cube, uint32_t levels,
                                const float *const p[3])
 {
-    uint32_t cell[3];
+    uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
     morton_cells(cube, p[0], p[1], p[2], cell);
     for (int k = 0; k < 3; k++)
         cell[k] >>= MORTON_AXIS_BITS - levels;
