@@ -60,7 +60,7 @@ static const struct kind kinds[] = {
 };
 enum { KINDS = sizeof kinds / sizeof kinds[0] };
 
-/* Loads the whole grid where there is room. */
+/* Loads the whole grid where there is room; else it is traced in passes. */
 static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend *backend)
 {
     char why[BAKE_WHY_BYTES] = "";
@@ -80,6 +80,8 @@ static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
         return 0;
     status = backend->load(backend, 0, &whole, why);
     backend->holds_grid = status == 0;
+    if (status == BSQ_ENODEVICE && backend->lacked_memory)
+        return 0;
     return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
 }
 

@@ -13,6 +13,9 @@ struct bake_backend {
     uint64_t memory_bytes, buffer_bytes;
     uint64_t other_bytes; /* of the device's memory that the job uses besides */
     bool holds_grid; /* all of it, in slot 0; set by device.c */
+    /* Loading all of it found less memory than memory_bytes said; that tells now what parts may
+     * take. */
+    bool lacked_memory;
     /* Puts a part of the grid into a slot, instead of what was there; its tiles can be traced from
      * then on. From one thread at a time, while other threads trace tiles of the other slot. NULL:
      * the device reads the mapped file. Failures as for trace(). */

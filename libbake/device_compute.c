@@ -35,6 +35,12 @@ uint64_t bake_compute_texel_bytes(const struct bake_compute *compute)
     return (uint64_t)compute->tile_texels * sizeof(struct bk_texel);
 }
 
+static uint64_t worker_bytes(const struct bake_compute *compute)
+{
+    return compute->worker_count *
+           (bake_compute_sample_bytes(compute) + bake_compute_texel_bytes(compute));
+}
+
 static uint64_t triangle_bytes(const struct bake_job *job)
 {
     return job->triangle_count * (uint64_t)sizeof *job->triangles;
@@ -52,8 +58,7 @@ int bake_compute_share_memory(struct bake_compute *compute, const struct bake_jo
                               uint64_t limit, uint64_t buffer_bytes)
 {
     const uint64_t samples = bake_compute_sample_bytes(compute), triangles = triangle_bytes(job);
-    const uint64_t fixed =
-        compute->worker_count * (samples + bake_compute_texel_bytes(compute)) + triangles;
+    const uint64_t fixed = worker_bytes(compute) + triangles;
 
     if (job->device_memory && job->device_memory < limit)
         limit = job->device_memory;
@@ -130,15 +135,21 @@ static void unload_part(struct bake_compute *compute, struct bake_compute_part *
     *part = (struct bake_compute_part){0};
 }
 
-static int reserve_part(struct bake_compute *compute, struct bake_compute_part *to,
-                        const struct bake_part *part)
+static uint64_t part_bytes(const struct bake_part *part)
 {
     uint64_t total = 0;
-    int status;
 
     for (int i = 0; i < BAKE_PART_ARRAYS; i++)
         total += part->bytes[i];
-    status = bsq_reserve(compute->ctx, "grid on a device that shares host memory", total);
+    return total;
+}
+
+static int reserve_part(struct bake_compute *compute, struct bake_compute_part *to,
+                        const struct bake_part *part)
+{
+    const uint64_t total = part_bytes(part);
+    int status = bsq_reserve(compute->ctx, "grid on a device that shares host memory", total);
+
     if (status == 0)
         to->reserved_bytes = total;
     return status;
@@ -170,6 +181,22 @@ static int load_part(struct bake_compute *compute, struct bake_compute_part *to,
     return status == 0 ? finish_upload(compute) : status;
 }
 
+/* The grid was too much, though there should have been room for it: others use the device too. */
+static void learn_memory(struct bake_compute *compute, const struct bake_part *whole)
+{
+    struct bake_backend *base = &compute->base;
+    uint64_t left = part_bytes(whole) / 2;
+
+    unload_part(compute, &compute->parts[0]);
+    if (compute->calls->room) {
+        const uint64_t room = compute->calls->room(compute), tiles = worker_bytes(compute);
+        const uint64_t asked = room > tiles ? room - tiles : 0;
+        left = asked < left ? asked : left;
+    }
+    base->memory_bytes = left;
+    base->lacked_memory = true;
+}
+
 static int compute_load(struct bake_backend *backend, unsigned slot, const struct bake_part *part,
                         char *why)
 {
@@ -185,6 +212,8 @@ static int compute_load(struct bake_backend *backend, unsigned slot, const struc
     status = load_part(compute, &compute->parts[slot], part, &what);
     if (status < 0) {
         compute->calls->drain(compute, &unused);
+        if (part->whole && compute->calls->lacks_memory(compute->upload_code))
+            learn_memory(compute, part);
         snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
                  compute->upload_code == 0 ? bsq_error(compute->ctx)
                                            : describe(compute, compute->upload_code, text));

@@ -36,11 +36,15 @@ enum { BAKE_COMPUTE_TEXT = 192 };
 struct bake_compute_calls {
     /* Text of an error. buffer: BAKE_COMPUTE_TEXT bytes. */
     const char *(*describe)(const struct bake_compute *compute, int code, char *buffer);
+    /* Whether an error says that the device has no memory left. */
+    bool (*lacks_memory)(int code);
     /* Makes the calling thread one that may use the device; NULL where any may. */
     const char *(*attach)(struct bake_compute *compute, int *code);
 
     /* Memory; `bytes` may be 0 for arrays that are never read. */
     void (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out, int *code);
+    /* How much the job may use besides what it has; NULL where there is no asking. */
+    uint64_t (*room)(struct bake_compute *compute);
     void (*release)(struct bake_compute *compute, bake_memory memory);
     /* Begins to copy a piece of the stage to a place in memory, waits until one may be filled
      * again, or until all are copied. */

@@ -56,6 +56,11 @@ static const char *cuda_describe(const struct bake_compute *compute, int code, c
     return bake_cuda_error(&((const struct cuda *)compute)->api, code, buffer);
 }
 
+static bool cuda_lacks_memory(int code)
+{
+    return code == CUDA_ERROR_OUT_OF_MEMORY;
+}
+
 static const char *cuda_attach(struct bake_compute *compute, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
@@ -72,6 +77,25 @@ static void cuda_allocate(struct bake_compute *compute, uint64_t bytes, bake_mem
 
     *code = bake_cuda_memory_get(&((struct cuda *)compute)->memory, bytes, &memory);
     *out = memory;
+}
+
+/* What of the device's memory is free, but for a sixteenth of all: the driver takes some for what
+ * does not fit a thread's registers when the first kernel is launched, however much is free, and
+ * rounds each array up. */
+static CUresult free_memory(const struct cuda *cuda, uint64_t *out)
+{
+    size_t free_bytes = 0, all_bytes = 0;
+    CUresult code = cuda->api.cuMemGetInfo(&free_bytes, &all_bytes);
+
+    *out = free_bytes > all_bytes / 16 ? free_bytes - all_bytes / 16 : 0;
+    return code;
+}
+
+static uint64_t cuda_room(struct bake_compute *compute)
+{
+    uint64_t bytes;
+
+    return free_memory((struct cuda *)compute, &bytes) == CUDA_SUCCESS ? bytes : 0;
 }
 
 static void cuda_release(struct bake_compute *compute, bake_memory memory)
@@ -294,8 +318,10 @@ static void cuda_leave(struct bake_compute *compute, unsigned number, int code)
 }
 
 static const struct bake_compute_calls calls = {.describe = cuda_describe,
+                                                .lacks_memory = cuda_lacks_memory,
                                                 .attach = cuda_attach,
                                                 .allocate = cuda_allocate,
+                                                .room = cuda_room,
                                                 .release = cuda_release,
                                                 .send = cuda_send,
                                                 .wait_for_piece = cuda_wait_for_piece,
@@ -358,14 +384,10 @@ static int open_context(struct cuda *cuda)
     return code == CUDA_SUCCESS ? 0 : bake_compute_fail(&cuda->compute, "cuEventRecord", code);
 }
 
-/* What of the device's memory is free, but for a sixteenth: the driver takes some for what does not
- * fit a thread's registers when the first kernel is launched, and rounds each array up. */
 static int ask_memory(struct cuda *cuda, uint64_t *limit)
 {
-    size_t free_bytes = 0, all_bytes = 0;
-    CUresult code = cuda->api.cuMemGetInfo(&free_bytes, &all_bytes);
+    CUresult code = free_memory(cuda, limit);
 
-    *limit = free_bytes - free_bytes / 16;
     if (code != CUDA_SUCCESS)
         return bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
     code = bake_cuda_memory_init(&cuda->memory, &cuda->api, cuda->device.device,

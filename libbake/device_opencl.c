@@ -61,6 +61,12 @@ static const char *opencl_describe(const struct bake_compute *compute, int code,
     return bake_opencl_error(code, buffer);
 }
 
+/* Memory is often found to be missing only when something is copied there. */
+static bool opencl_lacks_memory(int code)
+{
+    return code == CL_MEM_OBJECT_ALLOCATION_FAILURE || code == CL_OUT_OF_RESOURCES;
+}
+
 /* ---- memory ---- */
 
 static void opencl_allocate(struct bake_compute *compute, uint64_t bytes, bake_memory *out,
@@ -295,6 +301,7 @@ static void opencl_leave(struct bake_compute *compute, unsigned number, int code
 }
 
 static const struct bake_compute_calls calls = {.describe = opencl_describe,
+                                                .lacks_memory = opencl_lacks_memory,
                                                 .allocate = opencl_allocate,
                                                 .release = opencl_release,
                                                 .send = opencl_send,

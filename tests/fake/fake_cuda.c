@@ -12,6 +12,7 @@
  * It obeys the environment, read by cuInit():
  *  - FAKE_CUDA_DEVICES=N: how many there are (1);
  *  - FAKE_CUDA_MEMORY=BYTES: of each (1 GiB);
+ *  - FAKE_CUDA_TAKEN=BYTES: so many another program takes once it was asked how much is free;
  *  - FAKE_CUDA_CAPABILITY=NN: of each (90);
  *  - FAKE_CUDA_FAIL=CALL:N:CODE: the Nth call of a function fails so, and if CODE is 700 or more
  *    all calls after it;
@@ -123,6 +124,8 @@ CUresult cuInit(unsigned flags)
     pthread_mutex_lock(&fake.lock);
     fake.device_count = (int)setting("FAKE_CUDA_DEVICES", 1);
     fake.memory_bytes = setting("FAKE_CUDA_MEMORY", 1u << 30);
+    fake.taken_bytes = setting("FAKE_CUDA_TAKEN", 0);
+    fake.others_bytes = 0;
     fake.capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
     fake.sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     fake.hours = (double)setting("FAKE_CUDA_HOURS", 0);

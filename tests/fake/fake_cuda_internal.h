@@ -46,7 +46,8 @@ struct fake_cuda {
     int live;   /* objects that exist */
     int sticky; /* what all calls fail with from now on */
     size_t memory_bytes, used_bytes;
-    size_t local_bytes; /* that the first launch took */
+    size_t taken_bytes, others_bytes; /* that another program is going to take, and has */
+    size_t local_bytes;               /* that the first launch took */
     struct allocation *allocations;
     double sample_seconds, virtual_now, hours;
     unsigned hold; /* the waits that the first kernel's end is held for; 0: it is not held */

@@ -34,8 +34,8 @@ static int open_fake(void)
 
 static void restore(void)
 {
-    static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL",
-                                        "NS",      "HOURS",  "PTX",        "MAPS"};
+    static const char *const names[] = {"DEVICES", "MEMORY", "TAKEN", "CAPABILITY", "FAIL",
+                                        "NS",      "HOURS",  "PTX",   "MAPS"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -229,17 +229,66 @@ static void test_memory_for_the_driver(void **state)
     }
 }
 
+/* Opens a device that has room for the grid and what tiles need, until another program takes memory:
+ * `left` bytes of the grid's. Tells what parts may take then. */
+static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const char *name,
+                                   uint64_t left)
+{
+    struct bake_device *device;
+    uint64_t part, buffer, other, all;
+    char bytes[32];
+
+    assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
+    assert_true(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    all = (other + grid_bytes(f)) / 15 * 16 + 32;
+    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)all);
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(all - all / 16 - other - left));
+    setenv("FAKE_CUDA_TAKEN", bytes, 1);
+    assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
+    assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
+    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    restore();
+    return BAKE_SLOTS * part;
+}
+
+/* A grid that there was room for until another program took some is traced in passes, in what is
+ * left; whether or not the device was named. */
+static void test_memory_for_others(void **state)
+{
+    struct fixture *f = *state;
+    static const char *const names[] = {"cuda", "auto"};
+    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
+    const struct bsq_ctx_options one_thread = {.threads = 1, .on_warning = on_warning};
+    const uint64_t grid = grid_bytes(f);
+    struct bsq_ctx *ctx;
+
+    warnings[0] = '\0';
+    assert_int_equal(bsq_ctx_create(&one_thread, &ctx), 0);
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        for (uint64_t share = 4; share <= 32; share *= 2) {
+            uint64_t parts = open_beside_others(f, ctx, names[i], grid / share);
+            assert_in_range(parts, grid / share - 2, grid / share);
+            assert_int_equal(live(), 0);
+            assert_int_equal(bsq_memory_used(ctx), 0);
+        }
+    assert_string_equal(warnings, "");
+    bsq_ctx_destroy(ctx);
+}
+
 /* No piece of memory is longer than a limit: a longer array, as the upper nodes are here, is made
  * of several; or, where the device cannot do that, the grid is traced in passes. */
 static void test_pieces_of_memory(void **state)
 {
-    static const char *const failures[] = {"cuMemAddressReserve:1:2",
-                                           "cuMemCreate:1:2",
-                                           "cuMemCreate:2:2",
-                                           "cuMemMap:1:2",
-                                           "cuMemMap:3:2",
-                                           "cuMemSetAccess:1:2",
-                                           "cuMemSetAccess:2:2"};
+    static const char *const failures[] = {"cuMemAddressReserve:1:304",
+                                           "cuMemCreate:1:304",
+                                           "cuMemCreate:2:304",
+                                           "cuMemMap:1:304",
+                                           "cuMemMap:3:304",
+                                           "cuMemSetAccess:1:304",
+                                           "cuMemSetAccess:2:304"};
     const struct bake_cuda_tuning tuning = {
         .registers = 128, .block_width = 8, .block_height = 16, .piece_bytes = (128 << 10) + 1};
     struct fixture *f = *state;
@@ -255,7 +304,7 @@ static void test_pieces_of_memory(void **state)
     for (size_t i = 0; i < sizeof failures / sizeof *failures; i++) {
         setenv("FAKE_CUDA_FAIL", failures[i], 1);
         assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
-        assert_non_null(strstr(bsq_error(f->ctx), "CUDA_ERROR_OUT_OF_MEMORY"));
+        assert_non_null(strstr(bsq_error(f->ctx), "CUDA error 304"));
         bsq_clear_error(f->ctx);
         assert_int_equal(live(), 0);
     }
@@ -516,6 +565,7 @@ int main(void)
         cmocka_unit_test_setup(test_slices, each_setup),
         cmocka_unit_test_setup(test_times_after_days, each_setup),
         cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
+        cmocka_unit_test_setup(test_memory_for_others, each_setup),
         cmocka_unit_test_setup(test_pieces_of_memory, each_setup),
         cmocka_unit_test_setup(test_slices_of_texels, each_setup),
         cmocka_unit_test_setup(test_absent, each_setup),
