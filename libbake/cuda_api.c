@@ -5,9 +5,25 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "libbake/driver_library_internal.h"
+
+/* The driver opens its compiler of PTX by name alone, so where the linker does not know the
+ * directory, it has to be there already. */
+static void *open_driver(void)
+{
+    const char *directories[] = {NULL, NULL}, *unused;
+    const int flags = RTLD_NOW | RTLD_LOCAL;
+    void *library =
+        bake_driver_library("libcuda.so.1", flags, bake_driver_directories, &directories[0]);
+
+    if (directories[0])
+        bake_driver_library("libnvidia-ptxjitcompiler.so.1", flags, directories, &unused);
+    return library;
+}
+
 enum bake_cuda_lack bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code)
 {
-    void *library = dlopen("libcuda.so.1", RTLD_NOW | RTLD_LOCAL);
+    void *library = open_driver();
 
     *count = 0;
     *code = CUDA_SUCCESS;

@@ -131,7 +131,8 @@ enum bake_cuda_lack {
     BAKE_CUDA_BROKEN         /* the driver does not start, see *code */
 };
 
-/* Opens libcuda.so.1 and starts it; *count: its devices. The library stays loaded. */
+/* Opens libcuda.so.1, where the dynamic linker finds it or else in bake_driver_directories, and
+ * starts it; *count: its devices. The library stays loaded. */
 enum bake_cuda_lack bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code);
 
 enum { BAKE_CUDA_TEXT = 192 };

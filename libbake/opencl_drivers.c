@@ -8,20 +8,12 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
+
+#include "libbake/driver_library_internal.h"
 
 /* NVIDIA, AMD, Intel, Mesa, PoCL. */
 static const char *const names[] = {"libnvidia-opencl.so.1", "libamdocl64.so",     "libigdrcl.so",
                                     "libRusticlOpenCL.so.1", "libMesaOpenCL.so.1", "libpocl.so.2"};
-
-/* Where they lie besides the places that the dynamic linker knows. */
-static const char *const directories[] = {"/usr/local/nvidia/lib64",
-                                          "/usr/lib/wsl/lib",
-                                          "/run/opengl-driver/lib",
-                                          "/opt/rocm/lib",
-                                          "/usr/lib/x86_64-linux-gnu/intel-opencl",
-                                          "/usr/lib/aarch64-linux-gnu/intel-opencl",
-                                          "/usr/lib64/intel-opencl"};
 
 /* Khronos' loader takes files from one variable, ocl-icd from another. Both tell who they are since
  * 2021; before, only ocl-icd did. */
@@ -56,16 +48,12 @@ static bool path_of(void *library, char *path, size_t bytes)
 static bool find_idle(const char *name, char *path, size_t bytes)
 {
     void *library = dlopen(name, RTLD_LAZY | RTLD_LOCAL | RTLD_NOLOAD);
+    const char *directory;
 
     if (library)
         return false;
-    library = dlopen(name, RTLD_LAZY | RTLD_LOCAL);
-    for (size_t i = 0; !library && i < sizeof directories / sizeof *directories; i++) {
-        char candidate[PATH_MAX];
-        snprintf(candidate, sizeof candidate, "%s/%s", directories[i], name);
-        if (access(candidate, R_OK) == 0)
-            library = dlopen(candidate, RTLD_LAZY | RTLD_LOCAL);
-    }
+    library =
+        bake_driver_library(name, RTLD_LAZY | RTLD_LOCAL, bake_driver_directories, &directory);
     return library && dlsym(library, "clGetExtensionFunctionAddress") &&
            path_of(library, path, bytes);
 }

@@ -1,6 +1,7 @@
 /* test_cuda.c - the CUDA device with a driver that has no GPU (tests/fake/fake_cuda.c): the same
  * bits as the processor's, and what is said when something fails. */
 #include <dlfcn.h>
+#include <link.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -13,6 +14,7 @@
 
 #include "libbake/cuda_api_internal.h"
 #include "libbake/device_backend_internal.h"
+#include "libbake/driver_library_internal.h"
 #include "libbake/slices_internal.h"
 #include "tests/unit/libbake/traced_sheet.h"
 
@@ -541,6 +543,40 @@ static void test_list(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+/* A driver's library is found where the dynamic linker does not look; one that is no library is passed
+ * over. */
+static void test_directories(void **state)
+{
+    static const char name[] = "libbisque-driver.so.1";
+    char wrong[] = "/tmp/bisque-wrong-XXXXXX", right[] = "/tmp/bisque-right-XXXXXX", path[64];
+    const char *const directories[] = {"/nowhere", wrong, right, NULL}, *found = name;
+    struct link_map *fake = NULL;
+    FILE *file;
+
+    (void)state;
+    assert_non_null(mkdtemp(wrong));
+    assert_non_null(mkdtemp(right));
+    assert_null(bake_driver_library(name, RTLD_NOW, directories, &found));
+    assert_null(found);
+    snprintf(path, sizeof path, "%s/%s", wrong, name);
+    assert_non_null(file = fopen(path, "w"));
+    fclose(file);
+    assert_int_equal(dlinfo(dlopen("libcuda.so.1", RTLD_NOW), RTLD_DI_LINKMAP, &fake), 0);
+    snprintf(path, sizeof path, "%s/%s", right, name);
+    assert_int_equal(symlink(fake->l_name, path), 0);
+    void *library = bake_driver_library(name, RTLD_NOW, directories, &found);
+    assert_non_null(library);
+    assert_ptr_equal(found, right);
+    assert_non_null(dlsym(library, "fake_cuda_live"));
+    assert_non_null(bake_driver_library("libcuda.so.1", RTLD_NOW, directories, &found));
+    assert_null(found);
+    unlink(path);
+    snprintf(path, sizeof path, "%s/%s", wrong, name);
+    unlink(path);
+    rmdir(wrong);
+    rmdir(right);
+}
+
 /* Whether the kernel was compiled for CUDA. */
 static bool has_kernel(void)
 {
@@ -578,6 +614,7 @@ int main(void)
         cmocka_unit_test_setup(test_auto_takes_the_next, each_setup),
         cmocka_unit_test_setup(test_budget, each_setup),
         cmocka_unit_test_setup(test_list, each_setup),
+        cmocka_unit_test_setup(test_directories, each_setup),
     };
     if (open_fake() < 0)
         return 1;
