@@ -92,7 +92,8 @@ static int load_pass(const struct trace *trace, uint64_t pass)
                             &trace->tiles->plan->passes[pass].part);
 }
 
-/* A step of a pass: the first uploads for the next pass, the others trace. */
+/* A step of a pass: the first uploads for the next pass, the others trace; a single thread does one
+ * after the other. */
 static int do_step(void *arg, uint64_t index, unsigned number)
 {
     struct trace *trace = arg;
