@@ -128,6 +128,7 @@ interrupted()
     command="$* ended by SIG$signal while $stage" code=0 tries=0
     program=$1
     shift
+    : >"$err" # what it holds may name the stage
     # Whatever started the test may ignore signals, which programs inherit.
     env --default-signal="$signal" "$BIN/$program" "$@" --progress json >"$out" 2>"$err" &
     while [ $tries -lt 1000 ] && ! grep -q "\"stage\": *\"$stage\"" "$err"; do
