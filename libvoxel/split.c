@@ -464,6 +464,9 @@ static void put_plain(struct splitter *s, struct writer *w, const uint64_t v[3],
             mark_vertex(s->plan->used, v[k]);
 }
 
+/* Where one group has no order, so have the next ones: a trial takes as long as a sixteenth of them. */
+#define GROUPS_WITHOUT_ORDER 16
+
 /* False where there would be too many pieces; what is in the splitter then means nothing. */
 static bool split_plain(struct splitter *s, const struct face_group *group)
 {
@@ -513,10 +516,13 @@ int split_group(struct splitter *s, const struct face_group *group,
     struct source source = {.group = group, .values = values};
     uint64_t triangles = group->corner_count - 2 * (uint64_t)group->face_count;
     int status = 0;
-    if (is_plain(group, values)) {
+    if (is_plain(group, values) && s->groups_without_order == 0) {
         status = room_for_plain(s, group->face_count);
         if (status < 0 || split_plain(s, group))
             return status;
+        s->groups_without_order = GROUPS_WITHOUT_ORDER;
+    } else if (s->groups_without_order > 0) {
+        s->groups_without_order--;
     }
     status = room_for_triangles(s, triangles, max_size);
     if (status < 0)

@@ -44,6 +44,7 @@ struct splitter {
     uint32_t (*corners)[3]; /* of the triangles, numbers in the group */
     struct split_link *links;
     uint32_t link_count;
+    uint32_t groups_without_order; /* the next ones are taken for such */
     struct split_link *sorted; /* the links by cell */
     uint32_t *cell_pieces;     /* for each cell its piece; UINT32_MAX between groups */
     /* Of the largest polygon. */
