@@ -20,6 +20,18 @@ static_assert(sizeof(struct block_piece) == 64, "a piece begins with a row of fo
 
 /* ---- triangles ---- */
 
+/* Triangles of runs whose normals do not go with their planes. */
+LANES_INLINE lane_mask stray_lanes(const struct vox_chunk *chunk,
+                                   const struct block_triangle *const triangle[LANE_COUNT])
+{
+    lanes stray = lanes_all(0.0);
+    if (!chunk->stray)
+        return lanes_none();
+    for (int l = 0; l < LANE_COUNT; l++)
+        stray[l] = chunk->stray[triangle[l]->number / VOX_GROUP_TRIANGLES];
+    return lanes_less(lanes_all(0.0), stray);
+}
+
 /* Corners, and what goes with them, of the triangles with these places in the block; puts down what
  * their pieces have in common. lowest: their lowest cells. */
 LANES_INLINE void load_triangles(const struct vox_accumulation *what,
@@ -39,7 +51,8 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
     t->has_normals = chunk->normals != NULL;
     t->curved = t->has_normals && chunk->coarse;
     t->lift_limit = chunk->wide ? SHADE_LIFT_LIMIT : SHADE_LIFT_LIMIT_CLOSE;
-    t->detached = t->curved && !chunk->made && chunk->large;
+    t->marked = t->curved || chunk->stray;
+    t->facet = stray_lanes(chunk, triangle);
     t->has_color = what->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {
         const double *points[LANE_COUNT];
@@ -276,7 +289,7 @@ static void divide_kind(const struct vox_accumulation *what, const uint16_t *ord
 struct source {
     const struct vox_block *block;
     struct vox_accumulator *sums;
-    bool smooth, curved, has_color;
+    bool smooth, marked, curved, has_color;
 };
 
 LANES_INLINE struct source source_of(const struct vox_accumulation *what)
@@ -285,6 +298,7 @@ LANES_INLINE struct source source_of(const struct vox_accumulation *what)
     return (struct source){.block = what->block,
                            .sums = what->sums,
                            .smooth = smooth,
+                           .marked = smooth && (what->chunk->coarse || what->chunk->stray),
                            .curved = smooth && what->chunk->coarse,
                            .has_color = what->sums->colors != NULL};
 }
@@ -298,7 +312,7 @@ LANES_INLINE int add_piece(const struct source *from, uint32_t place,
     const struct block_facts *facts = &from->block->facts[place];
     struct vox_piece_sum sum;
     if (from->smooth && !(piece->cell & PIECE_FLAT))
-        shade_smooth(facts, piece, cell, from->curved, &sum);
+        shade_smooth(facts, piece, cell, from->marked, from->curved, &sum);
     else
         shade_flat(facts, piece, cell, &sum);
     if (rgb)

@@ -6,6 +6,7 @@
 #include "libvoxel/scan_chunks.h"
 #include "base/octahedral.h"
 #include "libvoxel/chunk_cell.h"
+#include "libvoxel/own_normals.h"
 
 #include <pthread.h>
 #include <string.h>
@@ -43,7 +44,7 @@ struct vox_chunks {
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
-    uint64_t points_at, normals_at, groups_at, slot_bytes;
+    uint64_t points_at, normals_at, groups_at, stray_at, slot_bytes;
 };
 
 /* ---- layout of a slot ---- */
@@ -67,7 +68,8 @@ static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool
     c->points_at = align64(fmt_tris_load_size_max(file));
     c->normals_at = c->points_at + align64(vertices * sizeof(double[4]));
     c->groups_at = c->normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
-    c->slot_bytes = c->groups_at + align64(groups * sizeof(struct vox_box));
+    c->stray_at = c->groups_at + align64(groups * sizeof(struct vox_box));
+    c->slot_bytes = c->stray_at + align64(groups * sizeof(bool));
 }
 
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
@@ -105,8 +107,8 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
  * nearer to the surface, but farther from what bakers of triangles show: 0.80 degrees instead of
  * 0.29 for the bunny with 10 triangles to its shortest wave (tests/bench/ACCURACY.md). */
 #define COARSE_EDGE_SQUARE 0.5
-/* And above which the scan's own normals are to be believed rather than the planes of its facets.
- */
+/* And above which the scan's own normals are to be believed rather than the planes of its facets,
+ * whether they contradict each other or not. */
 #define LARGE_EDGE_SQUARE 4.0
 /* And above which normals that Bisque made are blended well without their planes, wherever pieces
  * would have to be lifted far. */
@@ -154,6 +156,22 @@ static void make_groups(const struct vox_chunks *c, struct slot *slot)
     }
 }
 
+/* Finds where the scan's own normals do not go with its triangles; large: everywhere. */
+static void find_stray(const struct vox_chunks *c, bool large, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    const struct vox_own_normals own = {content->source.triangles, content->points,
+                                        content->normals};
+    bool *stray = (bool *)(slot->memory + c->stray_at), any = false;
+    for (uint32_t g = 0; g < content->group_count; g++) {
+        uint32_t begin = g * VOX_GROUP_TRIANGLES, left = content->source.triangle_count - begin;
+        uint32_t count = left < VOX_GROUP_TRIANGLES ? left : VOX_GROUP_TRIANGLES;
+        stray[g] = large || vox_own_normals_stray(&own, begin, begin + count);
+        any |= stray[g];
+    }
+    content->stray = any ? stray : NULL;
+}
+
 /* The first step: the chunk as it is in the file. */
 static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
@@ -193,13 +211,13 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
     memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
     double square = mean_edge_square(source, content->points);
     content->coarse = square > COARSE_EDGE_SQUARE;
-    content->large = square > LARGE_EDGE_SQUARE;
     content->wide = source->normals || square > WIDE_EDGE_SQUARE;
-    content->made = !source->normals;
     make_groups(c, slot);
     content->normals = (const float(*)[4])normals;
+    content->stray = NULL;
     if (source->normals) {
         unpack_normals(source, normals);
+        find_stray(c, square > LARGE_EDGE_SQUARE, slot);
     } else if (c->smooth && content->coarse) {
         status = smooth_normals(c, chunk, slot, normals);
     } else {

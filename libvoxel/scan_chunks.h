@@ -18,11 +18,11 @@ struct vox_chunk {
     /* Unit, or zero, and how far above the vertex the surface of these normals is, in voxels; NULL:
      * those of the triangles. */
     const float (*normals)[4];
-    bool made;          /* the normals are not the scan's own */
-    bool large;         /* more than coarse: facets are flat over several voxels */
-    bool wide;          /* pieces are not to be lifted far */
-    bool coarse;        /* triangles are large enough for their facets to show in the grid */
+    bool wide;   /* pieces are not to be lifted far */
+    bool coarse; /* triangles are large enough for their facets to show in the grid */
     const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
+    /* Whether the normals of such a run do not go with its triangles' planes; NULL: nowhere. */
+    const bool *stray;
     uint32_t group_count;
 };
 

@@ -30,12 +30,12 @@ struct shade_triangles {
     lanes flat[3];    /* unit normal of the plane, zero where there is no area */
     lanes area;       /* in voxel faces, VOX_NO_AREA at least */
     bool has_normals;
-    bool curved;        /* so large that planes differ from the surface that the normals describe */
-    double lift_limit;  /* highest arc and rise, in voxels */
-    bool detached;      /* and no surface through facets of this size belongs to the normals */
+    bool curved;       /* so large that planes differ from the surface that the normals describe */
+    double lift_limit; /* highest arc and rise, in voxels */
+    bool marked;       /* planes that do not go with the normals are to be marked */
     lanes normal[3][3]; /* corner, axis; unit */
     struct shade_weights weights;
-    lane_mask facet; /* the plane is too far from that surface to go with the normals */
+    lane_mask facet; /* the plane does not go with the normals, or is too far from that surface */
     bool has_color;
     lanes rgb[3][3]; /* corner, channel; linear light */
     lanes colored;   /* 1 where the triangle has a colour, else 0 */
@@ -119,15 +119,12 @@ LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 LANES_INLINE void shade_prepare(struct shade_triangles *t)
 {
     shade_measure(t);
-    t->facet = lanes_none();
     if (t->has_normals) {
         shade_settle_normals(t);
         shade_measure_normals(t);
     }
     if (t->curved)
         shade_measure_arcs(t);
-    if (t->detached)
-        t->facet = ~lanes_none();
 }
 
 /* ---- facts ---- */
@@ -176,7 +173,7 @@ LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
         shade_put_difference(facts, ROW_TURN1, t->normal[1], t->normal[0]);
         shade_put_difference(facts, ROW_TURN2, t->normal[2], t->normal[0]);
     }
-    if (t->curved)
+    if (t->marked)
         shade_put_row(facts, ROW_SHADED, none, lanes_keep(t->facet, lanes_all(1.0)));
     if (t->has_color)
         shade_put_colors(t, facts);
@@ -282,15 +279,16 @@ LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block
 
 /* And for one with a normal that is interpolated. */
 LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct block_piece *piece,
-                               const double cell[4], bool curved, struct vox_piece_sum *sum)
+                               const double cell[4], bool marked, bool curved,
+                               struct vox_piece_sum *sum)
 {
     struct row normal = shade_mean(shade_rows(facts, ROW_NORMAL), piece);
     sum->normal = row_times(piece->normal_weight, normal);
     sum->center = shade_center(facts, piece, cell);
-    if (curved) {
+    if (marked)
         sum->normal = row_sum(sum->normal, shade_row(facts, ROW_SHADED));
+    if (curved)
         sum->center = row_sum(sum->center, row_times(piece->center_weight, normal));
-    }
 }
 
 #endif

@@ -105,6 +105,7 @@ struct soup {
     uint32_t colors[3 * TRIANGLES];
     uint32_t triangles[TRIANGLES][3];
     struct vox_box groups[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
+    bool stray[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
 };
 
 static void make_soup(struct soup *soup)
@@ -125,8 +126,10 @@ static void make_soup(struct soup *soup)
             soup->triangles[t][v - 3 * t] = v;
         }
     }
-    for (uint32_t g = 0; g * VOX_GROUP_TRIANGLES < TRIANGLES; g++)
+    for (uint32_t g = 0; g * VOX_GROUP_TRIANGLES < TRIANGLES; g++) {
         soup->groups[g] = (struct vox_box){{-99, -99, -99}, {999, 999, 999}};
+        soup->stray[g] = g % 3 == 0;
+    }
 }
 
 static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
@@ -186,7 +189,11 @@ static void test_sums(void **state)
     check_sums(ctx, &chunk);
     chunk.normals = (const float(*)[4])soup->normals;
     check_sums(ctx, &chunk);
+    chunk.stray = soup->stray;
+    check_sums(ctx, &chunk);
     chunk.coarse = true;
+    check_sums(ctx, &chunk);
+    chunk.stray = NULL;
     check_sums(ctx, &chunk);
     free(soup);
     bsq_ctx_destroy(ctx);

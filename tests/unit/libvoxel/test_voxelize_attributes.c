@@ -34,6 +34,38 @@ static void test_vertex_normals_are_interpolated(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
+/* Number of records whose plane is said not to go with the normal, of a plane in triangles of half a
+ * voxel whose normals lean by this slope. */
+static uint64_t count_shaded(struct vox_fixture *f, float lean)
+{
+    enum { SIDE = 40 };
+    struct scan_mesh mesh = scan_mesh_new(4 * SIDE * SIDE, 2 * SIDE * SIDE);
+    mesh.normals = calloc(mesh.vertex_count, sizeof *mesh.normals);
+    for (uint32_t q = 0; q < SIDE * SIDE; q++)
+        scan_set_quad(&mesh, q, (double[3]){0.5 * (q % SIDE), 0.5 * (q / SIDE), 0.5}, (double[3]){0.5, 0, 0},
+                      (double[3]){0, 0.5, 0});
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        mesh.normals[v] = bsq_oct_pack(bsq_unit3(bsq_v3(lean, 0.0f, 1.0f)));
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    vox_make(f, 0, 1.0);
+    struct fmt_nvdb_grid grid;
+    uint64_t count = 0;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int32_t i = 0; i < SIDE * SIDE / 4; i++) {
+        uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
+        count += (fmt_nvdb_get(&grid, index).plane & FMT_NVDB_PLANE_SHADED) != 0;
+    }
+    fmt_nvdb_close(f->ctx, &grid);
+    return count;
+}
+
+static void test_planes_that_normals_contradict_are_marked(void **state)
+{
+    assert_int_equal(count_shaded(*state, 0.0f), 0);
+    assert_int_equal(count_shaded(*state, 0.05f), 400);
+}
+
 static double to_linear(double srgb)
 {
     return srgb <= 0.04045 ? srgb / 12.92 : pow((srgb + 0.055) / 1.055, 2.4);
@@ -171,6 +203,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         TEST(test_vertex_normals_are_interpolated),
+        TEST(test_planes_that_normals_contradict_are_marked),
         TEST(test_vertex_colors_are_mixed_in_linear_light),
         TEST(test_materials_color_what_has_no_other),
         TEST(test_texture_is_sampled_where_the_piece_lies),
