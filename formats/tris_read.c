@@ -146,7 +146,8 @@ static bool bounds_valid(const float min[3], const float max[3])
 static uint64_t load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
 {
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    return l.short_indices ? tris_align8(l.triangles + 12 * (uint64_t)info->triangle_count) : l.bytes;
+    return l.short_indices ? tris_align8(l.triangles + 12 * (uint64_t)info->triangle_count)
+                           : l.bytes;
 }
 
 static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_info *info)
@@ -387,6 +388,14 @@ static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
     out->triangles = (const uint32_t(*)[3])(const void *)(bytes + l->triangles);
 }
 
+static bool all_zero(const uint8_t *bytes, uint64_t count)
+{
+    uint8_t any = 0;
+    for (uint64_t i = 0; i < count; i++)
+        any |= bytes[i];
+    return any == 0;
+}
+
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out)
 {
@@ -404,6 +413,8 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
         return tris_damaged_chunk(file, index, "the checksum does not match");
     if (header.triangle_count != info->triangle_count || header.vertex_count != info->vertex_count)
         return tris_damaged_chunk(file, index, "its counts are not those of the table");
+    if (!all_zero(bytes + l.end, l.bytes - l.end))
+        return tris_damaged_chunk(file, index, "its padding is not zero");
     out->triangle_count = info->triangle_count;
     out->vertex_count = info->vertex_count;
     place_chunk(out, bytes, &l, attributes);

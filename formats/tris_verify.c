@@ -16,14 +16,6 @@ struct verify {
     uint64_t chunk_bytes, worker_bytes;
 };
 
-static bool all_zero(const uint8_t *bytes, uint64_t count)
-{
-    uint8_t any = 0;
-    for (uint64_t i = 0; i < count; i++)
-        any |= bytes[i];
-    return any == 0;
-}
-
 static bool bounds_exact(const struct fmt_tris_chunk *chunk, const struct fmt_tris_chunk_info *info)
 {
     for (int axis = 0; axis < 3; axis++) {
@@ -68,12 +60,8 @@ static bool colors_opaque(const struct fmt_tris_chunk *chunk)
 }
 
 static const char *fault_of(const struct fmt_tris_chunk *chunk,
-                            const struct fmt_tris_chunk_info *info, uint32_t attributes,
-                            const uint8_t *bytes, uint8_t *used)
+                            const struct fmt_tris_chunk_info *info, uint8_t *used)
 {
-    struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    if (!all_zero(bytes + l.end, l.bytes - l.end))
-        return "its padding is not zero";
     if (!bounds_exact(chunk, info))
         return "its bounds are not those of its vertices";
     if (!all_used(chunk, used))
@@ -95,8 +83,7 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     if (status < 0)
         return status;
     assert(chunk.positions && chunk.triangles);
-    const char *fault = fault_of(&chunk, info, fmt_tris_get_header(v->file)->attributes, bytes,
-                                 bytes + v->chunk_bytes);
+    const char *fault = fault_of(&chunk, info, bytes + v->chunk_bytes);
     bsq_progress_add(v->ctx, info->size_bytes);
     return fault ? tris_damaged_chunk(v->file, index, fault) : 0;
 }

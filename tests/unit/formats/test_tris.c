@@ -436,6 +436,27 @@ static void sizes_are_held_against_the_file(void **state)
     free(good);
 }
 
+/* Three triangles of indices of two bytes end six bytes before the chunk does. */
+static void padding_is_zero(void **state)
+{
+    struct fixture *f = *state;
+    size_t size;
+    fill(f->samples[0], 0, 3, 4, 5);
+    write_sample_file(f, 0, 1);
+    uint8_t *bytes = read_bytes(f->path, &size);
+    const size_t end = u64_at(bytes, 96);
+    for (size_t at = end - 6; at < end; at++) {
+        assert_int_equal(bytes[at], 0);
+        bytes[at] = 64;
+        sign(bytes, size);
+        write_bytes(f->path, bytes, size);
+        assert_int_equal(read_all(f), BSQ_EDATA);
+        assert_non_null(strstr(bsq_error(f->ctx), "its padding is not zero"));
+        bytes[at] = 0;
+    }
+    free(bytes);
+}
+
 static void values_out_of_range_are_found(void **state)
 {
     static const struct {
@@ -517,7 +538,7 @@ int main(void)
         TEST(every_set_of_attributes_comes_back),  TEST(large_chunks_come_back),
         TEST(a_file_without_chunks_is_valid),      TEST(bytes_are_those_of_the_specification),
         TEST(every_truncated_length_is_found),     TEST(every_flipped_bit_is_found),
-        TEST(sizes_are_held_against_the_file),
+        TEST(sizes_are_held_against_the_file),     TEST(padding_is_zero),
         TEST(values_out_of_range_are_found),       TEST(other_files_are_refused),
         TEST(nothing_remains_of_a_discarded_file),
     };
