@@ -2,41 +2,11 @@
 #ifndef VOX_LANES_AVX2_H
 #define VOX_LANES_AVX2_H
 
-typedef lane_ints lane_mask;
-
-LANES_INLINE lane_mask lanes_less(lanes a, lanes b)
-{
-    return a < b;
-}
-
-LANES_INLINE lane_mask lanes_equal(lanes a, lanes b)
-{
-    return a == b;
-}
-
-LANES_INLINE lane_mask lanes_signs(lanes x)
-{
-    return (lane_ints)x < 0;
-}
+#include "libvoxel/lanes_masked.h"
 
 LANES_INLINE unsigned lanes_bits(lane_mask mask)
 {
     return (unsigned)_mm256_movemask_pd((__m256d)mask);
-}
-
-LANES_INLINE lanes lanes_keep(lane_mask mask, lanes x)
-{
-    return (lanes)(mask & (lane_ints)x);
-}
-
-LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
-{
-    return x | (mask & bits);
-}
-
-LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
-{
-    return x + (mask & y);
 }
 
 LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
@@ -52,11 +22,6 @@ LANES_INLINE lanes lanes_min(lanes a, lanes b)
 LANES_INLINE lanes lanes_max(lanes a, lanes b)
 {
     return _mm256_max_pd(a, b);
-}
-
-LANES_INLINE lanes lanes_abs(lanes x)
-{
-    return (lanes)((lane_ints)x & INT64_MAX);
 }
 
 LANES_INLINE lanes lanes_sqrt(lanes x)

@@ -1,47 +1,14 @@
-/* lanes_two.h - lanes.h with two lanes, for any processor; and what its functions do. */
+/* lanes_two.h - lanes.h with two lanes, for any processor; and, with lanes_masked.h, what its
+ * functions do. */
 #ifndef VOX_LANES_TWO_H
 #define VOX_LANES_TWO_H
 
-typedef lane_ints lane_mask;
-
-LANES_INLINE lane_mask lanes_less(lanes a, lanes b)
-{
-    return a < b;
-}
-
-LANES_INLINE lane_mask lanes_equal(lanes a, lanes b)
-{
-    return a == b;
-}
-
-/* Where the sign is set, that of zero too. */
-LANES_INLINE lane_mask lanes_signs(lanes x)
-{
-    return (lane_ints)x < 0;
-}
+#include "libvoxel/lanes_masked.h"
 
 /* Bit i: lane i of the mask. */
 LANES_INLINE unsigned lanes_bits(lane_mask mask)
 {
     return (unsigned)(mask[0] & 1) | (unsigned)(mask[1] & 2);
-}
-
-/* x where the mask is set, 0 elsewhere */
-LANES_INLINE lanes lanes_keep(lane_mask mask, lanes x)
-{
-    return (lanes)(mask & (lane_ints)x);
-}
-
-/* x | bits where the mask is set, x elsewhere */
-LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
-{
-    return x | (mask & bits);
-}
-
-/* x + y where the mask is set, x elsewhere */
-LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
-{
-    return x + (mask & y);
 }
 
 LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
@@ -67,11 +34,6 @@ LANES_INLINE lanes lanes_max(lanes a, lanes b)
 #else
     return lanes_select(a > b, a, b);
 #endif
-}
-
-LANES_INLINE lanes lanes_abs(lanes x)
-{
-    return (lanes)((lane_ints)x & INT64_MAX);
 }
 
 LANES_INLINE lanes lanes_sqrt(lanes x)
