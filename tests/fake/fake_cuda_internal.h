@@ -92,6 +92,17 @@ struct allocation *fake_find_allocation(CUdeviceptr address);
 void *fake_device_memory(CUdeviceptr address, size_t bytes);
 bool fake_is_locked(const void *memory, size_t bytes);
 
+/* Memory from malloc() that a call hands out as a whole and another takes back. Lists of them are
+ * under the lock, which both functions take. */
+struct fake_block {
+    char *memory;
+    size_t bytes, mapped; /* mapped: of them, by pieces; it cannot be taken back then */
+    struct fake_block *next;
+};
+void fake_hand_out(struct fake_block **list, char *memory, size_t bytes);
+/* bytes: as handed out; SIZE_MAX where the caller need not know. */
+CUresult fake_take_back(struct fake_block **list, const void *memory, size_t bytes);
+
 /* ---- streams ---- */
 
 /* What a launch passes, in the kernel's order. */

@@ -6,12 +6,7 @@
 
 #include "tests/fake/fake_cuda_internal.h"
 
-struct reservation {
-    char *memory;
-    size_t bytes, mapped;
-    struct reservation *next;
-};
-static struct reservation *reservations; /* under the lock */
+static struct fake_block *reservations;
 enum { STEP_BYTES = 64 << 10, MOST_PIECES = 1000 };
 static size_t pieces[MOST_PIECES]; /* made and not mapped yet, by handle */
 
@@ -34,42 +29,23 @@ CUresult cuMemGetAllocationGranularity(size_t *bytes, const struct bake_cuda_all
 CUresult cuMemAddressReserve(CUdeviceptr *at, size_t bytes, size_t alignment, CUdeviceptr wanted,
                              unsigned long long flags)
 {
-    struct reservation *r;
+    char *memory;
 
     BEGIN;
     if (bytes == 0 || bytes % STEP_BYTES || alignment || wanted || flags)
         return INVALID_VALUE;
-    r = calloc(1, sizeof *r);
-    *r = (struct reservation){.memory = aligned_alloc(STEP_BYTES, bytes), .bytes = bytes};
-    memset(r->memory, 0xa5, bytes);
-    pthread_mutex_lock(&fake.lock);
-    r->next = reservations;
-    reservations = r;
-    fake.live++;
-    pthread_mutex_unlock(&fake.lock);
-    *at = (CUdeviceptr)(uintptr_t)r->memory + DEVICE_ADDRESS;
+    memory = aligned_alloc(STEP_BYTES, bytes);
+    memset(memory, 0xa5, bytes);
+    fake_hand_out(&reservations, memory, bytes);
+    *at = (CUdeviceptr)(uintptr_t)memory + DEVICE_ADDRESS;
     return CUDA_SUCCESS;
 }
 
 CUresult cuMemAddressFree(CUdeviceptr at, size_t bytes)
 {
-    const char *memory = (char *)(uintptr_t)(at - DEVICE_ADDRESS); // NOLINT: as above
-    CUresult code = INVALID_VALUE;
-
-    pthread_mutex_lock(&fake.lock);
-    for (struct reservation **link = &reservations; *link; link = &(*link)->next) {
-        struct reservation *gone = *link;
-        if (gone->memory != memory || gone->bytes != bytes || gone->mapped)
-            continue;
-        *link = gone->next;
-        free(gone->memory);
-        free(gone);
-        fake.live--;
-        code = CUDA_SUCCESS;
-        break;
-    }
-    pthread_mutex_unlock(&fake.lock);
-    return code;
+    return fake_take_back(&reservations,
+                          (char *)(uintptr_t)(at - DEVICE_ADDRESS), // NOLINT: as above
+                          bytes);
 }
 
 CUresult cuMemCreate(unsigned long long *handle, size_t bytes,
@@ -105,9 +81,9 @@ CUresult cuMemRelease(unsigned long long handle)
     return CUDA_SUCCESS;
 }
 
-static struct reservation *find_reservation(const char *memory, size_t bytes)
+static struct fake_block *find_reservation(const char *memory, size_t bytes)
 {
-    struct reservation *r = reservations;
+    struct fake_block *r = reservations;
 
     while (r && !(memory >= r->memory && memory + bytes <= r->memory + r->bytes))
         r = r->next;
@@ -119,7 +95,7 @@ CUresult cuMemMap(CUdeviceptr at, size_t bytes, size_t offset, unsigned long lon
 {
     char *memory = (char *)(uintptr_t)(at - DEVICE_ADDRESS); // NOLINT: as above
     struct allocation *allocation;
-    struct reservation *r;
+    struct fake_block *r;
 
     BEGIN;
     if (handle >= MOST_PIECES || pieces[handle] != bytes || offset || flags || at % STEP_BYTES)

@@ -98,40 +98,27 @@ CUresult cuMemFree_v2(CUdeviceptr memory)
     return INVALID_VALUE;
 }
 
-/* Page-locked memory of the host. */
-struct locked {
-    char *memory;
-    size_t bytes;
-    struct locked *next;
-};
-static struct locked *page_locked; /* under the lock */
+/* ---- blocks ---- */
 
-CUresult cuMemAllocHost_v2(void **memory, size_t bytes)
+void fake_hand_out(struct fake_block **list, char *memory, size_t bytes)
 {
-    struct locked *locked;
+    struct fake_block *block = malloc(sizeof *block);
 
-    BEGIN_IN_CONTEXT;
-    if (bytes == 0)
-        return INVALID_VALUE;
-    locked = malloc(sizeof *locked);
-    *locked = (struct locked){.memory = *memory = malloc(bytes), .bytes = bytes};
     pthread_mutex_lock(&fake.lock);
-    locked->next = page_locked;
-    page_locked = locked;
+    *block = (struct fake_block){.memory = memory, .bytes = bytes, .next = *list};
+    *list = block;
     fake.live++;
     pthread_mutex_unlock(&fake.lock);
-    return CUDA_SUCCESS;
 }
 
-CUresult cuMemFreeHost(void *memory)
+CUresult fake_take_back(struct fake_block **list, const void *memory, size_t bytes)
 {
     CUresult code = INVALID_VALUE;
 
-    NEED_CONTEXT;
     pthread_mutex_lock(&fake.lock);
-    for (struct locked **link = &page_locked; *link; link = &(*link)->next) {
-        struct locked *gone = *link;
-        if (gone->memory != memory)
+    for (struct fake_block **link = list; *link; link = &(*link)->next) {
+        struct fake_block *gone = *link;
+        if (gone->memory != memory || (bytes != SIZE_MAX && gone->bytes != bytes) || gone->mapped)
             continue;
         *link = gone->next;
         free(gone->memory);
@@ -144,13 +131,31 @@ CUresult cuMemFreeHost(void *memory)
     return code;
 }
 
+static struct fake_block *page_locked; /* memory of the host */
+
+CUresult cuMemAllocHost_v2(void **memory, size_t bytes)
+{
+    BEGIN_IN_CONTEXT;
+    if (bytes == 0)
+        return INVALID_VALUE;
+    *memory = malloc(bytes);
+    fake_hand_out(&page_locked, *memory, bytes);
+    return CUDA_SUCCESS;
+}
+
+CUresult cuMemFreeHost(void *memory)
+{
+    NEED_CONTEXT;
+    return fake_take_back(&page_locked, memory, SIZE_MAX);
+}
+
 bool fake_is_locked(const void *memory, size_t bytes)
 {
     const char *at = memory;
     bool found = false;
 
     pthread_mutex_lock(&fake.lock);
-    for (const struct locked *l = page_locked; l && !found; l = l->next)
+    for (const struct fake_block *l = page_locked; l && !found; l = l->next)
         found = at >= l->memory && at + bytes <= l->memory + l->bytes;
     pthread_mutex_unlock(&fake.lock);
     return found;
