@@ -109,9 +109,8 @@ static void divide_memory(struct batches *b)
     uint64_t slot_bytes = b->slot_count * chunk_builder_bytes(b->scan->attributes);
     uint64_t carry_bytes = carry * b->scattered->layout.bytes;
     left = left > slot_bytes + carry_bytes ? left - slot_bytes - carry_bytes : 0;
-    b->capacity = left / triangle_bytes(b);
-    if (b->capacity > wanted_capacity(b))
-        b->capacity = wanted_capacity(b);
+    const uint64_t most = left / triangle_bytes(b), wanted = wanted_capacity(b);
+    b->capacity = most < wanted ? most : wanted;
     uint64_t all = b->scattered->triangles + 2 * record_gap(b) * b->scattered->cells.cell_count;
     bool enough = b->capacity >= all;
     if (enough)
@@ -169,14 +168,16 @@ static void make_entries(const struct batches *b, const uint8_t *records, uint64
     /* Copies, which what is written cannot change as far as the compiler knows. */
     const struct morton_cube cube = b->scattered->cube;
     const struct column positions = b->scan->columns[SCAN_POSITIONS];
-    for (uint32_t i = 0; layout->plain && i < count; i++)
-        entries[i] = (struct entry){
-            .key = scattered_plain_key(&cube, &positions, records + 12 * (uint64_t)i),
-            .record = (uint32_t)(first + i)};
-    for (uint32_t i = 0; !layout->plain && i < count; i++)
-        entries[i] = (struct entry){
-            .key = scattered_key(b->scattered, b->scan, records + (uint64_t)i * layout->bytes),
-            .record = (uint32_t)(first + i)};
+    if (layout->plain)
+        for (uint32_t i = 0; i < count; i++)
+            entries[i] = (struct entry){
+                .key = scattered_plain_key(&cube, &positions, records + 12 * (uint64_t)i),
+                .record = (uint32_t)(first + i)};
+    else
+        for (uint32_t i = 0; i < count; i++)
+            entries[i] = (struct entry){
+                .key = scattered_key(b->scattered, b->scan, records + (uint64_t)i * layout->bytes),
+                .record = (uint32_t)(first + i)};
 }
 
 /* Where a worker may sort a part. The same place for one part after the other, so that it stays in

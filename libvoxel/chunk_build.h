@@ -14,7 +14,6 @@ struct corner_cache {
     uint32_t number;
 };
 
-
 /* Reused for many chunks; one for each chunk in the making. */
 struct chunk_builder {
     struct bsq_ctx *ctx;
