@@ -65,7 +65,7 @@ struct fmt_tris_chunk {
 /* ---- writing ---- */
 struct fmt_tris_writer;
 
-/* Starts a file; materials are copied. */
+/* Starts a file; materials are copied. Of the header's counts only source_faces is looked at. */
 int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
                     struct fmt_tris_writer **out);
 /* Upper limit of an encoded chunk's size. */
@@ -77,6 +77,8 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
 /* Appends an encoded chunk; serial, in order. Sets offset and first_triangle itself. */
 int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_t size,
                     const struct fmt_tris_chunk_info *info);
+/* Counts triangles that were left out. */
+void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles);
 /* Writes table and header (counts and bounds from the chunks), syncs, renames. Frees the writer. */
 int fmt_tris_commit(struct fmt_tris_writer *writer);
 void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */

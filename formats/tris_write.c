@@ -71,7 +71,6 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     h->version = TRIS_VERSION;
     h->attributes = header->attributes;
     h->source_faces = header->source_faces;
-    h->skipped_triangles = header->skipped_triangles;
     h->material_count = header->material_count;
     memcpy(h->origin, header->origin, sizeof h->origin);
     struct tris_file_header placeholder;
@@ -132,6 +131,11 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
     h->chunk_count++;
     h->triangle_count += info->triangle_count;
     return 0;
+}
+
+void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles)
+{
+    writer->header.skipped_triangles += triangles;
 }
 
 uint64_t fmt_tris_written(const struct fmt_tris_writer *writer)

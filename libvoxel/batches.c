@@ -6,6 +6,7 @@
  * cell that is too large for a batch is first divided by the next bits of the key. */
 #include "libvoxel/batches.h"
 #include "base/parallel.h"
+#include "libvoxel/area.h"
 #include "libvoxel/chunk_build.h"
 
 #define CHILD_LEVELS     2u
@@ -20,6 +21,7 @@ struct part {
     uint64_t record; /* where in the batch's records */
     uint64_t at;     /* where in its entries */
     uint64_t count;
+    uint64_t kept; /* of these once they are sorted: others have no area */
 };
 
 struct batches {
@@ -44,7 +46,7 @@ struct batches {
     struct chunk_slot *slots;
     unsigned slot_count;
     uint64_t cut; /* triangles that are in chunks already */
-    uint64_t chunks;
+    struct batches_report report;
     bool last; /* nothing follows this batch */
 };
 
@@ -140,7 +142,8 @@ static int allocate(struct batches *b)
     for (unsigned i = 0; status == 0 && i < b->reader_count; i++)
         status = run_reader_init(&b->readers[i], b->scan, &b->scattered->layout);
     for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
-        status = chunk_builder_init(&b->slots[i].builder, b->scan, &b->scattered->layout);
+        status = chunk_builder_init(&b->slots[i].builder, b->scan, &b->scattered->layout,
+                                    b->scattered->layout.by_value ? NULL : b->scattered->used);
     return status;
 }
 
@@ -161,23 +164,54 @@ static void release(struct batches *b)
 
 /* ---- loading and sorting ---- */
 
-static void make_entries(const struct batches *b, const uint8_t *records, uint64_t first,
-                         uint32_t count, struct entry *entries)
+static void mark_record(const struct batches *b, const uint8_t *record)
 {
     const struct record_layout *layout = &b->scattered->layout;
+    for (uint32_t k = 0; !layout->by_value && k < 3; k++)
+        used_mark(b->scattered->used, record_vertex_index(layout, record + k * layout->corner_bytes));
+}
+
+/* Entries of records with area; returns their number. */
+static uint32_t make_entries(const struct batches *b, const uint8_t *records, uint64_t first, uint32_t count,
+                             struct entry *entries)
+{
+    const struct record_layout *layout = &b->scattered->layout;
+    const struct morton_cube cube = b->scattered->cube;
+    uint32_t kept = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint8_t *record = records + (uint64_t)i * layout->bytes;
+        float copies[3][3];
+        const float *p[3];
+        for (uint32_t k = 0; k < 3; k++)
+            p[k] = record_position(layout, b->scan, record + k * layout->corner_bytes, copies[k]);
+        if (area_is_zero(p[0], p[1], p[2]))
+            mark_record(b, record);
+        else
+            entries[kept++] = (struct entry){.key = morton_point_key(&cube, p[0]), .record = (uint32_t)(first + i)};
+    }
+    return kept;
+}
+
+/* The same of plain records, see record_layout. */
+static uint32_t make_plain_entries(const struct batches *b, const uint8_t *records, uint64_t first, uint32_t count,
+                                   struct entry *entries)
+{
     /* Copies, which what is written cannot change as far as the compiler knows. */
     const struct morton_cube cube = b->scattered->cube;
     const struct column positions = b->scan->columns[SCAN_POSITIONS];
-    if (layout->plain)
-        for (uint32_t i = 0; i < count; i++)
-            entries[i] = (struct entry){
-                .key = scattered_plain_key(&cube, &positions, records + 12 * (uint64_t)i),
-                .record = (uint32_t)(first + i)};
-    else
-        for (uint32_t i = 0; i < count; i++)
-            entries[i] = (struct entry){
-                .key = scattered_key(b->scattered, b->scan, records + (uint64_t)i * layout->bytes),
-                .record = (uint32_t)(first + i)};
+    uint32_t kept = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t index[3];
+        const float *p[3];
+        memcpy(index, records + 12 * (uint64_t)i, sizeof index);
+        for (uint32_t k = 0; k < 3; k++)
+            p[k] = column_at(&positions, index[k], 12);
+        if (area_is_zero(p[0], p[1], p[2]))
+            mark_record(b, records + 12 * (uint64_t)i);
+        else
+            entries[kept++] = (struct entry){.key = morton_point_key(&cube, p[0]), .record = (uint32_t)(first + i)};
+    }
+    return kept;
 }
 
 /* Where a worker may sort a part. The same place for one part after the other, so that it stays in
@@ -191,22 +225,40 @@ static struct entry *scratch_for(const struct batches *b, const struct part *par
 static int sort_part(void *arg, uint64_t index, unsigned worker)
 {
     struct batches *b = arg;
-    const struct part *part = &b->parts[index];
+    struct part *part = &b->parts[index];
     const uint32_t bytes = b->scattered->layout.bytes;
     struct run_reader *reader = &b->readers[worker];
     run_reader_seek(reader, part->cells, part->cell, part->offset);
+    part->kept = 0;
     for (uint64_t done = 0; done < part->count;) {
         uint8_t *records = b->records + (part->record + done) * bytes;
         uint32_t count;
         int status = run_reader_next(reader, records, &count);
         if (status < 0)
             return status;
-        make_entries(b, records, part->record + done, count, b->entries + part->at + done);
+        struct entry *to = b->entries + part->at + part->kept;
+        part->kept += b->scattered->layout.plain ? make_plain_entries(b, records, part->record + done, count, to)
+                                                 : make_entries(b, records, part->record + done, count, to);
         done += count;
     }
-    order_sort(b->entries + part->at, scratch_for(b, part, worker), part->count,
+    order_sort(b->entries + part->at, scratch_for(b, part, worker), part->kept,
                MORTON_KEY_BITS - 3 * part->levels);
     return 0;
+}
+
+/* Triangles without area leave gaps behind the entries of a part. */
+static void close_gaps(struct batches *b)
+{
+    uint64_t end = b->part_count > 0 ? b->parts[0].at : b->count;
+    for (uint64_t i = 0; i < b->part_count; i++) {
+        const struct part *part = &b->parts[i];
+        if (part->at != end)
+            memmove(b->entries + end, b->entries + part->at, part->kept * sizeof *b->entries);
+        end += part->kept;
+    }
+    b->report.degenerate += b->count - end;
+    bsq_progress_add(b->ctx, b->count - end);
+    b->count = end;
 }
 
 /* ---- chunks ---- */
@@ -240,7 +292,8 @@ static int emit(void *arg, void *slot_arg, uint64_t sequence)
     struct batches *b = arg;
     const struct chunk_slot *slot = slot_arg;
     (void)sequence;
-    b->chunks++;
+    b->report.chunks++;
+    b->report.triangles += slot->count;
     bsq_progress_add(b->ctx, slot->count);
     return fmt_tris_append(b->writer, slot->builder.encoded, slot->builder.encoded_bytes,
                            &slot->builder.info);
@@ -274,8 +327,10 @@ static int write_batch(struct batches *b)
                                           .slot_size = sizeof *b->slots,
                                           .slot_count = b->slot_count};
     int status = bsq_parallel_for(b->ctx, b->part_count, sort_part, b);
-    if (status == 0)
-        status = bsq_pipeline_run(b->ctx, &pipeline);
+    if (status < 0)
+        return status;
+    close_gaps(b);
+    status = bsq_pipeline_run(b->ctx, &pipeline);
     if (status == 0)
         carry_over(b);
     return status;
@@ -330,19 +385,21 @@ static int add_in_parts(struct batches *b, const struct part *whole)
 static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
                       uint32_t mask, uint8_t *coded, struct cells *children)
 {
-    const uint32_t bytes = b->scattered->layout.bytes;
+    const struct record_layout *layout = &b->scattered->layout;
+    const uint32_t bytes = layout->bytes;
     int status = 0;
     for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
         uint32_t child = CELLS_NONE;
         for (end = first; end < count; end++) {
-            uint64_t key = scattered_key(b->scattered, b->scan, records + end * bytes);
+            float copy[3];
+            uint64_t key = morton_point_key(&b->scattered->cube, record_position(layout, b->scan, records + end * bytes, copy));
             uint32_t number = (uint32_t)(key >> (MORTON_KEY_BITS - 3 * levels)) & mask;
             if (end > first && number != child)
                 break;
             child = number;
         }
         uint8_t *coded_end =
-            run_put_records(&b->scattered->layout, records + first * bytes, end - first, coded);
+            run_put_records(layout, records + first * bytes, end - first, coded);
         status = cells_add(children, child, coded, (uint64_t)(coded_end - coded), end - first);
     }
     return status;
@@ -409,7 +466,7 @@ static int add_cells(struct batches *b, const struct cells *cells, uint32_t leve
 }
 
 int batches_write(const struct scan *scan, const struct scattered *scattered, const char *beside,
-                  struct fmt_tris_writer *writer, uint64_t *chunks)
+                  struct fmt_tris_writer *writer, struct batches_report *report)
 {
     struct batches b = {
         .ctx = scan->ctx, .scan = scan, .scattered = scattered, .beside = beside, .writer = writer};
@@ -419,7 +476,7 @@ int batches_write(const struct scan *scan, const struct scattered *scattered, co
     b.last = true;
     if (status == 0)
         status = write_batch(&b);
-    *chunks = b.chunks;
+    *report = b.report;
     release(&b);
     return status;
 }

@@ -4,8 +4,14 @@
 
 #include "libvoxel/scatter.h"
 
-/* Sorts all triangles and appends their chunks to the writer; *chunks: how many. */
+struct batches_report {
+    uint64_t chunks;
+    uint64_t triangles;  /* in the chunks */
+    uint64_t degenerate; /* left out, as they have no area */
+};
+
+/* Sorts all triangles and appends their chunks to the writer. Completes scattered->used where records are indices. */
 int batches_write(const struct scan *scan, const struct scattered *scattered, const char *beside,
-                  struct fmt_tris_writer *writer, uint64_t *chunks);
+                  struct fmt_tris_writer *writer, struct batches_report *report);
 
 #endif

@@ -37,13 +37,13 @@ uint64_t chunk_builder_bytes(uint32_t attributes)
 }
 
 int chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
-                       const struct record_layout *layout)
+                       const struct record_layout *layout, used_word *used)
 {
     const char *what = "building chunks";
     const uint32_t attributes = scan->attributes;
     uint64_t bound = fmt_tris_encoded_bound(attributes, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES);
     int status;
-    *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout};
+    *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout, .used = used};
     if ((status = bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions)) < 0 ||
         (status = bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles)) < 0 ||
         (status = bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table)) < 0 ||
@@ -227,6 +227,8 @@ static void number_corners(struct chunk_builder *b, const uint8_t *record, uint3
     for (uint32_t k = 0; k < 3; k++) {
         if (known >> k & 1)
             continue;
+        if (b->used)
+            used_mark(b->used, record_vertex_index(b->layout, record + k * bytes));
         /* With the triangle's own normal, equal corners of other triangles are other vertices. */
         bool own = b->normals && corners[k].normal == SCAN_NO_NORMAL;
         if (own)
@@ -350,6 +352,7 @@ static void number_notes(struct chunk_builder *b, struct notes *notes, uint32_t 
     }
     for (uint32_t i = 0; i < noted; i++) {
         const uint32_t index = notes->index[i];
+        used_mark(b->used, index);
         uint32_t number = number_position(b, column_at(&positions, index, 12), notes->hash[i]);
         uint64_t *place = plain_place(b->plain, index);
         if (*place == ((uint64_t)(NOTE_FLAG | i) << 32 | index))

@@ -4,6 +4,7 @@
 
 #include "libvoxel/order.h"
 #include "libvoxel/record.h"
+#include "libvoxel/used.h"
 
 /* The bytes of a corner of at most 16 bytes, and its vertex. */
 struct corner_tag {
@@ -19,6 +20,7 @@ struct chunk_builder {
     struct bsq_ctx *ctx;
     const struct scan *scan;
     const struct record_layout *layout;
+    used_word *used; /* where vertices are marked, or NULL */
     float (*positions)[3];
     uint32_t *normals;
     float (*texcoords)[2];
@@ -39,7 +41,7 @@ struct chunk_builder {
 /* Memory of one builder. */
 uint64_t chunk_builder_bytes(uint32_t attributes);
 int chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
-                       const struct record_layout *layout);
+                       const struct record_layout *layout, used_word *used);
 void chunk_builder_free(struct chunk_builder *builder);
 
 /* Builds and encodes a chunk of entries[0 .. count). Vertices are numbered in the order of first

@@ -23,7 +23,6 @@ struct direct {
     struct scattered *out;
     struct block_slot *slots;
     unsigned slot_count;
-    atomic_uint_least64_t *used;
     struct split_plan plan;
     bool decided, active;
     atomic_bool gave_up;
@@ -60,7 +59,6 @@ void direct_close(struct direct *direct)
         bsq_free(ctx, direct->slots[i].changes);
     }
     bsq_free(ctx, direct->slots);
-    bsq_free(ctx, direct->used);
     bsq_free(ctx, direct);
 }
 
@@ -77,7 +75,6 @@ bool direct_is_active(const struct direct *direct)
 void direct_finish(struct direct *direct)
 {
     record_layout_for(direct->scan, &direct->out->layout);
-    direct->out->unused_vertices = scatter_unused(direct->scan, direct->used);
 }
 
 static int give_up(struct direct *direct)
@@ -113,12 +110,11 @@ static int begin(struct direct *direct, uint64_t page_memory)
     uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     int status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, direct->out);
     if (status == 0)
-        status = bsq_calloc(scan->ctx, "vertices in use", vertices / 64 + 1, 8, &direct->used);
+        status = scatter_note_used(scan, direct->out);
     direct->plan = (struct split_plan){
         .scan = scan,
         .cube = direct->out->cube,
         .levels = direct->out->levels,
-        .used = direct->used,
     };
     for (unsigned i = 0; status == 0 && i < direct->slot_count; i++)
         status = splitter_init(&direct->slots[i].splitter, scan->ctx, &direct->plan);

@@ -80,48 +80,36 @@ static inline struct morton_cube morton_cube_over(const float min[3], const floa
     return cube;
 }
 
-#ifdef __SSE2__
-/* A cube's cells of two sums of three coordinates each. */
-static inline __m128i morton_two_cells(__m128d sums, __m128d min, __m128d scale)
+/* Cells of a point. Points outside of the cube count as on its border. */
+static inline void morton_cells(const struct morton_cube *cube, const float *p, uint32_t cell[3])
 {
-    const __m128d last = _mm_set1_pd((double)((1u << MORTON_AXIS_BITS) - 1));
-    __m128d at = _mm_sub_pd(_mm_mul_pd(sums, _mm_set1_pd(1.0 / 3.0)), min);
-    at = _mm_max_pd(_mm_mul_pd(at, scale), _mm_setzero_pd());
-    return _mm_cvttpd_epi32(_mm_min_pd(at, last));
-}
-
-static inline __m128d morton_two(const float *p)
-{
-    return _mm_cvtps_pd(_mm_castsi128_ps(_mm_loadl_epi64((const __m128i *)(const void *)p)));
-}
-
-static inline __m128d morton_one(const float *p)
-{
-    return _mm_cvtps_pd(_mm_load_ss(p));
-}
-#endif
-
-/* Cells of a triangle's centroid. Points outside of the cube count as on its border. */
-static inline void morton_cells(const struct morton_cube *cube, const float *a, const float *b,
-                                const float *c, uint32_t cell[3])
-{
-#ifdef __SSE2__
-    const __m128d scale = _mm_set1_pd(cube->scale);
-    __m128d xy = _mm_add_pd(_mm_add_pd(morton_two(a), morton_two(b)), morton_two(c));
-    __m128d z = _mm_add_pd(_mm_add_pd(morton_one(a + 2), morton_one(b + 2)), morton_one(c + 2));
-    __m128i two = morton_two_cells(xy, _mm_loadu_pd(cube->min), scale);
-    _mm_storel_epi64((__m128i *)(void *)cell, two);
-    cell[2] = (uint32_t)_mm_cvtsi128_si32(morton_two_cells(z, _mm_load_sd(cube->min + 2), scale));
-#else
     const double last = (double)((1u << MORTON_AXIS_BITS) - 1);
+#ifdef __SSE2__
+    const __m128d scale = _mm_set1_pd(cube->scale), most = _mm_set1_pd(last);
+    __m128d xy = _mm_cvtps_pd(_mm_castsi128_ps(_mm_loadl_epi64((const __m128i *)(const void *)p)));
+    __m128d z = _mm_cvtps_pd(_mm_load_ss(p + 2));
+    xy = _mm_mul_pd(_mm_sub_pd(xy, _mm_loadu_pd(cube->min)), scale);
+    z = _mm_mul_pd(_mm_sub_pd(z, _mm_load_sd(cube->min + 2)), scale);
+    xy = _mm_min_pd(_mm_max_pd(xy, _mm_setzero_pd()), most);
+    z = _mm_min_pd(_mm_max_pd(z, _mm_setzero_pd()), most);
+    _mm_storel_epi64((__m128i *)(void *)cell, _mm_cvttpd_epi32(xy));
+    cell[2] = (uint32_t)_mm_cvtsi128_si32(_mm_cvttpd_epi32(z));
+#else
     for (int axis = 0; axis < 3; axis++) {
-        double centre = ((double)a[axis] + b[axis] + c[axis]) * (1.0 / 3.0);
-        double at = (centre - cube->min[axis]) * cube->scale;
+        double at = ((double)p[axis] - cube->min[axis]) * cube->scale;
         at = at < 0.0 ? 0.0 : at;
         at = at > last ? last : at;
         cell[axis] = (uint32_t)(int32_t)at;
     }
 #endif
+}
+
+/* The key of a point. */
+static inline uint64_t morton_point_key(const struct morton_cube *cube, const float *p)
+{
+    uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
+    morton_cells(cube, p, cell);
+    return morton_key(cell);
 }
 
 #endif

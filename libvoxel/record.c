@@ -55,7 +55,7 @@ static void vertex_by_index(const struct record_layout *layout, const struct sca
                             const uint8_t *corner, struct vertex *out)
 {
     const struct column *columns = scan->columns;
-    uint64_t v = record_load(corner, layout->index_bytes[FACE_VERTEX]);
+    uint64_t v = record_vertex_index(layout, corner);
     memcpy(out->position, column_at(&columns[SCAN_POSITIONS], v, 12), 12);
     if (scan->attributes & FMT_TRIS_COLORS)
         memcpy(&out->color, column_at(&columns[SCAN_COLORS], v, 4), 4);

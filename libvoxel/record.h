@@ -58,14 +58,19 @@ static inline uint64_t record_load(const uint8_t *at, uint32_t bytes)
     return value & UINT64_MAX >> (64 - 8 * bytes);
 }
 
+/* Vertex number of a corner that is not by value. */
+static inline uint64_t record_vertex_index(const struct record_layout *layout, const uint8_t *corner)
+{
+    return record_load(corner, layout->index_bytes[FACE_VERTEX]);
+}
+
 /* Position of a corner; `copy` is where it is put if it does not lie aligned. */
 static inline const float *record_position(const struct record_layout *layout,
                                            const struct scan *scan, const uint8_t *corner,
                                            float copy[3])
 {
     if (!layout->by_value)
-        return column_at(&scan->columns[SCAN_POSITIONS],
-                         record_load(corner, layout->index_bytes[FACE_VERTEX]), 12);
+        return column_at(&scan->columns[SCAN_POSITIONS], record_vertex_index(layout, corner), 12);
     memcpy(copy, corner, 12);
     return copy;
 }

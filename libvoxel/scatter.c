@@ -17,7 +17,6 @@ struct job {
     struct scan *scan;
     struct scattered *out;
     struct join *join;           /* NULL: all columns are in memory */
-    atomic_uint_least64_t *used; /* a bit for each vertex, or NULL */
     struct split_plan plan;
 };
 
@@ -49,6 +48,12 @@ int scatter_begin(const struct scan *scan, const char *beside, uint64_t triangle
                       page_memory);
 }
 
+int scatter_note_used(const struct scan *scan, struct scattered *out)
+{
+    uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
+    return bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used, &out->used);
+}
+
 int scatter_collect(struct scattered *out, const struct splitter *splitter)
 {
     int status = 0;
@@ -58,16 +63,20 @@ int scatter_collect(struct scattered *out, const struct splitter *splitter)
                            piece->triangles);
     }
     out->triangles += splitter->triangles;
-    out->degenerate_triangles += splitter->degenerate;
     return status;
 }
 
-uint64_t scatter_unused(const struct scan *scan, const atomic_uint_least64_t *used)
+uint64_t scatter_unused(const struct scan *scan, const struct scattered *scattered)
 {
-    uint64_t count = scan_count(scan, SCAN_POSITIONS), unused = count;
-    for (uint64_t i = 0; i < count / 64 + 1; i++)
-        unused -= (uint64_t)__builtin_popcountll(used[i]);
-    return unused;
+    uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
+    return vertices - (scattered->used ? used_count(scattered->used, vertices) : scattered->used_vertices);
+}
+
+void scatter_free(const struct scan *scan, struct scattered *scattered)
+{
+    cells_free(&scattered->cells);
+    bsq_free(scan->ctx, scattered->used);
+    memset(scattered, 0, sizeof *scattered);
 }
 
 /* ---- slots ---- */
@@ -168,7 +177,7 @@ static int emit(void *arg, void *slot_arg, uint64_t sequence)
     struct job *job = arg;
     const struct slot *slot = slot_arg;
     (void)sequence;
-    bsq_progress_add(job->scan->ctx, slot->splitter.triangles + slot->splitter.degenerate);
+    bsq_progress_add(job->scan->ctx, slot->splitter.triangles);
     return scatter_collect(job->out, &slot->splitter);
 }
 
@@ -203,7 +212,6 @@ static int scatter_by(struct job *job, enum join_method method, const char *besi
 {
     struct scan *scan = job->scan;
     struct scattered *out = job->out;
-    uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     uint64_t triangles = scan->faces.corner_count - 2 * scan->faces.face_count;
     int status = scatter_begin(scan, beside, triangles, scan->limits->page_memory, out);
     record_layout_for(scan, &out->layout);
@@ -212,19 +220,18 @@ static int scatter_by(struct job *job, enum join_method method, const char *besi
     if (status == 0 && out->layout.by_value)
         status = join_open(scan, beside, method, &job->join);
     if (status == 0 && !buckets)
-        status = bsq_calloc(scan->ctx, "vertices in use", vertices / 64 + 1, 8, &job->used);
+        status = scatter_note_used(scan, out);
     job->plan = (struct split_plan){
         .scan = scan,
         .cube = out->cube,
         .levels = out->levels,
         .values = out->layout.by_value ? &out->layout : NULL,
-        .used = job->used,
+        .used = out->layout.by_value ? out->used : NULL,
     };
     if (status == 0)
         status = run_pipeline(job);
-    if (status == 0)
-        out->unused_vertices =
-            job->used ? scatter_unused(scan, job->used) : vertices - join_used_vertices(job->join);
+    if (status == 0 && buckets)
+        out->used_vertices = join_used_vertices(job->join);
     return status;
 }
 
@@ -242,14 +249,12 @@ int scatter_scan(struct scan *scan, const char *beside, struct scattered *out)
     int status = scatter_by(&job, method, beside);
     if (status < 0 && job.join && join_gave_up(job.join)) {
         join_close(job.join);
-        bsq_free(scan->ctx, job.used);
-        cells_free(&out->cells);
+        scatter_free(scan, out);
         job = (struct job){.scan = scan, .out = out};
         begin_progress(scan);
         status = scatter_by(&job, JOIN_BY_BUCKETS, beside);
     }
     bsq_progress_end(scan->ctx);
     join_close(job.join);
-    bsq_free(scan->ctx, job.used);
     return status;
 }

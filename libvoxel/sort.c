@@ -150,7 +150,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     if (status == 0)
         status = read_blocks(scan, reader, options, direct, out, scattered, &again);
     if (status < 0 && again) {
-        cells_free(&out->cells);
+        scatter_free(scan, out);
         scan_free(scan);
         scan_init(scan, ctx, limits, options->obj_paths, options->tris_path);
         status = read_blocks(scan, reader, options, false, out, scattered, &again);
@@ -182,13 +182,20 @@ static int commit(const struct vox_sort_options *options, struct fmt_tris_writer
     return status;
 }
 
+static int fail_without_area(const struct scan *scan, uint64_t triangles)
+{
+    if (triangles == 1)
+        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: the scan's only triangle has no area", scan->obj_paths[0]);
+    return bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area", scan->obj_paths[0],
+                    (unsigned long long)triangles);
+}
+
 static int write_chunks(const struct scan *scan, const struct scattered *scattered,
                         const struct vox_sort_options *options, struct vox_sort_report *report)
 {
     struct fmt_tris_header header = {
         .attributes = scan->attributes,
         .source_faces = scan->totals.faces,
-        .skipped_triangles = scattered->degenerate_triangles,
         .origin = {scan->origin[0], scan->origin[1], scan->origin[2]},
         .material_count = scan->material_count,
         .materials = scan->materials,
@@ -199,11 +206,18 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
                      : fmt_tris_create(scan->ctx, options->tris_path, &header, &writer);
     if (status < 0)
         return status;
-    status = batches_write(scan, scattered, options->tris_path, writer, &report->chunks);
+    struct batches_report batches;
+    status = batches_write(scan, scattered, options->tris_path, writer, &batches);
+    report->chunks = batches.chunks;
+    report->triangles = batches.triangles;
+    report->degenerate_triangles = batches.degenerate;
+    if (status == 0 && batches.triangles == 0)
+        status = fail_without_area(scan, batches.degenerate);
     if (status < 0) {
         fmt_tris_discard(writer);
         return status;
     }
+    fmt_tris_skip(writer, batches.degenerate);
     return commit(options, writer, report);
 }
 
@@ -213,19 +227,13 @@ static int sort_scan(struct scan *scan, const struct vox_sort_options *options,
     double start = bsq_seconds_now();
     int status = is_scattered ? 0 : scatter_scan(scan, options->tris_path, scattered);
     face_store_free(&scan->faces);
-    if (status == 0 && scattered->triangles == 0)
-        status = scattered->degenerate_triangles == 1
-                     ? bsq_fail(scan->ctx, BSQ_EDATA, "%s: the scan's only triangle has no area", scan->obj_paths[0])
-                     : bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area", scan->obj_paths[0],
-                                (unsigned long long)scattered->degenerate_triangles);
     if (status == 0) {
         bsq_progress_begin(scan->ctx, "writing", "triangles", scattered->triangles);
         status = write_chunks(scan, scattered, options, report);
         bsq_progress_end(scan->ctx);
     }
-    report->triangles = scattered->triangles;
-    report->degenerate_triangles = scattered->degenerate_triangles;
-    report->unused_vertices = scattered->unused_vertices;
+    if (status == 0)
+        report->unused_vertices = scatter_unused(scan, scattered);
     report->seconds_sort = bsq_seconds_now() - start;
     return status;
 }
@@ -242,7 +250,7 @@ int sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options
     int status = read_scan(&scan, limits, options, report, &scattered, &is_scattered);
     if (status == 0)
         status = sort_scan(&scan, options, &scattered, is_scattered, report);
-    cells_free(&scattered.cells);
+    scatter_free(&scan, &scattered);
     scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;

@@ -6,7 +6,6 @@
 #include "libvoxel/split.h"
 #include "base/polygon.h"
 
-#include <math.h>
 
 /* ---- memory ---- */
 
@@ -92,33 +91,6 @@ static inline const float *corner_position(const struct splitter *s, const struc
                      source->group->indices[FACE_VERTEX][corner], 12);
 }
 
-/* True where float32 is enough to see that a component of u x v is not zero. */
-static inline bool product_differs(float x, float y)
-{
-    float size = fabsf(x) + fabsf(y);
-    return fabsf(x - y) > 1e-5f * size && size > 1e-30f;
-}
-
-static inline bool surely_has_area(const float *a, const float *b, const float *c)
-{
-    float u0 = b[0] - a[0], u1 = b[1] - a[1], u2 = b[2] - a[2];
-    float v0 = c[0] - a[0], v1 = c[1] - a[1], v2 = c[2] - a[2];
-    return product_differs(u1 * v2, u2 * v1) || product_differs(u2 * v0, u0 * v2) ||
-           product_differs(u0 * v1, u1 * v0);
-}
-
-/* In double the products of differences of float32 of like size are exact, so that this is zero for
- * repeated and collinear corners and for nothing else. */
-static bool without_area(const float *a, const float *b, const float *c)
-{
-    double u[3], v[3];
-    for (int i = 0; i < 3; i++) {
-        u[i] = (double)b[i] - a[i];
-        v[i] = (double)c[i] - a[i];
-    }
-    return u[1] * v[2] == u[2] * v[1] && u[2] * v[0] == u[0] * v[2] && u[0] * v[1] == u[1] * v[0];
-}
-
 static inline bool lacks_texcoord(const struct face_group *group, uint32_t a, uint32_t b,
                                   uint32_t c)
 {
@@ -132,16 +104,10 @@ static void add_link(struct splitter *s, uint32_t cell, uint32_t material)
         (struct split_link){.cell = cell, .first = (uint32_t)s->triangles, .material = material};
 }
 
-static inline bool has_no_area(const float *const p[3])
-{
-    return !surely_has_area(p[0], p[1], p[2]) && without_area(p[0], p[1], p[2]);
-}
-
-static inline uint32_t cell_of(const struct morton_cube *cube, uint32_t levels,
-                               const float *const p[3])
+static inline uint32_t cell_of(const struct morton_cube *cube, uint32_t levels, const float *p)
 {
     uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
-    morton_cells(cube, p[0], p[1], p[2], cell);
+    morton_cells(cube, p, cell);
     for (int k = 0; k < 3; k++)
         cell[k] >>= MORTON_AXIS_BITS - levels;
     return morton_short_key(cell);
@@ -150,13 +116,7 @@ static inline uint32_t cell_of(const struct morton_cube *cube, uint32_t levels,
 static inline void add_triangle(struct splitter *s, const struct source *source, uint32_t a,
                                 uint32_t b, uint32_t c)
 {
-    const float *p[3] = {corner_position(s, source, a), corner_position(s, source, b),
-                         corner_position(s, source, c)};
-    if (has_no_area(p)) {
-        s->degenerate++;
-        return;
-    }
-    uint32_t number = cell_of(&s->plan->cube, s->plan->levels, p);
+    uint32_t number = cell_of(&s->plan->cube, s->plan->levels, corner_position(s, source, a));
     uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
     if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
         s->links[s->link_count - 1].material != material)
@@ -192,7 +152,7 @@ static void add_faces(struct splitter *s, struct source *source)
 {
     const struct face_group *group = source->group;
     uint32_t corner = 0, change = 0;
-    s->triangles = s->degenerate = 0;
+    s->triangles = 0;
     s->link_count = 0;
     set_material(source, group->first_material);
     for (uint32_t f = 0; f < group->face_count; f++) {
@@ -200,7 +160,8 @@ static void add_faces(struct splitter *s, struct source *source)
         while (change < group->change_count && group->changes[change].face <= f)
             set_material(source, group->changes[change++].material);
         for (uint32_t k = corner + CORNERS_AHEAD;
-             !source->values && k < corner + CORNERS_AHEAD + size && k < group->corner_count; k++)
+             !source->values && k < corner + CORNERS_AHEAD + size && k < group->corner_count;
+             k += group->sizes ? 1 : 3)
             __builtin_prefetch(corner_position(s, source, k));
         if (size == 3)
             add_triangle(s, source, corner, corner + 1, corner + 2);
@@ -210,21 +171,13 @@ static void add_faces(struct splitter *s, struct source *source)
     }
 }
 
-static inline void mark_vertex(atomic_uint_least64_t *used, uint64_t vertex)
-{
-    atomic_uint_least64_t *word = &used[vertex / 64];
-    uint64_t bit = (uint64_t)1 << vertex % 64;
-    if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
-        atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
-}
-
-static void mark_used(atomic_uint_least64_t *used, const struct face_group *group)
+static void mark_used(used_word *used, const struct face_group *group)
 {
     const uint64_t *vertex = group->indices[FACE_VERTEX];
     for (uint32_t c = 0; c < group->corner_count; c++) {
         if (c + CORNERS_AHEAD < group->corner_count)
             __builtin_prefetch(&used[vertex[c + CORNERS_AHEAD] / 64], 1);
-        mark_vertex(used, vertex[c]);
+        used_mark(used, vertex[c]);
     }
 }
 
@@ -451,19 +404,6 @@ static void end_piece(struct splitter *s, struct writer *w)
     s->triangles += piece->triangles;
 }
 
-static void put_plain(struct splitter *s, struct writer *w, const uint64_t v[3], bool first)
-{
-    const unsigned control_at_first = CORNER_NEW | CORNER_NEW << 2 | CORNER_NEW << 4;
-    const uint8_t *control = w->to;
-    w->to = corner_code_put(&w->codes[FACE_VERTEX], v, w->to);
-    w->run.triangles++;
-    /* The others were new once. */
-    unsigned fresh = first ? control_at_first : *control;
-    for (unsigned k = 0; s->plan->used && k < 3; k++)
-        if ((fresh >> 2 * k & 3) == CORNER_NEW)
-            mark_vertex(s->plan->used, v[k]);
-}
-
 /* Where one group has no order, so have the next ones: a trial takes as long as a sixteenth of them. */
 #define GROUPS_WITHOUT_ORDER 16
 
@@ -479,19 +419,10 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     const uint32_t most = plain_pieces(group->face_count);
     struct writer w = {.to = s->bytes};
     uint32_t cell = UINT32_MAX;
-    s->triangles = s->degenerate = 0;
+    s->triangles = 0;
     s->piece_count = 0;
     for (uint32_t t = 0; t < group->face_count; t++, v += 3) {
-        const float *p[3];
-        for (int k = 0; k < 3; k++)
-            p[k] = column_at(&positions, v[k], 12);
-        if (has_no_area(p)) {
-            s->degenerate++;
-            for (int k = 0; s->plan->used && k < 3; k++)
-                mark_vertex(s->plan->used, v[k]);
-            continue;
-        }
-        uint32_t number = cell_of(&cube, levels, p);
+        uint32_t number = cell_of(&cube, levels, column_at(&positions, v[0], 12));
         bool first = number != cell || w.run.triangles == RUN_TRIANGLES;
         if (number != cell) {
             end_piece(s, &w);
@@ -503,7 +434,8 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
         }
         if (first)
             begin_run(&w, 1u << FACE_VERTEX, material);
-        put_plain(s, &w, v, first);
+        w.to = corner_code_put(&w.codes[FACE_VERTEX], v, w.to);
+        w.run.triangles++;
         s->pieces[s->piece_count - 1].triangles++;
     }
     end_piece(s, &w);

@@ -1,14 +1,13 @@
 /* split.h - private to the sorter: faces become triangles, coded and collected by cell.
  *
- * Works on one group of faces at a time and needs nothing but the positions of its corners, so that
- * groups can be split on all threads. */
+ * Works on one group of faces at a time and needs nothing but the positions of its triangles' first
+ * corners, and of all corners of polygons, so that groups can be split on all threads. */
 #ifndef VOX_SPLIT_H
 #define VOX_SPLIT_H
 
-#include <stdatomic.h>
-
 #include "libvoxel/morton.h"
 #include "libvoxel/run.h"
+#include "libvoxel/used.h"
 
 /* What all groups of a scan have in common. */
 struct split_plan {
@@ -16,7 +15,7 @@ struct split_plan {
     struct morton_cube cube;
     uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
     const struct record_layout *values; /* corners are coded by value; NULL: by index */
-    atomic_uint_least64_t *used; /* a bit for each vertex, set where a face refers to it; or NULL */
+    used_word *used; /* of vertices that faces refer to; NULL where records will tell */
 };
 
 /* The runs of one cell from one group. */
@@ -38,7 +37,7 @@ struct splitter {
     struct split_piece *pieces;
     uint32_t piece_count;
     uint8_t *bytes;
-    uint64_t triangles, degenerate;
+    uint64_t triangles;
     /* Buffers; capacities in elements. */
     uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity, sorted_capacity;
     uint32_t (*corners)[3]; /* of the triangles, numbers in the group */

@@ -104,13 +104,14 @@ static void write_sample_file(struct fixture *f, uint32_t attributes, uint32_t c
     struct fmt_tris_header header = {
         .attributes = attributes,
         .source_faces = 77,
-        .skipped_triangles = 5,
         .origin = {512000.0, -1024.0, 0.0},
         .material_count = 2,
         .materials = materials,
     };
     struct fmt_tris_writer *writer;
     assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    fmt_tris_skip(writer, 2);
+    fmt_tris_skip(writer, 3);
     for (uint32_t i = 0; i < chunk_count; i++) {
         const struct fmt_tris_chunk *chunk = &f->samples[i]->chunk;
         uint64_t size,

@@ -104,6 +104,19 @@ static void budgets_and_threads_do_not_change_the_file(void **state)
     sort_grid_free(&g);
 }
 
+/* Triangles without area between any of a grid's vertices. */
+static void append_flat_triangles(const char *path, const struct sort_grid *g, uint32_t count)
+{
+    uint64_t seed = 31;
+    FILE *file = fopen(path, "ab");
+    assert_non_null(file);
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t v = (uint32_t)(sort_random(&seed) % (g->n * g->n)) + 1, w = v + (uint32_t)(sort_random(&seed) % g->n);
+        fprintf(file, "f %u %u %u\n", v, i % 2 ? w : v, v);
+    }
+    assert_int_equal(fclose(file), 0);
+}
+
 /* Limits so small that every part of the sorter goes to files, one after the other and all
  * together. */
 static void spilling_does_not_change_the_file(void **state)
@@ -117,6 +130,7 @@ static void spilling_does_not_change_the_file(void **state)
         struct sort_grid g;
         sort_grid_make(&g, sizes[k], 4);
         sort_grid_write(&g, f->obj, kinds[k], 9);
+        append_flat_triangles(f->obj, &g, 3000);
         for (unsigned variant = 0; variant < 11; variant++) {
             struct sort_limits limits;
             struct vox_sort_options options = {
@@ -146,6 +160,7 @@ static void spilling_does_not_change_the_file(void **state)
                 limits.join_bytes = 100000; /* many buckets */
             expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
             assert_int_equal(f->report.triangles, 2 * g.n * g.n);
+            assert_int_equal(f->report.degenerate_triangles, 3000);
             assert_int_equal(f->report.unused_vertices, 0);
             if (variant != 4) /* small parts of cells stay in memory */
                 assert_int_equal(f->report.temp_bytes > 0,
@@ -192,7 +207,7 @@ static void vertices_behind_faces_are_found_late(void **state)
     sort_grid_free(&g);
 }
 
-/* More triangles than a batch with one centroid: only their order in the scan tells them apart. */
+/* More triangles than a batch with one first corner: only their order in the scan tells them apart. */
 static void many_triangles_in_one_place_are_sorted(void **state)
 {
     struct sort_fixture *f = *state;
@@ -223,48 +238,54 @@ static void many_triangles_in_one_place_are_sorted(void **state)
 /* ---- order ---- */
 
 /* Interleaves by the definition, bit by bit. */
-static uint64_t naive_key(const double centre[3], const float low[3], double side)
+static uint64_t naive_key(const float point[3], const struct fmt_tris_header *header)
 {
     uint64_t key = 0;
+    double side = 0;
+    for (int axis = 0; axis < 3; axis++)
+        side = fmax(side, (double)header->bounds_max[axis] - header->bounds_min[axis]);
     for (int bit = 20; bit >= 0; bit--)
         for (int axis = 0; axis < 3; axis++) {
-            double cell = floor((centre[axis] - low[axis]) / side * 2097152.0);
+            double cell = floor(((double)point[axis] - header->bounds_min[axis]) / side * 2097152.0);
             uint64_t c = (uint64_t)fmin(fmax(cell, 0.0), 2097151.0);
             key = key << 1 | (c >> bit & 1);
         }
     return key;
 }
 
-/* Neighbours may be swapped where the division above rounds another way, which moves a key by one.
- */
+/* By their first corners. Neighbours may be swapped where the division above rounds another way, which
+ * moves a key by one. */
+static void expect_morton_order(const struct fmt_tris_chunk *chunk, const struct fmt_tris_header *header, uint64_t *before)
+{
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        uint64_t key = naive_key(chunk->positions[chunk->triangles[t][0]], header);
+        assert_true((key >> 9) + 1 >= *before >> 9);
+        *before = key;
+    }
+}
+
 static void triangles_are_in_morton_order(void **state)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
     struct sort_grid g;
-    struct sorted_triangles got = {0};
-    struct fmt_tris_header header;
+    struct fmt_tris_file *file;
+    struct fmt_tris_chunk chunk;
+    uint64_t before = 0;
     sort_grid_make(&g, 250, 5);
     sort_grid_write(&g, f->obj, GRID_SHUFFLED, 6);
     expect_sorted(f, sort_files(f, paths, 1));
-    read_sorted(f, &got, &header);
-    assert_true(header.chunk_count > 1);
-    double side = 0;
-    for (int axis = 0; axis < 3; axis++)
-        side = fmax(side, (double)header.bounds_max[axis] - header.bounds_min[axis]);
-    uint64_t before = 0;
-    for (size_t i = 0; i < got.count; i++) {
-        double centre[3];
-        for (int axis = 0; axis < 3; axis++)
-            centre[axis] =
-                ((double)got.list[i].corners[0].position[axis] +
-                 got.list[i].corners[1].position[axis] + got.list[i].corners[2].position[axis]) /
-                3.0;
-        uint64_t key = naive_key(centre, header.bounds_min, side);
-        assert_true((key >> 9) + 1 >= before >> 9);
-        before = key;
+    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
+    assert_true(header->chunk_count > 1);
+    void *scratch = malloc(fmt_tris_load_size_max(file));
+    assert_non_null(scratch);
+    for (uint64_t i = 0; i < header->chunk_count; i++) {
+        assert_int_equal(fmt_tris_load(file, i, scratch, &chunk), 0);
+        expect_morton_order(&chunk, header, &before);
     }
-    free(got.list);
+    free(scratch);
+    fmt_tris_close(file);
     sort_grid_free(&g);
 }
 
