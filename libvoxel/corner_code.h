@@ -3,7 +3,9 @@
  * In nearly all scans a triangle shares an edge with the one before it, so of its corners one is
  * new, and that one mostly lies close to the last new one. A byte says for each corner which corner
  * of the triangle before it is, or that it is new, and how many bytes the differences of new ones
- * to the last new one take: about two bytes a triangle in all. */
+ * to the last new one take: about two bytes a triangle in all. Where faces have no order the first
+ * corner is far from the last one, but the others mostly are near it; then a second byte tells each
+ * difference's bytes, about eight a triangle. */
 #ifndef VOX_CORNER_CODE_H
 #define VOX_CORNER_CODE_H
 
@@ -11,7 +13,7 @@
 #include <string.h>
 
 /* Bytes that a triangle takes at most. */
-#define CORNER_CODE_MAX 25u
+#define CORNER_CODE_MAX 26u
 /* Bytes past the end that encoding may write and decoding may read. */
 #define CORNER_CODE_SLACK 8u
 #define CORNER_NEW        3u
@@ -30,6 +32,36 @@ static inline unsigned corner_code_match(const uint64_t before[3], uint64_t inde
     return index == before[0] ? 0 : match;
 }
 
+/* 1 << this many bytes hold the value. */
+static inline unsigned corner_code_width(uint64_t value)
+{
+    return (value > 0xff) + (value > 0xffff) + (value > 0xffffffffu);
+}
+
+#define CORNER_WIDTH_EACH 3u /* a byte of widths follows, two bits for each new corner */
+
+/* Differences of which one takes four bytes or more. */
+static inline uint8_t *corner_code_put_wide(const uint64_t *differences, unsigned count, unsigned control, uint8_t *to)
+{
+    unsigned widths = 0, bytes = 0, widest = 0;
+    for (unsigned i = 0; i < count; i++) {
+        unsigned width = corner_code_width(differences[i]);
+        widths |= width << 2 * i;
+        bytes += 1u << width;
+        widest = width > widest ? width : widest;
+    }
+    if (widest < 3 && 4 * count <= bytes + 1) {
+        *to++ = (uint8_t)(control | 2u << 6);
+        widths = 0x2a;
+    } else {
+        *to++ = (uint8_t)(control | CORNER_WIDTH_EACH << 6);
+        *to++ = (uint8_t)widths;
+    }
+    for (unsigned i = 0; i < count; i++, to += 1u << (widths & 3), widths >>= 2)
+        memcpy(to, &differences[i], 8);
+    return to;
+}
+
 /* Indices are any numbers; differences are taken modulo 2^64. Returns the end of what was written.
  */
 static inline uint8_t *corner_code_put(struct corner_code *code, const uint64_t index[3],
@@ -46,11 +78,13 @@ static inline uint8_t *corner_code_put(struct corner_code *code, const uint64_t 
         count += match == CORNER_NEW;
         control |= match << 2 * k;
     }
-    unsigned width = (all > 0xff) + (all > 0xffff) + (all > 0xffffffffu);
+    memcpy(code->corner, index, sizeof code->corner);
+    if (all > 0xffff)
+        return corner_code_put_wide(differences, count, control, to);
+    unsigned width = all > 0xff;
     *to++ = (uint8_t)(control | width << 6);
     for (unsigned i = 0; i < count; i++, to += 1u << width)
         memcpy(to, &differences[i], 8);
-    memcpy(code->corner, index, sizeof code->corner);
     return to;
 }
 
@@ -59,16 +93,20 @@ static inline const uint8_t *corner_code_get(struct corner_code *code, const uin
                                              uint64_t index[3])
 {
     static const uint64_t masks[4] = {0xff, 0xffff, 0xffffffffu, UINT64_MAX};
-    const unsigned control = *from++, width = control >> 6;
+    const unsigned control = *from++;
+    unsigned widths = (control >> 6) * 0x15;
+    if (control >> 6 == CORNER_WIDTH_EACH)
+        widths = *from++;
     for (unsigned k = 0; k < 3; k++) {
         unsigned match = control >> 2 * k & 3;
         if (match == CORNER_NEW) {
             uint64_t value;
             memcpy(&value, from, 8);
-            value &= masks[width];
+            value &= masks[widths & 3];
             code->last += value >> 1 ^ (0 - (value & 1));
             index[k] = code->last;
-            from += 1u << width;
+            from += 1u << (widths & 3);
+            widths >>= 2;
         } else {
             index[k] = code->corner[match];
         }

@@ -49,8 +49,8 @@ static uint64_t encoded_bound(const struct fmt_obj_block *block, const struct fa
 {
     uint64_t kinds = 1u + !!block->corner_texcoords + !!block->corner_normals;
     uint64_t triangles =
-        range->corner_count / 3; /* of which each has one byte more when coded as such */
-    return kinds * (index_code_bound(range->corner_count) + triangles) +
+        range->corner_count / 3; /* of which each has two bytes more when coded as such */
+    return kinds * (index_code_bound(range->corner_count) + 2 * triangles) +
            index_code_bound(range->face_count) + range->change_count * sizeof(struct face_change);
 }
 
