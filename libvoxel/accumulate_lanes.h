@@ -232,7 +232,7 @@ LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int 
     return where;
 }
 
-/* Divides the first `count` of these triangles of the kind that has these planes. */
+/* Divides the first `count` of these triangles, all of the kind that has these planes. */
 LANES_INLINE void divide_batch(const struct vox_accumulation *what,
                                const uint16_t places[LANE_COUNT], uint32_t count,
                                const int planes[3])
@@ -269,10 +269,10 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *what,
     block->piece_count += count * cells;
 }
 
-static void divide_kind(const struct vox_accumulation *what, const uint16_t *order, uint32_t count,
-                        uint32_t kind)
+/* Divides triangles of the kind that has these planes. */
+LANES_INLINE void divide_with(const struct vox_accumulation *what, const uint16_t *order, uint32_t count,
+                              const int planes[3])
 {
-    const int planes[3] = {(int)(kind >> 4), (int)(kind >> 2 & 3), (int)(kind & 3)};
     for (uint32_t done = 0; done < count; done += LANE_COUNT) {
         uint32_t left = count - done;
         uint16_t padded[LANE_COUNT];
@@ -281,6 +281,24 @@ static void divide_kind(const struct vox_accumulation *what, const uint16_t *ord
         divide_batch(what, left < LANE_COUNT ? padded : order + done,
                      left < LANE_COUNT ? left : LANE_COUNT, planes);
     }
+}
+
+/* Triangles that lie in one voxel, as a quarter to a half do where a scan is fine for its grid: compiled without what
+ * planes need. */
+static __attribute__((noinline)) void divide_whole(const struct vox_accumulation *what, const uint16_t *order,
+                                                   uint32_t count)
+{
+    divide_with(what, order, count, (const int[3]){0, 0, 0});
+}
+
+static void divide_kind(const struct vox_accumulation *what, const uint16_t *order, uint32_t count,
+                        uint32_t kind)
+{
+    const int planes[3] = {(int)(kind >> 4), (int)(kind >> 2 & 3), (int)(kind & 3)};
+    if (kind == 0)
+        divide_whole(what, order, count);
+    else
+        divide_with(what, order, count, planes);
 }
 
 /* ---- pieces ---- */
