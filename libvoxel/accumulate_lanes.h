@@ -96,8 +96,8 @@ LANES_INLINE struct cell_bounds cells_of(const struct vox_chunk *chunk, uint32_t
     const uint32_t *v = chunk->source.triangles[triangle];
     struct row p = row_load(chunk->points[v[0]]), q = row_load(chunk->points[v[1]]);
     struct row r = row_load(chunk->points[v[2]]);
-    return (struct cell_bounds){vox_chunk_cell(chunk, row_min(row_min(p, q), r)),
-                                vox_chunk_cell(chunk, row_max(row_max(p, q), r))};
+    return (struct cell_bounds){vox_cell(row_min(row_min(p, q), r), chunk->last_cell),
+                                vox_cell(row_max(row_max(p, q), r), chunk->last_cell)};
 }
 
 LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)
@@ -565,14 +565,6 @@ static int add_group(const struct vox_accumulation *what, uint32_t begin, uint32
     return status;
 }
 
-static bool overlap(const struct vox_box *a, const struct vox_box *b)
-{
-    bool apart = false;
-    for (int k = 0; k < 3; k++)
-        apart |= (a->lo[k] > b->hi[k]) | (a->hi[k] < b->lo[k]);
-    return !apart;
-}
-
 static int accumulate_chunk(const struct vox_accumulation *what, uint64_t *counted)
 {
     const struct vox_chunk *chunk = what->chunk;
@@ -581,10 +573,9 @@ static int accumulate_chunk(const struct vox_accumulation *what, uint64_t *count
     what->block->triangle_count = what->block->piece_count = 0;
     for (uint32_t g = 0; g < chunk->group_count && status == 0; g++) {
         const struct vox_box *bounds = &chunk->groups[g];
-        if (!overlap(bounds, what->window))
+        if (!vox_boxes_meet(bounds, what->window))
             continue;
-        uint32_t begin = g * VOX_GROUP_TRIANGLES;
-        uint32_t end = count - begin < VOX_GROUP_TRIANGLES ? count : begin + VOX_GROUP_TRIANGLES;
+        uint32_t begin = g * VOX_GROUP_TRIANGLES, end = vox_group_end(begin, count, VOX_GROUP_TRIANGLES);
         status = add_group(what, begin, end, &room);
         if (contains(what->window, bounds->lo))
             *counted += end - begin;

@@ -3,13 +3,12 @@
 #define VOX_CHUNK_CELL_H
 
 #include "libvoxel/lanes.h"
-#include "libvoxel/scan_chunks.h"
 
 /* The cell of a point, and a number that does not matter. Points are not below the lattice, but
  * what lies on its upper bounds has its floor just above and is counted to the last. */
-LANES_INLINE four_ints vox_chunk_cell(const struct vox_chunk *chunk, struct row point)
+LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
 {
-    return four_min(row_floor(point), four_load(chunk->last_cell));
+    return four_min(row_floor(point), four_load(last_cell));
 }
 
 #endif

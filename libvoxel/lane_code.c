@@ -4,7 +4,7 @@
 #include "libvoxel/record_lanes.h"
 #include "libvoxel/ring_lanes.h"
 
-static const struct vox_lane_code two_lanes = {accumulate_chunk, make_records, add_rings};
+static const struct vox_lane_code two_lanes = {accumulate_chunk, make_records, add_rings, finish_rings};
 
 /* AVX-512 comes with much lower clocks in its first processors; those that have VBMI2 are later. */
 const struct vox_lane_code *vox_lane_code_of(unsigned count)

@@ -20,10 +20,13 @@ struct vox_lane_code {
      * FMT_NVDB_PLANE_SECOND. */
     void (*make_records)(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,
                          struct fmt_nvdb_record *records);
-    /* Adds the chunk's triangles to the rings around their corners, whose numbers are those of the
+    /* Adds the chunk's triangles from begin to end to the rings around their corners, whose numbers are those of the
      * vertices. Ring 0 takes what is not wanted; triangles that have no other are left out. */
-    void (*add_rings)(const struct fmt_tris_chunk *chunk, const uint32_t *ring_of,
+    void (*add_rings)(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end, const uint32_t *ring_of,
                       struct vox_ring *rings);
+    /* The normals of so many vertices from their rings, see vox_smooth_normals(); h: size of a voxel. */
+    void (*finish_rings)(const struct vox_ring *rings, const uint32_t *ring_of, uint32_t count, double h,
+                         float (*normals)[4]);
 };
 
 #ifdef __x86_64__

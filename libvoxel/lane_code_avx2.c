@@ -6,5 +6,5 @@
 #include "libvoxel/record_lanes.h"
 #include "libvoxel/ring_lanes.h"
 
-const struct vox_lane_code vox_lane_code_avx2 = {accumulate_chunk, make_records, add_rings};
+const struct vox_lane_code vox_lane_code_avx2 = {accumulate_chunk, make_records, add_rings, finish_rings};
 #endif

@@ -166,6 +166,17 @@ LANES_INLINE struct row row_of(double a, double b, double c, double d)
     return x;
 }
 
+/* Three numbers, and 0. */
+LANES_INLINE struct row row_of_floats(const float from[3])
+{
+#ifdef __AVX2__
+    __m128 two = _mm_castsi128_ps(_mm_loadl_epi64((const __m128i *)(const void *)from));
+    return (struct row){{_mm256_cvtps_pd(_mm_movelh_ps(two, _mm_load_ss(from + 2)))}};
+#else
+    return (struct row){{{(double)from[0], (double)from[1]}, {(double)from[2], 0.0}}};
+#endif
+}
+
 /* x with another last number */
 LANES_INLINE struct row row_with_last(struct row x, double last)
 {

@@ -18,6 +18,15 @@ struct vox_box {
     int32_t lo[3], hi[3];
 };
 
+/* Whether any voxel is in both. */
+static inline bool vox_boxes_meet(const struct vox_box *a, const struct vox_box *b)
+{
+    bool apart = false;
+    for (int k = 0; k < 3; k++)
+        apart |= (a->lo[k] > b->hi[k]) | (a->hi[k] < b->lo[k]);
+    return !apart;
+}
+
 struct vox_lattice {
     double origin[3];      /* world position of the file's float positions */
     double start[3];       /* world position of the lower corner of voxel (0, 0, 0) */

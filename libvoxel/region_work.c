@@ -7,14 +7,6 @@
 
 enum { BRICK_SIZE = 8 };
 
-static bool overlap(const struct vox_box *a, const struct vox_box *b)
-{
-    for (int k = 0; k < 3; k++)
-        if (a->lo[k] > b->hi[k] || a->hi[k] < b->lo[k])
-            return false;
-    return true;
-}
-
 static struct vox_box region_box(const int32_t origin[3])
 {
     struct vox_box box;
@@ -41,7 +33,7 @@ static int add_chunks(const struct vox_scan *scan, const struct vox_unit *unit,
     int status = 0;
     for (uint64_t i = 0; i < unit->chunk_count && status == 0; i++) {
         uint32_t number = unit->chunks[i];
-        if (!overlap(&scan->boxes[number], window))
+        if (!vox_boxes_meet(&scan->boxes[number], window))
             continue;
         if ((status = bsq_check(scan->ctx)) < 0 ||
             (status = vox_chunks_acquire(scan->chunks, number, &what.chunk)) < 0)

@@ -5,7 +5,6 @@
  * virtual-storage computer", 1966). Slots are allocated when first used. */
 #include "libvoxel/scan_chunks.h"
 #include "base/octahedral.h"
-#include "libvoxel/chunk_cell.h"
 #include "libvoxel/own_normals.h"
 
 #include <pthread.h>
@@ -25,6 +24,7 @@ struct slot {
     int status; /* of the steps */
     uint8_t *memory;
     struct vox_chunk content;
+    const struct vox_box *vertex_groups; /* for neighbours */
 };
 
 struct use {
@@ -44,7 +44,7 @@ struct vox_chunks {
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
-    uint64_t points_at, normals_at, groups_at, stray_at, slot_bytes;
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, stray_at, slot_bytes;
 };
 
 /* ---- layout of a slot ---- */
@@ -58,17 +58,19 @@ static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
-    uint64_t vertices = 0, triangles = 0;
+    uint32_t vertices = 0, triangles = 0;
     for (uint64_t i = 0; i < header->chunk_count; i++) {
         vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
         triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
     }
-    uint64_t groups = (triangles + VOX_GROUP_TRIANGLES - 1) / VOX_GROUP_TRIANGLES;
+    uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
+    uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
     bool normals = smooth || (header->attributes & FMT_TRIS_NORMALS);
     c->points_at = align64(fmt_tris_load_size_max(file));
     c->normals_at = c->points_at + align64(vertices * sizeof(double[4]));
     c->groups_at = c->normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
-    c->stray_at = c->groups_at + align64(groups * sizeof(struct vox_box));
+    c->vertex_groups_at = c->groups_at + align64(groups * sizeof(struct vox_box));
+    c->stray_at = c->vertex_groups_at + (smooth ? align64(vertex_groups * sizeof(struct vox_box)) : 0);
     c->slot_bytes = c->stray_at + align64(groups * sizeof(bool));
 }
 
@@ -126,36 +128,6 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, const double
     return sum / (double)source->triangle_count;
 }
 
-static struct vox_box group_box(const struct vox_chunk *chunk, uint32_t begin, uint32_t end)
-{
-    struct row least = row_load(chunk->points[chunk->source.triangles[begin][0]]), most = least;
-    struct vox_box box;
-    for (uint32_t t = begin; t < end; t++)
-        for (int corner = 0; corner < 3; corner++) {
-            struct row point = row_load(chunk->points[chunk->source.triangles[t][corner]]);
-            least = row_min(point, least);
-            most = row_max(point, most);
-        }
-    four_ints low = vox_chunk_cell(chunk, least), high = vox_chunk_cell(chunk, most);
-    memcpy(box.lo, &low, sizeof box.lo);
-    memcpy(box.hi, &high, sizeof box.hi);
-    return box;
-}
-
-static void make_groups(const struct vox_chunks *c, struct slot *slot)
-{
-    struct vox_chunk *content = &slot->content;
-    const struct fmt_tris_chunk *source = &content->source;
-    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + c->groups_at);
-    content->groups = groups;
-    content->group_count = 0;
-    for (uint32_t begin = 0; begin < source->triangle_count; begin += VOX_GROUP_TRIANGLES) {
-        uint32_t left = source->triangle_count - begin;
-        uint32_t end = begin + (left < VOX_GROUP_TRIANGLES ? left : VOX_GROUP_TRIANGLES);
-        groups[content->group_count++] = group_box(content, begin, end);
-    }
-}
-
 /* Finds where the scan's own normals do not go with its triangles; large: everywhere. */
 static void find_stray(const struct vox_chunks *c, bool large, struct slot *slot)
 {
@@ -164,15 +136,34 @@ static void find_stray(const struct vox_chunks *c, bool large, struct slot *slot
                                         content->normals};
     bool *stray = (bool *)(slot->memory + c->stray_at), any = false;
     for (uint32_t g = 0; g < content->group_count; g++) {
-        uint32_t begin = g * VOX_GROUP_TRIANGLES, left = content->source.triangle_count - begin;
-        uint32_t count = left < VOX_GROUP_TRIANGLES ? left : VOX_GROUP_TRIANGLES;
-        stray[g] = large || vox_own_normals_stray(&own, begin, begin + count);
+        uint32_t begin = g * VOX_GROUP_TRIANGLES;
+        uint32_t end = vox_group_end(begin, content->source.triangle_count, VOX_GROUP_TRIANGLES);
+        stray[g] = large || vox_own_normals_stray(&own, begin, end);
         any |= stray[g];
     }
     content->stray = any ? stray : NULL;
 }
 
-/* The first step: the chunk as it is in the file. */
+/* Points, and the bounds of groups. */
+static void place_chunk(const struct vox_chunks *c, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    const struct fmt_tris_chunk *source = &content->source;
+    double(*points)[4] = (double(*)[4])(void *)(slot->memory + c->points_at);
+    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + c->groups_at);
+    struct vox_box *vertex_groups = (struct vox_box *)(void *)(slot->memory + c->vertex_groups_at);
+    map_points(c->lattice, source, points);
+    content->points = (const double(*)[4])points;
+    memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
+    vox_triangle_groups(source, content->points, content->last_cell, groups);
+    content->groups = groups;
+    content->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
+    if (c->smooth)
+        vox_vertex_groups(source, content->points, content->last_cell, vertex_groups);
+    slot->vertex_groups = vertex_groups;
+}
+
+/* The first step: the chunk as it is in the file, and where it lies. */
 static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
     int status = 0;
@@ -180,10 +171,12 @@ static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
         status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
     if (status == 0)
         status = fmt_tris_load(c->file, chunk, slot->memory, &slot->content.source);
+    if (status == 0)
+        place_chunk(c, slot);
     return status;
 }
 
-static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out);
+static int lend(void *arg, uint32_t chunk, struct vox_loan *out);
 
 static void take_back(void *arg, uint32_t chunk)
 {
@@ -194,8 +187,7 @@ static int smooth_normals(struct vox_chunks *c, uint32_t chunk, struct slot *slo
                           float (*normals)[4])
 {
     const struct vox_smooth_lender lender = {c, lend, take_back};
-    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->lattice->h,
-                              normals);
+    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->lattice, normals);
 }
 
 /* The second step: what voxelizing needs beside. */
@@ -203,16 +195,11 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
     const struct fmt_tris_chunk *source = &content->source;
-    double(*points)[4] = (double(*)[4])(void *)(slot->memory + c->points_at);
     float(*normals)[4] = (float(*)[4])(void *)(slot->memory + c->normals_at);
     int status = 0;
-    map_points(c->lattice, source, points);
-    content->points = (const double(*)[4])points;
-    memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
     double square = mean_edge_square(source, content->points);
     content->coarse = square > COARSE_EDGE_SQUARE;
     content->wide = source->normals || square > WIDE_EDGE_SQUARE;
-    make_groups(c, slot);
     content->normals = (const float(*)[4])normals;
     content->stray = NULL;
     if (source->normals) {
@@ -386,12 +373,12 @@ static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
 
 /* Lends a chunk as it is in the file, unless it has no slot and its turn comes after that of all
  * who have one. */
-static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out)
+static int lend(void *arg, uint32_t chunk, struct vox_loan *out)
 {
     struct vox_chunks *c = arg;
     const struct use *use = &c->uses[chunk];
     int status = 0;
-    *out = NULL;
+    *out = (struct vox_loan){.chunk = NULL};
     pthread_mutex_lock(&c->lock);
     bool fresh = use->slot == NO_SLOT;
     if (fresh) {
@@ -406,7 +393,7 @@ static int lend(void *arg, uint32_t chunk, const struct fmt_tris_chunk **out)
         if (status < 0)
             leave_slot(c, slot);
         else
-            *out = &slot->content.source;
+            *out = (struct vox_loan){&slot->content.source, slot->content.groups, slot->vertex_groups};
     }
     pthread_mutex_unlock(&c->lock);
     return status;

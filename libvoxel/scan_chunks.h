@@ -5,11 +5,9 @@
 #ifndef VOX_SCAN_CHUNKS_H
 #define VOX_SCAN_CHUNKS_H
 
+#include "libvoxel/chunk_groups.h"
 #include "libvoxel/schedule.h"
 #include "libvoxel/smooth_normals.h"
-
-/* Triangles follow each other in space, so runs of them share small bounds. */
-enum { VOX_GROUP_TRIANGLES = 64 };
 
 struct vox_chunk {
     struct fmt_tris_chunk source;
@@ -20,8 +18,8 @@ struct vox_chunk {
     const float (*normals)[4];
     bool wide;   /* pieces are not to be lifted far */
     bool coarse; /* triangles are large enough for their facets to show in the grid */
-    const struct vox_box *groups; /* voxels of the bounds of each run of VOX_GROUP_TRIANGLES */
-    /* Whether the normals of such a run do not go with its triangles' planes; NULL: nowhere. */
+    const struct vox_box *groups; /* of the triangles */
+    /* Whether the normals of such a group do not go with its triangles' planes; NULL: nowhere. */
     const bool *stray;
     uint32_t group_count;
 };

@@ -6,7 +6,6 @@
 #include "libvoxel/smooth_normals.h"
 #include "libvoxel/lane_code.h"
 
-#include <math.h>
 #include <pthread.h>
 #include <string.h>
 
@@ -130,12 +129,23 @@ static void stand_up(struct vox_smooth *s, struct desk *desk)
 
 /* ---- positions ---- */
 
+/* Which of the chunk's vertices are one. Most find their slot free, or would, if not others had it: processors cannot foresee
+ * which. So those are put off (to d->mates) without a branch, and looked for when all others have slots. */
 static void enter_vertices(const struct desk *d, const struct fmt_tris_chunk *chunk)
 {
-    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
+    uint32_t *late = d->mates, late_count = 0;
     memset(d->rings, 0, ((uint64_t)chunk->vertex_count + 1) * sizeof *d->rings);
+    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
     for (uint32_t v = 0; v < chunk->vertex_count; v++) {
-        uint32_t *slot = bsq_positions_find(&d->table, chunk->positions[v]);
+        uint32_t *slot = &d->table.slots[bsq_position_hash(chunk->positions[v]) & d->table.mask];
+        uint32_t taken = *slot != 0;
+        *slot = taken ? *slot : v + 1;
+        d->twins[v] = v + 1;
+        late[late_count] = v;
+        late_count += taken;
+    }
+    for (uint32_t i = 0; i < late_count; i++) {
+        uint32_t v = late[i], *slot = bsq_positions_find(&d->table, chunk->positions[v]);
         if (*slot == 0)
             *slot = v + 1;
         d->twins[v] = *slot;
@@ -152,67 +162,88 @@ static bool touch(const struct fmt_tris_chunk_info *a, const struct fmt_tris_chu
     return yes;
 }
 
-static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                     const struct desk *d, const struct fmt_tris_chunk_info *info, uint32_t other)
+/* A chunk whose triangles are added to the rings of another. */
+struct neighbour {
+    struct vox_loan loan;
+    const struct fmt_tris_chunk_info *info; /* of the other */
+    struct vox_box box;                     /* and its voxels */
+};
+
+/* Finds the neighbour's vertices among those of the chunk. What lies in the same place lies in the same voxel. */
+static bool match(const struct desk *d, const struct neighbour *n)
 {
-    const struct fmt_tris_chunk *lent;
+    const struct fmt_tris_chunk *chunk = n->loan.chunk;
+    const float *min = n->info->bounds_min, *max = n->info->bounds_max;
+    bool any = false;
+    if (!n->loan.vertex_groups)
+        return bsq_positions_match(&d->table, min, max, chunk->positions, chunk->vertex_count, d->mates);
+    memset(d->mates, 0, chunk->vertex_count * sizeof *d->mates);
+    for (uint32_t begin = 0, g = 0; begin < chunk->vertex_count; begin += VOX_GROUP_VERTICES, g++) {
+        uint32_t end = vox_group_end(begin, chunk->vertex_count, VOX_GROUP_VERTICES);
+        if (vox_boxes_meet(&n->loan.vertex_groups[g], &n->box))
+            any |= bsq_positions_match(&d->table, min, max, chunk->positions + begin, end - begin, d->mates + begin);
+    }
+    return any;
+}
+
+static void add_neighbour(const struct desk *d, const struct neighbour *n)
+{
+    const struct vox_lane_code *code = vox_lane_code();
+    const struct fmt_tris_chunk *chunk = n->loan.chunk;
+    if (!n->loan.triangle_groups) {
+        code->add_rings(chunk, 0, chunk->triangle_count, d->mates, d->rings);
+        return;
+    }
+    for (uint32_t begin = 0, g = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES, g++)
+        if (vox_boxes_meet(&n->loan.triangle_groups[g], &n->box))
+            code->add_rings(chunk, begin, vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES), d->mates,
+                            d->rings);
+}
+
+static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
+                     const struct desk *d, struct neighbour *n, uint32_t other)
+{
     struct fmt_tris_chunk own = {0};
-    int status = lender->lend(lender->arg, other, &lent);
+    int status = lender->lend(lender->arg, other, &n->loan);
+    const bool lent = n->loan.chunk != NULL;
     if (status == 0 && !lent)
         status = fmt_tris_load(s->file, other, d->scratch, &own);
     if (status < 0)
         return status;
-    const struct fmt_tris_chunk *neighbour = lent ? lent : &own;
-    if (bsq_positions_match(&d->table, info->bounds_min, info->bounds_max, neighbour->positions, neighbour->vertex_count, d->mates))
-        vox_lane_code()->add_rings(neighbour, d->mates, d->rings);
+    if (!lent)
+        n->loan = (struct vox_loan){.chunk = &own};
+    if (match(d, n))
+        add_neighbour(d, n);
     if (lent)
         lender->take_back(lender->arg, other);
     return 0;
 }
 
 static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                       struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk)
+                       struct desk *d, uint32_t index, const struct fmt_tris_chunk *chunk, const struct vox_lattice *lattice)
 {
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file), *info = &infos[index];
     uint32_t count = (uint32_t)fmt_tris_get_header(s->file)->chunk_count;
+    struct neighbour neighbour = {.info = info, .box = vox_lattice_box(lattice, info->bounds_min, info->bounds_max)};
     int status = 0;
     d->table.positions = chunk->positions;
     enter_vertices(d, chunk);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == index)
-            vox_lane_code()->add_rings(chunk, d->twins, d->rings);
-        else if (touch(&infos[i], &infos[index]))
-            status = add_chunk(s, lender, d, &infos[index], i);
+            vox_lane_code()->add_rings(chunk, 0, chunk->triangle_count, d->twins, d->rings);
+        else if (touch(&infos[i], info))
+            status = add_chunk(s, lender, d, &neighbour, i);
     }
     return status;
 }
 
-/* The mean of the facets' normals around a vertex is the normal of a smoother surface: that of the
- * heights' means over the rings of triangles, each the height of its ring's centroid. In a lattice
- * of triangles its facets have, up to the surface's third derivatives, the slope of the corners'
- * normals' mean. Bunny and vase, whose triangles are not so even, come nearest to exact maps with
- * an eighth more: at voxels of half a texel 0.16 and 0.03 degrees instead of 0.24 and 0.05. */
-static const double ring_share = 9.0 / 8.0;
-
-static void finish_vertex(const struct vox_ring *ring, double h, float normal[4])
-{
-    const double *n = ring->area_vector, *m = ring->moment;
-    double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
-    bool smooth = length > 0 && length >= FMT_TRIS_CREASE_SHARE * ring->area;
-    double height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * ring->area);
-    for (int k = 0; k < 3; k++)
-        normal[k] = smooth ? (float)(n[k] / length) : 0.0f;
-    float rise = smooth ? (float)(ring_share * height) : 0.0f;
-    normal[3] = (float)((double)rise / h);
-}
-
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender, uint32_t index,
-                       const struct fmt_tris_chunk *chunk, double h, float (*normals)[4])
+                       const struct fmt_tris_chunk *chunk, const struct vox_lattice *lattice, float (*normals)[4])
 {
     struct desk *desk = sit_down(s);
-    int status = sum_normals(s, lender, desk, index, chunk);
-    for (uint32_t v = 0; status == 0 && v < chunk->vertex_count; v++)
-        finish_vertex(&desk->rings[desk->twins[v]], h, normals[v]);
+    int status = sum_normals(s, lender, desk, index, chunk, lattice);
+    if (status == 0)
+        vox_lane_code()->finish_rings(desk->rings, desk->twins, chunk->vertex_count, lattice->h, normals);
     stand_up(s, desk);
     return status;
 }

@@ -251,11 +251,12 @@ static void test_rings(void **state)
                                          .positions = (const float(*)[3])positions,
                                          .triangles = (const uint32_t(*)[3])triangles};
     struct vox_ring rings[KINDS_MAX][RING_VERTICES];
+    float normals[KINDS_MAX][RING_VERTICES][4];
     size_t count;
     const struct vox_lane_code *const *code = kinds(&count);
     for (size_t c = 0; c < count; c++) {
         memset(rings[c], 0, sizeof rings[c]);
-        code[c]->add_rings(&chunk, ring_of, rings[c]);
+        code[c]->add_rings(&chunk, 0, chunk.triangle_count, ring_of, rings[c]);
         assert_memory_equal(rings[c], rings[0], sizeof rings[c]);
     }
     for (uint32_t v = 1; v < RING_VERTICES; v++) {
@@ -265,6 +266,14 @@ static void test_rings(void **state)
             assert_true(fabs(ring->area_vector[a] - expected.area_vector[a]) < 1e-9);
             assert_true(fabs(ring->moment[a] - expected.moment[a]) < 1e-7);
         }
+    }
+    const uint32_t empty = 9, finished = RING_VERTICES - 1; /* no multiple of any number of lanes */
+    for (size_t c = 0; c < count; c++) {
+        memset(&rings[c][empty], 0, sizeof rings[c][empty]);
+        code[c]->finish_rings(rings[c], ring_of, finished, 0.5, normals[c]);
+        assert_memory_equal(normals[c], normals[0], finished * sizeof normals[c][0]);
+        for (int k = 0; k < 4; k++)
+            assert_true(normals[c][empty][k] == 0.0f);
     }
 }
 
