@@ -144,6 +144,13 @@ LANES_INLINE struct row row_product(struct row a, struct row b)
     return a;
 }
 
+LANES_INLINE struct row row_quotient(struct row a, struct row b)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        a.part[i] /= b.part[i];
+    return a;
+}
+
 LANES_INLINE struct row row_times(double factor, struct row x)
 {
     for (int i = 0; i < ROW_PARTS; i++)

@@ -5,6 +5,7 @@
  * virtual-storage computer", 1966). Slots are allocated when first used. */
 #include "libvoxel/scan_chunks.h"
 #include "base/octahedral.h"
+#include "libvoxel/lanes.h"
 #include "libvoxel/own_normals.h"
 
 #include <pthread.h>
@@ -83,13 +84,17 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- loading ---- */
 
+/* As vox_lattice_coordinate() has it. */
 static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
                        double (*points)[4])
 {
+    const double h = lattice->h;
+    const struct row origin = row_of(lattice->origin[0], lattice->origin[1], lattice->origin[2], 0.0);
+    const struct row start = row_of(lattice->start[0], lattice->start[1], lattice->start[2], 0.0);
+    const struct row size = row_of(h, h, h, h);
     for (uint32_t v = 0; v < source->vertex_count; v++) {
-        for (int a = 0; a < 3; a++)
-            points[v][a] = vox_lattice_coordinate(lattice, source->positions[v][a], a);
-        points[v][3] = 0.0;
+        struct row position = row_of_floats(source->positions[v]);
+        row_store(row_quotient(row_difference(row_sum(origin, position), start), size), points[v]);
     }
 }
 
@@ -119,13 +124,13 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 /* Mean square of the triangles' first edges, in voxels. */
 static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[4])
 {
-    double sum = 0.0;
+    struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
     for (uint32_t t = 0; t < source->triangle_count; t++) {
-        const double *p = points[source->triangles[t][0]], *q = points[source->triangles[t][1]];
-        for (int a = 0; a < 3; a++)
-            sum += (q[a] - p[a]) * (q[a] - p[a]);
+        const uint32_t *v = source->triangles[t];
+        struct row edge = row_difference(row_load(points[v[1]]), row_load(points[v[0]]));
+        sums = row_sum(sums, row_product(edge, edge));
     }
-    return sum / (double)source->triangle_count;
+    return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) / (double)source->triangle_count;
 }
 
 /* Finds where the scan's own normals do not go with its triangles; large: everywhere. */
