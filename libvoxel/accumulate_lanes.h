@@ -382,15 +382,18 @@ LANES_INLINE int add_pieces(const struct vox_accumulation *what, uint32_t count)
     return add_runs(&from, count);
 }
 
+typedef uint32_t run_step __attribute__((vector_size(4 * BLOCK_RUN_STEP)));
+
 /* Puts the pieces of the triangle at this place behind the block's run. Most have so few that there
  * is no branch to foresee. */
 LANES_INLINE uint32_t append_pieces(struct vox_block *block, uint32_t place, uint32_t count)
 {
     const struct block_triangle *triangle = &block->triangles[place];
-    const uint32_t first = place * BLOCK_RUN_TRIANGLE + triangle->first;
-    for (uint32_t done = 0; done < triangle->count || done == 0; done += BLOCK_RUN_STEP)
-        for (uint32_t i = done; i < done + BLOCK_RUN_STEP; i++)
-            block->run[count + i] = first + i;
+    run_step entries = place * BLOCK_RUN_TRIANGLE + triangle->first + (run_step){0, 1, 2, 3, 4, 5, 6, 7};
+    for (uint32_t done = 0; done < triangle->count || done == 0; done += BLOCK_RUN_STEP) {
+        memcpy(&block->run[count + done], &entries, sizeof entries);
+        entries += BLOCK_RUN_STEP;
+    }
     return count + triangle->count;
 }
 
@@ -532,6 +535,19 @@ static int add_block(const struct vox_accumulation *what)
     return status;
 }
 
+/* Asks for what the triangle needs here, and later in the block. */
+LANES_INLINE void ask_for(const struct vox_chunk *chunk, uint32_t triangle)
+{
+    for (int i = 0; i < 3; i++) {
+        uint32_t vertex = chunk->source.triangles[triangle][i];
+        __builtin_prefetch(chunk->points[vertex]);
+        if (chunk->normals)
+            __builtin_prefetch(chunk->normals[vertex]);
+    }
+}
+
+enum { ASK_AHEAD = 12 };
+
 /* Puts the triangles from begin to end that meet the window into the block. */
 static int add_group(const struct vox_accumulation *what, uint32_t begin, uint32_t end,
                      uint32_t *room)
@@ -540,6 +556,8 @@ static int add_group(const struct vox_accumulation *what, uint32_t begin, uint32
     const struct cell_bounds window = bounds_of(what->window);
     int status = 0;
     for (uint32_t i = begin; i < end && status == 0; i++) {
+        if (i + ASK_AHEAD < what->chunk->source.triangle_count)
+            ask_for(what->chunk, i + ASK_AHEAD);
         struct cell_bounds cells = cells_of(what->chunk, i);
         if (four_any((cells.low > window.high) | (cells.high < window.low)))
             continue;
