@@ -181,6 +181,22 @@ int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t siz
     return status;
 }
 
+/* Whether the disk has no room, rather than the file system no such call. */
+static bool lacks_room(int error)
+{
+    return error == ENOSPC || error == EDQUOT || error == EFBIG || error == EIO;
+}
+
+int bsq_output_expect(struct bsq_output *output, uint64_t size)
+{
+    int result;
+    atomic_store_explicit(&output->synced, false, memory_order_relaxed);
+    do
+        result = fallocate(output->fd, 0, 0, (off64_t)size);
+    while (result != 0 && errno == EINTR);
+    return result != 0 && lacks_room(errno) ? fail_write(output, errno) : 0;
+}
+
 /* Copies inside the kernel; *copied < size where it cannot (other file systems, old kernels). */
 static int copy_in_kernel(struct bsq_output *output, const struct bsq_file *from, uint64_t offset,
                           uint64_t size, uint64_t *copied)

@@ -434,6 +434,51 @@ static void test_failed_write_cannot_be_committed(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+/* Whether files here can have room set aside for them. */
+static bool sets_aside(void)
+{
+    int fd = open("probe", O_RDWR | O_CREAT | O_EXCL, 0600);
+    assert_true(fd >= 0);
+    bool can = fallocate(fd, 0, 0, 1) == 0;
+    close(fd);
+    unlink("probe");
+    return can;
+}
+
+static void test_room_is_set_aside(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    struct rlimit before, small;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_expect(output, 9), 0);
+    assert_int_equal(bsq_output_tell(output), 0);
+    assert_int_equal(bsq_output_write(output, "whole", 5), 0);
+    assert_int_equal(bsq_output_write(output, "file", 4), 0);
+    assert_int_equal(bsq_output_commit(output), 0);
+    assert_content("out", "wholefile", 9);
+    unlink("out");
+
+    assert_int_equal(getrlimit(RLIMIT_FSIZE, &before), 0);
+    small = before;
+    small.rlim_cur = 100;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
+    int status = bsq_output_expect(output, 200);
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &before), 0);
+    if (sets_aside()) {
+        assert_int_equal(status, BSQ_EIO);
+        assert_string_equal(bsq_error(ctx), "out: writing: File too large");
+        assert_int_equal(bsq_output_commit(output), BSQ_EIO);
+    } else {
+        assert_int_equal(status, 0);
+        bsq_output_discard(output);
+    }
+    assert_int_equal(files_here(), 0);
+    bsq_ctx_destroy(ctx);
+}
+
 static void assert_copies(struct bsq_ctx *ctx, struct bsq_file *from, const char *content)
 {
     struct bsq_output *output;
@@ -497,6 +542,7 @@ int main(void)
         cmocka_unit_test(test_output_long_name_and_link),
         cmocka_unit_test(test_what_cannot_be_created),
         cmocka_unit_test(test_failed_write_cannot_be_committed),
+        cmocka_unit_test(test_room_is_set_aside),
         cmocka_unit_test(test_copying),
     };
     return cmocka_run_group_tests(tests, enter_directory, leave_directory);
