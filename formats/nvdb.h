@@ -62,8 +62,8 @@ int fmt_nvdb_append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region
 struct fmt_nvdb_totals {
     uint64_t voxels, second_records, leaves, lowers, uppers, file_bytes;
 };
-/* Joins the sections, writes the headers and checksums, syncs, renames; frees the writer.
- * A grid without voxels is BSQ_EDATA. */
+/* Joins the sections, writes the headers and checksums, syncs, renames; frees the writer. Works on
+ * the context's threads. A grid without voxels is BSQ_EDATA. */
 int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals);
 void fmt_nvdb_discard(struct fmt_nvdb_writer *writer); /* NULL is allowed */
 

@@ -1,23 +1,42 @@
 /* nvdb_join.c - joins a writer's sections to the finished .nvdb file.
  *
  * All counts are known by now, and with them the place of everything: the file is written once,
- * from front to back. Tables of internal nodes are filled in here: children are contiguous, so the
- * child of a node's set bit is the one after that of the bit before, across all nodes of a level.
- */
+ * from front to back. It is made in blocks; while one is written, which takes longest, the next
+ * ones are made. Tables of internal nodes are filled in here: children are contiguous, so the child
+ * of a node's set bit is the one after that of the bit before, across all nodes of a level. */
 #include <string.h>
 #include <xxhash.h>
 
+#include "base/parallel.h"
 #include "formats/nvdb_writer_internal.h"
+
+/* The larger a block, the less its bytes cost to write, as long as it stays in the processor's
+ * cache until then. */
+enum { BLOCK_BYTES = 1 << 20, BLOCK_COUNT = 3 };
+
+struct block {
+    uint8_t *bytes; /* BLOCK_BYTES */
+    uint64_t size;
+};
 
 struct join {
     struct fmt_nvdb_writer *writer;
     struct bsq_ctx *ctx;
     struct bsq_output *output;
     struct nvdb_layout layout;
+    int section;        /* being made */
+    uint64_t done;      /* bytes of it that were made */
+    XXH3_state_t *hash; /* of these */
+    uint8_t *head;      /* section NVDB_HEAD */
+    struct nvdb_blind blind[NVDB_SECTION_COUNT];
     struct nvdb_record record;
-    XXH3_state_t *hash; /* of the section being written */
-    uint8_t *buffer;    /* BUFFER_BYTES */
+    struct nvdb_upper_stub stub; /* of the node being made; or a lower one's */
+    uint8_t *node;
+    uint64_t child;  /* offset in the file of the next node's first child */
+    uint8_t *buffer; /* of all blocks */
 };
+
+/* ---- where sections come from ---- */
 
 /* What upper and lower nodes differ in. */
 struct node_kind {
@@ -52,29 +71,72 @@ static const struct node_kind lower_kind = {
 };
 
 /* Both kinds of node and of stub begin with their bounds; a stub's mask follows them. */
-enum { BOUNDS_BYTES = 24, BUFFER_BYTES = sizeof(struct nvdb_upper) };
+enum { BOUNDS_BYTES = 24 };
 static_assert(offsetof(struct nvdb_upper_stub, child_mask) == BOUNDS_BYTES, "stub");
 static_assert(offsetof(struct nvdb_lower_stub, child_mask) == BOUNDS_BYTES, "stub");
 
-static int write_hashed(struct join *join, const void *data, uint64_t size)
+static const struct node_kind *node_kind(int section)
 {
-    XXH3_64bits_update(join->hash, data, (size_t)size);
-    return bsq_output_write(join->output, data, size);
+    return section == NVDB_UPPERS ? &upper_kind : section == NVDB_LOWERS ? &lower_kind : NULL;
 }
 
-static int join_head(struct join *join)
+/* Of a section that is made of streams: the one it begins with, and the one behind it, which holds
+ * second records. NULL where there is none. */
+static const struct nvdb_stream *first_stream(const struct join *join)
 {
-    struct fmt_nvdb_writer *writer = join->writer;
-    uint64_t size = join->layout.section[NVDB_HEAD].size;
-    uint8_t *head;
-    int status = bsq_alloc(join->ctx, "grid header", size, 1, &head);
-    if (status)
-        return status;
-    nvdb_fill_head(&writer->info, &writer->counts, &join->layout, writer->keys, writer->bbox_min,
-                   writer->bbox_max, head);
-    status = write_hashed(join, head, size);
-    bsq_free(join->ctx, head);
-    return status;
+    const struct nvdb_stream *stream = join->writer->stream;
+    switch (join->section) {
+    case NVDB_LEAVES:
+        return &stream[STREAM_LEAVES];
+    case NVDB_NORMALS:
+        return &stream[STREAM_NORMALS];
+    case NVDB_PLANES:
+        return &stream[STREAM_PLANES];
+    case NVDB_COLORS:
+        return join->writer->info.has_color ? &stream[STREAM_COLORS] : NULL;
+    case NVDB_SECONDS:
+        return &stream[STREAM_SECOND_WORDS];
+    default:
+        return NULL;
+    }
+}
+
+static const struct nvdb_stream *second_stream(const struct join *join)
+{
+    const struct nvdb_stream *stream = join->writer->stream;
+    switch (join->section) {
+    case NVDB_NORMALS:
+        return &stream[STREAM_SECOND_NORMALS];
+    case NVDB_PLANES:
+        return &stream[STREAM_SECOND_PLANES];
+    case NVDB_COLORS:
+        return join->writer->info.has_color ? &stream[STREAM_SECOND_COLORS] : NULL;
+    default:
+        return NULL;
+    }
+}
+
+/* How large the section will be by what was kept of it. */
+static uint64_t kept_bytes(const struct join *join)
+{
+    const struct node_kind *kind = node_kind(join->section);
+    const struct nvdb_stream *first = first_stream(join), *second = second_stream(join);
+    if (kind)
+        return join->writer->stream[kind->stream].file.size / kind->stub_bytes * kind->node_bytes;
+    if (first)
+        return first->file.size + (second ? second->file.size : 0);
+    return join->layout.section[join->section].size;
+}
+
+/* ---- bytes of a section ----
+ *
+ * Each function makes up to *size bytes, those behind what was done; *size becomes how many. */
+
+static int make_from_memory(struct join *join, const void *section, uint8_t *to, uint64_t *size)
+{
+    memcpy(to, (const uint8_t *)section + join->done, *size);
+    XXH3_64bits_update(join->hash, to, *size);
+    return 0;
 }
 
 /* Expands a stub. *child: offset in the file of the node's first child; moved behind its last. */
@@ -96,144 +158,211 @@ static void expand_node(const struct node_kind *kind, uint64_t node_offset, cons
     }
 }
 
-static int join_nodes(struct join *join, const struct node_kind *kind)
+/* Makes the whole node that begins here. */
+static int make_node(struct join *join, const struct node_kind *kind)
 {
-    const struct nvdb_range *range = &join->layout.section[kind->section];
-    uint64_t child = join->layout.section[kind->child_section].offset;
-    uint64_t batch = BUFFER_BYTES / kind->node_bytes, count = range->size / kind->node_bytes;
-    uint8_t *stubs;
-    int status = bsq_alloc(join->ctx, "grid nodes", batch, kind->stub_bytes, &stubs);
-    for (uint64_t done = 0; done < count && status == 0; done += batch) {
-        uint64_t n = count - done < batch ? count - done : batch;
-        status = bsq_file_read(join->ctx, &join->writer->stream[kind->stream].file, stubs,
-                               n * kind->stub_bytes, done * kind->stub_bytes);
-        if (status)
-            break;
-        for (uint64_t i = 0; i < n; i++)
-            expand_node(kind, range->offset + (done + i) * kind->node_bytes,
-                        stubs + i * kind->stub_bytes, join->buffer + i * kind->node_bytes, &child);
-        status = write_hashed(join, join->buffer, n * kind->node_bytes);
-        if (status == 0)
-            status = bsq_check(join->ctx);
-    }
-    bsq_free(join->ctx, stubs);
+    const struct bsq_file *stubs = &join->writer->stream[kind->stream].file;
+    uint64_t number = join->done / kind->node_bytes;
+    uint64_t offset = join->layout.section[kind->section].offset + join->done;
+    uint8_t *stub = (uint8_t *)&join->stub;
+    int status = bsq_file_read(join->ctx, stubs, stub, kind->stub_bytes, number * kind->stub_bytes);
+    if (status == 0)
+        expand_node(kind, offset, stub, join->node, &join->child);
     return status;
 }
 
-/* Copies a section that was hashed as it came; joining goes on from that hash. */
-static int join_stream(struct join *join, int stream)
+static int make_from_nodes(struct join *join, const struct node_kind *kind, uint8_t *to,
+                           uint64_t *size)
 {
-    const struct nvdb_stream *from = &join->writer->stream[stream];
-    XXH3_copyState(join->hash, from->hash);
-    int status = bsq_check(join->ctx);
-    return status ? status : bsq_output_copy(join->output, &from->file, 0, from->file.size);
+    uint64_t begun = join->done % kind->node_bytes, left = kind->node_bytes - begun;
+    int status = begun == 0 ? make_node(join, kind) : 0;
+    if (status)
+        return status;
+    *size = *size < left ? *size : left;
+    memcpy(to, join->node + begun, *size);
+    XXH3_64bits_update(join->hash, to, *size);
+    return 0;
 }
 
-/* Second records go behind the first ones of the same channel. */
-static int join_seconds(struct join *join, int stream)
+/* The first stream was hashed as it came. */
+static int make_from_streams(struct join *join, uint8_t *to, uint64_t *size)
 {
-    const struct bsq_file *file = &join->writer->stream[stream].file;
+    const struct bsq_file *first = &first_stream(join)->file;
+    if (join->done < first->size) {
+        uint64_t left = first->size - join->done;
+        *size = *size < left ? *size : left;
+        return bsq_file_read(join->ctx, first, to, *size, join->done);
+    }
+    int status =
+        bsq_file_read(join->ctx, &second_stream(join)->file, to, *size, join->done - first->size);
+    if (status == 0)
+        XXH3_64bits_update(join->hash, to, *size);
+    return status;
+}
+
+static int make_from_section(struct join *join, uint8_t *to, uint64_t *size)
+{
+    switch (join->section) {
+    case NVDB_HEAD:
+        return make_from_memory(join, join->head, to, size);
+    case NVDB_UPPERS:
+    case NVDB_LOWERS:
+        return make_from_nodes(join, node_kind(join->section), to, size);
+    case NVDB_BLIND:
+        return make_from_memory(join, join->blind, to, size);
+    case NVDB_RECORD:
+        return make_from_memory(join, &join->record, to, size);
+    default:
+        return make_from_streams(join, to, size);
+    }
+}
+
+/* ---- the file ---- */
+
+static int begin_section(struct join *join)
+{
+    const struct node_kind *kind = node_kind(join->section);
+    const struct nvdb_stream *first = first_stream(join);
+    if (kept_bytes(join) != join->layout.section[join->section].size)
+        return bsq_fail(join->ctx, BSQ_EBUG, "%s: section %d has a wrong size", join->writer->path,
+                        join->section);
+    if (first)
+        XXH3_copyState(join->hash, first->hash);
+    else
+        XXH3_64bits_reset(join->hash);
+    if (kind)
+        join->child = join->layout.section[kind->child_section].offset;
+    if (join->section == NVDB_RECORD)
+        join->record.record_checksum = nvdb_record_checksum(&join->record);
+    return 0;
+}
+
+static void end_section(struct join *join)
+{
+    if (join->section < NVDB_RECORD)
+        join->record.checksum[join->section] = XXH3_64bits_digest(join->hash);
+    join->section++;
+    join->done = 0;
+}
+
+/* Makes up to *size bytes of the file, at offset `at` in it; *size becomes how many. */
+static int make_bytes(struct join *join, uint64_t at, uint8_t *to, uint64_t *size)
+{
+    const struct nvdb_range *range = &join->layout.section[join->section];
+    uint64_t padding = at < range->offset ? range->offset - at : 0;
+    if (padding > 0) {
+        *size = *size < padding ? *size : padding;
+        memset(to, 0, *size);
+        return 0;
+    }
+    int status = join->done == 0 ? begin_section(join) : 0;
+    if (status)
+        return status;
+    uint64_t left = range->size - join->done;
+    *size = *size < left ? *size : left;
+    if (*size > 0)
+        status = make_from_section(join, to, size);
+    join->done += *size;
+    if (join->done == range->size)
+        end_section(join);
+    return status;
+}
+
+static int make_block(void *arg, void *slot, uint64_t sequence)
+{
+    struct join *join = arg;
+    struct block *block = slot;
     int status = 0;
-    for (uint64_t done = 0; done < file->size && status == 0;) {
-        uint64_t n = file->size - done < BUFFER_BYTES ? file->size - done : BUFFER_BYTES;
-        status = bsq_file_read(join->ctx, file, join->buffer, n, done);
-        if (status == 0)
-            status = write_hashed(join, join->buffer, n);
-        if (status == 0)
-            status = bsq_check(join->ctx);
-        done += n;
+    block->bytes = join->buffer + sequence % BLOCK_COUNT * BLOCK_BYTES;
+    block->size = 0;
+    while (status == 0 && block->size < BLOCK_BYTES && join->section < NVDB_SECTION_COUNT) {
+        uint64_t size = BLOCK_BYTES - block->size;
+        status = make_bytes(join, sequence * BLOCK_BYTES + block->size, block->bytes + block->size,
+                            &size);
+        block->size += size;
     }
-    return status;
+    return status ? status : block->size > 0;
 }
 
-static int join_channel(struct join *join, int first, int second)
+static int write_block(void *arg, void *slot, uint64_t sequence)
 {
-    int status = join_stream(join, first);
-    return status ? status : join_seconds(join, second);
+    struct join *join = arg;
+    const struct block *block = slot;
+    (void)sequence;
+    return bsq_output_write(join->output, block->bytes, block->size);
 }
 
-static int join_blind(struct join *join)
+static int join_blocks(struct join *join)
 {
-    struct nvdb_blind blind[NVDB_SECTION_COUNT];
-    nvdb_fill_blind(&join->layout, blind);
-    return write_hashed(join, blind, join->layout.section[NVDB_BLIND].size);
+    struct block blocks[BLOCK_COUNT];
+    struct bsq_pipeline pipeline = {
+        .produce = make_block,
+        .emit = write_block,
+        .arg = join,
+        .slots = blocks,
+        .slot_size = sizeof(blocks[0]),
+        .slot_count = BLOCK_COUNT,
+    };
+    return bsq_pipeline_run(join->ctx, &pipeline);
 }
 
-static int join_record(struct join *join)
+/* The record but for its checksums. */
+static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record *record)
 {
-    const struct fmt_nvdb_info *info = &join->writer->info;
-    struct nvdb_record *record = &join->record;
+    const struct fmt_nvdb_info *info = &writer->info;
     memcpy(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic));
     record->version = NVDB_RECORD_VERSION;
     record->flags = info->has_color ? NVDB_RECORD_HAS_COLOR : 0;
     record->source_triangles = info->source_triangles;
-    record->second_count = join->writer->counts.seconds;
+    record->second_count = writer->counts.seconds;
     memcpy(record->scan_min, info->scan_min, sizeof(record->scan_min));
     memcpy(record->scan_max, info->scan_max, sizeof(record->scan_max));
-    record->record_checksum = nvdb_record_checksum(record);
-    return bsq_output_write(join->output, record, sizeof(*record));
 }
 
-static int join_section(struct join *join, enum nvdb_section section)
+static int set_up(struct join *join)
 {
-    switch (section) {
-    case NVDB_HEAD:
-        return join_head(join);
-    case NVDB_UPPERS:
-        return join_nodes(join, &upper_kind);
-    case NVDB_LOWERS:
-        return join_nodes(join, &lower_kind);
-    case NVDB_LEAVES:
-        return join_stream(join, STREAM_LEAVES);
-    case NVDB_BLIND:
-        return join_blind(join);
-    case NVDB_NORMALS:
-        return join_channel(join, STREAM_NORMALS, STREAM_SECOND_NORMALS);
-    case NVDB_PLANES:
-        return join_channel(join, STREAM_PLANES, STREAM_SECOND_PLANES);
-    case NVDB_COLORS:
-        return join_channel(join, STREAM_COLORS, STREAM_SECOND_COLORS);
-    case NVDB_SECONDS:
-        return join_stream(join, STREAM_SECOND_WORDS);
-    default:
-        return join_record(join);
-    }
-}
-
-static int join_sections(struct join *join)
-{
-    for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
-        const struct nvdb_range *range = &join->layout.section[i];
-        XXH3_64bits_reset(join->hash);
-        int status = 0;
-        if (i >= NVDB_NORMALS)
-            status = bsq_output_align(join->output, NVDB_ALIGNMENT);
-        if (status == 0 && range->size > 0)
-            status = join_section(join, (enum nvdb_section)i);
-        if (status)
-            return status;
-        if (bsq_output_tell(join->output) != range->offset + range->size)
-            return bsq_fail(join->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
-                            join->writer->path, i);
-        if (i < NVDB_RECORD)
-            join->record.checksum[i] = XXH3_64bits_digest(join->hash);
-    }
-    return 0;
+    struct fmt_nvdb_writer *writer = join->writer;
+    nvdb_layout_compute(&writer->counts, &join->layout);
+    nvdb_fill_blind(&join->layout, join->blind);
+    fill_record(writer, &join->record);
+    int status =
+        bsq_alloc(join->ctx, "grid header", join->layout.section[NVDB_HEAD].size, 1, &join->head);
+    if (status == 0)
+        status = bsq_alloc(join->ctx, "grid nodes", sizeof(struct nvdb_upper), 1, &join->node);
+    if (status == 0)
+        status = bsq_alloc(join->ctx, "joining", BLOCK_COUNT, BLOCK_BYTES, &join->buffer);
+    if (status)
+        return status;
+    nvdb_fill_head(&writer->info, &writer->counts, &join->layout, writer->keys, writer->bbox_min,
+                   writer->bbox_max, join->head);
+    join->hash = XXH3_createState();
+    return join->hash ? 0 : bsq_fail(join->ctx, BSQ_ENOMEM, "no memory for a checksum");
 }
 
 static int join_file(struct fmt_nvdb_writer *writer)
 {
     struct join join = {.writer = writer, .ctx = writer->ctx, .output = writer->output};
-    nvdb_layout_compute(&writer->counts, &join.layout);
-    int status = bsq_alloc(join.ctx, "grid nodes", BUFFER_BYTES, 1, &join.buffer);
-    if (status)
-        return status;
-    join.hash = XXH3_createState();
-    status = join.hash ? join_sections(&join)
-                       : bsq_fail(join.ctx, BSQ_ENOMEM, "no memory for a checksum");
+    int status = set_up(&join);
+    if (status == 0)
+        status = bsq_output_expect(join.output, join.layout.file_bytes);
+    if (status == 0)
+        status = join_blocks(&join);
     XXH3_freeState(join.hash);
     bsq_free(join.ctx, join.buffer);
+    bsq_free(join.ctx, join.node);
+    bsq_free(join.ctx, join.head);
     return status;
+}
+
+/* Waiting for the disk is a good time to let go of the temporary files: either takes a while. */
+static int sync_or_close(void *arg, uint64_t index, unsigned worker)
+{
+    struct fmt_nvdb_writer *writer = arg;
+    (void)worker;
+    if (index == 0)
+        return bsq_output_sync(writer->output);
+    nvdb_stream_close(&writer->stream[index - 1]);
+    return 0;
 }
 
 int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
@@ -241,6 +370,8 @@ int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *tota
     int status = nvdb_writer_finish(writer);
     if (status == 0)
         status = join_file(writer);
+    if (status == 0)
+        status = bsq_parallel_for(writer->ctx, 1 + STREAM_COUNT, sync_or_close, writer);
     if (status == 0) {
         struct nvdb_layout layout;
         nvdb_layout_compute(&writer->counts, &layout);

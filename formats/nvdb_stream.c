@@ -54,6 +54,14 @@ int nvdb_stream_flush(struct nvdb_stream *stream)
     return status;
 }
 
+int nvdb_stream_end(struct nvdb_stream *stream)
+{
+    int status = nvdb_stream_flush(stream);
+    bsq_free(stream->ctx, stream->buffer);
+    stream->buffer = NULL;
+    return status;
+}
+
 uint64_t nvdb_stream_size(const struct nvdb_stream *stream)
 {
     return stream->file.size + stream->fill;

@@ -375,6 +375,6 @@ int nvdb_writer_finish(struct fmt_nvdb_writer *writer)
         status = close_upper(writer);
     for (int i = 0; i < STREAM_COUNT && status == 0; i++)
         if (stream_used(writer, i))
-            status = nvdb_stream_flush(&writer->stream[i]);
+            status = nvdb_stream_end(&writer->stream[i]);
     return status;
 }

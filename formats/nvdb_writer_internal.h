@@ -23,6 +23,8 @@ void nvdb_stream_close(struct nvdb_stream *stream); /* zeroed ones are allowed *
  * it has written there. */
 int nvdb_stream_room(struct nvdb_stream *stream, uint64_t size, void *out);
 int nvdb_stream_flush(struct nvdb_stream *stream);
+/* Flushes, and gives the buffer back: nothing can be added any more. */
+int nvdb_stream_end(struct nvdb_stream *stream);
 /* Bytes written so far. */
 uint64_t nvdb_stream_size(const struct nvdb_stream *stream);
 
@@ -70,7 +72,7 @@ struct fmt_nvdb_writer {
     uint32_t word_bits, word_rank; /* of the open word of NVDB_SECONDS */
 };
 
-/* Closes the open nodes and writes all buffers to the temporary files. */
+/* Closes the open nodes, writes all buffers to the temporary files and frees them. */
 int nvdb_writer_finish(struct fmt_nvdb_writer *writer);
 
 #endif
