@@ -18,12 +18,18 @@ enum { NO_SLOT = -1 };
  * the file. Whoever finds a step to do does it, and others wait. */
 enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
 
+/* Where in a slot's memory; the chunk as it is in the file comes first. */
+struct slot_layout {
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, stray_at, bytes;
+};
+
 struct slot {
     uint32_t chunk; /* NO_CHUNK: empty */
     uint32_t users;
     enum stage stage;
     int status; /* of the steps */
     uint8_t *memory;
+    struct slot_layout layout;
     struct vox_chunk content;
     const struct vox_box *vertex_groups; /* for neighbours */
 };
@@ -45,7 +51,7 @@ struct vox_chunks {
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses; /* one a chunk */
-    uint64_t points_at, normals_at, groups_at, vertex_groups_at, stray_at, slot_bytes;
+    uint64_t slot_bytes; /* for any chunk */
 };
 
 /* ---- layout of a slot ---- */
@@ -55,7 +61,31 @@ static uint64_t align64(uint64_t bytes)
     return (bytes + 63) & ~UINT64_C(63);
 }
 
-static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool smooth)
+/* load_bytes: what loading takes of a chunk, or of the largest, with that many vertices and triangles. */
+static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth, uint64_t load_bytes, uint32_t vertices,
+                                  uint32_t triangles)
+{
+    bool normals = smooth || (fmt_tris_get_header(file)->attributes & FMT_TRIS_NORMALS);
+    uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
+    uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
+    struct slot_layout to;
+    to.points_at = align64(load_bytes);
+    to.normals_at = to.points_at + align64(vertices * sizeof(double[4]));
+    to.groups_at = to.normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
+    to.vertex_groups_at = to.groups_at + align64(groups * sizeof(struct vox_box));
+    to.stray_at = to.vertex_groups_at + (smooth ? align64(vertex_groups * sizeof(struct vox_box)) : 0);
+    to.bytes = to.stray_at + align64(groups * sizeof(bool));
+    return to;
+}
+
+/* Chunks have no more room in a slot than they need: what is not touched takes no memory. */
+static struct slot_layout layout_of(const struct vox_chunks *c, uint32_t chunk)
+{
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(c->file)[chunk];
+    return lay_out(c->file, c->smooth != NULL, fmt_tris_load_size(c->file, chunk), info->vertex_count, info->triangle_count);
+}
+
+uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
@@ -64,22 +94,7 @@ static void lay_out(struct vox_chunks *c, const struct fmt_tris_file *file, bool
         vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
         triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
     }
-    uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
-    uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
-    bool normals = smooth || (header->attributes & FMT_TRIS_NORMALS);
-    c->points_at = align64(fmt_tris_load_size_max(file));
-    c->normals_at = c->points_at + align64(vertices * sizeof(double[4]));
-    c->groups_at = c->normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
-    c->vertex_groups_at = c->groups_at + align64(groups * sizeof(struct vox_box));
-    c->stray_at = c->vertex_groups_at + (smooth ? align64(vertex_groups * sizeof(struct vox_box)) : 0);
-    c->slot_bytes = c->stray_at + align64(groups * sizeof(bool));
-}
-
-uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
-{
-    struct vox_chunks layout;
-    lay_out(&layout, file, smooth);
-    return layout.slot_bytes;
+    return lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
 }
 
 /* ---- loading ---- */
@@ -134,12 +149,12 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, const double
 }
 
 /* Finds where the scan's own normals do not go with its triangles; large: everywhere. */
-static void find_stray(const struct vox_chunks *c, bool large, struct slot *slot)
+static void find_stray(bool large, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
     const struct vox_own_normals own = {content->source.triangles, content->points,
                                         content->normals};
-    bool *stray = (bool *)(slot->memory + c->stray_at), any = false;
+    bool *stray = (bool *)(slot->memory + slot->layout.stray_at), any = false;
     for (uint32_t g = 0; g < content->group_count; g++) {
         uint32_t begin = g * VOX_GROUP_TRIANGLES;
         uint32_t end = vox_group_end(begin, content->source.triangle_count, VOX_GROUP_TRIANGLES);
@@ -154,9 +169,9 @@ static void place_chunk(const struct vox_chunks *c, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
     const struct fmt_tris_chunk *source = &content->source;
-    double(*points)[4] = (double(*)[4])(void *)(slot->memory + c->points_at);
-    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + c->groups_at);
-    struct vox_box *vertex_groups = (struct vox_box *)(void *)(slot->memory + c->vertex_groups_at);
+    double(*points)[4] = (double(*)[4])(void *)(slot->memory + slot->layout.points_at);
+    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + slot->layout.groups_at);
+    struct vox_box *vertex_groups = (struct vox_box *)(void *)(slot->memory + slot->layout.vertex_groups_at);
     map_points(c->lattice, source, points);
     content->points = (const double(*)[4])points;
     memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
@@ -174,6 +189,7 @@ static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
     int status = 0;
     if (!slot->memory)
         status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
+    slot->layout = layout_of(c, chunk);
     if (status == 0)
         status = fmt_tris_load(c->file, chunk, slot->memory, &slot->content.source);
     if (status == 0)
@@ -200,7 +216,7 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
     const struct fmt_tris_chunk *source = &content->source;
-    float(*normals)[4] = (float(*)[4])(void *)(slot->memory + c->normals_at);
+    float(*normals)[4] = (float(*)[4])(void *)(slot->memory + slot->layout.normals_at);
     int status = 0;
     double square = mean_edge_square(source, content->points);
     content->coarse = square > COARSE_EDGE_SQUARE;
@@ -209,7 +225,7 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
     content->stray = NULL;
     if (source->normals) {
         unpack_normals(source, normals);
-        find_stray(c, square > LARGE_EDGE_SQUARE, slot);
+        find_stray(square > LARGE_EDGE_SQUARE, slot);
     } else if (c->smooth && content->coarse) {
         status = smooth_normals(c, chunk, slot, normals);
     } else {
@@ -237,7 +253,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     c->smooth = smooth;
     c->chunk_count = chunk_count;
     c->slot_count = slot_count;
-    lay_out(c, file, smooth != NULL);
+    c->slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL);
     if ((status = bsq_calloc(ctx, "chunk cache", slot_count, sizeof *c->slots, &c->slots)) < 0 ||
         (status = bsq_calloc(ctx, "chunk cache", chunk_count, sizeof *c->uses, &c->uses)) < 0) {
         bsq_free(ctx, c->slots);
