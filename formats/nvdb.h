@@ -15,11 +15,13 @@ struct fmt_nvdb_record {
     uint32_t normal; /* octahedral 2 x 16, mean of area-weighted normals */
     uint32_t plane;  /* bits 0-15: signed offset d of the plane n.(x - centre) = d in voxels, d * 32767;
                         16-23: coverage |sum area n'| / sum area * 255, with n' = n |n . facet's normal|; 24: has a second record;
-                        25: shaded, the normal does not go with the plane: it is interpolated over a facet */
+                        25: shaded, the normal does not go with the plane: it is interpolated over a facet;
+                        26-28: grain, how much of what planes say is of single triangles */
     uint32_t color;  /* RGBA8 sRGB, R in the low byte; 0 where the scan has no colour */
 };
 #define FMT_NVDB_PLANE_SECOND (1u << 24)
 #define FMT_NVDB_PLANE_SHADED (1u << 25)
+enum { FMT_NVDB_GRAIN_SHIFT = 26, FMT_NVDB_GRAIN_MAX = 7 };
 
 enum fmt_nvdb_type { FMT_NVDB_MASK = 8, FMT_NVDB_ONINDEX = 20 }; /* NanoVDB's GridType numbers */
 

@@ -28,7 +28,9 @@ static const char *fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, b
     uint32_t normal = grid->normals[number], plane = grid->planes[number];
     if ((normal & 0xffff) == 0x8000 || normal >> 16 == 0x8000)
         return "normal";
-    if (plane >> 26 != 0 || (plane & 0xffff) == 0x8000)
+    uint32_t grain = plane >> FMT_NVDB_GRAIN_SHIFT;
+    if (grain > FMT_NVDB_GRAIN_MAX || (grain > 0 && (plane & FMT_NVDB_PLANE_SHADED)) ||
+        (plane & 0xffff) == 0x8000)
         return "plane";
     if (!(plane & FMT_NVDB_PLANE_SECOND) != !second)
         return "mark of a second record";

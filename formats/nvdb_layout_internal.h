@@ -167,7 +167,7 @@ enum nvdb_section {
 };
 
 #define NVDB_RECORD_MAGIC "BISQUE\r\n"
-enum { NVDB_RECORD_VERSION = 1, NVDB_RECORD_HAS_COLOR = 1 };
+enum { NVDB_RECORD_VERSION = 2, NVDB_RECORD_HAS_COLOR = 1 };
 
 /* Bisque's own record, the last blind data. */
 struct nvdb_record {

@@ -52,6 +52,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
     t->curved = t->has_normals && chunk->coarse;
     t->lift_limit = chunk->wide ? SHADE_LIFT_LIMIT : SHADE_LIFT_LIMIT_CLOSE;
     t->marked = t->curved || chunk->stray;
+    t->grain_share = chunk->grain_share;
     t->facet = stray_lanes(chunk, triangle);
     t->has_color = what->sums->colors != NULL;
     for (int i = 0; i < 3; i++) {

@@ -30,11 +30,11 @@ enum block_row {
     ROW_CORNER,        /* first corner from the centre of the lowest cell, 1 */
     ROW_EDGE1,         /* from there to the second, 0 */
     ROW_EDGE2,         /* and to the third, 0 */
-    ROW_FLAT,          /* unit normal of the triangle's plane, 0 */
+    ROW_FLAT,          /* unit normal of the triangle's plane, its grain */
     ROW_NORMAL,        /* at the first corner, 0 */
     ROW_TURN1,         /* from there to that at the second, 0 */
     ROW_TURN2,         /* and to that at the third, 0 */
-    ROW_SHADED,        /* 0; 1 where the normals do not go with the triangle's plane, else 0 */
+    ROW_GRAIN,         /* 0; grain, or VOX_SHADED where the plane is not that of the normals */
     ROW_COLOR,         /* at the first corner, 1; or all 0 */
     ROW_COLOR_CHANGE1, /* from there to that at the second, 0 */
     ROW_COLOR_CHANGE2, /* and to that at the third, 0 */

@@ -76,10 +76,12 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_
     lanes d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
     d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
     lanes coverage = lanes_min(length / area, lanes_all(1.0));
-    lane_mask shaded = lanes_less(lanes_all(0.0), sum[3]);
+    lane_mask shaded = lanes_less(2.0 * area, sum[3]);
+    lanes grain = lanes_keep(~shaded, lanes_min(sum[3] / area, lanes_all(1.0)));
     *plane = lanes_set_bits(shaded, record_round(d * 32767.0) & 0xffff,
                             lanes_all_bits(FMT_NVDB_PLANE_SHADED)) |
-             record_round(coverage * 255.0) << 16;
+             record_round(coverage * 255.0) << 16 |
+             record_round(grain * FMT_NVDB_GRAIN_MAX) << FMT_NVDB_GRAIN_SHIFT;
 }
 
 static void make_records(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,

@@ -23,11 +23,16 @@ enum {
  * share a point alone: enough for a voxel to have a record, too little to change one. */
 #define VOX_NO_AREA 1e-20
 
+/* Makes any sum of grain larger than that of area, even times VOX_NO_AREA. */
+#define VOX_SHADED 1e40
+
 /* Sums over pieces. */
 struct vox_sum {
     double normal[3]; /* of area times normal, whose length, at most 1, is the weight of its
                          direction */
-    double shaded; /* number of pieces whose normal does not go with the plane the centres lie in */
+    /* Of area times grain, how much of what planes say is of single triangles: 0 to 1, or VOX_SHADED
+     * for a piece whose normal does not go with the plane the centres lie in. */
+    double grain;
     double center[3]; /* of area times centroid, from the voxel's centre, in voxels */
     double area;      /* in voxel faces */
 };

@@ -18,6 +18,7 @@ struct vox_chunk {
     const float (*normals)[4];
     bool wide;   /* pieces are not to be lifted far */
     bool coarse; /* triangles are large enough for their facets to show in the grid */
+    double grain_share;           /* grain of records per square of an edge in voxels */
     const struct vox_box *groups; /* of the triangles */
     /* Whether the normals of such a group do not go with its triangles' planes; NULL: nowhere. */
     const bool *stray;

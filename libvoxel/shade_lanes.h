@@ -29,10 +29,12 @@ struct shade_triangles {
     lanes edge[2][3]; /* from the first corner to the others */
     lanes flat[3];    /* unit normal of the plane, zero where there is no area */
     lanes area;       /* in voxel faces, VOX_NO_AREA at least */
+    double grain_share; /* grain of a triangle with edges of a voxel, were it not 1 at most */
+    lanes grain;
     bool has_normals;
     bool curved;       /* so large that planes differ from the surface that the normals describe */
     double lift_limit; /* highest arc and rise, in voxels */
-    bool marked;       /* planes that do not go with the normals are to be marked */
+    bool marked;       /* normals have grain, or planes that do not go with them are to be marked */
     lanes normal[3][3]; /* corner, axis; unit */
     struct shade_weights weights;
     lane_mask facet; /* the plane does not go with the normals, or is too far from that surface */
@@ -48,7 +50,7 @@ LANES_INLINE lanes shade_dot(const lanes a[3], const lanes b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Edges, plane and area, from the corners. */
+/* Edges, plane, area and grain, from the corners. */
 LANES_INLINE void shade_measure(struct shade_triangles *t)
 {
     lanes n[3], *e = t->edge[0], *f = t->edge[1];
@@ -62,6 +64,9 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
     lanes length = lanes_sqrt(shade_dot(n, n));
     lanes scale = lanes_keep(lanes_less(lanes_all(0.0), length), 1.0 / length);
     t->area = lanes_max(0.5 * length, lanes_all(VOX_NO_AREA));
+    /* The mean square of the edges: the third is f - e. */
+    lanes square = 2.0 / 3.0 * (shade_dot(e, e) + shade_dot(f, f) - shade_dot(e, f));
+    t->grain = lanes_min(t->grain_share * square, lanes_all(1.0));
     for (int k = 0; k < 3; k++)
         t->flat[k] = n[k] * scale;
 }
@@ -167,14 +172,15 @@ LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
     shade_put_row(facts, ROW_CORNER, corner, lanes_all(1.0));
     shade_put_row(facts, ROW_EDGE1, t->edge[0], zero);
     shade_put_row(facts, ROW_EDGE2, t->edge[1], zero);
-    shade_put_row(facts, ROW_FLAT, t->flat, zero);
+    shade_put_row(facts, ROW_FLAT, t->flat, t->grain);
     if (t->has_normals) {
         shade_put_row(facts, ROW_NORMAL, t->normal[0], zero);
         shade_put_difference(facts, ROW_TURN1, t->normal[1], t->normal[0]);
         shade_put_difference(facts, ROW_TURN2, t->normal[2], t->normal[0]);
     }
     if (t->marked)
-        shade_put_row(facts, ROW_SHADED, none, lanes_keep(t->facet, lanes_all(1.0)));
+        shade_put_row(facts, ROW_GRAIN, none,
+                      lanes_select(t->facet, lanes_all(VOX_SHADED), t->grain));
     if (t->has_color)
         shade_put_colors(t, facts);
 }
@@ -286,7 +292,7 @@ LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct blo
     sum->normal = row_times(piece->normal_weight, normal);
     sum->center = shade_center(facts, piece, cell);
     if (marked)
-        sum->normal = row_sum(sum->normal, shade_row(facts, ROW_SHADED));
+        sum->normal = row_sum(sum->normal, row_times(piece->area, shade_row(facts, ROW_GRAIN)));
     if (curved)
         sum->center = row_sum(sum->center, row_times(piece->center_weight, normal));
 }

@@ -14,6 +14,8 @@
 
 #define BK_PLANE_SECOND (1u << 24)
 #define BK_PLANE_SHADED (1 << 25)
+#define BK_GRAIN_SHIFT  26
+#define BK_GRAIN_MAX    7
 
 #define BK_MARGIN_SMOOTH 0.2f
 #define BK_MARGIN_FOLD   0.4f
@@ -25,7 +27,8 @@
  * Along a line the cubic p whose means are two records' heights and slopes g has p' = (1 - u) g0 +
  * u g1 + (6 u (1 - u) + 1/2) r, with r what the heights' difference exceeds the slopes' mean by;
  * 1/2 is what the cubic through points has not. Across the line, as u (1 - u) is 1/6 on average,
- * the same share restores what means over the other axes lower. */
+ * the same share restores what means over the other axes lower. Records' grain tells how much of it
+ * is to be left out. */
 #define BK_MEAN_SLOPE 0.5f
 /* Longest correction that the offsets make to a unit normal. */
 #define BK_CORRECTION_MAX 0.5f
@@ -232,9 +235,10 @@ typedef struct bk_sides {
     bk_fw r[2];      /* the point's coordinate minus the centre's */
     bk_fw tent[2];   /* 1 - |r| */
     bk_fw smooth[2]; /* 3 tent^2 - 2 tent^3 */
-    bk_fw slope[2];  /* derivative of smooth along the axis, and BK_MEAN_SLOPE */
+    bk_fw slope[2];  /* derivative of smooth along the axis, and bk_mean_slope() */
 } bk_sides;
 
+/* All but the slopes. */
 BK_FN bk_sides bk_sides_at(bk_fw u)
 {
     const bk_fw down = 1.0f - u;
@@ -246,9 +250,14 @@ BK_FN bk_sides bk_sides_at(bk_fw u)
     sides.tent[1] = u;
     sides.smooth[0] = down * down * (1.0f + 2.0f * u);
     sides.smooth[1] = u * u * (3.0f - 2.0f * u);
-    sides.slope[1] = 6.0f * u * down + BK_MEAN_SLOPE;
-    sides.slope[0] = -sides.slope[1];
+    sides.slope[0] = sides.slope[1] = bk_splat(0.0f);
     return sides;
+}
+
+BK_FN void bk_set_slopes(bk_sides *sides, bk_fw mean_slope)
+{
+    sides->slope[1] = 6.0f * sides->tent[1] * sides->tent[0] + mean_slope;
+    sides->slope[0] = -sides->slope[1];
 }
 
 /* The weights of a cell's corners for points in each lane. */
@@ -308,6 +317,28 @@ BK_FN bk_fw bk_smooth(const bk_corner *corner, bk_uint i, const bk_weights *at)
            (corner->gate * (at->y.smooth[i >> 1 & 1u] * at->z.smooth[i & 1u]));
 }
 
+/* Sum of the terms of corners i and i + 4. */
+BK_FN bk_fw bk_sum_pairs(const bk_fw pair[4])
+{
+    return (pair[0] + pair[2]) + (pair[1] + pair[3]);
+}
+
+/* How much of what means over voxels lower is restored: less where records have grain. */
+BK_FN bk_fw bk_mean_slope(const bk_cell *cell, const bk_fw tents[8])
+{
+    bk_fw grain[4], weight[4];
+    bk_uint i;
+
+    for (i = 0; i < 4; i++) {
+        const bk_iw a = bk_load_lanes(cell->planes[i]) >> BK_GRAIN_SHIFT & BK_GRAIN_MAX;
+        const bk_iw b = bk_load_lanes(cell->planes[i + 4]) >> BK_GRAIN_SHIFT & BK_GRAIN_MAX;
+        grain[i] = tents[i] * bk_to_fw(a) + tents[i + 4] * bk_to_fw(b);
+        weight[i] = tents[i] + tents[i + 4];
+    }
+    return BK_MEAN_SLOPE -
+           (BK_MEAN_SLOPE / BK_GRAIN_MAX) * (bk_sum_pairs(grain) / bk_sum_pairs(weight));
+}
+
 /* Gradient of the smooth weight of corner i by bk_sides.slope. */
 BK_FN bk_vec3w bk_weight_slope(const bk_corner *corner, bk_uint i, const bk_weights *at)
 {
@@ -344,12 +375,6 @@ BK_FN bk_fw bk_predict(const bk_corner *corner, bk_uint i, const bk_weights *at,
                               at->z.r[i & 1u] - corner->normal.z * corner->offset);
 
     return 0.5f * (corner->f + bk_dotw(e, n));
-}
-
-/* Sum of the terms of corners i and i + 4. */
-BK_FN bk_fw bk_sum_pairs(const bk_fw pair[4])
-{
-    return (pair[0] + pair[2]) + (pair[1] + pair[3]);
 }
 
 /* Points on or near the surface, blended. */

@@ -531,10 +531,10 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     const bk_fw cz = bk_floorw(point.z - 0.5f);
     const bk_iw vx = ray->bx + bk_to_iw(cx), vy = ray->by + bk_to_iw(cy);
     const bk_iw vz = ray->bz + bk_to_iw(cz);
-    const bk_weights at = {bk_sides_at(point.x - 0.5f - cx), bk_sides_at(point.y - 0.5f - cy),
-                           bk_sides_at(point.z - 0.5f - cz)};
+    bk_weights at = {bk_sides_at(point.x - 0.5f - cx), bk_sides_at(point.y - 0.5f - cy),
+                     bk_sides_at(point.z - 0.5f - cz)};
     bk_corner corners[8];
-    bk_fw tents[8];
+    bk_fw tents[8], mean_slope;
     bk_cell cell;
     bk_blend blend;
     bk_fw slope, shift;
@@ -551,6 +551,10 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
         corners[i] = bk_corner_at(&cell, i, hits->normal, &at);
         tents[i] = bk_tent(&corners[i], i, &at);
     }
+    mean_slope = bk_mean_slope(&cell, tents);
+    bk_set_slopes(&at.x, mean_slope);
+    bk_set_slopes(&at.y, mean_slope);
+    bk_set_slopes(&at.z, mean_slope);
     blend = bk_blend_corners(corners, tents, &at);
     slope = bk_dotw(blend.normal, ray->direction);
     shift = bk_maxw(bk_splat(-0.5f), bk_minw(bk_splat(0.5f), blend.distance / slope));

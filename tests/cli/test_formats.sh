@@ -331,12 +331,14 @@ naive nvdb new.nvdb
 err_like '^new\.nvdb: version 32\.4\.3 '
 run bisque-bake new.nvdb low.obj -o new.exr
 err_like '^bisque-bake: new\.nvdb: NanoVDB file of version 32\.4\.3: '
-cp box.nvdb new.nvdb
-put new.nvdb $((end - 184)) 2
-naive nvdb new.nvdb
-err_like '^new\.nvdb: bisque record of version 2, '
-run bisque-bake new.nvdb low.obj -o new.exr
-err_like '^bisque-bake: new\.nvdb: surface grid of version 2: '
+for version in 1 3; do
+    cp box.nvdb new.nvdb
+    put new.nvdb $((end - 184)) $version
+    naive nvdb new.nvdb
+    err_like "^new\\.nvdb: bisque record of version $version, "
+    run bisque-bake new.nvdb low.obj -o new.exr
+    err_like "^bisque-bake: new\\.nvdb: surface grid of version $version: "
+done
 
 # ---- maps: what their headers say ----
 

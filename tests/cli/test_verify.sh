@@ -39,8 +39,8 @@ for program in bisque-voxelize bisque-bake; do
 done
 $verify box.nvdb on.nvdb box.tris
 code 0
-out_like '^box\.nvdb: ok \(surface grid of version 1, NanoVDB 32\.4\.2 mask: 1,224 voxels and 0 second records of 12 triangles, '
-out_like '^on\.nvdb: ok \(surface grid of version 1, NanoVDB 32\.6\.0 onindex: 1,224 voxels and 0 second records of 12 triangles, '
+out_like '^box\.nvdb: ok \(surface grid of version 2, NanoVDB 32\.4\.2 mask: 1,224 voxels and 0 second records of 12 triangles, '
+out_like '^on\.nvdb: ok \(surface grid of version 2, NanoVDB 32\.6\.0 onindex: 1,224 voxels and 0 second records of 12 triangles, '
 out_like '^box\.tris: ok '
 $verify box.tris box.nvdb --json
 code 0
@@ -145,7 +145,7 @@ printf '0BDVonaN' | dd of=x.nvdb conv=notrunc status=none
 other x.nvdb 'NanoVDB file of a big-endian machine: Bisque reads little-endian ones'
 cp box.nvdb x.nvdb
 put x.nvdb $(($(wc -c <box.nvdb) - 184)) 9
-other x.nvdb 'surface grid of version 9: this Bisque reads version 1'
+other x.nvdb 'surface grid of version 9: this Bisque reads version 2'
 
 for type in 1:float 6:Vec3f 19:Index 21:IndexMask; do
     cp box.nvdb x.nvdb

@@ -73,8 +73,8 @@ static void check_record(struct grid *g)
     require(file, file->size > RECORD_BYTES, "no bisque record");
     uint64_t at = file->size - RECORD_BYTES;
     require_text(file, at, "BISQUE\r\n", "no bisque record");
-    if (u32(file, at + 8) != 1)
-        refuse(file, "bisque record of version %u, this reader knows version 1", u32(file, at + 8));
+    if (u32(file, at + 8) != 2)
+        refuse(file, "bisque record of version %u, this reader knows version 2", u32(file, at + 8));
     require(file, u64(file, at + 184) == checksum(file, at, 184), "wrong checksum of the record");
     require(file, u32(file, at + 12) == (uint32_t)g->has_color, "wrong flags of the record");
     require_zeros(file, at + 152, 32);
@@ -287,7 +287,8 @@ static int popcount(uint64_t bits)
 static void check_entry(const struct grid *g, uint64_t entry)
 {
     uint32_t plane = channel(g, PLANE, entry);
-    require(&g->file, plane >> 26 == 0, "unknown bits in plane");
+    require(&g->file, plane >> 29 == 0, "unknown bits in plane");
+    require(&g->file, plane >> 26 == 0 || !(plane & SHADED_BIT), "grain where planes do not count");
     require(&g->file, entry <= g->voxels || !(plane & SECOND_BIT), "a second record has a second");
     require(&g->file, fabs(plane_offset(plane)) <= 0.8701, "a plane outside of its voxel");
     if (g->has_color) {

@@ -24,6 +24,7 @@ struct cell {
 struct analytic_grid {
     struct cell *cells; /* open addressing */
     uint64_t capacity, count;
+    uint32_t grain;
 };
 
 static void *must(void *memory)
@@ -45,6 +46,11 @@ void analytic_grid_free(struct analytic_grid *grid)
 {
     free(grid->cells);
     free(grid);
+}
+
+void analytic_grid_set_grain(struct analytic_grid *grid, uint32_t grain)
+{
+    grid->grain = grain;
 }
 
 static struct cell *slot(struct cell *cells, uint64_t capacity, const int32_t at[3])
@@ -143,7 +149,7 @@ static bool same_node(const struct cell *a, const struct cell *b, int shift)
 }
 
 static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *cells, uint64_t count,
-                          bool has_color)
+                          bool has_color, uint32_t grain)
 {
     struct fmt_nvdb_record *records = must(calloc(count, sizeof *records));
     struct fmt_nvdb_record *second = must(calloc(count, sizeof *second));
@@ -166,6 +172,7 @@ static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *ce
         records[i] = record_of(&cells[i]->sheets[0], has_second, has_color);
         if (has_second)
             second[region.second_count++] = record_of(&cells[i]->sheets[1], false, has_color);
+        records[i].plane |= grain << FMT_NVDB_GRAIN_SHIFT;
     }
     if (fmt_nvdb_append(writer, &region) < 0)
         abort();
@@ -199,7 +206,7 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
     for (uint64_t begin = 0, end; begin < count; begin = end) {
         for (end = begin; end < count && same_node(cells[begin], cells[end], 7);)
             end++;
-        append_region(writer, cells + begin, end - begin, has_color);
+        append_region(writer, cells + begin, end - begin, has_color, grid->grain);
     }
     if (fmt_nvdb_commit(writer, &totals) < 0 || fmt_nvdb_open(ctx, path, out) < 0) {
         fprintf(stderr, "%s\n", bsq_error(ctx));

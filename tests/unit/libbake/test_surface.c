@@ -153,7 +153,7 @@ static void add_slopes(const struct analytic_sine *sine, const double truth[3],
 }
 
 /* Rays along the base plane's normal from below and above the surface. Every ray has to hit. */
-static struct sine_errors trace_sine(double wavelength, uint32_t flags)
+static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t grain)
 {
     enum { RAYS = 150000 };
     const double centre[3] = {100.3, -57.2, 33.7};
@@ -166,6 +166,7 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags)
     struct fmt_nvdb_grid grid;
 
     analytic_sine_add(source, &sine, 12);
+    analytic_grid_set_grain(source, grain);
     analytic_grid_open(context, source, false, &grid);
     analytic_grid_free(source);
     bake_params_from_grid(&grid, &params);
@@ -189,10 +190,10 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags)
     errors.average = mean(angles, RAYS);
     errors.p95 = percentile(angles, RAYS, 95);
     errors.gain = products / squares;
-    print_message("wavelength %g voxels: normals %.3f / %.3f degrees, slopes %.4f of the "
+    print_message("wavelength %g voxels, grain %u: normals %.3f / %.3f degrees, slopes %.4f of the "
                   "formula's, distance within "
                   "%.3f voxels\n",
-                  wavelength, errors.average, errors.p95, errors.gain, worst);
+                  wavelength, grain, errors.average, errors.p95, errors.gain, worst);
     /* One plane alone errs more where it only cuts its voxel's corner. */
     assert_true(worst < (flags & BK_NEAREST ? 0.25 : 0.1));
     fmt_nvdb_close(context, &grid);
@@ -212,9 +213,20 @@ static void test_sine_accuracy(void **state)
     } limits[] = {
         {4, 2.3, 4.4, 0.15}, {8, 0.7, 1.5, 0.01}, {16, 0.3, 0.7, 0.002}, {32, 0.14, 0.33, 0.001}};
     for (size_t i = 0; i < sizeof limits / sizeof *limits; i++) {
-        struct sine_errors errors = trace_sine(limits[i].wavelength, 0);
+        struct sine_errors errors = trace_sine(limits[i].wavelength, 0, 0);
         assert_true(errors.average < limits[i].average && errors.p95 < limits[i].p95);
         assert_true(fabs(errors.gain - 1) < limits[i].slack);
+    }
+}
+
+/* Grain leaves its share of that in the slopes. */
+static void test_grain(void **state)
+{
+    (void)state;
+    for (uint32_t grain = 3; grain <= FMT_NVDB_GRAIN_MAX; grain += 2) {
+        struct sine_errors errors = trace_sine(16, 0, grain);
+        double left = (2 * PI / 16) * (2 * PI / 16) / 12 * grain / FMT_NVDB_GRAIN_MAX;
+        assert_true(fabs(errors.gain - (1 - left)) < 0.002);
     }
 }
 
@@ -222,7 +234,7 @@ static void test_sine_accuracy(void **state)
 static void test_sine_nearest(void **state)
 {
     (void)state;
-    struct sine_errors errors = trace_sine(16, BK_NEAREST);
+    struct sine_errors errors = trace_sine(16, BK_NEAREST, 0);
     assert_true(errors.average > 1 && errors.average < 2.1 && errors.p95 < 4.4);
 }
 
@@ -411,6 +423,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_sphere),
         cmocka_unit_test(test_sine_accuracy),
+        cmocka_unit_test(test_grain),
         cmocka_unit_test(test_sine_nearest),
         cmocka_unit_test(test_crease),
         cmocka_unit_test(test_thin_plate),

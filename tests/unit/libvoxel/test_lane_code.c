@@ -39,7 +39,8 @@ static void random_sum(uint64_t *seed, struct vox_sum *sum)
     sum->area = sqrt(length) * (1.0 + scan_random(seed));
     for (int k = 0; k < 3; k++)
         sum->center[k] = sum->area * (2.0 * scan_random(seed) - 1.0);
-    sum->shaded = scan_random(seed) < 0.1 ? 1e-20 : 0.0;
+    sum->grain =
+        sum->area * (scan_random(seed) < 0.1 ? VOX_SHADED * VOX_NO_AREA : scan_random(seed));
 }
 
 /* As struct fmt_nvdb_record describes them, one at a time. */
@@ -56,7 +57,9 @@ static struct fmt_nvdb_record expected_record(const struct vox_sum *sum)
         .plane = (uint32_t)lrint(fmin(fmax(d, -0.87), 0.87) * 32767.0) & 0xffff,
     };
     record.plane |= (uint32_t)lrint(fmin(length / sum->area, 1.0) * 255.0) << 16;
-    record.plane |= sum->shaded > 0.0 ? FMT_NVDB_PLANE_SHADED : 0;
+    record.plane |= sum->grain > 2.0 * sum->area
+                        ? FMT_NVDB_PLANE_SHADED
+                        : (uint32_t)lrint(sum->grain / sum->area * 7.0) << 26;
     return record;
 }
 
