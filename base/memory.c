@@ -8,6 +8,7 @@
  * most of that cost is per page. Its header ends the small page before the payload. Nothing behind
  * the payload's last small page belongs to the mapping, so that what is resident stays within what
  * is counted. Growing moves pages instead of copying them. The budget counts payloads. */
+#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -251,6 +252,21 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
     uint64_t size = header_of(memory)->size;
     free_block(memory);
     bsq_release(ctx, size);
+}
+
+void bsq_touch(void *at, uint64_t bytes)
+{
+#ifdef MADV_POPULATE_WRITE
+    uintptr_t page = (uintptr_t)sysconf(_SC_PAGE_SIZE), begin = ((uintptr_t)at + page - 1) & ~(page - 1);
+    uintptr_t end = ((uintptr_t)at + bytes) & ~(page - 1);
+    int error = errno;
+    if (begin < end)
+        madvise((char *)at + (begin - (uintptr_t)at), end - begin, MADV_POPULATE_WRITE);
+    errno = error;
+#else
+    (void)at;
+    (void)bytes;
+#endif
 }
 
 static void *resize_small(void *payload, uint64_t bytes)

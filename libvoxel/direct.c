@@ -211,6 +211,8 @@ static uint32_t largest_face(const struct fmt_obj_block *block)
 static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
 {
     struct direct *direct = arg;
+    if (has_elements(block))
+        scan_touch_ahead(direct->scan);
     /* direct->active is settled by the first block with faces. */
     if (block->face_count == 0 || !direct->active)
         return 0;

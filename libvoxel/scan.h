@@ -52,6 +52,8 @@ void scan_free(struct scan *scan);
 
 /* Add what one block says, in the order of the file. */
 int scan_add_elements(struct scan *scan, const struct fmt_obj_block *block);
+/* Touches memory that columns will fill next; from any thread. */
+void scan_touch_ahead(struct scan *scan);
 int scan_add_faces(struct scan *scan, const struct fmt_obj_block *block);
 /* Both, for fmt_obj_read(); struct scan is `arg`. */
 int scan_add_block(void *arg, const struct fmt_obj_block *block);

@@ -294,6 +294,12 @@ int scan_add_elements(struct scan *scan, const struct fmt_obj_block *block)
     return status;
 }
 
+void scan_touch_ahead(struct scan *scan)
+{
+    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+        spool_touch_ahead(&scan->columns[i].spool);
+}
+
 int scan_add_block(void *arg, const struct fmt_obj_block *block)
 {
     struct scan *scan = arg;

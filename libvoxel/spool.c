@@ -3,6 +3,9 @@
 
 #include <string.h>
 
+#define TOUCH_BYTES ((uint64_t)2 << 20) /* a huge page at a time */
+#define TOUCH_AHEAD (2 * TOUCH_BYTES)
+
 void spool_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, const char *beside,
                 uint64_t segment_bytes)
 {
@@ -13,10 +16,41 @@ void spool_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, cons
         .segment_bytes = segment_bytes,
         .file = BSQ_FILE_CLOSED,
     };
+    pthread_mutex_init(&spool->lock, NULL);
 }
+
+/* ---- touching ---- */
+
+static void set_untouched(struct spool *spool, uint8_t *from, uint8_t *to)
+{
+    pthread_mutex_lock(&spool->lock);
+    spool->untouched = spool->head = from;
+    spool->untouched_end = to;
+    pthread_mutex_unlock(&spool->lock);
+}
+
+void spool_touch_ahead(struct spool *spool)
+{
+    uint8_t *at = NULL;
+    uint64_t size = 0;
+    pthread_mutex_lock(&spool->lock);
+    while (spool->untouched < spool->untouched_end && spool->untouched < spool->head) /* by filling it */
+        spool->untouched += TOUCH_BYTES;
+    if (spool->untouched < spool->untouched_end && spool->untouched < spool->head + TOUCH_AHEAD) {
+        at = spool->untouched;
+        size = (uint64_t)(spool->untouched_end - at) < TOUCH_BYTES ? (uint64_t)(spool->untouched_end - at) : TOUCH_BYTES;
+        spool->untouched += size;
+    }
+    pthread_mutex_unlock(&spool->lock);
+    if (at)
+        bsq_touch(at, size); /* a spill may have freed it by now, then this has no effect */
+}
+
+/* ---- segments ---- */
 
 static void free_segments(struct spool *spool)
 {
+    set_untouched(spool, NULL, NULL);
     for (uint64_t i = 0; i < spool->segment_count; i++)
         bsq_free(spool->ctx, spool->segments[i]);
     spool->segment_count = 0;
@@ -29,6 +63,7 @@ void spool_free(struct spool *spool)
     free_segments(spool);
     bsq_free(spool->ctx, spool->segments);
     bsq_file_close(spool->ctx, &spool->file);
+    pthread_mutex_destroy(&spool->lock);
     memset(spool, 0, sizeof *spool);
 }
 
@@ -62,9 +97,12 @@ static int add_segment(struct spool *spool)
         return status;
     status = bsq_alloc(spool->ctx, spool->what, spool->segment_bytes, 1,
                        &spool->segments[spool->segment_count]);
-    if (status == 0)
-        spool->segment_count++;
-    return status;
+    if (status < 0)
+        return status;
+    uint8_t *segment = spool->segments[spool->segment_count++];
+    if (!spool->spilled)
+        set_untouched(spool, segment, segment + spool->segment_bytes);
+    return 0;
 }
 
 static int flush_tail(struct spool *spool)
@@ -89,7 +127,10 @@ int spool_room(struct spool *spool, uint8_t **at, uint64_t *room)
 
 void spool_advance(struct spool *spool, uint64_t bytes)
 {
+    pthread_mutex_lock(&spool->lock);
     spool->bytes += bytes;
+    spool->head = spool->head ? spool->head + bytes : NULL;
+    pthread_mutex_unlock(&spool->lock);
 }
 
 int spool_spill(struct spool *spool)
@@ -104,6 +145,7 @@ int spool_spill(struct spool *spool)
     }
     if (status < 0)
         return status;
+    set_untouched(spool, NULL, NULL);
     while (spool->segment_count > 1)
         bsq_free(spool->ctx, spool->segments[--spool->segment_count]);
     spool->spilled = true;

@@ -2,9 +2,14 @@
  *
  * A spool keeps what is appended in segments of equal size; spool_spill() moves all of it to a
  * temporary file and keeps one segment as write buffer. Elements do not straddle segments when the
- * segment size is a multiple of theirs. Appending is for one thread at a time, reading for any. */
+ * segment size is a multiple of theirs. Appending is for one thread at a time, reading for any.
+ *
+ * Memory that is touched for the first time has to be found and cleared by the system, which takes longer than filling
+ * it: other threads can see to that shortly before (spool_touch_ahead()). */
 #ifndef VOX_SPOOL_H
 #define VOX_SPOOL_H
+
+#include <pthread.h>
 
 #include "base/file.h"
 
@@ -18,6 +23,9 @@ struct spool {
     uint64_t segment_count, segment_capacity;
     struct bsq_file file;
     bool spilled;
+    /* What of the last segment nobody has touched, as far as is known, and where the next bytes go. */
+    pthread_mutex_t lock; /* of these */
+    uint8_t *untouched, *untouched_end, *head;
 };
 
 void spool_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, const char *beside,
@@ -30,6 +38,9 @@ uint64_t spool_room_cost(const struct spool *spool);
 /* Contiguous room for at least one byte at the end; spool_advance() says how much was used. */
 int spool_room(struct spool *spool, uint8_t **at, uint64_t *room);
 void spool_advance(struct spool *spool, uint64_t bytes);
+
+/* Touches some of the memory that is to be filled next. From any thread while one appends. */
+void spool_touch_ahead(struct spool *spool);
 
 /* Moves the content to a temporary file and frees all but one segment. */
 int spool_spill(struct spool *spool);
