@@ -192,7 +192,7 @@ static uint32_t make_entries(const struct batches *b, const uint8_t *records, ui
     return kept;
 }
 
-/* The same of plain records, see record_layout. */
+/* The same of plain records, see record_layout: apart for speed, as widths and places are known. */
 static uint32_t make_plain_entries(const struct batches *b, const uint8_t *records, uint64_t first, uint32_t count,
                                    struct entry *entries)
 {

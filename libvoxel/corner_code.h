@@ -5,7 +5,7 @@
  * of the triangle before it is, or that it is new, and how many bytes the differences of new ones
  * to the last new one take: about two bytes a triangle in all. Where faces have no order the first
  * corner is far from the last one, but the others mostly are near it; then a second byte tells each
- * difference's bytes, about eight a triangle. */
+ * difference's bytes, about nine a triangle in all. */
 #ifndef VOX_CORNER_CODE_H
 #define VOX_CORNER_CODE_H
 

@@ -208,6 +208,15 @@ static bool pages_are_possible(const struct scan *scan)
     return scan_count(scan, SCAN_POSITIONS) / 8 <= scan->limits->join_bytes / 4;
 }
 
+/* Records that are values tell nothing more of the vertices in use. join: NULL where it has not counted them. */
+static void settle_used(const struct scan *scan, const struct join *join, struct scattered *out)
+{
+    out->used_vertices =
+        join ? join_used_vertices(join) : used_count(out->used, scan_count(scan, SCAN_POSITIONS));
+    bsq_free(scan->ctx, out->used);
+    out->used = NULL;
+}
+
 static int scatter_by(struct job *job, enum join_method method, const char *beside)
 {
     struct scan *scan = job->scan;
@@ -230,8 +239,8 @@ static int scatter_by(struct job *job, enum join_method method, const char *besi
     };
     if (status == 0)
         status = run_pipeline(job);
-    if (status == 0 && buckets)
-        out->used_vertices = join_used_vertices(job->join);
+    if (status == 0 && out->layout.by_value)
+        settle_used(scan, buckets ? job->join : NULL, out);
     return status;
 }
 

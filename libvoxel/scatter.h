@@ -10,8 +10,8 @@ struct scattered {
     uint32_t levels;    /* cells are named by the first 3 * levels bits of the key */
     struct cells cells; /* of runs, see run.h; items are triangles */
     uint64_t triangles; /* in the cells, those without area too */
-    /* Vertices that faces refer to: all of them where records are values, else to be completed by who
-     * reads the records, see record_layout. NULL: how many there are is known. */
+    /* Vertices that faces refer to, where records are indices: to be marked by who reads these. NULL: how many there are is
+     * known. */
     used_word *used;
     uint64_t used_vertices;
 };

@@ -6,7 +6,6 @@
 #include "libvoxel/split.h"
 #include "base/polygon.h"
 
-
 /* ---- memory ---- */
 
 /* Bytes of one triangle of this scan, coded, at most: differences of indices take four bytes where

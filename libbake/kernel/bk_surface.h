@@ -407,7 +407,7 @@ BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8], const bk_fw tents[8])
  * normal were the same everywhere, f. With the trapezoid rule, h = (n_i + n) . e_i / 2, the
  * prediction is exact for quadratic surfaces, and what the predictions differ by is the surface's
  * third derivative. The gradient of the blended h, with smooth weights, adds just that to the
- * normal; along a line it is the derivative of the cubic Hermite interpolant, BK_MEAN_SLOPE apart.
+ * normal; along a line it is the derivative of the cubic Hermite interpolant, bk_mean_slope() apart.
  * Leaves a third of the tent blend's error at details of 4 and 8 voxels, half of it at 16. */
 BK_FN bk_blend bk_blend_corners(const bk_corner corners[8], const bk_fw tents[8],
                                 const bk_weights *at)
