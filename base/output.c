@@ -7,6 +7,7 @@
 #include <assert.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,6 +28,7 @@ struct bsq_output {
     char *temp_path; /* NULL: the file has no name */
     int fd;
     uint64_t position;
+    uint64_t expected;  /* a file with less appended may not be kept */
     uint64_t sent;      /* bytes that were given to the disk already */
     atomic_bool synced; /* all is on the disk, and nothing was written since */
     atomic_int status;  /* first failure: such an output cannot be committed */
@@ -181,77 +183,25 @@ int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t siz
     return status;
 }
 
-/* Whether the disk has no room, rather than the file system no such call. */
-static bool lacks_room(int error)
+/* What keeps a file from being written at all, and not only room from being set aside for it. */
+static bool prevents_writing(int error)
 {
     return error == ENOSPC || error == EDQUOT || error == EFBIG || error == EIO;
 }
 
+/* Where a signal ends the call, tmpfs gives back all that it has set aside so far. */
 int bsq_output_expect(struct bsq_output *output, uint64_t size)
 {
-    int result;
     atomic_store_explicit(&output->synced, false, memory_order_relaxed);
-    do
-        result = fallocate(output->fd, 0, 0, (off64_t)size);
-    while (result != 0 && errno == EINTR);
-    return result != 0 && lacks_room(errno) ? fail_write(output, errno) : 0;
-}
-
-/* Copies inside the kernel; *copied < size where it cannot (other file systems, old kernels). */
-static int copy_in_kernel(struct bsq_output *output, const struct bsq_file *from, uint64_t offset,
-                          uint64_t size, uint64_t *copied)
-{
-    *copied = 0;
-    atomic_store_explicit(&output->synced, false, memory_order_relaxed);
-    while (*copied < size) {
+    output->expected = size;
+    while (fallocate(output->fd, 0, 0, (off64_t)size) != 0) {
+        if (errno != EINTR)
+            return prevents_writing(errno) ? fail_write(output, errno) : 0;
         int status = bsq_check(output->ctx);
         if (status < 0)
             return status;
-        uint64_t part = size - *copied;
-        if (part > UINT64_C(64) << 20)
-            part = UINT64_C(64) << 20;
-        off64_t in = (off64_t)(offset + *copied), at = (off64_t)output->position;
-        ssize_t count = copy_file_range(from->fd, &in, output->fd, &at, part, 0);
-        if (count < 0 && errno == EINTR)
-            continue;
-        if (count < 0 && (errno == ENOSPC || errno == EDQUOT || errno == EIO))
-            return fail_write(output, errno);
-        if (count <= 0)
-            return 0;
-        *copied += (uint64_t)count;
-        output->position += (uint64_t)count;
     }
     return 0;
-}
-
-static int copy_through_buffer(struct bsq_output *output, const struct bsq_file *from,
-                               uint64_t offset, uint64_t size)
-{
-    char *buffer;
-    uint64_t capacity = size < (UINT64_C(1) << 20) ? size : UINT64_C(1) << 20;
-    int status = bsq_alloc(output->ctx, "copying", capacity, 1, &buffer);
-    while (status == 0 && size > 0) {
-        uint64_t part = size < capacity ? size : capacity;
-        status = bsq_check(output->ctx);
-        if (status == 0)
-            status = bsq_file_read(output->ctx, from, buffer, part, offset);
-        if (status == 0)
-            status = bsq_output_write(output, buffer, part);
-        offset += part;
-        size -= part;
-    }
-    bsq_free(output->ctx, buffer);
-    return status;
-}
-
-int bsq_output_copy(struct bsq_output *output, const struct bsq_file *from, uint64_t offset,
-                    uint64_t size)
-{
-    uint64_t copied;
-    int status = copy_in_kernel(output, from, offset, size, &copied);
-    if (status == 0 && copied < size)
-        status = copy_through_buffer(output, from, offset + copied, size - copied);
-    return status;
 }
 
 uint64_t bsq_output_tell(const struct bsq_output *output)
@@ -259,21 +209,19 @@ uint64_t bsq_output_tell(const struct bsq_output *output)
     return output->position;
 }
 
-int bsq_output_align(struct bsq_output *output, uint64_t alignment)
+/* ---- the end ---- */
+
+/* Whether the file may be kept. Room that was set aside and not written would be zeros at its end.
+ */
+static int check_written(struct bsq_output *output)
 {
-    static const char zeros[4096];
-    uint64_t rest = output->position % alignment;
-    uint64_t padding = rest ? alignment - rest : 0;
-    int status = 0;
-    while (status == 0 && padding > 0) {
-        uint64_t part = padding < sizeof zeros ? padding : sizeof zeros;
-        status = bsq_output_write(output, zeros, part);
-        padding -= part;
-    }
+    int status = atomic_load(&output->status);
+    if (status == 0 && output->position < output->expected)
+        status = bsq_fail(output->ctx, BSQ_EBUG,
+                          "%s: %" PRIu64 " bytes were written, %" PRIu64 " were expected",
+                          output->path, output->position, output->expected);
     return status;
 }
-
-/* ---- the end ---- */
 
 /* Writes what is in the cache to the disk in parts, so that an interruption need not wait for all
  * of it, as it would in fsync(). A failure that is reported here is not reported by fsync() again.
@@ -299,7 +247,7 @@ static int write_back(struct bsq_output *output, uint64_t size)
 int bsq_output_sync(struct bsq_output *output)
 {
     struct stat info;
-    int status = atomic_load(&output->status);
+    int status = check_written(output);
     if (status < 0 || output->synced || !output->directory)
         return status;
     if (fstat(output->fd, &info) != 0)
@@ -332,6 +280,23 @@ static int fail_create(struct bsq_output *output, int error)
                           output->path);
 }
 
+static int copy_whole(struct bsq_output *output, const struct bsq_file *from, uint64_t size)
+{
+    char buffer[1 << 16];
+    int status = 0;
+    output->position = output->sent = 0;
+    while (status == 0 && output->position < size) {
+        uint64_t left = size - output->position;
+        uint64_t part = left < sizeof buffer ? left : sizeof buffer;
+        status = bsq_check(output->ctx);
+        if (status == 0)
+            status = bsq_file_read(output->ctx, from, buffer, part, output->position);
+        if (status == 0)
+            status = bsq_output_write(output, buffer, part);
+    }
+    return status;
+}
+
 /* For file systems that have unnamed files but cannot name them later. */
 static int copy_to_named(struct bsq_output *output)
 {
@@ -346,8 +311,8 @@ static int copy_to_named(struct bsq_output *output)
         output->fd = unnamed.fd;
         return fail_create(output, error);
     }
-    output->position = 0;
-    status = bsq_output_copy(output, &unnamed, 0, (uint64_t)info.st_size);
+    atomic_store_explicit(&output->synced, false, memory_order_relaxed);
+    status = copy_whole(output, &unnamed, (uint64_t)info.st_size);
     close(unnamed.fd);
     return status == 0 ? bsq_output_sync(output) : status;
 }
@@ -397,7 +362,7 @@ int bsq_output_commit(struct bsq_output *output)
 int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out)
 {
     assert(!output->directory);
-    int status = atomic_load(&output->status);
+    int status = check_written(output);
     struct stat info;
     if (status == 0 && fstat(output->fd, &info) != 0)
         status = fail_write(output, errno);

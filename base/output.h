@@ -26,8 +26,8 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
 int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out);
 
 /* Sets room aside for a file of `size` bytes, more than none, where the file system can: a full disk
- * is noticed at once, and writing takes less time. All of them must be written before the commit.
- * Errors: BSQ_EIO. */
+ * is noticed at once, and writing takes less time. At least as many must be appended before the file
+ * is synced, committed or kept, which is BSQ_EBUG otherwise. Errors: BSQ_EIO, BSQ_EINTR. */
 int bsq_output_expect(struct bsq_output *output, uint64_t size);
 
 /* Appends, or writes at an offset. Errors: BSQ_EIO. bsq_output_write_at is thread-safe for disjoint
@@ -36,13 +36,8 @@ int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t siz
 int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
                         uint64_t offset);
 
-/* Appends `size` bytes of `from` starting at `offset`, inside the kernel where it can. */
-int bsq_output_copy(struct bsq_output *output, const struct bsq_file *from, uint64_t offset,
-                    uint64_t size);
-
-/* Position of the next bsq_output_write(), and pads with zeros up to a multiple of `alignment`. */
+/* Position of the next bsq_output_write(). */
 uint64_t bsq_output_tell(const struct bsq_output *output);
-int bsq_output_align(struct bsq_output *output, uint64_t alignment);
 
 /* Brings everything to the disk; where several outputs belong together, do this for all before the
  * first is committed. Errors: BSQ_EIO, BSQ_EINTR. */

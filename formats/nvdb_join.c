@@ -30,8 +30,7 @@ struct join {
     uint8_t *head;      /* section NVDB_HEAD */
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     struct nvdb_record record;
-    struct nvdb_upper_stub stub; /* of the node being made; or a lower one's */
-    uint8_t *node;
+    uint8_t *node;   /* being made */
     uint64_t child;  /* offset in the file of the next node's first child */
     uint8_t *buffer; /* of all blocks */
 };
@@ -164,7 +163,7 @@ static int make_node(struct join *join, const struct node_kind *kind)
     const struct bsq_file *stubs = &join->writer->stream[kind->stream].file;
     uint64_t number = join->done / kind->node_bytes;
     uint64_t offset = join->layout.section[kind->section].offset + join->done;
-    uint8_t *stub = (uint8_t *)&join->stub;
+    uint8_t stub[sizeof(struct nvdb_upper_stub)]; /* or of a lower node, which is smaller */
     int status = bsq_file_read(join->ctx, stubs, stub, kind->stub_bytes, number * kind->stub_bytes);
     if (status == 0)
         expand_node(kind, offset, stub, join->node, &join->child);

@@ -189,15 +189,6 @@ ssize_t pwritev64(int fd, const struct iovec *parts, int count, off_t offset)
     return write_parts_at("pwritev64", fd, parts, count, offset);
 }
 
-ssize_t copy_file_range(int in, off64_t *from, int out, off64_t *to, size_t size, unsigned flags)
-{
-    int what = fault_fd("write", "copy_file_range", out);
-    if (what == FAIL)
-        return -1;
-    return syscall(SYS_copy_file_range, in, from, out, to, what == SHORT ? (size + 1) / 2 : size,
-                   flags);
-}
-
 void *mmap(void *address, size_t size, int protection, int flags, int fd, off_t offset)
 {
     if (fd >= 0 && fault_fd("map", "mmap", fd) == FAIL)

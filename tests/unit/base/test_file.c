@@ -1,5 +1,6 @@
 /* test_file.c - input, temporary and output files. */
 #include <dirent.h>
+#include <errno.h>
 #include <fcntl.h>
 #include <setjmp.h>
 #include <signal.h>
@@ -12,12 +13,39 @@
 #include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <cmocka.h>
 
 #include "base/output.h"
 #include "base/parallel.h"
+
+/* ---- calls of the system that stand before libc's here ---- */
+
+static int interruptions; /* calls of fallocate() that a signal is to end */
+static bool refuses_links;
+static int refused_links;
+
+int fallocate(int fd, int mode, off_t offset, off_t size)
+{
+    if (interruptions > 0) {
+        interruptions--;
+        errno = EINTR;
+        return -1;
+    }
+    return (int)syscall(SYS_fallocate, fd, mode, offset, size);
+}
+
+int linkat(int from_directory, const char *from, int to_directory, const char *to, int flags)
+{
+    if (refuses_links) {
+        refused_links++;
+        errno = EPERM;
+        return -1;
+    }
+    return (int)syscall(SYS_linkat, from_directory, from, to_directory, to, flags);
+}
 
 static char directory[] = "/tmp/bisque-test-file.XXXXXX";
 
@@ -324,14 +352,11 @@ static void test_output_appears_on_commit(void **state)
     assert_int_equal(bsq_output_write(output, "0123", 4), 0);
     assert_int_equal(bsq_output_write_at(output, "AB", 2, 1), 0);
     assert_int_equal(bsq_output_tell(output), 4);
-    assert_int_equal(bsq_output_align(output, 8), 0);
-    assert_int_equal(bsq_output_align(output, 8), 0);
-    assert_int_equal(bsq_output_tell(output), 8);
     assert_int_equal(bsq_output_write(output, "x", 1), 0);
     assert_content("out", "old", 3);
     assert_int_equal(files_here(), 1);
     assert_int_equal(bsq_output_commit(output), 0);
-    assert_content("out", "0AB3\0\0\0\0x", 9);
+    assert_content("out", "0AB3x", 5);
     assert_int_equal(files_here(), 1);
     unlink("out");
     bsq_ctx_destroy(ctx);
@@ -479,48 +504,120 @@ static void test_room_is_set_aside(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void assert_copies(struct bsq_ctx *ctx, struct bsq_file *from, const char *content)
+static void assert_too_short(struct bsq_ctx *ctx, int status)
 {
-    struct bsq_output *output;
-    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
-    assert_int_equal(bsq_output_write(output, "<", 1), 0);
-    assert_int_equal(bsq_output_copy(output, from, 3, 9000), 0);
-    assert_int_equal(bsq_output_copy(output, from, 0, 0), 0);
-    assert_int_equal(bsq_output_tell(output), 9001);
-    assert_int_equal(bsq_output_write(output, ">", 1), 0);
-    assert_int_equal(bsq_output_commit(output), 0);
-    char expected[9002];
-    expected[0] = '<';
-    memcpy(expected + 1, content + 3, 9000);
-    expected[9001] = '>';
-    assert_content("out", expected, sizeof expected);
-    unlink("out");
+    assert_int_equal(status, BSQ_EBUG);
+    assert_non_null(strstr(bsq_error(ctx), ": 8 bytes were written, 9 were expected"));
+    bsq_clear_error(ctx);
 }
 
-static void test_copying(void **state)
+static void test_less_than_was_expected(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = create(NULL);
-    struct bsq_file file;
     struct bsq_output *output;
-    char content[10000];
-    for (size_t i = 0; i < sizeof content; i++)
-        content[i] = (char)(i * 7 + i / 256);
-    assert_int_equal(bsq_file_temp(ctx, "out", "copying", &file), 0);
-    assert_int_equal(bsq_file_append(ctx, &file, content, sizeof content), 0);
-    assert_copies(ctx, &file, content);
+    struct bsq_file file;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
-    assert_int_equal(bsq_output_copy(output, &file, 9000, 1001), BSQ_EDATA);
-    bsq_output_discard(output);
-    bsq_file_close(ctx, &file);
-    bsq_ctx_destroy(ctx);
+    assert_int_equal(bsq_output_expect(output, 9), 0);
+    assert_int_equal(bsq_output_write(output, "not whol", 8), 0);
+    assert_too_short(ctx, bsq_output_sync(output));
+    assert_too_short(ctx, bsq_output_commit(output));
+    assert_int_equal(files_here(), 0);
 
-    /* From another file system, where the kernel may refuse to copy. */
-    ctx = create("/dev/shm");
-    assert_int_equal(bsq_file_temp(ctx, "out", "copying", &file), 0);
-    assert_int_equal(bsq_file_append(ctx, &file, content, sizeof content), 0);
-    assert_copies(ctx, &file, content);
-    bsq_file_close(ctx, &file);
+    assert_int_equal(bsq_output_open_temp(ctx, "out", "testing", &output), 0);
+    assert_int_equal(bsq_output_expect(output, 9), 0);
+    assert_int_equal(bsq_output_write(output, "not whol", 8), 0);
+    assert_too_short(ctx, bsq_output_keep_temp(output, &file));
+    assert_int_equal(files_here(), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_setting_room_aside_is_interrupted(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_output *output;
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    interruptions = 3;
+    assert_int_equal(bsq_output_expect(output, 4), 0);
+    assert_int_equal(interruptions, 0);
+    interruptions = 3;
+    bsq_interrupt(ctx);
+    assert_int_equal(bsq_output_expect(output, 4), BSQ_EINTR);
+    assert_int_equal(interruptions, 2);
+    interruptions = 0;
+    bsq_output_discard(output);
+    assert_int_equal(files_here(), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- files that cannot be named later ---- */
+
+enum { COPIED = 150000 };
+
+/* An output of COPIED bytes, all of them expected. */
+static struct bsq_output *open_to_copy(struct bsq_ctx *ctx, char *content)
+{
+    struct bsq_output *output;
+    for (size_t i = 0; i < COPIED; i++)
+        content[i] = (char)(i * 7 + i / 256);
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    assert_int_equal(bsq_output_expect(output, COPIED), 0);
+    assert_int_equal(bsq_output_write(output, content, COPIED), 0);
+    return output;
+}
+
+static void test_copying_to_a_name(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    static char content[COPIED], got[COPIED + 1];
+    struct bsq_output *output = open_to_copy(ctx, content);
+    refuses_links = true;
+    assert_int_equal(bsq_output_commit(output), 0);
+    refuses_links = false;
+    assert_int_equal(files_here(), 1);
+    FILE *file = fopen("out", "r");
+    assert_non_null(file);
+    assert_int_equal(fread(got, 1, sizeof got, file), COPIED);
+    fclose(file);
+    assert_memory_equal(got, content, COPIED);
+    unlink("out");
+
+    /* Nothing at all. */
+    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
+    refuses_links = true;
+    assert_int_equal(bsq_output_commit(output), 0);
+    refuses_links = false;
+    assert_content("out", "", 0);
+    unlink("out");
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_copying_to_a_name_fails(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    static char content[COPIED];
+    struct bsq_output *output = open_to_copy(ctx, content);
+    struct rlimit before, small;
+    assert_int_equal(getrlimit(RLIMIT_FSIZE, &before), 0);
+    small = before;
+    small.rlim_cur = COPIED - 1;
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
+    refuses_links = true;
+    refused_links = 0;
+    int status = bsq_output_commit(output);
+    refuses_links = false;
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &before), 0);
+    if (refused_links > 0) {
+        assert_int_equal(status, BSQ_EIO);
+        assert_non_null(strstr(bsq_error(ctx), "out: writing: File too large"));
+    } else { /* the file had a name all the time */
+        assert_int_equal(status, 0);
+        unlink("out");
+    }
+    assert_int_equal(files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -543,7 +640,10 @@ int main(void)
         cmocka_unit_test(test_what_cannot_be_created),
         cmocka_unit_test(test_failed_write_cannot_be_committed),
         cmocka_unit_test(test_room_is_set_aside),
-        cmocka_unit_test(test_copying),
+        cmocka_unit_test(test_less_than_was_expected),
+        cmocka_unit_test(test_setting_room_aside_is_interrupted),
+        cmocka_unit_test(test_copying_to_a_name),
+        cmocka_unit_test(test_copying_to_a_name_fails),
     };
     return cmocka_run_group_tests(tests, enter_directory, leave_directory);
 }
