@@ -79,51 +79,42 @@ static const struct node_kind *node_kind(int section)
     return section == NVDB_UPPERS ? &upper_kind : section == NVDB_LOWERS ? &lower_kind : NULL;
 }
 
-/* Of a section that is made of streams: the one it begins with, and the one behind it, which holds
- * second records. NULL where there is none. */
-static const struct nvdb_stream *first_stream(const struct join *join)
+/* What a section that is made of streams begins with, and the second records behind. NULL where there is none. */
+struct section_streams {
+    const struct nvdb_stream *first, *second;
+};
+
+static struct section_streams streams_of(const struct join *join)
 {
     const struct nvdb_stream *stream = join->writer->stream;
     switch (join->section) {
     case NVDB_LEAVES:
-        return &stream[STREAM_LEAVES];
+        return (struct section_streams){.first = &stream[STREAM_LEAVES]};
     case NVDB_NORMALS:
-        return &stream[STREAM_NORMALS];
+        return (struct section_streams){&stream[STREAM_NORMALS], &stream[STREAM_SECOND_NORMALS]};
     case NVDB_PLANES:
-        return &stream[STREAM_PLANES];
+        return (struct section_streams){&stream[STREAM_PLANES], &stream[STREAM_SECOND_PLANES]};
     case NVDB_COLORS:
-        return join->writer->info.has_color ? &stream[STREAM_COLORS] : NULL;
+        if (!join->writer->info.has_color)
+            break;
+        return (struct section_streams){&stream[STREAM_COLORS], &stream[STREAM_SECOND_COLORS]};
     case NVDB_SECONDS:
-        return &stream[STREAM_SECOND_WORDS];
+        return (struct section_streams){.first = &stream[STREAM_SECOND_WORDS]};
     default:
-        return NULL;
+        break;
     }
-}
-
-static const struct nvdb_stream *second_stream(const struct join *join)
-{
-    const struct nvdb_stream *stream = join->writer->stream;
-    switch (join->section) {
-    case NVDB_NORMALS:
-        return &stream[STREAM_SECOND_NORMALS];
-    case NVDB_PLANES:
-        return &stream[STREAM_SECOND_PLANES];
-    case NVDB_COLORS:
-        return join->writer->info.has_color ? &stream[STREAM_SECOND_COLORS] : NULL;
-    default:
-        return NULL;
-    }
+    return (struct section_streams){0};
 }
 
 /* How large the section will be by what was kept of it. */
 static uint64_t kept_bytes(const struct join *join)
 {
     const struct node_kind *kind = node_kind(join->section);
-    const struct nvdb_stream *first = first_stream(join), *second = second_stream(join);
+    const struct section_streams streams = streams_of(join);
     if (kind)
         return join->writer->stream[kind->stream].file.size / kind->stub_bytes * kind->node_bytes;
-    if (first)
-        return first->file.size + (second ? second->file.size : 0);
+    if (streams.first)
+        return streams.first->file.size + (streams.second ? streams.second->file.size : 0);
     return join->layout.section[join->section].size;
 }
 
@@ -186,14 +177,15 @@ static int make_from_nodes(struct join *join, const struct node_kind *kind, uint
 /* The first stream was hashed as it came. */
 static int make_from_streams(struct join *join, uint8_t *to, uint64_t *size)
 {
-    const struct bsq_file *first = &first_stream(join)->file;
+    const struct section_streams streams = streams_of(join);
+    const struct bsq_file *first = &streams.first->file;
     if (join->done < first->size) {
         uint64_t left = first->size - join->done;
         *size = *size < left ? *size : left;
         return bsq_file_read(join->ctx, first, to, *size, join->done);
     }
     int status =
-        bsq_file_read(join->ctx, &second_stream(join)->file, to, *size, join->done - first->size);
+        bsq_file_read(join->ctx, &streams.second->file, to, *size, join->done - first->size);
     if (status == 0)
         XXH3_64bits_update(join->hash, to, *size);
     return status;
@@ -221,7 +213,7 @@ static int make_from_section(struct join *join, uint8_t *to, uint64_t *size)
 static int begin_section(struct join *join)
 {
     const struct node_kind *kind = node_kind(join->section);
-    const struct nvdb_stream *first = first_stream(join);
+    const struct nvdb_stream *first = streams_of(join).first;
     if (kept_bytes(join) != join->layout.section[join->section].size)
         return bsq_fail(join->ctx, BSQ_EBUG, "%s: section %d has a wrong size", join->writer->path,
                         join->section);

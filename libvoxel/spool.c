@@ -37,8 +37,9 @@ void spool_touch_ahead(struct spool *spool)
     while (spool->untouched < spool->untouched_end && spool->untouched < spool->head) /* by filling it */
         spool->untouched += TOUCH_BYTES;
     if (spool->untouched < spool->untouched_end && spool->untouched < spool->head + TOUCH_AHEAD) {
+        uint64_t left = (uint64_t)(spool->untouched_end - spool->untouched);
         at = spool->untouched;
-        size = (uint64_t)(spool->untouched_end - at) < TOUCH_BYTES ? (uint64_t)(spool->untouched_end - at) : TOUCH_BYTES;
+        size = left < TOUCH_BYTES ? left : TOUCH_BYTES;
         spool->untouched += size;
     }
     pthread_mutex_unlock(&spool->lock);
