@@ -175,17 +175,17 @@ static int make_from_nodes(struct join *join, const struct node_kind *kind, uint
 }
 
 /* The first stream was hashed as it came. */
-static int make_from_streams(struct join *join, uint8_t *to, uint64_t *size)
+static int make_from_streams(struct join *join, const struct section_streams *streams, uint8_t *to,
+                             uint64_t *size)
 {
-    const struct section_streams streams = streams_of(join);
-    const struct bsq_file *first = &streams.first->file;
+    const struct bsq_file *first = &streams->first->file;
     if (join->done < first->size) {
         uint64_t left = first->size - join->done;
         *size = *size < left ? *size : left;
         return bsq_file_read(join->ctx, first, to, *size, join->done);
     }
-    int status =
-        bsq_file_read(join->ctx, &streams.second->file, to, *size, join->done - first->size);
+    const struct bsq_file *second = &streams->second->file;
+    int status = bsq_file_read(join->ctx, second, to, *size, join->done - first->size);
     if (status == 0)
         XXH3_64bits_update(join->hash, to, *size);
     return status;
@@ -193,19 +193,16 @@ static int make_from_streams(struct join *join, uint8_t *to, uint64_t *size)
 
 static int make_from_section(struct join *join, uint8_t *to, uint64_t *size)
 {
-    switch (join->section) {
-    case NVDB_HEAD:
-        return make_from_memory(join, join->head, to, size);
-    case NVDB_UPPERS:
-    case NVDB_LOWERS:
-        return make_from_nodes(join, node_kind(join->section), to, size);
-    case NVDB_BLIND:
-        return make_from_memory(join, join->blind, to, size);
-    case NVDB_RECORD:
-        return make_from_memory(join, &join->record, to, size);
-    default:
-        return make_from_streams(join, to, size);
-    }
+    const struct node_kind *kind = node_kind(join->section);
+    const struct section_streams streams = streams_of(join);
+    if (kind)
+        return make_from_nodes(join, kind, to, size);
+    if (streams.first)
+        return make_from_streams(join, &streams, to, size);
+    const void *memory = join->section == NVDB_HEAD    ? (const void *)join->head
+                         : join->section == NVDB_BLIND ? (const void *)join->blind
+                                                       : (const void *)&join->record;
+    return make_from_memory(join, memory, to, size);
 }
 
 /* ---- the file ---- */
