@@ -3,11 +3,15 @@
  * Cells are taken in Morton order, as many at a time as memory allows. Each is loaded and sorted by
  * one worker; what results is one sorted sequence, which is cut into chunks that workers build.
  * Triangles after the last cut begin the next batch, so that the cuts do not depend on batches. A
- * cell that is too large for a batch is first divided by the next bits of the key. */
+ * cell that is too large for a batch is first divided by the next bits of the key.
+ *
+ * Where columns are in files, batches read what they need of these before they sort (window.h). Records name elements of
+ * the scan until then, and again when they are carried over. */
 #include "libvoxel/batches.h"
 #include "base/parallel.h"
 #include "libvoxel/area.h"
 #include "libvoxel/chunk_build.h"
+#include "libvoxel/window.h"
 
 #define CHILD_LEVELS     2u
 #define CHILD_PAGE_BYTES 8192u
@@ -26,10 +30,12 @@ struct part {
 
 struct batches {
     struct bsq_ctx *ctx;
-    const struct scan *scan;
+    const struct scan *scan; /* or the window's view of it */
     const struct scattered *scattered;
     const char *beside;
     struct fmt_tris_writer *writer;
+    struct window *window; /* NULL: columns are in memory, or records are values */
+    used_word *used;       /* where vertices of records are marked, or NULL: elsewhere */
 
     uint64_t capacity;   /* records in a batch */
     uint64_t part_limit; /* triangles in a part */
@@ -60,7 +66,8 @@ struct chunk_slot {
 
 static uint64_t triangle_bytes(const struct batches *b)
 {
-    return b->scattered->layout.bytes + 2 * sizeof(struct entry);
+    return b->scattered->layout.bytes + 2 * sizeof(struct entry) +
+           (b->window ? window_triangle_bytes(b->scan) : 0);
 }
 
 /* Records between parts, so that loads past a part's end do not touch what another worker writes.
@@ -86,10 +93,13 @@ static unsigned count_slots(const struct batches *b, uint64_t left)
 
 /* Triangles that a batch should have. A small one touches little memory and stays near the core,
  * but threads wait for each other where one ends, so each is to sort several cells of it; and it
- * must not be too small for cells to be sorted whole. */
+ * must not be too small for cells to be sorted whole. Where vertices have no order either, each batch may read
+ * them all, so there are to be few. */
 static uint64_t wanted_capacity(const struct batches *b)
 {
     const struct cells *cells = &b->scattered->cells;
+    if (b->window && b->scattered->vertices_lack_order)
+        return 8 * b->scan->limits->batch_triangles;
     uint64_t wanted = (uint64_t)bsq_threads(b->ctx) << 18, largest = 0;
     for (uint32_t c = 0; c < cells->cell_count; c++)
         largest = cells->list[c].items > largest ? cells->list[c].items : largest;
@@ -109,7 +119,7 @@ static void divide_memory(struct batches *b)
     uint64_t left = limit > used + limits->reserve_bytes ? limit - used - limits->reserve_bytes : 0;
     b->slot_count = count_slots(b, left);
     uint64_t slot_bytes = b->slot_count * chunk_builder_bytes(b->scan->attributes);
-    uint64_t carry_bytes = carry * b->scattered->layout.bytes;
+    uint64_t carry_bytes = carry * b->scattered->layout.bytes + (b->window ? window_bytes(b->scan, bsq_threads(b->ctx)) : 0);
     left = left > slot_bytes + carry_bytes ? left - slot_bytes - carry_bytes : 0;
     const uint64_t most = left / triangle_bytes(b), wanted = wanted_capacity(b);
     b->capacity = most < wanted ? most : wanted;
@@ -128,6 +138,13 @@ static int allocate(struct batches *b)
     const uint32_t bytes = b->scattered->layout.bytes;
     int status;
     divide_memory(b);
+    if (b->window) {
+        status = window_open(b->window, b->scan, &b->scattered->layout, b->capacity);
+        b->scan = &b->window->view;
+        b->used = b->window->kinds[FACE_VERTEX].active ? NULL : b->used;
+        if (status < 0)
+            return status;
+    }
     if ((status = bsq_alloc(b->ctx, what, b->capacity * bytes + RECORD_SLACK, 1, &b->records)) <
             0 ||
         (status = bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_records)) <
@@ -142,8 +159,7 @@ static int allocate(struct batches *b)
     for (unsigned i = 0; status == 0 && i < b->reader_count; i++)
         status = run_reader_init(&b->readers[i], b->scan, &b->scattered->layout);
     for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
-        status = chunk_builder_init(&b->slots[i].builder, b->scan, &b->scattered->layout,
-                                    b->scattered->layout.by_value ? NULL : b->scattered->used);
+        status = chunk_builder_init(&b->slots[i].builder, b->scan, &b->scattered->layout, b->used);
     return status;
 }
 
@@ -160,6 +176,8 @@ static void release(struct batches *b)
     bsq_free(b->ctx, b->entries);
     bsq_free(b->ctx, b->spare_records);
     bsq_free(b->ctx, b->records);
+    if (b->window)
+        window_close(b->window);
 }
 
 /* ---- loading and sorting ---- */
@@ -167,8 +185,8 @@ static void release(struct batches *b)
 static void mark_record(const struct batches *b, const uint8_t *record)
 {
     const struct record_layout *layout = &b->scattered->layout;
-    for (uint32_t k = 0; !layout->by_value && k < 3; k++)
-        used_mark(b->scattered->used, record_vertex_index(layout, record + k * layout->corner_bytes));
+    for (uint32_t k = 0; b->used && k < 3; k++)
+        used_mark(b->used, record_vertex_index(layout, record + k * layout->corner_bytes));
 }
 
 /* Entries of records with area; returns their number. */
@@ -222,28 +240,81 @@ static struct entry *scratch_for(const struct batches *b, const struct part *par
     return b->scratch + (b->largest_part <= share ? worker * share : part->at);
 }
 
-static int sort_part(void *arg, uint64_t index, unsigned worker)
+/* Makes entries of `count` records of a part, `done` behind its first. */
+static void enter_records(struct batches *b, struct part *part, uint64_t done, uint32_t count)
+{
+    const uint64_t first = part->record + done;
+    uint8_t *records = b->records + first * b->scattered->layout.bytes;
+    struct entry *to = b->entries + part->at + part->kept;
+    if (b->window)
+        window_number(b->window, records, count);
+    part->kept += b->scattered->layout.plain ? make_plain_entries(b, records, first, count, to)
+                                             : make_entries(b, records, first, count, to);
+}
+
+/* Reads a part's records, and enters them or, where elements have to be fetched first, marks these. */
+static int read_part(void *arg, uint64_t index, unsigned worker)
 {
     struct batches *b = arg;
     struct part *part = &b->parts[index];
-    const uint32_t bytes = b->scattered->layout.bytes;
     struct run_reader *reader = &b->readers[worker];
     run_reader_seek(reader, part->cells, part->cell, part->offset);
     part->kept = 0;
     for (uint64_t done = 0; done < part->count;) {
-        uint8_t *records = b->records + (part->record + done) * bytes;
+        uint8_t *records = b->records + (part->record + done) * b->scattered->layout.bytes;
         uint32_t count;
         int status = run_reader_next(reader, records, &count);
         if (status < 0)
             return status;
-        struct entry *to = b->entries + part->at + part->kept;
-        part->kept += b->scattered->layout.plain ? make_plain_entries(b, records, part->record + done, count, to)
-                                                 : make_entries(b, records, part->record + done, count, to);
+        if (b->window)
+            window_mark(b->window, records, count);
+        else
+            enter_records(b, part, done, count);
         done += count;
     }
+    return 0;
+}
+
+static void order_part(struct batches *b, struct part *part, unsigned worker)
+{
     order_sort(b->entries + part->at, scratch_for(b, part, worker), part->kept,
                MORTON_KEY_BITS - 3 * part->levels);
+}
+
+static int sort_part(void *arg, uint64_t index, unsigned worker)
+{
+    struct batches *b = arg;
+    int status = read_part(b, index, worker);
+    if (status == 0)
+        order_part(b, &b->parts[index], worker);
+    return status;
+}
+
+/* The same of a part that was read. */
+static int sort_fetched(void *arg, uint64_t index, unsigned worker)
+{
+    struct batches *b = arg;
+    struct part *part = &b->parts[index];
+    for (uint64_t done = 0, count; done < part->count; done += count) {
+        count = part->count - done < RUN_TRIANGLES ? part->count - done : RUN_TRIANGLES;
+        enter_records(b, part, done, (uint32_t)count);
+    }
+    order_part(b, part, worker);
     return 0;
+}
+
+static int sort_window(struct batches *b)
+{
+    const uint64_t carried = b->part_count > 0 ? b->parts[0].at : b->count;
+    window_clear(b->window);
+    window_mark(b->window, b->records, carried);
+    int status = bsq_parallel_for(b->ctx, b->part_count, read_part, b);
+    if (status == 0)
+        status = window_fetch(b->window, b->scattered->used);
+    if (status < 0)
+        return status;
+    window_number(b->window, b->records, carried);
+    return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
 }
 
 /* Triangles without area leave gaps behind the entries of a part. */
@@ -308,6 +379,8 @@ static void carry_over(struct batches *b)
         memcpy(b->spare_records + i * bytes,
                b->records + (uint64_t)b->entries[b->cut + i].record * bytes, bytes);
     memcpy(b->records, b->spare_records, left * bytes);
+    if (b->window)
+        window_restore(b->window, b->records, left);
     memmove(b->entries, b->entries + b->cut, left * sizeof *b->entries);
     for (uint64_t i = 0; i < left; i++)
         b->entries[i].record = (uint32_t)i;
@@ -326,7 +399,7 @@ static int write_batch(struct batches *b)
                                           .slots = b->slots,
                                           .slot_size = sizeof *b->slots,
                                           .slot_count = b->slot_count};
-    int status = bsq_parallel_for(b->ctx, b->part_count, sort_part, b);
+    int status = b->window ? sort_window(b) : bsq_parallel_for(b->ctx, b->part_count, sort_part, b);
     if (status < 0)
         return status;
     close_gaps(b);
@@ -381,7 +454,19 @@ static int add_in_parts(struct batches *b, const struct part *whole)
     return status;
 }
 
-/* Distributes a run of records to the children of its cell; `mask` is for their numbers. */
+static uint64_t record_key(const struct batches *b, const uint8_t *record)
+{
+    const struct record_layout *layout = &b->scattered->layout;
+    float copy[3];
+    const float *position;
+    if (b->window)
+        position = window_position(b->window, record_vertex_index(layout, record));
+    else
+        position = record_position(layout, b->scan, record, copy);
+    return morton_point_key(&b->scattered->cube, position);
+}
+
+/* Distributes at most RUN_TRIANGLES records to the children of their cell; `mask` is for their numbers. */
 static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
                       uint32_t mask, uint8_t *coded, struct cells *children)
 {
@@ -391,9 +476,7 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
     for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
         uint32_t child = CELLS_NONE;
         for (end = first; end < count; end++) {
-            float copy[3];
-            uint64_t key = morton_point_key(&b->scattered->cube, record_position(layout, b->scan, records + end * bytes, copy));
-            uint32_t number = (uint32_t)(key >> (MORTON_KEY_BITS - 3 * levels)) & mask;
+            uint32_t number = (uint32_t)(record_key(b, records + end * bytes) >> (MORTON_KEY_BITS - 3 * levels)) & mask;
             if (end > first && number != child)
                 break;
             child = number;
@@ -405,28 +488,44 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
     return status;
 }
 
-/* Distributes the triangles of a cell to the cells inside of it. */
+/* Reads the next records of a cell, of which `left` are left, to where a batch would have them. */
+static int read_records(struct batches *b, struct run_reader *reader, uint64_t left, uint64_t *count)
+{
+    uint8_t *records = b->records + b->records_end * b->scattered->layout.bytes;
+    int status = bsq_check(b->ctx);
+    *count = 0;
+    while (status == 0 && *count < left && *count + RUN_TRIANGLES <= b->part_limit) {
+        uint32_t more;
+        status = run_reader_next(reader, records + *count * b->scattered->layout.bytes, &more);
+        *count += status == 0 ? more : 0;
+    }
+    if (status < 0 || !b->window)
+        return status;
+    window_clear(b->window);
+    window_mark(b->window, records, *count);
+    return window_fetch(b->window, NULL);
+}
+
+/* Distributes the triangles of a cell to the cells inside of it. There is nothing else in the batch but what was carried
+ * over. */
 static int divide_cell(struct batches *b, const struct part *whole, uint32_t levels,
                        struct cells *children)
 {
-    const uint64_t room = RUN_TRIANGLES * (uint64_t)b->scattered->layout.bytes + RECORD_SLACK;
+    const uint32_t bytes = b->scattered->layout.bytes;
     const uint32_t mask = (1u << 3 * (levels - whole->levels)) - 1;
+    const uint8_t *records = b->records + b->records_end * bytes;
     struct run_reader *reader = &b->readers[b->reader_count - 1];
-    uint8_t *records, *coded = NULL;
-    int status = bsq_calloc(b->ctx, "sorting", room, 1, &records);
-    if (status == 0)
-        status = bsq_alloc(b->ctx, "sorting", room + sizeof(struct run_header), 1, &coded);
+    uint8_t *coded = NULL;
+    int status = bsq_alloc(b->ctx, "sorting", RUN_TRIANGLES * (uint64_t)bytes + sizeof(struct run_header), 1, &coded);
     run_reader_seek(reader, whole->cells, whole->cell, 0);
-    for (uint64_t done = 0; status == 0 && done < whole->count;) {
-        uint32_t count = 0;
-        if ((status = bsq_check(b->ctx)) == 0)
-            status = run_reader_next(reader, records, &count);
-        if (status == 0)
-            status = divide_run(b, records, count, levels, mask, coded, children);
-        done += count;
+    for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
+        status = read_records(b, reader, whole->count - done, &count);
+        for (uint64_t first = 0, end; status == 0 && first < count; first = end) {
+            end = count - first < RUN_TRIANGLES ? count : first + RUN_TRIANGLES;
+            status = divide_run(b, records + first * bytes, (uint32_t)(end - first), levels, mask, coded, children);
+        }
     }
     bsq_free(b->ctx, coded);
-    bsq_free(b->ctx, records);
     return status;
 }
 
@@ -440,8 +539,11 @@ static int add_large_cell(struct batches *b, const struct part *whole)
         return add_in_parts(b, whole);
     if (levels > MORTON_AXIS_BITS)
         levels = MORTON_AXIS_BITS;
-    int status = cells_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
-                            CHILD_PAGE_BYTES, 0);
+    int status = b->part_count > 0 ? write_batch(b) : 0;
+    if (status < 0)
+        return status;
+    status = cells_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
+                        CHILD_PAGE_BYTES, 0);
     if (status == 0)
         status = divide_cell(b, whole, levels, &children);
     if (status == 0)
@@ -468,8 +570,17 @@ static int add_cells(struct batches *b, const struct cells *cells, uint32_t leve
 int batches_write(const struct scan *scan, const struct scattered *scattered, const char *beside,
                   struct fmt_tris_writer *writer, struct batches_report *report)
 {
+    const struct record_layout *layout = &scattered->layout;
+    struct window window = {0};
     struct batches b = {
-        .ctx = scan->ctx, .scan = scan, .scattered = scattered, .beside = beside, .writer = writer};
+        .ctx = scan->ctx,
+        .scan = scan,
+        .scattered = scattered,
+        .beside = beside,
+        .writer = writer,
+        .window = layout->windowed ? &window : NULL,
+        .used = layout->by_value ? NULL : scattered->used,
+    };
     int status = allocate(&b);
     if (status == 0)
         status = add_cells(&b, &scattered->cells, scattered->levels);

@@ -352,7 +352,8 @@ static void number_notes(struct chunk_builder *b, struct notes *notes, uint32_t 
     }
     for (uint32_t i = 0; i < noted; i++) {
         const uint32_t index = notes->index[i];
-        used_mark(b->used, index);
+        if (b->used)
+            used_mark(b->used, index);
         uint32_t number = number_position(b, column_at(&positions, index, 12), notes->hash[i]);
         uint64_t *place = plain_place(b->plain, index);
         if (*place == ((uint64_t)(NOTE_FLAG | i) << 32 | index))

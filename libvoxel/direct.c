@@ -1,8 +1,10 @@
 /* direct.c - see direct.h.
  *
- * The serial step stores vertices; when the first faces come, the cube around the scan is known.
+ * The serial step stores vertices; when the first faces come, the cube around the scan is known, and so is each vertex's
+ * cell where positions are in a file.
  * From then on blocks are split on all threads and collected in order. */
 #include "libvoxel/direct.h"
+#include "libvoxel/vertex_cells.h"
 
 #include <string.h>
 
@@ -24,6 +26,7 @@ struct direct {
     struct block_slot *slots;
     unsigned slot_count;
     struct split_plan plan;
+    struct vertex_cells vertex_cells; /* where positions are in a file */
     bool decided, active;
     atomic_bool gave_up;
 };
@@ -58,6 +61,7 @@ void direct_close(struct direct *direct)
         splitter_free(&direct->slots[i].splitter);
         bsq_free(ctx, direct->slots[i].changes);
     }
+    vertex_cells_free(direct->scan, &direct->vertex_cells);
     bsq_free(ctx, direct->slots);
     bsq_free(ctx, direct);
 }
@@ -74,7 +78,7 @@ bool direct_is_active(const struct direct *direct)
 
 void direct_finish(struct direct *direct)
 {
-    record_layout_for(direct->scan, &direct->out->layout);
+    record_layout_for(direct->scan, false, &direct->out->layout);
 }
 
 static int give_up(struct direct *direct)
@@ -91,44 +95,67 @@ static uint64_t unused_memory(const struct bsq_ctx *ctx)
     return limit > used ? limit - used : 0;
 }
 
+/* Cells of vertices take this while faces are read. */
+static uint64_t cells_of_vertices(const struct scan *scan)
+{
+    return scan->columns[SCAN_POSITIONS].spool.spilled ? vertex_cells_bytes(scan_count(scan, SCAN_POSITIONS)) : 0;
+}
+
 /* Memory for pages of cells, 0 where there is too little. A third of what is left, within bounds,
- * stays for the batches that follow. */
+ * stays for the batches that follow; cells of vertices are gone by then. */
 static uint64_t affordable_pages(const struct direct *direct)
 {
     const struct scan *scan = direct->scan;
-    uint64_t left = unused_memory(scan->ctx), batches = left / 3;
+    uint64_t left = unused_memory(scan->ctx), batches = left / 3, table = cells_of_vertices(scan);
     batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
-    uint64_t keep = batches + scan->limits->reserve_bytes + direct->slot_count * BLOCK_BYTES +
-                    scan_count(scan, SCAN_POSITIONS) / 8;
+    uint64_t keep = (batches > table ? batches : table) + scan->limits->reserve_bytes +
+                    direct->slot_count * BLOCK_BYTES + scan_count(scan, SCAN_POSITIONS) / 8;
     uint64_t pages = left > keep + 16 * MIB ? left - keep : 0;
     return pages < scan->limits->direct_memory ? pages : scan->limits->direct_memory;
+}
+
+/* Nothing follows in the columns. */
+static int finish_columns(struct scan *scan)
+{
+    int status = 0;
+    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
+        status = spool_finish(&scan->columns[i].spool);
+    return status;
 }
 
 static int begin(struct direct *direct, uint64_t page_memory)
 {
     struct scan *scan = direct->scan;
+    struct scattered *out = direct->out;
     uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
-    int status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, direct->out);
+    int status = finish_columns(scan);
     if (status == 0)
-        status = scatter_note_used(scan, direct->out);
+        status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, out);
+    if (status == 0)
+        status = scatter_note_used(scan, out);
+    if (status == 0 && scan->columns[SCAN_POSITIONS].spool.spilled) {
+        status = vertex_cells_make(scan, &out->cube, out->levels, &direct->vertex_cells);
+        out->vertices_lack_order = !direct->vertex_cells.have_order;
+    }
     direct->plan = (struct split_plan){
         .scan = scan,
-        .cube = direct->out->cube,
-        .levels = direct->out->levels,
+        .cube = out->cube,
+        .levels = out->levels,
+        .vertex_cells = direct->vertex_cells.cells,
     };
     for (unsigned i = 0; status == 0 && i < direct->slot_count; i++)
         status = splitter_init(&direct->slots[i].splitter, scan->ctx, &direct->plan);
     return status;
 }
 
-/* Called for the first block with faces. */
-static int decide(struct direct *direct)
+/* Called for the first block with faces. Polygons are split where positions are in memory. */
+static int decide(struct direct *direct, const struct fmt_obj_block *block)
 {
     const struct scan *scan = direct->scan;
     uint64_t page_memory = affordable_pages(direct);
     bool possible = scan_count(scan, SCAN_POSITIONS) > 0 && page_memory > 0;
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        possible &= !scan->columns[i].spool.spilled;
+    if (scan->columns[SCAN_POSITIONS].spool.spilled)
+        possible &= cells_of_vertices(scan) <= scan->limits->vertex_cells_bytes && block->corner_count == 3 * block->face_count;
     direct->decided = true;
     direct->active = possible;
     return possible ? begin(direct, page_memory) : 0;
@@ -150,7 +177,7 @@ static int on_block(void *arg, const struct fmt_obj_block *block)
     if (status == 0)
         status = scan_add_elements(direct->scan, block);
     if (status == 0 && block->face_count > 0 && !direct->decided)
-        status = decide(direct);
+        status = decide(direct, block);
     if (status == 0 && block->face_count > 0 && !direct->active)
         status = scan_add_faces(direct->scan, block);
     bsq_progress_add(direct->scan->ctx, block->byte_size);
@@ -224,7 +251,7 @@ static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
         splitter_bytes(&direct->plan, triangles, max_size) >
             unused_memory(direct->scan->ctx) / direct->slot_count)
         return give_up(direct);
-    if (block->corner_count > UINT32_MAX / 32 ||
+    if (block->corner_count > UINT32_MAX / 32 || (max_size > 3 && direct->plan.vertex_cells) ||
         !indices_are_known(direct->scan, block, &slot->lacks_texcoord))
         return give_up(direct);
     int status = copy_changes(slot, block);

@@ -1,6 +1,6 @@
 /* direct.h - private to the sorter: faces scattered while they are read.
  *
- * Where all vertices come before all faces and stay in memory, as in nearly all scans, a block's
+ * Where all vertices come before all faces, as in nearly all scans, and they or their cells fit in memory, a block's
  * triangles go to their cells at once and faces need no store. Whether it is so shows only at the
  * end; direct_gave_up() says that it is not, and then the scan is to be read again without. */
 #ifndef VOX_DIRECT_H

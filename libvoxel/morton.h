@@ -104,6 +104,16 @@ static inline void morton_cells(const struct morton_cube *cube, const float *p, 
 #endif
 }
 
+/* The first 3 * levels bits of a point's key; levels at most 5. */
+static inline uint32_t morton_cell(const struct morton_cube *cube, uint32_t levels, const float *p)
+{
+    uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
+    morton_cells(cube, p, cell);
+    for (int k = 0; k < 3; k++)
+        cell[k] >>= MORTON_AXIS_BITS - levels;
+    return morton_short_key(cell);
+}
+
 /* The key of a point. */
 static inline uint64_t morton_point_key(const struct morton_cube *cube, const float *p)
 {

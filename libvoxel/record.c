@@ -23,11 +23,17 @@ static void layout_indices(struct record_layout *layout, const struct scan *scan
     }
 }
 
-void record_layout_for(const struct scan *scan, struct record_layout *layout)
+bool record_columns_spilled(const struct scan *scan)
 {
-    memset(layout, 0, sizeof *layout);
+    bool spilled = false;
     for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        layout->by_value |= scan->columns[i].spool.spilled && scan_keeps(scan, i);
+        spilled |= scan->columns[i].spool.spilled && scan_keeps(scan, i);
+    return spilled;
+}
+
+void record_layout_for(const struct scan *scan, bool by_value, struct record_layout *layout)
+{
+    *layout = (struct record_layout){.by_value = by_value, .windowed = !by_value && record_columns_spilled(scan)};
     if (layout->by_value)
         layout_values(layout, scan);
     else

@@ -1,8 +1,7 @@
 /* record.h - private to the sorter: a triangle on its way into the sorted file.
  *
- * Three corners and a material. While all columns are in memory a corner is its indices, each in as
- * few bytes as the scan's counts need, four at least; else it is its values, as columns in files
- * cannot be looked up in any order. Records are packed; loads may read RECORD_SLACK bytes past the
+ * Three corners and a material. A corner is its indices, each in as few bytes as the scan's counts need, four
+ * at least; or its values, where columns are in files and faces were joined with them (join.h). Records are packed; loads may read RECORD_SLACK bytes past the
  * end. Outside of batches they are coded, see run.h. */
 #ifndef VOX_RECORD_H
 #define VOX_RECORD_H
@@ -16,6 +15,7 @@
 
 struct record_layout {
     bool by_value;
+    bool windowed; /* by index, and columns are in files: see window.h */
     bool plain; /* a record is three four-byte vertex numbers and vertices are positions */
     /* Of an index; 0: the kind is not stored. Only where !by_value. */
     uint32_t index_bytes[FACE_KIND_COUNT];
@@ -43,7 +43,9 @@ static inline uint32_t record_index_width(uint64_t last, uint32_t least)
     return bytes;
 }
 
-void record_layout_for(const struct scan *scan, struct record_layout *layout);
+/* A column that the sorted file needs is in a file. */
+bool record_columns_spilled(const struct scan *scan);
+void record_layout_for(const struct scan *scan, bool by_value, struct record_layout *layout);
 
 static inline void record_store(uint8_t *at, uint64_t value, uint32_t bytes)
 {

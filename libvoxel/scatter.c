@@ -5,6 +5,7 @@
 #include "libvoxel/scatter.h"
 #include "base/parallel.h"
 #include "libvoxel/join.h"
+#include "libvoxel/vertex_cells.h"
 
 struct slot {
     void *room; /* of the decoder */
@@ -16,7 +17,8 @@ struct slot {
 struct job {
     struct scan *scan;
     struct scattered *out;
-    struct join *join;           /* NULL: all columns are in memory */
+    struct join *join; /* NULL: triangles are scattered by index */
+    struct vertex_cells vertex_cells;
     struct split_plan plan;
 };
 
@@ -202,10 +204,32 @@ static int run_pipeline(struct job *job)
 
 /* ---- the whole ---- */
 
-/* Marking vertices takes a bit for each, which buckets do without. */
-static bool pages_are_possible(const struct scan *scan)
+/* How corners meet positions that are in a file. */
+enum method {
+    BY_INDEX, /* when batches are sorted; cells are known by vertex */
+    BY_PAGES, /* before: see join.h */
+    BY_BUCKETS
+};
+
+/* Polygons are split by their positions, all others need the cells of vertices alone. */
+static bool indices_are_enough(struct scan *scan)
 {
-    return scan_count(scan, SCAN_POSITIONS) / 8 <= scan->limits->join_bytes / 4;
+    const struct sort_limits *limits = scan->limits;
+    if (!scan->columns[SCAN_POSITIONS].spool.spilled)
+        return true;
+    uint64_t vertices = scan_count(scan, SCAN_POSITIONS), table = vertex_cells_bytes(vertices);
+    const struct job job = {.scan = scan, .plan = {.scan = scan}};
+    uint64_t used = bsq_memory_used(scan->ctx), limit = bsq_memory_limit(scan->ctx);
+    uint64_t least = table + vertices / 8 + limits->page_memory + limits->reserve_bytes + slot_bytes(&job);
+    return scan->faces.max_size <= 3 && table <= limits->vertex_cells_bytes && used + least <= limit;
+}
+
+static enum method choose_method(struct scan *scan)
+{
+    if (!record_columns_spilled(scan) || indices_are_enough(scan))
+        return BY_INDEX;
+    /* Marking vertices takes a bit for each, which buckets do without. */
+    return scan_count(scan, SCAN_POSITIONS) / 8 <= scan->limits->join_bytes / 4 ? BY_PAGES : BY_BUCKETS;
 }
 
 /* Records that are values tell nothing more of the vertices in use. join: NULL where it has not counted them. */
@@ -217,30 +241,41 @@ static void settle_used(const struct scan *scan, const struct join *join, struct
     out->used = NULL;
 }
 
-static int scatter_by(struct job *job, enum join_method method, const char *beside)
+static int know_vertex_cells(struct job *job)
+{
+    struct scattered *out = job->out;
+    int status = vertex_cells_make(job->scan, &out->cube, out->levels, &job->vertex_cells);
+    out->vertices_lack_order = !job->vertex_cells.have_order;
+    return status;
+}
+
+static int scatter_by(struct job *job, enum method method, const char *beside)
 {
     struct scan *scan = job->scan;
     struct scattered *out = job->out;
     uint64_t triangles = scan->faces.corner_count - 2 * scan->faces.face_count;
     int status = scatter_begin(scan, beside, triangles, scan->limits->page_memory, out);
-    record_layout_for(scan, &out->layout);
-    bool buckets = out->layout.by_value && method == JOIN_BY_BUCKETS &&
-                   scan->columns[SCAN_POSITIONS].spool.spilled;
-    if (status == 0 && out->layout.by_value)
-        status = join_open(scan, beside, method, &job->join);
-    if (status == 0 && !buckets)
+    record_layout_for(scan, method != BY_INDEX, &out->layout);
+    bool spilled = scan->columns[SCAN_POSITIONS].spool.spilled, counted = method == BY_BUCKETS && spilled;
+    if (status == 0 && method != BY_INDEX)
+        status = join_open(scan, beside, method == BY_PAGES ? JOIN_BY_PAGES : JOIN_BY_BUCKETS, &job->join);
+    if (status == 0 && !counted)
         status = scatter_note_used(scan, out);
+    if (status == 0 && method == BY_INDEX && spilled)
+        status = know_vertex_cells(job);
     job->plan = (struct split_plan){
         .scan = scan,
         .cube = out->cube,
         .levels = out->levels,
         .values = out->layout.by_value ? &out->layout : NULL,
+        .vertex_cells = job->vertex_cells.cells,
         .used = out->layout.by_value ? out->used : NULL,
     };
     if (status == 0)
         status = run_pipeline(job);
+    vertex_cells_free(scan, &job->vertex_cells);
     if (status == 0 && out->layout.by_value)
-        settle_used(scan, buckets ? job->join : NULL, out);
+        settle_used(scan, counted ? job->join : NULL, out);
     return status;
 }
 
@@ -253,15 +288,14 @@ static void begin_progress(const struct scan *scan)
 int scatter_scan(struct scan *scan, const char *beside, struct scattered *out)
 {
     struct job job = {.scan = scan, .out = out};
-    enum join_method method = pages_are_possible(scan) ? JOIN_BY_PAGES : JOIN_BY_BUCKETS;
     begin_progress(scan);
-    int status = scatter_by(&job, method, beside);
+    int status = scatter_by(&job, choose_method(scan), beside);
     if (status < 0 && job.join && join_gave_up(job.join)) {
         join_close(job.join);
         scatter_free(scan, out);
         job = (struct job){.scan = scan, .out = out};
         begin_progress(scan);
-        status = scatter_by(&job, JOIN_BY_BUCKETS, beside);
+        status = scatter_by(&job, BY_BUCKETS, beside);
     }
     bsq_progress_end(scan->ctx);
     join_close(job.join);

@@ -10,6 +10,7 @@ struct scattered {
     uint32_t levels;    /* cells are named by the first 3 * levels bits of the key */
     struct cells cells; /* of runs, see run.h; items are triangles */
     uint64_t triangles; /* in the cells, those without area too */
+    bool vertices_lack_order; /* as far as is known: neighbours in the file are not neighbours in space */
     /* Vertices that faces refer to, where records are indices: to be marked by who reads these. NULL: how many there are is
      * known. */
     used_word *used;

@@ -1,7 +1,7 @@
 /* sort.c - OBJ files to a chunk file.
  *
  * Reading keeps vertices as columns (scan.h). Faces become triangles, collected by cell of a coarse
- * Morton grid: at once where all vertices are in memory by then (direct.h), else they are kept as
+ * Morton grid: at once where all vertices are known by then (direct.h), else they are kept as
  * compact bytes until they can (face_store.h, scatter.h). Batches of cells are
  * sorted, cut into chunks and written (batches.h). Every step streams, and what does not fit in
  * memory goes to temporary files, so that the budget bounds memory and nothing else. */
@@ -31,6 +31,7 @@ void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limi
         .store_bytes = budget > reading + 16 * MIB ? budget - reading - 16 * MIB : 8 * MIB,
         .page_memory = 8 * MIB + rest / 8,
         .direct_memory = UINT64_MAX,
+        .vertex_cells_bytes = UINT64_MAX,
         .join_bytes = 8 * MIB + rest / 4,
         .reserve_bytes = 8 * MIB + MIB / 2 * threads,
         .batch_triangles = 2 << 20,

@@ -14,6 +14,7 @@ struct sort_limits {
     uint64_t page_bytes;      /* one page of a cell's records, at most */
     uint64_t page_memory;     /* all pages in memory, write buffers included */
     uint64_t direct_memory;   /* the same while faces are scattered as they are read; 0: they are not */
+    uint64_t vertex_cells_bytes; /* cells of vertices, where positions are in a file; see vertex_cells.h */
     uint64_t join_bytes;      /* buffers while spilled columns are joined */
     uint64_t reserve_bytes;   /* left free when batches take the rest */
     uint64_t batch_triangles; /* sorted at a time, at most; more than a chunk's */

@@ -12,6 +12,22 @@ static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
            (scan->normals > 0 ? 4 : 0);
 }
 
+/* All faces are triangles, as far as samples show. */
+static bool are_triangles(const struct fmt_obj_estimate *scan)
+{
+    return scan->corners <= 3 * scan->faces + scan->faces / 64;
+}
+
+/* Where columns are in a file: what faces take as they are read, and triangles in their cells. Triangles alone are scattered
+ * by index, at once where faces come last; others are joined with values. */
+static uint64_t faces_and_runs(const struct fmt_obj_estimate *scan, const struct sort_limits *limits, uint64_t coded,
+                               uint64_t values)
+{
+    const bool by_index = are_triangles(scan);
+    uint64_t runs = by_index ? coded : values, faces = by_index && scan->faces_come_last ? 0 : coded;
+    return faces + (runs > limits->page_memory ? runs - limits->page_memory : 0);
+}
+
 struct space space_for(const struct fmt_obj_estimate *scan, const struct sort_limits *limits)
 {
     const uint64_t triangles =
@@ -22,14 +38,12 @@ struct space space_for(const struct fmt_obj_estimate *scan, const struct sort_li
     struct space space = {
         .output_bytes = 6 * triangles + scan->vertices * vertex_bytes(scan),
     };
+    const uint64_t coded = BYTES_BY_INDEX * kinds * triangles;
     if (columns > limits->column_bytes) {
-        space.temp_bytes = columns + BYTES_BY_INDEX * kinds * triangles;
-        uint64_t records = VALUES_BY_TRIANGLE * vertex_bytes(scan) * triangles;
-        space.temp_bytes += records > limits->page_memory ? records - limits->page_memory : 0;
+        space.temp_bytes = columns + faces_and_runs(scan, limits, coded, VALUES_BY_TRIANGLE * vertex_bytes(scan) * triangles);
     } else {
-        uint64_t records = BYTES_BY_INDEX * kinds * triangles;
         uint64_t memory = limits->store_bytes > columns ? limits->store_bytes - columns : 0;
-        space.temp_bytes += records > memory ? records - memory : 0;
+        space.temp_bytes = coded > memory ? coded - memory : 0;
     }
     return space;
 }

@@ -103,19 +103,18 @@ static void add_link(struct splitter *s, uint32_t cell, uint32_t material)
         (struct split_link){.cell = cell, .first = (uint32_t)s->triangles, .material = material};
 }
 
-static inline uint32_t cell_of(const struct morton_cube *cube, uint32_t levels, const float *p)
+/* By its first corner. */
+static inline uint32_t triangle_cell(const struct splitter *s, const struct source *source, uint32_t corner)
 {
-    uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
-    morton_cells(cube, p, cell);
-    for (int k = 0; k < 3; k++)
-        cell[k] >>= MORTON_AXIS_BITS - levels;
-    return morton_short_key(cell);
+    if (s->plan->vertex_cells)
+        return s->plan->vertex_cells[source->group->indices[FACE_VERTEX][corner]];
+    return morton_cell(&s->plan->cube, s->plan->levels, corner_position(s, source, corner));
 }
 
 static inline void add_triangle(struct splitter *s, const struct source *source, uint32_t a,
                                 uint32_t b, uint32_t c)
 {
-    uint32_t number = cell_of(&s->plan->cube, s->plan->levels, corner_position(s, source, a));
+    uint32_t number = triangle_cell(s, source, a);
     uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
     if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
         s->links[s->link_count - 1].material != material)
@@ -125,6 +124,14 @@ static inline void add_triangle(struct splitter *s, const struct source *source,
     corners[0] = a;
     corners[1] = b;
     corners[2] = c;
+}
+
+/* Where it is told which cell a corner is in. */
+static inline const void *cell_source(const struct splitter *s, const struct source *source, uint32_t corner)
+{
+    if (s->plan->vertex_cells)
+        return &s->plan->vertex_cells[source->group->indices[FACE_VERTEX][corner]];
+    return corner_position(s, source, corner);
 }
 
 static void add_polygon(struct splitter *s, const struct source *source, uint32_t first,
@@ -161,7 +168,7 @@ static void add_faces(struct splitter *s, struct source *source)
         for (uint32_t k = corner + CORNERS_AHEAD;
              !source->values && k < corner + CORNERS_AHEAD + size && k < group->corner_count;
              k += group->sizes ? 1 : 3)
-            __builtin_prefetch(corner_position(s, source, k));
+            __builtin_prefetch(cell_source(s, source, k));
         if (size == 3)
             add_triangle(s, source, corner, corner + 1, corner + 2);
         else
@@ -413,6 +420,7 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     const struct column positions = s->plan->scan->columns[SCAN_POSITIONS];
     const struct morton_cube cube = s->plan->cube;
     const uint32_t levels = s->plan->levels;
+    const uint16_t *vertex_cells = s->plan->vertex_cells;
     const uint32_t material = run_material(group->first_material, true);
     const uint64_t *v = group->indices[FACE_VERTEX];
     const uint32_t most = plain_pieces(group->face_count);
@@ -421,7 +429,8 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     s->triangles = 0;
     s->piece_count = 0;
     for (uint32_t t = 0; t < group->face_count; t++, v += 3) {
-        uint32_t number = cell_of(&cube, levels, column_at(&positions, v[0], 12));
+        uint32_t number =
+            vertex_cells ? vertex_cells[v[0]] : morton_cell(&cube, levels, column_at(&positions, v[0], 12));
         bool first = number != cell || w.run.triangles == RUN_TRIANGLES;
         if (number != cell) {
             end_piece(s, &w);

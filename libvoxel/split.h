@@ -1,7 +1,7 @@
 /* split.h - private to the sorter: faces become triangles, coded and collected by cell.
  *
  * Works on one group of faces at a time and needs nothing but the positions of its triangles' first
- * corners, and of all corners of polygons, so that groups can be split on all threads. */
+ * corners, or their cells, and the positions of all corners of polygons, so that groups can be split on all threads. */
 #ifndef VOX_SPLIT_H
 #define VOX_SPLIT_H
 
@@ -15,6 +15,7 @@ struct split_plan {
     struct morton_cube cube;
     uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
     const struct record_layout *values; /* corners are coded by value; NULL: by index */
+    const uint16_t *vertex_cells;       /* where positions are neither in memory nor values; polygons cannot be split then */
     used_word *used; /* of vertices that faces refer to; NULL where records will tell */
 };
 
@@ -57,7 +58,7 @@ uint64_t splitter_bytes(const struct split_plan *plan, uint64_t triangles, uint3
 int splitter_init(struct splitter *splitter, struct bsq_ctx *ctx, const struct split_plan *plan);
 void splitter_free(struct splitter *splitter);
 
-/* Splits a group; `values` are its corners', NULL where columns are in memory. max_size: of its
+/* Splits a group; `values` are its corners', NULL where these are coded by index. max_size: of its
  * largest face. */
 int split_group(struct splitter *splitter, const struct face_group *group,
                 const struct corner_values *values, uint32_t max_size);

@@ -131,33 +131,35 @@ static void spilling_does_not_change_the_file(void **state)
         sort_grid_make(&g, sizes[k], 4);
         sort_grid_write(&g, f->obj, kinds[k], 9);
         append_flat_triangles(f->obj, &g, 3000);
-        for (unsigned variant = 0; variant < 11; variant++) {
+        for (unsigned variant = 0; variant < 15; variant++) {
             struct sort_limits limits;
             struct vox_sort_options options = {
                 .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
             sort_limits_for(128 * MIB, 2, &limits);
             /* Faces are kept and scattered later, or else scattered as they are read. */
-            if (variant == 1 || variant == 3 || variant == 8 || variant == 9)
+            if (variant == 1 || variant == 3 || variant == 8 || variant == 9 || variant == 13)
                 limits.direct_memory = 0;
-            if (variant == 10)
+            if (variant == 10 || variant == 14)
                 limits.direct_memory = 1;
-            if (variant == 1 || variant == 8)
+            if (variant == 1 || variant == 8 || variant == 13)
                 limits.store_bytes = g.n > 200 ? 3 * MIB : 3 * MIB / 2; /* faces */
-            if (variant == 2 || variant == 8)
+            if (variant == 2 || variant == 8 || variant == 11 || variant >= 13)
                 limits.column_bytes = 0; /* vertices */
-            if (variant == 3 || variant == 8)
+            if (variant == 3 || variant == 8 || variant == 13)
                 limits.page_memory = 0; /* cells */
-            if (variant == 4 || variant == 8)
+            if (variant == 4 || variant == 8 || variant >= 13)
                 limits.batch_triangles = 70000; /* cells are divided */
             if (variant == 5)
                 limits.index_bytes = 5;
             if (variant == 6)
                 limits.cell_levels = 1, limits.page_bytes = 100;
-            if (variant == 7)
+            if (variant == 7 || variant == 12)
                 limits.column_bytes = g.n > 200 ? 800 << 10 : 700 << 10; /* some columns */
             if (variant >= 7)
                 limits.join_bytes = 100000; /* many buckets */
+            if (variant >= 11 && variant <= 13)
+                limits.vertex_cells_bytes = 0; /* corners are joined with values */
             expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
             assert_int_equal(f->report.triangles, 2 * g.n * g.n);
             assert_int_equal(f->report.degenerate_triangles, 3000);
@@ -165,7 +167,7 @@ static void spilling_does_not_change_the_file(void **state)
             if (variant != 4) /* small parts of cells stay in memory */
                 assert_int_equal(f->report.temp_bytes > 0,
                                  (variant >= 1 && variant <= 3) || variant == 7 ||
-                                     variant == 8 || variant == 10);
+                                     variant == 8 || variant >= 10);
             expect_same_file(f, &reference);
         }
         free(reference.bytes);
