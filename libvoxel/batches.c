@@ -11,7 +11,7 @@
 #include "base/parallel.h"
 #include "libvoxel/area.h"
 #include "libvoxel/chunk_build.h"
-#include "libvoxel/window.h"
+#include "libvoxel/fans.h"
 
 #define CHILD_LEVELS     2u
 #define CHILD_PAGE_BYTES 8192u
@@ -25,7 +25,8 @@ struct part {
     uint64_t record; /* where in the batch's records */
     uint64_t at;     /* where in its entries */
     uint64_t count;
-    uint64_t kept; /* of these once they are sorted: others have no area */
+    uint64_t own;  /* of these: fans bring triangles that belong to other cells */
+    uint64_t kept; /* of its own once they are sorted: others have no area */
 };
 
 struct batches {
@@ -42,6 +43,7 @@ struct batches {
     uint8_t *records, *spare_records;
     struct entry *entries, *scratch;
     struct run_reader *readers; /* one a thread, and one more for dividing cells */
+    struct fan_room *fan_rooms; /* the same, where there are fans */
     unsigned reader_count;
     struct part *parts;
     uint64_t part_count, part_capacity;
@@ -119,7 +121,10 @@ static void divide_memory(struct batches *b)
     uint64_t left = limit > used + limits->reserve_bytes ? limit - used - limits->reserve_bytes : 0;
     b->slot_count = count_slots(b, left);
     uint64_t slot_bytes = b->slot_count * chunk_builder_bytes(b->scan->attributes);
-    uint64_t carry_bytes = carry * b->scattered->layout.bytes + (b->window ? window_bytes(b->scan, bsq_threads(b->ctx)) : 0);
+    uint64_t carry_bytes = carry * b->scattered->layout.bytes;
+    if (b->window)
+        carry_bytes += window_bytes(b->scan, bsq_threads(b->ctx)) +
+                       (bsq_threads(b->ctx) + 1) * fan_room_bytes(&b->scattered->layout);
     left = left > slot_bytes + carry_bytes ? left - slot_bytes - carry_bytes : 0;
     const uint64_t most = left / triangle_bytes(b), wanted = wanted_capacity(b);
     b->capacity = most < wanted ? most : wanted;
@@ -158,6 +163,10 @@ static int allocate(struct batches *b)
     status = bsq_calloc(b->ctx, what, b->reader_count, sizeof *b->readers, &b->readers);
     for (unsigned i = 0; status == 0 && i < b->reader_count; i++)
         status = run_reader_init(&b->readers[i], b->scan, &b->scattered->layout);
+    if (status == 0 && b->scattered->layout.fans)
+        status = bsq_calloc(b->ctx, what, b->reader_count, sizeof *b->fan_rooms, &b->fan_rooms);
+    for (unsigned i = 0; status == 0 && b->fan_rooms && i < b->reader_count; i++)
+        status = fan_room_init(&b->fan_rooms[i], b->ctx, &b->scattered->layout);
     for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
         status = chunk_builder_init(&b->slots[i].builder, b->scan, &b->scattered->layout, b->used);
     return status;
@@ -174,6 +183,9 @@ static void release(struct batches *b)
     bsq_free(b->ctx, b->parts);
     bsq_free(b->ctx, b->scratch);
     bsq_free(b->ctx, b->entries);
+    for (unsigned i = 0; b->fan_rooms && i < b->reader_count; i++)
+        fan_room_free(&b->fan_rooms[i], b->ctx);
+    bsq_free(b->ctx, b->fan_rooms);
     bsq_free(b->ctx, b->spare_records);
     bsq_free(b->ctx, b->records);
     if (b->window)
@@ -272,7 +284,18 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
             enter_records(b, part, done, count);
         done += count;
     }
+    part->own = part->count;
     return 0;
+}
+
+/* Triangles of a cell that were read, with their vertices; returns those that are its own. Cells inside of others were
+ * given nothing else. */
+static uint64_t keep_own(struct batches *b, const struct part *part, uint8_t *records, uint64_t count, unsigned worker)
+{
+    const struct scattered *scattered = b->scattered;
+    if (!b->fan_rooms || part->cells != &scattered->cells)
+        return count;
+    return fans_split(b->window, &b->fan_rooms[worker], &scattered->cube, part->levels, part->cell, records, count);
 }
 
 static void order_part(struct batches *b, struct part *part, unsigned worker)
@@ -295,8 +318,9 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 {
     struct batches *b = arg;
     struct part *part = &b->parts[index];
-    for (uint64_t done = 0, count; done < part->count; done += count) {
-        count = part->count - done < RUN_TRIANGLES ? part->count - done : RUN_TRIANGLES;
+    part->own = keep_own(b, part, b->records + part->record * b->scattered->layout.bytes, part->count, worker);
+    for (uint64_t done = 0, count; done < part->own; done += count) {
+        count = part->own - done < RUN_TRIANGLES ? part->own - done : RUN_TRIANGLES;
         enter_records(b, part, done, (uint32_t)count);
     }
     order_part(b, part, worker);
@@ -317,7 +341,7 @@ static int sort_window(struct batches *b)
     return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
 }
 
-/* Triangles without area leave gaps behind the entries of a part. */
+/* Triangles that are not kept leave gaps behind the entries of a part. */
 static void close_gaps(struct batches *b)
 {
     uint64_t end = b->part_count > 0 ? b->parts[0].at : b->count;
@@ -326,8 +350,8 @@ static void close_gaps(struct batches *b)
         if (part->at != end)
             memmove(b->entries + end, b->entries + part->at, part->kept * sizeof *b->entries);
         end += part->kept;
+        b->report.degenerate += part->own - part->kept;
     }
-    b->report.degenerate += b->count - end;
     bsq_progress_add(b->ctx, b->count - end);
     b->count = end;
 }
@@ -513,15 +537,17 @@ static int divide_cell(struct batches *b, const struct part *whole, uint32_t lev
 {
     const uint32_t bytes = b->scattered->layout.bytes;
     const uint32_t mask = (1u << 3 * (levels - whole->levels)) - 1;
-    const uint8_t *records = b->records + b->records_end * bytes;
+    uint8_t *records = b->records + b->records_end * bytes;
     struct run_reader *reader = &b->readers[b->reader_count - 1];
     uint8_t *coded = NULL;
     int status = bsq_alloc(b->ctx, "sorting", RUN_TRIANGLES * (uint64_t)bytes + sizeof(struct run_header), 1, &coded);
     run_reader_seek(reader, whole->cells, whole->cell, 0);
     for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
         status = read_records(b, reader, whole->count - done, &count);
-        for (uint64_t first = 0, end; status == 0 && first < count; first = end) {
-            end = count - first < RUN_TRIANGLES ? count : first + RUN_TRIANGLES;
+        const uint64_t own = status == 0 ? keep_own(b, whole, records, count, b->reader_count - 1) : 0;
+        bsq_progress_add(b->ctx, status == 0 ? count - own : 0);
+        for (uint64_t first = 0, end; status == 0 && first < own; first = end) {
+            end = own - first < RUN_TRIANGLES ? own : first + RUN_TRIANGLES;
             status = divide_run(b, records + first * bytes, (uint32_t)(end - first), levels, mask, coded, children);
         }
     }

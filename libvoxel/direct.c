@@ -4,7 +4,6 @@
  * cell where positions are in a file.
  * From then on blocks are split on all threads and collected in order. */
 #include "libvoxel/direct.h"
-#include "libvoxel/vertex_cells.h"
 
 #include <string.h>
 
@@ -16,6 +15,7 @@ struct block_slot {
     struct splitter splitter;
     struct face_change *changes;
     uint64_t change_capacity;
+    uint32_t max_size; /* of a face */
     bool lacks_texcoord;
 };
 
@@ -95,23 +95,30 @@ static uint64_t unused_memory(const struct bsq_ctx *ctx)
     return limit > used ? limit - used : 0;
 }
 
-/* Cells of vertices take this while faces are read. */
-static uint64_t cells_of_vertices(const struct scan *scan)
-{
-    return scan->columns[SCAN_POSITIONS].spool.spilled ? vertex_cells_bytes(scan_count(scan, SCAN_POSITIONS)) : 0;
-}
+/* What is left for the table of vertices' cells and for pages of cells. A third, within bounds, stays for the batches that
+ * follow; the table is gone by then. */
+struct room {
+    uint64_t left, batches;
+};
 
-/* Memory for pages of cells, 0 where there is too little. A third of what is left, within bounds,
- * stays for the batches that follow; cells of vertices are gone by then. */
-static uint64_t affordable_pages(const struct direct *direct)
+static struct room find_room(const struct direct *direct)
 {
     const struct scan *scan = direct->scan;
-    uint64_t left = unused_memory(scan->ctx), batches = left / 3, table = cells_of_vertices(scan);
+    uint64_t left = unused_memory(scan->ctx), batches = left / 3;
+    uint64_t others =
+        scan->limits->reserve_bytes + direct->slot_count * BLOCK_BYTES + scan_count(scan, SCAN_POSITIONS) / 8;
     batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
-    uint64_t keep = (batches > table ? batches : table) + scan->limits->reserve_bytes +
-                    direct->slot_count * BLOCK_BYTES + scan_count(scan, SCAN_POSITIONS) / 8;
-    uint64_t pages = left > keep + 16 * MIB ? left - keep : 0;
-    return pages < scan->limits->direct_memory ? pages : scan->limits->direct_memory;
+    return (struct room){.left = left > others ? left - others : 0, .batches = batches};
+}
+
+#define LEAST_PAGES (16 * MIB)
+
+/* Memory for pages of cells, 0 where there is too little. */
+static uint64_t affordable_pages(const struct direct *direct, const struct room *room, uint64_t table)
+{
+    uint64_t keep = room->batches > table ? room->batches : table, most = direct->scan->limits->direct_memory;
+    uint64_t pages = room->left > keep + LEAST_PAGES ? room->left - keep : 0;
+    return pages < most ? pages : most;
 }
 
 /* Nothing follows in the columns. */
@@ -123,17 +130,18 @@ static int finish_columns(struct scan *scan)
     return status;
 }
 
-static int begin(struct direct *direct, uint64_t page_memory)
+static int begin(struct direct *direct, uint64_t page_memory, uint32_t max_levels)
 {
     struct scan *scan = direct->scan;
     struct scattered *out = direct->out;
+    const bool spilled = scan->columns[SCAN_POSITIONS].spool.spilled;
     uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     int status = finish_columns(scan);
     if (status == 0)
-        status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, out);
+        status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, max_levels, out);
     if (status == 0)
         status = scatter_note_used(scan, out);
-    if (status == 0 && scan->columns[SCAN_POSITIONS].spool.spilled) {
+    if (status == 0 && spilled) {
         status = vertex_cells_make(scan, &out->cube, out->levels, &direct->vertex_cells);
         out->vertices_lack_order = !direct->vertex_cells.have_order;
     }
@@ -141,24 +149,30 @@ static int begin(struct direct *direct, uint64_t page_memory)
         .scan = scan,
         .cube = out->cube,
         .levels = out->levels,
-        .vertex_cells = direct->vertex_cells.cells,
+        .vertex_cells = spilled ? &direct->vertex_cells : NULL,
     };
     for (unsigned i = 0; status == 0 && i < direct->slot_count; i++)
         status = splitter_init(&direct->slots[i].splitter, scan->ctx, &direct->plan);
     return status;
 }
 
-/* Called for the first block with faces. Polygons are split where positions are in memory. */
-static int decide(struct direct *direct, const struct fmt_obj_block *block)
+/* Called for the first block with faces. */
+static int decide(struct direct *direct)
 {
     const struct scan *scan = direct->scan;
-    uint64_t page_memory = affordable_pages(direct);
-    bool possible = scan_count(scan, SCAN_POSITIONS) > 0 && page_memory > 0;
-    if (scan->columns[SCAN_POSITIONS].spool.spilled)
-        possible &= cells_of_vertices(scan) <= scan->limits->vertex_cells_bytes && block->corner_count == 3 * block->face_count;
+    const struct room room = find_room(direct);
+    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
+    uint32_t levels = scan->limits->cell_levels;
+    uint64_t table = 0;
+    if (scan->columns[SCAN_POSITIONS].spool.spilled) {
+        uint64_t most = room.left > LEAST_PAGES ? room.left - LEAST_PAGES : 0;
+        levels = vertex_cells_levels(vertices, most, scan->limits->vertex_cells_bytes);
+        table = vertex_cells_bytes(vertices, levels);
+    }
+    uint64_t page_memory = affordable_pages(direct, &room, table);
     direct->decided = true;
-    direct->active = possible;
-    return possible ? begin(direct, page_memory) : 0;
+    direct->active = vertices > 0 && levels > 0 && page_memory > 0;
+    return direct->active ? begin(direct, page_memory, levels) : 0;
 }
 
 /* ---- the steps ---- */
@@ -177,7 +191,7 @@ static int on_block(void *arg, const struct fmt_obj_block *block)
     if (status == 0)
         status = scan_add_elements(direct->scan, block);
     if (status == 0 && block->face_count > 0 && !direct->decided)
-        status = decide(direct, block);
+        status = decide(direct);
     if (status == 0 && block->face_count > 0 && !direct->active)
         status = scan_add_faces(direct->scan, block);
     bsq_progress_add(direct->scan->ctx, block->byte_size);
@@ -245,14 +259,16 @@ static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
         return 0;
     struct block_slot *slot = &direct->slots[number];
     uint64_t triangles = block->corner_count - 2 * block->face_count;
-    uint32_t max_size = largest_face(block);
+    uint32_t max_size = slot->max_size = largest_face(block);
     /* A block unlike any scan's; groups of the face store are smaller. */
     if (splitter_bytes(&direct->plan, triangles, max_size) > 2 * BLOCK_BYTES &&
         splitter_bytes(&direct->plan, triangles, max_size) >
             unused_memory(direct->scan->ctx) / direct->slot_count)
         return give_up(direct);
-    if (block->corner_count > UINT32_MAX / 32 || (max_size > 3 && direct->plan.vertex_cells) ||
+    if (block->corner_count > UINT32_MAX / 32 ||
         !indices_are_known(direct->scan, block, &slot->lacks_texcoord))
+        return give_up(direct);
+    if (direct->plan.vertex_cells && !split_makes_fans(max_size, block->corner_texcoords && slot->lacks_texcoord))
         return give_up(direct);
     int status = copy_changes(slot, block);
     if (status < 0)
@@ -280,6 +296,7 @@ static int finish(void *arg, const struct fmt_obj_block *block, unsigned number)
     scan->faces.face_count += block->face_count;
     scan->faces.corner_count += block->corner_count;
     scan->faces.lacks_texcoord |= slot->lacks_texcoord;
+    scan->faces.max_size = slot->max_size > scan->faces.max_size ? slot->max_size : scan->faces.max_size;
     scan->has_normals |= block->corner_normals != NULL;
     return scatter_collect(direct->out, &slot->splitter);
 }

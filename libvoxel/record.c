@@ -15,8 +15,8 @@ static void layout_indices(struct record_layout *layout, const struct scan *scan
                                                               SCAN_NORMALS};
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
         /* The largest number of this width must stay free, it stands for "none". */
-        uint32_t width =
-            record_index_width(scan_count(scan, columns[kind]), scan->limits->index_bytes);
+        uint64_t count = scan_count(scan, columns[kind]) << (kind == FACE_VERTEX && layout->fans);
+        uint32_t width = record_index_width(count, scan->limits->index_bytes);
         layout->index_bytes[kind] = scan_keeps(scan, columns[kind]) ? width : 0;
         layout->index_at[kind] = layout->corner_bytes;
         layout->corner_bytes += layout->index_bytes[kind];
@@ -34,6 +34,7 @@ bool record_columns_spilled(const struct scan *scan)
 void record_layout_for(const struct scan *scan, bool by_value, struct record_layout *layout)
 {
     *layout = (struct record_layout){.by_value = by_value, .windowed = !by_value && record_columns_spilled(scan)};
+    layout->fans = !by_value && scan->columns[SCAN_POSITIONS].spool.spilled && scan->faces.max_size > 3;
     if (layout->by_value)
         layout_values(layout, scan);
     else

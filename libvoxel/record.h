@@ -16,6 +16,8 @@
 struct record_layout {
     bool by_value;
     bool windowed; /* by index, and columns are in files: see window.h */
+    bool fans;     /* polygons come as fans, see fans.h: the highest bit of a first vertex number says that its triangle
+                    * belongs to the fan of the one before */
     bool plain; /* a record is three four-byte vertex numbers and vertices are positions */
     /* Of an index; 0: the kind is not stored. Only where !by_value. */
     uint32_t index_bytes[FACE_KIND_COUNT];
@@ -64,6 +66,17 @@ static inline uint64_t record_load(const uint8_t *at, uint32_t bytes)
 static inline uint64_t record_vertex_index(const struct record_layout *layout, const uint8_t *corner)
 {
     return record_load(corner, layout->index_bytes[FACE_VERTEX]);
+}
+
+/* Of layouts with fans. */
+static inline uint64_t record_fan_bit(const struct record_layout *layout)
+{
+    return (uint64_t)1 << (8 * layout->index_bytes[FACE_VERTEX] - 1);
+}
+
+static inline bool record_continues_fan(const struct record_layout *layout, const uint8_t *record)
+{
+    return (record_vertex_index(layout, record) & record_fan_bit(layout)) != 0;
 }
 
 /* Position of a corner; `copy` is where it is put if it does not lie aligned. */

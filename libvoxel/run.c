@@ -18,7 +18,7 @@ static uint32_t buffer_bytes(const struct record_layout *layout)
     uint32_t triangle = run_triangle_bound(layout);
     if (triangle < layout->bytes)
         triangle = layout->bytes;
-    return RUN_TRIANGLES * triangle + (uint32_t)sizeof(struct run_header);
+    return RUN_TRIANGLES * triangle + RUN_TRIANGLES / 8 + (uint32_t)sizeof(struct run_header);
 }
 
 uint64_t run_reader_bytes(const struct record_layout *layout)
@@ -130,6 +130,14 @@ static void set_materials(const struct scan *scan, const struct record_layout *l
                      scan->material_map[entry] + 1, layout->material_bytes);
 }
 
+static void set_fans(const struct record_layout *layout, const uint8_t *bits, uint32_t count, uint8_t *records)
+{
+    const uint32_t bytes = layout->index_bytes[FACE_VERTEX];
+    for (uint32_t t = 0; t < count; t++, records += layout->bytes)
+        if (bits[t / 8] >> t % 8 & 1)
+            record_store(records, record_vertex_index(layout, records) | record_fan_bit(layout), bytes);
+}
+
 static void decode(const struct run_reader *reader, const struct run_header *header,
                    const uint8_t *from, uint8_t *to)
 {
@@ -139,12 +147,15 @@ static void decode(const struct run_reader *reader, const struct run_header *hea
         memcpy(to, from, header->bytes);
         return;
     }
-    if (header->form == RUN_VALUES)
+    const unsigned kinds = header->form & ~(unsigned)RUN_FANS;
+    if (kinds == RUN_VALUES)
         decode_values(layout, from, count, to);
-    else if (header->form == 1u << FACE_VERTEX && layout->plain)
+    else if (kinds == 1u << FACE_VERTEX && layout->plain)
         decode_plain(from, count, to);
     else
-        decode_indices(layout, header->form, from, count, to);
+        decode_indices(layout, kinds, from, count, to);
+    if (header->form & RUN_FANS)
+        set_fans(layout, from + header->bytes - (count + 7) / 8, count, to);
     if (layout->material_bytes > 0)
         set_materials(reader->scan, layout, header, to);
 }

@@ -15,7 +15,8 @@
 enum run_form {
     /* 1 << kind: indices of this kind, kinds interleaved triangle by triangle */
     RUN_VALUES = 8,
-    RUN_RECORDS = 16
+    RUN_RECORDS = 16,
+    RUN_FANS = 32 /* bits of the triangles that belong to the fan of the one before follow the indices */
 };
 
 struct run_header {

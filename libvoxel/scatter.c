@@ -5,7 +5,6 @@
 #include "libvoxel/scatter.h"
 #include "base/parallel.h"
 #include "libvoxel/join.h"
-#include "libvoxel/vertex_cells.h"
 
 struct slot {
     void *room; /* of the decoder */
@@ -27,11 +26,11 @@ struct job {
 /* A surface meets about 3 * 4^n of the 8^n cells. Cells of some ten thousand triangles are sorted
  * inside a core's cache; but all cells must get a page, and pages must be worth a system call. */
 static void choose_cells(const struct sort_limits *limits, uint64_t triangles, uint64_t page_memory,
-                         uint32_t *levels, uint64_t *page_bytes)
+                         uint32_t max_levels, uint32_t *levels, uint64_t *page_bytes)
 {
     const uint64_t least = 4096;
     *levels = 1;
-    while (*levels < limits->cell_levels && triangles >> (2 * *levels) > 100000 &&
+    while (*levels < limits->cell_levels && *levels < max_levels && triangles >> (2 * *levels) > 100000 &&
            page_memory >> (3 * *levels + 3) >= least)
         ++*levels;
     *page_bytes = limits->page_bytes;
@@ -39,13 +38,13 @@ static void choose_cells(const struct sort_limits *limits, uint64_t triangles, u
         *page_bytes /= 2;
 }
 
-int scatter_begin(const struct scan *scan, const char *beside, uint64_t triangles,
-                  uint64_t page_memory, struct scattered *out)
+int scatter_begin(const struct scan *scan, const char *beside, uint64_t triangles, uint64_t page_memory,
+                  uint32_t max_levels, struct scattered *out)
 {
     uint64_t page_bytes;
     memset(out, 0, sizeof *out);
     out->cube = morton_cube_over(scan->bounds_min, scan->bounds_max);
-    choose_cells(scan->limits, triangles, page_memory, &out->levels, &page_bytes);
+    choose_cells(scan->limits, triangles, page_memory, max_levels, &out->levels, &page_bytes);
     return cells_init(&out->cells, scan->ctx, beside, 1u << 3 * out->levels, page_bytes,
                       page_memory);
 }
@@ -211,23 +210,27 @@ enum method {
     BY_BUCKETS
 };
 
-/* Polygons are split by their positions, all others need the cells of vertices alone. */
-static bool indices_are_enough(struct scan *scan)
+/* Scattering by index asks for the cells of vertices alone, where positions are in a file; 0: these have no room. */
+static uint32_t affordable_levels(struct scan *scan)
 {
     const struct sort_limits *limits = scan->limits;
-    if (!scan->columns[SCAN_POSITIONS].spool.spilled)
-        return true;
-    uint64_t vertices = scan_count(scan, SCAN_POSITIONS), table = vertex_cells_bytes(vertices);
     const struct job job = {.scan = scan, .plan = {.scan = scan}};
-    uint64_t used = bsq_memory_used(scan->ctx), limit = bsq_memory_limit(scan->ctx);
-    uint64_t least = table + vertices / 8 + limits->page_memory + limits->reserve_bytes + slot_bytes(&job);
-    return scan->faces.max_size <= 3 && table <= limits->vertex_cells_bytes && used + least <= limit;
+    if (!scan->columns[SCAN_POSITIONS].spool.spilled)
+        return limits->cell_levels;
+    if (!split_makes_fans(scan->faces.max_size, scan_keeps(scan, SCAN_TEXCOORDS) && scan->faces.lacks_texcoord))
+        return 0;
+    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS), limit = bsq_memory_limit(scan->ctx);
+    const uint64_t taken = bsq_memory_used(scan->ctx) + vertices / 8 + limits->page_memory + limits->reserve_bytes +
+                           slot_bytes(&job);
+    return vertex_cells_levels(vertices, taken < limit ? limit - taken : 0, limits->vertex_cells_bytes);
 }
 
-static enum method choose_method(struct scan *scan)
+static enum method choose_method(struct scan *scan, uint32_t *levels)
 {
-    if (!record_columns_spilled(scan) || indices_are_enough(scan))
+    *levels = affordable_levels(scan);
+    if (!record_columns_spilled(scan) || *levels > 0)
         return BY_INDEX;
+    *levels = scan->limits->cell_levels;
     /* Marking vertices takes a bit for each, which buckets do without. */
     return scan_count(scan, SCAN_POSITIONS) / 8 <= scan->limits->join_bytes / 4 ? BY_PAGES : BY_BUCKETS;
 }
@@ -249,12 +252,12 @@ static int know_vertex_cells(struct job *job)
     return status;
 }
 
-static int scatter_by(struct job *job, enum method method, const char *beside)
+static int scatter_by(struct job *job, enum method method, uint32_t max_levels, const char *beside)
 {
     struct scan *scan = job->scan;
     struct scattered *out = job->out;
     uint64_t triangles = scan->faces.corner_count - 2 * scan->faces.face_count;
-    int status = scatter_begin(scan, beside, triangles, scan->limits->page_memory, out);
+    int status = scatter_begin(scan, beside, triangles, scan->limits->page_memory, max_levels, out);
     record_layout_for(scan, method != BY_INDEX, &out->layout);
     bool spilled = scan->columns[SCAN_POSITIONS].spool.spilled, counted = method == BY_BUCKETS && spilled;
     if (status == 0 && method != BY_INDEX)
@@ -268,7 +271,7 @@ static int scatter_by(struct job *job, enum method method, const char *beside)
         .cube = out->cube,
         .levels = out->levels,
         .values = out->layout.by_value ? &out->layout : NULL,
-        .vertex_cells = job->vertex_cells.cells,
+        .vertex_cells = method == BY_INDEX && spilled ? &job->vertex_cells : NULL,
         .used = out->layout.by_value ? out->used : NULL,
     };
     if (status == 0)
@@ -289,13 +292,15 @@ int scatter_scan(struct scan *scan, const char *beside, struct scattered *out)
 {
     struct job job = {.scan = scan, .out = out};
     begin_progress(scan);
-    int status = scatter_by(&job, choose_method(scan), beside);
+    uint32_t levels;
+    enum method method = choose_method(scan, &levels);
+    int status = scatter_by(&job, method, levels, beside);
     if (status < 0 && job.join && join_gave_up(job.join)) {
         join_close(job.join);
         scatter_free(scan, out);
         job = (struct job){.scan = scan, .out = out};
         begin_progress(scan);
-        status = scatter_by(&job, BY_BUCKETS, beside);
+        status = scatter_by(&job, BY_BUCKETS, levels, beside);
     }
     bsq_progress_end(scan->ctx);
     join_close(job.join);

@@ -23,8 +23,8 @@ int scatter_scan(struct scan *scan, const char *beside, struct scattered *out);
 void scatter_free(const struct scan *scan, struct scattered *scattered);
 
 /* Makes the cells for about this many triangles. */
-int scatter_begin(const struct scan *scan, const char *beside, uint64_t triangles,
-                  uint64_t page_memory, struct scattered *out);
+int scatter_begin(const struct scan *scan, const char *beside, uint64_t triangles, uint64_t page_memory,
+                  uint32_t max_levels, struct scattered *out);
 /* Makes the bits of vertices in use, all clear. */
 int scatter_note_used(const struct scan *scan, struct scattered *out);
 /* Moves what a splitter made to the cells. Serial, in the order of the file. */

@@ -2,9 +2,8 @@
  * its usual value, so that no scan is refused which would have had room. */
 #include "libvoxel/space.h"
 
-/* Bytes of a triangle, coded by the indices of one kind, or by the values of its new corners. */
-#define BYTES_BY_INDEX     2
-#define VALUES_BY_TRIANGLE 1
+/* Bytes of a triangle, coded by the indices of one kind. */
+#define BYTES_BY_INDEX 2
 
 static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
 {
@@ -12,20 +11,11 @@ static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
            (scan->normals > 0 ? 4 : 0);
 }
 
-/* All faces are triangles, as far as samples show. */
-static bool are_triangles(const struct fmt_obj_estimate *scan)
+/* Where columns are in a file: what faces take that do not come last, and triangles in their cells. Scans that have to be
+ * joined with values need more, which is checked for when they turn out to be such. */
+static uint64_t faces_and_runs(const struct fmt_obj_estimate *scan, const struct sort_limits *limits, uint64_t coded)
 {
-    return scan->corners <= 3 * scan->faces + scan->faces / 64;
-}
-
-/* Where columns are in a file: what faces take as they are read, and triangles in their cells. Triangles alone are scattered
- * by index, at once where faces come last; others are joined with values. */
-static uint64_t faces_and_runs(const struct fmt_obj_estimate *scan, const struct sort_limits *limits, uint64_t coded,
-                               uint64_t values)
-{
-    const bool by_index = are_triangles(scan);
-    uint64_t runs = by_index ? coded : values, faces = by_index && scan->faces_come_last ? 0 : coded;
-    return faces + (runs > limits->page_memory ? runs - limits->page_memory : 0);
+    return (scan->faces_come_last ? 0 : coded) + (coded > limits->page_memory ? coded - limits->page_memory : 0);
 }
 
 struct space space_for(const struct fmt_obj_estimate *scan, const struct sort_limits *limits)
@@ -40,7 +30,7 @@ struct space space_for(const struct fmt_obj_estimate *scan, const struct sort_li
     };
     const uint64_t coded = BYTES_BY_INDEX * kinds * triangles;
     if (columns > limits->column_bytes) {
-        space.temp_bytes = columns + faces_and_runs(scan, limits, coded, VALUES_BY_TRIANGLE * vertex_bytes(scan) * triangles);
+        space.temp_bytes = columns + faces_and_runs(scan, limits, coded);
     } else {
         uint64_t memory = limits->store_bytes > columns ? limits->store_bytes - columns : 0;
         space.temp_bytes = coded > memory ? coded - memory : 0;

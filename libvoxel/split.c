@@ -5,6 +5,7 @@
  * order a cell's triangles still share runs. */
 #include "libvoxel/split.h"
 #include "base/polygon.h"
+#include "libvoxel/fans.h"
 
 /* ---- memory ---- */
 
@@ -24,7 +25,7 @@ uint64_t splitter_bytes(const struct split_plan *plan, uint64_t triangles, uint3
 {
     uint64_t each = sizeof(struct run_header) + sizeof(struct split_piece) +
                     2 * sizeof(struct split_link) + sizeof(uint32_t[3]) +
-                    coded_bound(plan, FACE_KIND_COUNT);
+                    coded_bound(plan, FACE_KIND_COUNT) + 1;
     return each * triangles + 44 * (uint64_t)max_size + ((uint64_t)4 << 3 * plan->levels);
 }
 
@@ -41,22 +42,29 @@ int splitter_init(struct splitter *s, struct bsq_ctx *ctx, const struct split_pl
 void splitter_free(struct splitter *s)
 {
     void *parts[] = {s->pieces,      s->bytes,   s->corners,           s->links,          s->sorted,
-                     s->cell_pieces, s->polygon, s->polygon_triangles, s->polygon_scratch};
+                     s->cell_pieces, s->polygon, s->polygon_triangles, s->polygon_scratch,
+                     s->fan_cells};
     for (size_t i = 0; s->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(s->ctx, parts[i]);
     memset(s, 0, sizeof *s);
 }
 
-static int room_for_triangles(struct splitter *s, uint64_t triangles, uint32_t max_size)
+static int room_for_triangles(struct splitter *s, uint64_t triangles)
+{
+    int status = bsq_grow(s->ctx, "faces", triangles, sizeof *s->corners, &s->corners, &s->corners_capacity);
+    if (status == 0)
+        status = bsq_grow(s->ctx, "faces", triangles, sizeof *s->links, &s->links, &s->link_capacity);
+    return status;
+}
+
+static int room_for_polygons(struct splitter *s, uint32_t max_size)
 {
     const char *what = "faces";
-    int status;
-    if ((status = bsq_grow(s->ctx, what, triangles, sizeof *s->corners, &s->corners,
-                           &s->corners_capacity)) < 0 ||
-        (status = bsq_grow(s->ctx, what, triangles, sizeof *s->links, &s->links,
-                           &s->link_capacity)) < 0 ||
-        max_size <= 3)
-        return status;
+    int status = 0;
+    if (max_size <= 3)
+        return 0;
+    if (s->plan->vertex_cells)
+        return bsq_grow(s->ctx, what, max_size, sizeof *s->fan_cells, &s->fan_cells, &s->fan_capacity);
     if ((status = bsq_grow(s->ctx, what, max_size, sizeof *s->polygon, &s->polygon,
                            &s->polygon_capacity[0])) < 0 ||
         (status = bsq_grow(s->ctx, what, max_size, 12, &s->polygon_triangles,
@@ -97,17 +105,20 @@ static inline bool lacks_texcoord(const struct face_group *group, uint32_t a, ui
     return !t || t[a] == FMT_OBJ_NONE || t[b] == FMT_OBJ_NONE || t[c] == FMT_OBJ_NONE;
 }
 
-static void add_link(struct splitter *s, uint32_t cell, uint32_t material)
+/* The next `count` triangles are in this cell. */
+static inline void extend_links(struct splitter *s, uint32_t cell, uint32_t material, uint32_t count)
 {
-    s->links[s->link_count++] =
-        (struct split_link){.cell = cell, .first = (uint32_t)s->triangles, .material = material};
+    if (s->link_count == 0 || s->links[s->link_count - 1].cell != cell || s->links[s->link_count - 1].material != material)
+        s->links[s->link_count++] =
+            (struct split_link){.cell = cell, .first = (uint32_t)s->triangles, .material = material};
+    s->links[s->link_count - 1].count += count;
 }
 
 /* By its first corner. */
 static inline uint32_t triangle_cell(const struct splitter *s, const struct source *source, uint32_t corner)
 {
     if (s->plan->vertex_cells)
-        return s->plan->vertex_cells[source->group->indices[FACE_VERTEX][corner]];
+        return vertex_cell(s->plan->vertex_cells, source->group->indices[FACE_VERTEX][corner]);
     return morton_cell(&s->plan->cube, s->plan->levels, corner_position(s, source, corner));
 }
 
@@ -116,10 +127,7 @@ static inline void add_triangle(struct splitter *s, const struct source *source,
 {
     uint32_t number = triangle_cell(s, source, a);
     uint32_t material = source->material[lacks_texcoord(source->group, a, b, c)];
-    if (s->link_count == 0 || s->links[s->link_count - 1].cell != number ||
-        s->links[s->link_count - 1].material != material)
-        add_link(s, number, material);
-    s->links[s->link_count - 1].count++;
+    extend_links(s, number, material, 1);
     uint32_t *corners = s->corners[s->triangles++];
     corners[0] = a;
     corners[1] = b;
@@ -130,7 +138,7 @@ static inline void add_triangle(struct splitter *s, const struct source *source,
 static inline const void *cell_source(const struct splitter *s, const struct source *source, uint32_t corner)
 {
     if (s->plan->vertex_cells)
-        return &s->plan->vertex_cells[source->group->indices[FACE_VERTEX][corner]];
+        return vertex_cell_place(s->plan->vertex_cells, source->group->indices[FACE_VERTEX][corner]);
     return corner_position(s, source, corner);
 }
 
@@ -154,7 +162,52 @@ static void set_material(struct source *source, uint32_t usemtl)
     source->material[1] = run_material(usemtl, true);
 }
 
-static void add_faces(struct splitter *s, struct source *source)
+/* Different cells of a polygon's corners; returns how many. */
+static uint32_t list_cells(struct splitter *s, const struct source *source, uint32_t first, uint32_t size)
+{
+    uint32_t count = 0;
+    for (uint32_t k = 0; k < size; k++) {
+        uint32_t cell = triangle_cell(s, source, first + k), before = 0;
+        while (before < count && s->fan_cells[before] != cell)
+            before++;
+        s->fan_cells[before] = cell;
+        count += before == count;
+    }
+    return count;
+}
+
+/* Goes to all cells that one of its triangles may belong to, of whatever shape these will be. */
+static int add_fan(struct splitter *s, const struct source *source, uint32_t first, uint32_t size)
+{
+    const uint32_t cells = list_cells(s, source, first, size);
+    const uint32_t material = source->material[lacks_texcoord(source->group, first, first + 1, first + 2)];
+    int status = room_for_triangles(s, s->triangles + (uint64_t)cells * (size - 2));
+    for (uint32_t i = 0; status == 0 && i < cells; i++) {
+        extend_links(s, s->fan_cells[i], material, size - 2);
+        for (uint32_t k = 2; k < size; k++) {
+            uint32_t *corners = s->corners[s->triangles++];
+            corners[0] = first | (k > 2 ? SPLIT_CONTINUES : 0);
+            corners[1] = first + k - 1;
+            corners[2] = first + k;
+        }
+    }
+    return status;
+}
+
+static int add_face(struct splitter *s, const struct source *source, uint32_t first, uint32_t size)
+{
+    const bool fans = s->plan->vertex_cells && source->group->sizes;
+    if (fans && size > 3)
+        return add_fan(s, source, first, size);
+    int status = fans ? room_for_triangles(s, s->triangles + 1) : 0; /* which fans may have taken */
+    if (status == 0 && size == 3)
+        add_triangle(s, source, first, first + 1, first + 2);
+    else if (status == 0)
+        add_polygon(s, source, first, size);
+    return status;
+}
+
+static int add_faces(struct splitter *s, struct source *source)
 {
     const struct face_group *group = source->group;
     uint32_t corner = 0, change = 0;
@@ -169,12 +222,12 @@ static void add_faces(struct splitter *s, struct source *source)
              !source->values && k < corner + CORNERS_AHEAD + size && k < group->corner_count;
              k += group->sizes ? 1 : 3)
             __builtin_prefetch(cell_source(s, source, k));
-        if (size == 3)
-            add_triangle(s, source, corner, corner + 1, corner + 2);
-        else
-            add_polygon(s, source, corner, size);
+        int status = add_face(s, source, corner, size);
+        if (status < 0)
+            return status;
         corner += size;
     }
+    return 0;
 }
 
 static void mark_used(used_word *used, const struct face_group *group)
@@ -194,6 +247,7 @@ struct writer {
     uint8_t *header; /* of the run, NULL between runs */
     uint8_t *to;
     struct run_header run;
+    uint8_t *fan_bits;      /* room for those of a run, zeroed when one begins */
     const uint32_t *before; /* corners of the triangle before */
     struct corner_code codes[FACE_KIND_COUNT];
 };
@@ -202,6 +256,10 @@ static void end_run(struct writer *w)
 {
     if (!w->header)
         return;
+    if (w->run.form & RUN_FANS) {
+        memcpy(w->to, w->fan_bits, (w->run.triangles + 7u) / 8);
+        w->to += (w->run.triangles + 7u) / 8;
+    }
     w->run.bytes = (uint32_t)(w->to - w->header - (ptrdiff_t)sizeof w->run);
     memcpy(w->header, &w->run, sizeof w->run);
     w->header = NULL;
@@ -211,7 +269,10 @@ static void end_run(struct writer *w)
 static void begin_run(struct writer *w, unsigned form, uint32_t material)
 {
     end_run(w);
+    if (form & RUN_FANS)
+        memset(w->fan_bits, 0, RUN_TRIANGLES / 8);
     *w = (struct writer){.header = w->to,
+                         .fan_bits = w->fan_bits,
                          .to = w->to + sizeof w->run,
                          .run = {.form = (uint16_t)form, .material = material}};
 }
@@ -265,29 +326,44 @@ static void put_indices(const struct face_group *group, struct writer *w, const 
         const uint64_t *from = group->indices[kind];
         if (!from)
             continue;
-        const uint64_t index[3] = {from[corners[0]], from[corners[1]], from[corners[2]]};
+        const uint64_t index[3] = {from[corners[0] & ~SPLIT_CONTINUES], from[corners[1]], from[corners[2]]};
         w->to = corner_code_put(&w->codes[kind], index, w->to);
     }
 }
 
-static unsigned form_of(const struct source *source)
+static unsigned form_of(const struct source *source, bool fans)
 {
     unsigned form = 0;
     if (source->values)
         return RUN_VALUES;
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
         form |= (unsigned)(source->group->indices[kind] != NULL) << kind;
+    if (source->group->sizes && fans)
+        form |= RUN_FANS;
     return form;
+}
+
+/* Triangles from t on that must be in one run, as they are a fan. */
+static uint32_t count_together(const struct splitter *s, uint32_t t, uint32_t end)
+{
+    uint32_t next = t + 1;
+    while (next < end && s->corners[next][0] & SPLIT_CONTINUES)
+        next++;
+    return next - t;
 }
 
 /* Writes a link's triangles, in the run before where that has room. */
 static void put_link(struct splitter *s, const struct source *source, unsigned form,
                      const struct split_link *link, struct writer *w)
 {
-    for (uint32_t t = link->first; t < link->first + link->count; t++) {
-        if (w->run.triangles == 0 || w->run.triangles == RUN_TRIANGLES ||
-            w->run.material != link->material)
+    const uint32_t end = link->first + link->count;
+    for (uint32_t t = link->first; t < end; t++) {
+        const bool continues = s->corners[t][0] & SPLIT_CONTINUES;
+        if (w->run.triangles == 0 || w->run.material != link->material ||
+            (!continues && w->run.triangles + count_together(s, t, end) > RUN_TRIANGLES))
             begin_run(w, form, link->material);
+        if (continues)
+            w->fan_bits[w->run.triangles / 8] |= (uint8_t)(1u << w->run.triangles % 8);
         if (source->values)
             put_values(s, source, w, w->run.triangles > 0 ? w->before : NULL, s->corners[t]);
         else
@@ -337,7 +413,7 @@ static inline __attribute__((always_inline)) void ask_for_links(const struct spl
 static void put_piece(struct splitter *s, const struct source *source, struct split_piece *piece,
                       struct writer *w)
 {
-    const unsigned form = form_of(source);
+    const unsigned form = form_of(source, s->plan->vertex_cells != NULL);
     piece->offset = (uint64_t)(w->to - s->bytes);
     for (uint32_t i = piece->first_link; i < piece->first_link + piece->links; i++) {
         ask_for_links(s, source->group, form, i);
@@ -354,8 +430,8 @@ static int code_links(struct splitter *s, const struct source *source)
     uint64_t kinds = 0, cells = (uint64_t)1 << 3 * s->plan->levels;
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
         kinds += source->group->indices[kind] != NULL;
-    uint64_t runs = s->link_count + s->triangles / RUN_TRIANGLES;
-    uint64_t bound = s->triangles * coded_bound(s->plan, (uint32_t)kinds) +
+    uint64_t runs = s->link_count + 2 * s->triangles / RUN_TRIANGLES; /* a fan may not fit in what is left */
+    uint64_t bound = s->triangles * (coded_bound(s->plan, (uint32_t)kinds) + 1) + /* and a bit in a fan */
                      runs * sizeof(struct run_header) + CORNER_CODE_SLACK;
     uint64_t pieces = cells < s->link_count ? cells : s->link_count;
     int status;
@@ -366,7 +442,8 @@ static int code_links(struct splitter *s, const struct source *source)
              bsq_grow(s->ctx, what, pieces, sizeof *s->pieces, &s->pieces, &s->piece_capacity)) < 0)
         return status;
     sort_links(s);
-    struct writer w = {.to = s->bytes};
+    uint8_t fan_bits[RUN_TRIANGLES / 8];
+    struct writer w = {.to = s->bytes, .fan_bits = fan_bits};
     for (uint32_t i = 0; i < s->piece_count; i++)
         put_piece(s, source, &s->pieces[i], &w);
     return 0;
@@ -420,7 +497,8 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     const struct column positions = s->plan->scan->columns[SCAN_POSITIONS];
     const struct morton_cube cube = s->plan->cube;
     const uint32_t levels = s->plan->levels;
-    const uint16_t *vertex_cells = s->plan->vertex_cells;
+    const bool known = s->plan->vertex_cells != NULL;
+    const struct vertex_cells vertex_cells = known ? *s->plan->vertex_cells : (struct vertex_cells){0};
     const uint32_t material = run_material(group->first_material, true);
     const uint64_t *v = group->indices[FACE_VERTEX];
     const uint32_t most = plain_pieces(group->face_count);
@@ -430,7 +508,7 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     s->piece_count = 0;
     for (uint32_t t = 0; t < group->face_count; t++, v += 3) {
         uint32_t number =
-            vertex_cells ? vertex_cells[v[0]] : morton_cell(&cube, levels, column_at(&positions, v[0], 12));
+            known ? vertex_cell(&vertex_cells, v[0]) : morton_cell(&cube, levels, column_at(&positions, v[0], 12));
         bool first = number != cell || w.run.triangles == RUN_TRIANGLES;
         if (number != cell) {
             end_piece(s, &w);
@@ -450,6 +528,11 @@ static bool split_plain(struct splitter *s, const struct face_group *group)
     return true;
 }
 
+bool split_makes_fans(uint32_t max_size, bool lacks_texcoord)
+{
+    return max_size <= 3 || (max_size <= FAN_CORNERS && !lacks_texcoord);
+}
+
 int split_group(struct splitter *s, const struct face_group *group,
                 const struct corner_values *values, uint32_t max_size)
 {
@@ -464,11 +547,13 @@ int split_group(struct splitter *s, const struct face_group *group,
     } else if (s->groups_without_order > 0) {
         s->groups_without_order--;
     }
-    status = room_for_triangles(s, triangles, max_size);
+    status = room_for_triangles(s, triangles);
+    if (status == 0)
+        status = room_for_polygons(s, max_size);
     if (status < 0)
         return status;
     if (s->plan->used)
         mark_used(s->plan->used, group);
-    add_faces(s, &source);
-    return code_links(s, &source);
+    status = add_faces(s, &source);
+    return status < 0 ? status : code_links(s, &source);
 }

@@ -1,13 +1,14 @@
 /* split.h - private to the sorter: faces become triangles, coded and collected by cell.
  *
  * Works on one group of faces at a time and needs nothing but the positions of its triangles' first
- * corners, or their cells, and the positions of all corners of polygons, so that groups can be split on all threads. */
+ * corners and of all corners of polygons, or the cells of these, so that groups can be split on all threads. */
 #ifndef VOX_SPLIT_H
 #define VOX_SPLIT_H
 
 #include "libvoxel/morton.h"
 #include "libvoxel/run.h"
 #include "libvoxel/used.h"
+#include "libvoxel/vertex_cells.h"
 
 /* What all groups of a scan have in common. */
 struct split_plan {
@@ -15,7 +16,7 @@ struct split_plan {
     struct morton_cube cube;
     uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
     const struct record_layout *values; /* corners are coded by value; NULL: by index */
-    const uint16_t *vertex_cells;       /* where positions are neither in memory nor values; polygons cannot be split then */
+    const struct vertex_cells *vertex_cells; /* where positions are neither in memory nor values: polygons become fans then */
     used_word *used; /* of vertices that faces refer to; NULL where records will tell */
 };
 
@@ -25,6 +26,9 @@ struct split_piece {
     uint32_t first_link, links; /* in the splitter's sorted links; of plain groups 0 */
     uint64_t offset, bytes;     /* in the splitter's bytes */
 };
+
+/* The triangle belongs to the fan of the one before. */
+#define SPLIT_CONTINUES (1u << 31)
 
 /* Some triangles of the group one behind the other in one cell. */
 struct split_link {
@@ -38,10 +42,12 @@ struct splitter {
     struct split_piece *pieces;
     uint32_t piece_count;
     uint8_t *bytes;
-    uint64_t triangles;
+    uint64_t triangles; /* in the pieces: fans are in several */
     /* Buffers; capacities in elements. */
     uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity, sorted_capacity;
-    uint32_t (*corners)[3]; /* of the triangles, numbers in the group */
+    uint32_t (*corners)[3]; /* of the triangles, numbers in the group; SPLIT_CONTINUES in the first */
+    uint32_t *fan_cells;    /* of the largest polygon */
+    uint64_t fan_capacity;
     struct split_link *links;
     uint32_t link_count;
     uint32_t groups_without_order; /* the next ones are taken for such */
@@ -57,6 +63,10 @@ struct splitter {
 uint64_t splitter_bytes(const struct split_plan *plan, uint64_t triangles, uint32_t max_size);
 int splitter_init(struct splitter *splitter, struct bsq_ctx *ctx, const struct split_plan *plan);
 void splitter_free(struct splitter *splitter);
+
+/* Polygons of the group can become fans: they are not too large, and their corners have texture coordinates, or lack them, all
+ * alike. lacks_texcoord: some corner of the group may lack what others have. */
+bool split_makes_fans(uint32_t max_size, bool lacks_texcoord);
 
 /* Splits a group; `values` are its corners', NULL where these are coded by index. max_size: of its
  * largest face. */

@@ -114,12 +114,13 @@ void window_clear(struct window *w)
                    used_words(w->kinds[i].count) * sizeof *w->kinds[i].marks);
 }
 
-static void mark_plain(used_word *marks, const uint8_t *records, uint64_t count)
+/* fan: what vertex numbers have that are no part of them. */
+static void mark_plain(used_word *marks, uint32_t fan, const uint8_t *records, uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
         memcpy(&index, records + 4 * c, 4);
-        used_mark(marks, index);
+        used_mark(marks, index & ~fan);
     }
 }
 
@@ -132,8 +133,9 @@ static inline uint64_t corner_offset(const struct record_layout *layout, enum fa
 
 void window_mark(struct window *w, const uint8_t *records, uint64_t count)
 {
+    const uint64_t fan = w->layout->fans ? record_fan_bit(w->layout) : 0;
     if (w->layout->plain) {
-        mark_plain(w->kinds[FACE_VERTEX].marks, records, count);
+        mark_plain(w->kinds[FACE_VERTEX].marks, (uint32_t)fan, records, count);
         return;
     }
     for (int i = 0; i < FACE_KIND_COUNT; i++) {
@@ -141,6 +143,7 @@ void window_mark(struct window *w, const uint8_t *records, uint64_t count)
         for (uint64_t c = 0; kind->active && c < 3 * count; c++) {
             uint64_t index =
                 record_load(records + corner_offset(w->layout, i, c), w->layout->index_bytes[i]);
+            index &= i == FACE_VERTEX ? ~fan : UINT64_MAX;
             if (index < kind->count) /* others are "none" */
                 used_mark(kind->marks, index);
         }

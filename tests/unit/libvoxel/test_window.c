@@ -219,13 +219,14 @@ static void expect_cells(struct fixture *f, bool have_order)
     const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
     const struct morton_cube cube = morton_cube_over(low, high);
     struct vertex_cells cells;
-    for (uint32_t levels = 1; levels <= VERTEX_CELLS_LEVELS; levels++) {
+    for (uint32_t levels = 1; levels <= VERTEX_CELLS_WIDE_LEVELS; levels++) {
         assert_int_equal(vertex_cells_make(&f->scan, &cube, levels, &cells), 0);
         for (uint64_t v = 0; v < column_count(&f->scan.columns[SCAN_POSITIONS]); v++) {
             float p[3];
             assert_int_equal(spool_read(&f->scan.columns[SCAN_POSITIONS].spool, 12 * v, 12, p), 0);
-            assert_int_equal(cells.cells[v], morton_point_key(&cube, p) >> (MORTON_KEY_BITS - 3 * levels));
+            assert_int_equal(vertex_cell(&cells, v), morton_point_key(&cube, p) >> (MORTON_KEY_BITS - 3 * levels));
         }
+        assert_true((cells.wide != NULL) == (levels > VERTEX_CELLS_NARROW_LEVELS) && (!cells.wide || !cells.narrow));
         if (levels > 2)
             assert_int_equal(cells.have_order, have_order);
         vertex_cells_free(&f->scan, &cells);

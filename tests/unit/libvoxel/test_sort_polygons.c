@@ -1,0 +1,178 @@
+/* Polygons are split the same way whether their vertices are in memory, or in a file: there they are fans until their batch is
+ * sorted, or joined with values where they cannot be. */
+#include "libvoxel/fans.h"
+#include "sort_grid.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+enum { NORMALS = 1, TEXCOORDS = 2, SHUFFLED = 4, MATERIALS = 8, MIXED = 16, GIANT = 32 };
+
+#define SIDE 300u /* vertices along a row */
+
+/* A row of bumpy quads merged into polygons, that are far from flat or convex, and some triangles. Corners `first` to
+ * first + width of this row, and those of the next one back. */
+static void write_face(FILE *file, unsigned flags, uint32_t first, uint32_t width, uint64_t *seed)
+{
+    const uint32_t corners = 2 * (width + 1);
+    if (flags & MATERIALS && sort_random(seed) % 5 == 0)
+        fprintf(file, "usemtl m%u\n", sort_random(seed) % 3);
+    fputc('f', file);
+    for (uint32_t c = 0; c < corners; c++) {
+        uint32_t v = c <= width ? first + c : first + SIDE + corners - 1 - c;
+        bool textured = flags & TEXCOORDS && !(flags & MIXED && sort_random(seed) % 3 == 0);
+        fprintf(file, " %u", v + 1);
+        if (textured)
+            fprintf(file, "/%u", v % 777 + 1);
+        if (flags & NORMALS)
+            fprintf(file, "%s/%u", textured ? "" : "/", v % 5 + 1);
+    }
+    fputc('\n', file);
+}
+
+static void shuffle(uint32_t *order, uint32_t count, uint64_t *seed)
+{
+    for (uint32_t i = count - 1; i > 0; i--) {
+        uint32_t other = sort_random(seed) % (i + 1), kept = order[i];
+        order[i] = order[other];
+        order[other] = kept;
+    }
+}
+
+/* Returns how many triangles the polygons have. */
+static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
+{
+    FILE *file = fopen(path, "wb");
+    uint32_t faces[SIDE * SIDE][2], order[SIDE * SIDE], count = 0;
+    uint64_t triangles = 0;
+    assert_non_null(file);
+    for (uint32_t v = 0; v < SIDE * SIDE; v++)
+        fprintf(file, "v %.4f %.4f %.4f\n", v % SIDE + sort_random(&seed) % 1000 / 1250.0,
+                v / SIDE + sort_random(&seed) % 1000 / 1250.0, sort_random(&seed) % 1000 / 50.0);
+    for (uint32_t t = 0; flags & TEXCOORDS && t < 777; t++)
+        fprintf(file, "vt %.3f %.3f\n", t / 777.0, sort_random(&seed) % 1000 / 1000.0);
+    if (flags & NORMALS)
+        fputs("vn 0 0 1\nvn 0 1 0\nvn 1 0 0\nvn 0 0 -1\nvn 1 2 3\n", file);
+    for (uint32_t y = 0; y + 1 < SIDE; y++)
+        for (uint32_t x = 0, width; x + 1 < SIDE; x += width, count++) {
+            width = sort_random(&seed) % 3 ? 1 : sort_random(&seed) % 9 + 1;
+            width = width < SIDE - 1 - x ? width : SIDE - 1 - x;
+            faces[count][0] = y * SIDE + x;
+            faces[count][1] = width;
+            order[count] = count;
+        }
+    if (flags & SHUFFLED)
+        shuffle(order, count, &seed);
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t *face = faces[order[i]];
+        write_face(file, flags, face[0], face[1], &seed);
+        triangles += 2 * face[1];
+        if (i % 7 == 0) { /* and a triangle that repeats a part of it */
+            fprintf(file, "f %u %u %u\n", face[0] + 1, face[0] + 2, face[0] + SIDE + 1);
+            triangles++;
+        }
+    }
+    if (flags & GIANT) {
+        fputc('f', file);
+        for (uint32_t v = 1; v <= FAN_CORNERS + 1; v++)
+            fprintf(file, " %u", v * 31 + 1);
+        fputc('\n', file);
+        triangles += FAN_CORNERS - 1;
+    }
+    assert_int_equal(fclose(file), 0);
+    return triangles;
+}
+
+/* The ways of a scan whose vertices do not fit; way 0 keeps all in memory. */
+static void choose_limits(unsigned way, struct sort_limits *limits)
+{
+    sort_limits_for(128 * MIB, 2, limits);
+    if (way > 0)
+        limits->column_bytes = 0;
+    if (way == 2 || way == 4 || way == 6)
+        limits->direct_memory = 0;
+    if (way == 3 || way == 4)
+        limits->batch_triangles = 70000; /* cells are divided, again and again */
+    if (way == 5 || way == 6)
+        limits->vertex_cells_bytes = SIDE * SIDE; /* a byte for each vertex */
+    if (way == 7)
+        limits->vertex_cells_bytes = 0;
+    if (way == 8)
+        limits->index_bytes = 5;
+    if (way == 9)
+        limits->page_memory = limits->direct_memory = 1;
+}
+
+static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
+{
+    const char *paths[1] = {f->obj};
+    char texture[128];
+    snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
+    sort_write_text(texture, "only its name matters here");
+    const struct vox_sort_options options = {.obj_paths = paths,
+                                             .obj_count = 1,
+                                             .tris_path = f->tris,
+                                             .texture_path = flags & TEXCOORDS ? texture : NULL};
+    const uint64_t triangles = write_polygons(f->obj, flags, 17 + flags);
+    size_t sizes[2];
+    uint8_t *expected = NULL;
+    for (unsigned way = 0; way < 10; way++) {
+        struct sort_limits limits;
+        choose_limits(way, &limits);
+        sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
+        expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+        assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
+        assert_int_equal(f->report.unused_vertices, 0);
+        assert_int_equal(f->report.temp_bytes > 0, way > 0);
+        uint8_t *bytes = sort_read_bytes(f->tris, &sizes[way > 0]);
+        if (way == 0) {
+            expected = bytes;
+            continue;
+        }
+        assert_int_equal(sizes[0], sizes[1]);
+        assert_memory_equal(bytes, expected, sizes[0]);
+        free(bytes);
+    }
+    free(expected);
+}
+
+static void polygons_of_positions_are_split_the_same_way(void **state)
+{
+    expect_the_same_for_all_ways(*state, 0);
+    expect_the_same_for_all_ways(*state, SHUFFLED);
+}
+
+static void polygons_keep_their_attributes(void **state)
+{
+    expect_the_same_for_all_ways(*state, NORMALS);
+    expect_the_same_for_all_ways(*state, TEXCOORDS | SHUFFLED);
+    expect_the_same_for_all_ways(*state, TEXCOORDS | NORMALS | MATERIALS);
+}
+
+/* A triangle has a texture if its own corners have coordinates, which a fan cannot tell. */
+static void polygons_may_have_some_texture_coordinates(void **state)
+{
+    expect_the_same_for_all_ways(*state, TEXCOORDS | MIXED | SHUFFLED);
+}
+
+static void a_polygon_may_be_too_large_for_a_fan(void **state)
+{
+    expect_the_same_for_all_ways(*state, GIANT);
+    expect_the_same_for_all_ways(*state, GIANT | TEXCOORDS);
+}
+
+int main(void)
+{
+#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
+    const struct CMUnitTest tests[] = {
+        TEST(polygons_of_positions_are_split_the_same_way),
+        TEST(polygons_keep_their_attributes),
+        TEST(polygons_may_have_some_texture_coordinates),
+        TEST(a_polygon_may_be_too_large_for_a_fan),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
