@@ -1,5 +1,5 @@
 # Bisque's only build. `make help` lists the targets; config = release, debug, asan, tsan, fuzz.
-VERSION := 0.1.0
+VERSION := 0.2.0
 config  ?= release
 BUILD   ?= build/$(config)
 prefix  ?= /usr/local
@@ -80,6 +80,9 @@ $(BUILD)/obj/%.cc.o: %.cc
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
 # The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
 $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
+# Whoever says the version is compiled again when it is raised here.
+$(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(foreach m,$(modules),$(src.$(m))) libbake/map_output.c libvoxel/job_record.c \
+    tools/cli.c tools/cli_report.c): Makefile
 # Chosen at run time where the processor has it.
 ifneq ($(filter x86_64,$(shell uname -m)),)
 $(BUILD)/obj/libvoxel/lane_code_avx2.c.o: CFLAGS += -mavx2 -mno-fma
@@ -135,6 +138,13 @@ $(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.
 	    { echo "libbake: no PTX, so that --device cuda will not work (PTX=$(PTX))"; rm -f $@.tmp; : > $@; }
 $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
+
+# A sum over all sources that a chunk file's bytes may depend on, see libvoxel/job_record.c.
+chunk_sources := $(sort $(wildcard $(foreach l,base formats libvoxel,$(addprefix $(l)/*.,c cc h))))
+$(BUILD)/gen/chunk_sources.inc: $(chunk_sources) Makefile
+	@mkdir -p $(@D)
+	cat $(chunk_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
+$(BUILD)/obj/libvoxel/job_record.c.o: $(BUILD)/gen/chunk_sources.inc
 
 # tools/bisque-NAME.c and tools/NAME_*.c are one program, with tools/cli*.c.
 define program
@@ -376,7 +386,7 @@ gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
 .PHONY: lint
 ## lint: include rules, cppcheck, clang-tidy (installs the latter two where they are missing)
-lint: deps-lint $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.inc
+lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc)
 	tests/lint/includes.sh
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))

@@ -3,7 +3,10 @@
  * The record is a text file beside the chunk file, there only while the job is unfinished: what it says (times, places) is of one
  * machine, and the chunk file's bytes shall depend on the scan alone. A file is taken for the same when its size, its time of
  * modification and the hash of samples are. Reading all of it would cost about what resuming saves where disks are slow. The
- * time finds an edit between the samples, the samples a file that was replaced and has an older one's time. */
+ * time finds an edit between the samples, the samples a file that was replaced and has an older one's time.
+ *
+ * Going on from it must give the bytes that doing all again would. So the program must be the same too, and that is not left to
+ * a number that somebody has to raise when sorting changes: the record has a sum over the sources. */
 #include "base/file.h"
 #include "base/output.h"
 #include "formats/obj.h"
@@ -20,6 +23,10 @@
 #include <xxhash.h>
 
 #define FIRST_LINE "bisque job 1"
+
+static const char build[] =
+#include "chunk_sources.inc"
+    ;
 
 /* More than any piece of a line that is written at once. */
 enum { LINE_BYTES = 256 };
@@ -250,8 +257,8 @@ static int read_seal(struct bsq_ctx *ctx, const char *tris_path, struct seal *ou
 
 static void put_record(const struct vox_job *job, const struct seal *seal, struct text *text)
 {
-    put(text, FIRST_LINE "\nversion %s\nchunks %016" PRIx64 " %" PRIu64 "\ntexture ", BSQ_VERSION,
-        seal->checksum, seal->bytes);
+    put(text, FIRST_LINE "\nversion %s %s\nchunks %016" PRIx64 " %" PRIu64 "\ntexture ",
+        BSQ_VERSION, build, seal->checksum, seal->bytes);
     put_path(text, job->texture);
     for (uint64_t i = 0; i < job->count; i++) {
         const struct source *s = &job->sources[i];
@@ -345,18 +352,32 @@ static int check_source(struct vox_job *job, uint64_t number, const struct sourc
     return status < 0 || same_content(then, &now) ? status : changed(job, then, &now);
 }
 
+/* Version and build as in the record; those before 0.2.0 had no build in it. */
+static int check_program(const struct vox_job *job, char *version)
+{
+    char *then = strchr(version, ' ');
+    if (then)
+        *then++ = '\0';
+    if (strcmp(version, BSQ_VERSION) != 0)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s was made by version %s, this is " BSQ_VERSION
+                        ": this job cannot be resumed",
+                        job->tris_path, version);
+    if (!then || strcmp(then, build) != 0)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s was made by version " BSQ_VERSION
+                        " too, but from other sources: this job cannot be resumed",
+                        job->tris_path);
+    return 0;
+}
+
 static int check_line(struct vox_job *job, char *line, uint64_t *objects)
 {
     struct source then = {0};
     int present = 0, at = 0;
     char kind[4];
     if (strncmp(line, "version ", 8) == 0)
-        return strcmp(line + 8, BSQ_VERSION) == 0
-                   ? 0
-                   : bsq_fail(job->ctx, BSQ_EDATA,
-                              "%s was made by version %s, this is " BSQ_VERSION
-                              ": this job cannot be resumed",
-                              job->tris_path, line + 8);
+        return check_program(job, line + 8);
     if (strncmp(line, "texture ", 8) == 0) {
         read_path(line + 8);
         return strcmp(line + 8, job->texture) == 0

@@ -59,8 +59,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
 void vox_job_close(struct vox_job *job); /* NULL is allowed */
 
 /* *sorted: the chunk file is there, complete, and what vox_sort() would write. Without a record, or where the chunk file is not
- * the one that it is about, false. Errors: BSQ_EDATA where an input has changed since or another version made it, BSQ_EUSAGE where
- * inputs or texture are others; the line says which. */
+ * the one that it is about, false. Errors: BSQ_EDATA where an input has changed since, or a program of another version
+ * or from other sources made it; BSQ_EUSAGE where inputs or texture are others. The line says which. */
 int vox_job_resume(struct vox_job *job, bool *sorted);
 
 /* Writes the record, after vox_sort(); none where an input has changed meanwhile, which is a warning. */

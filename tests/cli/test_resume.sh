@@ -114,12 +114,25 @@ rm a.obj
 $voxelize a.obj -o box.nvdb --resume
 refused 66 "$p a.obj: No such file or directory"
 cp -p kept.obj a.obj
-# The record of another version, with a right checksum of its own, is made by hand.
-sed 's/^version .*/version 9.9/; $d' job >text
-{ cat text; echo "end $("$TESTS/xxh3" <text)"; } >job.new
+# The record of another program, with a right checksum of its own, is made by hand.
 cp job job.kept
-cp job.new job
-refuses 65 "box.tris was made by version 9.9, this is $("$BIN/bisque-voxelize" --version | sed 's/.* //')" a.obj
+version=$("$BIN/bisque-voxelize" --version | sed 's/.* //')
+grep -qx "version $version [0-9a-f]\{8\}" job
+check "the record names version and sources" $?
+# recorded LINE: puts it in place of the record's line of the version.
+recorded()
+{
+    sed "s/^version .*/$1/; \$d" job.kept >text
+    { cat text; echo "end $("$TESTS/xxh3" <text)"; } >job
+}
+recorded "version 9.9 $(sed -n 's/^version .* //p' job.kept)"
+refuses 65 "box.tris was made by version 9.9, this is $version" a.obj
+recorded "version 0.1.0"
+refuses 65 "box.tris was made by version 0.1.0, this is $version" a.obj
+recorded "version $version 0badcafe1"
+refuses 65 "box.tris was made by version $version too, but from other sources" a.obj
+recorded "version $version"
+refuses 65 "box.tris was made by version $version too, but from other sources" a.obj
 cp job.kept job
 
 # Put back as it was, the job goes on, from another directory too, and with odd names.
