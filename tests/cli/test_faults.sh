@@ -62,7 +62,18 @@ killed()
     torture -n 50 -p kill
     torture -m 60 kill-at
     torture -c name -p kill-at
-    torture -m 40 -x 75 -c "open read write sync name" interrupt
+    torture -m 40 -x 75 -c "open read write sync size name" interrupt
+}
+
+# Setting room aside for a grid is one call among many, so that the others may leave it out.
+room_fails()
+{
+    torture -c size ENOSPC
+    torture -c size EINTR
+    torture -c size EOPNOTSUPP
+    torture -c size kill-at
+    torture -p -c size kill-at
+    torture -c size -x 75 interrupt
 }
 
 # In memory, as the disk would take most of the time; what it says is the interposer's part anyway.
@@ -85,6 +96,7 @@ small="--size 32 --samples 1 --threads 2"
 job a.tris a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --threads 2
 job_record=a.tris.job
 writes_fail
+room_fails
 reads_fail
 killed
 

@@ -88,8 +88,6 @@ static int fault(const char *kind, const char *call, const char *path)
         syscall(SYS_kill, getpid(), SIGKILL);
     if (strcmp(what, "interrupt") == 0)
         syscall(SYS_kill, getpid(), SIGTERM);
-    if (strcmp(what, "interrupt") == 0)
-        syscall(SYS_kill, getpid(), SIGTERM);
     if (strcmp(what, "pause") == 0)
         pause_here();
     if (strcmp(what, "short") == 0)

@@ -19,8 +19,9 @@
  * as it was before, or whole; after success all must be whole; and nothing else may be there, but
  * where it was killed a temporary file that one more run removes. A failure must be one line on
  * standard error that begins with the program's name, names a file and ends with the reason, and
- * one of the exit codes CODE, 74 where none is given. Half transfers and EINTR must do no harm. An
- * interruption must be told as such within two seconds.
+ * one of the exit codes CODE, 74 where none is given. Half transfers and EINTR must do no harm, nor
+ * EOPNOTSUPP: give it to calls that a file system need not have. An interruption must be told as such
+ * within two seconds.
  *
  * -p takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
  * with the first and the last; -r names a file that runs without success may leave, as a later one
@@ -365,7 +366,8 @@ static bool torture_once(unsigned long number)
 {
     struct run run = {.had_old = number % 2 != 0};
     bool full = strcmp(job.mode, "full") == 0, by_time = strcmp(job.mode, "kill") == 0;
-    bool harmless = strcmp(job.mode, "short") == 0 || strcmp(job.mode, "EINTR") == 0;
+    bool harmless = strcmp(job.mode, "short") == 0 || strcmp(job.mode, "EINTR") == 0 ||
+                    strcmp(job.mode, "EOPNOTSUPP") == 0;
     prepare(&run);
     if (by_time)
         run_program(&run, "", 0, false, 1.05 * job.seconds * random_share());
