@@ -8,10 +8,14 @@
 #   BENCH_DIR      where scans and outputs go, and scans stay for the next run; without it they go
 #                  to a temporary directory beside BIN, which is removed in the end
 #   BENCH_SCAN     a small OBJ file that is amplified to the sizes wanted, instead of the vase
-#   BENCH_ROUNDS   how often each job runs (default: 3; 109 million triangles: always once)
+#   BENCH_ROUNDS   how often each job runs (default: 3; with 109 million triangles: 2)
 #
-# Each job runs once a round, so that slow drifts of the machine meet all jobs alike; before each
-# the scan is brought into the page cache and what earlier jobs wrote is flushed to disk.
+# Each job runs once a round, so that slow drifts of the machine meet all jobs alike. No job shall pay
+# for the one before it, nor gain from it. Before each, its scan is brought into the page cache, what
+# earlier jobs wrote is flushed to disk, and as much memory as the job will take is touched and given
+# back: the host of a virtual machine may take memory that is freed, in some seconds, and whoever needs
+# it next waits for it, two or three seconds a gigabyte. And in each round the jobs that ratios divide
+# by "whole" come right behind it; those that leave most memory behind come last.
 set -u
 LC_ALL=C
 export LC_ALL
@@ -174,14 +178,15 @@ use_scans()
 
 # ---- jobs ----
 
-# measure INPUT COMMAND...: runs it; sets wall, user, system, rss, written, status; output in
-# $work/out and $work/err.
+# measure INPUT BYTES COMMAND...: runs it, with so much memory at hand; sets wall, user, system, rss,
+# written, status; output in $work/out and $work/err.
 measure()
 {
     cat "$1" >/dev/null
-    shift
+    at_hand=$2
+    shift 2
     sync
-    "$TESTS/measure" "$work/report" "$@" >"$output" 2>"$work/err"
+    "$TESTS/measure" --at-hand "$at_hand" "$work/report" "$@" >"$output" 2>"$work/err"
     sed 's/[a-z_]*=//g' "$work/report" >"$work/fields"
     read -r wall user system rss _ written status <"$work/fields"
 }
@@ -206,13 +211,13 @@ job_cat()
 {
     say "$label, round $round: cat"
     output=/dev/null
-    measure "$ordered" cat "$ordered"
+    measure "$ordered" 0 cat "$ordered"
     keep cat "cat" - "$bytes"
     output=$work/out
 }
 
 # baseline PROGRAM TITLE BYTES_A_TRIANGLE INPUT: whether it ran; where not, records why. The memory
-# that it needs is known from smaller scans; a quarter more must be available.
+# that it takes is known from smaller scans; a quarter more must be available.
 baseline()
 {
     if [ ! -x "$TESTS/$1" ]; then
@@ -225,7 +230,7 @@ baseline()
         return 1
     fi
     say "$label, round $round: $2"
-    measure "$4" "$TESTS/$1" "$4"
+    measure "$4" $((triangles * $3)) "$TESTS/$1" "$4"
     [ "$status" -eq 0 ] && return
     record skip "$label" "$2" "$(why)"
     return 1
@@ -243,7 +248,7 @@ add_phase()
 # The baselines count their own phases, without start and freeing: that favours them.
 job_embree()
 {
-    baseline baseline-embree "Embree: parse and build" 152 "$ordered" || return 0
+    baseline baseline-embree "Embree: parse and build" 120 "$ordered" || return 0
     wall=0 user=0 system=0
     add_phase parse
     keep embree-parse "Embree: parse, 1 thread" - "$bytes"
@@ -253,19 +258,20 @@ job_embree()
 
 job_tinyobj()
 {
-    baseline baseline-tinyobj "tinyobjloader: parse" 180 "$ordered" || return 0
+    baseline baseline-tinyobj "tinyobjloader: parse" 184 "$ordered" || return 0
     wall=0 user=0 system=0
     add_phase parse
     keep tinyobj "tinyobjloader: parse" embree-parse "$bytes"
 }
 
-# bisque KEY TITLE AGAINST INPUT ARGUMENT...: measures bisque-voxelize; whether it succeeded.
+# bisque KEY TITLE AGAINST INPUT BYTES ARGUMENT...: measures bisque-voxelize, with so much memory at
+# hand; whether it succeeded.
 bisque()
 {
-    key=$1 name=$2 other=$3 input=$4
-    shift 4
+    key=$1 name=$2 other=$3 input=$4 bytes_at_hand=$5
+    shift 5
     say "$label, round $round: $name"
-    measure "$input" "$BIN/bisque-voxelize" --json --progress none "$@" "$input"
+    measure "$input" "$bytes_at_hand" "$BIN/bisque-voxelize" --json --progress none "$@" "$input"
     if [ "$status" -ne 0 ]; then
         record skip "$label" "$name" "$(why)"
         # A budget that is too small for this many processors is a refusal, not a failure.
@@ -287,15 +293,22 @@ grid_facts()
 
 job_parse()
 {
-    bisque "parse-1" "parse only, 1 thread" embree-parse "$ordered" --parse-only --threads 1
-    bisque "parse" "parse only, all threads" embree-parse "$ordered" --parse-only
+    bisque "parse-1" "parse only, 1 thread" embree-parse "$ordered" 0 --parse-only --threads 1
+    bisque "parse" "parse only, all threads" embree-parse "$ordered" 0 --parse-only
+}
+
+# takes MEMORY: bytes that a job with this budget takes, with the page cache of the files it writes:
+# 12 bytes a triangle of chunk file and some more of temporary files, and a grid of up to 300 MiB.
+takes()
+{
+    echo $(($(numfmt --from=iec "$1") + triangles * 32 + 512 * 1024 * 1024))
 }
 
 job_whole()
 {
     rm -f "$work/whole.nvdb" "$work/whole.tris"
-    bisque whole "whole: OBJ to .tris, .nvdb" embree "$ordered" --resolution "$resolution" \
-        --memory 1G -o "$work/whole.nvdb" || return 0
+    bisque whole "whole: OBJ to .tris, .nvdb" embree "$ordered" "$(takes 1G)" \
+        --resolution "$resolution" --memory 1G -o "$work/whole.nvdb" || return 0
     grid_facts whole tris_bytes temp_bytes grid_bytes voxels
 }
 
@@ -303,8 +316,8 @@ job_whole()
 job_grid()
 {
     [ -f "$work/whole.tris" ] || return 0
-    bisque "$1" ".tris to .nvdb at $2" "$3" "$work/whole.tris" --resolution "$2" --memory 1G \
-        -o "$work/other.nvdb" && grid_facts "$1" grid_bytes voxels
+    bisque "$1" ".tris to .nvdb at $2" "$3" "$work/whole.tris" "$(takes 1G)" --resolution "$2" \
+        --memory 1G -o "$work/other.nvdb" && grid_facts "$1" grid_bytes voxels
     rm -f "$work/other.nvdb"
 }
 
@@ -321,16 +334,17 @@ same_bytes()
 
 job_ordered()
 {
-    bisque "whole-$1" "whole, --memory $1" whole "$ordered" --resolution "$resolution" \
-        --memory "$1" -o "$work/other.nvdb" && same_bytes "--memory $1"
+    bisque "whole-$1" "whole, --memory $1" whole "$ordered" "$(takes "$1")" \
+        --resolution "$resolution" --memory "$1" -o "$work/other.nvdb" && same_bytes "--memory $1"
     rm -f "$work/other.nvdb" "$work/other.tris"
 }
 
 # job_shuffled KEY TITLE MEMORY
 job_shuffled()
 {
-    bisque "$1" "$2" whole "$shuffled" --resolution "$resolution" --memory "$3" \
-        -o "$work/other.nvdb" && grid_facts "$1" tris_bytes temp_bytes grid_bytes voxels
+    bisque "$1" "$2" whole "$shuffled" "$(takes "$3")" --resolution "$resolution" \
+        --memory "$3" -o "$work/other.nvdb" &&
+        grid_facts "$1" tris_bytes temp_bytes grid_bytes voxels
     rm -f "$work/other.nvdb" "$work/other.tris"
 }
 
@@ -339,7 +353,6 @@ one_round()
 {
     job_cat
     job_parse
-    job_embree
     job_whole
     job_grid revoxelize "$((resolution / 2))" whole
     job_shuffled shuffled "shuffled faces" 1G
@@ -348,6 +361,7 @@ one_round()
         job_shuffled "shuffled-$memory" "shuffled, --memory $memory" "$memory"
     done
     job_tinyobj
+    job_embree
 }
 
 # job_fine RESOLUTION: a fine grid, where the disk has room for it and for as much of temporary
@@ -389,9 +403,10 @@ bench_medium()
 bench_large()
 {
     bench_medium
-    round=1
     use_scans 109M 109000000
-    one_round 256M
+    for round in $(seq "${BENCH_ROUNDS:-2}"); do
+        one_round 256M
+    done
     [ -n "${BENCH_DIR:-}" ] || rm -f "$shuffled"
     job_fine 8192
     job_fine 16384
