@@ -131,6 +131,12 @@ static inline uint64_t corner_offset(const struct record_layout *layout, enum fa
     return corner / 3 * layout->bytes + corner % 3 * layout->corner_bytes + layout->index_at[kind];
 }
 
+/* Bytes of an index of this kind; 0 where its columns are in memory or not needed. */
+static inline uint32_t index_bytes_of(const struct window *w, enum face_kind kind)
+{
+    return w->kinds[kind].active ? w->layout->index_bytes[kind] : 0;
+}
+
 void window_mark(struct window *w, const uint8_t *records, uint64_t count)
 {
     const uint64_t fan = w->layout->fans ? record_fan_bit(w->layout) : 0;
@@ -140,9 +146,9 @@ void window_mark(struct window *w, const uint8_t *records, uint64_t count)
     }
     for (int i = 0; i < FACE_KIND_COUNT; i++) {
         const struct window_kind *kind = &w->kinds[i];
-        for (uint64_t c = 0; kind->active && c < 3 * count; c++) {
-            uint64_t index =
-                record_load(records + corner_offset(w->layout, i, c), w->layout->index_bytes[i]);
+        const uint32_t bytes = index_bytes_of(w, i);
+        for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
+            uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
             index &= i == FACE_VERTEX ? ~fan : UINT64_MAX;
             if (index < kind->count) /* others are "none" */
                 used_mark(kind->marks, index);
@@ -265,8 +271,8 @@ void window_number(const struct window *w, uint8_t *records, uint64_t count)
     }
     for (int i = 0; i < FACE_KIND_COUNT; i++) {
         const struct window_kind *kind = &w->kinds[i];
-        const uint32_t bytes = w->layout->index_bytes[i];
-        for (uint64_t c = 0; kind->active && c < 3 * count; c++) {
+        const uint32_t bytes = index_bytes_of(w, i);
+        for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             uint8_t *at = records + corner_offset(w->layout, i, c);
             uint64_t index = record_load(at, bytes);
             if (index < kind->count)
@@ -295,8 +301,8 @@ void window_restore(const struct window *w, uint8_t *records, uint64_t count)
 {
     for (int i = 0; i < FACE_KIND_COUNT; i++) {
         const struct window_kind *kind = &w->kinds[i];
-        const uint32_t bytes = w->layout->index_bytes[i];
-        for (uint64_t c = 0; kind->active && c < 3 * count; c++) {
+        const uint32_t bytes = index_bytes_of(w, i);
+        for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             uint8_t *at = records + corner_offset(w->layout, i, c);
             uint64_t index = record_load(at, bytes);
             if (index < kind->marked)
