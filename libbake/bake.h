@@ -51,7 +51,7 @@ struct bake_options {
     enum bake_sampling sampling;  /* of a grid */
     enum bake_scan_normals scan_normals; /* of a chunk file */
     bool two_sided;          /* also take surfaces that face away from the low mesh */
-    const char *device;      /* "auto", "cpu", "cuda", "cuda:N", "opencl", "opencl:N" */
+    const char *device;      /* one of BAKE_DEVICE_NAMES */
     /* Most bytes to use of a GPU's memory, 0: all that is free. A grid that needs more is baked in passes. The
      * processor reads the grid from its file and uses none. */
     uint64_t gpu_memory_bytes;
@@ -83,7 +83,8 @@ struct bake_report {
 
 /* Bakes and writes the maps. They are all written before the first takes its final name, so a failure leaves
  * none of them. Errors: BSQ_EDATA for a low mesh without texture coordinates, a scan without colour when a
- * colour map is asked for, a damaged grid or chunk file, or when no ray hits the scan; BSQ_ENODEVICE; BSQ_EUSAGE. */
+ * colour map is asked for, a damaged grid or chunk file, or when no ray hits the scan; BSQ_ENODEVICE; BSQ_EUSAGE,
+ * for the name of a device too that is none of BAKE_DEVICE_NAMES. */
 int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report);
 
 /* Whether a grid or chunk file has colours. Errors: as for one that cannot be opened. */
@@ -96,6 +97,9 @@ struct bake_device_info {
     uint64_t memory_bytes;
     bool is_gpu;
 };
+/* Whether this is how devices are named: BAKE_DEVICE_NAMES. There need be no such device. */
+bool bake_is_device_name(const char *name);
+#define BAKE_DEVICE_NAMES "auto, cpu, cuda, cuda:N, opencl or opencl:N"
 /* Calls fn for each device that can be used; warnings explain drivers that cannot. */
 int bake_list_devices(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
                       void *arg);

@@ -116,10 +116,22 @@ static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct b
     return 0;
 }
 
+bool bake_is_device_name(const char *name)
+{
+    int64_t index;
+
+    for (int i = 0; i < KINDS; i++)
+        if (parse(name, kinds[i].name, &index))
+            return true;
+    return strcmp(name, "cpu") == 0 || strcmp(name, "auto") == 0;
+}
+
 static int open_backends(struct bake_device *device, const char *name, const struct bake_job *job)
 {
     struct bsq_ctx *ctx = device->ctx;
 
+    if (!bake_is_device_name(name))
+        return bsq_fail(ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
     if (strcmp(name, "cpu") == 0)
         return bake_native_open(ctx, job, &device->backend);
     for (int i = 0; i < KINDS; i++) {
@@ -131,9 +143,6 @@ static int open_backends(struct bake_device *device, const char *name, const str
             status = kinds[i].check(ctx);
         return status < 0 ? status : open_loaded(ctx, &kinds[i], index, job, &device->backend);
     }
-    if (strcmp(name, "auto") != 0)
-        return bsq_fail(ctx, BSQ_ENODEVICE,
-                        "device \"%s\" is not auto, cpu, cuda, cuda:N, opencl or opencl:N", name);
     for (int i = 0; i < KINDS && !device->backend; i++) {
         int status = open_gpu(ctx, &kinds[i], job, &device->backend);
         if (status < 0)

@@ -41,8 +41,9 @@ struct bake_part;
 /* Parts of a grid that a device can hold at a time. */
 enum { BAKE_SLOTS = 2 };
 
-/* Opens the device named as on the command line ("auto", "cpu", "cuda", "cuda:N", "opencl", "opencl:N") for a job and makes the
- * grid available to it, where it has room for all of it: see bake_device_holds_grid(). "auto" takes a GPU that works, else cpu. Errors: BSQ_ENODEVICE with what is there. */
+/* Opens the device named as on the command line (BAKE_DEVICE_NAMES) for a job and makes the grid available to it, where it has
+ * room for all of it: see bake_device_holds_grid(). "auto" takes a GPU that works, else cpu. Errors: BSQ_ENODEVICE with what is
+ * there, BSQ_EUSAGE for any other name. */
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
                      struct bake_device **out);
 const char *bake_device_name(const struct bake_device *device);

@@ -29,7 +29,7 @@ static const char help[] =
     "      --half, --float     type of OpenEXR samples (default: half)\n"
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
-    "      --device NAME       auto, cpu, cuda, cuda:N, opencl or opencl:N (default: auto)\n"
+    "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
     "      --gpu-memory SIZE   most memory to use of a GPU, e.g. 2G (default: what is free)\n"
     "      --list-devices      print the devices and end\n"
     "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
@@ -252,7 +252,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return cli_parse_size(cli, "--gpu-memory", optarg, &bake->gpu_memory_bytes);
     case OPT_DEVICE:
         bake->device = optarg;
-        return 0;
+        return bake_is_device_name(optarg)
+                   ? 0
+                   : cli_usage(cli, "--device: \"%s\" is not " BAKE_DEVICE_NAMES, optarg);
     case OPT_LIST_DEVICES:
         arguments->list_devices = true;
         return 0;

@@ -107,9 +107,15 @@ $bake colored.nvdb low.obj -o a.exr --maps normal,color
 refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
 $bake $good --gpu-memory much
 refused 64 "$p --gpu-memory: \"much\" is not a size such as 512MiB or 4G"
-$bake $good --device abacus
+# Of an exact bake, which needs no device, and before any file is looked for, too.
+for name in abacus '' cpu:0 cuda: cuda:x opencl:-1 opencl:4000000000; do
+    for scan in plain.nvdb plain.tris none.nvdb; do
+        $bake $scan low.obj -o a.exr --device "$name"
+        refused 64 "$p --device: \"$name\" is not auto, cpu, cuda, cuda:N, opencl or opencl:N"
+    done
+done
+$bake $good --device opencl:999
 code 69
-err_like '^bisque-bake: .*abacus'
 files $start
 
 # ---- inputs that cannot be used ----

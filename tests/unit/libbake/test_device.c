@@ -186,17 +186,24 @@ static void test_opencl_groups(void **state)
 static void test_names(void **state)
 {
     static const char *const bad[] = {"gpu",       "",          "opencl:",           "opencl:x",
-                                      "opencl:0x", "opencl:-1", "opencl:4000000000", "opencl:999",
-                                      "cpu:0"};
+                                      "opencl:0x", "opencl:-1", "opencl:4000000000", "cpu:0"};
+    static const char *const good[] = {"auto", "cpu", "cuda", "cuda:0", "opencl", "opencl:999"};
     struct fixture *f = *state;
     struct bake_device *device;
 
     for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
-        assert_int_equal(bake_device_open(f->ctx, bad[i], &f->job, &device), BSQ_ENODEVICE);
+        assert_false(bake_is_device_name(bad[i]));
+        assert_int_equal(bake_device_open(f->ctx, bad[i], &f->job, &device), BSQ_EUSAGE);
         assert_null(device);
-        assert_true(strlen(bsq_error(f->ctx)) > 10);
+        assert_non_null(strstr(bsq_error(f->ctx), bad[i]));
         bsq_clear_error(f->ctx);
     }
+    for (size_t i = 0; i < sizeof good / sizeof *good; i++)
+        assert_true(bake_is_device_name(good[i]));
+    assert_int_equal(bake_device_open(f->ctx, "opencl:999", &f->job, &device), BSQ_ENODEVICE);
+    assert_null(device);
+    assert_true(strlen(bsq_error(f->ctx)) > 10);
+    bsq_clear_error(f->ctx);
     bake_device_close(NULL);
 }
 
