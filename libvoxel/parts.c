@@ -9,7 +9,7 @@
 #include "libvoxel/schedule.h"
 
 /* Reading a chunk takes as long as going through some hundred regions with nothing in them. */
-static const double few_regions = 64.0;
+static const double few_regions = 128.0;
 
 struct maker {
     struct bsq_ctx *ctx;
