@@ -1,17 +1,20 @@
 /* order.c - see order.h.
  *
- * A least-significant-digit radix sort of the upper 27 bits leaves few entries that still share
- * them, as a cell of some ten thousand triangles of a surface has about 4^9 places in nine more
- * levels; what is left is sorted by insertion, or, where many fall together, by their next bits. */
+ * A least-significant-digit radix sort of the upper 20 bits leaves few entries that still share
+ * them, as a cell of some ten thousand triangles of a surface has about 4^7 places in seven more
+ * levels; of the upper 30 bits where there are more. What is left is sorted by insertion, or, where
+ * many fall together, by their next bits. */
 #include "libvoxel/order.h"
 #include "formats/tris.h"
 
 #include <string.h>
 
-#define DIGIT_BITS  9u
-#define DIGITS      3u
+#define DIGIT_BITS  10u
+#define DIGITS_MAX  3u
 #define DIGIT_MASK  ((1u << DIGIT_BITS) - 1)
 #define SMALL_COUNT 24u
+/* Two digits are enough for so many, and leave them where they were, not in the scratch. */
+#define TWO_DIGITS_COUNT (1u << 16)
 
 static void insertion_sort(struct entry *entries, uint64_t n)
 {
@@ -24,13 +27,13 @@ static void insertion_sort(struct entry *entries, uint64_t n)
     }
 }
 
-static void count_digits(const struct entry *entries, uint64_t n, uint32_t shift,
-                         uint32_t counts[DIGITS][1u << DIGIT_BITS])
+static void count_digits(const struct entry *entries, uint64_t n, uint32_t shift, uint32_t digits,
+                         uint32_t counts[DIGITS_MAX][1u << DIGIT_BITS])
 {
-    memset(counts, 0, DIGITS * sizeof counts[0]);
+    memset(counts, 0, digits * sizeof counts[0]);
     for (uint64_t i = 0; i < n; i++) {
         uint64_t key = entries[i].key >> shift;
-        for (uint32_t d = 0; d < DIGITS; d++)
+        for (uint32_t d = 0; d < digits; d++)
             counts[d][key >> d * DIGIT_BITS & DIGIT_MASK]++;
     }
 }
@@ -49,12 +52,12 @@ static int start_positions(uint32_t counts[1u << DIGIT_BITS], uint64_t n)
     return 1;
 }
 
-static void radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, uint32_t shift)
+static void radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, uint32_t shift, uint32_t digits)
 {
-    uint32_t counts[DIGITS][1u << DIGIT_BITS];
+    uint32_t counts[DIGITS_MAX][1u << DIGIT_BITS];
     struct entry *from = entries, *to = scratch;
-    count_digits(entries, n, shift, counts);
-    for (uint32_t d = 0; d < DIGITS; d++) {
+    count_digits(entries, n, shift, digits, counts);
+    for (uint32_t d = 0; d < digits; d++) {
         if (!start_positions(counts[d], n))
             continue;
         for (uint64_t i = 0; i < n; i++)
@@ -73,8 +76,9 @@ void order_sort(struct entry *entries, struct entry *scratch, uint64_t n, uint32
         insertion_sort(entries, n);
         return;
     }
-    uint32_t shift = bits > DIGITS * DIGIT_BITS ? bits - DIGITS * DIGIT_BITS : 0;
-    radix_sort(entries, scratch, n, shift);
+    uint32_t digits = n <= TWO_DIGITS_COUNT ? 2 : DIGITS_MAX;
+    uint32_t shift = bits > digits * DIGIT_BITS ? bits - digits * DIGIT_BITS : 0;
+    radix_sort(entries, scratch, n, shift, digits);
     for (uint64_t begin = 0, end; shift > 0 && begin < n; begin = end) {
         uint64_t prefix = entries[begin].key >> shift;
         for (end = begin + 1; end < n && entries[end].key >> shift == prefix; end++)
