@@ -144,7 +144,7 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
 /* ---- writing ---- */
 
 /* Bytes that are worth giving to the disk. */
-#define SEND_BYTES ((uint64_t)16 << 20)
+#define SEND_BYTES ((uint64_t)4 << 20)
 
 /* Starts writing what was appended, so that the sync at the end finds little left to do. What goes
  * wrong here goes wrong there too. */
