@@ -37,9 +37,6 @@ struct join {
     uint64_t used_vertices;
 };
 
-static const enum face_kind kind_of[SCAN_COLUMN_COUNT] = {FACE_VERTEX, FACE_VERTEX, FACE_TEXCOORD,
-                                                          FACE_NORMAL};
-
 #define ID_BATCH 16384u
 
 /* Most corners are corners of the triangle before as well, whose values are at hand. */
@@ -186,7 +183,7 @@ static int join_kind(struct join *join, enum face_kind kind)
     uint64_t each = 0; /* bytes of a corner's values */
     uint32_t widest = 0, shift = 0;
     for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        if (kind_of[i] == kind && join->columns[i].active) {
+        if (scan_kind_of(i) == kind && join->columns[i].active) {
             count = scan_count(join->scan, i);
             each += join->columns[i].element_bytes;
             widest =
@@ -204,7 +201,7 @@ static int join_kind(struct join *join, enum face_kind kind)
     if (status == 0)
         status = distribute(join, kind, shift, &buckets);
     for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
-        if (kind_of[i] == kind && join->columns[i].active) {
+        if (scan_kind_of(i) == kind && join->columns[i].active) {
             join->columns[i].shift = shift;
             join->columns[i].bucket_count = bucket_count;
             status = gather_column(join, i, &buckets);
@@ -327,7 +324,7 @@ int join_fetch(struct join *join, const struct face_group *group, struct corner_
                                          values->normals};
     int status = 0;
     for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++) {
-        const uint64_t *indices = group->indices[kind_of[i]];
+        const uint64_t *indices = group->indices[scan_kind_of(i)];
         if (!to[i])
             continue;
         fill_absent(i, group->corner_count, to[i]);

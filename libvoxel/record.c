@@ -11,13 +11,11 @@ static void layout_values(struct record_layout *layout, const struct scan *scan)
 
 static void layout_indices(struct record_layout *layout, const struct scan *scan)
 {
-    static const enum scan_column columns[FACE_KIND_COUNT] = {SCAN_POSITIONS, SCAN_TEXCOORDS,
-                                                              SCAN_NORMALS};
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
         /* The largest number of this width must stay free, it stands for "none". */
-        uint64_t count = scan_count(scan, columns[kind]) << (kind == FACE_VERTEX && layout->fans);
+        uint64_t count = scan_count(scan, scan_column_of(kind)) << (kind == FACE_VERTEX && layout->fans);
         uint32_t width = record_index_width(count, scan->limits->index_bytes);
-        layout->index_bytes[kind] = scan_keeps(scan, columns[kind]) ? width : 0;
+        layout->index_bytes[kind] = scan_keeps(scan, scan_column_of(kind)) ? width : 0;
         layout->index_at[kind] = layout->corner_bytes;
         layout->corner_bytes += layout->index_bytes[kind];
     }

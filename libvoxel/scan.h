@@ -76,4 +76,16 @@ static inline uint64_t scan_count(const struct scan *scan, enum scan_column colu
     return column_count(&scan->columns[column]);
 }
 
+/* Kind of the indices by which corners name the column's elements. */
+static inline enum face_kind scan_kind_of(enum scan_column column)
+{
+    return column == SCAN_TEXCOORDS ? FACE_TEXCOORD : column == SCAN_NORMALS ? FACE_NORMAL : FACE_VERTEX;
+}
+
+/* The column that all indices of this kind name elements of. */
+static inline enum scan_column scan_column_of(enum face_kind kind)
+{
+    return kind == FACE_TEXCOORD ? SCAN_TEXCOORDS : kind == FACE_NORMAL ? SCAN_NORMALS : SCAN_POSITIONS;
+}
+
 #endif

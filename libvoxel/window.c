@@ -4,9 +4,6 @@
 
 #include <assert.h>
 
-static const enum face_kind kind_of[SCAN_COLUMN_COUNT] = {FACE_VERTEX, FACE_VERTEX, FACE_TEXCOORD,
-                                                          FACE_NORMAL};
-
 #define WIDEST_ELEMENT 12u
 /* Elements are read by ranges of this many words of marks at most; and words without marks are read along where it
  * is not worth a call of its own to leave them out. */
@@ -18,15 +15,8 @@ static bool is_active(const struct scan *scan, enum face_kind kind)
 {
     bool active = false;
     for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        active |= kind_of[i] == kind && scan_keeps(scan, i) && scan->columns[i].spool.spilled;
+        active |= scan_kind_of(i) == kind && scan_keeps(scan, i) && scan->columns[i].spool.spilled;
     return active;
-}
-
-static uint64_t kind_count(const struct scan *scan, enum face_kind kind)
-{
-    static const enum scan_column columns[FACE_KIND_COUNT] = {SCAN_POSITIONS, SCAN_TEXCOORDS,
-                                                              SCAN_NORMALS};
-    return scan_count(scan, columns[kind]);
 }
 
 /* ---- memory ---- */
@@ -36,7 +26,8 @@ uint64_t window_bytes(const struct scan *scan, unsigned threads)
     uint64_t bytes = threads * BUFFER_BYTES;
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
         if (is_active(scan, kind))
-            bytes += used_words(kind_count(scan, kind)) * (sizeof(used_word) + sizeof(uint32_t));
+            bytes += used_words(scan_count(scan, scan_column_of(kind))) *
+                     (sizeof(used_word) + sizeof(uint32_t));
     return bytes;
 }
 
@@ -44,7 +35,7 @@ uint64_t window_triangle_bytes(const struct scan *scan)
 {
     uint64_t bytes = 0;
     for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        if (scan_keeps(scan, i) && is_active(scan, kind_of[i]))
+        if (scan_keeps(scan, i) && is_active(scan, scan_kind_of(i)))
             bytes += 3 * scan->columns[i].element_bytes;
     return bytes;
 }
@@ -65,7 +56,7 @@ static int open_kind(struct window *w, enum face_kind number)
 {
     struct window_kind *kind = &w->kinds[number];
     kind->active = is_active(w->scan, number);
-    kind->count = kind_count(w->scan, number);
+    kind->count = scan_count(w->scan, scan_column_of(number));
     if (!kind->active)
         return 0;
     int status =
@@ -85,7 +76,7 @@ int window_open(struct window *w, const struct scan *scan, const struct record_l
     for (int kind = 0; status == 0 && kind < FACE_KIND_COUNT; kind++)
         status = open_kind(w, kind);
     for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
-        if (scan_keeps(scan, i) && w->kinds[kind_of[i]].active)
+        if (scan_keeps(scan, i) && w->kinds[scan_kind_of(i)].active)
             status = open_column(w, i, triangles);
     return status;
 }
@@ -211,7 +202,7 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
 {
     const struct fetch *fetch = arg;
     struct window *w = fetch->window;
-    const struct window_kind *kind = &w->kinds[kind_of[fetch->column]];
+    const struct window_kind *kind = &w->kinds[scan_kind_of(fetch->column)];
     const struct column *column = &w->scan->columns[fetch->column];
     const uint32_t bytes = column->element_bytes;
     uint8_t *buffer = w->buffers + worker * BUFFER_BYTES;
@@ -233,7 +224,7 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
 
 static int fetch_column(struct window *w, enum scan_column number)
 {
-    const struct window_kind *kind = &w->kinds[kind_of[number]];
+    const struct window_kind *kind = &w->kinds[scan_kind_of(number)];
     struct fetch fetch = {w, number};
     w->view.columns[number].spool.bytes = kind->marked * w->view.columns[number].element_bytes;
     return bsq_parallel_for(w->ctx, used_words(kind->count) / RANGE_WORDS + 1, fetch_range, &fetch);

@@ -69,12 +69,10 @@ static int tear_down(void **state)
 
 /* ---- records ---- */
 
-static const enum scan_column column_of[FACE_KIND_COUNT] = {SCAN_POSITIONS, SCAN_TEXCOORDS, SCAN_NORMALS};
-
 /* Corners in a few clusters, the first and the last element, and now and then none. */
 static uint64_t random_index(const struct scan *scan, enum face_kind kind, uint64_t *seed)
 {
-    const uint64_t count = scan_count(scan, column_of[kind]);
+    const uint64_t count = scan_count(scan, scan_column_of(kind));
     uint32_t choice = sort_random(seed) % 64;
     if (count == 0)
         return FMT_OBJ_NONE;
@@ -102,7 +100,7 @@ static void expect_view(const struct window *w, const uint8_t *old, const uint8_
     const struct record_layout *layout = w->layout;
     for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
         const uint32_t width = layout->index_bytes[kind];
-        const uint64_t all = scan_count(w->scan, column_of[kind]);
+        const uint64_t all = scan_count(w->scan, scan_column_of(kind));
         for (uint32_t c = 0; width > 0 && c < 3 * count; c++) {
             uint64_t at = c / 3 * layout->bytes + c % 3 * layout->corner_bytes + layout->index_at[kind];
             uint64_t before = record_load(old + at, width), now = record_load(numbered + at, width);
@@ -113,8 +111,7 @@ static void expect_view(const struct window *w, const uint8_t *old, const uint8_
             for (int i = 0; i < SCAN_COLUMN_COUNT; i++) {
                 const struct column *column = &w->view.columns[i];
                 uint8_t expected[12];
-                bool of_kind = i == (int)column_of[kind] || (kind == FACE_VERTEX && i == SCAN_COLORS);
-                if (!of_kind || !scan_keeps(w->scan, i))
+                if ((int)scan_kind_of(i) != kind || !scan_keeps(w->scan, i))
                     continue;
                 make_element(i, before, column->element_bytes, expected);
                 assert_true(now < column_count(column));
