@@ -14,7 +14,7 @@
 #define DIGIT_MASK  ((1u << DIGIT_BITS) - 1)
 #define SMALL_COUNT 24u
 /* Two digits are enough for so many, and leave them where they were, not in the scratch. */
-#define TWO_DIGITS_COUNT (1u << 16)
+#define TWO_DIGITS_COUNT (1u << 15)
 
 static void insertion_sort(struct entry *entries, uint64_t n)
 {
