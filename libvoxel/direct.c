@@ -130,7 +130,7 @@ static int finish_columns(struct scan *scan)
     return status;
 }
 
-static int begin(struct direct *direct, uint64_t page_memory, uint32_t max_levels)
+static int begin(struct direct *direct, uint64_t page_memory, uint32_t max_levels, uint64_t fan_bytes)
 {
     struct scan *scan = direct->scan;
     struct scattered *out = direct->out;
@@ -150,6 +150,7 @@ static int begin(struct direct *direct, uint64_t page_memory, uint32_t max_level
         .cube = out->cube,
         .levels = out->levels,
         .vertex_cells = spilled ? &direct->vertex_cells : NULL,
+        .fan_bytes = fan_bytes,
     };
     for (unsigned i = 0; status == 0 && i < direct->slot_count; i++)
         status = splitter_init(&direct->slots[i].splitter, scan->ctx, &direct->plan);
@@ -172,7 +173,9 @@ static int decide(struct direct *direct)
     uint64_t page_memory = affordable_pages(direct, &room, table);
     direct->decided = true;
     direct->active = vertices > 0 && levels > 0 && page_memory > 0;
-    return direct->active ? begin(direct, page_memory, levels) : 0;
+    /* What stays for the batches is free until they come, but for the table. */
+    uint64_t fans = BLOCK_BYTES + (room.batches > table ? room.batches - table : 0) / direct->slot_count;
+    return direct->active ? begin(direct, page_memory, levels, fans) : 0;
 }
 
 /* ---- the steps ---- */
@@ -283,7 +286,8 @@ static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
         .indices = {block->corner_vertices, block->corner_texcoords, block->corner_normals},
         .changes = slot->changes,
     };
-    return split_group(&slot->splitter, &group, NULL, max_size);
+    status = split_group(&slot->splitter, &group, NULL, max_size);
+    return status < 0 && slot->splitter.gave_up ? give_up(direct) : status;
 }
 
 static int finish(void *arg, const struct fmt_obj_block *block, unsigned number)

@@ -19,6 +19,7 @@ struct job {
     struct join *join; /* NULL: triangles are scattered by index */
     struct vertex_cells vertex_cells;
     struct split_plan plan;
+    atomic_bool fans_gave_up;
 };
 
 /* ---- cells ---- */
@@ -129,7 +130,7 @@ static int allocate_slot(const struct job *job, struct slot *slot)
     return status;
 }
 
-static int allocate_slots(const struct job *job, struct slot **out, unsigned *count)
+static int allocate_slots(struct job *job, struct slot **out, unsigned *count)
 {
     struct bsq_ctx *ctx = job->scan->ctx;
     uint64_t taken = bsq_memory_used(ctx) + job->scan->limits->page_memory;
@@ -137,6 +138,7 @@ static int allocate_slots(const struct job *job, struct slot **out, unsigned *co
     uint64_t fitting = left / slot_bytes(job);
     unsigned wanted = job->scan->limits->slots;
     *count = fitting < 1 ? 1 : fitting < wanted ? (unsigned)fitting : wanted;
+    job->plan.fan_bytes = left / *count / 2;
     int status = bsq_calloc(ctx, "faces", *count, sizeof **out, out);
     for (unsigned i = 0; status == 0 && i < *count; i++)
         status = allocate_slot(job, &(*out)[i]);
@@ -161,7 +163,7 @@ static int produce(void *arg, void *slot_arg, uint64_t sequence)
 
 static int work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
 {
-    const struct job *job = arg;
+    struct job *job = arg;
     struct slot *slot = slot_arg;
     (void)worker;
     if (!job->join) {
@@ -169,8 +171,11 @@ static int work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
         if (status < 0)
             return status;
     }
-    return split_group(&slot->splitter, &slot->group, job->join ? &slot->values : NULL,
-                       job->scan->faces.max_size);
+    int status = split_group(&slot->splitter, &slot->group, job->join ? &slot->values : NULL,
+                             job->scan->faces.max_size);
+    if (slot->splitter.gave_up)
+        atomic_store(&job->fans_gave_up, true);
+    return status;
 }
 
 static int emit(void *arg, void *slot_arg, uint64_t sequence)
@@ -225,14 +230,25 @@ static uint32_t affordable_levels(struct scan *scan)
     return vertex_cells_levels(vertices, taken < limit ? limit - taken : 0, limits->vertex_cells_bytes);
 }
 
+/* Marking vertices takes a bit for each, which buckets do without. */
+static enum method choose_join(const struct scan *scan)
+{
+    return scan_count(scan, SCAN_POSITIONS) / 8 <= scan->limits->join_bytes / 4 ? BY_PAGES : BY_BUCKETS;
+}
+
 static enum method choose_method(struct scan *scan, uint32_t *levels)
 {
     *levels = affordable_levels(scan);
     if (!record_columns_spilled(scan) || *levels > 0)
         return BY_INDEX;
     *levels = scan->limits->cell_levels;
-    /* Marking vertices takes a bit for each, which buckets do without. */
-    return scan_count(scan, SCAN_POSITIONS) / 8 <= scan->limits->join_bytes / 4 ? BY_PAGES : BY_BUCKETS;
+    return choose_join(scan);
+}
+
+/* The way that the scan turned out not to suit asks for another one. */
+static bool gave_up(const struct job *job)
+{
+    return atomic_load(&job->fans_gave_up) || (job->join && join_gave_up(job->join));
 }
 
 /* Records that are values tell nothing more of the vertices in use. join: NULL where it has not counted them. */
@@ -295,12 +311,13 @@ int scatter_scan(struct scan *scan, const char *beside, struct scattered *out)
     uint32_t levels;
     enum method method = choose_method(scan, &levels);
     int status = scatter_by(&job, method, levels, beside);
-    if (status < 0 && job.join && join_gave_up(job.join)) {
+    while (status < 0 && gave_up(&job)) {
         join_close(job.join);
         scatter_free(scan, out);
         job = (struct job){.scan = scan, .out = out};
         begin_progress(scan);
-        status = scatter_by(&job, BY_BUCKETS, levels, beside);
+        method = method == BY_INDEX ? choose_join(scan) : BY_BUCKETS;
+        status = scatter_by(&job, method, scan->limits->cell_levels, beside);
     }
     bsq_progress_end(scan->ctx);
     join_close(job.join);

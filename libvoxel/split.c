@@ -49,12 +49,21 @@ void splitter_free(struct splitter *s)
     memset(s, 0, sizeof *s);
 }
 
-static int room_for_triangles(struct splitter *s, uint64_t triangles)
+static int room_for_triangles(struct splitter *s, uint64_t triangles, uint64_t links)
 {
     int status = bsq_grow(s->ctx, "faces", triangles, sizeof *s->corners, &s->corners, &s->corners_capacity);
     if (status == 0)
-        status = bsq_grow(s->ctx, "faces", triangles, sizeof *s->links, &s->links, &s->link_capacity);
+        status = bsq_grow(s->ctx, "faces", links, sizeof *s->links, &s->links, &s->link_capacity);
     return status;
+}
+
+/* Polygons of many corners in many cells, which no surface has, would multiply; but twice as many triangles as there are is
+ * what other groups have room for. */
+static bool fans_are_too_many(const struct splitter *s, const struct face_group *group, uint64_t triangles)
+{
+    const uint64_t usual = 2 * (group->corner_count - 2 * (uint64_t)group->face_count);
+    const uint64_t each = sizeof *s->corners + coded_bound(s->plan, FACE_KIND_COUNT) + 1;
+    return triangles > usual && triangles > s->plan->fan_bytes / each;
 }
 
 static int room_for_polygons(struct splitter *s, uint32_t max_size)
@@ -181,7 +190,12 @@ static int add_fan(struct splitter *s, const struct source *source, uint32_t fir
 {
     const uint32_t cells = list_cells(s, source, first, size);
     const uint32_t material = source->material[lacks_texcoord(source->group, first, first + 1, first + 2)];
-    int status = room_for_triangles(s, s->triangles + (uint64_t)cells * (size - 2));
+    const uint64_t triangles = s->triangles + (uint64_t)cells * (size - 2);
+    if (fans_are_too_many(s, source->group, triangles)) {
+        s->gave_up = true;
+        return BSQ_EBUG;
+    }
+    int status = room_for_triangles(s, triangles, (uint64_t)s->link_count + cells);
     for (uint32_t i = 0; status == 0 && i < cells; i++) {
         extend_links(s, s->fan_cells[i], material, size - 2);
         for (uint32_t k = 2; k < size; k++) {
@@ -199,7 +213,7 @@ static int add_face(struct splitter *s, const struct source *source, uint32_t fi
     const bool fans = s->plan->vertex_cells && source->group->sizes;
     if (fans && size > 3)
         return add_fan(s, source, first, size);
-    int status = fans ? room_for_triangles(s, s->triangles + 1) : 0; /* which fans may have taken */
+    int status = fans ? room_for_triangles(s, s->triangles + 1, (uint64_t)s->link_count + 1) : 0; /* which fans may have taken */
     if (status == 0 && size == 3)
         add_triangle(s, source, first, first + 1, first + 2);
     else if (status == 0)
@@ -547,7 +561,7 @@ int split_group(struct splitter *s, const struct face_group *group,
     } else if (s->groups_without_order > 0) {
         s->groups_without_order--;
     }
-    status = room_for_triangles(s, triangles);
+    status = room_for_triangles(s, triangles, triangles);
     if (status == 0)
         status = room_for_polygons(s, max_size);
     if (status < 0)

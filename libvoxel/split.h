@@ -17,6 +17,7 @@ struct split_plan {
     uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
     const struct record_layout *values; /* corners are coded by value; NULL: by index */
     const struct vertex_cells *vertex_cells; /* where positions are neither in memory nor values: polygons become fans then */
+    uint64_t fan_bytes;                      /* what a group with fans may take in a splitter where it is not usual */
     used_word *used; /* of vertices that faces refer to; NULL where records will tell */
 };
 
@@ -43,6 +44,7 @@ struct splitter {
     uint32_t piece_count;
     uint8_t *bytes;
     uint64_t triangles; /* in the pieces: fans are in several */
+    bool gave_up;       /* a group failed without an error, as its polygons are in too many cells for fans */
     /* Buffers; capacities in elements. */
     uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity, sorted_capacity;
     uint32_t (*corners)[3]; /* of the triangles, numbers in the group; SPLIT_CONTINUES in the first */

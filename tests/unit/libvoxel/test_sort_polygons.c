@@ -10,7 +10,7 @@
 #include <string.h>
 #include <cmocka.h>
 
-enum { NORMALS = 1, TEXCOORDS = 2, SHUFFLED = 4, MATERIALS = 8, MIXED = 16, GIANT = 32 };
+enum { NORMALS = 1, TEXCOORDS = 2, SHUFFLED = 4, MATERIALS = 8, MIXED = 16, GIANT = 32, TANGLED = 64 };
 
 #define SIDE 300u /* vertices along a row */
 
@@ -41,6 +41,21 @@ static void shuffle(uint32_t *order, uint32_t count, uint64_t *seed)
         order[i] = order[other];
         order[other] = kept;
     }
+}
+
+#define TANGLED_FACES   6000u
+#define TANGLED_CORNERS 100u
+
+/* Polygons with corners anywhere in the scan: as fans each would be in all cells. */
+static uint64_t write_tangled(FILE *file, uint64_t *seed)
+{
+    for (uint32_t i = 0; i < TANGLED_FACES; i++) {
+        fputc('f', file);
+        for (uint32_t c = 0; c < TANGLED_CORNERS; c++)
+            fprintf(file, " %u", sort_random(seed) % (SIDE * SIDE) + 1);
+        fputc('\n', file);
+    }
+    return (uint64_t)TANGLED_FACES * (TANGLED_CORNERS - 2);
 }
 
 /* Returns how many triangles the polygons have. */
@@ -83,6 +98,8 @@ static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
         fputc('\n', file);
         triangles += FAN_CORNERS - 1;
     }
+    if (flags & TANGLED)
+        triangles += write_tangled(file, &seed);
     assert_int_equal(fclose(file), 0);
     return triangles;
 }
@@ -165,6 +182,12 @@ static void a_polygon_may_be_too_large_for_a_fan(void **state)
     expect_the_same_for_all_ways(*state, GIANT | TEXCOORDS);
 }
 
+/* What they would take as fans is more than the memory that there is. */
+static void polygons_may_be_in_too_many_cells_for_fans(void **state)
+{
+    expect_the_same_for_all_ways(*state, TANGLED);
+}
+
 int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
@@ -173,6 +196,7 @@ int main(void)
         TEST(polygons_keep_their_attributes),
         TEST(polygons_may_have_some_texture_coordinates),
         TEST(a_polygon_may_be_too_large_for_a_fan),
+        TEST(polygons_may_be_in_too_many_cells_for_fans),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
