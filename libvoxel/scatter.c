@@ -183,7 +183,8 @@ static int emit(void *arg, void *slot_arg, uint64_t sequence)
     struct job *job = arg;
     const struct slot *slot = slot_arg;
     (void)sequence;
-    bsq_progress_add(job->scan->ctx, slot->splitter.triangles);
+    /* Fans are in several cells. */
+    bsq_progress_add(job->scan->ctx, slot->group.corner_count - 2 * (uint64_t)slot->group.face_count);
     return scatter_collect(job->out, &slot->splitter);
 }
 

@@ -18,11 +18,20 @@ static void keep_warning(void *user, const char *line)
     f->warnings++;
 }
 
+static void keep_progress(void *user, const struct bsq_progress *progress)
+{
+    struct sort_fixture *f = user;
+    f->beyond_total |= progress->done > progress->total;
+    if (progress->finished)
+        f->progress = *progress;
+}
+
 void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads)
 {
     struct bsq_ctx_options options = {.memory_bytes = memory,
                                       .threads = threads,
                                       .tmpdir = f->dir,
+                                      .on_progress = keep_progress,
                                       .on_warning = keep_warning,
                                       .user = f};
     if (f->ctx) {

@@ -12,6 +12,8 @@ struct sort_fixture {
     struct bsq_ctx *ctx;
     char warning[256];
     unsigned warnings;
+    bool beyond_total;            /* some stage did more than it said it would */
+    struct bsq_progress progress; /* the last report of a stage */
     struct vox_sort_report report;
 };
 

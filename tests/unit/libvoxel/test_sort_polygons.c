@@ -144,6 +144,9 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
         expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
         assert_int_equal(f->report.unused_vertices, 0);
+        assert_string_equal(f->progress.stage, "writing");
+        assert_int_equal(f->progress.done, f->progress.total);
+        assert_false(f->beyond_total);
         assert_int_equal(f->report.temp_bytes > 0, way > 0);
         uint8_t *bytes = sort_read_bytes(f->tris, &sizes[way > 0]);
         if (way == 0) {
