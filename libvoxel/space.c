@@ -12,7 +12,7 @@ static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
 }
 
 /* Where columns are in a file: what faces take that do not come last, and triangles in their cells. Scans that have to be
- * joined with values need more, which is checked for when they turn out to be such. */
+ * joined with values need more, which only shows when they are read. */
 static uint64_t faces_and_runs(const struct fmt_obj_estimate *scan, const struct sort_limits *limits, uint64_t coded)
 {
     return (scan->faces_come_last ? 0 : coded) + (coded > limits->page_memory ? coded - limits->page_memory : 0);

@@ -11,7 +11,7 @@ struct space {
 };
 
 /* For a scan of this size, as a rule: faces that refer to vertices in their order or nearly so.
- * Others need more, which is checked for when they turn out to be such. */
+ * Others need more, and end when the disk is full; so no scan is refused that has room. */
 struct space space_for(const struct fmt_obj_estimate *scan, const struct sort_limits *limits);
 
 #endif
