@@ -1,4 +1,5 @@
-/* join.h - private to the sorter: corners meet their values when columns are in files. */
+/* join.h - private to the sorter: corners meet their values before they are scattered, where columns are in files and scattering
+ * by index is not possible (scatter.c). */
 #ifndef VOX_JOIN_H
 #define VOX_JOIN_H
 

@@ -1,8 +1,8 @@
 /* record.h - private to the sorter: a triangle on its way into the sorted file.
  *
  * Three corners and a material. A corner is its indices, each in as few bytes as the scan's counts need, four
- * at least; or its values, where columns are in files and faces were joined with them (join.h). Records are packed; loads may read RECORD_SLACK bytes past the
- * end. Outside of batches they are coded, see run.h. */
+ * at least; or its values, where columns are in files and faces were joined with them (join.h). Records are packed;
+ * loads may read RECORD_SLACK bytes past the end. Outside of batches they are coded, see run.h. */
 #ifndef VOX_RECORD_H
 #define VOX_RECORD_H
 
@@ -18,7 +18,7 @@ struct record_layout {
     bool windowed; /* by index, and columns are in files: see window.h */
     bool fans;     /* polygons come as fans, see fans.h: the highest bit of a first vertex number says that its triangle
                     * belongs to the fan of the one before */
-    bool plain; /* a record is three four-byte vertex numbers and vertices are positions */
+    bool plain;    /* a record is three four-byte vertex numbers and vertices are positions */
     /* Of an index; 0: the kind is not stored. Only where !by_value. */
     uint32_t index_bytes[FACE_KIND_COUNT];
     /* Where in a corner: an index by its kind, or a value by its column. */
