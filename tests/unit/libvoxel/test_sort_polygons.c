@@ -12,7 +12,7 @@
 
 enum { NORMALS = 1, TEXCOORDS = 2, SHUFFLED = 4, MATERIALS = 8, MIXED = 16, GIANT = 32, TANGLED = 64 };
 
-#define SIDE 300u /* vertices along a row */
+#define SIDE 200u /* vertices along a row */
 
 /* A row of bumpy quads merged into polygons, that are far from flat or convex, and some triangles. Corners `first` to
  * first + width of this row, and those of the next one back. */
