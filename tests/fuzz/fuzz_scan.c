@@ -1,6 +1,6 @@
 /* fuzz_scan.c - fuzz target for both stages: a scan, as a chunk file or as OBJ text, is sorted,
  * voxelized and baked, from the grid and from its triangles. What one stage writes, the next must
- * accept. */
+ * accept; and sorting must write the same where vertices have no room in memory. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/tris_mend.h"
 
@@ -12,6 +12,7 @@
 #include "formats/tris.h"
 #include "libbake/bake.h"
 #include "libbake/device_internal.h"
+#include "libvoxel/sort_internal.h"
 #include "libvoxel/voxel.h"
 
 enum { MAGIC_BYTES = 8, RESOLUTION = 7 };
@@ -23,7 +24,7 @@ static const char low_mesh[] = "v 0 0 0\nv 1 0 .5\nv 1 1 1\nv 0 1 .5\n"
 
 /* Files of one run, in a folder that all share. */
 static struct {
-    char folder[64], obj[96], tris[96], grid[96], low[96], map[96];
+    char folder[64], obj[96], tris[96], other[96], grid[96], low[96], map[96];
 } files;
 
 static void write_file(const char *path, const void *data, size_t size)
@@ -42,6 +43,7 @@ static void remove_files(void)
     }
     unlink(files.obj);
     unlink(files.tris);
+    unlink(files.other);
     unlink(files.grid);
 }
 
@@ -63,6 +65,7 @@ static void begin(void)
     require(mkdtemp(files.folder) != NULL, "no folder");
     snprintf(files.obj, sizeof files.obj, "%s/scan.obj", files.folder);
     snprintf(files.tris, sizeof files.tris, "%s/scan.tris", files.folder);
+    snprintf(files.other, sizeof files.other, "%s/other.tris", files.folder);
     snprintf(files.grid, sizeof files.grid, "%s/scan.nvdb", files.folder);
     snprintf(files.low, sizeof files.low, "%s/low.obj", files.folder);
     snprintf(files.map, sizeof files.map, "%s/<MAP>.exr", files.folder);
@@ -77,6 +80,38 @@ static int sort(struct bsq_ctx *ctx)
         .obj_paths = paths, .obj_count = 1, .tris_path = files.tris};
     struct vox_sort_report report;
     return vox_sort(ctx, &options, &report);
+}
+
+/* Vertices are in a file; faces are scattered as they are read, or later, or joined with their vertices. */
+enum way { AT_ONCE, LATER, JOINED, WAY_COUNT };
+static enum way way;
+
+static int sort_otherwise(struct bsq_ctx *ctx)
+{
+    const char *paths[] = {files.obj};
+    const struct vox_sort_options options = {
+        .obj_paths = paths, .obj_count = 1, .tris_path = files.other};
+    struct vox_sort_report report;
+    struct sort_limits limits;
+    sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);
+    limits.column_bytes = 0;
+    if (way == LATER)
+        limits.direct_memory = 0;
+    if (way == JOINED)
+        limits.vertex_cells_bytes = 0;
+    return sort_with_limits(ctx, &options, &limits, &report);
+}
+
+static void require_same_chunks(void)
+{
+    FILE *a = fopen(files.tris, "rb"), *b = fopen(files.other, "rb");
+    require(a && b, "chunks that are not there");
+    for (int x = 0; x != EOF;) {
+        x = fgetc(a);
+        require(fgetc(b) == x, "other chunks where vertices are in a file");
+    }
+    fclose(a);
+    fclose(b);
 }
 
 static int voxelize(struct bsq_ctx *ctx)
@@ -156,6 +191,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         status = fuzz_in_context(sort);
         if (!status)
             fuzz_in_context(check_tris);
+        way = (enum way)(size % WAY_COUNT);
+        if (!status && fuzz_in_context(sort_otherwise) == 0)
+            require_same_chunks();
     }
     if (!status)
         fuzz_in_context(bake_triangles);
