@@ -76,7 +76,12 @@ static inline uint64_t record_fan_bit(const struct record_layout *layout)
 
 static inline bool record_continues_fan(const struct record_layout *layout, const uint8_t *record)
 {
-    return (record_vertex_index(layout, record) & record_fan_bit(layout)) != 0;
+    return record[layout->index_bytes[FACE_VERTEX] - 1] >> 7;
+}
+
+static inline void record_continue_fan(const struct record_layout *layout, uint8_t *record)
+{
+    record[layout->index_bytes[FACE_VERTEX] - 1] |= 0x80;
 }
 
 /* Position of a corner; `copy` is where it is put if it does not lie aligned. */

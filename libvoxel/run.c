@@ -132,10 +132,9 @@ static void set_materials(const struct scan *scan, const struct record_layout *l
 
 static void set_fans(const struct record_layout *layout, const uint8_t *bits, uint32_t count, uint8_t *records)
 {
-    const uint32_t bytes = layout->index_bytes[FACE_VERTEX];
     for (uint32_t t = 0; t < count; t++, records += layout->bytes)
         if (bits[t / 8] >> t % 8 & 1)
-            record_store(records, record_vertex_index(layout, records) | record_fan_bit(layout), bytes);
+            record_continue_fan(layout, records);
 }
 
 static void decode(const struct run_reader *reader, const struct run_header *header,
