@@ -527,6 +527,8 @@ static const char *parse_plain_triangles(struct obj_block *block, const char *p,
         limit = block->face_capacity;
     if (limit > last_face) /* whose line is to be known */
         limit = last_face;
+    if (limit <= first) /* or there may be no room at all yet */
+        return p;
     uint64_t face = first, *corners = block->corners[OBJ_VERTEX] + block->corner_count;
     while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {
         const char *after = obj_three_indices(p + 2, corners);
