@@ -16,7 +16,7 @@ struct block_slot {
     struct face_change *changes;
     uint64_t change_capacity;
     uint32_t max_size; /* of a face */
-    bool lacks_texcoord;
+    bool lacks_texcoord, has_normals;
 };
 
 struct direct {
@@ -219,13 +219,23 @@ static bool any_none(const uint64_t *indices, uint64_t count)
     return any;
 }
 
+/* Faces that were left out may have been the only ones. */
+static bool any_index(const uint64_t *indices, uint64_t count)
+{
+    for (uint64_t i = 0; i < count; i++)
+        if (indices[i] != FMT_OBJ_NONE)
+            return true;
+    return false;
+}
+
 /* All indices of the block are those of elements that were read. */
 static bool indices_are_known(const struct scan *scan, const struct fmt_obj_block *block,
-                              bool *lacks_texcoord)
+                              struct block_slot *slot)
 {
     const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
     const uint64_t count = block->corner_count;
-    *lacks_texcoord = !texcoords || any_none(texcoords, count);
+    slot->lacks_texcoord = !texcoords || any_none(texcoords, count);
+    slot->has_normals = normals && any_index(normals, count);
     return all_below(block->corner_vertices, count, scan_count(scan, SCAN_POSITIONS)) &&
            (!normals || all_below(normals, count, scan_count(scan, SCAN_NORMALS))) &&
            (!texcoords || all_below(texcoords, count, scan_count(scan, SCAN_TEXCOORDS)));
@@ -269,7 +279,7 @@ static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
             unused_memory(direct->scan->ctx) / direct->slot_count)
         return give_up(direct);
     if (block->corner_count > UINT32_MAX / 32 ||
-        !indices_are_known(direct->scan, block, &slot->lacks_texcoord))
+        !indices_are_known(direct->scan, block, slot))
         return give_up(direct);
     if (direct->plan.vertex_cells && !split_makes_fans(max_size, block->corner_texcoords && slot->lacks_texcoord))
         return give_up(direct);
@@ -301,7 +311,7 @@ static int finish(void *arg, const struct fmt_obj_block *block, unsigned number)
     scan->faces.corner_count += block->corner_count;
     scan->faces.lacks_texcoord |= slot->lacks_texcoord;
     scan->faces.max_size = slot->max_size > scan->faces.max_size ? slot->max_size : scan->faces.max_size;
-    scan->has_normals |= block->corner_normals != NULL;
+    scan->has_normals |= slot->has_normals;
     return scatter_collect(direct->out, &slot->splitter);
 }
 

@@ -278,6 +278,24 @@ static void one_texture_can_be_given_for_all(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), texture));
 }
 
+/* A face of two corners is no face, and its normals are none of the scan's, whenever faces are scattered. */
+static void normals_of_faces_left_out_do_not_count(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    const struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
+    for (int later = 0; later < 2; later++) {
+        struct sort_limits limits;
+        sort_limits_for(64 * MIB, 1, &limits);
+        if (later)
+            limits.direct_memory = 0;
+        expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+        assert_int_equal(f->report.short_faces, 1);
+        assert_false(f->report.has_normals);
+    }
+}
+
 int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
@@ -292,6 +310,7 @@ int main(void)
         TEST(a_missing_texture_leaves_the_diffuse_colour),
         TEST(without_materials_texture_coordinates_go),
         TEST(one_texture_can_be_given_for_all),
+        TEST(normals_of_faces_left_out_do_not_count),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
