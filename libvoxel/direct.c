@@ -121,22 +121,13 @@ static uint64_t affordable_pages(const struct direct *direct, const struct room 
     return pages < most ? pages : most;
 }
 
-/* Nothing follows in the columns. */
-static int finish_columns(struct scan *scan)
-{
-    int status = 0;
-    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
-        status = spool_finish(&scan->columns[i].spool);
-    return status;
-}
-
 static int begin(struct direct *direct, uint64_t page_memory, uint32_t max_levels, uint64_t fan_bytes)
 {
     struct scan *scan = direct->scan;
     struct scattered *out = direct->out;
     const bool spilled = scan->columns[SCAN_POSITIONS].spool.spilled;
     uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
-    int status = finish_columns(scan);
+    int status = scan_finish_columns(scan);
     if (status == 0)
         status = scatter_begin(scan, direct->beside, 2 * vertices, page_memory, max_levels, out);
     if (status == 0)

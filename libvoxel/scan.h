@@ -57,6 +57,8 @@ void scan_touch_ahead(struct scan *scan);
 int scan_add_faces(struct scan *scan, const struct fmt_obj_block *block);
 /* Both, for fmt_obj_read(); struct scan is `arg`. */
 int scan_add_block(void *arg, const struct fmt_obj_block *block);
+/* Nothing follows in the columns, which can be read from then on; a second call does nothing. */
+int scan_finish_columns(struct scan *scan);
 /* Call after the last block. Checks all indices; the first one out of range is the error. */
 int scan_finish(struct scan *scan, struct fmt_obj_reader *reader);
 

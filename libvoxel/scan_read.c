@@ -355,11 +355,19 @@ static int check_indices(struct scan *scan, struct fmt_obj_reader *reader)
     return 0;
 }
 
+int scan_finish_columns(struct scan *scan)
+{
+    int status = 0;
+    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
+        status = spool_finish(&scan->columns[i].spool);
+    return status;
+}
+
 int scan_finish(struct scan *scan, struct fmt_obj_reader *reader)
 {
     int status = face_store_finish(&scan->faces);
-    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
-        status = spool_finish(&scan->columns[i].spool);
+    if (status == 0)
+        status = scan_finish_columns(scan);
     if (status < 0)
         return status;
     if (scan->clamped_colors > 0)
