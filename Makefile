@@ -43,10 +43,8 @@ LIBS.bake    := -ldl
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
 libs := base formats libvoxel libbake
-src.base     := $(wildcard base/*.c)
-src.formats  := $(wildcard formats/*.c)
-src.libvoxel := $(wildcard libvoxel/*.c)
-src.libbake  := $(wildcard libbake/*.c libbake/kernel/*.c)
+# Each library is a folder whose subfolders are its rooms.
+$(foreach l,$(libs),$(eval src.$(l) := $(sort $(shell find $(l) -name '*.c'))))
 objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1)))
 archive.base     := $(BUILD)/lib/libbisque-base.a
 archive.formats  := $(BUILD)/lib/libbisque-formats.a
@@ -57,11 +55,11 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 # Parts of formats that are opened at their first use, see formats/module.c. The stamp says that both
 # sides were compiled with the same headers between them.
 modules      := texture openvdb
-src.texture  := formats/texture_oiio.cc formats/texture_pyramid.cc
-src.openvdb  := formats/vdb_export_openvdb.cc base/octahedral.c
+src.texture  := formats/image/texture_oiio.cc formats/image/texture_pyramid.cc
+src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,context.h file.h output.h parallel.h) \
-    $(addprefix formats/,module_internal.h nvdb.h texture.h)
+    $(addprefix formats/,module_internal.h grid/nvdb.h image/texture.h)
 module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
 
@@ -81,23 +79,23 @@ $(BUILD)/obj/%.cc.o: %.cc
 # The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
 $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
 # Whoever says the version is compiled again when it is raised here.
-$(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(foreach m,$(modules),$(src.$(m))) libbake/map_output.c libvoxel/job_record.c \
+$(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(foreach m,$(modules),$(src.$(m))) libbake/maps/map_files.c libvoxel/job_record.c \
     tools/cli.c tools/cli_report.c): Makefile
 # Fused operations would round otherwise. Nobody makes them where -ffp-contract=off says so; but Clang takes AVX-512 away with
 # them.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
 # Chosen at run time where the processor has it.
 ifneq ($(filter x86_64,$(shell uname -m)),)
-$(BUILD)/obj/libvoxel/lane_code_avx2.c.o: CFLAGS += -mavx2 $(no_fma)
-$(BUILD)/obj/libvoxel/lane_code_avx512.c.o: CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 -mlzcnt $(no_fma)
+$(BUILD)/obj/libvoxel/voxelize/lane_code_avx2.c.o: CFLAGS += -mavx2 $(no_fma)
+$(BUILD)/obj/libvoxel/voxelize/lane_code_avx512.c.o: CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 -mlzcnt $(no_fma)
 endif
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 
 # Sources of the kernel for processors with AVX2 and AVX-512.
 ifneq ($(findstring x86-64,$(ARCH)),)
-$(patsubst %,$(BUILD)/%/libbake/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
-$(patsubst %,$(BUILD)/%/libbake/native_lanes16.c.o,obj counted): CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw \
+$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
+$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes16.c.o,obj counted): CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw \
     -mprefer-vector-width=512 -mbmi -mbmi2 -mlzcnt $(no_fma)
 endif
 
@@ -143,7 +141,7 @@ $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
 # A sum over all sources that a chunk file's bytes may depend on, see libvoxel/job_record.c.
-chunk_sources := $(sort $(wildcard $(foreach l,base formats libvoxel,$(addprefix $(l)/*.,c cc h))))
+chunk_sources := $(sort $(shell find base formats libvoxel -name '*.c' -o -name '*.cc' -o -name '*.h'))
 $(BUILD)/gen/chunk_sources.inc: $(chunk_sources) Makefile
 	@mkdir -p $(@D)
 	cat $(chunk_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
@@ -159,9 +157,12 @@ endef
 $(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p))))
 
 # ---- tests ----
-# tests/unit/LIB/test_NAME.c is one cmocka program; it links LIB and what LIB may include.
-unit_sources := $(wildcard tests/unit/*/test_*.c tests/unit/*/test_*.cc)
-unit_bins    := $(patsubst tests/unit/%,$(BUILD)/tests/%,$(basename $(unit_sources)))
+# tests/unit/LIB/ROOM/test_NAME.c is one cmocka program, $(BUILD)/tests/LIB/test_NAME; it links LIB and what LIB may
+# include. So names of tests are unique within a library.
+unit_sources := $(sort $(shell find tests/unit -name 'test_*.c' -o -name 'test_*.cc'))
+unit_lib = $(word 3,$(subst /, ,$(1)))
+unit_bin = $(BUILD)/tests/$(call unit_lib,$(1))/$(basename $(notdir $(1)))
+unit_bins    := $(foreach s,$(unit_sources),$(call unit_bin,$(s)))
 comma := ,
 needs.base     := $(archive.base)
 needs.formats  := $(archive.formats) $(archive.base)
@@ -171,14 +172,17 @@ needs.libbake  := $(archive.libbake) $(archive.formats) $(archive.base)
 needs.exhaustion := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--wrap=,malloc calloc realloc pthread_create))
 $(filter $(BUILD)/tests/exhaustion/%,$(unit_bins)): LDFLAGS += $(sanitizer_wraps)
-# Helpers that several tests of one library share: tests/unit/LIB/*.c that do not begin with test_.
-helpers = $(patsubst %,$(BUILD)/obj/%.o,$(filter-out $(unit_sources),$(wildcard tests/unit/$(1)/*.c)))
-.SECONDEXPANSION:
-$(unit_bins): $(BUILD)/tests/%: $$(patsubst $$(percent),$(BUILD)/obj/$$(percent).o,$$(wildcard tests/unit/$$*.c tests/unit/$$*.cc)) $$(needs.$$(firstword $$(subst /, ,$$*))) $$(call helpers,$$(firstword $$(subst /, ,$$*))) | $$(if $$(filter base/$$(percent),$$*),,$(module_files) $(BUILD)/tests/lib)
-	@mkdir -p $(@D)
-	$(CXX) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(needs.$(firstword $(subst /, ,$*))) -lcmocka \
-	    $(if $(filter base,$(firstword $(subst /, ,$*))),,$(LIBS.formats) $(LIBS.bake) $(LIBS.tests)) $(LIBS.base)
-percent := %
+# Helpers that several tests of one library share: the sources beside its tests that do not begin with test_.
+$(foreach l,base formats libvoxel libbake exhaustion,$(eval helpers.$(l) := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out \
+    $(unit_sources),$(shell find tests/unit/$(l) -name '*.c')))))
+define unit_rule
+$(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) $(helpers.$(call unit_lib,$(1))) \
+    | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(BUILD)/tests/lib)
+	@mkdir -p $$(@D)
+	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(needs.$(call unit_lib,$(1))) -lcmocka \
+	    $(if $(filter base,$(call unit_lib,$(1))),,$$(LIBS.formats) $$(LIBS.bake) $$(LIBS.tests)) $$(LIBS.base)
+endef
+$(foreach s,$(unit_sources),$(eval $(call unit_rule,$(s))))
 # Other programs' readers and tracers, which some tests compare with.
 LIBS.tests = $(LIBS.openvdb) -lembree3
 # Tests find the modules as programs do, in ../lib/bisque.
@@ -222,10 +226,11 @@ $(xxh3): tests/naive/xxh3.c
 # in config=fuzz they become programs that replay files.
 fuzz_names := $(patsubst tests/fuzz/fuzz_%.c,%,$(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c)))
 fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
-fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o $(BUILD)/obj/tests/unit/formats/nvdb_scene.c.o
+fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o $(BUILD)/obj/tests/unit/formats/grid/nvdb_scene.c.o
 fuzz.tris  := $(BUILD)/obj/tests/fuzz/tris_mend.c.o
 fuzz.scan  := $(fuzz.tris)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
+.SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
 $(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \
     $(BUILD)/obj/tests/fuzz/replay.c.o $(fuzz_libs)
@@ -335,7 +340,7 @@ $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) |
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base) -lembree3
 # The native devices once more, with counters; their objects come before the library's.
-counted := device_native native_lanes4 native_lanes8 native_lanes16
+counted := native native_lanes4 native_lanes8 native_lanes16
 $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
 	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@
@@ -344,7 +349,7 @@ $(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_ar
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 $(BUILD)/tests/bench-rays-counters: $(call rays_objs) $(BUILD)/counted/tests/bench/rays_counters.c.o \
-    $(counted:%=$(BUILD)/counted/libbake/%.c.o) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+    $(counted:%=$(BUILD)/counted/libbake/device/native/%.c.o) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 

@@ -115,8 +115,9 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
 /* Frees memory of bsq_alloc/calloc/grow; NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);
 
-/* Takes the whole pages in [at, at + bytes) from the system now and not when they are first touched: for threads that have
- * time for it before another one fills them. Content stays; a wish, that older systems do not grant. */
+/* Takes the whole pages in [at, at + bytes) from the system now and not when they are first
+ * touched: for threads that have time for it before another one fills them. Content stays; a wish,
+ * that older systems do not grant. */
 void bsq_touch(void *at, uint64_t bytes);
 
 /* Counts `bytes` that somebody else allocates (a library's cache) against the budget. */

@@ -13,17 +13,20 @@ extern "C" {
 #endif
 
 struct bsq_file {
-    int fd;          /* -1 when closed */
-    uint64_t size;   /* input: size when opened; temporary: bytes appended so far */
-    char *path;      /* for messages; owned */
+    int fd;        /* -1 when closed */
+    uint64_t size; /* input: size when opened; temporary: bytes appended so far */
+    char *path;    /* for messages; owned */
 };
+/* clang-format off */
 #define BSQ_FILE_CLOSED {-1, 0, NULL}
+/* clang-format on */
 
 /* Opens a regular file for reading. Errors: BSQ_ENOINPUT. */
 int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
 
 /* Creates an unnamed temporary file (gone when closed or killed) in the context's tmpdir or, where
- * there is none, in the directory of `beside` (an output path; may be NULL: "."). `what` is for messages. */
+ * there is none, in the directory of `beside` (an output path; may be NULL: "."). `what` is for
+ * messages. */
 int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out);
 
 /* A second descriptor of the same file. Errors: BSQ_ENOINPUT. */

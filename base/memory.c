@@ -257,7 +257,8 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
 void bsq_touch(void *at, uint64_t bytes)
 {
 #ifdef MADV_POPULATE_WRITE
-    uintptr_t page = (uintptr_t)sysconf(_SC_PAGE_SIZE), begin = ((uintptr_t)at + page - 1) & ~(page - 1);
+    uintptr_t page = (uintptr_t)sysconf(_SC_PAGE_SIZE),
+              begin = ((uintptr_t)at + page - 1) & ~(page - 1);
     uintptr_t end = ((uintptr_t)at + bytes) & ~(page - 1);
     int error = errno;
     if (begin < end)

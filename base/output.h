@@ -25,9 +25,10 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
                          struct bsq_output **out);
 int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out);
 
-/* Sets room aside for a file of `size` bytes, more than none, where the file system can: a full disk
- * is noticed at once, and writing takes less time. At least as many must be appended before the file
- * is synced, committed or kept, which is BSQ_EBUG otherwise. Errors: BSQ_EIO, BSQ_EINTR. */
+/* Sets room aside for a file of `size` bytes, more than none, where the file system can: a full
+ * disk is noticed at once, and writing takes less time. At least as many must be appended before
+ * the file is synced, committed or kept, which is BSQ_EBUG otherwise. Errors: BSQ_EIO, BSQ_EINTR.
+ */
 int bsq_output_expect(struct bsq_output *output, uint64_t size);
 
 /* Appends, or writes at an offset. Errors: BSQ_EIO. bsq_output_write_at is thread-safe for disjoint

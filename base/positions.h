@@ -1,7 +1,8 @@
 /* positions.h - vertices that are one where their positions are: a table that finds them.
  *
- * Scans repeat vertices, at seams of texture space and in every chunk that touches them. Normals as if the scan were whole
- * (libvoxel/smooth_normals.c, libbake/exact_smooth.c) need to know which of them are the same. */
+ * Scans repeat vertices, at seams of texture space and in every chunk that touches them. Normals as
+ * if the scan were whole (libvoxel/voxelize/cache/smooth_normals.c, libbake/exact/exact_smooth.c)
+ * need to know which of them are the same. */
 #ifndef BSQ_POSITIONS_H
 #define BSQ_POSITIONS_H
 
@@ -39,7 +40,8 @@ static inline uint32_t bsq_position_hash(const float p[3])
 }
 
 /* Slot of the position, which has this hash, or the free one where it belongs. */
-static inline uint32_t *bsq_positions_find_hashed(const struct bsq_positions *table, const float p[3], uint32_t hash)
+static inline uint32_t *bsq_positions_find_hashed(const struct bsq_positions *table,
+                                                  const float p[3], uint32_t hash)
 {
     uint32_t at = hash & table->mask;
     for (; table->slots[at] != 0; at = (at + 1) & table->mask) {
@@ -55,20 +57,25 @@ static inline uint32_t *bsq_positions_find(const struct bsq_positions *table, co
     return bsq_positions_find_hashed(table, p, bsq_position_hash(p));
 }
 
-/* Positions that are looked for together, so that the table's slots are there when they are needed. */
+/* Positions that are looked for together, so that the table's slots are there when they are needed.
+ */
 enum { BSQ_POSITIONS_BATCH = 64 };
 
 typedef float bsq_four_floats __attribute__((vector_size(16)));
 typedef int32_t bsq_four_masks __attribute__((vector_size(16)));
 
-/* Those of a batch inside the bounds: their indices. Returns their number. Four positions at a time are three vectors. */
-static inline uint32_t bsq_positions_inside(const float min[3], const float max[3], const float (*positions)[3],
-                                            uint32_t count, uint32_t inside[BSQ_POSITIONS_BATCH])
+/* Those of a batch inside the bounds: their indices. Returns their number. Four positions at a time
+ * are three vectors. */
+static inline uint32_t bsq_positions_inside(const float min[3], const float max[3],
+                                            const float (*positions)[3], uint32_t count,
+                                            uint32_t inside[BSQ_POSITIONS_BATCH])
 {
-    const bsq_four_floats low[3] = {
-        {min[0], min[1], min[2], min[0]}, {min[1], min[2], min[0], min[1]}, {min[2], min[0], min[1], min[2]}};
-    const bsq_four_floats high[3] = {
-        {max[0], max[1], max[2], max[0]}, {max[1], max[2], max[0], max[1]}, {max[2], max[0], max[1], max[2]}};
+    const bsq_four_floats low[3] = {{min[0], min[1], min[2], min[0]},
+                                    {min[1], min[2], min[0], min[1]},
+                                    {min[2], min[0], min[1], min[2]}};
+    const bsq_four_floats high[3] = {{max[0], max[1], max[2], max[0]},
+                                     {max[1], max[2], max[0], max[1]},
+                                     {max[2], max[0], max[1], max[2]}};
     uint32_t found = 0;
     for (uint32_t i = 0; i < count; i += 4) {
         uint32_t left = count - i < 4 ? count - i : 4;
@@ -90,9 +97,11 @@ static inline uint32_t bsq_positions_inside(const float min[3], const float max[
     return found;
 }
 
-/* numbers[i]: of positions[i] in the table + 1, or 0; bounds are those of what is in the table. Whether there is any. */
-static inline bool bsq_positions_match(const struct bsq_positions *table, const float min[3], const float max[3],
-                                       const float (*positions)[3], uint32_t count, uint32_t *numbers)
+/* numbers[i]: of positions[i] in the table + 1, or 0; bounds are those of what is in the table.
+ * Whether there is any. */
+static inline bool bsq_positions_match(const struct bsq_positions *table, const float min[3],
+                                       const float max[3], const float (*positions)[3],
+                                       uint32_t count, uint32_t *numbers)
 {
     uint32_t any = 0;
     for (uint32_t done = 0; done < count; done += BSQ_POSITIONS_BATCH) {

@@ -9,8 +9,8 @@
 #include "base/file.h"
 #include "base/output.h"
 #include "base/parallel.h"
-#include "formats/nvdb.h"
-#include "formats/texture.h"
+#include "formats/grid/nvdb.h"
+#include "formats/image/texture.h"
 
 #ifdef __cplusplus
 extern "C" {

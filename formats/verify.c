@@ -1,9 +1,9 @@
 /* verify.c - tells the kind of a file, and runs the checks of that kind over all of it. */
 #include "formats/verify.h"
 #include "base/file.h"
-#include "formats/nvdb_layout_internal.h"
-#include "formats/recognise.h"
-#include "formats/tris_internal.h"
+#include "formats/grid/nvdb_layout_internal.h"
+#include "formats/file_kind.h"
+#include "formats/chunks/tris_internal.h"
 
 #include <string.h>
 
@@ -43,9 +43,9 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     report->second_records = grid.record_count - 1 - grid.voxel_count;
     report->voxel_size = grid.info.voxel_size;
     report->has_color = grid.info.has_color;
-    nvdb_forget_pages(grid.map.data, grid.map.size);
+    fmt_nvdb_forget_pages(grid.map.data, grid.map.size);
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
-    status = nvdb_verify(ctx, &grid, true);
+    status = fmt_nvdb_verify_grid(ctx, &grid, true);
     bsq_progress_end(ctx);
     fmt_nvdb_close(ctx, &grid);
     return status;

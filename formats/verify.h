@@ -1,9 +1,10 @@
-/* verify.h - is this file whole, and what is it? For files of either kind that Bisque reads again. */
+/* verify.h - is this file whole, and what is it? For files of either kind that Bisque reads again.
+ */
 #ifndef FMT_VERIFY_H
 #define FMT_VERIFY_H
 
-#include "formats/nvdb.h"
-#include "formats/tris.h"
+#include "formats/grid/nvdb.h"
+#include "formats/chunks/tris.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -23,9 +24,10 @@ struct fmt_verify_report {
     bool has_color;
 };
 
-/* Reads the whole file, told by its first bytes, and checks all that FORMATS.md says of it: versions, checksums, structure.
- * Memory: a chunk a thread and 112 bytes for each chunk's entry, or pages of the mapped grid, which are given back; never the
- * whole file. Errors: BSQ_ENOINPUT; BSQ_EDATA with one line that says what is wrong and where, or what the file is instead. */
+/* Reads the whole file, told by its first bytes, and checks all that FORMATS.md says of it:
+ * versions, checksums, structure. Memory: a chunk a thread and 112 bytes for each chunk's entry, or
+ * pages of the mapped grid, which are given back; never the whole file. Errors: BSQ_ENOINPUT;
+ * BSQ_EDATA with one line that says what is wrong and where, or what the file is instead. */
 int fmt_verify(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report);
 
 #ifdef __cplusplus

@@ -9,17 +9,17 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "libbake/device_internal.h"
-#include "libbake/distance_internal.h"
-#include "libbake/exact_tiles_internal.h"
-#include "libbake/image_internal.h"
-#include "libbake/lowmesh_internal.h"
-#include "libbake/map_output_internal.h"
-#include "libbake/passes_internal.h"
-#include "libbake/preview_internal.h"
-#include "libbake/raster_internal.h"
-#include "libbake/surface_internal.h"
-#include "libbake/tiles_internal.h"
+#include "libbake/device/device.h"
+#include "libbake/surface/ray_distance.h"
+#include "libbake/exact/exact_tiles.h"
+#include "libbake/maps/map_image.h"
+#include "libbake/lowpoly/lowpoly.h"
+#include "libbake/maps/map_files.h"
+#include "libbake/device/subgrid/passes.h"
+#include "libbake/preview/preview.h"
+#include "libbake/lowpoly/raster.h"
+#include "libbake/surface/surface.h"
+#include "libbake/surface/grid_tiles.h"
 
 enum {
     PREVIEW_TEXTURE = 2048 /* side */

@@ -9,7 +9,8 @@ extern "C" {
 #endif
 
 enum bake_compare_kind {
-    BAKE_COMPARE_AUTO,   /* from the file's "bisque:map" attribute, else from its channels and values */
+    BAKE_COMPARE_AUTO, /* from the file's "bisque:map" attribute, else from its channels and values
+                        */
     BAKE_COMPARE_NORMAL, /* R, G, B hold n / 2 + 1/2: the angle between the normals in degrees */
     BAKE_COMPARE_COLOR,  /* R, G, B hold linear Rec. 709 light: CIEDE2000 colour difference */
     BAKE_COMPARE_DATA    /* any channels: the largest absolute difference of a channel */
@@ -23,7 +24,7 @@ struct bake_compare_options {
     const char *heatmap_path;   /* PNG of the error in place with its scale, or NULL */
     const char *histogram_path; /* PNG of its distribution, or NULL */
     double scale;               /* error at the top of the scale; 0: automatic */
-    bool force;                 /* compare maps whose attributes say that they hold different things */
+    bool force; /* compare maps whose attributes say that they hold different things */
 };
 
 struct bake_compare_report {
@@ -37,17 +38,16 @@ struct bake_compare_report {
     double mean, rms, median, p95, p99, max;
     uint32_t max_x, max_y;   /* where the largest error is, from the top left */
     double above_1, above_5; /* share of texels with an error above 1 and 5 */
-    double psnr;             /* colour: peak signal to noise ratio of the sRGB-encoded values, in dB */
+    double psnr; /* colour: peak signal to noise ratio of the sRGB-encoded values, in dB */
     double relative_mean, relative_max; /* data: |a - b| / max(|a|, |b|) */
 };
 
 /* Unit of the error, for legends: "degrees", "dE2000", "difference"; static storage. */
 const char *bake_compare_unit(enum bake_compare_kind kind);
 
-/* Compares two maps. Holds both in memory, from the budget. Errors: BSQ_ENOINPUT, BSQ_EDATA where sizes
- * or channels differ, no texel is covered by
- * both, or, without `force`, where the attributes of both say what the values mean and differ: kind of map, space, tangents,
- * green, encoding. */
+/* Compares two maps. Holds both in memory, from the budget. Errors: BSQ_ENOINPUT, BSQ_EDATA where
+ * sizes or channels differ, no texel is covered by both, or, without `force`, where the attributes
+ * of both say what the values mean and differ: kind of map, space, tangents, green, encoding. */
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                  struct bake_compare_report *report);
 

@@ -1,15 +1,19 @@
-/* job_record.c - which inputs and options a chunk file was made from, so that a job can go on from it.
+/* job_record.c - which inputs and options a chunk file was made from, so that a job can go on from
+ * it.
  *
- * The record is a text file beside the chunk file, there only while the job is unfinished: what it says (times, places) is of one
- * machine, and the chunk file's bytes shall depend on the scan alone. A file is taken for the same when its size, its time of
- * modification and the hash of samples are. Reading all of it would cost about what resuming saves where disks are slow. The
- * time finds an edit between the samples, the samples a file that was replaced and has an older one's time.
+ * The record is a text file beside the chunk file, there only while the job is unfinished: what it
+ * says (times, places) is of one machine, and the chunk file's bytes shall depend on the scan
+ * alone. A file is taken for the same when its size, its time of modification and the hash of
+ * samples are. Reading all of it would cost about what resuming saves where disks are slow. The
+ * time finds an edit between the samples, the samples a file that was replaced and has an older
+ * one's time.
  *
- * Going on from it must give the bytes that doing all again would. So the program must be the same too, and that is not left to
- * a number that somebody has to raise when sorting changes: the record has a sum over the sources. */
+ * Going on from it must give the bytes that doing all again would. So the program must be the same
+ * too, and that is not left to a number that somebody has to raise when sorting changes: the record
+ * has a sum over the sources. */
 #include "base/file.h"
 #include "base/output.h"
-#include "formats/obj.h"
+#include "formats/mesh/obj.h"
 #include "libvoxel/job_record.h"
 
 #include <errno.h>
@@ -30,9 +34,11 @@ static const char build[] =
 
 /* More than any piece of a line that is written at once. */
 enum { LINE_BYTES = 256 };
-/* Samples of a file: so many pieces of so many bytes, spread evenly from its first byte to its last. */
+/* Samples of a file: so many pieces of so many bytes, spread evenly from its first byte to its
+ * last. */
 enum { SAMPLES = 64, SAMPLE_BYTES = 64 << 10 };
-/* Where the chunk file's header has its own checksum, which covers those of all other parts' tables. */
+/* Where the chunk file's header has its own checksum, which covers those of all other parts'
+ * tables. */
 enum { TRIS_CHECKSUM_AT = 144 };
 
 struct source {
@@ -56,8 +62,8 @@ static int no_memory(struct bsq_ctx *ctx, const char *path)
     return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
 }
 
-/* Absolute name of an existing file; of one that is absent, the name itself. Names are a few bytes, and a job works with a
- * budget of just vox_memory_min(), so they are not counted. */
+/* Absolute name of an existing file; of one that is absent, the name itself. Names are a few bytes,
+ * and a job works with a budget of just vox_memory_min(), so they are not counted. */
 static int absolute(struct bsq_ctx *ctx, const char *path, char **out)
 {
     *out = realpath(path, NULL);
@@ -176,7 +182,7 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
     return status;
 }
 
-int job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader)
+int vox_job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader)
 {
     int status = 0;
     for (uint32_t i = 0; i < fmt_obj_library_count(reader) && status == 0; i++)
@@ -290,7 +296,8 @@ int vox_job_record(struct vox_job *job)
     struct seal seal;
     struct text text = {NULL, 0};
     int status = 0;
-    /* A file that changed while it was read is in the chunks as it was at no time: better no record. */
+    /* A file that changed while it was read is in the chunks as it was at no time: better no
+     * record. */
     for (uint64_t i = 0; i < job->count && status == 0; i++) {
         struct source now = {.library = job->sources[i].library};
         status = identify(job->ctx, job->sources[i].path, &now);
@@ -402,7 +409,8 @@ static int check_line(struct vox_job *job, char *line, uint64_t *objects)
     return status;
 }
 
-/* The record's text without its last line, for the caller to free; NULL where there is none that is whole. */
+/* The record's text without its last line, for the caller to free; NULL where there is none that is
+ * whole. */
 static int read_record(struct vox_job *job, char **out)
 {
     struct bsq_file file;

@@ -7,6 +7,6 @@
 struct fmt_obj_reader;
 
 /* Adds the material libraries that the reader has met. */
-int job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader);
+int vox_job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader);
 
 #endif

@@ -1,15 +1,15 @@
 /* sort.c - OBJ files to a chunk file.
  *
  * Reading keeps vertices as columns (scan.h). Faces become triangles, collected by cell of a coarse
- * Morton grid: at once where all vertices are known by then (direct.h), else they are kept as
- * compact bytes until they can (face_store.h, scatter.h). Batches of cells are
- * sorted, cut into chunks and written (batches.h). Every step streams, and what does not fit in
- * memory goes to temporary files, so that the budget bounds memory and nothing else. */
+ * Morton grid: at once where all vertices are known by then (one_pass.h), else they are kept as
+ * compact bytes until they can (face_store.h, partition.h). Batches of cells are
+ * sorted, cut into chunks and written (chunk_writer.h). Every step streams, and what does not fit
+ * in memory goes to temporary files, so that the budget bounds memory and nothing else. */
 #include "base/clock.h"
-#include "libvoxel/batches.h"
-#include "libvoxel/direct.h"
+#include "libvoxel/chunk/chunk_writer.h"
+#include "libvoxel/partition/one_pass.h"
 #include "libvoxel/job_record.h"
-#include "libvoxel/space.h"
+#include "libvoxel/partition/disk_estimate.h"
 
 #include <sys/stat.h>
 
@@ -20,7 +20,7 @@ uint64_t vox_memory_min(unsigned threads)
     return 44 * MIB + 8 * MIB * threads;
 }
 
-void sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limits)
+void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limits)
 {
     uint64_t least = vox_memory_min(threads);
     uint64_t rest = budget > least ? budget - least : 0;
@@ -100,7 +100,7 @@ int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t o
 static int check_disk(struct bsq_ctx *ctx, const struct fmt_obj_estimate *scan,
                       const struct sort_limits *limits, const char *tris_path)
 {
-    struct space space = space_for(scan, limits);
+    struct space space = vox_disk_estimate(scan, limits);
     return bsq_require_space(ctx, tris_path, space.output_bytes, space.temp_bytes);
 }
 
@@ -115,20 +115,20 @@ static int read_blocks(struct scan *scan, struct fmt_obj_reader *reader,
     bsq_progress_begin(ctx, "reading", "bytes",
                        total_bytes(options->obj_paths, options->obj_count));
     if (try_direct)
-        status = direct_open(scan, reader, options->tris_path, out, &direct);
+        status = vox_one_pass_open(scan, reader, options->tris_path, out, &direct);
     if (status == 0)
-        status = direct ? fmt_obj_read_steps(reader, &direct_steps, direct, &scan->totals)
-                        : fmt_obj_read(reader, scan_add_block, scan, &scan->totals);
+        status = direct ? fmt_obj_read_steps(reader, &vox_one_pass_steps, direct, &scan->totals)
+                        : fmt_obj_read(reader, vox_scan_add_block, scan, &scan->totals);
     bsq_progress_end(ctx);
-    *again = direct_gave_up(direct);
-    *scattered = direct_is_active(direct);
+    *again = vox_one_pass_gave_up(direct);
+    *scattered = vox_one_pass_is_active(direct);
     if (status == 0)
-        status = scan_finish(scan, reader);
+        status = vox_scan_finish(scan, reader);
     if (status == 0)
-        status = scan_find_materials(scan, reader, options->texture_path);
+        status = vox_scan_find_materials(scan, reader, options->texture_path);
     if (status == 0 && *scattered)
-        direct_finish(direct);
-    direct_close(direct);
+        vox_one_pass_finish(direct);
+    vox_one_pass_close(direct);
     return status;
 }
 
@@ -151,13 +151,13 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     if (status == 0)
         status = read_blocks(scan, reader, options, direct, out, scattered, &again);
     if (status < 0 && again) {
-        scatter_free(scan, out);
-        scan_free(scan);
-        scan_init(scan, ctx, limits, options->obj_paths, options->tris_path);
+        vox_partition_free(scan, out);
+        vox_scan_free(scan);
+        vox_scan_init(scan, ctx, limits, options->obj_paths, options->tris_path);
         status = read_blocks(scan, reader, options, false, out, scattered, &again);
     }
     if (status == 0 && options->job)
-        status = job_add_libraries(options->job, reader);
+        status = vox_job_add_libraries(options->job, reader);
     fmt_obj_close(reader);
     report_totals(report, &scan->totals);
     memcpy(report->origin, scan->origin, sizeof report->origin);
@@ -186,9 +186,10 @@ static int commit(const struct vox_sort_options *options, struct fmt_tris_writer
 static int fail_without_area(const struct scan *scan, uint64_t triangles)
 {
     if (triangles == 1)
-        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: the scan's only triangle has no area", scan->obj_paths[0]);
-    return bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area", scan->obj_paths[0],
-                    (unsigned long long)triangles);
+        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: the scan's only triangle has no area",
+                        scan->obj_paths[0]);
+    return bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area",
+                    scan->obj_paths[0], (unsigned long long)triangles);
 }
 
 static int write_chunks(const struct scan *scan, const struct scattered *scattered,
@@ -208,7 +209,7 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
     if (status < 0)
         return status;
     struct batches_report batches;
-    status = batches_write(scan, scattered, options->tris_path, writer, &batches);
+    status = vox_write_chunks(scan, scattered, options->tris_path, writer, &batches);
     report->chunks = batches.chunks;
     report->triangles = batches.triangles;
     report->degenerate_triangles = batches.degenerate;
@@ -226,33 +227,33 @@ static int sort_scan(struct scan *scan, const struct vox_sort_options *options,
                      struct scattered *scattered, bool is_scattered, struct vox_sort_report *report)
 {
     double start = bsq_seconds_now();
-    int status = is_scattered ? 0 : scatter_scan(scan, options->tris_path, scattered);
-    face_store_free(&scan->faces);
+    int status = is_scattered ? 0 : vox_partition_scan(scan, options->tris_path, scattered);
+    vox_face_store_free(&scan->faces);
     if (status == 0) {
         bsq_progress_begin(scan->ctx, "writing", "triangles", scattered->triangles);
         status = write_chunks(scan, scattered, options, report);
         bsq_progress_end(scan->ctx);
     }
     if (status == 0)
-        report->unused_vertices = scatter_unused(scan, scattered);
+        report->unused_vertices = vox_partition_unused(scan, scattered);
     report->seconds_sort = bsq_seconds_now() - start;
     return status;
 }
 
-int sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options,
-                     const struct sort_limits *limits, struct vox_sort_report *report)
+int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+                         const struct sort_limits *limits, struct vox_sort_report *report)
 {
     struct scan scan;
     struct scattered scattered = {0};
     bool is_scattered = false;
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
-    scan_init(&scan, ctx, limits, options->obj_paths, options->tris_path);
+    vox_scan_init(&scan, ctx, limits, options->obj_paths, options->tris_path);
     int status = read_scan(&scan, limits, options, report, &scattered, &is_scattered);
     if (status == 0)
         status = sort_scan(&scan, options, &scattered, is_scattered, report);
-    scatter_free(&scan, &scattered);
-    scan_free(&scan);
+    vox_partition_free(&scan, &scattered);
+    vox_scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;
 }
@@ -269,6 +270,6 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
                         "%llu MiB",
                         bsq_threads(ctx), (unsigned long long)(least / MIB),
                         (unsigned long long)(budget / MIB));
-    sort_limits_for(budget, bsq_threads(ctx), &limits);
-    return sort_with_limits(ctx, options, &limits, report);
+    vox_sort_limits_for(budget, bsq_threads(ctx), &limits);
+    return vox_sort_with_limits(ctx, options, &limits, report);
 }

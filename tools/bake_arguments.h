@@ -8,7 +8,7 @@
 struct bake_arguments {
     struct bake_options bake;
     bool exr_type_given, list_devices, verify;
-    char **files;           /* to verify */
+    char **files; /* to verify */
     int file_count;
     uint64_t png_bits; /* 0: not given */
 };

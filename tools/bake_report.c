@@ -1,8 +1,8 @@
 /* bake_report.c - see bake_report.h. */
 #include "tools/bake_report.h"
 
-/* More than this in a hundred rays that miss, in a hundred samples in charts above one another, or in a hundred triangles
- * outside of the map, are worth a hint. */
+/* More than this in a hundred rays that miss, in a hundred samples in charts above one another, or
+ * in a hundred triangles outside of the map, are worth a hint. */
 enum { HINT_PERCENT = 5 };
 
 /* ---- devices ---- */

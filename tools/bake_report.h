@@ -4,10 +4,10 @@
 
 #include "tools/bake_arguments.h"
 
-/* What was baked, as lines or as JSON, and a warning where many rays missed. `paths` as in bake_map_names, NULL where there is
- * no such map. */
-int bake_report_print(struct cli *cli, const struct bake_arguments *arguments, const struct bake_report *report,
-                      char *const *paths);
+/* What was baked, as lines or as JSON, and a warning where many rays missed. `paths` as in
+ * bake_map_names, NULL where there is no such map. */
+int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
+                      const struct bake_report *report, char *const *paths);
 
 /* The devices that can be used. */
 int bake_report_devices(struct cli *cli);

@@ -6,7 +6,8 @@
 
 /* ---- outputs ---- */
 
-/* Names of all outputs, `paths` of BAKE_MAP_KINDS; those of maps that are not asked for are NULL. */
+/* Names of all outputs, `paths` of BAKE_MAP_KINDS; those of maps that are not asked for are NULL.
+ */
 static int name_outputs(struct cli *cli, const struct bake_options *bake, char **paths)
 {
     for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {

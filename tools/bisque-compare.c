@@ -82,7 +82,8 @@ struct arguments {
 /* Maps agree on what they cover only where each says it for itself. */
 static bool knows_agreement(const struct bake_compare_options *compare)
 {
-    return compare->a_mask_path && compare->b_mask_path && compare->a_mask_path != compare->b_mask_path;
+    return compare->a_mask_path && compare->b_mask_path &&
+           compare->a_mask_path != compare->b_mask_path;
 }
 
 /* ---- arguments ---- */
@@ -155,7 +156,8 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
         if (inputs[i])
             inputs[input_count++] = inputs[i];
     int status = 0;
-    if (compare->heatmap_path && compare->histogram_path && cli_same_file(compare->heatmap_path, compare->histogram_path))
+    if (compare->heatmap_path && compare->histogram_path &&
+        cli_same_file(compare->heatmap_path, compare->histogram_path))
         return cli_usage(cli, "%s: two outputs have this name", compare->histogram_path);
     if (compare->heatmap_path)
         status = cli_check_picture(cli, compare->heatmap_path, inputs, input_count);
@@ -169,13 +171,20 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
 static double figure(const struct bake_compare_report *report, enum limit limit)
 {
     switch (limit) {
-    case MAX_MEAN: return report->mean;
-    case MAX_MEDIAN: return report->median;
-    case MAX_P95: return report->p95;
-    case MAX_P99: return report->p99;
-    case MAX_ERROR: return report->max;
-    case MIN_PSNR: return report->psnr;
-    default: return report->agreement;
+    case MAX_MEAN:
+        return report->mean;
+    case MAX_MEDIAN:
+        return report->median;
+    case MAX_P95:
+        return report->p95;
+    case MAX_P99:
+        return report->p99;
+    case MAX_ERROR:
+        return report->max;
+    case MIN_PSNR:
+        return report->psnr;
+    default:
+        return report->agreement;
     }
 }
 
@@ -202,7 +211,8 @@ static void print_report(const struct arguments *arguments,
     const char *unit = bake_compare_unit(report->kind);
     char compared[CLI_TEXT];
     printf("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
-           arguments->compare.b_path, cli_things_text(report->compared, "texel", "texels", compared), report->width,
+           arguments->compare.b_path,
+           cli_things_text(report->compared, "texel", "texels", compared), report->width,
            report->height, kind_names[report->kind]);
     printf("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
            report->mean, report->rms, report->median, report->p95, report->p99, report->max,

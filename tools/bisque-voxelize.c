@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "formats/recognise.h"
+#include "formats/file_kind.h"
 #include "tools/voxelize_report.h"
 
 /* ---- before the work: what would fail only after hours ---- */

@@ -1,9 +1,9 @@
 /* cli.h - what Bisque's programs share: common options, parsing of values, progress, reports and
  * the way out.
  *
- * A program calls cli_begin(), cli_parse_options() and cli_create_context(), does its work through the libraries and returns cli_end() from main. Every
- * failure becomes one line "PROGRAM: MESSAGE" on standard error; the exit code is the negated
- * status. */
+ * A program calls cli_begin(), cli_parse_options() and cli_create_context(), does its work through
+ * the libraries and returns cli_end() from main. Every failure becomes one line "PROGRAM: MESSAGE"
+ * on standard error; the exit code is the negated status. */
 #ifndef CLI_H
 #define CLI_H
 
@@ -24,7 +24,8 @@ struct cli {
     const char *memory_text; /* as given, NULL: not given */
     unsigned threads;        /* 0: not given */
     const char *tmpdir;
-    const char *job_option; /* name of an own option but --verify, which has no use for it; NULL: none given */
+    const char *job_option; /* name of an own option but --verify, which has no use for it; NULL:
+                               none given */
     enum cli_progress progress;
     bool json; /* results as JSON */
 
@@ -77,8 +78,9 @@ void cli_begin(struct cli *cli, const char *program, char **argv);
  * program is to end (--help, --version), < 0 failure. */
 int cli_common_option(struct cli *cli, int option, const char *help);
 
-/* Goes through all options; `take` gets each with its value in optarg and returns as cli_common_option(), to which it hands what
- * it does not know, does. 0 at the end, else what `take` returned first. optind is that of the first file then. */
+/* Goes through all options; `take` gets each with its value in optarg and returns as
+ * cli_common_option(), to which it hands what it does not know, does. 0 at the end, else what
+ * `take` returned first. optind is that of the first file then. */
 int cli_parse_options(struct cli *cli, int argc, char **argv, const struct option *options,
                       int (*take)(struct cli *cli, void *arguments, int option), void *arguments);
 
@@ -119,10 +121,12 @@ int cli_check_output(struct cli *cli, const char *path, const char *const *input
                      uint32_t input_count);
 
 /* The same for a picture, which also has to be called .png. */
-int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs, uint32_t input_count);
+int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs,
+                      uint32_t input_count);
 
-/* Checks whole files, .tris or .nvdb, each alone, and prints a line on each: what a sound one is on standard output, what is
- * wrong with another on standard error. All are checked; returns the status of the first that is not sound. */
+/* Checks whole files, .tris or .nvdb, each alone, and prints a line on each: what a sound one is on
+ * standard output, what is wrong with another on standard error. All are checked; returns the
+ * status of the first that is not sound. */
 int cli_verify(struct cli *cli, char *const *paths, int count);
 
 /* ---- reports ---- */
@@ -136,7 +140,8 @@ void cli_clear_bar(struct cli *cli);
 double cli_seconds(const struct timespec *since);
 uint64_t cli_max_rss_bytes(void);
 
-/* Texts such as "12.3 MiB", "1,234,567" and "1 vertex" or "12 vertices"; `buffer` has CLI_TEXT bytes and is returned. */
+/* Texts such as "12.3 MiB", "1,234,567" and "1 vertex" or "12 vertices"; `buffer` has CLI_TEXT
+ * bytes and is returned. */
 enum { CLI_TEXT = 64 };
 const char *cli_size_text(uint64_t bytes, char *buffer);
 const char *cli_count_text(uint64_t count, char *buffer);

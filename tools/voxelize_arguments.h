@@ -18,6 +18,7 @@ struct voxelize_arguments {
 };
 
 /* All that can be checked without looking at a file. Returns as cli_parse_options() does. */
-int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc, char **argv);
+int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
+                             char **argv);
 
 #endif

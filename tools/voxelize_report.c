@@ -105,8 +105,8 @@ static int print_json(const struct voxelize_job *job)
     return cli_print_json(job->cli, root);
 }
 
-/* A surface that reaches across all of the grid touches as many voxels as there are along it, at least. Where there are fewer
- * it is in pieces, and what lies between them has taken the voxels. */
+/* A surface that reaches across all of the grid touches as many voxels as there are along it, at
+ * least. Where there are fewer it is in pieces, and what lies between them has taken the voxels. */
 static void hint_at_stray_pieces(const struct voxelize_job *job)
 {
     const struct vox_voxelize_report *grid = &job->grid;

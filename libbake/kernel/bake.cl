@@ -1,21 +1,17 @@
 /* bake.cl - the kernel's entry on devices, as OpenCL C or CUDA: one work item a texel of a tile. */
 #include "bk_sample.h"
 
-/* Work items are (column, row - first_row), rows up to end_row - 1. Of each texel lines first_line to end_line - 1 of its
- * samples are traced; the first call starts at 0, later ones go on with its sums. `texels` holds the whole tile. */
-BK_KERNEL bake_tile(const BK_GLOBAL bk_ulong *BK_RESTRICT tiles,
-                    const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,
-                    const BK_GLOBAL bk_ulong *BK_RESTRICT lowers,
-                    const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,
-                    const BK_GLOBAL bk_uint *BK_RESTRICT normals,
-                    const BK_GLOBAL bk_uint *BK_RESTRICT planes,
-                    const BK_GLOBAL bk_uint *BK_RESTRICT colors,
-                    const BK_GLOBAL bk_uint *BK_RESTRICT seconds,
-                    const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_params params,
-                    bk_tile tile, bk_uint first_row, bk_uint end_row,
-                    bk_uint first_line, bk_uint end_line,
-                    const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles,
-                    BK_GLOBAL bk_texel *BK_RESTRICT texels)
+/* Work items are (column, row - first_row), rows up to end_row - 1. Of each texel lines first_line
+ * to end_line - 1 of its samples are traced; the first call starts at 0, later ones go on with its
+ * sums. `texels` holds the whole tile. */
+BK_KERNEL bake_tile(
+    const BK_GLOBAL bk_ulong *BK_RESTRICT tiles, const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,
+    const BK_GLOBAL bk_ulong *BK_RESTRICT lowers, const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,
+    const BK_GLOBAL bk_uint *BK_RESTRICT normals, const BK_GLOBAL bk_uint *BK_RESTRICT planes,
+    const BK_GLOBAL bk_uint *BK_RESTRICT colors, const BK_GLOBAL bk_uint *BK_RESTRICT seconds,
+    const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_params params, bk_tile tile,
+    bk_uint first_row, bk_uint end_row, bk_uint first_line, bk_uint end_line,
+    const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles, BK_GLOBAL bk_texel *BK_RESTRICT texels)
 {
     const bk_uint column = bk_work_x(), row = first_row + bk_work_y();
     bk_cache cache = bk_cache_empty();

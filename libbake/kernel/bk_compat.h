@@ -7,8 +7,8 @@
  * has instructions for several; on GPUs, and where BK_WIDTH is 1, they are plain scalars. What is
  * true of a lane is told by a mask of bk_less(); it is only for bk_select() and its kin. Each lane
  * gets the same bits for any width. */
-#ifndef BK_COMPAT_H
-#define BK_COMPAT_H
+#ifndef BAKE_KERNEL_BK_COMPAT_H
+#define BAKE_KERNEL_BK_COMPAT_H
 
 #if defined(__OPENCL_VERSION__) || defined(__OPENCL_C_VERSION__)
 

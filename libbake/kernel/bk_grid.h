@@ -7,8 +7,8 @@
  *
  * Whatever a word that is followed may hold, nothing outside of the arrays is read: a mapped file
  * that shrinks turns into zeros under the reader. */
-#ifndef BK_GRID_H
-#define BK_GRID_H
+#ifndef BAKE_KERNEL_BK_GRID_H
+#define BAKE_KERNEL_BK_GRID_H
 
 #include "bk_types.h"
 

@@ -1,6 +1,6 @@
 /* bk_sample.h - from a texel's samples to rays, and from hits to the texel's sums. */
-#ifndef BK_SAMPLE_H
-#define BK_SAMPLE_H
+#ifndef BAKE_KERNEL_BK_SAMPLE_H
+#define BAKE_KERNEL_BK_SAMPLE_H
 
 #include "bk_trace.h"
 

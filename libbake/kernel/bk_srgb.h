@@ -1,7 +1,7 @@
 /* bk_srgb.h - linear value of each 8-bit sRGB code (IEC 61966-2-1), rounded to float: a table,
  * because pow() differs between devices. */
-#ifndef BK_SRGB_H
-#define BK_SRGB_H
+#ifndef BAKE_KERNEL_BK_SRGB_H
+#define BAKE_KERNEL_BK_SRGB_H
 
 #include "bk_compat.h"
 

@@ -5,8 +5,8 @@
  * centres surround the point: a partition of unity (Ohtake, Belyaev, Alexa, Turk, Seidel,
  * "Multi-level Partition of Unity Implicits", SIGGRAPH 2003). BK_WIDTH points are
  * blended at a time. */
-#ifndef BK_SURFACE_H
-#define BK_SURFACE_H
+#ifndef BAKE_KERNEL_BK_SURFACE_H
+#define BAKE_KERNEL_BK_SURFACE_H
 
 #include "bk_grid.h"
 #include "bk_srgb.h"
@@ -407,8 +407,9 @@ BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8], const bk_fw tents[8])
  * normal were the same everywhere, f. With the trapezoid rule, h = (n_i + n) . e_i / 2, the
  * prediction is exact for quadratic surfaces, and what the predictions differ by is the surface's
  * third derivative. The gradient of the blended h, with smooth weights, adds just that to the
- * normal; along a line it is the derivative of the cubic Hermite interpolant, bk_mean_slope() apart.
- * Leaves a third of the tent blend's error at details of 4 and 8 voxels, half of it at 16. */
+ * normal; along a line it is the derivative of the cubic Hermite interpolant, bk_mean_slope()
+ * apart. Leaves a third of the tent blend's error at details of 4 and 8 voxels, half of it at 16.
+ */
 BK_FN bk_blend bk_blend_corners(const bk_corner corners[8], const bk_fw tents[8],
                                 const bk_weights *at)
 {

@@ -16,8 +16,8 @@
  *    surface is inside the run although its plane passes just outside.
  * The first two leave no pinhole inside a run; the last closes the run's ends. Voxels whose surface
  * faces away from where hits are wanted are no part of a run. */
-#ifndef BK_TRACE_H
-#define BK_TRACE_H
+#ifndef BAKE_KERNEL_BK_TRACE_H
+#define BAKE_KERNEL_BK_TRACE_H
 
 #include "bk_surface.h"
 

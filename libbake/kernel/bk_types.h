@@ -1,8 +1,8 @@
 /* bk_types.h - what host and kernel share. 32-bit scalars only, explicit padding; sizes are
  * asserted. Lengths and positions are in index space: voxels of the grid, voxel (i, j, k) spans i -
  * 0.5 .. i + 0.5, as the grid file's transform has it (its centre is the integer point). */
-#ifndef BK_TYPES_H
-#define BK_TYPES_H
+#ifndef BAKE_KERNEL_BK_TYPES_H
+#define BAKE_KERNEL_BK_TYPES_H
 
 #include "bk_compat.h"
 

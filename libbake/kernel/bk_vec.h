@@ -1,6 +1,6 @@
 /* bk_vec.h - three floats. Evaluation order is written out, so that every compiler rounds alike. */
-#ifndef BK_VEC_H
-#define BK_VEC_H
+#ifndef BAKE_KERNEL_BK_VEC_H
+#define BAKE_KERNEL_BK_VEC_H
 
 #include "bk_compat.h"
 

@@ -4,10 +4,10 @@
 
 #include <stdio.h>
 
-#include "libbake/cuda_api_internal.h"
+#include "libbake/device/cuda/cuda_api.h"
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/native_internal.h"
-#include "libbake/part_internal.h"
+#include "libbake/device/native/native.h"
+#include "libbake/device/subgrid/subgrid.h"
 
 enum { MEMORY_CLOCK_RATE = 36, GLOBAL_MEMORY_BUS_WIDTH = 37 }; /* attributes: kHz, bits */
 

@@ -1,7 +1,8 @@
 /* measure.c - runs a command and writes what it cost, as one line of key=value pairs.
  *
- * With --at-hand BYTES so much memory is touched and given back before. The host of a virtual machine takes free memory back, and
- * finding it again can take thirty times as long as touching it: what a command costs would depend on what ran before it.
+ * With --at-hand BYTES so much memory is touched and given back before. The host of a virtual
+ * machine takes free memory back, and finding it again can take thirty times as long as touching
+ * it: what a command costs would depend on what ran before it.
  *
  * The numbers are the kernel's: resource usage of the child as wait4(2) returns it. "written" is
  * what the command dirtied in files (temporary ones included), whether or not it has reached the

@@ -2,9 +2,9 @@
 #ifndef BENCH_RAYS_H
 #define BENCH_RAYS_H
 
-#include "libbake/device_internal.h"
-#include "libbake/raster_internal.h"
-#include "libbake/surface_internal.h"
+#include "libbake/device/device.h"
+#include "libbake/lowpoly/raster.h"
+#include "libbake/surface/surface.h"
 
 /* A low mesh before a grid, as bisque-bake prepares them with default options. */
 struct rays_scene {

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "formats/tris.h"
+#include "formats/chunks/tris.h"
 #include "libbake/kernel/bk_sample.h"
 #include "tests/bench/rays.h"
 

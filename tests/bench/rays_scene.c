@@ -4,8 +4,8 @@
 
 #include "base/clock.h"
 #include "base/parallel.h"
-#include "libbake/distance_internal.h"
-#include "libbake/tiles_internal.h"
+#include "libbake/surface/ray_distance.h"
+#include "libbake/surface/grid_tiles.h"
 #include "tests/bench/rays.h"
 
 static int choose_distances(struct rays_scene *scene)

@@ -1,6 +1,6 @@
-/* fake_cuda.c - a libcuda.so.1 without a GPU: what libbake/cuda_api_internal.h uses of the driver,
- * with the kernel compiled as C, or its PTX run by ptx_run.c. It is stricter than a driver, so that
- * tests find what a GPU would forgive on most days:
+/* fake_cuda.c - a libcuda.so.1 without a GPU: what libbake/device/cuda/cuda_api.h uses of the
+ * driver, with the kernel compiled as C, or its PTX run by ptx_run.c. It is stricter than a driver,
+ * so that tests find what a GPU would forgive on most days:
  *  - work in streams happens only when somebody waits for it, or frees memory;
  *  - streams must not use the same memory without waiting for each other, unless all only read;
  *  - device addresses are no host addresses, and copies are held against the allocations;

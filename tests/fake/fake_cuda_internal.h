@@ -7,7 +7,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "libbake/cuda_api_internal.h"
+#include "libbake/device/cuda/cuda_api.h"
 #include "libbake/kernel/bk_types.h"
 
 /* What is exported has the types that the program calls it with. */

@@ -1,6 +1,6 @@
-/* ptx_meet.c - where the threads of a warp that part meet again: at the first place that all of them
- * come to, as GPUs arrange it (Fung, Sham, Yuan, Aamodt, "Dynamic Warp Formation and Scheduling for
- * Efficient GPU Control Flow", 2007, section 2: immediate post-dominators). */
+/* ptx_meet.c - where the threads of a warp that part meet again: at the first place that all of
+ * them come to, as GPUs arrange it (Fung, Sham, Yuan, Aamodt, "Dynamic Warp Formation and
+ * Scheduling for Efficient GPU Control Flow", 2007, section 2: immediate post-dominators). */
 #include <stdlib.h>
 #include <string.h>
 

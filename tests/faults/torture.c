@@ -20,8 +20,8 @@
  * where it was killed a temporary file that one more run removes. A failure must be one line on
  * standard error that begins with the program's name, names a file and ends with the reason, and
  * one of the exit codes CODE, 74 where none is given. Half transfers and EINTR must do no harm, nor
- * EOPNOTSUPP: give it to calls that a file system need not have. An interruption must be told as such
- * within two seconds.
+ * EOPNOTSUPP: give it to calls that a file system need not have. An interruption must be told as
+ * such within two seconds.
  *
  * -p takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
  * with the first and the last; -r names a file that runs without success may leave, as a later one

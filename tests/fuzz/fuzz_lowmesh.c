@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "libbake/raster_internal.h"
+#include "libbake/lowpoly/raster.h"
 
 enum { SIDE = 12, SAMPLES = 2, TILE = 5 };
 

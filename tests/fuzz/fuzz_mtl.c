@@ -1,5 +1,5 @@
 /* fuzz_mtl.c - fuzz target for material libraries. */
-#include "formats/mtl.h"
+#include "formats/mesh/mtl.h"
 #include "tests/fuzz/fuzz_file.h"
 
 #include <math.h>

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "libbake/device_internal.h"
+#include "libbake/device/device.h"
 
 enum { SIDE = 6 }; /* texels of the tile that is traced */
 

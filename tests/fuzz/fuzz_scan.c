@@ -9,10 +9,10 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "formats/tris.h"
+#include "formats/chunks/tris.h"
 #include "libbake/bake.h"
-#include "libbake/device_internal.h"
-#include "libvoxel/sort_internal.h"
+#include "libbake/device/device.h"
+#include "libvoxel/sort_limits.h"
 #include "libvoxel/voxel.h"
 
 enum { MAGIC_BYTES = 8, RESOLUTION = 7 };
@@ -82,7 +82,8 @@ static int sort(struct bsq_ctx *ctx)
     return vox_sort(ctx, &options, &report);
 }
 
-/* Vertices are in a file; faces are scattered as they are read, or later, or joined with their vertices. */
+/* Vertices are in a file; faces are scattered as they are read, or later, or joined with their
+ * vertices. */
 enum way { AT_ONCE, LATER, JOINED, WAY_COUNT };
 static enum way way;
 
@@ -93,13 +94,13 @@ static int sort_otherwise(struct bsq_ctx *ctx)
         .obj_paths = paths, .obj_count = 1, .tris_path = files.other};
     struct vox_sort_report report;
     struct sort_limits limits;
-    sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);
+    vox_sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);
     limits.column_bytes = 0;
     if (way == LATER)
         limits.direct_memory = 0;
     if (way == JOINED)
         limits.vertex_cells_bytes = 0;
-    return sort_with_limits(ctx, &options, &limits, &report);
+    return vox_sort_with_limits(ctx, &options, &limits, &report);
 }
 
 static void require_same_chunks(void)

@@ -3,7 +3,7 @@
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/tris_mend.h"
 
-#include "formats/tris.h"
+#include "formats/chunks/tris.h"
 
 static void check_chunk(const struct fmt_tris_chunk *chunk)
 {

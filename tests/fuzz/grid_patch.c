@@ -14,9 +14,9 @@
 #include <unistd.h>
 #include <xxhash.h>
 
-#include "formats/nvdb_layout_internal.h"
+#include "formats/grid/nvdb_layout_internal.h"
 #include "tests/fuzz/fuzz_file.h"
-#include "tests/unit/formats/nvdb_scene.h"
+#include "tests/unit/formats/grid/nvdb_scene.h"
 
 enum { TEMPLATES = 4, CHANGES = 32, RANGES = 256, SLACK = 1 << 15 };
 
@@ -146,8 +146,8 @@ static void make_template(int number, struct grid_template *t)
     struct fmt_nvdb_grid grid = {
         .map = {.data = t->bytes, .size = t->size, .path = (char *)"template"}};
     require(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) == 0, "no context");
-    require(nvdb_check_head(ctx, &grid) == 0, "a template that is not valid");
-    nvdb_layout_of(&grid, &t->layout);
+    require(fmt_nvdb_check_head(ctx, &grid) == 0, "a template that is not valid");
+    fmt_nvdb_layout_of(&grid, &t->layout);
     bsq_ctx_destroy(ctx);
 }
 
@@ -232,7 +232,7 @@ static void move_grid(struct grid_template *t, uint32_t axis, uint32_t uppers)
     struct nvdb_tile *tile = (void *)(t->bytes + t->layout.tiles);
     struct nvdb_root *root = root_data(t);
     touch_bounds(t);
-    nvdb_bbox_clear(root->bbox_min, root->bbox_max);
+    fmt_nvdb_bbox_clear(root->bbox_min, root->bbox_max);
     for (uint64_t i = 0; i < node_count(t, NVDB_LEAVES, sizeof *leaf); i++)
         leaf[i].bbox_min[axis] = moved(leaf[i].bbox_min[axis], by);
     for (uint64_t i = 0; i < node_count(t, NVDB_LOWERS, sizeof *lower); i++) {
@@ -243,7 +243,7 @@ static void move_grid(struct grid_template *t, uint32_t axis, uint32_t uppers)
         upper[i].bbox_min[axis] = moved(upper[i].bbox_min[axis], by);
         upper[i].bbox_max[axis] = moved(upper[i].bbox_max[axis], by);
         tile[i].key = nvdb_root_key(upper[i].bbox_min);
-        nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[i].bbox_min, upper[i].bbox_max);
+        fmt_nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[i].bbox_min, upper[i].bbox_max);
     }
 }
 
@@ -262,14 +262,14 @@ static void join_bounds(const struct grid_template *t)
     struct nvdb_lower *lower = nodes(t, NVDB_LOWERS);
     struct nvdb_leaf *leaf = nodes(t, NVDB_LEAVES);
     struct nvdb_root *root = root_data(t);
-    nvdb_bbox_clear(root->bbox_min, root->bbox_max);
+    fmt_nvdb_bbox_clear(root->bbox_min, root->bbox_max);
     for (uint64_t u = 0; u < node_count(t, NVDB_UPPERS, sizeof *upper); u++) {
-        nvdb_bbox_clear(upper[u].bbox_min, upper[u].bbox_max);
+        fmt_nvdb_bbox_clear(upper[u].bbox_min, upper[u].bbox_max);
         for (int word = 0; word < 512; word++)
             for (uint64_t bits = upper[u].child_mask[word]; bits; bits &= bits - 1, lower++) {
                 if ((uint8_t *)lower >= (uint8_t *)nodes(t, NVDB_LEAVES))
                     return;
-                nvdb_bbox_clear(lower->bbox_min, lower->bbox_max);
+                fmt_nvdb_bbox_clear(lower->bbox_min, lower->bbox_max);
                 for (int i = 0; i < 64; i++)
                     for (uint64_t some = lower->child_mask[i]; some; some &= some - 1, leaf++) {
                         if ((uint8_t *)leaf >= (uint8_t *)nodes(t, NVDB_BLIND))
@@ -277,13 +277,13 @@ static void join_bounds(const struct grid_template *t)
                         int32_t origin[3], low[3], high[3];
                         for (int k = 0; k < 3; k++)
                             origin[k] = leaf->bbox_min[k] & ~(NVDB_LEAF_DIM - 1);
-                        nvdb_leaf_bounds(origin, leaf->mask, low, high);
-                        nvdb_bbox_join(lower->bbox_min, lower->bbox_max, low, high);
+                        fmt_nvdb_leaf_bounds(origin, leaf->mask, low, high);
+                        fmt_nvdb_bbox_join(lower->bbox_min, lower->bbox_max, low, high);
                     }
-                nvdb_bbox_join(upper[u].bbox_min, upper[u].bbox_max, lower->bbox_min,
-                               lower->bbox_max);
+                fmt_nvdb_bbox_join(upper[u].bbox_min, upper[u].bbox_max, lower->bbox_min,
+                                   lower->bbox_max);
             }
-        nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[u].bbox_min, upper[u].bbox_max);
+        fmt_nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[u].bbox_min, upper[u].bbox_max);
     }
 }
 
@@ -306,8 +306,8 @@ static void move_bit(struct grid_template *t, uint64_t number, uint32_t from, ui
     touch_bounds(t);
     leaf->mask[from / 64] ^= UINT64_C(1) << (from % 64);
     leaf->mask[to / 64] ^= UINT64_C(1) << (to % 64);
-    leaf->prefix_sum = nvdb_prefix_sum(leaf->mask);
-    nvdb_leaf_bounds(origin, leaf->mask, leaf->bbox_min, high);
+    leaf->prefix_sum = fmt_nvdb_prefix_sum(leaf->mask);
+    fmt_nvdb_leaf_bounds(origin, leaf->mask, leaf->bbox_min, high);
     for (int k = 0; k < 3; k++)
         leaf->bbox_dif[k] = (uint8_t)(high[k] - leaf->bbox_min[k]);
     join_bounds(t);
@@ -380,14 +380,14 @@ static void mend(struct grid_template *t)
     struct nvdb_record *record = nodes(t, NVDB_RECORD);
     touch_section(t, NVDB_HEAD);
     touch_section(t, NVDB_RECORD);
-    nvdb_fill_file_head(grid_data(t), tree_data(t), root_data(t), t->bytes);
-    grid_data(t)->checksum[0] = nvdb_head_crc(t->bytes, layout);
+    fmt_nvdb_fill_file_head(grid_data(t), tree_data(t), root_data(t), t->bytes);
+    grid_data(t)->checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
     for (int i = 0; i < NVDB_RECORD; i++) {
         const struct nvdb_range *range = &layout->section[i];
         if (is_touched(t, range))
             record->checksum[i] = XXH3_64bits(t->bytes + range->offset, range->size);
     }
-    record->record_checksum = nvdb_record_checksum(record);
+    record->record_checksum = fmt_nvdb_record_checksum(record);
 }
 
 void grid_patch_apply(const uint8_t *data, size_t size, struct patched_grid *out)

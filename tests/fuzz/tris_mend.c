@@ -3,7 +3,7 @@
 #include <string.h>
 #include <xxhash.h>
 
-#include "formats/tris_internal.h"
+#include "formats/chunks/tris_internal.h"
 
 static void mend_chunk(uint8_t *data, uint64_t end, const struct tris_table_entry *entry)
 {

@@ -1,10 +1,11 @@
 /* check_mesh.c - holds baked maps against exact rays, by brute force.
  *
- * For every few texels: find the low triangle in UV space, build the ray along the interpolated normal, intersect
- * it with all triangles of the scan in double, take the nearest front-facing hit, and compare its face normal and,
- * given a texture, the bilinear texel there with the maps. Slow and simple on purpose; nothing of
- * libbake or libvoxel is used. Scans of some ten thousand triangles. */
-#include "formats/obj.h"
+ * For every few texels: find the low triangle in UV space, build the ray along the interpolated
+ * normal, intersect it with all triangles of the scan in double, take the nearest front-facing hit,
+ * and compare its face normal and, given a texture, the bilinear texel there with the maps. Slow
+ * and simple on purpose; nothing of libbake or libvoxel is used. Scans of some ten thousand
+ * triangles. */
+#include "formats/mesh/obj.h"
 #include "tests/scan/verdict.h"
 
 #include <getopt.h>
@@ -130,7 +131,8 @@ static void texture_at(const struct check *c, const struct hit *hit, double colo
             uv[k] += hit->w[corner] *
                      c->scan.texcoords[c->scan.corner_texcoords[hit->triangle][corner]][k];
     int width = (int)c->texture.width, height = (int)c->texture.height;
-    double x = uv[0] * width - 0.5, y = (1 - uv[1]) * height - 0.5, fx = x - floor(x), fy = y - floor(y);
+    double x = uv[0] * width - 0.5, y = (1 - uv[1]) * height - 0.5, fx = x - floor(x),
+           fy = y - floor(y);
     for (int k = 0; k < 3; k++)
         color[k] = 0;
     for (int corner = 0; corner < 4; corner++) {
@@ -138,8 +140,9 @@ static void texture_at(const struct check *c, const struct hit *hit, double colo
         double w = (corner & 1 ? fx : 1 - fx) * (corner / 2 ? fy : 1 - fy);
         i = ((i % width) + width) % width, j = ((j % height) + height) % height;
         for (int k = 0; k < 3; k++)
-            color[k] += w * verdict_linear(c->texels[4 * ((size_t)j * (size_t)width + (size_t)i) +
-                                                     (size_t)k] / 255.0);
+            color[k] +=
+                w * verdict_linear(
+                        c->texels[4 * ((size_t)j * (size_t)width + (size_t)i) + (size_t)k] / 255.0);
     }
 }
 
@@ -214,9 +217,11 @@ int main(int argc, char **argv)
             return 64;
     }
     if (argc - optind != (texture ? 5 : 4) || step < 1) {
-        fputs("usage: check-mesh [-e EVERY] [-r REACH] [-m MAX_MEAN_DEG] [-p MAX_P95_DEG] [-h MIN_HITS]\n"
-              "                  [-c MAX_COLOR -t texture.png] scan.obj low.obj object_normal.exr mask.exr\n"
-              "                  [color.exr]\n", stderr);
+        fputs(
+            "usage: check-mesh [-e EVERY] [-r REACH] [-m MAX_MEAN_DEG] [-p MAX_P95_DEG] [-h MIN_HITS]\n"
+            "                  [-c MAX_COLOR -t texture.png] scan.obj low.obj object_normal.exr mask.exr\n"
+            "                  [color.exr]\n",
+            stderr);
         return 64;
     }
     struct bsq_ctx *ctx;

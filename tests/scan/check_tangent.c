@@ -5,7 +5,7 @@
  * and the result is normalize(m.x t + m.y b + m.z n). The frames at the corners are libbake's,
  * which unit tests hold against Blender's; the rest is written anew. For bakes with one sample a
  * texel and charts that do not overlap. */
-#include "libbake/lowmesh_internal.h"
+#include "libbake/lowpoly/lowpoly.h"
 #include "tests/scan/verdict.h"
 
 #include <getopt.h>

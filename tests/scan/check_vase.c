@@ -1,8 +1,9 @@
 /* check_vase.c - holds baked maps of the vase against its analytic normals and colours.
  *
- * For every texel the ray from the low mesh is computed anew (the low mesh is a regular grid in UV space), its
- * crossing with the analytic surface is solved for, and the mean over the texel's samples is compared with
- * the object-space normal map and the linear colour map. Nothing of libbake is used. */
+ * For every texel the ray from the low mesh is computed anew (the low mesh is a regular grid in UV
+ * space), its crossing with the analytic surface is solved for, and the mean over the texel's
+ * samples is compared with the object-space normal map and the linear colour map. Nothing of
+ * libbake is used. */
 #include "tests/scan/vase.h"
 #include "tests/scan/verdict.h"
 
@@ -12,8 +13,8 @@
 #include <stdlib.h>
 
 struct check {
-    unsigned nu, ns;      /* quads of the low mesh */
-    unsigned samples;     /* N x N a texel */
+    unsigned nu, ns;  /* quads of the low mesh */
+    unsigned samples; /* N x N a texel */
     struct fmt_exr_image normal, mask, color;
     struct verdict verdict;
 };
@@ -39,7 +40,8 @@ static void low_ray(const struct check *c, double u, double s, double p[3], doub
         n[k] /= length;
 }
 
-/* Sum of analytic normals and mean linear colour over a texel's samples; 0 where a ray cannot be solved. */
+/* Sum of analytic normals and mean linear colour over a texel's samples; 0 where a ray cannot be
+ * solved. */
 static int expected(const struct check *c, double x, double y, double normal[3], double color[3])
 {
     for (int k = 0; k < 3; k++)
@@ -95,9 +97,10 @@ int main(int argc, char **argv)
             return 64;
     }
     if (argc - optind < 2 || argc - optind > 3 || c.samples < 1 || step < 1) {
-        fputs("usage: check-vase [-s SAMPLES] [-e EVERY] [-m MAX_MEAN_DEG] [-p MAX_P95_DEG]\n"
-              "                  [-h MIN_HITS] [-c MAX_COLOR] object_normal.exr mask.exr [color.exr]\n",
-              stderr);
+        fputs(
+            "usage: check-vase [-s SAMPLES] [-e EVERY] [-m MAX_MEAN_DEG] [-p MAX_P95_DEG]\n"
+            "                  [-h MIN_HITS] [-c MAX_COLOR] object_normal.exr mask.exr [color.exr]\n",
+            stderr);
         return 64;
     }
     struct bsq_ctx *ctx;

@@ -31,32 +31,55 @@ static int bad_usage(void)
 
 int main(int argc, char **argv)
 {
-    struct generate_options options = {.triangles = 2000000, .corners = 3, .amplitude = 0.002,
-                                       .wavelength = 0};
+    struct generate_options options = {
+        .triangles = 2000000, .corners = 3, .amplitude = 0.002, .wavelength = 0};
     enum { NORMALS = 256, UVS, CORNERS, SHUFFLE, OFFSET, AMPLITUDE, ROUNDED, WAVELENGTH };
     static const struct option table[] = {
-        {"triangles", 1, 0, 'n'}, {"colors", 0, 0, 'c'},     {"normals", 0, 0, NORMALS},
-        {"uvs", 0, 0, UVS},       {"corners", 1, 0, CORNERS}, {"shuffle", 1, 0, SHUFFLE},
-        {"offset", 1, 0, OFFSET}, {"output", 1, 0, 'o'},     {"amplitude", 1, 0, AMPLITUDE},
-        {"rounded", 0, 0, ROUNDED}, {"wavelength", 1, 0, WAVELENGTH}, {0}};
+        {"triangles", 1, 0, 'n'},         {"colors", 0, 0, 'c'},
+        {"normals", 0, 0, NORMALS},       {"uvs", 0, 0, UVS},
+        {"corners", 1, 0, CORNERS},       {"shuffle", 1, 0, SHUFFLE},
+        {"offset", 1, 0, OFFSET},         {"output", 1, 0, 'o'},
+        {"amplitude", 1, 0, AMPLITUDE},   {"rounded", 0, 0, ROUNDED},
+        {"wavelength", 1, 0, WAVELENGTH}, {0}};
     for (int c; (c = getopt_long(argc, argv, "n:co:", table, NULL)) != -1;) {
         switch (c) {
-        case 'n': options.triangles = strtoull(optarg, NULL, 10); break;
-        case 'c': options.colors = 1; break;
-        case 'o': options.output = optarg; break;
-        case NORMALS: options.normals = 1; break;
-        case UVS: options.texcoords = 1; break;
-        case CORNERS: options.corners = (unsigned)strtoul(optarg, NULL, 10); break;
-        case SHUFFLE: options.shuffle = 1, options.seed = strtoull(optarg, NULL, 10); break;
-        case AMPLITUDE: options.amplitude = strtod(optarg, NULL); break;
-        case ROUNDED: options.rounded = 1; break;
-        case WAVELENGTH: options.wavelength = strtod(optarg, NULL); break;
+        case 'n':
+            options.triangles = strtoull(optarg, NULL, 10);
+            break;
+        case 'c':
+            options.colors = 1;
+            break;
+        case 'o':
+            options.output = optarg;
+            break;
+        case NORMALS:
+            options.normals = 1;
+            break;
+        case UVS:
+            options.texcoords = 1;
+            break;
+        case CORNERS:
+            options.corners = (unsigned)strtoul(optarg, NULL, 10);
+            break;
+        case SHUFFLE:
+            options.shuffle = 1, options.seed = strtoull(optarg, NULL, 10);
+            break;
+        case AMPLITUDE:
+            options.amplitude = strtod(optarg, NULL);
+            break;
+        case ROUNDED:
+            options.rounded = 1;
+            break;
+        case WAVELENGTH:
+            options.wavelength = strtod(optarg, NULL);
+            break;
         case OFFSET:
             if (sscanf(optarg, "%lf,%lf,%lf", options.offset, options.offset + 1,
                        options.offset + 2) != 3)
                 return bad_usage();
             break;
-        default: return bad_usage();
+        default:
+            return bad_usage();
         }
     }
     if (optind + 1 != argc || !options.output || options.triangles < 1 ||

@@ -6,8 +6,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Each triangle becomes k x k smaller ones. New vertices are numbered in closed form, corners first, then
- * edges, then inner ones, so that neighbours share them and nothing but the small scan is in memory. */
+/* Each triangle becomes k x k smaller ones. New vertices are numbered in closed form, corners
+ * first, then edges, then inner ones, so that neighbours share them and nothing but the small scan
+ * is in memory. */
 struct small {
     double (*position)[3], (*normal)[3];
     uint64_t (*face)[3], (*edge)[3]; /* edge numbers opposite to corners 2, 0, 1: 01, 12, 20 */
@@ -110,12 +111,13 @@ static double bump(const struct small *m, const double p[3])
     double sum = 0, amplitude = 1, frequency = 6.283185307179586 / m->wavelength;
     for (int octave = 0; octave < 3; octave++, amplitude *= 0.5, frequency *= 2.03)
         sum += amplitude * sin(frequency * (p[0] + 0.31 * p[1])) *
-               sin(frequency * (p[1] - 0.27 * p[2])) * sin(frequency * (p[2] + 0.23 * p[0]) + octave);
+               sin(frequency * (p[1] - 0.27 * p[2])) *
+               sin(frequency * (p[2] + 0.23 * p[0]) + octave);
     return m->height * sum;
 }
 
-/* Lifts a point of a face from its plane onto a surface that bends as the corners' normals say (Boubekeur & Alexa,
- * "Phong Tessellation", 2008): old edges are no creases then. */
+/* Lifts a point of a face from its plane onto a surface that bends as the corners' normals say
+ * (Boubekeur & Alexa, "Phong Tessellation", 2008): old edges are no creases then. */
 static void round_point(const struct small *m, uint64_t f, const double w[3], double p[3])
 {
     double lift[3] = {0};
@@ -136,7 +138,8 @@ static void put_point(struct small *m, struct text_writer *text, const double *o
                       uint64_t w0, uint64_t w1)
 {
     double w[3] = {(double)w0 / (double)m->k, (double)w1 / (double)m->k,
-                   (double)(m->k - w0 - w1) / (double)m->k}, p[3] = {0}, n[3] = {0};
+                   (double)(m->k - w0 - w1) / (double)m->k},
+           p[3] = {0}, n[3] = {0};
     for (int c = 0; c < 3; c++)
         for (int i = 0; i < 3; i++) {
             p[i] += w[c] * m->position[m->face[f][c]][i];
@@ -164,7 +167,8 @@ static uint64_t point_number(const struct small *m, uint64_t f, uint64_t w0, uin
             uint64_t along = forward ? w[(e + 1) % 3] : w[e];
             return m->vertices + m->edge[f][e] * (k - 1) + along;
         }
-    /* Inner points run by rows of constant w0 from 1 to k - 2, each with w1 from 1 to k - 1 - w0. */
+    /* Inner points run by rows of constant w0 from 1 to k - 2, each with w1 from 1 to k - 1 - w0.
+     */
     uint64_t inner = (k - 1) * (k - 2) / 2, rows = w0 - 1;
     uint64_t before = rows * (k - 2) - rows * (rows - 1) / 2;
     if (rows == 0)
@@ -174,7 +178,8 @@ static uint64_t point_number(const struct small *m, uint64_t f, uint64_t w0, uin
 
 static void put_points(struct small *m, struct text_writer *text, const double *offset)
 {
-    /* Any face that has the corner or edge will do: the last one wins, which one does not matter. */
+    /* Any face that has the corner or edge will do: the last one wins, which one does not matter.
+     */
     uint64_t *owner = calloc(m->vertices > m->edges ? m->vertices : m->edges, sizeof *owner);
     if (!owner)
         abort();
@@ -201,7 +206,8 @@ static void put_points(struct small *m, struct text_writer *text, const double *
     free(owner);
 }
 
-/* Small triangle number t of face f: row a holds 2 (k - a) - 1 of them, upright and inverted in turn. */
+/* Small triangle number t of face f: row a holds 2 (k - a) - 1 of them, upright and inverted in
+ * turn. */
 static void put_small_face(struct small *m, struct text_writer *text, uint64_t f, uint64_t t)
 {
     uint64_t a = 0;
@@ -222,7 +228,8 @@ static void put_small_face(struct small *m, struct text_writer *text, uint64_t f
 
 static void measure(struct small *m, const struct generate_options *options)
 {
-    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, d = 0;
+    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY},
+           d = 0;
     for (uint64_t v = 0; v < m->vertices; v++)
         for (int i = 0; i < 3; i++) {
             low[i] = fmin(low[i], m->position[v][i]);

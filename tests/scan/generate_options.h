@@ -5,15 +5,16 @@
 #include <stdint.h>
 
 struct generate_options {
-    uint64_t triangles;   /* about this many */
+    uint64_t triangles; /* about this many */
     int colors, normals, texcoords;
-    unsigned corners;     /* 3: triangles, else polygons with this even number of corners */
-    int shuffle;          /* faces in random order */
+    unsigned corners; /* 3: triangles, else polygons with this even number of corners */
+    int shuffle;      /* faces in random order */
     uint64_t seed;
-    double offset[3];     /* added to every position: geo-referenced scans */
-    double amplitude;     /* amplify: height of the displacement as a share of the diagonal */
-    int rounded;          /* amplify: no creases along the edges of the small scan */
-    double wavelength;    /* sine, and the longest waves of amplify: in world units; 0: the usual one */
+    double offset[3]; /* added to every position: geo-referenced scans */
+    double amplitude; /* amplify: height of the displacement as a share of the diagonal */
+    int rounded;      /* amplify: no creases along the edges of the small scan */
+    double
+        wavelength; /* sine, and the longest waves of amplify: in world units; 0: the usual one */
     const char *output;
 };
 
@@ -23,7 +24,8 @@ void generate_vase(const struct generate_options *options);
 void generate_vase_low(const struct generate_options *options, unsigned nu, unsigned ns);
 /* Any small scan, each triangle split into k x k and displaced along its normals. */
 void generate_amplified(const struct generate_options *options, const char *input);
-/* Crossed sine waves with slopes up to 20 degrees, and the square of side 100 under them as a low mesh. */
+/* Crossed sine waves with slopes up to 20 degrees, and the square of side 100 under them as a low
+ * mesh. */
 void generate_sine(const struct generate_options *options);
 void generate_sine_low(const struct generate_options *options);
 

@@ -5,8 +5,8 @@
 
 #include <math.h>
 
-/* A grid of nu columns around and ns rows along the profile, both closed. Vertex and normal numbers wrap; texture
- * coordinates need a column and a row more. */
+/* A grid of nu columns around and ns rows along the profile, both closed. Vertex and normal numbers
+ * wrap; texture coordinates need a column and a row more. */
 struct grid {
     struct text_writer text;
     uint64_t nu, ns;

@@ -1,5 +1,6 @@
-/* permutation.h - a random order of 0 .. count - 1 in constant memory: a Feistel network over the next power of
- * four, walked until it falls into range (Black & Rogaway, "Ciphers with Arbitrary Finite Domains", 2002). */
+/* permutation.h - a random order of 0 .. count - 1 in constant memory: a Feistel network over the
+ * next power of four, walked until it falls into range (Black & Rogaway, "Ciphers with Arbitrary
+ * Finite Domains", 2002). */
 #ifndef SCAN_PERMUTATION_H
 #define SCAN_PERMUTATION_H
 

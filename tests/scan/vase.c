@@ -2,8 +2,8 @@
 
 #include <math.h>
 
-/* Control polygon (radius, height) of the profile, a closed uniform cubic B-spline, counterclockwise in the
- * (r, z) plane so that dp/du x dp/ds points out of the clay. */
+/* Control polygon (radius, height) of the profile, a closed uniform cubic B-spline,
+ * counterclockwise in the (r, z) plane so that dp/du x dp/ds points out of the clay. */
 static const double profile[][2] = {
     {0.24, 0.00}, {0.33, 0.00}, {0.40, 0.06}, {0.47, 0.20}, {0.53, 0.38}, {0.52, 0.58},
     {0.42, 0.78}, {0.29, 0.94}, {0.25, 1.06}, {0.28, 1.18}, {0.36, 1.25}, {0.37, 1.28},
@@ -84,8 +84,8 @@ void vase_color(double u, double s, double color[3])
     double a = two_pi * u;
     s -= floor(s);
     double edge = 0.004;
-    double neck = smooth_step(-edge, edge, s - 0.39 + 0.012 * sin(9 * a)) *
-           (1 - smooth_step(0.58, 0.60, s));
+    double neck =
+        smooth_step(-edge, edge, s - 0.39 + 0.012 * sin(9 * a)) * (1 - smooth_step(0.58, 0.60, s));
     double diamond = band(s, 0.10, 0.255) *
                      smooth_step(0.15, 0.45, sin(18 * a + 150 * s) * sin(18 * a - 150 * s));
     for (int i = 0; i < 3; i++) {

@@ -7,11 +7,20 @@
 int verdict_option(struct verdict_limits *limits, int option, const char *value)
 {
     switch (option) {
-    case 'm': limits->mean_angle = atof(value); return 1;
-    case 'p': limits->p95_angle = atof(value); return 1;
-    case 'c': limits->color = atof(value); return 1;
-    case 'h': limits->hits = atof(value); return 1;
-    default: return 0;
+    case 'm':
+        limits->mean_angle = atof(value);
+        return 1;
+    case 'p':
+        limits->p95_angle = atof(value);
+        return 1;
+    case 'c':
+        limits->color = atof(value);
+        return 1;
+    case 'h':
+        limits->hits = atof(value);
+        return 1;
+    default:
+        return 0;
     }
 }
 
@@ -65,8 +74,8 @@ int verdict_finish(struct verdict *v, const struct verdict_limits *limits)
 {
     uint64_t seen = v->compared + v->missed + v->unsolved;
     printf("texels %llu, compared %llu, missed %llu, without reference %llu\n",
-           (unsigned long long)seen, (unsigned long long)v->compared,
-           (unsigned long long)v->missed, (unsigned long long)v->unsolved);
+           (unsigned long long)seen, (unsigned long long)v->compared, (unsigned long long)v->missed,
+           (unsigned long long)v->unsolved);
     if (!v->compared) {
         puts("OUTSIDE: no texel could be compared");
         return 1;
@@ -78,7 +87,8 @@ int verdict_finish(struct verdict *v, const struct verdict_limits *limits)
            v->angles[v->compared * 99 / 100], v->angles[v->compared - 1]);
     failed += judge("share of hits", 1 - (double)v->missed / (double)seen, limits->hits, 0);
     if (v->color_count)
-        failed += judge("mean colour error", v->color_sum / (double)v->color_count, limits->color, 1);
+        failed +=
+            judge("mean colour error", v->color_sum / (double)v->color_count, limits->color, 1);
     free(v->angles);
     return failed != 0;
 }
@@ -95,7 +105,8 @@ void verdict_pixel(const struct fmt_exr_image *image, uint64_t index, double out
 {
     static const char *const names[] = {"R", "G", "B"};
     for (int k = 0; k < 3; k++)
-        out[k] = (double)image->samples[index * image->channel_count + fmt_exr_channel(image, names[k])];
+        out[k] =
+            (double)image->samples[index * image->channel_count + fmt_exr_channel(image, names[k])];
 }
 
 double verdict_linear(double srgb)

@@ -5,7 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "formats/exr.h"
+#include "formats/image/exr.h"
 
 struct verdict {
     float *angles; /* degrees, one per compared texel */
@@ -17,7 +17,10 @@ struct verdict {
 struct verdict_limits {
     double mean_angle, p95_angle, color, hits; /* at most, at most, at most, at least */
 };
-#define VERDICT_NO_LIMITS {INFINITY, INFINITY, INFINITY, 0}
+#define VERDICT_NO_LIMITS                                                                          \
+    {                                                                                              \
+        INFINITY, INFINITY, INFINITY, 0                                                            \
+    }
 
 /* Reads one of the limits' options (m, p, c, h of getopt); 0 where it is another. */
 int verdict_option(struct verdict_limits *limits, int option, const char *value);

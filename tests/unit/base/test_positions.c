@@ -51,14 +51,16 @@ static void test_match(void **state)
     }
     const float min[3] = {-2.0f, -3.0f, -1.0f}, max[3] = {3.0f, 1.0f, 2.0f};
     for (uint32_t count = 0; count <= OTHERS; count++) {
-        float(*others)[3] = malloc(count > 0 ? count * sizeof *others : 1); /* no more, for sanitizers */
+        float(*others)[3] =
+            malloc(count > 0 ? count * sizeof *others : 1); /* no more, for sanitizers */
         uint32_t *numbers = malloc((count + 1) * sizeof *numbers);
         bool any = false;
         assert_true(others && numbers);
         numbers[count] = 77;
         for (uint32_t i = 0; i < count; i++)
             random_position(&seed, others[i]);
-        bool found = bsq_positions_match(&table, min, max, (const float(*)[3])others, count, numbers);
+        bool found =
+            bsq_positions_match(&table, min, max, (const float(*)[3])others, count, numbers);
         for (uint32_t i = 0; i < count; i++) {
             uint32_t first = 0;
             while (first < KNOWN && !same(known[first], others[i]))

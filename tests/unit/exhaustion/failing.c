@@ -1,4 +1,5 @@
-/* failing.c - see failing.h. Blocks that are allocated while a job runs stand in a hash table with open addressing. */
+/* failing.c - see failing.h. Blocks that are allocated while a job runs stand in a hash table with
+ * open addressing. */
 #include "tests/unit/exhaustion/failing.h"
 
 #include <dlfcn.h>
@@ -156,7 +157,8 @@ void *OWN(realloc)(void *old, size_t size)
     return block;
 }
 
-int OWN(pthread_create)(pthread_t *thread, const pthread_attr_t *attributes, void *(*start)(void *), void *arg)
+int OWN(pthread_create)(pthread_t *thread, const pthread_attr_t *attributes, void *(*start)(void *),
+                        void *arg)
 {
 #ifdef COUNTS_BLOCKS
     static int (*real)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
@@ -164,7 +166,8 @@ int OWN(pthread_create)(pthread_t *thread, const pthread_attr_t *attributes, voi
         *(void **)&real = dlsym(RTLD_NEXT, "pthread_create");
 #else
     extern int REAL(pthread_create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
-    int (*real)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *) = REAL(pthread_create);
+    int (*real)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *) =
+        REAL(pthread_create);
 #endif
     return fails(FAILING_THREADS) ? EAGAIN : real(thread, attributes, start, arg);
 }
@@ -184,5 +187,6 @@ void failing_begin(enum failing what, uint64_t first, bool all_after)
 struct failing_result failing_end(void)
 {
     atomic_store(&state.armed, 0);
-    return (struct failing_result){atomic_load(&state.calls), atomic_load(&state.failed), forget_blocks()};
+    return (struct failing_result){atomic_load(&state.calls), atomic_load(&state.failed),
+                                   forget_blocks()};
 }

@@ -1,6 +1,6 @@
-/* test_exhaustion.c - every allocation of every job fails once, then every allocation from each on; every thread that is
- * started fails to. Nothing crashes, leaks, stays open or stays behind, and the failure is BSQ_ENOMEM with a text; where a
- * job can do without, its result is right. */
+/* test_exhaustion.c - every allocation of every job fails once, then every allocation from each on;
+ * every thread that is started fails to. Nothing crashes, leaks, stays open or stays behind, and
+ * the failure is BSQ_ENOMEM with a text; where a job can do without, its result is right. */
 #include <dirent.h>
 #include <math.h>
 #include <setjmp.h>
@@ -13,7 +13,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/obj.h"
+#include "formats/mesh/obj.h"
 #include "formats/verify.h"
 #include "libbake/bake.h"
 #include "libbake/compare.h"
@@ -52,17 +52,33 @@ static void write_inputs(void)
     fprintf(file, "newmtl clay\nKd 0.5 0.4 0.3\n");
     fclose(file);
     file = create("low.obj");
-    fprintf(file, "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0.1 0.1\nvt 0.9 0.1\nvt 0.9 0.9\nvt 0.1 0.9\n"
-                  "f 1/1 2/2 3/3 4/4\n");
+    fprintf(file,
+            "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0.1 0.1\nvt 0.9 0.1\nvt 0.9 0.9\nvt 0.1 0.9\n"
+            "f 1/1 2/2 3/3 4/4\n");
     fclose(file);
 }
 
 static bool expected_name(const char *name)
 {
-    static const char *const names[] = {".",          "..",          "scan.obj",   "scan.mtl",  "low.obj",
-                                        "scan.tris",  "scan.nvdb",   "g_normal.exr", "g_color.exr", "g_mask.exr",
-                                        "e_normal.png", "e_color.png", "a_normal.exr", "heat.png",  "hist.png",
-                                        "preview.png", "out.tris",    "out.nvdb",   "scan.tris.job"};
+    static const char *const names[] = {".",
+                                        "..",
+                                        "scan.obj",
+                                        "scan.mtl",
+                                        "low.obj",
+                                        "scan.tris",
+                                        "scan.nvdb",
+                                        "g_normal.exr",
+                                        "g_color.exr",
+                                        "g_mask.exr",
+                                        "e_normal.png",
+                                        "e_color.png",
+                                        "a_normal.exr",
+                                        "heat.png",
+                                        "hist.png",
+                                        "preview.png",
+                                        "out.tris",
+                                        "out.nvdb",
+                                        "scan.tris.job"};
     for (unsigned i = 0; i < sizeof names / sizeof *names; i++)
         if (strcmp(names[i], name) == 0)
             return true;
@@ -130,7 +146,8 @@ static int sort(struct bsq_ctx *ctx)
 static int record(struct bsq_ctx *ctx)
 {
     const char *path = "scan.obj";
-    struct vox_sort_options options = {.obj_paths = &path, .obj_count = 1, .tris_path = "scan.tris"};
+    struct vox_sort_options options = {
+        .obj_paths = &path, .obj_count = 1, .tris_path = "scan.tris"};
     struct vox_job *job;
     bool sorted = false;
     int status = vox_job_open(ctx, &options, &job);
@@ -149,7 +166,8 @@ static int record(struct bsq_ctx *ctx)
 static int voxelize_to(struct bsq_ctx *ctx, const char *grid_path)
 {
     struct vox_voxelize_report report;
-    struct vox_voxelize_options options = {.tris_path = "scan.tris", .grid_path = grid_path, .resolution = 40};
+    struct vox_voxelize_options options = {
+        .tris_path = "scan.tris", .grid_path = grid_path, .resolution = 40};
     return vox_voxelize(ctx, &options, &report);
 }
 
@@ -173,7 +191,8 @@ static int verify_nvdb(struct bsq_ctx *ctx)
     return fmt_verify(ctx, "scan.nvdb", &report);
 }
 
-static int bake(struct bsq_ctx *ctx, const char *scan, const char *output, uint32_t maps, const char *preview)
+static int bake(struct bsq_ctx *ctx, const char *scan, const char *output, uint32_t maps,
+                const char *preview)
 {
     struct bake_options options;
     struct bake_report report;
@@ -194,7 +213,8 @@ static int bake(struct bsq_ctx *ctx, const char *scan, const char *output, uint3
 
 static int bake_grid(struct bsq_ctx *ctx)
 {
-    return bake(ctx, "scan.nvdb", "g_<MAP>.exr", BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK, NULL);
+    return bake(ctx, "scan.nvdb", "g_<MAP>.exr", BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK,
+                NULL);
 }
 
 static int bake_preview(struct bsq_ctx *ctx)
@@ -238,13 +258,15 @@ static int run(int (*job)(struct bsq_ctx *))
     if (status < 0 && status != BSQ_ENOMEM)
         fprintf(stderr, "# %d: %s\n", status, bsq_error(ctx));
     if (bsq_memory_used(ctx) != 0)
-        fprintf(stderr, "# %llu bytes are still in use\n", (unsigned long long)bsq_memory_used(ctx));
+        fprintf(stderr, "# %llu bytes are still in use\n",
+                (unsigned long long)bsq_memory_used(ctx));
     bsq_ctx_destroy(ctx);
     return status;
 }
 
 /* One run with call number `first` failing; false where there was no such call. */
-static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_t first, bool all_after)
+static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_t first,
+                        bool all_after)
 {
     int open_before = count_open();
     failing_begin(what, first, all_after);
@@ -253,7 +275,8 @@ static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_
     if (status != 0 && (status != BSQ_ENOMEM || what != FAILING_MEMORY || result.failed == 0))
         fail_msg("call %llu failed: status %d", (unsigned long long)first, status);
     if (result.leaked != 0)
-        fail_msg("call %llu failed: %lld blocks were not freed", (unsigned long long)first, (long long)result.leaked);
+        fail_msg("call %llu failed: %lld blocks were not freed", (unsigned long long)first,
+                 (long long)result.leaked);
     if (count_open() != open_before)
         fail_msg("call %llu failed: a file stayed open", (unsigned long long)first);
     return result.failed > 0;
@@ -277,11 +300,11 @@ static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
     assert_int_equal(run(job), 0);
 }
 
-#define TEST(job, stride)                                                                                              \
-    static void test_##job(void **state)                                                                               \
-    {                                                                                                                  \
-        (void)state;                                                                                                   \
-        exhaust(job, stride);                                                                                          \
+#define TEST(job, stride)                                                                          \
+    static void test_##job(void **state)                                                           \
+    {                                                                                              \
+        (void)state;                                                                               \
+        exhaust(job, stride);                                                                      \
     }
 TEST(parse, 1)
 TEST(sort, 1)
@@ -330,10 +353,12 @@ static int tear_down(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_parse),       cmocka_unit_test(test_load_mesh),    cmocka_unit_test(test_sort),
-        cmocka_unit_test(test_voxelize),    cmocka_unit_test(test_verify_tris),  cmocka_unit_test(test_verify_nvdb),
-        cmocka_unit_test(test_bake_grid),   cmocka_unit_test(test_bake_preview), cmocka_unit_test(test_bake_exact),
-        cmocka_unit_test(test_compare),     cmocka_unit_test(test_record),
+        cmocka_unit_test(test_parse),       cmocka_unit_test(test_load_mesh),
+        cmocka_unit_test(test_sort),        cmocka_unit_test(test_voxelize),
+        cmocka_unit_test(test_verify_tris), cmocka_unit_test(test_verify_nvdb),
+        cmocka_unit_test(test_bake_grid),   cmocka_unit_test(test_bake_preview),
+        cmocka_unit_test(test_bake_exact),  cmocka_unit_test(test_compare),
+        cmocka_unit_test(test_record),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

@@ -1,5 +1,6 @@
-/* test_counts.c - counts and offsets around 2^32 and far above, set in writers that have seen few triangles: nobody waits for four
- * billion in a test. The chunk file's writer keeps its state to itself, so its source is part of this program. */
+/* test_counts.c - counts and offsets around 2^32 and far above, set in writers that have seen few
+ * triangles: nobody waits for four billion in a test. The chunk file's writer keeps its state to
+ * itself, so its source is part of this program. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -10,8 +11,8 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/nvdb_writer_internal.h"
-#include "formats/tris_write.c"
+#include "formats/grid/nvdb_writer_internal.h"
+#include "formats/chunks/tris_write.c"
 
 #define START (UINT64_C(0x100000000) - 10)
 
@@ -45,7 +46,9 @@ static uint64_t encode_strip(uint8_t *buffer, struct fmt_tris_chunk_info *info)
         memcpy(positions[v], (float[3]){(float)(v / 2), (float)(v % 2), 0}, sizeof positions[v]);
     for (uint32_t t = 0; t < 20; t++)
         memcpy(triangles[t], (uint32_t[3]){t, t + 1, t + 2}, sizeof triangles[t]);
-    struct fmt_tris_chunk chunk = {.triangle_count = 20, .vertex_count = 22, .positions = (const float(*)[3])positions,
+    struct fmt_tris_chunk chunk = {.triangle_count = 20,
+                                   .vertex_count = 22,
+                                   .positions = (const float(*)[3])positions,
                                    .triangles = (const uint32_t(*)[3])triangles};
     assert_int_equal(fmt_tris_encode(ctx, 0, &chunk, buffer, &size, info), 0);
     return size;
@@ -99,8 +102,14 @@ static int append_leaf(struct fmt_nvdb_writer *writer, int32_t x)
     struct fmt_nvdb_record records[40], second[40] = {0};
     for (int i = 0; i < 40; i++)
         records[i] = (struct fmt_nvdb_record){.plane = FMT_NVDB_PLANE_SECOND};
-    struct fmt_nvdb_region region = {.origin = {x, 0, 0}, .leaf_count = 1, .leaf_ids = &id, .masks = mask,
-                                     .record_count = 40, .second_count = 40, .records = records, .second = second};
+    struct fmt_nvdb_region region = {.origin = {x, 0, 0},
+                                     .leaf_count = 1,
+                                     .leaf_ids = &id,
+                                     .masks = mask,
+                                     .record_count = 40,
+                                     .second_count = 40,
+                                     .records = records,
+                                     .second = second};
     return fmt_nvdb_append(writer, &region);
 }
 
@@ -123,7 +132,8 @@ static void voxels_are_numbered_past_2_32(void **state)
     assert_int_equal(stream->fill, 3 * sizeof(struct nvdb_leaf));
     const struct nvdb_leaf *leaves = (const void *)stream->buffer;
     for (uint64_t i = 0; i < 3; i++)
-        assert_int_equal(leaves[i].offset, 1 + START + 40 * i); /* value index 0 is the background */
+        assert_int_equal(leaves[i].offset,
+                         1 + START + 40 * i); /* value index 0 is the background */
     assert_int_equal(writer->counts.voxels, START + 120);
     fmt_nvdb_discard(writer);
 }
@@ -132,7 +142,8 @@ static void expect_full(struct fmt_nvdb_writer *writer, const char *what)
 {
     assert_int_equal(append_leaf(writer, 0), BSQ_EUSAGE);
     char line[160];
-    snprintf(line, sizeof line, "a.nvdb: the grid has more than 4294967295 %s; choose larger voxels", what);
+    snprintf(line, sizeof line,
+             "a.nvdb: the grid has more than 4294967295 %s; choose larger voxels", what);
     assert_string_equal(bsq_error(ctx), line);
     bsq_clear_error(ctx);
     fmt_nvdb_discard(writer);
@@ -163,12 +174,14 @@ static void counts_that_the_format_cannot_hold_are_refused(void **state)
 static void sections_of_the_largest_grid_do_not_wrap(void **state)
 {
     (void)state;
-    uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX, n = 1 + v + s;
+    uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX,
+             n = 1 + v + s;
     struct nvdb_counts counts = {FMT_NVDB_ONINDEX, true, UINT32_MAX, UINT32_MAX, UINT32_MAX, v, s};
     struct nvdb_layout layout;
-    nvdb_layout_compute(&counts, &layout);
-    const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u, 270400 * u, 33856 * l, 96 * f, 5 * 288, 4 * n, 4 * n,
-                                                4 * n, 8 * (v / 32 + 1), 192};
+    fmt_nvdb_layout_compute(&counts, &layout);
+    const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u, 270400 * u, 33856 * l, 96 * f,
+                                                5 * 288,           4 * n,      4 * n,     4 * n,
+                                                8 * (v / 32 + 1),  192};
     uint64_t at = 0;
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
         at = i >= NVDB_NORMALS ? (at + 63) / 64 * 64 : at;

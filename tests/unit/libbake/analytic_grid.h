@@ -3,7 +3,7 @@
 #ifndef TEST_ANALYTIC_GRID_H
 #define TEST_ANALYTIC_GRID_H
 
-#include "formats/nvdb.h"
+#include "formats/grid/nvdb.h"
 
 struct analytic_grid;
 

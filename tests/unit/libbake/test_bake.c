@@ -10,7 +10,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/exr.h"
+#include "formats/image/exr.h"
 #include "libbake/bake.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"

@@ -2,7 +2,7 @@
 #ifndef TEST_TRIANGLE_SCAN_H
 #define TEST_TRIANGLE_SCAN_H
 
-#include "formats/tris.h"
+#include "formats/chunks/tris.h"
 
 struct triangle_scan {
     uint32_t attributes, vertex_count, triangle_count, material_count;

@@ -47,7 +47,8 @@ void scan_set_triangle(struct scan_mesh *mesh, uint32_t t, uint32_t a, uint32_t 
     mesh->triangles[t][2] = c;
 }
 
-void scan_set_quad(struct scan_mesh *mesh, uint32_t q, const double at[3], const double u[3], const double v[3])
+void scan_set_quad(struct scan_mesh *mesh, uint32_t q, const double at[3], const double u[3],
+                   const double v[3])
 {
     for (uint32_t i = 0; i < 4; i++) {
         double p[3];

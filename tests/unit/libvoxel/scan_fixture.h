@@ -2,7 +2,7 @@
 #ifndef TEST_SCAN_FIXTURE_H
 #define TEST_SCAN_FIXTURE_H
 
-#include "formats/tris.h"
+#include "formats/chunks/tris.h"
 
 struct scan_mesh {
     uint32_t vertex_count, triangle_count;
@@ -21,7 +21,8 @@ void scan_mesh_free(struct scan_mesh *mesh);
 void scan_set_vertex(struct scan_mesh *mesh, uint32_t v, double x, double y, double z);
 void scan_set_triangle(struct scan_mesh *mesh, uint32_t t, uint32_t a, uint32_t b, uint32_t c);
 /* A parallelogram from `at` along u and v, facing along u x v, as vertices 4 q to 4 q + 3. */
-void scan_set_quad(struct scan_mesh *mesh, uint32_t q, const double at[3], const double u[3], const double v[3]);
+void scan_set_quad(struct scan_mesh *mesh, uint32_t q, const double at[3], const double u[3],
+                   const double v[3]);
 
 /* A subdivided octahedron, its vertices on the sphere, with no edge above max_edge. Its six corners
  * lie on the axes, so that its bounds are those of the sphere. */

@@ -177,7 +177,8 @@ static void expect_bounds(const struct fmt_tris_chunk *chunk,
     assert_memory_equal(high, info->bounds_max, sizeof high);
 }
 
-void read_sorted(struct sort_fixture *f, struct sorted_triangles *out, struct fmt_tris_header *header)
+void read_sorted(struct sort_fixture *f, struct sorted_triangles *out,
+                 struct fmt_tris_header *header)
 {
     struct fmt_tris_file *file;
     void *scratch;

@@ -1,9 +1,10 @@
-/* sort_fixture.h - for the tests of the sorter: scans as text, sorted, and read again as a multiset of triangles. */
+/* sort_fixture.h - for the tests of the sorter: scans as text, sorted, and read again as a multiset
+ * of triangles. */
 #ifndef TEST_SORT_FIXTURE_H
 #define TEST_SORT_FIXTURE_H
 
-#include "formats/tris.h"
-#include "libvoxel/sort_internal.h"
+#include "formats/chunks/tris.h"
+#include "libvoxel/sort_limits.h"
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -48,7 +49,8 @@ void sorted_add(struct sorted_triangles *t, const struct sorted_triangle *one);
 /* Whatever the order; both are freed. */
 void expect_same_triangles(struct sorted_triangles *got, struct sorted_triangles *expected);
 /* Reads the sorted file whole; header (may be NULL) is copied without its materials. */
-void read_sorted(struct sort_fixture *f, struct sorted_triangles *out, struct fmt_tris_header *header);
+void read_sorted(struct sort_fixture *f, struct sorted_triangles *out,
+                 struct fmt_tris_header *header);
 /* To be freed with free(). */
 uint8_t *sort_read_bytes(const char *path, size_t *size);
 

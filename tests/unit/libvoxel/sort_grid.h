@@ -1,4 +1,5 @@
-/* sort_grid.h - a bumpy grid with random attributes as an OBJ file, and the triangles that sorting it must give. */
+/* sort_grid.h - a bumpy grid with random attributes as an OBJ file, and the triangles that sorting
+ * it must give. */
 #ifndef TEST_SORT_GRID_H
 #define TEST_SORT_GRID_H
 

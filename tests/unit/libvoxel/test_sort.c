@@ -50,7 +50,8 @@ static void every_triangle_of_a_soup_comes_out_once(void **state)
         memset(&one, 0, sizeof one);
         for (int k = 0; k < 3; k++) {
             for (int axis = 0; axis < 3; axis++)
-                one.corners[k].position[axis] = (float)(sort_random(&seed) % 100000) / 64.0f - 700.0f;
+                one.corners[k].position[axis] =
+                    (float)(sort_random(&seed) % 100000) / 64.0f - 700.0f;
             fprintf(file, "v %.9g %.9g %.9g\n", one.corners[k].position[0],
                     one.corners[k].position[1], one.corners[k].position[2]);
         }
@@ -111,7 +112,8 @@ static void append_flat_triangles(const char *path, const struct sort_grid *g, u
     FILE *file = fopen(path, "ab");
     assert_non_null(file);
     for (uint32_t i = 0; i < count; i++) {
-        uint32_t v = (uint32_t)(sort_random(&seed) % (g->n * g->n)) + 1, w = v + (uint32_t)(sort_random(&seed) % g->n);
+        uint32_t v = (uint32_t)(sort_random(&seed) % (g->n * g->n)) + 1,
+                 w = v + (uint32_t)(sort_random(&seed) % g->n);
         fprintf(file, "f %u %u %u\n", v, i % 2 ? w : v, v);
     }
     assert_int_equal(fclose(file), 0);
@@ -136,7 +138,7 @@ static void spilling_does_not_change_the_file(void **state)
             struct vox_sort_options options = {
                 .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
-            sort_limits_for(128 * MIB, 2, &limits);
+            vox_sort_limits_for(128 * MIB, 2, &limits);
             /* Faces are kept and scattered later, or else scattered as they are read. */
             if (variant == 1 || variant == 3 || variant == 8 || variant == 9 || variant == 13)
                 limits.direct_memory = 0;
@@ -160,14 +162,14 @@ static void spilling_does_not_change_the_file(void **state)
                 limits.join_bytes = 100000; /* many buckets */
             if (variant >= 11 && variant <= 13)
                 limits.vertex_cells_bytes = 0; /* corners are joined with values */
-            expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+            expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
             assert_int_equal(f->report.triangles, 2 * g.n * g.n);
             assert_int_equal(f->report.degenerate_triangles, 3000);
             assert_int_equal(f->report.unused_vertices, 0);
             if (variant != 4) /* small parts of cells stay in memory */
-                assert_int_equal(f->report.temp_bytes > 0,
-                                 (variant >= 1 && variant <= 3) || variant == 7 ||
-                                     variant == 8 || variant >= 10);
+                assert_int_equal(f->report.temp_bytes > 0, (variant >= 1 && variant <= 3) ||
+                                                               variant == 7 || variant == 8 ||
+                                                               variant >= 10);
             expect_same_file(f, &reference);
         }
         free(reference.bytes);
@@ -175,8 +177,8 @@ static void spilling_does_not_change_the_file(void **state)
     }
 }
 
-/* A vertex behind the faces moves the cube around the scan, and the samples that the reader takes do
- * not show it. */
+/* A vertex behind the faces moves the cube around the scan, and the samples that the reader takes
+ * do not show it. */
 static void vertices_behind_faces_are_found_late(void **state)
 {
     struct sort_fixture *f = *state;
@@ -196,10 +198,10 @@ static void vertices_behind_faces_are_found_late(void **state)
         struct sort_limits limits;
         struct vox_sort_options options = {
             .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
-        sort_limits_for(256 * MIB, 2, &limits);
+        vox_sort_limits_for(256 * MIB, 2, &limits);
         if (late == 2)
             limits.direct_memory = 0;
-        expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles, 2 * g.n * g.n + 40401);
         assert_int_equal(f->report.vertices, (g.n + 1) * (g.n + 1) + 1);
         if (late > 0)
@@ -209,7 +211,8 @@ static void vertices_behind_faces_are_found_late(void **state)
     sort_grid_free(&g);
 }
 
-/* More triangles than a batch with one first corner: only their order in the scan tells them apart. */
+/* More triangles than a batch with one first corner: only their order in the scan tells them apart.
+ */
 static void many_triangles_in_one_place_are_sorted(void **state)
 {
     struct sort_fixture *f = *state;
@@ -225,10 +228,10 @@ static void many_triangles_in_one_place_are_sorted(void **state)
         struct sort_limits limits;
         struct vox_sort_options options = {
             .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
-        sort_limits_for(256 * MIB, 2, &limits);
+        vox_sort_limits_for(256 * MIB, 2, &limits);
         if (small)
             limits.batch_triangles = 70000;
-        expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles, 140001);
         assert_int_equal(f->report.chunks, 4); /* nothing to choose from: 3 x 32768 and the rest */
         expect_same_file(f, &reference);
@@ -248,16 +251,18 @@ static uint64_t naive_key(const float point[3], const struct fmt_tris_header *he
         side = fmax(side, (double)header->bounds_max[axis] - header->bounds_min[axis]);
     for (int bit = 20; bit >= 0; bit--)
         for (int axis = 0; axis < 3; axis++) {
-            double cell = floor(((double)point[axis] - header->bounds_min[axis]) / side * 2097152.0);
+            double cell =
+                floor(((double)point[axis] - header->bounds_min[axis]) / side * 2097152.0);
             uint64_t c = (uint64_t)fmin(fmax(cell, 0.0), 2097151.0);
             key = key << 1 | (c >> bit & 1);
         }
     return key;
 }
 
-/* By their first corners. Neighbours may be swapped where the division above rounds another way, which
- * moves a key by one. */
-static void expect_morton_order(const struct fmt_tris_chunk *chunk, const struct fmt_tris_header *header, uint64_t *before)
+/* By their first corners. Neighbours may be swapped where the division above rounds another way,
+ * which moves a key by one. */
+static void expect_morton_order(const struct fmt_tris_chunk *chunk,
+                                const struct fmt_tris_header *header, uint64_t *before)
 {
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         uint64_t key = naive_key(chunk->positions[chunk->triangles[t][0]], header);

@@ -162,7 +162,8 @@ static void ordinary_scans_have_no_origin(void **state)
     expect_sorted(f, sort_text(f, "v 9000 0 0\nv 9500 0 0\nv 9000 500 0\nf 1 2 3\n"));
     assert_true(f->report.origin[0] == 0.0); /* far, but not for its size */
     expect_sorted(f, sort_text(f, "v 8000 0 0\nv 8001 0 0\nv 8000 1 0\nf 1 2 3\n"));
-    assert_true(f->report.origin[0] == 0.0); /* near enough; this may be a patch of a scan around 0 */
+    assert_true(f->report.origin[0] ==
+                0.0); /* near enough; this may be a patch of a scan around 0 */
 }
 
 /* ---- materials ---- */
@@ -267,7 +268,7 @@ static void one_texture_can_be_given_for_all(void **state)
     snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
     write_texture(f);
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
-                       "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
+                            "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
     expect_sorted(f, vox_sort(f->ctx, &options, &f->report));
     read_sorted(f, &got, NULL);
     assert_int_equal(count_material(&got, 0), 2);
@@ -278,19 +279,21 @@ static void one_texture_can_be_given_for_all(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), texture));
 }
 
-/* A face of two corners is no face, and its normals are none of the scan's, whenever faces are scattered. */
+/* A face of two corners is no face, and its normals are none of the scan's, whenever faces are
+ * scattered. */
 static void normals_of_faces_left_out_do_not_count(void **state)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
-    const struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    const struct vox_sort_options options = {
+        .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
     for (int later = 0; later < 2; later++) {
         struct sort_limits limits;
-        sort_limits_for(64 * MIB, 1, &limits);
+        vox_sort_limits_for(64 * MIB, 1, &limits);
         if (later)
             limits.direct_memory = 0;
-        expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.short_faces, 1);
         assert_false(f->report.has_normals);
     }

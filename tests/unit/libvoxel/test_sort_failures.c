@@ -1,4 +1,5 @@
-/* Scans that cannot be sorted, and sorting that fails on the way: an error that says why, and nothing is left behind. */
+/* Scans that cannot be sorted, and sorting that fails on the way: an error that says why, and
+ * nothing is left behind. */
 #include "sort_grid.h"
 
 #include <setjmp.h>
@@ -78,13 +79,13 @@ static void memory_may_run_out_anywhere(void **state)
     for (unsigned spilled = 0; spilled < 3; spilled++)
         for (uint64_t memory = 1000; memory < 80 * MIB; memory += memory / 5) {
             struct sort_limits limits;
-            sort_limits_for(128 * MIB, 2, &limits);
+            vox_sort_limits_for(128 * MIB, 2, &limits);
             if (spilled)
                 limits.column_bytes = limits.page_memory = 0;
             if (spilled > 1)
                 limits.vertex_cells_bytes = 0;
             sort_open_context(f, memory, 2);
-            int status = sort_with_limits(f->ctx, &options, &limits, &f->report);
+            int status = vox_sort_with_limits(f->ctx, &options, &limits, &f->report);
             failures += status < 0;
             assert_true(status == 0 || status == BSQ_ENOMEM);
             assert_int_equal(bsq_memory_used(f->ctx), 0);
@@ -120,14 +121,10 @@ int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
     const struct CMUnitTest tests[] = {
-        TEST(indices_out_of_range_are_located),
-        TEST(scans_without_faces_are_refused),
-        TEST(positions_beyond_float_are_refused),
-        TEST(a_scan_without_area_is_refused),
-        TEST(too_little_memory_is_refused),
-        TEST(memory_may_run_out_anywhere),
-        TEST(an_unwritable_place_is_refused),
-        TEST(an_interrupt_stops_and_leaves_nothing),
+        TEST(indices_out_of_range_are_located),   TEST(scans_without_faces_are_refused),
+        TEST(positions_beyond_float_are_refused), TEST(a_scan_without_area_is_refused),
+        TEST(too_little_memory_is_refused),       TEST(memory_may_run_out_anywhere),
+        TEST(an_unwritable_place_is_refused),     TEST(an_interrupt_stops_and_leaves_nothing),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -1,6 +1,6 @@
-/* Polygons are split the same way whether their vertices are in memory, or in a file: there they are fans until their batch is
- * sorted, or joined with values where they cannot be. */
-#include "libvoxel/fans.h"
+/* Polygons are split the same way whether their vertices are in memory, or in a file: there they
+ * are fans until their batch is sorted, or joined with values where they cannot be. */
+#include "libvoxel/partition/polygon_fans.h"
 #include "sort_grid.h"
 
 #include <setjmp.h>
@@ -10,12 +10,20 @@
 #include <string.h>
 #include <cmocka.h>
 
-enum { NORMALS = 1, TEXCOORDS = 2, SHUFFLED = 4, MATERIALS = 8, MIXED = 16, GIANT = 32, TANGLED = 64 };
+enum {
+    NORMALS = 1,
+    TEXCOORDS = 2,
+    SHUFFLED = 4,
+    MATERIALS = 8,
+    MIXED = 16,
+    GIANT = 32,
+    TANGLED = 64
+};
 
 #define SIDE 200u /* vertices along a row */
 
-/* A row of bumpy quads merged into polygons, that are far from flat or convex, and some triangles. Corners `first` to
- * first + width of this row, and those of the next one back. */
+/* A row of bumpy quads merged into polygons, that are far from flat or convex, and some triangles.
+ * Corners `first` to first + width of this row, and those of the next one back. */
 static void write_face(FILE *file, unsigned flags, uint32_t first, uint32_t width, uint64_t *seed)
 {
     const uint32_t corners = 2 * (width + 1);
@@ -107,7 +115,7 @@ static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
 /* The ways of a scan whose vertices do not fit; way 0 keeps all in memory. */
 static void choose_limits(unsigned way, struct sort_limits *limits)
 {
-    sort_limits_for(128 * MIB, 2, limits);
+    vox_sort_limits_for(128 * MIB, 2, limits);
     if (way > 0)
         limits->column_bytes = 0;
     if (way == 2 || way == 4 || way == 6)
@@ -141,7 +149,7 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
         struct sort_limits limits;
         choose_limits(way, &limits);
         sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
-        expect_sorted(f, sort_with_limits(f->ctx, &options, &limits, &f->report));
+        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
         assert_int_equal(f->report.unused_vertices, 0);
         assert_string_equal(f->progress.stage, "writing");

@@ -1,0 +1,101 @@
+/* tris_internal.h - the bytes of a chunk file, shared by its writer and its reader.
+ * FORMATS.md is the normative description; these structures are its tables. */
+#ifndef FMT_CHUNKS_TRIS_INTERNAL_H
+#define FMT_CHUNKS_TRIS_INTERNAL_H
+
+#include "formats/chunks/tris.h"
+
+/* Structures are copied to and from the file as they are. */
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
+
+#define TRIS_MAGIC      "BSQTRIS\n"
+#define TRIS_VERSION    1u
+#define TRIS_ATTRIBUTES 15u /* all that version 1 knows */
+/* Vertices of a chunk whose indices are stored in 16 bits. */
+#define TRIS_SHORT_VERTICES 65536u
+/* Length of a path that stands for "no texture". */
+#define TRIS_NO_PATH UINT32_MAX
+
+struct tris_file_header {
+    char magic[8];
+    uint32_t version;
+    uint32_t attributes;
+    uint64_t triangle_count;
+    uint64_t chunk_count;
+    uint64_t source_faces;
+    uint64_t skipped_triangles;
+    double origin[3];
+    float bounds_min[3];
+    float bounds_max[3];
+    uint64_t materials_offset; /* materials and table are the file's last two parts */
+    uint64_t table_offset;
+    uint64_t file_bytes;
+    uint32_t material_count;
+    uint32_t reserved;
+    uint64_t materials_checksum; /* of [materials_offset, table_offset) */
+    uint64_t table_checksum;     /* of [table_offset, file_bytes) */
+    uint64_t header_checksum;    /* of the header's bytes before this one */
+};
+_Static_assert(sizeof(struct tris_file_header) == 152, "the header has no padding");
+
+struct tris_material_record { /* followed by path_bytes bytes */
+    float diffuse[3];
+    uint32_t path_bytes;
+};
+_Static_assert(sizeof(struct tris_material_record) == 16, "the record has no padding");
+
+struct tris_table_entry {
+    uint64_t offset;
+    uint64_t size_bytes;
+    uint64_t first_triangle;
+    uint32_t triangle_count;
+    uint32_t vertex_count;
+    float bounds_min[3];
+    float bounds_max[3];
+};
+_Static_assert(sizeof(struct tris_table_entry) == 56, "the entry has no padding");
+
+struct tris_chunk_header {
+    uint64_t checksum; /* of the chunk's bytes after this one */
+    uint32_t triangle_count;
+    uint32_t vertex_count;
+};
+_Static_assert(sizeof(struct tris_chunk_header) == 16, "the chunk header has no padding");
+
+/* Where the parts of a chunk lie, from its first byte; absent parts have no bytes. */
+struct tris_layout {
+    uint64_t positions, normals, texcoords, colors, materials, triangles;
+    uint64_t end;   /* of the triangles */
+    uint64_t bytes; /* end, rounded up to 8 */
+    bool short_indices;
+};
+
+/* Describe damage of an open file, or of one of its chunks; return BSQ_EDATA. */
+int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);
+int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
+struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file);
+
+static inline uint64_t tris_align8(uint64_t bytes)
+{
+    return (bytes + 7) & ~(uint64_t)7;
+}
+
+/* Any 32-bit counts are valid; nothing overflows. */
+static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t triangle_count,
+                                                   uint32_t vertex_count)
+{
+    uint64_t nv = vertex_count, nt = triangle_count;
+    struct tris_layout l;
+    l.short_indices = vertex_count <= TRIS_SHORT_VERTICES;
+    l.positions = sizeof(struct tris_chunk_header);
+    l.normals = l.positions + 12 * nv;
+    l.texcoords = l.normals + (attributes & FMT_TRIS_NORMALS ? 4 * nv : 0);
+    l.colors = l.texcoords + (attributes & FMT_TRIS_TEXCOORDS ? 8 * nv : 0);
+    l.materials = l.colors + (attributes & FMT_TRIS_COLORS ? 4 * nv : 0);
+    l.triangles = l.materials + (attributes & FMT_TRIS_MATERIALS ? 4 * nt : 0);
+    l.end = l.triangles + (l.short_indices ? 6 : 12) * nt;
+    l.bytes = tris_align8(l.end);
+    return l;
+}
+
+#endif

@@ -1,0 +1,432 @@
+/* tris_read.c - opens a chunk file and loads single chunks.
+ *
+ * Nothing in the file is believed: lengths are held against the file's size before anything is
+ * allocated, parts must follow each other without gaps, every byte is under a checksum, and what a
+ * checksum cannot promise (indices, bounds, finite numbers) is checked when a chunk is loaded.
+ * Callers may thus use a chunk without checks of their own. */
+#include "formats/chunks/tris_internal.h"
+#include "base/file.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+#include <xxhash.h>
+
+struct fmt_tris_file {
+    struct bsq_ctx *ctx;
+    struct bsq_file file;
+    struct fmt_tris_header header;
+    struct fmt_tris_chunk_info *chunks;
+    uint8_t *tail; /* materials and table as in the file; freed after opening */
+    char *paths;   /* text of all texture paths */
+    uint64_t load_size_max;
+};
+
+/* ---- opening ---- */
+
+int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
+{
+    return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
+}
+
+struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file)
+{
+    return file->ctx;
+}
+
+static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
+{
+    if (h->version == __builtin_bswap32(TRIS_VERSION))
+        return bsq_fail(
+            file->ctx, BSQ_EDATA,
+            "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
+            file->file.path);
+    if (h->version != TRIS_VERSION)
+        return bsq_fail(file->ctx, BSQ_EDATA,
+                        "%s: chunk file of version %" PRIu32 ", this program reads version %u",
+                        file->file.path, h->version, TRIS_VERSION);
+    if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
+        return fmt_tris_damaged(file, "the header's checksum does not match");
+    if (h->file_bytes != file->file.size)
+        return bsq_fail(file->ctx, BSQ_EDATA,
+                        "%s: damaged chunk file: it has %" PRIu64
+                        " bytes, its header says %" PRIu64,
+                        file->file.path, file->file.size, h->file_bytes);
+    if ((h->attributes & ~TRIS_ATTRIBUTES) != 0 || h->reserved != 0)
+        return fmt_tris_damaged(file, "unknown attributes");
+    if (h->materials_offset < sizeof *h || h->table_offset < h->materials_offset ||
+        h->file_bytes < h->table_offset || h->materials_offset % 8 != 0 || h->table_offset % 8 != 0)
+        return fmt_tris_damaged(file, "parts of the file overlap");
+    uint64_t table_bytes = h->file_bytes - h->table_offset;
+    if (table_bytes % sizeof(struct tris_table_entry) != 0 ||
+        table_bytes / sizeof(struct tris_table_entry) != h->chunk_count)
+        return fmt_tris_damaged(file, "the chunk table has another length");
+    if ((h->table_offset - h->materials_offset) / sizeof(struct tris_material_record) <
+        h->material_count)
+        return fmt_tris_damaged(file, "too many materials");
+    for (int axis = 0; axis < 3; axis++)
+        if (!isfinite(h->origin[axis]))
+            return fmt_tris_damaged(file, "the origin is not finite");
+    return 0;
+}
+
+static void copy_header(struct fmt_tris_header *to, const struct tris_file_header *h)
+{
+    to->attributes = h->attributes;
+    to->triangle_count = h->triangle_count;
+    to->chunk_count = h->chunk_count;
+    to->source_faces = h->source_faces;
+    to->skipped_triangles = h->skipped_triangles;
+    to->material_count = h->material_count;
+    memcpy(to->origin, h->origin, sizeof to->origin);
+    memcpy(to->bounds_min, h->bounds_min, sizeof to->bounds_min);
+    memcpy(to->bounds_max, h->bounds_max, sizeof to->bounds_max);
+}
+
+static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *h)
+{
+    uint64_t bytes = h->file_bytes - h->materials_offset;
+    int status = bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail);
+    if (status < 0)
+        return status;
+    if ((status = bsq_file_read(file->ctx, &file->file, file->tail, bytes, h->materials_offset)) <
+        0)
+        return status;
+    uint64_t materials_bytes = h->table_offset - h->materials_offset;
+    if (XXH3_64bits(file->tail, materials_bytes) != h->materials_checksum)
+        return fmt_tris_damaged(file, "the materials' checksum does not match");
+    if (XXH3_64bits(file->tail + materials_bytes, bytes - materials_bytes) != h->table_checksum)
+        return fmt_tris_damaged(file, "the chunk table's checksum does not match");
+    return 0;
+}
+
+static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
+{
+    uint64_t bytes = h->table_offset - h->materials_offset, at = 0;
+    int status;
+    /* A path loses its 16-byte record and gains a terminator, so `bytes` holds all of them. */
+    if ((status = bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
+                             sizeof *file->header.materials, &file->header.materials)) < 0 ||
+        (status = bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths)) < 0)
+        return status;
+    char *text = file->paths;
+    for (uint32_t i = 0; i < h->material_count; i++) {
+        struct tris_material_record record;
+        struct fmt_tris_material *m = &file->header.materials[i];
+        if (bytes - at < sizeof record)
+            return fmt_tris_damaged(file, "the materials are cut off");
+        memcpy(&record, file->tail + at, sizeof record);
+        at += sizeof record;
+        memcpy(m->diffuse, record.diffuse, sizeof m->diffuse);
+        if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
+            return fmt_tris_damaged(file, "a material's colour is not finite");
+        if (record.path_bytes == TRIS_NO_PATH)
+            continue;
+        if (bytes - at < record.path_bytes || memchr(file->tail + at, 0, record.path_bytes))
+            return fmt_tris_damaged(file, "a texture's path is cut off");
+        m->texture_path = text;
+        memcpy(text, file->tail + at, record.path_bytes);
+        text[record.path_bytes] = '\0';
+        text += record.path_bytes + 1;
+        at += record.path_bytes;
+    }
+    if (tris_align8(at) != bytes)
+        return fmt_tris_damaged(file, "the materials have another length");
+    return 0;
+}
+
+static bool bounds_valid(const float min[3], const float max[3])
+{
+    for (int axis = 0; axis < 3; axis++)
+        if (!isfinite(min[axis]) || !isfinite(max[axis]) || min[axis] > max[axis])
+            return false;
+    return true;
+}
+
+static uint64_t load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
+{
+    struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
+    return l.short_indices ? tris_align8(l.triangles + 12 * (uint64_t)info->triangle_count)
+                           : l.bytes;
+}
+
+static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_info *info)
+{
+    uint32_t nt = info->triangle_count, nv = info->vertex_count;
+    return nt > 0 && nt <= FMT_TRIS_CHUNK_TRIANGLES && nv > 0 && nv <= 3 * nt &&
+           info->size_bytes == tris_chunk_layout(attributes, nt, nv).bytes &&
+           bounds_valid(info->bounds_min, info->bounds_max);
+}
+
+static int parse_table(struct fmt_tris_file *file, const struct tris_file_header *h)
+{
+    int status = bsq_alloc(file->ctx, "chunk table", h->chunk_count + 1, sizeof *file->chunks,
+                           &file->chunks);
+    if (status < 0)
+        return status;
+    const uint8_t *from = file->tail + (h->table_offset - h->materials_offset);
+    uint64_t offset = sizeof *h, triangles = 0;
+    for (uint64_t i = 0; i < h->chunk_count; i++) {
+        struct tris_table_entry entry;
+        struct fmt_tris_chunk_info *info = &file->chunks[i];
+        memcpy(&entry, from + i * sizeof entry, sizeof entry);
+        info->offset = entry.offset;
+        info->size_bytes = entry.size_bytes;
+        info->first_triangle = entry.first_triangle;
+        info->triangle_count = entry.triangle_count;
+        info->vertex_count = entry.vertex_count;
+        memcpy(info->bounds_min, entry.bounds_min, sizeof info->bounds_min);
+        memcpy(info->bounds_max, entry.bounds_max, sizeof info->bounds_max);
+        if (info->offset != offset || info->first_triangle != triangles ||
+            !chunk_info_valid(h->attributes, info))
+            return bsq_fail(file->ctx, BSQ_EDATA,
+                            "%s: damaged chunk file: entry %" PRIu64 " of the table is not valid",
+                            file->file.path, i);
+        offset += info->size_bytes;
+        triangles += info->triangle_count;
+        uint64_t bytes = load_size(h->attributes, info);
+        if (bytes > file->load_size_max)
+            file->load_size_max = bytes;
+    }
+    if (offset != h->materials_offset || triangles != h->triangle_count)
+        return fmt_tris_damaged(file, "the chunk table does not cover the file");
+    return 0;
+}
+
+static int check_bounds(const struct fmt_tris_file *file)
+{
+    const struct fmt_tris_header *h = &file->header;
+    if (!bounds_valid(h->bounds_min, h->bounds_max))
+        return fmt_tris_damaged(file, "the bounds are not valid");
+    for (uint64_t i = 0; i < h->chunk_count; i++)
+        for (int axis = 0; axis < 3; axis++)
+            if (file->chunks[i].bounds_min[axis] < h->bounds_min[axis] ||
+                file->chunks[i].bounds_max[axis] > h->bounds_max[axis])
+                return fmt_tris_damaged(file, "a chunk is outside of the bounds");
+    return 0;
+}
+
+static int open_parts(struct fmt_tris_file *file)
+{
+    struct tris_file_header h;
+    uint64_t got;
+    int status = bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got);
+    if (status < 0)
+        return status;
+    if (got < sizeof h.magic || memcmp(h.magic, TRIS_MAGIC, sizeof h.magic) != 0)
+        return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
+    if (got < sizeof h)
+        return fmt_tris_damaged(file, "the header is cut off");
+    if ((status = check_header(file, &h)) < 0)
+        return status;
+    copy_header(&file->header, &h);
+    if ((status = read_tail(file, &h)) < 0 || (status = parse_materials(file, &h)) < 0 ||
+        (status = parse_table(file, &h)) < 0)
+        return status;
+    return check_bounds(file);
+}
+
+/* Takes `input` over, in any case. */
+static int open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
+{
+    struct fmt_tris_file *file;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "chunk file", 1, sizeof *file, &file);
+    if (status < 0) {
+        bsq_file_close(ctx, input);
+        return status;
+    }
+    file->ctx = ctx;
+    file->file = *input;
+    if ((status = open_parts(file)) < 0) {
+        fmt_tris_close(file);
+        return status;
+    }
+    bsq_free(ctx, file->tail);
+    file->tail = NULL;
+    *out = file;
+    return 0;
+}
+
+int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out)
+{
+    struct bsq_file input;
+    *out = NULL;
+    int status = bsq_file_open(ctx, path, &input);
+    return status < 0 ? status : open_file(ctx, &input, out);
+}
+
+int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp, struct fmt_tris_file **out)
+{
+    struct bsq_file input;
+    *out = NULL;
+    int status = bsq_file_duplicate(ctx, temp, &input);
+    return status < 0 ? status : open_file(ctx, &input, out);
+}
+
+void fmt_tris_close(struct fmt_tris_file *file)
+{
+    if (!file)
+        return;
+    struct bsq_ctx *ctx = file->ctx;
+    bsq_file_close(ctx, &file->file);
+    bsq_free(ctx, file->header.materials);
+    bsq_free(ctx, file->chunks);
+    bsq_free(ctx, file->tail);
+    bsq_free(ctx, file->paths);
+    bsq_free(ctx, file);
+}
+
+const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file)
+{
+    return &file->header;
+}
+
+const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *file)
+{
+    return file->chunks;
+}
+
+/* ---- loading ---- */
+
+uint64_t fmt_tris_load_size(const struct fmt_tris_file *file, uint64_t index)
+{
+    return load_size(file->header.attributes, &file->chunks[index]);
+}
+
+uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
+{
+    return file->load_size_max;
+}
+
+/* Indices that are widened at once. */
+enum { WIDEN_STEP = 8 };
+
+static uint32_t widen_step(uint8_t *stored, uint32_t first, uint32_t count)
+{
+    uint16_t from[WIDEN_STEP] = {0};
+    uint32_t to[WIDEN_STEP], max = 0;
+    memcpy(from, stored + (uint64_t)first * sizeof *from, count * sizeof *from);
+    for (uint32_t i = 0; i < WIDEN_STEP; i++) {
+        to[i] = from[i];
+        max = to[i] > max ? to[i] : max;
+    }
+    memcpy(stored + (uint64_t)first * sizeof *to, to, count * sizeof *to);
+    return max;
+}
+
+/* Turns indices of 16 bits into those of 32 where they are, from the last to the first, as there is
+ * room behind them. Returns the largest. */
+static uint32_t widen_indices(uint8_t *stored, uint32_t count)
+{
+    uint32_t first = count - count % WIDEN_STEP;
+    uint32_t max = widen_step(stored, first, count - first);
+    while (first > 0) {
+        first -= WIDEN_STEP;
+        uint32_t here = widen_step(stored, first, WIDEN_STEP);
+        max = here > max ? here : max;
+    }
+    return max;
+}
+
+static uint32_t largest_index(const uint32_t *indices, uint32_t count)
+{
+    uint32_t max = 0;
+    for (uint32_t i = 0; i < count; i++)
+        max = indices[i] > max ? indices[i] : max;
+    return max;
+}
+
+static bool positions_inside(const struct fmt_tris_chunk *chunk,
+                             const struct fmt_tris_chunk_info *info)
+{
+    int outside = 0;
+    for (uint32_t v = 0; v < chunk->vertex_count; v++)
+        for (int axis = 0; axis < 3; axis++) {
+            float p = chunk->positions[v][axis];
+            /* NaN fails both comparisons. */
+            outside |= !(p >= info->bounds_min[axis]) | !(p <= info->bounds_max[axis]);
+        }
+    return !outside;
+}
+
+static bool texcoords_finite(const struct fmt_tris_chunk *chunk)
+{
+    float poison = 0.0f;
+    for (uint32_t v = 0; v < chunk->vertex_count; v++)
+        poison += chunk->texcoords[v][0] * 0.0f + chunk->texcoords[v][1] * 0.0f;
+    return poison == 0.0f;
+}
+
+static bool materials_known(const struct fmt_tris_chunk *chunk, uint32_t material_count)
+{
+    int unknown = 0;
+    for (uint32_t t = 0; t < chunk->triangle_count; t++)
+        unknown |= (chunk->materials[t] >= material_count) & (chunk->materials[t] != UINT32_MAX);
+    return !unknown;
+}
+
+int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
+{
+    return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: chunk %" PRIu64 ": %s",
+                    file->file.path, index, what);
+}
+
+/* Points the chunk at its parts in the bytes that were read. */
+static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
+                        const struct tris_layout *l, uint32_t attributes)
+{
+    out->positions = (const float(*)[3])(const void *)(bytes + l->positions);
+    if (attributes & FMT_TRIS_NORMALS)
+        out->normals = (const uint32_t *)(const void *)(bytes + l->normals);
+    if (attributes & FMT_TRIS_TEXCOORDS)
+        out->texcoords = (const float(*)[2])(const void *)(bytes + l->texcoords);
+    if (attributes & FMT_TRIS_COLORS)
+        out->colors = (const uint32_t *)(const void *)(bytes + l->colors);
+    if (attributes & FMT_TRIS_MATERIALS)
+        out->materials = (const uint32_t *)(const void *)(bytes + l->materials);
+    out->triangles = (const uint32_t(*)[3])(const void *)(bytes + l->triangles);
+}
+
+static bool all_zero(const uint8_t *bytes, uint64_t count)
+{
+    uint8_t any = 0;
+    for (uint64_t i = 0; i < count; i++)
+        any |= bytes[i];
+    return any == 0;
+}
+
+int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
+                  struct fmt_tris_chunk *out)
+{
+    const struct fmt_tris_chunk_info *info = &file->chunks[index];
+    const uint32_t attributes = file->header.attributes;
+    struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
+    uint8_t *bytes = scratch;
+    memset(out, 0, sizeof *out);
+    int status = bsq_file_read(file->ctx, &file->file, bytes, l.bytes, info->offset);
+    if (status < 0)
+        return status;
+    struct tris_chunk_header header;
+    memcpy(&header, bytes, sizeof header);
+    if (XXH3_64bits(bytes + 8, l.bytes - 8) != header.checksum)
+        return fmt_tris_damaged_chunk(file, index, "the checksum does not match");
+    if (header.triangle_count != info->triangle_count || header.vertex_count != info->vertex_count)
+        return fmt_tris_damaged_chunk(file, index, "its counts are not those of the table");
+    if (!all_zero(bytes + l.end, l.bytes - l.end))
+        return fmt_tris_damaged_chunk(file, index, "its padding is not zero");
+    out->triangle_count = info->triangle_count;
+    out->vertex_count = info->vertex_count;
+    place_chunk(out, bytes, &l, attributes);
+    uint32_t max = l.short_indices ? widen_indices(bytes + l.triangles, 3 * info->triangle_count)
+                                   : largest_index(out->triangles[0], 3 * info->triangle_count);
+    if (max >= info->vertex_count)
+        return fmt_tris_damaged_chunk(file, index, "an index is out of range");
+    if (!positions_inside(out, info))
+        return fmt_tris_damaged_chunk(file, index, "a vertex is outside of the bounds");
+    if (out->texcoords && !texcoords_finite(out))
+        return fmt_tris_damaged_chunk(file, index, "a texture coordinate is not finite");
+    if (out->materials && !materials_known(out, file->header.material_count))
+        return fmt_tris_damaged_chunk(file, index, "a material number is out of range");
+    return 0;
+}

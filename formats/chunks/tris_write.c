@@ -1,0 +1,197 @@
+/* tris_write.c - chunks in order, then materials and table, and last the header that refers to
+ * them.
+ *
+ * Counts and bounds of the header come from the chunks, so they are known only at the end; until
+ * then the header's place holds zeros, which no reader accepts. */
+#include "formats/chunks/tris_internal.h"
+
+#include <math.h>
+#include <string.h>
+#include <xxhash.h>
+
+struct fmt_tris_writer {
+    struct bsq_ctx *ctx;
+    struct bsq_output *output;
+    struct tris_file_header header;
+    char *materials; /* as in the file */
+    uint64_t materials_bytes;
+    struct tris_table_entry *table;
+    uint64_t table_capacity;
+};
+
+static void writer_free(struct fmt_tris_writer *writer)
+{
+    struct bsq_ctx *ctx = writer->ctx;
+    bsq_free(ctx, writer->materials);
+    bsq_free(ctx, writer->table);
+    bsq_free(ctx, writer);
+}
+
+static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
+{
+    uint64_t bytes = 0;
+    for (uint32_t i = 0; i < header->material_count; i++) {
+        const char *path = header->materials[i].texture_path;
+        size_t length = path ? strlen(path) : 0;
+        if (length >= TRIS_NO_PATH)
+            return bsq_fail(writer->ctx, BSQ_EUSAGE, "a texture's path has %zu bytes", length);
+        bytes += sizeof(struct tris_material_record) + length;
+    }
+    writer->materials_bytes = tris_align8(bytes);
+    int status =
+        bsq_calloc(writer->ctx, "materials", writer->materials_bytes + 1, 1, &writer->materials);
+    if (status < 0)
+        return status;
+    char *to = writer->materials;
+    for (uint32_t i = 0; i < header->material_count; i++) {
+        const struct fmt_tris_material *m = &header->materials[i];
+        size_t length = m->texture_path ? strlen(m->texture_path) : 0;
+        struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
+                                              m->texture_path ? (uint32_t)length : TRIS_NO_PATH};
+        memcpy(to, &record, sizeof record);
+        if (length > 0)
+            memcpy(to + sizeof record, m->texture_path, length);
+        to += sizeof record + length;
+    }
+    return 0;
+}
+
+/* `beside` where the file is to have no name, else `path`. */
+static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
+                  const struct fmt_tris_header *header, struct fmt_tris_writer **out)
+{
+    struct fmt_tris_writer *writer;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "chunk file", 1, sizeof *writer, &writer);
+    if (status < 0)
+        return status;
+    writer->ctx = ctx;
+    struct tris_file_header *h = &writer->header;
+    memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
+    h->version = TRIS_VERSION;
+    h->attributes = header->attributes;
+    h->source_faces = header->source_faces;
+    h->material_count = header->material_count;
+    memcpy(h->origin, header->origin, sizeof h->origin);
+    struct tris_file_header placeholder;
+    memset(&placeholder, 0, sizeof placeholder);
+    if ((status = encode_materials(writer, header)) < 0 ||
+        (status = path ? bsq_output_open(ctx, path, &writer->output)
+                       : bsq_output_open_temp(ctx, beside, "chunks", &writer->output)) < 0 ||
+        (status = bsq_output_write(writer->output, &placeholder, sizeof placeholder)) < 0) {
+        fmt_tris_discard(writer);
+        return status;
+    }
+    *out = writer;
+    return 0;
+}
+
+int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
+                    struct fmt_tris_writer **out)
+{
+    return create(ctx, path, NULL, header, out);
+}
+
+int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
+                         const struct fmt_tris_header *header, struct fmt_tris_writer **out)
+{
+    return create(ctx, NULL, beside, header, out);
+}
+
+static void extend_bounds(struct tris_file_header *header, const struct fmt_tris_chunk_info *info)
+{
+    bool first = header->chunk_count == 0;
+    for (int axis = 0; axis < 3; axis++) {
+        if (first || info->bounds_min[axis] < header->bounds_min[axis])
+            header->bounds_min[axis] = info->bounds_min[axis];
+        if (first || info->bounds_max[axis] > header->bounds_max[axis])
+            header->bounds_max[axis] = info->bounds_max[axis];
+    }
+}
+
+int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_t size,
+                    const struct fmt_tris_chunk_info *info)
+{
+    struct tris_file_header *h = &writer->header;
+    int status = bsq_grow(writer->ctx, "chunk table", h->chunk_count + 1, sizeof *writer->table,
+                          &writer->table, &writer->table_capacity);
+    if (status < 0)
+        return status;
+    struct tris_table_entry *entry = &writer->table[h->chunk_count];
+    entry->offset = bsq_output_tell(writer->output);
+    entry->size_bytes = size;
+    entry->first_triangle = h->triangle_count;
+    entry->triangle_count = info->triangle_count;
+    entry->vertex_count = info->vertex_count;
+    memcpy(entry->bounds_min, info->bounds_min, sizeof entry->bounds_min);
+    memcpy(entry->bounds_max, info->bounds_max, sizeof entry->bounds_max);
+    if ((status = bsq_output_write(writer->output, encoded, size)) < 0)
+        return status;
+    extend_bounds(h, info);
+    h->chunk_count++;
+    h->triangle_count += info->triangle_count;
+    return 0;
+}
+
+void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles)
+{
+    writer->header.skipped_triangles += triangles;
+}
+
+uint64_t fmt_tris_written(const struct fmt_tris_writer *writer)
+{
+    return bsq_output_tell(writer->output);
+}
+
+/* Writes materials, table and header. */
+static int finish(struct fmt_tris_writer *writer)
+{
+    struct tris_file_header *h = &writer->header;
+    uint64_t table_bytes = h->chunk_count * sizeof *writer->table;
+    h->materials_offset = bsq_output_tell(writer->output);
+    h->table_offset = h->materials_offset + writer->materials_bytes;
+    h->file_bytes = h->table_offset + table_bytes;
+    h->materials_checksum = XXH3_64bits(writer->materials, writer->materials_bytes);
+    h->table_checksum = XXH3_64bits(writer->table, table_bytes);
+    h->header_checksum = XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum));
+    int status;
+    if ((status = bsq_output_write(writer->output, writer->materials, writer->materials_bytes)) <
+            0 ||
+        (status = bsq_output_write(writer->output, writer->table, table_bytes)) < 0 ||
+        (status = bsq_output_write_at(writer->output, h, sizeof *h, 0)) < 0)
+        return status;
+    return 0;
+}
+
+int fmt_tris_commit(struct fmt_tris_writer *writer)
+{
+    int status = finish(writer);
+    if (status < 0) {
+        fmt_tris_discard(writer);
+        return status;
+    }
+    status = bsq_output_commit(writer->output);
+    writer_free(writer);
+    return status;
+}
+
+int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out)
+{
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    int status = finish(writer);
+    if (status < 0) {
+        fmt_tris_discard(writer);
+        return status;
+    }
+    status = bsq_output_keep_temp(writer->output, out);
+    writer_free(writer);
+    return status;
+}
+
+void fmt_tris_discard(struct fmt_tris_writer *writer)
+{
+    if (!writer)
+        return;
+    bsq_output_discard(writer->output);
+    writer_free(writer);
+}

@@ -1,0 +1,124 @@
+/* nvdb_layout.c - offsets of all sections of a .nvdb file, and small facts about nodes.
+ *
+ * Sections follow each other in NanoVDB's breadth-first order without gaps up to the blind
+ * metadata; each channel then starts at a multiple of 64 bytes of the file, so that a mapped
+ * channel is aligned for any access. */
+#include <limits.h>
+#include <string.h>
+
+#include "formats/grid/nvdb_layout_internal.h"
+
+/* GridType and GridBlindDataSemantic numbers of NanoVDB. */
+enum { TYPE_UNKNOWN = 0, TYPE_UINT32 = 10, TYPE_RGBA8 = 12 };
+enum { SEMANTIC_UNKNOWN = 0, SEMANTIC_COLOR = 2, SEMANTIC_NORMAL = 3 };
+
+const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
+{
+    static const struct fmt_nvdb_channel channels[] = {
+        {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4},   {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
+        {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4},      {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
+        {"bisque", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+    };
+    assert(section >= NVDB_NORMALS && section <= NVDB_RECORD);
+    return &channels[section - NVDB_NORMALS];
+}
+
+static uint64_t align_up(uint64_t offset)
+{
+    return (offset + NVDB_ALIGNMENT - 1) / NVDB_ALIGNMENT * NVDB_ALIGNMENT;
+}
+
+void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout)
+{
+    uint64_t root_bytes =
+        counts->type == FMT_NVDB_ONINDEX ? NVDB_ROOT_BYTES_ONINDEX : NVDB_ROOT_BYTES_MASK;
+    layout->root =
+        FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data) + sizeof(struct nvdb_tree_data);
+    layout->tiles = layout->root + root_bytes;
+    layout->blind_count = counts->has_color ? 5 : 4;
+    layout->record_count = 1 + counts->voxels + counts->seconds;
+    layout->second_words = counts->voxels / 32 + 1;
+
+    uint64_t size[NVDB_SECTION_COUNT] = {
+        [NVDB_HEAD] = layout->tiles + counts->uppers * (uint64_t)sizeof(struct nvdb_tile),
+        [NVDB_UPPERS] = counts->uppers * (uint64_t)sizeof(struct nvdb_upper),
+        [NVDB_LOWERS] = counts->lowers * (uint64_t)sizeof(struct nvdb_lower),
+        [NVDB_LEAVES] = counts->leaves * (uint64_t)sizeof(struct nvdb_leaf),
+        [NVDB_BLIND] = layout->blind_count * (uint64_t)sizeof(struct nvdb_blind),
+        [NVDB_NORMALS] = layout->record_count * 4,
+        [NVDB_PLANES] = layout->record_count * 4,
+        [NVDB_COLORS] = counts->has_color ? layout->record_count * 4 : 0,
+        [NVDB_SECONDS] = layout->second_words * 8,
+        [NVDB_RECORD] = sizeof(struct nvdb_record),
+    };
+    uint64_t offset = 0;
+    for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
+        if (i >= NVDB_NORMALS)
+            offset = align_up(offset);
+        layout->section[i] = (struct nvdb_range){offset, size[i]};
+        offset += size[i];
+    }
+    layout->file_bytes = offset;
+}
+
+/* Bits that are set in a range 0..7: lowest and highest. `bits` is not zero. */
+static void bit_range(uint32_t bits, int32_t *low, int32_t *high)
+{
+    *low = __builtin_ctz(bits);
+    *high = 31 - __builtin_clz(bits);
+}
+
+uint32_t fmt_nvdb_leaf_bounds(const int32_t origin[3], const uint64_t mask[8], int32_t bbox_min[3],
+                              int32_t bbox_max[3])
+{
+    uint32_t count = 0, bits[3] = {0, 0, 0};
+    uint64_t yz = 0;
+    for (uint32_t x = 0; x < 8; x++) {
+        count += nvdb_popcount(mask[x]);
+        bits[0] |= (uint32_t)(mask[x] != 0) << x;
+        yz |= mask[x];
+    }
+    for (uint32_t y = 0; y < 8; y++) {
+        uint32_t z = (uint32_t)(yz >> (8 * y) & 0xff);
+        bits[1] |= (uint32_t)(z != 0) << y;
+        bits[2] |= z;
+    }
+    if (count == 0)
+        return 0;
+    for (int axis = 0; axis < 3; axis++) {
+        int32_t low, high;
+        bit_range(bits[axis], &low, &high);
+        bbox_min[axis] = origin[axis] + low;
+        bbox_max[axis] = origin[axis] + high;
+    }
+    return count;
+}
+
+uint64_t fmt_nvdb_prefix_sum(const uint64_t mask[8])
+{
+    uint64_t packed = 0, sum = 0;
+    for (int word = 0; word < 7; word++) {
+        sum += nvdb_popcount(mask[word]);
+        packed |= sum << (9 * word);
+    }
+    return packed;
+}
+
+void fmt_nvdb_bbox_clear(int32_t bbox_min[3], int32_t bbox_max[3])
+{
+    for (int axis = 0; axis < 3; axis++) {
+        bbox_min[axis] = INT32_MAX;
+        bbox_max[axis] = INT32_MIN;
+    }
+}
+
+void fmt_nvdb_bbox_join(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
+                        const int32_t other_max[3])
+{
+    for (int axis = 0; axis < 3; axis++) {
+        if (other_min[axis] < bbox_min[axis])
+            bbox_min[axis] = other_min[axis];
+        if (other_max[axis] > bbox_max[axis])
+            bbox_max[axis] = other_max[axis];
+    }
+}

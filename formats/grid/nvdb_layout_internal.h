@@ -1,0 +1,294 @@
+/* nvdb_layout_internal.h - the bytes of a .nvdb file and where its sections lie.
+ *
+ * The structures are those of NanoVDB 32.4.2 for a Mask grid. A grid of type OnIndex (NanoVDB 32.6)
+ * differs in the header and in the size of RootData only. Every section's place follows from a few
+ * counts (fmt_nvdb_layout_compute), so the writer needs no patching and the reader compares instead
+ * of trusting. FORMATS.md has the byte tables. */
+#ifndef FMT_GRID_NVDB_LAYOUT_INTERNAL_H
+#define FMT_GRID_NVDB_LAYOUT_INTERNAL_H
+
+#include <assert.h>
+#include <stddef.h>
+
+#include "formats/grid/nvdb.h"
+
+#if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "NanoVDB grids are little-endian and used in place"
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define NVDB_MAGIC            UINT64_C(0x304244566f6e614e) /* "NanoVDB0" */
+#define NVDB_MAGIC_GRID       UINT64_C(0x314244566f6e614e) /* "NanoVDB1" */
+#define NVDB_MAGIC_FILE       UINT64_C(0x324244566f6e614e) /* "NanoVDB2" */
+#define NVDB_VERSION(a, b, c) ((uint32_t)(a) << 21 | (uint32_t)(b) << 10 | (uint32_t)(c))
+#define NVDB_VERSION_MASK     NVDB_VERSION(32, 4, 2)
+#define NVDB_VERSION_ONINDEX  NVDB_VERSION(32, 6, 0)
+#define NVDB_GRID_NAME        "surface"
+
+enum {
+    NVDB_NAME_BYTES = 32, /* padded so that the grid starts at FMT_NVDB_GRID_OFFSET */
+    NVDB_CLASS_TOPOLOGY = 6,
+    NVDB_CLASS_INDEX = 8,
+    NVDB_HAS_BBOX = 1 << 1, /* grid flags */
+    NVDB_BREADTH_FIRST = 1 << 5,
+    NVDB_NODE_HAS_BBOX = 2, /* node flags */
+    NVDB_ALIGNMENT = 64,    /* of blind data in the file */
+    NVDB_LEAF_DIM = 8,      /* voxels along an edge of each node */
+    NVDB_LOWER_DIM = 128,
+    NVDB_UPPER_DIM = 4096
+};
+
+struct nvdb_file_header {
+    uint64_t magic;
+    uint32_t version;
+    uint16_t grid_count;
+    uint16_t codec;
+};
+
+struct nvdb_file_meta {
+    uint64_t grid_bytes, file_bytes, name_key, voxel_count;
+    uint32_t grid_type, grid_class;
+    double world_min[3], world_max[3];
+    int32_t index_min[3], index_max[3];
+    double voxel_size[3];
+    uint32_t name_bytes;
+    uint32_t node_count[4]; /* leaf, lower, upper, root */
+    uint32_t tile_count[3];
+    uint16_t codec, padding;
+    uint32_t version;
+};
+
+struct nvdb_map {
+    float matrix_f[9], inverse_f[9], translation_f[3], taper_f;
+    double matrix[9], inverse[9], translation[3], taper;
+};
+
+struct nvdb_grid_data {
+    uint64_t magic;
+    uint32_t checksum[2]; /* CRC-32 of the head; all ones: nodes are not covered */
+    uint32_t version, flags;
+    uint32_t grid_index, grid_count;
+    uint64_t grid_bytes;
+    char name[256];
+    struct nvdb_map map;
+    double world_min[3], world_max[3];
+    double voxel_size[3];
+    uint32_t grid_class, grid_type;
+    int64_t blind_offset; /* from GridData */
+    uint32_t blind_count, data0;
+    uint64_t value_count; /* background and voxels */
+    uint64_t data2;
+};
+
+struct nvdb_tree_data {
+    uint64_t node_offset[4]; /* from TreeData to the first leaf, lower, upper, root */
+    uint32_t node_count[3];
+    uint32_t tile_count[3];
+    uint64_t voxel_count;
+};
+
+/* RootData as far as it is the same for both types; values (all zero) and padding follow. */
+struct nvdb_root {
+    int32_t bbox_min[3], bbox_max[3];
+    uint32_t tile_count;
+};
+enum { NVDB_ROOT_BYTES_MASK = 64, NVDB_ROOT_BYTES_ONINDEX = 96 };
+
+struct nvdb_tile {
+    uint64_t key;
+    int64_t child; /* from RootData */
+    uint64_t values[2];
+};
+
+struct nvdb_upper {
+    int32_t bbox_min[3], bbox_max[3];
+    uint64_t flags;
+    uint64_t value_mask[512], child_mask[512];
+    uint64_t statistics[4];
+    int64_t table[32768]; /* child: offset from this node */
+};
+
+struct nvdb_lower {
+    int32_t bbox_min[3], bbox_max[3];
+    uint64_t flags;
+    uint64_t value_mask[64], child_mask[64];
+    uint64_t statistics[4];
+    int64_t table[4096];
+};
+
+struct nvdb_leaf {
+    int32_t bbox_min[3];
+    uint8_t bbox_dif[3];
+    uint8_t flags;
+    uint64_t mask[8];
+    uint64_t offset;     /* value index of the first voxel */
+    uint64_t prefix_sum; /* bits 9 k .. 9 k + 8: voxels in words 0 .. k */
+};
+
+struct nvdb_blind {
+    int64_t offset; /* from this structure */
+    uint64_t count;
+    uint32_t value_bytes; /* unused "flags" before version 32.6 */
+    uint32_t semantic, data_class, data_type;
+    char name[256];
+};
+
+static_assert(sizeof(struct nvdb_file_header) == 16, "file header");
+static_assert(sizeof(struct nvdb_file_meta) == 176, "file metadata");
+static_assert(16 + 176 + NVDB_NAME_BYTES == FMT_NVDB_GRID_OFFSET, "start of the grid");
+static_assert(offsetof(struct nvdb_grid_data, map) == 296, "GridData");
+static_assert(offsetof(struct nvdb_grid_data, world_min) == 560, "GridData");
+static_assert(offsetof(struct nvdb_grid_data, blind_offset) == 640, "GridData");
+static_assert(sizeof(struct nvdb_grid_data) == 672, "GridData");
+static_assert(sizeof(struct nvdb_tree_data) == 64, "TreeData");
+static_assert(sizeof(struct nvdb_root) == 28, "RootData");
+static_assert(sizeof(struct nvdb_tile) == 32, "RootData::Tile");
+static_assert(sizeof(struct nvdb_upper) == 270400, "InternalData<5>");
+static_assert(sizeof(struct nvdb_lower) == 33856, "InternalData<4>");
+static_assert(sizeof(struct nvdb_leaf) == FMT_NVDB_LEAF_BYTES, "LeafData");
+static_assert(sizeof(struct nvdb_blind) == 288, "GridBlindMetaData");
+
+/* Everything between two offsets of the file that has a checksum, in file order. */
+enum nvdb_section {
+    NVDB_HEAD, /* file header and metadata, GridData, TreeData, RootData and tiles */
+    NVDB_UPPERS,
+    NVDB_LOWERS,
+    NVDB_LEAVES,
+    NVDB_BLIND, /* array of struct nvdb_blind */
+    NVDB_NORMALS,
+    NVDB_PLANES,
+    NVDB_COLORS, /* size 0 where the grid has none */
+    NVDB_SECONDS,
+    NVDB_RECORD, /* struct nvdb_record; its checksum is its own last member */
+    NVDB_SECTION_COUNT
+};
+
+#define NVDB_RECORD_MAGIC "BISQUE\r\n"
+enum { NVDB_RECORD_VERSION = 2, NVDB_RECORD_HAS_COLOR = 1 };
+
+/* Bisque's own record, the last blind data. */
+struct nvdb_record {
+    char magic[8];
+    uint32_t version, flags;
+    uint64_t source_triangles, second_count;
+    double scan_min[3], scan_max[3];
+    uint64_t checksum[NVDB_RECORD]; /* XXH3-64 of each section before */
+    uint64_t reserved[4];
+    uint64_t record_checksum; /* XXH3-64 of all members before */
+};
+static_assert(sizeof(struct nvdb_record) == 192, "bisque record");
+
+/* What the layout follows from. */
+struct nvdb_counts {
+    enum fmt_nvdb_type type;
+    bool has_color;
+    uint32_t uppers, lowers, leaves;
+    uint64_t voxels, seconds;
+};
+
+struct nvdb_range {
+    uint64_t offset, size; /* in the file */
+};
+
+struct nvdb_layout {
+    struct nvdb_range section[NVDB_SECTION_COUNT];
+    uint64_t root, tiles; /* offsets in the file */
+    uint32_t blind_count;
+    uint64_t record_count, second_words;
+    uint64_t file_bytes;
+};
+
+/* What every channel looks like in NanoVDB's terms. */
+struct fmt_nvdb_channel {
+    const char *name;
+    uint32_t semantic, data_type, value_bytes;
+};
+
+/* The description of one of the sections NVDB_NORMALS .. NVDB_RECORD. */
+const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section);
+
+/* Computes where everything lies. Counts must satisfy voxels <= 512 * leaves and seconds <= voxels;
+ * nothing can overflow then. */
+void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout);
+
+static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
+{
+    return type == FMT_NVDB_ONINDEX ? NVDB_VERSION_ONINDEX : NVDB_VERSION_MASK;
+}
+
+/* Key of the root tile that holds a voxel. */
+static inline uint64_t nvdb_root_key(const int32_t ijk[3])
+{
+    return (uint64_t)((uint32_t)ijk[0] >> 12) << 42 | (uint64_t)((uint32_t)ijk[1] >> 12) << 21 |
+           (uint64_t)((uint32_t)ijk[2] >> 12);
+}
+
+/* Slot of a voxel's lower in its upper, of its leaf in its lower, of itself in its leaf. */
+static inline uint32_t nvdb_upper_slot(const int32_t ijk[3])
+{
+    return ((uint32_t)ijk[0] >> 7 & 31) << 10 | ((uint32_t)ijk[1] >> 7 & 31) << 5 |
+           ((uint32_t)ijk[2] >> 7 & 31);
+}
+static inline uint32_t nvdb_lower_slot(const int32_t ijk[3])
+{
+    return ((uint32_t)ijk[0] >> 3 & 15) << 8 | ((uint32_t)ijk[1] >> 3 & 15) << 4 |
+           ((uint32_t)ijk[2] >> 3 & 15);
+}
+static inline uint32_t nvdb_leaf_slot(const int32_t ijk[3])
+{
+    return ((uint32_t)ijk[0] & 7) << 6 | ((uint32_t)ijk[1] & 7) << 3 | ((uint32_t)ijk[2] & 7);
+}
+
+static inline uint32_t nvdb_popcount(uint64_t bits)
+{
+    return (uint32_t)__builtin_popcountll(bits);
+}
+
+/* Bounds of the voxels of a leaf at `origin`, and its voxel count. */
+uint32_t fmt_nvdb_leaf_bounds(const int32_t origin[3], const uint64_t mask[8], int32_t bbox_min[3],
+                              int32_t bbox_max[3]);
+/* The seven prefix sums of a leaf's mask, packed. */
+uint64_t fmt_nvdb_prefix_sum(const uint64_t mask[8]);
+
+/* An empty box, and the union with another. */
+void fmt_nvdb_bbox_clear(int32_t bbox_min[3], int32_t bbox_max[3]);
+void fmt_nvdb_bbox_join(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
+                        const int32_t other_max[3]);
+
+/* Fills the first 224 bytes of the file from its GridData, TreeData and RootData. */
+void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvdb_tree_data *tree,
+                             const struct nvdb_root *root, uint8_t head[FMT_NVDB_GRID_OFFSET]);
+/* Fills section NVDB_HEAD, checksum included. keys: of the root tiles. bbox: of all voxels. */
+void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
+                        const struct nvdb_layout *layout, const uint64_t *keys,
+                        const int32_t bbox_min[3], const int32_t bbox_max[3], uint8_t *head);
+/* Fills section NVDB_BLIND. */
+void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *blind);
+
+/* NanoVDB's checksum of a grid's head: GridData behind the checksum, TreeData, RootData, tiles. */
+uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout);
+uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record);
+
+/* Checks for fmt_nvdb_open(): that the file is one that Bisque wrote and where its sections lie
+ * (fills in everything of `grid`), then all nodes. Both describe the failure. */
+int fmt_nvdb_check_head(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
+int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+/* Checks for fmt_nvdb_verify() that every record is one that a writer may write. */
+int fmt_nvdb_check_records(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget);
+/* fmt_nvdb_verify(); with `forget` the pages of the map are given back to the system as it goes, so
+ * that little of the file is resident at a time. The grid must be one that fmt_nvdb_open() mapped,
+ * then. */
+int fmt_nvdb_verify_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget);
+void fmt_nvdb_forget_pages(const void *from, uint64_t size);
+/* The layout of a grid that fmt_nvdb_check_head() accepted, and its record. */
+void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);
+const struct nvdb_record *fmt_nvdb_record_of(const struct fmt_nvdb_grid *grid,
+                                             const struct nvdb_layout *layout);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,84 @@
+/* nvdb_reader.c - opens a .nvdb file for use in place, and the reference lookup in it.
+ *
+ * The lookup is the plain descent through root, upper, lower and leaf; it follows offsets that
+ * fmt_nvdb_open() has checked. */
+#include <string.h>
+
+#include "formats/grid/nvdb_layout_internal.h"
+
+int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out)
+{
+    memset(out, 0, sizeof(*out));
+    int status = bsq_map_open(ctx, path, &out->map);
+    if (status)
+        return status;
+    status = fmt_nvdb_check_head(ctx, out);
+    if (status == 0)
+        status = fmt_nvdb_check_nodes(ctx, out);
+    if (status == 0)
+        status = bsq_map_check(ctx, &out->map);
+    if (status)
+        fmt_nvdb_close(ctx, out);
+    return status;
+}
+
+void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
+{
+    bsq_map_close(ctx, &grid->map);
+    memset(grid, 0, sizeof(*grid));
+}
+
+/* The tile with this key, or NULL. Tiles are sorted. */
+static const struct nvdb_tile *find_tile(const struct fmt_nvdb_grid *grid, uint64_t key)
+{
+    const struct nvdb_tile *tiles = (const struct nvdb_tile *)grid->tiles;
+    uint32_t low = 0, high = grid->tile_count;
+    while (low < high) {
+        uint32_t middle = low + (high - low) / 2;
+        if (tiles[middle].key < key)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return low < grid->tile_count && tiles[low].key == key ? &tiles[low] : NULL;
+}
+
+uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3])
+{
+    const struct nvdb_tile *tile = find_tile(grid, nvdb_root_key(ijk));
+    if (!tile)
+        return 0;
+    const struct nvdb_upper *upper = (const void *)(grid->root + tile->child);
+    uint32_t slot = nvdb_upper_slot(ijk);
+    if (!(upper->child_mask[slot >> 6] >> (slot & 63) & 1))
+        return 0;
+    const struct nvdb_lower *lower = (const void *)((const uint8_t *)upper + upper->table[slot]);
+    slot = nvdb_lower_slot(ijk);
+    if (!(lower->child_mask[slot >> 6] >> (slot & 63) & 1))
+        return 0;
+    const struct nvdb_leaf *leaf = (const void *)((const uint8_t *)lower + lower->table[slot]);
+    slot = nvdb_leaf_slot(ijk);
+    uint32_t word = slot >> 6;
+    uint64_t bit = UINT64_C(1) << (slot & 63);
+    if (!(leaf->mask[word] & bit))
+        return 0;
+    uint64_t before = word ? leaf->prefix_sum >> (9 * (word - 1)) & 511 : 0;
+    return leaf->offset + before + nvdb_popcount(leaf->mask[word] & (bit - 1));
+}
+
+struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index)
+{
+    assert(index > 0 && index < grid->record_count);
+    return (struct fmt_nvdb_record){grid->normals[index], grid->planes[index],
+                                    grid->colors ? grid->colors[index] : 0};
+}
+
+uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)
+{
+    assert(v <= grid->voxel_count);
+    const uint32_t *word = grid->seconds[v / 32];
+    uint32_t bit = UINT32_C(1) << (v % 32);
+    if (!(word[0] & bit))
+        return 0;
+    return 1 + grid->voxel_count + word[1] + nvdb_popcount(word[0] & (bit - 1));
+}

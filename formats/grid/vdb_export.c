@@ -1,0 +1,65 @@
+/* vdb_export.c - the file around an OpenVDB export; the module that has OpenVDB fills it.
+ *
+ * OpenVDB writes an archive from whole grids in memory. What that takes is known from the node
+ * counts and is reserved before anything is built. */
+#include "formats/grid/vdb_export.h"
+
+#include <stdio.h>
+#include <xxhash.h>
+
+#include "formats/module_internal.h"
+#include "formats/grid/nvdb_layout_internal.h"
+
+/* OpenVDB stamps each file with a random UUID as text behind magic number, versions and a flag. One
+ * that follows from the grid makes equal grids equal files. */
+static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *grid)
+{
+    struct nvdb_layout layout;
+    fmt_nvdb_layout_of(grid, &layout);
+    const struct nvdb_record *record = fmt_nvdb_record_of(grid, &layout);
+    XXH128_hash_t hash = XXH3_128bits(record, sizeof *record);
+    char uuid[37];
+    snprintf(uuid, sizeof uuid, "%08x-%04x-8%03x-%04x-%012llx", (uint32_t)(hash.high64 >> 32),
+             (uint32_t)(hash.high64 >> 16 & 0xffff), (uint32_t)(hash.high64 & 0xfff),
+             (uint32_t)(hash.low64 >> 48 & 0x3fff) | 0x8000,
+             (unsigned long long)(hash.low64 & 0xffffffffffff));
+    return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
+}
+
+static int open_module(struct bsq_ctx *ctx, const struct fmt_module **module)
+{
+    return fmt_module_open(ctx, "openvdb", "OpenVDB files", module);
+}
+
+int fmt_vdb_check(struct bsq_ctx *ctx)
+{
+    const struct fmt_module *module;
+    return open_module(ctx, &module);
+}
+
+int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path)
+{
+    const struct fmt_module *module;
+    struct bsq_output *output = NULL;
+    int status = open_module(ctx, &module);
+    if (status == 0)
+        status = bsq_output_open(ctx, path, &output);
+    if (status != 0)
+        return status;
+
+    const struct fmt_vdb_module *vdb = (const struct fmt_vdb_module *)module;
+    uint64_t bytes = vdb->memory(grid);
+    status = bsq_reserve(ctx, "the grids of the OpenVDB export", bytes);
+    if (status == 0) {
+        status = vdb->write(&fmt_host_functions, ctx, grid, output, path);
+        bsq_release(ctx, bytes);
+    }
+    if (status == 0)
+        status = replace_uuid(output, grid);
+    if (status == 0)
+        status = bsq_map_check(ctx, &grid->map);
+    if (status == 0)
+        return bsq_output_commit(output);
+    bsq_output_discard(output);
+    return status;
+}

@@ -1,0 +1,381 @@
+/* exr_read.c - reads an EXR file whole.
+ *
+ * Sizes in the header are checked against the memory budget before anything of that size is
+ * allocated, by OpenEXR too: what its decoders will need follows from the chunk size. Chunks
+ * (blocks of lines, or tiles) are decoded on all threads straight into the interleaved image. */
+#include "formats/image/exr.h"
+
+#include <half.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/file.h"
+#include "base/parallel.h"
+#include "formats/image/exr_internal.h"
+
+enum { UNPACKING_BYTES = 64 << 10 }; /* what zlib needs at least to unpack */
+
+struct reader {
+    struct fmt_exr_stream stream; /* first: OpenEXR's user data */
+    struct bsq_file input;
+    exr_context_t file;
+    struct fmt_exr_image *image;
+    exr_attr_box2i_t window;
+    bool tiled;
+    uint32_t pixel_bytes; /* of all channels */
+    uint32_t chunk_width, chunk_height, chunks_across, chunks_down;
+    exr_decode_pipeline_t *decoders; /* one a worker */
+    bool *ready;
+    uint64_t reserved_bytes;
+};
+
+/* Where a chunk's samples go. */
+struct target {
+    const struct fmt_exr_image *image;
+    float *samples;
+};
+
+/* ---- callbacks of OpenEXR ---- */
+
+static int64_t read_bytes(exr_const_context_t file, void *user, void *buffer, uint64_t size,
+                          uint64_t offset, exr_stream_error_func_ptr_t on_error)
+{
+    (void)file;
+    (void)on_error;
+    struct reader *reader = user;
+    uint64_t got;
+    int status = bsq_file_read_some(reader->stream.ctx, &reader->input, buffer, size, offset, &got);
+    fmt_exr_set_status(&reader->stream, status);
+    return status < 0 ? -1 : (int64_t)got;
+}
+
+static int64_t file_size(exr_const_context_t file, void *user)
+{
+    (void)file;
+    return (int64_t)((struct reader *)user)->input.size;
+}
+
+/* ---- header ---- */
+
+static int refuse(const struct reader *reader, const char *why)
+{
+    return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
+}
+
+static int read_layout(struct reader *reader)
+{
+    struct fmt_exr_image *image = reader->image;
+    exr_storage_t storage;
+    exr_result_t r = exr_get_storage(reader->file, 0, &storage);
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_get_data_window(reader->file, 0, &reader->window);
+    if (r != EXR_ERR_SUCCESS)
+        return fmt_exr_status(&reader->stream, r);
+    if (storage != EXR_STORAGE_SCANLINE && storage != EXR_STORAGE_TILED)
+        return refuse(reader, "deep EXR files are not supported");
+    int64_t width = (int64_t)reader->window.max.x - reader->window.min.x + 1;
+    int64_t height = (int64_t)reader->window.max.y - reader->window.min.y + 1;
+    if (width < 1 || height < 1 || width > INT32_MAX || height > INT32_MAX)
+        return refuse(reader, "the data window is empty or too large");
+    image->width = (uint32_t)width;
+    image->height = (uint32_t)height;
+    reader->tiled = storage == EXR_STORAGE_TILED;
+    int32_t chunk_width = (int32_t)width, chunk_height;
+    r = reader->tiled ? exr_get_tile_sizes(reader->file, 0, 0, 0, &chunk_width, &chunk_height)
+                      : exr_get_scanlines_per_chunk(reader->file, 0, &chunk_height);
+    if (r != EXR_ERR_SUCCESS)
+        return fmt_exr_status(&reader->stream, r);
+    if (chunk_width < 1 || chunk_height < 1)
+        return refuse(reader, "the tile size is not positive");
+    reader->chunk_width = (uint32_t)chunk_width;
+    reader->chunk_height = (uint32_t)chunk_height;
+    reader->chunks_across = (image->width - 1) / reader->chunk_width + 1;
+    reader->chunks_down = (image->height - 1) / reader->chunk_height + 1;
+    /* OpenEXR allocates this table, outside the budget. */
+    if ((uint64_t)reader->chunks_across * reader->chunks_down > reader->input.size / 8)
+        return refuse(reader, "truncated: its table of blocks is longer than the file");
+    return 0;
+}
+
+static int read_channels(struct reader *reader)
+{
+    struct bsq_ctx *ctx = reader->stream.ctx;
+    struct fmt_exr_image *image = reader->image;
+    const exr_attr_chlist_t *list;
+    int status = fmt_exr_status(&reader->stream, exr_get_channels(reader->file, 0, &list));
+    if (status < 0)
+        return status;
+    if (list->num_channels < 1)
+        return refuse(reader, "there are no channels");
+    uint32_t count = (uint32_t)list->num_channels;
+    if ((uint64_t)count * image->width > INT32_MAX / sizeof(float))
+        return refuse(reader, "a row of the image is longer than 2 GiB");
+    status = bsq_calloc(ctx, "EXR channel names", count, sizeof *image->channels, &image->channels);
+    if (status < 0)
+        return status;
+    image->channel_count = count;
+    for (uint32_t c = 0; c < count; ++c) {
+        const exr_attr_chlist_entry_t *entry = &list->entries[c];
+        if (entry->x_sampling != 1 || entry->y_sampling != 1)
+            return refuse(reader, "subsampled channels are not supported");
+        reader->pixel_bytes += entry->pixel_type == EXR_PIXEL_HALF ? 2 : 4;
+        size_t bytes = strlen(entry->name.str) + 1;
+        status = bsq_alloc(ctx, "EXR channel name", bytes, 1, &image->channels[c]);
+        if (status < 0)
+            return status;
+        memcpy(image->channels[c], entry->name.str, bytes);
+    }
+    return 0;
+}
+
+static int copy_text(struct bsq_ctx *ctx, const char *text, size_t length, const char **out)
+{
+    char *copy;
+    int status = bsq_alloc(ctx, "EXR attribute", length + 1, 1, &copy);
+    if (status < 0)
+        return status;
+    memcpy(copy, text, length);
+    copy[length] = '\0';
+    *out = copy;
+    return 0;
+}
+
+static int read_attributes(struct reader *reader)
+{
+    struct bsq_ctx *ctx = reader->stream.ctx;
+    struct fmt_exr_image *image = reader->image;
+    int32_t count;
+    int status = fmt_exr_status(&reader->stream, exr_get_attribute_count(reader->file, 0, &count));
+    if (status < 0 || count < 1)
+        return status;
+    status = bsq_calloc(ctx, "EXR attributes", (uint32_t)count, sizeof *image->attributes,
+                        &image->attributes);
+    for (int32_t i = 0; status == 0 && i < count; ++i) {
+        const exr_attribute_t *attribute;
+        status = fmt_exr_status(
+            &reader->stream,
+            exr_get_attribute_by_index(reader->file, 0, EXR_ATTR_LIST_FILE_ORDER, i, &attribute));
+        if (status < 0 || attribute->type != EXR_ATTR_STRING || !attribute->string->str)
+            continue;
+        struct fmt_exr_attribute *copy = &image->attributes[image->attribute_count++];
+        status = copy_text(ctx, attribute->name, strlen(attribute->name), &copy->name);
+        if (status == 0)
+            status = copy_text(ctx, attribute->string->str, (size_t)attribute->string->length,
+                               &copy->value);
+    }
+    return status;
+}
+
+/* ---- chunks ---- */
+
+static exr_result_t chunk_info(const struct reader *reader, uint32_t column, uint32_t row,
+                               exr_chunk_info_t *info)
+{
+    if (reader->tiled)
+        return exr_read_tile_chunk_info(reader->file, 0, (int)column, (int)row, 0, 0, info);
+    int y = reader->window.min.y + (int)(row * reader->chunk_height);
+    return exr_read_scanline_chunk_info(reader->file, 0, y, info);
+}
+
+/* Spreads one channel of one line over the interleaved image. Samples in the file are little-endian
+ * and not aligned. */
+static const uint8_t *unpack_line(const exr_coding_channel_info_t *channel, const uint8_t *in,
+                                  uint32_t width, float *out, size_t stride)
+{
+    for (uint32_t x = 0; x < width; ++x) {
+        if (channel->data_type == EXR_PIXEL_HALF) {
+            uint32_t bits = (uint32_t)in[0] | (uint32_t)in[1] << 8;
+            out[x * stride] = imath_half_to_float((imath_half_bits_t)bits);
+            in += 2;
+        } else {
+            uint32_t bits = (uint32_t)in[0] | (uint32_t)in[1] << 8 | (uint32_t)in[2] << 16 |
+                            (uint32_t)in[3] << 24;
+            if (channel->data_type == EXR_PIXEL_FLOAT)
+                memcpy(&out[x * stride], &bits, sizeof bits);
+            else
+                out[x * stride] = (float)bits;
+            in += 4;
+        }
+    }
+    return in;
+}
+
+/* Stands for OpenEXR's own unpacking, whose shortcuts for interleaved output take the channels of
+ * some four-channel files in the wrong order (3.1.5). */
+static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
+{
+    const struct target *target = decoder->decoding_user_data;
+    const struct fmt_exr_image *image = target->image;
+    uint32_t width = (uint32_t)decoder->chunk.width, height = (uint32_t)decoder->chunk.height;
+    const uint8_t *in = decoder->unpacked_buffer;
+    if (!in)
+        return EXR_ERR_CORRUPT_CHUNK;
+    for (uint32_t y = 0; y < height; ++y)
+        for (int c = 0; c < decoder->channel_count; ++c)
+            in = unpack_line(&decoder->channels[c], in, width,
+                             target->samples + (size_t)y * image->width * image->channel_count +
+                                 (size_t)c,
+                             image->channel_count);
+    return EXR_ERR_SUCCESS;
+}
+
+/* OpenEXR says the same of a damaged block and of memory that ran out while it was unpacked, so the
+ * latter is looked for before the file is blamed. Volatile, or a compiler may leave the look out.
+ */
+static exr_result_t run_decoder(struct reader *reader, exr_decode_pipeline_t *decoder)
+{
+    exr_result_t r = exr_decoding_run(reader->file, 0, decoder);
+    if (r != EXR_ERR_CORRUPT_CHUNK)
+        return r;
+    void *volatile probe = malloc(UNPACKING_BYTES);
+    free(probe);
+    return probe ? exr_decoding_run(reader->file, 0, decoder) : EXR_ERR_OUT_OF_MEMORY;
+}
+
+static int decode_chunk(void *arg, uint64_t index, unsigned worker)
+{
+    struct reader *reader = arg;
+    const struct fmt_exr_image *image = reader->image;
+    exr_decode_pipeline_t *decoder = &reader->decoders[worker];
+    uint32_t column = (uint32_t)(index % reader->chunks_across);
+    uint32_t row = (uint32_t)(index / reader->chunks_across);
+    uint32_t width = image->width - column * reader->chunk_width;
+    uint32_t height = image->height - row * reader->chunk_height;
+    if (width > reader->chunk_width)
+        width = reader->chunk_width;
+    if (height > reader->chunk_height)
+        height = reader->chunk_height;
+    size_t first =
+        ((size_t)row * reader->chunk_height * image->width + (size_t)column * reader->chunk_width) *
+        image->channel_count;
+    struct target target = {image, image->samples + first};
+    exr_chunk_info_t info;
+    exr_result_t r = chunk_info(reader, column, row, &info);
+    if (r != EXR_ERR_SUCCESS)
+        return fmt_exr_status(&reader->stream, r);
+    /* A chunk that does not match its place would be decoded outside the image. */
+    uint64_t expected = (uint64_t)width * height * reader->pixel_bytes;
+    if (info.width != (int32_t)width || info.height != (int32_t)height ||
+        info.unpacked_size != expected || info.packed_size > reader->input.size ||
+        (info.compression == EXR_COMPRESSION_NONE && info.packed_size != expected))
+        return refuse(reader, "a block has the wrong size");
+    if (reader->ready[worker])
+        r = exr_decoding_update(reader->file, 0, &info, decoder);
+    else
+        r = exr_decoding_initialize(reader->file, 0, &info, decoder);
+    if (r == EXR_ERR_SUCCESS && !reader->ready[worker]) {
+        reader->ready[worker] = true;
+        r = exr_decoding_choose_default_routines(reader->file, 0, decoder);
+    }
+    if (r == EXR_ERR_SUCCESS) {
+        decoder->decoding_user_data = &target;
+        decoder->unpack_and_convert_fn = unpack_chunk;
+        r = run_decoder(reader, decoder);
+    }
+    return fmt_exr_status(&reader->stream, r);
+}
+
+/* ---- public ---- */
+
+static int allocate(struct reader *reader)
+{
+    struct bsq_ctx *ctx = reader->stream.ctx;
+    struct fmt_exr_image *image = reader->image;
+    unsigned workers = bsq_threads(ctx);
+    uint64_t chunk_bytes;
+    int status =
+        fmt_exr_status(&reader->stream, exr_get_chunk_unpacked_size(reader->file, 0, &chunk_bytes));
+    if (status < 0)
+        return status;
+    if (chunk_bytes > UINT64_MAX / 4 / workers)
+        return refuse(reader, "a block is too large");
+    uint64_t bytes = workers * fmt_exr_coding_bytes(chunk_bytes);
+    status = bsq_reserve(ctx, "EXR decoding", bytes);
+    if (status < 0)
+        return status;
+    reader->reserved_bytes = bytes;
+    status = bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->decoders, &reader->decoders);
+    if (status < 0)
+        return status;
+    status = bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->ready, &reader->ready);
+    if (status < 0)
+        return status;
+    return bsq_alloc(ctx, "EXR image", (uint64_t)image->width * image->height,
+                     image->channel_count * sizeof(float), &image->samples);
+}
+
+static int read_image(struct reader *reader)
+{
+    exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
+    init.error_handler_fn = fmt_exr_on_error;
+    init.user_data = reader;
+    init.read_fn = read_bytes;
+    init.size_fn = file_size;
+    init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
+    int status =
+        fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init));
+    if (status == 0)
+        status = read_layout(reader);
+    if (status == 0)
+        status = read_channels(reader);
+    if (status == 0)
+        status = read_attributes(reader);
+    if (status == 0)
+        status = allocate(reader);
+    if (status < 0)
+        return status;
+    uint64_t chunks = (uint64_t)reader->chunks_across * reader->chunks_down;
+    return bsq_parallel_for(reader->stream.ctx, chunks, decode_chunk, reader);
+}
+
+int fmt_exr_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out)
+{
+    memset(out, 0, sizeof *out);
+    struct reader reader = {
+        .stream = {.ctx = ctx, .path = path}, .input = BSQ_FILE_CLOSED, .image = out};
+    int status = bsq_file_open(ctx, path, &reader.input);
+    if (status == 0)
+        status = read_image(&reader);
+    for (unsigned w = 0; reader.ready && w < bsq_threads(ctx); ++w)
+        if (reader.ready[w])
+            exr_decoding_destroy(reader.file, &reader.decoders[w]);
+    if (reader.file)
+        exr_finish(&reader.file);
+    bsq_free(ctx, reader.decoders);
+    bsq_free(ctx, reader.ready);
+    bsq_release(ctx, reader.reserved_bytes);
+    bsq_file_close(ctx, &reader.input);
+    if (status < 0)
+        fmt_exr_image_free(ctx, out);
+    return status;
+}
+
+void fmt_exr_image_free(struct bsq_ctx *ctx, struct fmt_exr_image *image)
+{
+    for (uint32_t c = 0; image->channels && c < image->channel_count; ++c)
+        bsq_free(ctx, image->channels[c]);
+    bsq_free(ctx, image->channels);
+    for (uint32_t a = 0; image->attributes && a < image->attribute_count; ++a) {
+        bsq_free(ctx, (void *)image->attributes[a].name);
+        bsq_free(ctx, (void *)image->attributes[a].value);
+    }
+    bsq_free(ctx, image->attributes);
+    bsq_free(ctx, image->samples);
+    memset(image, 0, sizeof *image);
+}
+
+uint32_t fmt_exr_channel(const struct fmt_exr_image *image, const char *name)
+{
+    for (uint32_t c = 0; c < image->channel_count; ++c)
+        if (strcmp(image->channels[c], name) == 0)
+            return c;
+    return UINT32_MAX;
+}
+
+const char *fmt_exr_image_attribute(const struct fmt_exr_image *image, const char *name)
+{
+    for (uint32_t a = 0; a < image->attribute_count; ++a)
+        if (strcmp(image->attributes[a].name, name) == 0)
+            return image->attributes[a].value;
+    return NULL;
+}

@@ -1,0 +1,395 @@
+/* exr_write.c - streaming EXR writer.
+ *
+ * OpenEXR compresses blocks of 16 lines that do not depend on each other. Each slot of a pipeline
+ * owns an encoder; the slots compress at the same time and the pipeline hands their bytes to the
+ * file from top to bottom, so the file is the same for any number of threads. Lines that do not
+ * fill a block wait in `pending`. */
+#include "formats/image/exr.h"
+
+#include <string.h>
+
+#include "base/output.h"
+#include "base/parallel.h"
+#include "formats/image/exr_internal.h"
+
+enum { ZIP_LEVEL = 4 }; /* 6 and above take twice the time for 1-2 % of the size */
+
+struct slot {
+    exr_encode_pipeline_t encoder;
+    bool ready; /* the encoder was initialised */
+    uint32_t first_row;
+    const float *samples;
+    const void *packed; /* what write_fn was given */
+    uint64_t packed_bytes;
+};
+
+struct fmt_exr_writer {
+    struct fmt_exr_stream stream; /* first: OpenEXR's user data */
+    struct bsq_output *output;
+    char *path;
+    exr_context_t file;
+    uint32_t width, height, channel_count;
+    uint32_t rows_written; /* rows handed to the file */
+    uint32_t chunk_rows;
+    uint32_t pending_rows;
+    float *pending;  /* chunk_rows rows */
+    uint16_t *order; /* sample number of the file's channels */
+    struct slot *slots;
+    unsigned slot_count;
+    uint64_t reserved_bytes;
+};
+
+/* ---- callbacks of OpenEXR ---- */
+
+static int64_t write_bytes(exr_const_context_t file, void *user, const void *buffer, uint64_t size,
+                           uint64_t offset, exr_stream_error_func_ptr_t on_error)
+{
+    (void)file;
+    (void)on_error;
+    struct fmt_exr_writer *writer = user;
+    int status = bsq_output_write_at(writer->output, buffer, size, offset);
+    fmt_exr_set_status(&writer->stream, status);
+    return status < 0 ? -1 : (int64_t)size;
+}
+
+/* Stands for the encoder's own write step, so that blocks reach the file in order. */
+static exr_result_t keep_packed(exr_encode_pipeline_t *encoder)
+{
+    struct slot *slot = encoder->encoding_user_data;
+    slot->packed = encoder->compressed_buffer;
+    slot->packed_bytes = encoder->compressed_bytes;
+    return EXR_ERR_SUCCESS;
+}
+
+/* OpenEXR calls this with the file's lock held, where asking the file for its user data would wait
+ * for ever; so failures are described from their codes, by fmt_exr_status(). */
+static void leave_to_caller(exr_const_context_t file, exr_result_t result, const char *message)
+{
+    (void)file;
+    (void)result;
+    (void)message;
+}
+
+/* ---- header ---- */
+
+static exr_result_t set_color_attributes(exr_context_t file, bool data)
+{
+    /* colorInteropID is the EXR standard's attribute, oiio:ColorSpace what OpenImageIO reads. */
+    exr_result_t r =
+        exr_attr_set_string(file, 0, "colorInteropID", data ? "data" : "lin_rec709_scene");
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_attr_set_string(file, 0, "oiio:ColorSpace", data ? "Raw" : "Linear");
+    if (r != EXR_ERR_SUCCESS || data)
+        return r;
+    static const exr_attr_chromaticities_t rec709 = {0.64f, 0.33f, 0.30f,   0.60f,
+                                                     0.15f, 0.06f, 0.3127f, 0.3290f};
+    return exr_attr_set_chromaticities(file, 0, "chromaticities", &rec709);
+}
+
+static exr_result_t write_header(struct fmt_exr_writer *writer,
+                                 const struct fmt_exr_options *options)
+{
+    exr_context_t file = writer->file;
+    int part;
+    exr_result_t r = exr_add_part(file, NULL, EXR_STORAGE_SCANLINE, &part);
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_initialize_required_attr_simple(file, 0, (int32_t)options->width,
+                                                (int32_t)options->height, EXR_COMPRESSION_ZIP);
+    exr_pixel_type_t type = options->type == FMT_EXR_HALF ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT;
+    for (uint32_t c = 0; r == EXR_ERR_SUCCESS && c < options->channel_count; ++c)
+        r = exr_add_channel(file, 0, options->channels[c], type, EXR_PERCEPTUALLY_LOGARITHMIC, 1,
+                            1);
+    if (r == EXR_ERR_SUCCESS)
+        r = set_color_attributes(file, options->data);
+    for (uint32_t a = 0; r == EXR_ERR_SUCCESS && a < options->attribute_count; ++a)
+        r = exr_attr_set_string(file, 0, options->attributes[a].name, options->attributes[a].value);
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_set_zip_compression_level(file, 0, ZIP_LEVEL);
+    return r == EXR_ERR_SUCCESS ? exr_write_header(file) : r;
+}
+
+/* OpenEXR sorts channels by name; finds which sample belongs to each. */
+static int map_channels(struct fmt_exr_writer *writer, const struct fmt_exr_options *options)
+{
+    const exr_attr_chlist_t *list;
+    int status = fmt_exr_status(&writer->stream, exr_get_channels(writer->file, 0, &list));
+    for (int i = 0; status == 0 && i < list->num_channels; ++i) {
+        for (uint32_t c = 0; c < options->channel_count; ++c)
+            if (strcmp(list->entries[i].name.str, options->channels[c]) == 0)
+                writer->order[i] = (uint16_t)c;
+    }
+    return status;
+}
+
+/* ---- compression ---- */
+
+struct batch {
+    struct fmt_exr_writer *writer;
+    const float *samples;
+    uint32_t rows, rows_taken;
+};
+
+static int take_chunk(void *arg, void *slot_memory, uint64_t sequence)
+{
+    (void)sequence;
+    struct batch *batch = arg;
+    struct slot *slot = slot_memory;
+    struct fmt_exr_writer *writer = batch->writer;
+    if (batch->rows_taken == batch->rows)
+        return 0;
+    uint32_t left = batch->rows - batch->rows_taken;
+    slot->first_row = writer->rows_written;
+    slot->samples =
+        batch->samples + (size_t)batch->rows_taken * writer->width * writer->channel_count;
+    uint32_t rows = left < writer->chunk_rows ? left : writer->chunk_rows;
+    batch->rows_taken += rows;
+    writer->rows_written += rows;
+    return 1;
+}
+
+static exr_result_t prepare_encoder(struct fmt_exr_writer *writer, struct slot *slot)
+{
+    exr_encode_pipeline_t *encoder = &slot->encoder;
+    exr_chunk_info_t chunk;
+    exr_result_t r = exr_write_scanline_chunk_info(writer->file, 0, (int)slot->first_row, &chunk);
+    if (r != EXR_ERR_SUCCESS)
+        return r;
+    if (slot->ready)
+        r = exr_encoding_update(writer->file, 0, &chunk, encoder);
+    else
+        r = exr_encoding_initialize(writer->file, 0, &chunk, encoder);
+    for (int c = 0; r == EXR_ERR_SUCCESS && c < encoder->channel_count; ++c) {
+        exr_coding_channel_info_t *channel = &encoder->channels[c];
+        channel->user_bytes_per_element = sizeof(float);
+        channel->user_data_type = EXR_PIXEL_FLOAT;
+        channel->user_pixel_stride = (int32_t)(writer->channel_count * sizeof(float));
+        channel->user_line_stride =
+            (int32_t)(writer->width * writer->channel_count * sizeof(float));
+        channel->encode_from_ptr = (const uint8_t *)(slot->samples + writer->order[c]);
+    }
+    if (r == EXR_ERR_SUCCESS && !slot->ready) {
+        slot->ready = true;
+        r = exr_encoding_choose_default_routines(writer->file, 0, encoder);
+        encoder->encoding_user_data = slot;
+        encoder->yield_until_ready_fn = NULL;
+        encoder->write_fn = keep_packed;
+    }
+    return r;
+}
+
+static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
+{
+    (void)sequence;
+    (void)worker;
+    struct fmt_exr_writer *writer = ((struct batch *)arg)->writer;
+    struct slot *slot = slot_memory;
+    exr_result_t r = prepare_encoder(writer, slot);
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_encoding_run(writer->file, 0, &slot->encoder);
+    /* All that zlib can fail for when it packs into a buffer that is large enough. */
+    if (r == EXR_ERR_CORRUPT_CHUNK)
+        r = EXR_ERR_OUT_OF_MEMORY;
+    return fmt_exr_status(&writer->stream, r);
+}
+
+static int write_chunk(void *arg, void *slot_memory, uint64_t sequence)
+{
+    (void)sequence;
+    struct fmt_exr_writer *writer = ((struct batch *)arg)->writer;
+    const struct slot *slot = slot_memory;
+    return fmt_exr_status(&writer->stream,
+                          exr_write_scanline_chunk(writer->file, 0, (int)slot->first_row,
+                                                   slot->packed, slot->packed_bytes));
+}
+
+/* rows is a multiple of chunk_rows, except at the bottom of the image. */
+static int write_chunks(struct fmt_exr_writer *writer, const float *samples, uint32_t rows)
+{
+    struct batch batch = {.writer = writer, .samples = samples, .rows = rows};
+    struct bsq_pipeline pipeline = {.produce = take_chunk,
+                                    .work = compress_chunk,
+                                    .emit = write_chunk,
+                                    .arg = &batch,
+                                    .slots = writer->slots,
+                                    .slot_size = sizeof *writer->slots,
+                                    .slot_count = writer->slot_count};
+    return bsq_pipeline_run(writer->stream.ctx, &pipeline);
+}
+
+/* ---- public ---- */
+
+static int allocate(struct fmt_exr_writer *writer)
+{
+    struct bsq_ctx *ctx = writer->stream.ctx;
+    uint64_t chunk_bytes = 0;
+    int32_t chunk_rows = 1;
+    exr_result_t r = exr_get_chunk_unpacked_size(writer->file, 0, &chunk_bytes);
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_get_scanlines_per_chunk(writer->file, 0, &chunk_rows);
+    int status = fmt_exr_status(&writer->stream, r);
+    if (status < 0)
+        return status;
+    writer->chunk_rows = (uint32_t)chunk_rows;
+    uint64_t chunks = ((uint64_t)writer->height + writer->chunk_rows - 1) / writer->chunk_rows;
+    writer->slot_count = 2 * bsq_threads(ctx);
+    if (writer->slot_count > chunks)
+        writer->slot_count = (unsigned)chunks;
+    status =
+        bsq_calloc(ctx, "EXR encoders", writer->slot_count, sizeof *writer->slots, &writer->slots);
+    if (status < 0)
+        return status;
+    status = bsq_alloc(ctx, "EXR lines", (uint64_t)writer->width * writer->chunk_rows,
+                       writer->channel_count * sizeof(float), &writer->pending);
+    if (status < 0)
+        return status;
+    uint64_t bytes = writer->slot_count * fmt_exr_coding_bytes(chunk_bytes);
+    status = bsq_reserve(ctx, "EXR compression", bytes);
+    if (status == 0)
+        writer->reserved_bytes = bytes;
+    return status;
+}
+
+static int start(struct fmt_exr_writer *writer, const struct fmt_exr_options *options)
+{
+    exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
+    init.error_handler_fn = leave_to_caller;
+    init.user_data = writer;
+    init.write_fn = write_bytes;
+    exr_result_t r = exr_start_write(&writer->file, writer->path, EXR_WRITE_FILE_DIRECTLY, &init);
+    if (r == EXR_ERR_SUCCESS)
+        r = write_header(writer, options);
+    int status = fmt_exr_status(&writer->stream, r);
+    if (status == 0)
+        status = allocate(writer);
+    return status < 0 ? status : map_channels(writer, options);
+}
+
+int fmt_exr_create(struct bsq_ctx *ctx, const char *path, const struct fmt_exr_options *options,
+                   struct fmt_exr_writer **out)
+{
+    *out = NULL;
+    /* OpenEXR counts in int32_t: bytes from line to line, and rows. */
+    if (options->width == 0 || options->height == 0 || options->height > INT32_MAX ||
+        (uint64_t)options->width * options->channel_count > INT32_MAX / sizeof(float))
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: %u x %u texels is no size for an EXR file", path,
+                        options->width, options->height);
+    struct fmt_exr_writer *writer;
+    int status = bsq_calloc(ctx, "EXR writer", 1, sizeof *writer, &writer);
+    if (status < 0)
+        return status;
+    writer->stream.ctx = ctx;
+    writer->width = options->width;
+    writer->height = options->height;
+    writer->channel_count = options->channel_count;
+    size_t path_bytes = strlen(path) + 1;
+    status = bsq_alloc(ctx, "path", path_bytes, 1, &writer->path);
+    if (status < 0)
+        goto done;
+    memcpy(writer->path, path, path_bytes);
+    writer->stream.path = writer->path;
+    status = bsq_alloc(ctx, "EXR channels", options->channel_count, sizeof *writer->order,
+                       &writer->order);
+    if (status < 0)
+        goto done;
+    status = bsq_output_open(ctx, path, &writer->output);
+    if (status < 0)
+        goto done;
+    status = start(writer, options);
+done:
+    if (status < 0)
+        fmt_exr_discard(writer);
+    else
+        *out = writer;
+    return status;
+}
+
+int fmt_exr_write_rows(struct fmt_exr_writer *writer, const float *samples, uint32_t rows)
+{
+    size_t row_samples = (size_t)writer->width * writer->channel_count;
+    uint32_t left = writer->height - writer->rows_written - writer->pending_rows;
+    if (rows > left)
+        return bsq_fail(writer->stream.ctx, BSQ_EBUG, "%s: %u rows too many", writer->path,
+                        rows - left);
+    if (writer->pending_rows > 0) {
+        uint32_t missing = writer->chunk_rows - writer->pending_rows;
+        uint32_t take = rows < missing ? rows : missing;
+        memcpy(writer->pending + writer->pending_rows * row_samples, samples,
+               take * row_samples * sizeof(float));
+        writer->pending_rows += take;
+        samples += take * row_samples;
+        rows -= take;
+        left -= take;
+        if (writer->pending_rows == writer->chunk_rows || left == 0) {
+            int status = write_chunks(writer, writer->pending, writer->pending_rows);
+            if (status < 0)
+                return status;
+            writer->pending_rows = 0;
+        }
+    }
+    uint32_t whole = rows == left ? rows : rows - rows % writer->chunk_rows;
+    if (whole > 0) {
+        int status = write_chunks(writer, samples, whole);
+        if (status < 0)
+            return status;
+        samples += whole * row_samples;
+        rows -= whole;
+    }
+    if (rows > 0) {
+        memcpy(writer->pending, samples, rows * row_samples * sizeof(float));
+        writer->pending_rows = rows;
+    }
+    return 0;
+}
+
+/* Closing a file writes its line table. */
+static exr_result_t close_file(struct fmt_exr_writer *writer)
+{
+    for (unsigned i = 0; writer->slots && i < writer->slot_count; ++i) {
+        if (writer->slots[i].ready)
+            exr_encoding_destroy(writer->file, &writer->slots[i].encoder);
+        writer->slots[i].ready = false;
+    }
+    return writer->file ? exr_finish(&writer->file) : EXR_ERR_SUCCESS;
+}
+
+static void free_writer(struct fmt_exr_writer *writer)
+{
+    struct bsq_ctx *ctx = writer->stream.ctx;
+    bsq_release(ctx, writer->reserved_bytes);
+    bsq_free(ctx, writer->slots);
+    bsq_free(ctx, writer->pending);
+    bsq_free(ctx, writer->order);
+    bsq_free(ctx, writer->path);
+    bsq_free(ctx, writer);
+}
+
+int fmt_exr_finish(struct fmt_exr_writer *writer)
+{
+    if (writer->rows_written != writer->height)
+        return bsq_fail(writer->stream.ctx, BSQ_EBUG, "%s: %u of %u rows were written",
+                        writer->path, writer->rows_written, writer->height);
+    int status = fmt_exr_status(&writer->stream, close_file(writer));
+    return status < 0 ? status : bsq_output_sync(writer->output);
+}
+
+int fmt_exr_commit(struct fmt_exr_writer *writer)
+{
+    int status = fmt_exr_finish(writer);
+    if (status < 0) {
+        fmt_exr_discard(writer);
+        return status;
+    }
+    status = bsq_output_commit(writer->output);
+    free_writer(writer);
+    return status;
+}
+
+void fmt_exr_discard(struct fmt_exr_writer *writer)
+{
+    if (!writer)
+        return;
+    /* Closing an unfinished file makes OpenEXR complain; the first failure is recorded already. */
+    close_file(writer);
+    bsq_output_discard(writer->output);
+    free_writer(writer);
+}

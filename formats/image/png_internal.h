@@ -1,0 +1,42 @@
+/* png_internal.h - from rows of samples to a piece of a PNG file's compressed data. */
+#ifndef FMT_IMAGE_PNG_INTERNAL_H
+#define FMT_IMAGE_PNG_INTERNAL_H
+
+#include <zlib.h>
+
+#include "formats/image/png_image.h"
+
+/* Encoder of one band of rows; several work at the same time. */
+struct fmt_png_encoder {
+    z_stream deflate;
+    bool ready;        /* deflate was initialised */
+    uint8_t *rows[2];  /* the current row as bytes, and the one above */
+    uint8_t *trial;    /* a row, filtered */
+    uint8_t *filtered; /* the band: a filter's number and a row of bytes, again and again */
+    uint8_t *packed;   /* the band, deflated */
+    uint64_t packed_capacity, packed_bytes;
+    uint64_t filtered_bytes;
+    uint32_t checksum; /* Adler-32 of the filtered bytes */
+};
+
+/* Bytes of a row. */
+uint64_t fmt_png_row_bytes(const struct fmt_png_options *options);
+
+/* Prepares for bands of up to `rows` rows. Free with fmt_png_encoder_free(), also after a failure.
+ */
+int fmt_png_encoder_create(struct bsq_ctx *ctx, const struct fmt_png_options *options,
+                           uint32_t rows, struct fmt_png_encoder *out);
+void fmt_png_encoder_free(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder);
+
+struct fmt_png_band {
+    const float *above; /* samples of the row above; NULL at the top of the image */
+    const float *samples;
+    uint32_t first_row, rows;
+};
+
+/* Encodes a band to a piece of a deflate stream; such pieces may be concatenated. The one that
+ * holds the image's last row ends the stream. */
+int fmt_png_encode(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder,
+                   const struct fmt_png_options *options, const struct fmt_png_band *band);
+
+#endif

@@ -1,0 +1,35 @@
+/* texture.c - texture.h by way of the module that has OpenImageIO. */
+#include "formats/image/texture.h"
+
+#include "formats/module_internal.h"
+
+int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
+                      uint64_t cache_bytes, struct fmt_textures **out)
+{
+    const struct fmt_module *module;
+    int status = fmt_module_open(ctx, "texture", "textures", &module);
+
+    *out = NULL;
+    if (status != 0)
+        return status;
+    return ((const struct fmt_texture_module *)module)
+        ->open(&fmt_host_functions, ctx, paths, count, cache_bytes, out);
+}
+
+void fmt_textures_close(struct fmt_textures *textures)
+{
+    if (textures)
+        textures->module->close(textures);
+}
+
+void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
+                      uint32_t *height)
+{
+    textures->module->size(textures, image, width, height);
+}
+
+int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
+                       float dv, float out[3])
+{
+    return textures->module->sample(textures, image, u, v, du, dv, out);
+}

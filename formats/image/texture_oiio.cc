@@ -1,0 +1,563 @@
+// texture_oiio.cc - filtered lookups of linear light in images of any size, over OpenImageIO; the
+// module bisque-texture.so.
+//
+// A lookup is the exact average of the image, taken as one constant square a texel, over a box of
+// at least one texel: with a box of one texel that is bilinear interpolation. Texels come from a
+// private ImageCache in the file's own type and pass through a table to linear light before they
+// are averaged; MIP levels of a texture system would average what the file stores, sRGB values.
+//
+// Wide boxes are averaged from a pyramid of linear averages that is kept whole in memory, from the
+// lowest level that takes at most a quarter of the cache. It is made when the image is opened, by
+// one pass over its rows; so damaged files are found then. Scanline files that do not fit the cache
+// are written to a temporary tiled file in that pass: a PNG or JPEG read in any order but downwards
+// is decoded from its first row again each time.
+#include "formats/module_internal.h"
+
+#include <OpenImageIO/imagecache.h>
+#include <OpenImageIO/imageio.h>
+
+#include <algorithm>
+#include <cctype>
+#include <cerrno>
+#include <cmath>
+#include <memory>
+#include <new>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include <half.h>
+#include <unistd.h>
+
+#include "base/srgb.h"
+#include "formats/image/texture_pyramid.h"
+
+extern "C" {
+extern const struct fmt_texture_module bisque_module;
+}
+
+namespace
+{
+
+using OIIO::ImageCache;
+using OIIO::ImageInput;
+using OIIO::ImageSpec;
+using OIIO::TypeDesc;
+
+constexpr uint64_t smallest_cache = 12 << 20; // OpenImageIO takes 10 MB whatever it is told
+constexpr uint32_t no_image = UINT32_MAX;
+constexpr int tile_size = 64;
+constexpr int first_pyramid_level = 2;
+constexpr double cells_across =
+    4; // a box spans at least so many cells of the level it is read from
+
+// Linear light of every value of an 8 or 16-bit texel.
+struct Transfer {
+    unsigned bits;
+    double gamma; // 0: the curve of sRGB (IEC 61966-2-1)
+    std::vector<float> table;
+};
+
+struct Image {
+    std::string path, cached_path;
+    uint32_t width = 0, height = 0;
+    int x = 0, y = 0;             // of the first texel in the file's coordinates
+    int channels = 0;             // that are read: 1 or 3
+    TypeDesc type;                // of texels in the cache: UINT8, UINT16 or FLOAT
+    const float *table = nullptr; // for integers
+    bool tiled = false;
+    struct bsq_file temporary = BSQ_FILE_CLOSED;
+    ImageCache::ImageHandle *handle = nullptr;
+    fmt::Pyramid pyramid;
+};
+
+// What the caller's struct fmt_textures is.
+struct Textures : fmt_textures {
+    const struct fmt_host *host = nullptr;
+    struct bsq_ctx *ctx = nullptr;
+    uint64_t reserved = 0, tile_bytes = 0;
+    int pyramid_level = first_pyramid_level;
+    bool rewrite = false; // untiled images become temporary tiled files
+    ImageCache *cache = nullptr;
+    std::vector<Image> images;      // each file once
+    std::vector<uint32_t> image_of; // by the caller's number; no_image where there is none
+    std::vector<std::unique_ptr<Transfer>> transfers;
+};
+
+// ---- colour ----
+
+const float *find_table(Textures *textures, unsigned bits, double gamma)
+{
+    for (const auto &transfer : textures->transfers)
+        if (transfer->bits == bits && transfer->gamma == gamma)
+            return transfer->table.data();
+    auto transfer = std::make_unique<Transfer>();
+    size_t count = size_t(1) << bits;
+    transfer->bits = bits;
+    transfer->gamma = gamma;
+    transfer->table.resize(count);
+    for (size_t i = 0; i < count; i++) {
+        double s = double(i) / double(count - 1);
+        transfer->table[i] = float(gamma == 0 ? bsq_srgb_to_linear(s) : std::pow(s, gamma));
+    }
+    textures->transfers.push_back(std::move(transfer));
+    return textures->transfers.back()->table.data();
+}
+
+// Exponent that turns the file's values into linear light; 0 for sRGB. Integers are sRGB unless the
+// file says that they are something else.
+double file_gamma(const ImageSpec &spec)
+{
+    std::string space = spec.get_string_attribute("oiio:ColorSpace");
+    std::transform(space.begin(), space.end(), space.begin(),
+                   [](unsigned char c) { return char(std::tolower(c)); });
+    if (space.find("linear") != std::string::npos)
+        return 1;
+    float gamma = spec.get_float_attribute("oiio:Gamma", 0);
+    return space.rfind("gamma", 0) == 0 && gamma > 0 ? gamma : 0;
+}
+
+// ---- opening ----
+
+uint64_t decoded_bytes(const Image &image)
+{
+    return uint64_t(image.width) * image.height * unsigned(image.channels) * image.type.size();
+}
+
+std::unique_ptr<ImageInput> open_input(Textures *textures, const std::string &path, int *status)
+{
+    ImageSpec config;
+    config["oiio:UnassociatedAlpha"] = 1;
+    errno = 0;
+    auto input = ImageInput::open(path, &config);
+    if (!input) {
+        int error = errno;
+        std::string reason = OIIO::geterror();
+        if (error == EMFILE || error == ENFILE || error == EIO) { // not the image's fault
+            *status =
+                textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, error, "%s", path.c_str());
+            return nullptr;
+        }
+        std::replace(reason.begin(), reason.end(), '\n', ' ');
+        *status = textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a readable image: %s",
+                                       path.c_str(), reason.c_str());
+        return nullptr;
+    }
+    input->threads(1);
+    *status = 0;
+    return input;
+}
+
+int describe(Textures *textures, const char *path, Image &image)
+{
+    int status;
+    image.path = image.cached_path = path;
+    if (access(path, R_OK))
+        return textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, errno, "%s", path);
+    auto input = open_input(textures, image.path, &status);
+    if (!input)
+        return status;
+    const ImageSpec &spec = input->spec();
+    if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1)
+        return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a two-dimensional image",
+                                    path);
+    image.width = uint32_t(spec.width);
+    image.height = uint32_t(spec.height);
+    image.x = spec.x;
+    image.y = spec.y;
+    image.channels = spec.nchannels >= 3 ? 3 : 1;
+    image.tiled = spec.tile_width > 0;
+    image.type = TypeDesc::FLOAT;
+    if (spec.format == TypeDesc::UINT8 || spec.format == TypeDesc::UINT16) {
+        image.type = spec.format;
+        image.table = find_table(textures, unsigned(spec.format.size()) * 8, file_gamma(spec));
+    }
+    return 0;
+}
+
+// Reserves the cache, at most cache_bytes, and divides it between the pyramids, from a level that
+// fits, and tiles.
+int share_cache(Textures *textures, uint64_t cache_bytes)
+{
+    uint64_t bytes = 0, decoded = 0;
+    for (const Image &image : textures->images)
+        decoded += decoded_bytes(image);
+    // Small images cannot use a generous cache: a third for pyramids, and tiles stand over at the
+    // edges.
+    uint64_t wanted = std::min(std::max(cache_bytes, smallest_cache), smallest_cache + 3 * decoded);
+    int status = textures->host->reserve(textures->ctx, "texture cache", wanted);
+    if (status)
+        return status;
+    textures->reserved = wanted;
+    for (int level = first_pyramid_level;; level++) {
+        bytes = 0;
+        for (const Image &image : textures->images)
+            bytes += fmt::Pyramid::size_bytes(image.width, image.height, level);
+        textures->pyramid_level = level;
+        if (bytes <= textures->reserved / 4 || level == 31)
+            break;
+    }
+    if (bytes > textures->reserved / 2)
+        return textures->host->fail(textures->ctx, BSQ_ENOMEM,
+                                    "textures need a cache of more than %llu bytes",
+                                    static_cast<unsigned long long>(textures->reserved));
+    textures->tile_bytes = textures->reserved - bytes;
+    textures->rewrite = decoded > textures->tile_bytes / 4 * 3;
+    return 0;
+}
+
+// ---- the pass over all rows ----
+
+float texel_value(const Image &image, const void *texels, size_t i)
+{
+    if (image.type == TypeDesc::UINT8)
+        return image.table[static_cast<const uint8_t *>(texels)[i]];
+    if (image.type == TypeDesc::UINT16)
+        return image.table[static_cast<const uint16_t *>(texels)[i]];
+    return static_cast<const float *>(texels)[i];
+}
+
+// A row of the file as RGB triples of linear light.
+void make_linear(const Image &image, const void *row, float *rgb)
+{
+    size_t channels = size_t(image.channels);
+    for (size_t x = 0; x < image.width; x++)
+        for (size_t c = 0; c < 3; c++)
+            rgb[3 * x + c] = texel_value(image, row, x * channels + (channels == 3 ? c : 0));
+}
+
+// `error` is errno right after the failure; the library's text has no system's reason in it.
+int fail_tiles(Textures *textures, const Image &image, int error, std::string reason)
+{
+    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    if (error == 0)
+        return textures->host->fail(textures->ctx, BSQ_EIO, "%s: %s", image.temporary.path,
+                                    reason.c_str());
+    return textures->host->fail_errno(textures->ctx, BSQ_EIO, error, "%s: %s", image.temporary.path,
+                                      reason.c_str());
+}
+
+// A tile or a row of the image's own file that cannot be read: damaged, unless the disk is.
+int fail_read(Textures *textures, const Image &image, int error, std::string reason)
+{
+    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    if (error == EIO)
+        return textures->host->fail_errno(textures->ctx, BSQ_EIO, error, "%s: %s",
+                                          image.path.c_str(), reason.c_str());
+    return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: damaged image: %s",
+                                image.path.c_str(), reason.c_str());
+}
+
+// A tiled file without a name that rows of tiles are written to; reached as /proc/self/fd/N.
+int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOutput> &output)
+{
+    int status =
+        textures->host->file_temp(textures->ctx, nullptr, "texture tiles", &image.temporary);
+    if (status)
+        return status;
+    image.cached_path = "/proc/self/fd/" + std::to_string(image.temporary.fd);
+    ImageSpec spec(int(image.width), int(image.height), image.channels, image.type);
+    spec.tile_width = spec.tile_height = tile_size;
+    spec["compression"] = "none";
+    output = OIIO::ImageOutput::create("tiff");
+    errno = 0;
+    if (!output || !output->open(image.cached_path, spec))
+        return fail_tiles(textures, image, errno, output ? output->geterror() : OIIO::geterror());
+    output->threads(1);
+    image.x = image.y = 0;
+    return 0;
+}
+
+int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_t first,
+              uint32_t end, void *rows)
+{
+    const ImageSpec &spec = input.spec();
+    errno = 0;
+    int y0 = spec.y + int(first), y1 = spec.y + int(end);
+    bool good =
+        spec.tile_width
+            ? input.read_tiles(0, 0, spec.x, spec.x + spec.width, y0, y1, spec.z, spec.z + 1, 0,
+                               image.channels, image.type, rows)
+            : input.read_scanlines(0, 0, y0, y1, spec.z, 0, image.channels, image.type, rows);
+    if (good)
+        return 0;
+    return fail_read(textures, image, errno, input.geterror());
+}
+
+// Makes the pyramid and, where `rewrite`, the tiled copy.
+int pass_over(Textures *textures, Image &image)
+{
+    const struct fmt_host *host = textures->host;
+    struct bsq_ctx *ctx = textures->ctx;
+    std::unique_ptr<OIIO::ImageOutput> output;
+    void *rows = nullptr;
+    int status;
+    auto input = open_input(textures, image.path, &status);
+    if (!input)
+        return status;
+    if (textures->rewrite && !image.tiled && (status = create_tiled(textures, image, output)))
+        return status;
+    size_t row_bytes = size_t(image.width) * size_t(image.channels) * image.type.size();
+    uint32_t strip = image.tiled ? uint32_t(input->spec().tile_height) : uint32_t(tile_size);
+    strip = std::min(strip, image.height);
+    if ((status = host->alloc(ctx, "texture rows", strip, row_bytes, &rows)))
+        return status;
+    image.pyramid = fmt::Pyramid(image.width, image.height, textures->pyramid_level);
+    std::vector<float> linear(3 * size_t(image.width));
+    for (uint32_t y = 0; y < image.height && !status; y += strip) {
+        uint32_t end = std::min(image.height, y + strip);
+        status = read_rows(textures, image, *input, y, end, rows);
+        for (uint32_t i = y; i < end && !status; i++) {
+            const char *row = static_cast<const char *>(rows) + (i - y) * row_bytes;
+            make_linear(image, row, linear.data());
+            image.pyramid.add_row(linear.data());
+        }
+        errno = 0;
+        if (!status && output &&
+            !output->write_tiles(0, int(image.width), int(y), int(end), 0, 1, image.type, rows))
+            status = fail_tiles(textures, image, errno, output->geterror());
+        if (!status)
+            status = host->check(ctx);
+    }
+    host->free(ctx, rows);
+    errno = 0;
+    if (!status && output && !output->close())
+        status = fail_tiles(textures, image, errno, output->geterror());
+    image.pyramid.finish();
+    return status;
+}
+
+int pass_over_image(void *arg, uint64_t index, unsigned)
+{
+    auto *textures = static_cast<Textures *>(arg);
+    Image &image = textures->images[index];
+    try {
+        return pass_over(textures, image);
+    } catch (const std::bad_alloc &) {
+        return textures->host->fail(textures->ctx, BSQ_ENOMEM, "%s: out of memory",
+                                    image.path.c_str());
+    }
+}
+
+int open_cache(Textures *textures)
+{
+    ImageCache *cache = textures->cache = ImageCache::create(false);
+    cache->attribute("max_memory_MB", float(double(textures->tile_bytes) / (1 << 20)));
+    cache->attribute("autotile", tile_size);
+    cache->attribute("unassociatedalpha", 1);
+    cache->attribute("deduplicate", 0);
+    for (Image &image : textures->images) {
+        image.handle = cache->get_image_handle(OIIO::ustring(image.cached_path));
+        if (!image.handle || !cache->good(image.handle))
+            return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
+                                        cache->geterror().c_str());
+    }
+    return 0;
+}
+
+// Finds the different files among the paths; many materials of a scan may share one.
+int describe_all(Textures *textures, const char *const *paths, uint32_t count)
+{
+    std::unordered_map<std::string, uint32_t> known;
+    textures->image_of.assign(count, no_image);
+    for (uint32_t i = 0; i < count; i++) {
+        if (!paths[i])
+            continue;
+        auto entry = known.emplace(paths[i], uint32_t(textures->images.size()));
+        textures->image_of[i] = entry.first->second;
+        if (!entry.second)
+            continue;
+        textures->images.emplace_back();
+        int status = describe(textures, paths[i], textures->images.back());
+        if (status)
+            return status;
+    }
+    return 0;
+}
+
+int open_all(Textures *textures, const char *const *paths, uint32_t count, uint64_t cache_bytes)
+{
+    int status = describe_all(textures, paths, count);
+    if (!status)
+        status = share_cache(textures, cache_bytes);
+    if (!status)
+        status = textures->host->parallel_for(textures->ctx, textures->images.size(),
+                                              pass_over_image, textures);
+    return status ? status : open_cache(textures);
+}
+
+// ---- lookups ----
+
+// Adds the integral over the part of a rectangle that lies in rows [y0, y1) and columns [x0, x1) of
+// texels; get(x, y) is the place of a texel's first channel.
+template <typename T, typename Decode>
+void add_texels(const Image &image, const fmt::Rectangle &r, const OIIO::ROI &roi, const T *texels,
+                Decode decode, double sum[3])
+{
+    int x0 = std::max(roi.xbegin - image.x, int(std::floor(r.x0)));
+    int x1 = std::min(roi.xend - image.x, int(std::ceil(r.x1)));
+    int y0 = std::max(roi.ybegin - image.y, int(std::floor(r.y0)));
+    int y1 = std::min(roi.yend - image.y, int(std::ceil(r.y1)));
+    size_t pixel = size_t(image.channels), row = size_t(roi.width()) * pixel;
+    for (int y = y0; y < y1; y++) {
+        const T *t = texels + size_t(y - (roi.ybegin - image.y)) * row +
+                     size_t(x0 - (roi.xbegin - image.x)) * pixel;
+        double line[3] = {0, 0, 0};
+        for (int x = x0; x < x1; x++, t += pixel) {
+            double weight = fmt::overlap(x, 1, r.x0, r.x1);
+            for (size_t c = 0; c < pixel; c++)
+                line[c] += weight * double(decode(t[c]));
+        }
+        double weight = fmt::overlap(y, 1, r.y0, r.y1);
+        for (size_t c = 0; c < 3; c++)
+            sum[c] += weight * line[pixel == 3 ? c : 0];
+    }
+}
+
+// Adds the integral of the image itself over a rectangle inside it, tile by tile.
+int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle &r, double sum[3])
+{
+    ImageCache *cache = textures->cache;
+    int x_end = int(std::ceil(r.x1)), y_end = int(std::ceil(r.y1));
+    for (int y = int(std::floor(r.y0)), next_y = y; y < y_end; y = next_y)
+        for (int x = int(std::floor(r.x0)); x < x_end;) {
+            errno = 0;
+            auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
+                                         0, image.channels);
+            if (!tile)
+                return image.temporary.fd >= 0
+                           ? fail_tiles(textures, image, errno, cache->geterror())
+                           : fail_read(textures, image, errno, cache->geterror());
+            TypeDesc type;
+            const void *texels = cache->tile_pixels(tile, type);
+            OIIO::ROI roi = cache->tile_roi(tile);
+            const float *table = image.table;
+            if (type == TypeDesc::UINT8)
+                add_texels(
+                    image, r, roi, static_cast<const uint8_t *>(texels),
+                    [table](uint8_t v) { return table[v]; }, sum);
+            else if (type == TypeDesc::UINT16)
+                add_texels(
+                    image, r, roi, static_cast<const uint16_t *>(texels),
+                    [table](uint16_t v) { return table[v]; }, sum);
+            else if (type == TypeDesc::HALF)
+                add_texels(
+                    image, r, roi, static_cast<const half *>(texels),
+                    [](half v) { return float(v); }, sum);
+            else
+                add_texels(
+                    image, r, roi, static_cast<const float *>(texels), [](float v) { return v; },
+                    sum);
+            cache->release_tile(tile);
+            x = roi.xend - image.x;
+            next_y = roi.yend - image.y;
+        }
+    return 0;
+}
+
+// An interval on a circle of circumference `period`, as up to two intervals in [0, period].
+struct Wrapped {
+    double first[2], last[2];
+    int count;
+};
+
+Wrapped wrap(double centre, double extent, double period)
+{
+    double start = centre - extent / 2;
+    start -= std::floor(start / period) * period;
+    if (!(start >= 0 && start < period)) // rounding, or not a number
+        start = 0;
+    if (start + extent <= period)
+        return {{start, 0}, {start + extent, 0}, 1};
+    return {{start, 0}, {period, start + extent - period}, 2};
+}
+
+int average(Textures *textures, const Image &image, double x, double y, double width, double height,
+            float out[3])
+{
+    double sum[3] = {0, 0, 0};
+    width = std::min(std::max(width, 1.0), double(image.width));
+    height = std::min(std::max(height, 1.0), double(image.height));
+    int level = int(std::floor(std::log2(std::min(width, height) / cells_across)));
+    level = std::min(level, image.pyramid.last_level());
+    Wrapped across = wrap(x, width, image.width), down = wrap(y, height, image.height);
+    for (int j = 0; j < down.count; j++)
+        for (int i = 0; i < across.count; i++) {
+            fmt::Rectangle r = {across.first[i], across.last[i], down.first[j], down.last[j]};
+            int status = 0;
+            if (level < image.pyramid.first_level())
+                status = add_from_tiles(textures, image, r, sum);
+            else
+                image.pyramid.integrate(level, r, sum);
+            if (status)
+                return status;
+        }
+    for (int c = 0; c < 3; c++)
+        out[c] = float(sum[c] / (width * height));
+    return 0;
+}
+
+// ---- the module ----
+
+void close_textures(struct fmt_textures *opened)
+{
+    auto *textures = static_cast<Textures *>(opened);
+    if (textures->cache)
+        ImageCache::destroy(textures->cache);
+    for (Image &image : textures->images)
+        textures->host->file_close(textures->ctx, &image.temporary);
+    textures->host->release(textures->ctx, textures->reserved);
+    delete textures;
+}
+
+void texture_size(const struct fmt_textures *opened, uint32_t image, uint32_t *width,
+                  uint32_t *height)
+{
+    const auto *textures = static_cast<const Textures *>(opened);
+    uint32_t number = textures->image_of[image];
+    *width = number == no_image ? 0 : textures->images[number].width;
+    *height = number == no_image ? 0 : textures->images[number].height;
+}
+
+int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v, float du,
+                   float dv, float out[3])
+{
+    auto *textures = static_cast<Textures *>(opened);
+    uint32_t number = textures->image_of[image];
+    if (number == no_image)
+        return textures->host->fail(textures->ctx, BSQ_EBUG, "texture %u has no image", image);
+    const Image &i = textures->images[number];
+    // Reduced to one period first, so that far coordinates keep their precision in texels.
+    double x = (double(u) - std::floor(double(u))) * i.width;
+    double y = (std::ceil(double(v)) - double(v)) * i.height;
+    return average(textures, i, x, y, double(du) * i.width, double(dv) * i.height, out);
+}
+
+int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *const *paths,
+                  uint32_t count, uint64_t cache_bytes, struct fmt_textures **out)
+{
+    auto *textures = new (std::nothrow) Textures;
+    if (!textures)
+        return host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
+    textures->module = &bisque_module;
+    textures->host = host;
+    textures->ctx = ctx;
+    int status = 0;
+    try {
+        status = open_all(textures, paths, count, cache_bytes);
+    } catch (const std::bad_alloc &) {
+        status = host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
+    }
+    if (status)
+        close_textures(textures);
+    else
+        *out = textures;
+    return status;
+}
+
+} // namespace
+
+extern "C" {
+const struct fmt_texture_module bisque_module = {
+    {FMT_MODULE_STAMP}, open_textures, close_textures, texture_size, sample_texture};
+}

@@ -1,0 +1,257 @@
+/* mtl.c - reads what colours a surface from Wavefront MTL files; all else in them is skipped.
+ *
+ * Such files are small, so one is held whole and its lines are cut in place. */
+#include "formats/mesh/mtl.h"
+
+#include <errno.h>
+#include <inttypes.h>
+#include <string.h>
+#include <strings.h>
+#include <unistd.h>
+
+#include "base/file.h"
+#include "formats/mesh/obj_number.h"
+#include "formats/mesh/obj_path.h"
+
+struct reader {
+    struct bsq_ctx *ctx;
+    const char *path;
+    uint64_t line;
+    struct fmt_materials *materials;
+    uint64_t capacity;
+    bool has_current; /* the last material of the list is of this file */
+};
+
+/* ---- words of a line ---- */
+
+static bool is_blank(char c)
+{
+    return c == ' ' || c == '\t';
+}
+
+static char *skip_blanks(char *p)
+{
+    while (is_blank(*p))
+        p++;
+    return p;
+}
+
+static size_t word_length(const char *p)
+{
+    size_t length = 0;
+    while (p[length] && !is_blank(p[length]))
+        length++;
+    return length;
+}
+
+static bool word_is(const char *p, const char *keyword)
+{
+    size_t length = strlen(keyword);
+    return word_length(p) == length && !strncasecmp(p, keyword, length);
+}
+
+static void trim_end(char *text)
+{
+    size_t length = strlen(text);
+    while (length && is_blank(text[length - 1]))
+        text[--length] = '\0';
+}
+
+/* ---- statements ---- */
+
+static void warn(struct reader *reader, const char *what, const char *text)
+{
+    bsq_warn(reader->ctx, "%s:%" PRIu64 ": %s: \"%.60s\"", reader->path, reader->line, what, text);
+}
+
+/* The material that statements describe now; NULL, with a warning, where there is none. */
+static struct fmt_material *current(struct reader *reader, const char *statement)
+{
+    if (reader->has_current)
+        return &reader->materials->list[reader->materials->count - 1];
+    warn(reader, "no newmtl before this, ignored", statement);
+    return NULL;
+}
+
+static int begin_material(struct reader *reader, char *name)
+{
+    struct fmt_materials *materials = reader->materials;
+    trim_end(name);
+    if (materials->count == UINT32_MAX - 1)
+        return bsq_fail(reader->ctx, BSQ_EDATA, "%s: too many materials", reader->path);
+    int status = bsq_grow(reader->ctx, "materials", (uint64_t)materials->count + 1,
+                          sizeof *materials->list, &materials->list, &reader->capacity);
+    if (status)
+        return status;
+    struct fmt_material *material = &materials->list[materials->count];
+    *material = (struct fmt_material){.diffuse = {0.8f, 0.8f, 0.8f}};
+    status = fmt_string_copy(reader->ctx, name, &material->name);
+    if (!status) {
+        materials->count++;
+        reader->has_current = true;
+    }
+    return status;
+}
+
+/* "Kd r g b" or "Kd grey"; spectral curves and CIE colours are skipped. */
+static void read_diffuse(struct reader *reader, char *p)
+{
+    struct fmt_material *material = current(reader, "Kd");
+    double rgb[3];
+    int count = 0;
+    if (!material || word_is(p, "spectral") || word_is(p, "xyz"))
+        return;
+    for (char *at = p; count < 3 && *at && *at != '#'; count++) {
+        if (!obj_number(at, &rgb[count])) {
+            warn(reader, "not a colour, ignored", p);
+            return;
+        }
+        at = skip_blanks(at + word_length(at));
+    }
+    if (count != 1 && count != 3) {
+        warn(reader, "a colour has 1 or 3 numbers, ignored", p);
+        return;
+    }
+    for (int i = 0; i < 3; i++) {
+        double value = rgb[count == 1 ? 0 : i];
+        material->diffuse[i] = (float)(value < 0 ? 0 : value > 1 ? 1 : value);
+    }
+    material->has_diffuse = true;
+}
+
+/* Options of map_ statements with the number of words that follow each. */
+static const struct map_option {
+    const char *name;
+    int words;       /* vectors may have fewer */
+    double identity; /* of vectors: the value that changes nothing */
+} map_options[] = {
+    {"-s", 3, 1},      {"-o", 3, 0},     {"-t", 3, 0},  {"-blendu", 1, 0}, {"-blendv", 1, 0},
+    {"-cc", 1, 0},     {"-clamp", 1, 0}, {"-bm", 1, 0}, {"-boost", 1, 0},  {"-imfchan", 1, 0},
+    {"-texres", 1, 0}, {"-type", 1, 0},  {"-mm", 2, 0},
+};
+
+static const struct map_option *find_option(const char *p)
+{
+    for (size_t i = 0; i < sizeof map_options / sizeof *map_options; i++)
+        if (word_is(p, map_options[i].name))
+            return &map_options[i];
+    return NULL;
+}
+
+/* Skips the words of one option. The last word of a line is never taken, it is the file. */
+static char *skip_option(struct reader *reader, char *p, const struct map_option *option)
+{
+    bool is_vector = option->words == 3, changes = false;
+    char *rest = skip_blanks(p + word_length(p));
+    for (int i = 0; i < option->words; i++) {
+        char *after = skip_blanks(rest + word_length(rest));
+        double value;
+        if (!*after || (is_vector && !obj_number(rest, &value)))
+            break;
+        changes |= is_vector && value != option->identity;
+        rest = after;
+    }
+    if (changes)
+        warn(reader, "texture is used without this shift or scale", p);
+    return rest;
+}
+
+/* "map_Kd [options] file", the file's name may hold blanks and be quoted. */
+static int read_map(struct reader *reader, char *p)
+{
+    struct fmt_material *material = current(reader, "map_Kd");
+    if (!material)
+        return 0;
+    trim_end(p);
+    const struct map_option *option;
+    while ((option = find_option(p)))
+        p = skip_option(reader, p, option);
+    size_t length = strlen(p);
+    if (length >= 2 && p[0] == '"' && p[length - 1] == '"') {
+        p[length - 1] = '\0';
+        p++;
+    }
+    if (!*p) {
+        warn(reader, "names no file, ignored", "map_Kd");
+        return 0;
+    }
+    bsq_free(reader->ctx, material->texture_path);
+    material->texture_path = NULL;
+    return fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
+}
+
+static int read_line(struct reader *reader, char *line)
+{
+    char *p = skip_blanks(line);
+    char *rest = skip_blanks(p + word_length(p));
+    if (word_is(p, "newmtl"))
+        return begin_material(reader, rest);
+    if (word_is(p, "map_Kd"))
+        return read_map(reader, rest);
+    if (word_is(p, "Kd"))
+        read_diffuse(reader, rest);
+    return 0;
+}
+
+static int read_text(struct reader *reader, char *text, uint64_t size)
+{
+    char *p = text, *end = text + size;
+    int status = 0;
+    if (size >= 3 && !memcmp(p, "\xef\xbb\xbf", 3))
+        p += 3;
+    while (p < end && !status) {
+        char *line = p;
+        while (p < end && *p != '\n' && *p != '\r')
+            p++;
+        bool crlf = p + 1 < end && p[0] == '\r' && p[1] == '\n';
+        *p = '\0';
+        p += 1 + crlf;
+        reader->line++;
+        status = read_line(reader, line);
+    }
+    return status;
+}
+
+int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, struct fmt_materials *materials)
+{
+    struct reader reader = {
+        .ctx = ctx, .path = path, .materials = materials, .capacity = materials->count};
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    char *text = NULL;
+    if (access(path, R_OK)) {
+        bsq_warn(ctx, "%s: %s", path, strerror(errno));
+        return 0;
+    }
+    int status = bsq_file_open(ctx, path, &file);
+    if (status)
+        goto done;
+    status = bsq_alloc(ctx, "MTL text", file.size + OBJ_TEXT_PADDING, 1, &text);
+    if (status)
+        goto done;
+    memset(text + file.size, 0, OBJ_TEXT_PADDING);
+    status = bsq_file_read(ctx, &file, text, file.size, 0);
+    if (!status)
+        status = read_text(&reader, text, file.size);
+done:
+    bsq_free(ctx, text);
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
+uint32_t fmt_mtl_find(const struct fmt_materials *materials, const char *name)
+{
+    for (uint32_t i = 0; i < materials->count; i++)
+        if (!strcmp(materials->list[i].name, name))
+            return i;
+    return UINT32_MAX;
+}
+
+void fmt_mtl_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
+{
+    for (uint32_t i = 0; i < materials->count; i++) {
+        bsq_free(ctx, materials->list[i].name);
+        bsq_free(ctx, materials->list[i].texture_path);
+    }
+    bsq_free(ctx, materials->list);
+    memset(materials, 0, sizeof *materials);
+}

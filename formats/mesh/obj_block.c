@@ -1,0 +1,600 @@
+/* obj_block.c - the parser of one block of OBJ text.
+ *
+ * One pass, a byte is looked at once: numbers and indices find their own ends, and lines that need
+ * no fields are skipped. The buffers grow to what a block's text turned out to hold and are reused,
+ * so that after the first blocks no memory is touched for the first time. */
+#include "formats/mesh/obj_block.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "formats/mesh/obj_line.h"
+
+const char *const fmt_obj_kind_names[OBJ_KIND_COUNT] = {"vertex", "texture coordinate", "normal"};
+
+/* Statements of the OBJ standard (Wavefront, "Advanced Visualizer", appendix B1) that say nothing
+ * about points and faces, superseded ones included. */
+static const char *const standard_statements[] = {
+    "g",    "o",      "s",      "l",          "p",         "vp",    "cstype",   "deg",
+    "bmat", "step",   "curv",   "curv2",      "surf",      "parm",  "trim",     "hole",
+    "scrv", "sp",     "end",    "con",        "mg",        "bevel", "c_interp", "d_interp",
+    "lod",  "usemap", "maplib", "shadow_obj", "trace_obj", "ctech", "stech",    "call",
+    "csh",  "bsp",    "bzp",    "cdc",        "cdp",       "res"};
+
+/* Why parse functions return NULL: block->failed is set for wrong text, else `status`. */
+struct parser {
+    struct bsq_ctx *ctx;
+    struct obj_block *block;
+    int status;
+};
+
+int fmt_obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_t size)
+{
+    if (size > UINT64_MAX - OBJ_TEXT_PADDING)
+        return bsq_fail(ctx, BSQ_ENOMEM, "a block of text is too long");
+    return bsq_grow(ctx, "OBJ text", size + OBJ_TEXT_PADDING, 1, &block->buffer,
+                    &block->buffer_capacity);
+}
+
+void fmt_obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t end)
+{
+    block->text = block->buffer + begin;
+    block->size = end - begin;
+    /* Two line ends: the last line may lack its own and even end in a continuation. */
+    memset(block->buffer + end, 0, OBJ_TEXT_PADDING);
+    memset(block->buffer + end, '\n', 2);
+}
+
+void fmt_obj_quote(const char *text, const char *end, char *out, size_t size)
+{
+    size_t length = 0;
+    for (; text < end && *text != '\n' && *text != '\r'; text++) {
+        if (length + 4 >= size) {
+            memcpy(out + length, "...", 3);
+            length += 3;
+            break;
+        }
+        unsigned char c = (unsigned char)*text;
+        out[length++] = c == '\t' ? ' ' : c < ' ' || c == 127 ? '?' : (char)c;
+    }
+    out[length] = '\0';
+}
+
+__attribute__((format(printf, 2, 3))) static const char *fail(struct parser *parser,
+                                                              const char *format, ...)
+{
+    struct obj_block *block = parser->block;
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(block->error, sizeof block->error, format, arguments);
+    va_end(arguments);
+    block->failed = true;
+    return NULL;
+}
+
+/* ---- lines ---- */
+
+static bool is_blank(char c)
+{
+    return c == ' ' || c == '\t';
+}
+
+/* Length of the line end at p: "\n", "\r\n" or a lone "\r"; 0 where there is none. */
+static inline int line_end_size(const char *p)
+{
+    if (*p == '\n')
+        return 1;
+    return *p == '\r' ? 1 + (p[1] == '\n') : 0;
+}
+
+/* The word at p, shortened, for messages. */
+struct quoted {
+    char text[44];
+};
+
+static struct quoted quote_word(const struct parser *parser, const char *p)
+{
+    struct quoted quoted = {0};
+    const char *end = p, *limit = parser->block->text + parser->block->size;
+    while (end < limit && !is_blank(*end) && !line_end_size(end))
+        end++;
+    fmt_obj_quote(p, end, quoted.text, sizeof quoted.text);
+    return quoted;
+}
+
+/* Skips blanks and continued line ends. */
+static inline const char *skip_blanks(struct obj_block *block, const char *p)
+{
+    for (;;) {
+        while (is_blank(*p))
+            p++;
+        int size;
+        if (__builtin_expect(*p != '\\', 1) || !(size = line_end_size(p + 1)))
+            return p;
+        p += 1 + size;
+        block->lines++;
+    }
+}
+
+/* Skips to behind the end of a comment. Comments cannot be continued: one that ends in a
+ * backslash, as a Windows path does, must not swallow the line after it. */
+static const char *skip_comment(struct parser *parser, const char *p)
+{
+    int size;
+    while (!(size = line_end_size(p))) {
+        if (*p == '\0')
+            return fail(parser, "not a text file (zero byte)");
+        p++;
+    }
+    parser->block->lines++;
+    return p + size;
+}
+
+/* Finds the end of a statement's text: *end is at its line end, the return value behind it. */
+static const char *skip_statement(struct parser *parser, const char *p, const char **end)
+{
+    int size;
+    for (;;) {
+        if (*p == '\\' && (size = line_end_size(p + 1))) {
+            parser->block->lines++;
+            p += 1 + size;
+        } else if ((size = line_end_size(p))) {
+            break;
+        } else if (*p == '\0') {
+            return fail(parser, "not a text file (zero byte)");
+        } else {
+            p++;
+        }
+    }
+    *end = p;
+    parser->block->lines++;
+    return p + size;
+}
+
+/* Takes the end of a statement whose fields are all read: blanks, a comment, the line end. */
+static inline const char *finish_line(struct parser *parser, const char *p)
+{
+    if (__builtin_expect(*p == '\n', 1)) {
+        parser->block->lines++;
+        return p + 1;
+    }
+    p = skip_blanks(parser->block, p);
+    int size = line_end_size(p);
+    if (size) {
+        parser->block->lines++;
+        return p + size;
+    }
+    if (*p == '#')
+        return skip_comment(parser, p);
+    if (*p == '\0')
+        return fail(parser, "not a text file (zero byte)");
+    return fail(parser, "unexpected \"%s\" at the end of the line", quote_word(parser, p).text);
+}
+
+static inline bool at_line_end(char c)
+{
+    return c == '\n' || c == '\r' || c == '#';
+}
+
+/* ---- elements ---- */
+
+/* Makes room for one more element after `count`; true where there is. */
+#define ROOM(parser, what, count, array, capacity)                                                 \
+    (__builtin_expect((count) < (capacity), 1) ||                                                  \
+     !((parser)->status =                                                                          \
+           bsq_grow((parser)->ctx, what, (count) + 256, sizeof *(array), &(array), &(capacity))))
+
+static const char *fail_number(struct parser *parser, const char *p)
+{
+    if (*p == '\0')
+        return fail(parser, "not a text file (zero byte)");
+    return fail(parser, "\"%s\" is not a finite number", quote_word(parser, p).text);
+}
+
+/* Reads up to `most` numbers; *count says how many there are, NULL where one is malformed. */
+static const char *parse_numbers(struct parser *parser, const char *p, double *numbers, int most,
+                                 int *count)
+{
+    int n = 0;
+    for (;; n++) {
+        p = skip_blanks(parser->block, p);
+        if (n == most || at_line_end(*p))
+            break;
+        const char *after = obj_number(p, &numbers[n]);
+        if (!after)
+            return fail_number(parser, p);
+        p = after;
+    }
+    *count = n;
+    return p;
+}
+
+/* Adds the colour of the vertex that comes next; those before it that have none get -1. */
+static bool add_color(struct parser *parser, const double *rgb)
+{
+    struct obj_block *block = parser->block;
+    uint64_t vertex = block->count[OBJ_VERTEX];
+    if (vertex >= block->color_capacity) {
+        parser->status = bsq_grow(parser->ctx, "OBJ colours", vertex + 256, sizeof *block->colors,
+                                  &block->colors, &block->color_capacity);
+        if (parser->status)
+            return false;
+    }
+    if (!block->has_colors)
+        for (uint64_t i = 0; i < vertex; i++)
+            block->colors[i][0] = block->colors[i][1] = block->colors[i][2] = -1;
+    block->has_colors = true;
+    for (int i = 0; i < 3; i++)
+        block->colors[vertex][i] = (float)rgb[i];
+    return true;
+}
+
+/* What follows the third number of a vertex: nothing, w, r g b, or r g b a. */
+static const char *parse_vertex_rest(struct parser *parser, const char *p)
+{
+    static const double none[3] = {-1, -1, -1};
+    double extra[5];
+    int count = 0;
+    if (!(p = parse_numbers(parser, p, extra, 5, &count)))
+        return NULL;
+    if (count == 2 || count == 5)
+        return fail(parser, "a vertex of %s numbers, expected 3, 4, 6 or 7",
+                    count == 2 ? "5" : "more than 7");
+    if (count >= 3 || parser->block->has_colors)
+        if (!add_color(parser, count >= 3 ? extra : none))
+            return NULL;
+    return p;
+}
+
+static const char *parse_vertex(struct parser *parser, const char *p)
+{
+    struct obj_block *block = parser->block;
+    uint64_t vertex = block->count[OBJ_VERTEX];
+    if (!ROOM(parser, "OBJ vertices", vertex, block->positions, block->position_capacity))
+        return NULL;
+    double *position = block->positions[vertex];
+    for (int i = 0; i < 3; i++) {
+        p = skip_blanks(block, p);
+        const char *after = obj_number(p, &position[i]);
+        if (!after)
+            return at_line_end(*p)
+                       ? fail(parser, "a vertex of %d numbers, expected 3, 4, 6 or 7", i)
+                       : fail_number(parser, p);
+        p = after;
+    }
+    if (__builtin_expect(!line_end_size(p) || block->has_colors, 0) &&
+        !(p = parse_vertex_rest(parser, p)))
+        return NULL;
+    if (!(p = finish_line(parser, p)))
+        return NULL;
+    block->count[OBJ_VERTEX] = vertex + 1;
+    return p;
+}
+
+static const char *parse_texcoord(struct parser *parser, const char *p)
+{
+    struct obj_block *block = parser->block;
+    uint64_t *count = &block->count[OBJ_TEXCOORD];
+    if (!ROOM(parser, "OBJ texture coordinates", *count, block->texcoords,
+              block->texcoord_capacity))
+        return NULL;
+    double numbers[3] = {0};
+    int given = 0;
+    if (!(p = parse_numbers(parser, p, numbers, 3, &given)))
+        return NULL;
+    if (given == 0)
+        return fail(parser, "a texture coordinate without numbers");
+    if (!(p = finish_line(parser, p)))
+        return NULL;
+    memcpy(block->texcoords[*count], numbers, sizeof block->texcoords[0]);
+    ++*count;
+    return p;
+}
+
+static const char *parse_normal(struct parser *parser, const char *p)
+{
+    struct obj_block *block = parser->block;
+    uint64_t *count = &block->count[OBJ_NORMAL];
+    if (!ROOM(parser, "OBJ normals", *count, block->normals, block->normal_capacity))
+        return NULL;
+    double numbers[3];
+    int given = 0;
+    if (!(p = parse_numbers(parser, p, numbers, 3, &given)))
+        return NULL;
+    if (given < 3)
+        return fail(parser, "a normal of %d numbers, expected 3", given);
+    if (!(p = finish_line(parser, p)))
+        return NULL;
+    for (int i = 0; i < 3; i++)
+        block->normals[*count][i] = (float)numbers[i];
+    ++*count;
+    return p;
+}
+
+/* ---- faces ---- */
+
+/* Reads one index into *out, encoded as obj_block.h says. */
+static inline const char *parse_index(struct parser *parser, const char *p, enum obj_kind kind,
+                                      uint64_t *out)
+{
+    struct obj_block *block = parser->block;
+    bool negative = *p == '-';
+    uint64_t value;
+    const char *after = obj_integer(p + (negative || *p == '+'), &value);
+    if (__builtin_expect(!after, 0))
+        return fail(parser, "\"%s\" is not a face corner", quote_word(parser, p).text);
+    if (__builtin_expect(value == 0, 0))
+        return fail(parser, "face refers to %s 0, indices begin with 1", fmt_obj_kind_names[kind]);
+    *out = value - 1;
+    if (negative) {
+        *out = OBJ_RELATIVE_ZERO + block->count[kind] - value;
+        block->relative[kind] = true;
+    }
+    return after;
+}
+
+/* Stores a texture coordinate or normal of corner number `corner`. All corners of the block before
+ * the first that has one get FMT_OBJ_NONE. */
+static bool put_corner(struct parser *parser, enum obj_kind kind, uint64_t corner, uint64_t index)
+{
+    struct obj_block *block = parser->block;
+    if (!ROOM(parser, "OBJ corners", corner, block->corners[kind], block->corner_capacity[kind]))
+        return false;
+    if (!block->has_corners[kind])
+        memset(block->corners[kind], 0xff, corner * sizeof(uint64_t));
+    block->has_corners[kind] = true;
+    block->corners[kind][corner] = index;
+    return true;
+}
+
+/* Reads "/t", "/t/n", "//n" or nothing, behind the vertex of corner number `corner`. */
+static const char *parse_attributes(struct parser *parser, const char *p, uint64_t corner)
+{
+    struct obj_block *block = parser->block;
+    for (enum obj_kind kind = OBJ_TEXCOORD; kind <= OBJ_NORMAL; kind++) {
+        uint64_t index = FMT_OBJ_NONE;
+        if (*p == '/') {
+            p++;
+            bool given = *p != '/' && !obj_is_delimiter(*p);
+            if (given && !(p = parse_index(parser, p, kind, &index)))
+                return NULL;
+        }
+        if (index == FMT_OBJ_NONE && !block->has_corners[kind])
+            continue;
+        if (!put_corner(parser, kind, corner, index))
+            return NULL;
+    }
+    return p;
+}
+
+static const char *parse_face(struct parser *parser, const char *p)
+{
+    struct obj_block *block = parser->block;
+    uint64_t first = block->corner_count, corner = first;
+    for (;; corner++) {
+        p = skip_blanks(block, p);
+        if (at_line_end(*p))
+            break;
+        if (!ROOM(parser, "OBJ corners", corner, block->corners[OBJ_VERTEX],
+                  block->corner_capacity[OBJ_VERTEX]))
+            return NULL;
+        const char *word = p;
+        p = parse_index(parser, p, OBJ_VERTEX, &block->corners[OBJ_VERTEX][corner]);
+        if (!p)
+            return NULL;
+        if (*p == '/' || block->has_corners[OBJ_TEXCOORD] || block->has_corners[OBJ_NORMAL])
+            if (!(p = parse_attributes(parser, p, corner)))
+                return NULL;
+        if (__builtin_expect(!obj_is_delimiter(*p), 0))
+            return fail(parser, "\"%s\" is not a face corner", quote_word(parser, word).text);
+    }
+    if (!(p = finish_line(parser, p)))
+        return NULL;
+    if (__builtin_expect(corner - first < 3, 0)) {
+        block->short_faces++;
+        return p;
+    }
+    if (corner - first > UINT32_MAX)
+        return fail(parser, "a face of more than %u corners", UINT32_MAX);
+    if (!ROOM(parser, "OBJ faces", block->face_count, block->face_sizes, block->face_capacity))
+        return NULL;
+    block->face_sizes[block->face_count++] = (uint32_t)(corner - first);
+    block->corner_count = corner;
+    return p;
+}
+
+/* ---- other statements ---- */
+
+static const char *add_statement(struct parser *parser, const char *p, enum obj_statement_kind kind)
+{
+    struct obj_block *block = parser->block;
+    if (!ROOM(parser, "OBJ statements", block->statement_count, block->statements,
+              block->statement_capacity))
+        return NULL;
+    p = skip_blanks(block, p);
+    const char *end = p, *after = skip_statement(parser, p, &end);
+    if (!after)
+        return NULL;
+    block->statements[block->statement_count++] = (struct obj_statement){
+        .kind = kind,
+        .face = block->face_count,
+        .offset = (uint64_t)(p - block->text),
+        .size = (uint64_t)(end - p),
+    };
+    block->known_lines++;
+    return after;
+}
+
+static bool is_standard(const char *word, size_t length)
+{
+    for (size_t i = 0; i < sizeof standard_statements / sizeof *standard_statements; i++)
+        if (strlen(standard_statements[i]) == length &&
+            !memcmp(standard_statements[i], word, length))
+            return true;
+    return false;
+}
+
+/* Any statement but v, vt, vn and f. */
+static const char *parse_other(struct parser *parser, const char *p)
+{
+    struct obj_block *block = parser->block;
+    const char *word = p, *end = p;
+    while (!obj_is_delimiter(*p))
+        p++;
+    size_t length = (size_t)(p - word);
+    if (length == 6 && !memcmp(word, "usemtl", 6))
+        return add_statement(parser, p, OBJ_USEMTL);
+    if (length == 6 && !memcmp(word, "mtllib", 6))
+        return add_statement(parser, p, OBJ_MTLLIB);
+    uint64_t line = block->lines;
+    p = skip_statement(parser, p, &end);
+    if (!p)
+        return NULL;
+    if (is_standard(word, length)) {
+        block->known_lines++;
+    } else if (!block->skipped_lines++) {
+        block->first_skipped = line;
+        fmt_obj_quote(word, end, block->first_skipped_text, sizeof block->first_skipped_text);
+    }
+    return p;
+}
+
+static bool is_separator(char c)
+{
+    return is_blank(c) || c == '\\' || at_line_end(c);
+}
+
+/* Parses one line (with its continuations) that begins at p. */
+static inline const char *parse_line(struct parser *parser, const char *p)
+{
+    if (p[0] == 'v') {
+        if (is_blank(p[1]))
+            return parse_vertex(parser, p + 2);
+        if (p[1] == 't' && is_separator(p[2]))
+            return parse_texcoord(parser, p + 2);
+        if (p[1] == 'n' && is_separator(p[2]))
+            return parse_normal(parser, p + 2);
+        if (is_separator(p[1]))
+            return parse_vertex(parser, p + 1);
+    }
+    if (p[0] == 'f' && is_separator(p[1]))
+        return parse_face(parser, p + 1);
+    if (p[0] == 'f' && p[1] == 'o' && is_separator(p[2])) /* its name before version 3 */
+        return parse_face(parser, p + 2);
+    if (p[0] == '#') {
+        parser->block->has_polypaint |= strncmp(p, "#MRGB ", 6) == 0;
+        return skip_comment(parser, p);
+    }
+    int size = line_end_size(p);
+    if (size) {
+        parser->block->lines++;
+        return p + size;
+    }
+    if (p[0] == '\0')
+        return fail(parser, "not a text file (zero byte)");
+    return parse_other(parser, p);
+}
+
+/* ---- runs of plain lines ----
+ *
+ * As many lines "v 0.5 -1.5 2.5", or "f 1 2 3", as come one behind the other and have room; both
+ * return where they end. */
+
+static const char *parse_plain_vertices(struct obj_block *block, const char *p, const char *end)
+{
+    const uint64_t first = block->count[OBJ_VERTEX];
+    uint64_t vertex = first;
+    while (p < end && vertex < block->position_capacity && p[0] == 'v' && p[1] == ' ') {
+        const char *after = obj_three_numbers(p + 2, block->positions[vertex]);
+        if (!after)
+            break;
+        p = after;
+        vertex++;
+    }
+    block->count[OBJ_VERTEX] = vertex;
+    block->lines += vertex - first;
+    return p;
+}
+
+static const char *parse_plain_triangles(struct obj_block *block, const char *p, const char *end,
+                                         uint64_t last_face)
+{
+    const uint64_t first = block->face_count;
+    const uint64_t room = (block->corner_capacity[OBJ_VERTEX] - block->corner_count) / 3;
+    uint64_t limit = first + room;
+    if (limit > block->face_capacity)
+        limit = block->face_capacity;
+    if (limit > last_face) /* whose line is to be known */
+        limit = last_face;
+    if (limit <= first) /* or there may be no room at all yet */
+        return p;
+    uint64_t face = first, *corners = block->corners[OBJ_VERTEX] + block->corner_count;
+    while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {
+        const char *after = obj_three_indices(p + 2, corners);
+        if (!after)
+            break;
+        p = after;
+        corners += 3;
+        block->face_sizes[face++] = 3;
+    }
+    block->face_count = face;
+    block->corner_count += 3 * (face - first);
+    block->lines += face - first;
+    return p;
+}
+
+static const char *parse_plain_lines(struct obj_block *block, const char *p, const char *end,
+                                     uint64_t last_face)
+{
+    if (p[0] == 'v' && !block->has_colors)
+        return parse_plain_vertices(block, p, end);
+    if (p[0] == 'f' && !block->has_corners[OBJ_TEXCOORD] && !block->has_corners[OBJ_NORMAL])
+        return parse_plain_triangles(block, p, end, last_face);
+    return p;
+}
+
+static void reset(struct obj_block *block)
+{
+    memset(block->count, 0, sizeof block->count);
+    memset(block->has_corners, 0, sizeof block->has_corners);
+    memset(block->relative, 0, sizeof block->relative);
+    block->has_colors = block->has_polypaint = false;
+    block->face_count = block->corner_count = block->statement_count = 0;
+    block->lines = block->known_lines = block->skipped_lines = block->short_faces = 0;
+    block->failed = false;
+}
+
+int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_file_start,
+                        uint64_t last_face)
+{
+    struct parser parser = {.ctx = ctx, .block = block};
+    const char *p = block->text, *end = p + block->size;
+    reset(block);
+    if (at_file_start && block->size >= 3 && !memcmp(p, "\xef\xbb\xbf", 3))
+        p += 3;
+    while (p && p < end && block->face_count <= last_face) {
+        p = parse_plain_lines(block, p, end, last_face);
+        if (p >= end)
+            break;
+        uint64_t line = block->lines;
+        p = parse_line(&parser, skip_blanks(block, p));
+        if (block->failed || block->face_count > last_face)
+            block->lines = line;
+    }
+    return parser.status;
+}
+
+void fmt_obj_block_free(struct bsq_ctx *ctx, struct obj_block *block)
+{
+    bsq_free(ctx, block->buffer);
+    bsq_free(ctx, block->positions);
+    bsq_free(ctx, block->colors);
+    bsq_free(ctx, block->texcoords);
+    bsq_free(ctx, block->normals);
+    bsq_free(ctx, block->face_sizes);
+    for (int kind = 0; kind < OBJ_KIND_COUNT; kind++)
+        bsq_free(ctx, block->corners[kind]);
+    bsq_free(ctx, block->statements);
+    memset(block, 0, sizeof *block);
+}

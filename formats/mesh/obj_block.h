@@ -1,0 +1,85 @@
+/* obj_block.h - private to the OBJ reader: parsing one block of text, independent of all others.
+ *
+ * A block begins at a line start and ends at a line end, so it can be parsed without knowing what
+ * came before it. What depends on that (relative indices, bases) stays encoded in the corners and
+ * is resolved when the blocks pass in order. */
+#ifndef FMT_MESH_OBJ_BLOCK_H
+#define FMT_MESH_OBJ_BLOCK_H
+
+#include "formats/mesh/obj.h"
+
+enum obj_kind { OBJ_VERTEX, OBJ_TEXCOORD, OBJ_NORMAL, OBJ_KIND_COUNT };
+
+/* "vertex", "texture coordinate", "normal" */
+extern const char *const fmt_obj_kind_names[OBJ_KIND_COUNT];
+
+/* Corners as parsed: values below OBJ_RELATIVE_LIMIT are 0-based from the file's first element;
+ * others but FMT_OBJ_NONE are OBJ_RELATIVE_ZERO plus the signed distance from the block's first
+ * element. Indices have at most 18 digits, so that neither reaches into the other. */
+#define OBJ_RELATIVE_ZERO  ((uint64_t)1 << 62)
+#define OBJ_RELATIVE_LIMIT ((uint64_t)1 << 61)
+
+enum obj_statement_kind { OBJ_USEMTL, OBJ_MTLLIB };
+
+/* A usemtl or mtllib; the name is text[offset, offset + size), continuations included. */
+struct obj_statement {
+    enum obj_statement_kind kind;
+    uint64_t face; /* number of faces in the block before it */
+    uint64_t offset, size;
+};
+
+/* Reused buffers and the result of parsing into them. Zero at first. */
+struct obj_block {
+    char *buffer; /* holds the text */
+    uint64_t buffer_capacity;
+    const char *text; /* `size` bytes, then line ends and zeros, see fmt_obj_block_set_text() */
+    uint64_t size;
+
+    double (*positions)[3];
+    float (*colors)[3];
+    double (*texcoords)[2];
+    float (*normals)[3];
+    uint64_t count[OBJ_KIND_COUNT];
+    uint64_t position_capacity, color_capacity, texcoord_capacity, normal_capacity;
+    bool has_colors;
+    bool has_polypaint; /* a comment has ZBrush's colours, which are not read */
+
+    uint32_t *face_sizes;
+    uint64_t *corners[OBJ_KIND_COUNT];
+    uint64_t face_count, corner_count;
+    uint64_t face_capacity, corner_capacity[OBJ_KIND_COUNT];
+    bool has_corners[OBJ_KIND_COUNT]; /* some corner of the block has an index of this kind */
+    bool relative[OBJ_KIND_COUNT];    /* some index of this kind is relative */
+
+    struct obj_statement *statements;
+    uint64_t statement_count, statement_capacity;
+
+    uint64_t lines;         /* line ends passed; when stopped early: before the stop */
+    uint64_t known_lines;   /* statements of the OBJ standard other than elements and faces */
+    uint64_t skipped_lines; /* statements that are not in the standard */
+    uint64_t first_skipped; /* line of the first of them, counted from 0, and its beginning */
+    char first_skipped_text[40];
+    uint64_t short_faces;
+
+    bool failed; /* the text is wrong in line `lines`; everything before it is valid */
+    char error[160];
+};
+
+/* Makes room in the buffer for `size` bytes and what must follow the text. */
+int fmt_obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_t size);
+/* Bytes [begin, end) of the buffer are the text. Writes what must follow it. */
+void fmt_obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t end);
+
+/* Parses block->text. at_file_start: a byte order mark may come first. Stops behind face
+ * number `last_face` (UINT64_MAX: never), `lines` being the line of that face. Wrong text is not a
+ * failure here but block->failed, since blocks are parsed out of order and the first error of the
+ * file is to be reported. Returns a negative status only where memory runs out. */
+int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_file_start,
+                        uint64_t last_face);
+
+void fmt_obj_block_free(struct bsq_ctx *ctx, struct obj_block *block);
+
+/* Copies text of a file into `out` for a message: one line, printable, shortened. */
+void fmt_obj_quote(const char *text, const char *end, char *out, size_t size);
+
+#endif

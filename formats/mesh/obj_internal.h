@@ -1,0 +1,89 @@
+/* obj_internal.h - private to the OBJ reader: its state and how its parts share it. */
+#ifndef FMT_MESH_OBJ_INTERNAL_H
+#define FMT_MESH_OBJ_INTERNAL_H
+
+#include "base/file.h"
+#include "formats/mesh/obj.h"
+#include "formats/mesh/obj_block.h"
+
+/* Text of one block. The same for any budget and number of threads, as blocks are visible to
+ * callers; small enough that text and result stay in a core's cache, large enough that handing
+ * blocks around costs nothing. */
+#define OBJ_BLOCK_BYTES ((uint64_t)512 << 10)
+
+struct obj_source {
+    char *path;
+    uint64_t size;
+    struct bsq_file file; /* open from its first block's produce to its last block's emit */
+    uint64_t block_count; /* of OBJ_BLOCK_BYTES, the last one shorter */
+    /* Elements in files before this one, and in this one as far as it has been read. */
+    uint64_t base[OBJ_KIND_COUNT], count[OBJ_KIND_COUNT];
+    uint64_t lines;
+};
+
+/* Where the faces of a block that had some come from. */
+struct obj_place {
+    uint32_t source;
+    uint64_t block; /* number of OBJ_BLOCK_BYTES in the file */
+    uint64_t face_base, first_line;
+};
+
+struct obj_name {
+    char *text;
+    uint32_t source; /* the file that says it */
+};
+
+/* Names in order of first appearance; `slots` is an open-addressing hash table of number + 1. */
+struct obj_names {
+    struct obj_name *list;
+    uint64_t count, capacity;
+    uint32_t *slots;
+    uint64_t slot_count;
+};
+
+struct fmt_obj_reader {
+    struct bsq_ctx *ctx;
+    struct obj_source *sources;
+    uint32_t source_count;
+    struct obj_place *places;
+    uint64_t place_count, place_capacity;
+    struct obj_names materials, libraries;
+};
+
+/* ---- obj_foreign.c ---- */
+
+/* BSQ_EDATA, with what the file is and what to do, where its first bytes say that it is of a
+ * well-known other kind. */
+int fmt_obj_refuse_foreign(struct bsq_ctx *ctx, const struct bsq_file *file, const char *path);
+
+/* ---- obj_text.c ---- */
+
+/* Loads the lines that begin in the file's bytes [index, index + 1) * OBJ_BLOCK_BYTES into
+ * block->text; there may be none. *offset: where they begin in the file. */
+int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
+                      struct obj_block *block, uint64_t *offset);
+
+/* ---- obj_locate.c ---- */
+
+/* Reports the first relative index of `block`, parsed from block number `index` of the source,
+ * that points before the file's beginning. */
+int fmt_obj_fail_relative(struct fmt_obj_reader *reader, const struct obj_source *source,
+                          const struct obj_block *block, uint64_t index, enum obj_kind kind,
+                          uint64_t corner);
+
+/* ---- obj_material.c ---- */
+
+/* Number of `name` as said by `source`, entered where it is new. */
+int fmt_obj_names_enter(struct bsq_ctx *ctx, struct obj_names *names, uint32_t source,
+                        const char *name, uint32_t *number);
+void fmt_obj_names_free(struct bsq_ctx *ctx, struct obj_names *names);
+
+/* The text of a statement as a string: continuations become blanks, trailing blanks go. The caller
+ * frees *out with bsq_free(). */
+int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
+                           const struct obj_statement *statement, char **out);
+
+/* Enters the files that a mtllib statement names. */
+int fmt_obj_enter_libraries(struct fmt_obj_reader *reader, uint32_t source, const char *text);
+
+#endif

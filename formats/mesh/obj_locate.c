@@ -1,0 +1,92 @@
+/* obj_locate.c - from a face's number back to its line, for messages.
+ *
+ * Line numbers of faces are not kept. The table of blocks says where a face's block lies; parsing
+ * that block again up to the face counts the lines before it. */
+#include <inttypes.h>
+#include <string.h>
+
+#include "formats/mesh/obj_internal.h"
+
+/* The last place whose faces begin at or before `face`; places with none are not in the table. */
+static const struct obj_place *find_place(const struct fmt_obj_reader *reader, uint64_t face)
+{
+    uint64_t low = 0, high = reader->place_count;
+    while (high - low > 1) {
+        uint64_t middle = low + (high - low) / 2;
+        if (reader->places[middle].face_base <= face)
+            low = middle;
+        else
+            high = middle;
+    }
+    return reader->place_count ? &reader->places[low] : NULL;
+}
+
+/* Parses block `index` of `source` up to face number `face` of it; *line is that face's, counted
+ * from the block's first, *count the block's elements before it. */
+static int parse_up_to(struct bsq_ctx *ctx, const struct obj_source *source, uint64_t index,
+                       uint64_t face, uint64_t *line, uint64_t count[OBJ_KIND_COUNT])
+{
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct obj_block block = {0};
+    uint64_t offset;
+    int status = bsq_file_open(ctx, source->path, &file);
+    if (!status)
+        status = fmt_obj_text_load(ctx, &file, index, &block, &offset);
+    if (!status)
+        status = fmt_obj_block_parse(ctx, &block, offset == 0, face);
+    *line = block.lines;
+    memcpy(count, block.count, sizeof block.count);
+    fmt_obj_block_free(ctx, &block);
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
+int fmt_obj_locate_face(struct fmt_obj_reader *reader, uint64_t face, const char **path,
+                        uint64_t *line)
+{
+    const struct obj_place *place = find_place(reader, face);
+    if (!place)
+        return bsq_fail(reader->ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
+    const struct obj_source *source = &reader->sources[place->source];
+    uint64_t count[OBJ_KIND_COUNT];
+    int status =
+        parse_up_to(reader->ctx, source, place->block, face - place->face_base, line, count);
+    *line += place->first_line;
+    *path = source->path;
+    return status;
+}
+
+int fmt_obj_fail_index(struct fmt_obj_reader *reader, uint64_t face, const char *kind,
+                       uint64_t index)
+{
+    const struct obj_place *place = find_place(reader, face);
+    const char *path = NULL;
+    uint64_t line = 0;
+    int status = fmt_obj_locate_face(reader, face, &path, &line);
+    if (status)
+        return status;
+    const struct obj_source *source = &reader->sources[place->source];
+    int k = OBJ_VERTEX;
+    while (k < OBJ_NORMAL && strcmp(kind, fmt_obj_kind_names[k]))
+        k++;
+    return bsq_fail(reader->ctx, BSQ_EDATA,
+                    "%s:%" PRIu64 ": face refers to %s %" PRIu64 ", file has %" PRIu64, path, line,
+                    kind, index - source->base[k] + 1, source->count[k]);
+}
+
+int fmt_obj_fail_relative(struct fmt_obj_reader *reader, const struct obj_source *source,
+                          const struct obj_block *block, uint64_t index, enum obj_kind kind,
+                          uint64_t corner)
+{
+    uint64_t face = 0, line, count[OBJ_KIND_COUNT];
+    for (uint64_t end = block->face_sizes[0]; end <= corner; end += block->face_sizes[face])
+        face++;
+    int64_t distance = (int64_t)(block->corners[kind][corner] - OBJ_RELATIVE_ZERO);
+    int status = parse_up_to(reader->ctx, source, index, face, &line, count);
+    if (status)
+        return status;
+    return bsq_fail(reader->ctx, BSQ_EDATA,
+                    "%s:%" PRIu64 ": face refers to %s %" PRId64 ", file has %" PRIu64 " so far",
+                    source->path, source->lines + line + 1, fmt_obj_kind_names[kind],
+                    distance - (int64_t)count[kind], source->count[kind] + count[kind]);
+}

@@ -1,0 +1,273 @@
+/* obj_mesh.c - a small OBJ read whole: arrays of elements and triangles with checked indices.
+ *
+ * A face may refer to vertices that come after it, so polygons are kept as they are until all is
+ * read, and checked and split then. */
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+
+#include "base/polygon.h"
+#include "formats/mesh/obj.h"
+
+/* Growing copies of what the blocks bring. Corners: UINT64_MAX, cut to 32 bits, is UINT32_MAX. */
+struct loader {
+    struct bsq_ctx *ctx;
+    struct fmt_obj_reader *reader;
+    struct fmt_mesh *mesh;
+    uint64_t position_capacity, texcoord_capacity, normal_capacity;
+    uint32_t *face_sizes;
+    uint64_t face_capacity;
+    uint32_t *corners[3]; /* vertices, texture coordinates, normals */
+    uint64_t corner_capacity[3], corner_count;
+    bool has_corners[3];
+    /* For one polygon. */
+    double (*polygon)[3];
+    uint32_t *triangles, *scratch;
+};
+
+static const char *const kind_names[3] = {"vertex", "texture coordinate", "normal"};
+
+/* ---- collecting ---- */
+
+/* Appends count elements of `size` bytes to the array at `array`, which holds `old` of them. */
+static int append(struct loader *loader, const char *what, void *array, uint64_t *capacity,
+                  uint64_t old, const void *from, uint64_t count, uint64_t size)
+{
+    if (count == 0)
+        return 0;
+    int status = bsq_grow(loader->ctx, what, old + count, size, array, capacity);
+    char *to;
+    memcpy(&to, array, sizeof to);
+    if (!status)
+        memcpy(to + old * size, from, count * size);
+    return status;
+}
+
+/* Appends one kind of corners; `from` NULL: none has an index of this kind. */
+static int append_corners(struct loader *loader, int kind, const uint64_t *from, uint64_t count)
+{
+    int status = bsq_grow(loader->ctx, "face corners", loader->corner_count + count,
+                          sizeof(uint32_t), &loader->corners[kind], &loader->corner_capacity[kind]);
+    if (status)
+        return status;
+    uint32_t *to = loader->corners[kind] + loader->corner_count;
+    loader->has_corners[kind] |= from != NULL;
+    if (!from)
+        memset(to, 0xff, count * sizeof *to);
+    for (uint64_t i = 0; from && i < count; i++)
+        to[i] = from[i] < UINT32_MAX - 1 || from[i] == FMT_OBJ_NONE ? (uint32_t)from[i]
+                                                                    : UINT32_MAX - 1;
+    return 0;
+}
+
+static int collect(void *arg, const struct fmt_obj_block *block)
+{
+    struct loader *loader = arg;
+    struct fmt_mesh *mesh = loader->mesh;
+    if (block->vertex_base + block->vertex_count > UINT32_MAX - 1 ||
+        block->texcoord_base + block->texcoord_count > UINT32_MAX - 1 ||
+        block->normal_base + block->normal_count > UINT32_MAX - 1)
+        return bsq_fail(loader->ctx, BSQ_EDATA,
+                        "more than %u vertices in a mesh that is to be "
+                        "held whole",
+                        UINT32_MAX - 1);
+    int status =
+        append(loader, "vertices", &mesh->positions, &loader->position_capacity, block->vertex_base,
+               block->positions, block->vertex_count, sizeof *mesh->positions);
+    if (!status)
+        status = append(loader, "texture coordinates", &mesh->texcoords, &loader->texcoord_capacity,
+                        block->texcoord_base, block->texcoords, block->texcoord_count,
+                        sizeof *mesh->texcoords);
+    if (!status)
+        status =
+            append(loader, "normals", &mesh->normals, &loader->normal_capacity, block->normal_base,
+                   block->normals, block->normal_count, sizeof *mesh->normals);
+    if (!status)
+        status =
+            append(loader, "faces", &loader->face_sizes, &loader->face_capacity, block->face_base,
+                   block->face_sizes, block->face_count, sizeof *loader->face_sizes);
+    const uint64_t *corners[3] = {block->corner_vertices, block->corner_texcoords,
+                                  block->corner_normals};
+    for (int kind = 0; kind < 3 && !status && block->corner_count; kind++)
+        status = append_corners(loader, kind, corners[kind], block->corner_count);
+    loader->corner_count += block->corner_count;
+    return status;
+}
+
+/* ---- checking ---- */
+
+/* Reports the index of corner number `corner`, as the file has it: what was cut to 32 bits is read
+ * from the file again. */
+struct offender {
+    uint64_t corner, index;
+    int kind;
+};
+
+static int find_offender(void *arg, const struct fmt_obj_block *block)
+{
+    struct offender *offender = arg;
+    const uint64_t *corners[3] = {block->corner_vertices, block->corner_texcoords,
+                                  block->corner_normals};
+    if (offender->corner < block->corner_count)
+        offender->index = corners[offender->kind][offender->corner];
+    offender->corner -= block->corner_count; /* wraps once found, and is never small again */
+    return 0;
+}
+
+static int fail_corner(struct loader *loader, uint64_t face, uint64_t corner, int kind)
+{
+    uint64_t index = loader->corners[kind][corner];
+    if (index == UINT32_MAX - 1) {
+        struct offender offender = {.corner = corner, .index = index, .kind = kind};
+        int status = fmt_obj_read(loader->reader, find_offender, &offender, NULL);
+        if (status)
+            return status;
+        index = offender.index;
+    }
+    return fmt_obj_fail_index(loader->reader, face, kind_names[kind], index);
+}
+
+/* Checks every index, in the order of the file. */
+static int check_corners(struct loader *loader, const uint64_t totals[3])
+{
+    uint64_t corner = 0;
+    for (uint64_t face = 0; face < loader->mesh->face_count; face++)
+        for (uint32_t i = 0; i < loader->face_sizes[face]; i++, corner++)
+            for (int kind = 0; kind < 3; kind++) {
+                uint32_t index = loader->corners[kind][corner];
+                if (index >= totals[kind] && (index != UINT32_MAX || kind == 0))
+                    return fail_corner(loader, face, corner, kind);
+            }
+    return 0;
+}
+
+/* ---- splitting ---- */
+
+static int allocate_triangles(struct loader *loader, uint32_t largest_face)
+{
+    struct bsq_ctx *ctx = loader->ctx;
+    struct fmt_mesh *mesh = loader->mesh;
+    uint64_t count = loader->corner_count - 2 * mesh->face_count;
+    int status = bsq_alloc(ctx, "triangles", count, sizeof *mesh->vertices, &mesh->vertices);
+    if (!status && loader->has_corners[1])
+        status = bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_texcoords,
+                           &mesh->corner_texcoords);
+    if (!status && loader->has_corners[2])
+        status =
+            bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_normals, &mesh->corner_normals);
+    if (!status)
+        status = bsq_alloc(ctx, "triangles", count, sizeof *mesh->faces, &mesh->faces);
+    if (!status)
+        status =
+            bsq_alloc(ctx, "a polygon", largest_face, sizeof *loader->polygon, &loader->polygon);
+    if (!status)
+        status = bsq_alloc(ctx, "a polygon", 3 * (uint64_t)largest_face, sizeof *loader->triangles,
+                           &loader->triangles);
+    if (!status)
+        status = bsq_alloc(ctx, "a polygon", 2 * (uint64_t)largest_face, sizeof *loader->scratch,
+                           &loader->scratch);
+    if (!status)
+        mesh->triangle_count = count;
+    return status;
+}
+
+/* Splits the polygon whose corners begin at `first` into triangles from number `triangle` on. */
+static void split_face(struct loader *loader, uint64_t face, uint64_t first, uint64_t triangle)
+{
+    struct fmt_mesh *mesh = loader->mesh;
+    uint32_t size = loader->face_sizes[face];
+    uint32_t(*to[3])[3] = {mesh->vertices, mesh->corner_texcoords, mesh->corner_normals};
+    for (uint32_t i = 0; i < size; i++)
+        memcpy(loader->polygon[i], mesh->positions[loader->corners[0][first + i]],
+               sizeof *loader->polygon);
+    bsq_triangulate((const double(*)[3])loader->polygon, size, loader->triangles, loader->scratch);
+    for (uint32_t t = 0; t < size - 2; t++) {
+        mesh->faces[triangle + t] = face;
+        for (int kind = 0; kind < 3; kind++)
+            for (int i = 0; i < 3 && to[kind]; i++)
+                to[kind][triangle + t][i] =
+                    loader->corners[kind][first + loader->triangles[3 * t + i]];
+    }
+}
+
+static int make_triangles(struct loader *loader)
+{
+    uint32_t largest = 3;
+    uint64_t corner = 0, triangle = 0;
+    for (uint64_t face = 0; face < loader->mesh->face_count; face++)
+        if (loader->face_sizes[face] > largest)
+            largest = loader->face_sizes[face];
+    int status = allocate_triangles(loader, largest);
+    for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
+        split_face(loader, face, corner, triangle);
+        corner += loader->face_sizes[face];
+        triangle += loader->face_sizes[face] - 2;
+        if (face % 4096 == 0)
+            status = bsq_check(loader->ctx);
+    }
+    return status;
+}
+
+static void normalise(struct fmt_mesh *mesh)
+{
+    for (uint64_t i = 0; i < mesh->normal_count; i++) {
+        float *n = mesh->normals[i];
+        double length = sqrt((double)n[0] * n[0] + (double)n[1] * n[1] + (double)n[2] * n[2]);
+        double scale = length > 0 && isfinite(length) ? 1 / length : 0;
+        for (int c = 0; c < 3; c++)
+            n[c] = scale > 0 ? (float)(n[c] * scale) : 0;
+    }
+}
+
+static int load(struct loader *loader, const char *path)
+{
+    struct fmt_mesh *mesh = loader->mesh;
+    struct fmt_obj_totals totals;
+    int status = fmt_obj_open(loader->ctx, &path, 1, &loader->reader);
+    if (!status)
+        status = fmt_obj_read(loader->reader, collect, loader, &totals);
+    if (status)
+        return status;
+    mesh->vertex_count = totals.vertices;
+    mesh->texcoord_count = totals.texcoords;
+    mesh->normal_count = totals.normals;
+    mesh->face_count = totals.faces;
+    if (totals.faces == 0)
+        return bsq_fail(loader->ctx, BSQ_EDATA, "%s: no faces", path);
+    const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
+    status = check_corners(loader, counts);
+    if (!status)
+        status = make_triangles(loader);
+    if (!status)
+        normalise(mesh);
+    return status;
+}
+
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
+{
+    struct loader loader = {.ctx = ctx, .mesh = out};
+    memset(out, 0, sizeof *out);
+    int status = load(&loader, path);
+    fmt_obj_close(loader.reader);
+    bsq_free(ctx, loader.face_sizes);
+    for (int kind = 0; kind < 3; kind++)
+        bsq_free(ctx, loader.corners[kind]);
+    bsq_free(ctx, loader.polygon);
+    bsq_free(ctx, loader.triangles);
+    bsq_free(ctx, loader.scratch);
+    if (status)
+        fmt_mesh_free(ctx, out);
+    return status;
+}
+
+void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh)
+{
+    bsq_free(ctx, mesh->positions);
+    bsq_free(ctx, mesh->texcoords);
+    bsq_free(ctx, mesh->normals);
+    bsq_free(ctx, mesh->vertices);
+    bsq_free(ctx, mesh->corner_texcoords);
+    bsq_free(ctx, mesh->corner_normals);
+    bsq_free(ctx, mesh->faces);
+    memset(mesh, 0, sizeof *mesh);
+}

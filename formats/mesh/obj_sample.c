@@ -1,0 +1,93 @@
+/* obj_sample.c - how large a scan is and how it is laid out, from samples of its text. */
+#include "formats/mesh/obj_internal.h"
+
+#include <string.h>
+
+enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
+
+/* Lines of the samples of one file; what a sample cuts off at its ends is left out. */
+struct counts {
+    uint64_t bytes, vertices, texcoords, normals, faces, corners;
+    bool colors, face_seen, element_follows_face;
+};
+
+/* Words of the line at text[0..end). */
+static uint64_t count_words(const char *text, const char *end)
+{
+    uint64_t words = 0;
+    bool inside = false;
+    for (; text < end; text++) {
+        bool blank = *text == ' ' || *text == '\t' || *text == '\r';
+        words += !blank && !inside;
+        inside = !blank;
+    }
+    return words;
+}
+
+static void count_line(struct counts *counts, const char *text, const char *end)
+{
+    uint64_t words = count_words(text, end);
+    counts->bytes += (uint64_t)(end - text) + 1;
+    if (words < 2)
+        return;
+    if (text[0] == 'f' && words >= 4) {
+        counts->faces++;
+        counts->corners += words - 1;
+        counts->face_seen = true;
+    } else if (text[0] == 'v') {
+        counts->element_follows_face |= counts->face_seen;
+        counts->texcoords += text[1] == 't';
+        counts->normals += text[1] == 'n';
+        counts->vertices += text[1] == ' ' || text[1] == '\t';
+        counts->colors |= words >= 7;
+    }
+}
+
+static void count_sample(struct counts *counts, const char *text, uint64_t size, bool at_start)
+{
+    const char *p = text, *limit = text + size, *end;
+    if (!at_start && (p = memchr(text, '\n', size)) != NULL)
+        p++;
+    for (; p && (end = memchr(p, '\n', (size_t)(limit - p))) != NULL; p = end + 1)
+        count_line(counts, p, end);
+}
+
+static int sample_file(struct bsq_ctx *ctx, const char *path, struct counts *counts,
+                       uint64_t *file_bytes)
+{
+    struct bsq_file file;
+    int status = bsq_file_open(ctx, path, &file);
+    if (status < 0)
+        return status;
+    uint64_t step = file.size / SAMPLES > SAMPLE_BYTES ? file.size / SAMPLES : SAMPLE_BYTES;
+    for (uint64_t offset = 0; status == 0 && offset < file.size; offset += step) {
+        char text[SAMPLE_BYTES];
+        uint64_t got;
+        status = bsq_file_read_some(ctx, &file, text, sizeof text, offset, &got);
+        if (status == 0)
+            count_sample(counts, text, got, offset == 0);
+    }
+    *file_bytes = file.size;
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
+int fmt_obj_estimate(const struct fmt_obj_reader *reader, struct fmt_obj_estimate *out)
+{
+    int status = 0;
+    *out = (struct fmt_obj_estimate){.faces_come_last = reader->source_count == 1};
+    for (uint32_t i = 0; status == 0 && i < reader->source_count; i++) {
+        struct counts counts = {0};
+        uint64_t bytes = 0;
+        status = sample_file(reader->ctx, reader->sources[i].path, &counts, &bytes);
+        double scale = counts.bytes > 0 ? (double)bytes / (double)counts.bytes : 0.0;
+        out->vertices += (uint64_t)(scale * (double)counts.vertices);
+        out->texcoords += (uint64_t)(scale * (double)counts.texcoords);
+        out->normals += (uint64_t)(scale * (double)counts.normals);
+        out->faces += (uint64_t)(scale * (double)counts.faces);
+        out->corners += (uint64_t)(scale * (double)counts.corners);
+        out->has_colors |= counts.colors;
+        out->faces_come_last &= !counts.element_follows_face;
+    }
+    return status;
+}

@@ -1,0 +1,98 @@
+/* obj_text.c - cutting a file into blocks of whole lines without reading it in sequence.
+ *
+ * Block i holds the lines that begin in the i-th stretch of OBJ_BLOCK_BYTES. Where a line begins
+ * is seen from the few bytes before it, so every block can be loaded on its own, by any thread:
+ * from a little before its stretch to the first line start behind it. A line longer than a stretch
+ * belongs to the block where it begins; the blocks within it are empty. */
+#include <string.h>
+
+#include "formats/mesh/obj_internal.h"
+
+/* Bytes before a line start that decide on it: backslash, "\r", "\n". */
+enum { look_back = 3 };
+/* Read behind the stretch at first; longer lines are read on. */
+enum { look_ahead = 4096 };
+
+/* A stretch of the file in memory: text[0] is the file's byte `offset`. */
+struct window {
+    const char *text;
+    uint64_t offset, end, file_size;
+};
+
+static bool is_at(const struct window *window, uint64_t position, char c)
+{
+    return position >= window->offset && position < window->end &&
+           window->text[position - window->offset] == c;
+}
+
+/* Whether a line starts at `position`, the byte before which is a '\n' or '\r'. A line end behind
+ * a backslash continues the line; inside a comment it does not, but need not be cut there. */
+static bool starts_line(const struct window *window, uint64_t position)
+{
+    uint64_t last = position - 1;
+    if (is_at(window, last, '\n'))
+        return !(last >= 1 && is_at(window, last - 1, '\\')) &&
+               !(last >= 2 && is_at(window, last - 1, '\r') && is_at(window, last - 2, '\\'));
+    return !is_at(window, position, '\n') && !(last >= 1 && is_at(window, last - 1, '\\'));
+}
+
+/* The first line start at or behind `from` (> 0), or UINT64_MAX where the window ends before the
+ * file does. The end of the file counts as one. */
+static uint64_t find_line_start(const struct window *window, uint64_t from)
+{
+    for (uint64_t at = from - 1; at < window->end; at++) {
+        char c = window->text[at - window->offset];
+        if (c != '\n' && c != '\r')
+            continue;
+        if (c == '\r' && at + 1 == window->end && window->end < window->file_size)
+            break; /* whether "\n" follows is not known yet */
+        if (starts_line(window, at + 1))
+            return at + 1;
+    }
+    return window->end == window->file_size ? window->file_size : UINT64_MAX;
+}
+
+/* Extends the window to `end`. */
+static int load_until(struct bsq_ctx *ctx, const struct bsq_file *file, struct obj_block *block,
+                      struct window *window, uint64_t end)
+{
+    uint64_t have = window->end - window->offset;
+    int status = fmt_obj_block_reserve_text(ctx, block, end - window->offset);
+    if (status)
+        return status;
+    status = bsq_file_read(ctx, file, block->buffer + have, end - window->end, window->end);
+    window->text = block->buffer;
+    window->end = end;
+    return status;
+}
+
+static uint64_t smaller(uint64_t a, uint64_t b)
+{
+    return a < b ? a : b;
+}
+
+int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
+                      struct obj_block *block, uint64_t *offset)
+{
+    uint64_t first = index * OBJ_BLOCK_BYTES, behind = smaller(first + OBJ_BLOCK_BYTES, file->size);
+    struct window window = {.offset = first ? first - look_back : 0, .file_size = file->size};
+    window.end = window.offset;
+    int status = load_until(ctx, file, block, &window, smaller(behind + look_ahead, file->size));
+    if (status)
+        return status;
+    uint64_t start = first ? find_line_start(&window, first) : 0;
+    uint64_t end;
+    if (start < behind) {
+        while ((end = find_line_start(&window, behind)) == UINT64_MAX) {
+            uint64_t have = window.end - window.offset;
+            if ((status =
+                     load_until(ctx, file, block, &window, smaller(window.end + have, file->size))))
+                return status;
+        }
+    } else {
+        start = end = behind;
+    }
+    *offset = start;
+    fmt_obj_block_set_text(block, start - window.offset, end - window.offset);
+    return 0;
+}

@@ -1,0 +1,163 @@
+/* cuda_api.h - NVIDIA's driver API, opened at run time, so that one binary serves machines
+ * with and without. Its few types and functions are declared here: no toolkit is needed, neither to
+ * build nor to run. */
+#ifndef BAKE_DEVICE_CUDA_CUDA_API_H
+#define BAKE_DEVICE_CUDA_CUDA_API_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+typedef int CUresult;
+typedef int CUdevice;
+typedef unsigned long long CUdeviceptr;
+typedef struct CUctx_st *CUcontext;
+typedef struct CUmod_st *CUmodule;
+typedef struct CUfunc_st *CUfunction;
+typedef struct CUstream_st *CUstream;
+typedef struct CUevent_st *CUevent;
+
+/* Values of the driver's enumerations. */
+enum {
+    CUDA_SUCCESS = 0,
+    CUDA_ERROR_OUT_OF_MEMORY = 2,
+    CUDA_ERROR_NO_DEVICE = 100,
+
+    CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR = 75,
+    CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR = 76,
+
+    CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED = 102,
+
+    CU_MEM_ALLOCATION_TYPE_PINNED = 1,
+    CU_MEM_LOCATION_TYPE_DEVICE = 1,
+    CU_MEM_ACCESS_FLAGS_PROT_READWRITE = 3,
+    CU_MEM_ALLOC_GRANULARITY_MINIMUM = 0,
+
+    CU_STREAM_NON_BLOCKING = 1,
+    CU_EVENT_BLOCKING_SYNC = 1, /* waiting threads sleep */
+
+    CU_JIT_MAX_REGISTERS = 0,
+    CU_JIT_ERROR_LOG_BUFFER = 5,
+    CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES = 6
+};
+
+/* CUmemAllocationProp */
+struct bake_cuda_allocation {
+    int type, handle_types;
+    int location_type, location_id;
+    void *windows;
+    unsigned char compression, direct;
+    unsigned short usage;
+    unsigned char reserved[4];
+};
+_Static_assert(sizeof(struct bake_cuda_allocation) == 32, "as NVIDIA's header has it");
+
+/* CUmemAccessDesc */
+struct bake_cuda_access {
+    int location_type, location_id;
+    int flags;
+};
+_Static_assert(sizeof(struct bake_cuda_access) == 12, "as NVIDIA's header has it");
+
+/* X(name, symbol in the library, parameters). The symbols with a version are what NVIDIA's own
+ * header maps the names to since CUDA 11.0. */
+#define BAKE_CUDA_FUNCTIONS(X)                                                                     \
+    X(cuInit, cuInit, (unsigned flags))                                                            \
+    X(cuGetErrorName, cuGetErrorName, (CUresult code, const char **text))                          \
+    X(cuGetErrorString, cuGetErrorString, (CUresult code, const char **text))                      \
+    X(cuDeviceGetCount, cuDeviceGetCount, (int *count))                                            \
+    X(cuDeviceGet, cuDeviceGet, (CUdevice * device, int number))                                   \
+    X(cuDeviceGetName, cuDeviceGetName, (char *name, int bytes, CUdevice device))                  \
+    X(cuDeviceTotalMem, cuDeviceTotalMem_v2, (size_t * bytes, CUdevice device))                    \
+    X(cuDeviceGetAttribute, cuDeviceGetAttribute, (int *value, int attribute, CUdevice device))    \
+    X(cuDevicePrimaryCtxRetain, cuDevicePrimaryCtxRetain, (CUcontext * context, CUdevice device))  \
+    X(cuDevicePrimaryCtxRelease, cuDevicePrimaryCtxRelease_v2, (CUdevice device))                  \
+    X(cuCtxSetCurrent, cuCtxSetCurrent, (CUcontext context))                                       \
+    X(cuMemGetInfo, cuMemGetInfo_v2, (size_t * free, size_t * total))                              \
+    X(cuModuleLoadDataEx, cuModuleLoadDataEx,                                                      \
+      (CUmodule * module, const void *image, unsigned count, int *options, void **values))         \
+    X(cuModuleUnload, cuModuleUnload, (CUmodule module))                                           \
+    X(cuModuleGetFunction, cuModuleGetFunction,                                                    \
+      (CUfunction * function, CUmodule module, const char *name))                                  \
+    X(cuMemAlloc, cuMemAlloc_v2, (CUdeviceptr * memory, size_t bytes))                             \
+    X(cuMemFree, cuMemFree_v2, (CUdeviceptr memory))                                               \
+    X(cuMemGetAllocationGranularity, cuMemGetAllocationGranularity,                                \
+      (size_t * bytes, const struct bake_cuda_allocation *allocation, int option))                 \
+    X(cuMemAddressReserve, cuMemAddressReserve,                                                    \
+      (CUdeviceptr * at, size_t bytes, size_t alignment, CUdeviceptr wanted,                       \
+       unsigned long long flags))                                                                  \
+    X(cuMemAddressFree, cuMemAddressFree, (CUdeviceptr at, size_t bytes))                          \
+    X(cuMemCreate, cuMemCreate,                                                                    \
+      (unsigned long long *handle, size_t bytes, const struct bake_cuda_allocation *allocation,    \
+       unsigned long long flags))                                                                  \
+    X(cuMemRelease, cuMemRelease, (unsigned long long handle))                                     \
+    X(cuMemMap, cuMemMap,                                                                          \
+      (CUdeviceptr at, size_t bytes, size_t offset, unsigned long long handle,                     \
+       unsigned long long flags))                                                                  \
+    X(cuMemUnmap, cuMemUnmap, (CUdeviceptr at, size_t bytes))                                      \
+    X(cuMemSetAccess, cuMemSetAccess,                                                              \
+      (CUdeviceptr at, size_t bytes, const struct bake_cuda_access *access, size_t count))         \
+    X(cuMemAllocHost, cuMemAllocHost_v2, (void **memory, size_t bytes))                            \
+    X(cuMemFreeHost, cuMemFreeHost, (void *memory))                                                \
+    X(cuMemcpyHtoDAsync, cuMemcpyHtoDAsync_v2,                                                     \
+      (CUdeviceptr to, const void *from, size_t bytes, CUstream stream))                           \
+    X(cuMemcpyDtoHAsync, cuMemcpyDtoHAsync_v2,                                                     \
+      (void *to, CUdeviceptr from, size_t bytes, CUstream stream))                                 \
+    X(cuStreamCreate, cuStreamCreate, (CUstream * stream, unsigned flags))                         \
+    X(cuStreamSynchronize, cuStreamSynchronize, (CUstream stream))                                 \
+    X(cuStreamDestroy, cuStreamDestroy_v2, (CUstream stream))                                      \
+    X(cuEventCreate, cuEventCreate, (CUevent * event, unsigned flags))                             \
+    X(cuEventRecord, cuEventRecord, (CUevent event, CUstream stream))                              \
+    X(cuEventSynchronize, cuEventSynchronize, (CUevent event))                                     \
+    X(cuEventElapsedTime, cuEventElapsedTime, (float *milliseconds, CUevent from, CUevent to))     \
+    X(cuEventDestroy, cuEventDestroy_v2, (CUevent event))                                          \
+    X(cuLaunchKernel, cuLaunchKernel,                                                              \
+      (CUfunction function, unsigned grid_x, unsigned grid_y, unsigned grid_z, unsigned block_x,   \
+       unsigned block_y, unsigned block_z, unsigned shared_bytes, CUstream stream,                 \
+       void **parameters, void **extra))
+
+struct bake_cuda_api {
+#define BAKE_CUDA_MEMBER(name, symbol, parameters) CUresult(*name) parameters;
+    BAKE_CUDA_FUNCTIONS(BAKE_CUDA_MEMBER)
+#undef BAKE_CUDA_MEMBER
+};
+
+/* Why CUDA cannot be used. */
+enum bake_cuda_lack {
+    BAKE_CUDA_WORKS,
+    BAKE_CUDA_NOT_INSTALLED, /* no libcuda.so.1 */
+    BAKE_CUDA_TOO_OLD,       /* a function is missing: a driver before CUDA 11.0 */
+    BAKE_CUDA_NO_GPU,        /* a driver without a device */
+    BAKE_CUDA_BROKEN         /* the driver does not start, see *code */
+};
+
+/* Opens libcuda.so.1, where the dynamic linker finds it or else in bake_driver_directories, and
+ * starts it; *count: its devices. The library stays loaded. */
+enum bake_cuda_lack bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code);
+
+enum { BAKE_CUDA_TEXT = 192 };
+/* "CUDA_ERROR_OUT_OF_MEMORY (out of memory)". buffer: BAKE_CUDA_TEXT bytes; returns it. */
+const char *bake_cuda_error(const struct bake_cuda_api *api, CUresult code, char *buffer);
+
+/* A device and what the program needs to know about it. */
+struct bake_cuda_device {
+    CUdevice device;
+    char name[128];
+    int capability; /* 10 * major + minor */
+    uint64_t memory_bytes;
+};
+
+/* Describes device number `index` < count. */
+CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bake_cuda_device *out);
+
+/* The kernel for any device, ended by a zero; "" where the program was built without a compiler for
+ * it. */
+extern const char bake_cuda_ptx[];
+
+struct bsq_ctx;
+/* Loads the driver and finds device number `index`; the error lists what is there: BSQ_ENODEVICE.
+ */
+int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
+                     struct bake_cuda_device *out);
+
+#endif

@@ -1,0 +1,149 @@
+/* cuda_devices.c - which CUDA devices there are, and whether they can run the kernel. */
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "libbake/device/cuda/cuda_api.h"
+#include "libbake/device/backend.h"
+#include "libbake/device/probe.h"
+
+const char bake_cuda_ptx[] =
+#include "kernel_ptx.inc"
+    ;
+
+enum { LINE_BYTES = BAKE_CUDA_TEXT + 96 };
+/* Why there is no CUDA, for a line. buffer: LINE_BYTES bytes. */
+static const char *describe_lack(const struct bake_cuda_api *api, enum bake_cuda_lack lack,
+                                 CUresult code, char *buffer)
+{
+    char text[BAKE_CUDA_TEXT];
+
+    switch (lack) {
+    case BAKE_CUDA_NOT_INSTALLED:
+        return "CUDA is not installed (libcuda.so.1, a part of NVIDIA's driver)";
+    case BAKE_CUDA_TOO_OLD:
+        return "CUDA: NVIDIA's driver is too old; version 450 or later is needed";
+    case BAKE_CUDA_NO_GPU:
+        return "CUDA has no devices";
+    default:
+        snprintf(buffer, LINE_BYTES, "CUDA does not start: %s", bake_cuda_error(api, code, text));
+        return buffer;
+    }
+}
+
+/* The device architecture that the kernel was compiled for, as 10 * major + minor. */
+static int kernel_capability(void)
+{
+    const char *target = strstr(bake_cuda_ptx, ".target sm_");
+    return target ? atoi(target + strlen(".target sm_")) : 0;
+}
+
+static const char no_kernel[] =
+    "this program was built without CUDA (neither clang nor nvcc was there)";
+
+static int fail_absent(struct bsq_ctx *ctx, const struct bake_cuda_api *api, int64_t index,
+                       int count)
+{
+    char there[400] = "";
+
+    for (int i = 0; i < count; i++) {
+        struct bake_cuda_device device;
+        size_t used = strlen(there);
+        if (bake_cuda_device(api, i, &device) == CUDA_SUCCESS)
+            snprintf(there + used, sizeof there - used, "%s cuda:%d %s", i ? "," : "", i,
+                     device.name);
+    }
+    return bsq_fail(ctx, BSQ_ENODEVICE, "there is no device cuda:%" PRId64 "; there is%s", index,
+                    there);
+}
+
+int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
+                     struct bake_cuda_device *out)
+{
+    char text[LINE_BYTES];
+    enum bake_cuda_lack lack;
+    CUresult code;
+    int count;
+
+    if (!bake_cuda_ptx[0])
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", no_kernel);
+    lack = bake_cuda_load(api, &count, &code);
+    if (lack != BAKE_CUDA_WORKS)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", describe_lack(api, lack, code, text));
+    if (index >= count)
+        return fail_absent(ctx, api, index, count);
+    code = bake_cuda_device(api, (int)index, out);
+    if (code != CUDA_SUCCESS)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s: cuDeviceGet: %s", out->name,
+                        bake_cuda_error(api, code, text));
+    if (out->capability < kernel_capability())
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s: compute capability %d.%d, the program needs %d.%d",
+                        out->name, out->capability / 10, out->capability % 10,
+                        kernel_capability() / 10, kernel_capability() % 10);
+    return 0;
+}
+
+/* ---- listing ---- */
+
+/* Opens the driver for a list or "auto". A driver that cannot be used is worth a line, none is not.
+ */
+static bool load_quietly(struct bake_cuda_api *api, int *count, char *warning)
+{
+    char text[LINE_BYTES];
+    CUresult code;
+    enum bake_cuda_lack lack = bake_cuda_load(api, count, &code);
+
+    warning[0] = '\0';
+    if (lack == BAKE_CUDA_NOT_INSTALLED || lack == BAKE_CUDA_NO_GPU)
+        return false;
+    if (lack != BAKE_CUDA_WORKS)
+        snprintf(warning, LINE_BYTES, "%s", describe_lack(api, lack, code, text));
+    else if (!bake_cuda_ptx[0])
+        snprintf(warning, LINE_BYTES, "NVIDIA's driver is not used: %s", no_kernel);
+    return !warning[0];
+}
+
+static void ask(struct bake_answers *answers)
+{
+    struct bake_cuda_api api;
+    char warning[LINE_BYTES];
+    int count;
+
+    if (!load_quietly(&api, &count, warning)) {
+        if (warning[0])
+            bake_answer_warning(answers, warning);
+        return;
+    }
+    for (int i = 0; i < count; i++) {
+        struct bake_device_info info = {.is_gpu = true};
+        struct bake_cuda_device device;
+        if (bake_cuda_device(&api, i, &device) != CUDA_SUCCESS)
+            continue;
+        info.memory_bytes = device.memory_bytes;
+        snprintf(info.id, sizeof info.id, "cuda:%d", i);
+        snprintf(info.name, sizeof info.name, "%s", device.name);
+        bake_answer_device(answers, &info);
+    }
+}
+
+/* Not in this process: OpenCL's driver of the same maker, asked in a copy of it, would find CUDA
+ * started already, which copies cannot use. */
+int bake_cuda_list(struct bsq_ctx *ctx,
+                   void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+{
+    return bake_probe(ctx, "CUDA", ask, fn, arg);
+}
+
+int64_t bake_cuda_next_gpu(struct bsq_ctx *ctx, int64_t after)
+{
+    struct bake_cuda_api api;
+    char warning[LINE_BYTES];
+    int count;
+
+    if (load_quietly(&api, &count, warning))
+        return after + 1 < count ? after + 1 : -1;
+    if (warning[0])
+        bsq_warn(ctx, "%s", warning);
+    return -1;
+}

@@ -1,0 +1,87 @@
+/* native_tile.h - traces a tile BK_WIDTH samples at a time. Included by one source for
+ * each set of instructions, with BK_WIDTH and NATIVE_TILE defined. */
+#include "libbake/kernel/bk_sample.h"
+#include "libbake/device/native/native.h"
+
+struct group {
+    const struct bk_grid *grid;
+    const struct bk_params *params;
+    const struct bk_triangle *triangles;
+    bk_cache cache;
+    bk_samples samples;
+    struct bk_texel *texels[BK_WIDTH]; /* of the samples */
+    float places[BAKE_MOST_SAMPLES];   /* of a texel's samples along an axis, from its corner */
+};
+
+static void trace_group(struct group *group)
+{
+    bk_hits hits;
+
+    if (group->samples.count == 0)
+        return;
+    bk_trace_samples(group->grid, group->params, &group->cache, group->triangles, &group->samples,
+                     &hits);
+    for (bk_uint lane = 0; lane < group->samples.count; lane++)
+        bk_add_hit(&hits, lane, group->texels[lane]);
+    group->samples.count = 0;
+}
+
+static void add_texel(struct group *group, const struct bk_tile *tile,
+                      const uint32_t *sample_triangles, bk_uint column, bk_uint row,
+                      struct bk_texel *texel)
+{
+    const bk_uint n = group->params->samples;
+    bk_samples *samples = &group->samples;
+
+    *texel = bk_texel_empty();
+    for (bk_uint j = 0; j < n; j++) {
+        const uint32_t *row_triangles =
+            sample_triangles + bk_sample_index(tile, n, column, row, 0, j);
+        const float y = (float)(tile->y + row) + group->places[j];
+        for (bk_uint i = 0; i < n; i++) {
+            if (row_triangles[i] == BK_NO_TRIANGLE)
+                continue;
+            samples->triangle[samples->count] = row_triangles[i];
+            samples->x[samples->count] = (float)(tile->x + column) + group->places[i];
+            samples->y[samples->count] = y;
+            group->texels[samples->count] = texel;
+            if (++samples->count == BK_WIDTH)
+                trace_group(group);
+        }
+    }
+}
+
+/* Every second bit of a number of six, the others left out. */
+_Static_assert(BAKE_NATIVE_SQUARE == 8, "six bits number the texels of a square");
+static uint32_t even_bits(uint32_t bits)
+{
+    return (bits & 1) | (bits >> 1 & 2) | (bits >> 2 & 4);
+}
+
+/* A square of texels in Morton order (1966): those of a group are near each other on both axes. */
+static void add_square(struct group *group, const struct bk_tile *tile,
+                       const uint32_t *sample_triangles, uint32_t x, uint32_t y,
+                       struct bk_texel *texels)
+{
+    for (uint32_t i = 0; i < BAKE_NATIVE_SQUARE * BAKE_NATIVE_SQUARE; i++) {
+        const uint32_t column = x + even_bits(i), row = y + even_bits(i >> 1);
+        if (column < tile->width && row < tile->height)
+            add_texel(group, tile, sample_triangles, column, row,
+                      &texels[(uint64_t)row * tile->width + column]);
+    }
+}
+
+void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
+                 const struct bk_triangle *triangles, const struct bk_tile *tile,
+                 const uint32_t *sample_triangles, struct bk_texel *texels)
+{
+    struct group group = {
+        .grid = grid, .params = params, .triangles = triangles, .cache = bk_cache_empty()};
+
+    for (bk_uint i = 0; i < params->samples; i++)
+        group.places[i] = bk_sample_place(0, i, params->samples);
+    for (uint32_t y = 0; y < tile->height; y += BAKE_NATIVE_SQUARE)
+        for (uint32_t x = 0; x < tile->width; x += BAKE_NATIVE_SQUARE)
+            add_square(&group, tile, sample_triangles, x, y, texels);
+    trace_group(&group);
+}

@@ -1,0 +1,81 @@
+/* opencl_api.h - libOpenCL opened at run time, so that one binary serves machines with and
+ * without. */
+#ifndef BAKE_DEVICE_OPENCL_OPENCL_API_H
+#define BAKE_DEVICE_OPENCL_OPENCL_API_H
+
+#define CL_TARGET_OPENCL_VERSION 120
+#include <CL/cl.h>
+#include <stdbool.h>
+
+#include "libbake/bake.h"
+
+#define BAKE_OPENCL_FUNCTIONS(X)                                                                   \
+    X(clGetPlatformIDs)                                                                            \
+    X(clGetPlatformInfo)                                                                           \
+    X(clGetDeviceIDs)                                                                              \
+    X(clGetDeviceInfo)                                                                             \
+    X(clCreateContext)                                                                             \
+    X(clReleaseContext)                                                                            \
+    X(clCreateCommandQueue)                                                                        \
+    X(clReleaseCommandQueue)                                                                       \
+    X(clCreateBuffer)                                                                              \
+    X(clReleaseMemObject)                                                                          \
+    X(clCreateProgramWithBinary)                                                                   \
+    X(clGetProgramInfo)                                                                            \
+    X(clCreateProgramWithSource)                                                                   \
+    X(clBuildProgram)                                                                              \
+    X(clGetProgramBuildInfo)                                                                       \
+    X(clReleaseProgram)                                                                            \
+    X(clCreateKernel)                                                                              \
+    X(clReleaseKernel)                                                                             \
+    X(clGetKernelWorkGroupInfo)                                                                    \
+    X(clSetKernelArg)                                                                              \
+    X(clEnqueueWriteBuffer)                                                                        \
+    X(clEnqueueMapBuffer)                                                                          \
+    X(clEnqueueUnmapMemObject)                                                                     \
+    X(clEnqueueReadBuffer)                                                                         \
+    X(clEnqueueNDRangeKernel)                                                                      \
+    X(clWaitForEvents)                                                                             \
+    X(clReleaseEvent)                                                                              \
+    X(clGetEventProfilingInfo)                                                                     \
+    X(clFlush)                                                                                     \
+    X(clFinish)
+
+struct bake_opencl_api {
+#define BAKE_OPENCL_MEMBER(name) __typeof__(name) *name;
+    BAKE_OPENCL_FUNCTIONS(BAKE_OPENCL_MEMBER)
+#undef BAKE_OPENCL_MEMBER
+};
+
+/* Opens libOpenCL.so.1. False where it or one of its functions is missing. The library stays
+ * loaded: drivers keep threads that would lose their code. */
+bool bake_opencl_load(struct bake_opencl_api *api);
+
+/* "CL_OUT_OF_RESOURCES" and the like; the number for codes that are not known. buffer: 32 bytes. */
+const char *bake_opencl_error(cl_int code, char *buffer);
+
+/* A device and what the program needs to know about it. */
+struct bake_opencl_device {
+    cl_platform_id platform;
+    cl_device_id id;
+    char name[128];
+    char driver[256]; /* versions of platform, device and driver */
+    bool is_gpu, host_memory, rounds_correctly;
+    uint64_t memory_bytes, buffer_bytes; /* of the device; of one buffer at most */
+    size_t group_sides[2];               /* of a work group at most */
+};
+
+/* Sides of a work group: powers of two, 8 x 8 where the kernel and the device can have so many. */
+void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t sides[2]);
+
+/* Describes device number `index` (platforms in the loader's order, devices in the platform's),
+ * skipping devices that are unavailable or have no compiler. False past the last. */
+bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
+                        struct bake_opencl_device *out);
+
+/* Makes the kernel's program; to be released also after a failure, where it is not NULL. Errors:
+ * BSQ_ENODEVICE with the compiler's messages. */
+int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
+                      const struct bake_opencl_device *device, cl_context context, cl_program *out);
+
+#endif

@@ -1,0 +1,252 @@
+/* leaf_set.c - one 4096-bit mask for each lower node in the set; boxes are or-ed in rows of 16
+ * bits. */
+#include "libbake/device/subgrid/leaf_set.h"
+
+#include <string.h>
+
+#include "libbake/kernel/bk_grid.h"
+
+static const uint64_t *upper_words(const struct fmt_nvdb_grid *grid, uint32_t upper)
+{
+    return (const uint64_t *)(const void *)grid->uppers + (uint64_t)upper * BK_UPPER_WORDS;
+}
+
+static const uint64_t *lower_words(const struct fmt_nvdb_grid *grid, uint32_t lower)
+{
+    return (const uint64_t *)(const void *)grid->lowers + (uint64_t)lower * BK_LOWER_WORDS;
+}
+
+static const uint64_t *leaf_words(const struct fmt_nvdb_grid *grid, uint32_t leaf)
+{
+    return (const uint64_t *)(const void *)grid->leaves + (uint64_t)leaf * BK_LEAF_WORDS;
+}
+
+uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
+{
+    const uint64_t distance = (uint64_t)(grid->leaves - grid->lowers);
+    const uint64_t node = (uint64_t)lower * BK_LOWER_WORDS;
+    const uint64_t child = node * 8 + lower_words(grid, lower)[BK_LOWER_TABLE + n] - distance;
+    return (uint32_t)(child / (BK_LEAF_WORDS * 8));
+}
+
+uint64_t bake_leaf_first(const struct fmt_nvdb_grid *grid, uint32_t leaf)
+{
+    return leaf_words(grid, leaf)[BK_LEAF_OFFSET];
+}
+
+uint32_t bake_leaf_voxels(const struct fmt_nvdb_grid *grid, uint32_t leaf)
+{
+    const uint64_t *words = leaf_words(grid, leaf);
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < 8; i++)
+        count += (uint32_t)__builtin_popcountll(words[BK_LEAF_MASK + i]);
+    return count;
+}
+
+uint64_t bake_seconds_below(const struct fmt_nvdb_grid *grid, uint64_t v)
+{
+    if (v > grid->voxel_count)
+        return grid->record_count - 1 - grid->voxel_count;
+    const uint32_t *pair = grid->seconds[v >> 5];
+    const uint32_t below = pair[0] & (uint32_t)((UINT64_C(1) << (v & 31)) - 1);
+    return pair[1] + (uint32_t)__builtin_popcount(below);
+}
+
+int bake_leaf_set_create(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
+                         struct bake_leaf_set *out)
+{
+    *out = (struct bake_leaf_set){.grid = grid};
+    int status = bsq_calloc(ctx, "upper nodes of a pass", grid->upper_count, 1, &out->has_upper);
+    if (status == 0)
+        status = bsq_calloc(ctx, "lower nodes of a pass", grid->lower_count,
+                            sizeof *out->place_of_lower, &out->place_of_lower);
+    return status;
+}
+
+void bake_leaf_set_free(struct bsq_ctx *ctx, struct bake_leaf_set *set)
+{
+    bsq_free(ctx, set->has_upper);
+    bsq_free(ctx, set->place_of_lower);
+    bsq_free(ctx, set->lowers);
+    bsq_free(ctx, set->marks);
+    *set = (struct bake_leaf_set){0};
+}
+
+void bake_leaf_set_clear(struct bake_leaf_set *set)
+{
+    for (uint64_t i = 0; i < set->lower_count; i++)
+        set->place_of_lower[set->lowers[i]] = 0;
+    memset(set->has_upper, 0, set->grid->upper_count);
+    set->lower_count = set->upper_count = 0;
+    set->leaf_count = set->voxel_count = set->second_count = 0;
+}
+
+/* ---- adding ---- */
+
+static void add_upper(struct bake_leaf_set *set, uint32_t upper)
+{
+    set->upper_count += !set->has_upper[upper];
+    set->has_upper[upper] = 1;
+}
+
+/* The marks of a lower node, which is added where it is new. */
+static int find_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t lower,
+                      uint64_t **marks)
+{
+    if (set->place_of_lower[lower] == 0) {
+        uint64_t capacity = set->capacity;
+        int status = bsq_grow(ctx, "lower nodes of a pass", set->lower_count + 1,
+                              sizeof *set->lowers, &set->lowers, &capacity);
+        if (status == 0)
+            status = bsq_grow(ctx, "leaves of a pass", set->lower_count + 1, sizeof *set->marks,
+                              &set->marks, &set->capacity);
+        if (status < 0)
+            return status;
+        memset(set->marks[set->lower_count], 0, sizeof *set->marks);
+        set->lowers[set->lower_count++] = lower;
+        set->place_of_lower[lower] = (uint32_t)set->lower_count;
+    }
+    *marks = set->marks[set->place_of_lower[lower] - 1];
+    return 0;
+}
+
+static void count_leaves(struct bake_leaf_set *counts, uint32_t lower, uint32_t word,
+                         uint64_t added)
+{
+    const struct fmt_nvdb_grid *grid = counts->grid;
+    for (; added; added &= added - 1) {
+        const uint32_t n = word * 64 + (uint32_t)__builtin_ctzll(added);
+        const uint32_t leaf = bake_lower_leaf(grid, lower, n);
+        const uint64_t first = bake_leaf_first(grid, leaf), voxels = bake_leaf_voxels(grid, leaf);
+        counts->leaf_count++;
+        counts->voxel_count += voxels;
+        counts->second_count +=
+            bake_seconds_below(grid, first + voxels) - bake_seconds_below(grid, first);
+    }
+}
+
+/* Children of a node along an axis that voxels low .. high lie in. */
+static void child_range(int32_t origin, int32_t low, int32_t high, uint32_t child_log2,
+                        uint32_t children, uint32_t *first, uint32_t *last)
+{
+    const int64_t a = ((int64_t)low - origin) >> child_log2;
+    const int64_t b = ((int64_t)high - origin) >> child_log2;
+    *first = a < 0 ? 0 : (uint32_t)a;
+    *last = b >= children ? children - 1 : (uint32_t)b;
+}
+
+static int add_in_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t lower,
+                        const int32_t origin[3], const int32_t low[3], const int32_t high[3])
+{
+    const uint64_t *children = lower_words(set->grid, lower) + BK_LOWER_CHILD_MASK;
+    uint32_t first[3], last[3];
+    uint64_t *marks;
+    int status = find_lower(ctx, set, lower, &marks);
+    if (status < 0)
+        return status;
+    for (int k = 0; k < 3; k++)
+        child_range(origin[k], low[k], high[k], BK_LEAF_LOG2, 16, &first[k], &last[k]);
+    const uint64_t row = (UINT64_C(2) << last[2]) - (UINT64_C(1) << first[2]);
+    for (uint32_t x = first[0]; x <= last[0]; x++)
+        for (uint32_t y = first[1]; y <= last[1]; y++) {
+            const uint32_t n = x << 8 | y << 4, word = n >> 6;
+            const uint64_t added = row << (n & 63) & children[word] & ~marks[word];
+            marks[word] |= added;
+            count_leaves(set, lower, word, added);
+        }
+    return 0;
+}
+
+static int add_in_upper(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t upper,
+                        const int32_t origin[3], const int32_t low[3], const int32_t high[3])
+{
+    const struct fmt_nvdb_grid *grid = set->grid;
+    const uint64_t *words = upper_words(grid, upper);
+    const uint64_t distance = (uint64_t)(grid->lowers - grid->uppers);
+    uint32_t first[3], last[3];
+    add_upper(set, upper);
+    for (int k = 0; k < 3; k++)
+        child_range(origin[k], low[k], high[k], BK_LOWER_LOG2, 32, &first[k], &last[k]);
+    for (uint32_t x = first[0]; x <= last[0]; x++)
+        for (uint32_t y = first[1]; y <= last[1]; y++)
+            for (uint32_t z = first[2]; z <= last[2]; z++) {
+                const uint32_t n = x << 10 | y << 5 | z;
+                if (!(words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
+                    continue;
+                const uint64_t child =
+                    (uint64_t)upper * BK_UPPER_WORDS * 8 + words[BK_UPPER_TABLE + n] - distance;
+                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
+                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
+                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
+                int status =
+                    add_in_lower(ctx, set, (uint32_t)(child / (BK_LOWER_WORDS * 8)), at, low, high);
+                if (status < 0)
+                    return status;
+            }
+    return 0;
+}
+
+/* Lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
+static int32_t tile_origin(uint64_t key, uint32_t shift)
+{
+    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
+    return (int32_t)(bits << BK_UPPER_LOG2);
+}
+
+int bake_leaf_set_add_box(struct bsq_ctx *ctx, struct bake_leaf_set *set, const int32_t low[3],
+                          const int32_t high[3])
+{
+    const struct fmt_nvdb_grid *grid = set->grid;
+    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
+    for (uint32_t i = 0; i < grid->tile_count; i++) {
+        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
+        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
+        bool inside = child != 0;
+        for (int k = 0; k < 3; k++)
+            inside = inside && high[k] >= origin[k] &&
+                     low[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
+        if (!inside)
+            continue;
+        const uint64_t distance = (uint64_t)(grid->uppers - grid->root);
+        const uint32_t upper = (uint32_t)((child - distance) / (BK_UPPER_WORDS * 8));
+        int status = add_in_upper(ctx, set, upper, origin, low, high);
+        if (status < 0)
+            return status;
+    }
+    return 0;
+}
+
+int bake_leaf_set_add(struct bsq_ctx *ctx, struct bake_leaf_set *set,
+                      const struct bake_leaf_set *other)
+{
+    for (uint32_t i = 0; i < set->grid->upper_count; i++)
+        if (other->has_upper[i])
+            add_upper(set, i);
+    for (uint64_t i = 0; i < other->lower_count; i++) {
+        uint64_t *marks;
+        int status = find_lower(ctx, set, other->lowers[i], &marks);
+        if (status < 0)
+            return status;
+        for (uint32_t w = 0; w < BAKE_MARK_WORDS; w++) {
+            const uint64_t added = other->marks[i][w] & ~marks[w];
+            marks[w] |= added;
+            count_leaves(set, other->lowers[i], w, added);
+        }
+    }
+    return 0;
+}
+
+void bake_leaf_set_preview(const struct bake_leaf_set *set, const struct bake_leaf_set *other,
+                           struct bake_leaf_set *counts)
+{
+    *counts = *set;
+    for (uint32_t i = 0; i < set->grid->upper_count; i++)
+        counts->upper_count += other->has_upper[i] && !set->has_upper[i];
+    for (uint64_t i = 0; i < other->lower_count; i++) {
+        const uint32_t lower = other->lowers[i], place = set->place_of_lower[lower];
+        counts->lower_count += place == 0;
+        for (uint32_t w = 0; w < BAKE_MARK_WORDS; w++)
+            count_leaves(counts, lower, w,
+                         other->marks[i][w] & ~(place ? set->marks[place - 1][w] : 0));
+    }
+}

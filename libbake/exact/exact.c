@@ -1,0 +1,143 @@
+/* exact.c - opening a chunk file for exact rays: bounds of all chunks, materials, textures. */
+#include "base/srgb.h"
+#include "libbake/exact/exact_scene.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+
+enum { TEXTURE_CACHE = 64 << 20, LEAST_TEXTURE_CACHE = 12 << 20 };
+
+/* ---- opening ---- */
+
+static void set_info(struct bake_exact *exact)
+{
+    const struct fmt_tris_header *h = exact->header;
+    struct bake_exact_info *info = &exact->info;
+    bool materials = (h->attributes & FMT_TRIS_MATERIALS) && h->material_count > 0;
+    info->triangle_count = h->triangle_count;
+    info->has_color = materials || (h->attributes & FMT_TRIS_COLORS);
+    for (int k = 0; k < 3; k++) {
+        info->origin[k] = h->origin[k];
+        info->scan_min[k] = h->origin[k] + (double)h->bounds_min[k];
+        info->scan_max[k] = h->origin[k] + (double)h->bounds_max[k];
+    }
+}
+
+static int build_chunk_tree(struct bake_exact *exact)
+{
+    struct bsq_ctx *ctx = exact->ctx;
+    struct exact_box *boxes = NULL;
+    void *scratch = NULL;
+    int status = bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
+                           &exact->tree_memory);
+    if (status == 0)
+        status = bsq_alloc(ctx, "tree of chunks", exact->chunk_count, sizeof *boxes, &boxes);
+    if (status == 0)
+        status = bsq_alloc(ctx, "tree of chunks", bake_exact_tree_scratch_bytes(exact->chunk_count),
+                           1, &scratch);
+    for (uint32_t c = 0; status == 0 && c < exact->chunk_count; c++) {
+        memcpy(boxes[c].low, exact->chunks[c].bounds_min, sizeof boxes[c].low);
+        memcpy(boxes[c].high, exact->chunks[c].bounds_max, sizeof boxes[c].high);
+    }
+    if (status == 0)
+        bake_exact_tree_build(&exact->tree, exact->chunk_count, boxes, exact->tree_memory, scratch);
+    bsq_free(ctx, scratch);
+    bsq_free(ctx, boxes);
+    return status;
+}
+
+static int open_file(struct bake_exact *exact)
+{
+    int status = fmt_tris_open(exact->ctx, exact->options.path, &exact->file);
+    if (status < 0)
+        return status;
+    exact->header = fmt_tris_get_header(exact->file);
+    exact->chunks = fmt_tris_chunks(exact->file);
+    if (exact->header->chunk_count == 0 || exact->header->chunk_count > EXACT_TREE_BOXES)
+        return bsq_fail(exact->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks: must be 1 to %" PRIu32,
+                        exact->options.path, exact->header->chunk_count, EXACT_TREE_BOXES);
+    exact->chunk_count = (uint32_t)exact->header->chunk_count;
+    set_info(exact);
+    return build_chunk_tree(exact);
+}
+
+int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
+                    struct bake_exact **out)
+{
+    struct bake_exact *exact;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "scan", 1, sizeof *exact, &exact);
+    if (status < 0)
+        return status;
+    exact->ctx = ctx;
+    exact->options = *options;
+    status = open_file(exact);
+    if (status < 0)
+        bake_exact_close(exact);
+    else
+        *out = exact;
+    return status;
+}
+
+void bake_exact_close(struct bake_exact *exact)
+{
+    if (!exact)
+        return;
+    struct bsq_ctx *ctx = exact->ctx;
+    if (exact->textures)
+        fmt_textures_close(exact->textures);
+    bsq_free(ctx, exact->diffuse);
+    bsq_free(ctx, exact->tree_memory);
+    fmt_tris_close(exact->file);
+    bsq_free(ctx, exact);
+}
+
+const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact)
+{
+    return &exact->info;
+}
+
+/* ---- colour ---- */
+
+static int open_textures(struct bake_exact *exact)
+{
+    const struct fmt_tris_header *h = exact->header;
+    const char **paths;
+    bool any = false;
+    int status = bsq_alloc(exact->ctx, "texture paths", h->material_count, sizeof *paths, &paths);
+    if (status < 0)
+        return status;
+    for (uint32_t m = 0; m < h->material_count; m++) {
+        paths[m] = h->materials[m].texture_path;
+        any |= paths[m] != NULL;
+    }
+    uint64_t cache = exact_left_of_budget(exact->ctx) / 4;
+    cache = cache > TEXTURE_CACHE ? TEXTURE_CACHE : cache;
+    cache = cache < LEAST_TEXTURE_CACHE ? LEAST_TEXTURE_CACHE : cache;
+    if (any)
+        status = fmt_textures_open(exact->ctx, paths, h->material_count, cache, &exact->textures);
+    bsq_free(exact->ctx, paths);
+    return status;
+}
+
+int bake_exact_use_color(struct bake_exact *exact)
+{
+    const struct fmt_tris_header *h = exact->header;
+    exact->color = exact->info.has_color;
+    if (!(h->attributes & FMT_TRIS_MATERIALS) || h->material_count == 0)
+        return 0;
+    int status = bsq_alloc(exact->ctx, "material colours", h->material_count,
+                           sizeof *exact->diffuse, &exact->diffuse);
+    if (status < 0)
+        return status;
+    for (uint32_t m = 0; m < h->material_count; m++)
+        for (int k = 0; k < 3; k++)
+            exact->diffuse[m][k] = (float)bsq_srgb_to_linear((double)h->materials[m].diffuse[k]);
+    return h->attributes & FMT_TRIS_TEXCOORDS ? open_textures(exact) : 0;
+}
+
+bool bake_exact_wants_footprints(const struct bake_exact *exact)
+{
+    return exact->textures != NULL;
+}

@@ -1,0 +1,175 @@
+/* exact_shade.c - normal and colour at a hit. */
+#include "libbake/exact/exact_scene.h"
+
+#include <string.h>
+
+#include "base/octahedral.h"
+#include "libbake/kernel/bk_srgb.h"
+
+/* A hit's triangle. */
+struct place {
+    const struct exact_slot *slot;
+    uint32_t triangle;
+    const uint32_t *v;
+    double w[3];
+    double edge[2][3]; /* from the first corner */
+    double cross[3];   /* of the edges: along the normal, twice the area long */
+};
+
+static double dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static void cross(const double a[3], const double b[3], double out[3])
+{
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static void set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
+                      const struct bake_exact_hit *hit)
+{
+    const struct fmt_tris_chunk *chunk = &slot->chunk;
+    place->slot = slot;
+    place->triangle = triangle;
+    place->v = chunk->triangles[triangle];
+    place->w[1] = (double)hit->normal[0];
+    place->w[2] = (double)hit->normal[1];
+    place->w[0] = 1.0 - place->w[1] - place->w[2];
+    for (int e = 0; e < 2; e++)
+        for (int k = 0; k < 3; k++)
+            place->edge[e][k] = (double)chunk->positions[place->v[e + 1]][k] -
+                                (double)chunk->positions[place->v[0]][k];
+    cross(place->edge[0], place->edge[1], place->cross);
+}
+
+/* ---- normals ---- */
+
+/* Adds the unit normal of a corner: its vertex's, or the triangle's own at a crease. */
+static void add_smooth(const struct place *place, int corner, double sum[3])
+{
+    const struct exact_smooth *smooth = &place->slot->smooth;
+    const double *n = smooth->sums[smooth->entry_of[place->v[corner]] - 1];
+    double length = sqrt(dot(n, n));
+    if (!(length >= FMT_TRIS_CREASE_SHARE * n[3]) || !(length > 0)) {
+        n = place->cross;
+        length = sqrt(dot(n, n));
+    }
+    for (int k = 0; k < 3; k++)
+        sum[k] += place->w[corner] * (n[k] / length);
+}
+
+static void shade_normal(const struct bake_exact *exact, const struct place *place, float out[3])
+{
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    double n[3] = {0, 0, 0};
+    for (int i = 0; i < 3; i++) {
+        if (chunk->normals) {
+            const struct bsq_vec3 unit = bsq_oct_unpack(chunk->normals[place->v[i]]);
+            n[0] += place->w[i] * (double)unit.x;
+            n[1] += place->w[i] * (double)unit.y;
+            n[2] += place->w[i] * (double)unit.z;
+        } else if (exact->options.normals == BAKE_SCAN_NORMALS_SMOOTH) {
+            add_smooth(place, i, n);
+        }
+    }
+    double length = sqrt(dot(n, n));
+    if (!(length > 1e-6)) {
+        memcpy(n, place->cross, sizeof n);
+        length = sqrt(dot(n, n));
+    }
+    for (int k = 0; k < 3; k++)
+        out[k] = (float)(n[k] / length);
+}
+
+/* ---- colours ---- */
+
+/* Width of the samples' footprint in texture space: one step along the map's rows and one along its
+ * columns, moved along the ray onto the triangle's plane. */
+static void footprint(const struct place *place, const struct bake_exact_ray *ray,
+                      const struct bake_exact_footprint *step, const float (*uv)[2],
+                      double width[2])
+{
+    /* A flat ray's steps grow without limit; a texture cannot follow them. */
+    const double flattest = 0.25;
+    const double square = dot(place->cross, place->cross), length = sqrt(square);
+    const double d[3] = {(double)ray->direction[0], (double)ray->direction[1],
+                         (double)ray->direction[2]};
+    double slope = dot(place->cross, d);
+    if (fabs(slope) < flattest * length)
+        slope = copysign(flattest * length, slope);
+    width[0] = width[1] = 0;
+    for (int s = 0; s < 2; s++) {
+        double on[3], first[3], second[3];
+        for (int k = 0; k < 3; k++)
+            on[k] = (double)step->step[s][k];
+        const double along = dot(place->cross, on) / slope;
+        for (int k = 0; k < 3; k++)
+            on[k] -= along * d[k];
+        cross(on, place->edge[1], first);
+        cross(place->edge[0], on, second);
+        const double b1 = dot(first, place->cross) / square,
+                     b2 = dot(second, place->cross) / square;
+        for (int k = 0; k < 2; k++) {
+            const double moved = b1 * ((double)uv[1][k] - (double)uv[0][k]) +
+                                 b2 * ((double)uv[2][k] - (double)uv[0][k]);
+            width[k] += moved * moved;
+        }
+    }
+    width[0] = sqrt(width[0]);
+    width[1] = sqrt(width[1]);
+}
+
+static int shade_texture(const struct bake_exact *exact, const struct place *place,
+                         uint32_t material, const struct bake_exact_batch *batch, uint64_t ray,
+                         float out[3])
+{
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    double width[2] = {0, 0}, at[2] = {0, 0};
+    float uv[3][2];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 2; k++) {
+            uv[i][k] = chunk->texcoords[place->v[i]][k];
+            at[k] += place->w[i] * (double)uv[i][k];
+        }
+    if (batch->footprints)
+        footprint(place, &batch->rays[ray], &batch->footprint_table[batch->footprints[ray]],
+                  (const float(*)[2])uv, width);
+    return fmt_texture_sample(exact->textures, material, (float)at[0], (float)at[1],
+                              (float)width[0], (float)width[1], out);
+}
+
+/* In order of precedence: texture, vertex colours, the material's colour. Black where there is
+ * none. */
+static int shade_color(const struct bake_exact *exact, const struct place *place,
+                       const struct bake_exact_batch *batch, uint64_t ray, float out[3])
+{
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    const uint32_t material =
+        chunk->materials && exact->diffuse ? chunk->materials[place->triangle] : UINT32_MAX;
+    if (material != UINT32_MAX && exact->textures && chunk->texcoords &&
+        exact->header->materials[material].texture_path)
+        return shade_texture(exact, place, material, batch, ray, out);
+    double sum[3] = {0, 0, 0};
+    for (int i = 0; chunk->colors && i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            sum[k] += place->w[i] * (double)bk_srgb[chunk->colors[place->v[i]] >> (8 * k) & 0xff];
+    for (int k = 0; k < 3; k++)
+        out[k] = (float)sum[k];
+    if (!chunk->colors && material != UINT32_MAX)
+        memcpy(out, exact->diffuse[material], 3 * sizeof *out);
+    return 0;
+}
+
+int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *slot,
+                     const struct bake_exact_batch *batch, uint64_t ray)
+{
+    struct bake_exact_hit *hit = &batch->hits[ray];
+    const uint64_t first = exact->chunks[slot->number].first_triangle;
+    struct place place;
+    set_place(&place, slot, (uint32_t)(hit->triangle - first), hit);
+    shade_normal(exact, &place, hit->normal);
+    return exact->color ? shade_color(exact, &place, batch, ray, hit->color) : 0;
+}

@@ -1,0 +1,180 @@
+/* exact_slot.c - one chunk in memory, and the nearest hit among its triangles.
+ *
+ * The boxes of single triangles are in the tree, so that most of the exact tests in double are of
+ * triangles that are hit. */
+#include "libbake/exact/exact_scene.h"
+#include "libbake/exact/exact_triangle.h"
+
+#include "base/octahedral.h"
+
+int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot)
+{
+    slot->number = number;
+    slot->loaded = false;
+    int status = fmt_tris_load(exact->file, number, slot->chunk_memory, &slot->chunk);
+    slot->loaded = status == 0;
+    return status;
+}
+
+static struct exact_box triangle_box(const float *a, const float *b, const float *c)
+{
+    struct exact_box box;
+    for (int k = 0; k < 3; k++) {
+        float low = a[k] < b[k] ? a[k] : b[k], high = a[k] > b[k] ? a[k] : b[k];
+        box.low[k] = c[k] < low ? c[k] : low;
+        box.high[k] = c[k] > high ? c[k] : high;
+    }
+    return box;
+}
+
+void bake_exact_slot_build(struct exact_slot *slot, const struct exact_scratch *scratch)
+{
+    const struct fmt_tris_chunk *chunk = &slot->chunk;
+    struct exact_box *boxes = scratch->boxes;
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        const uint32_t *v = chunk->triangles[t];
+        boxes[t] =
+            triangle_box(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]]);
+    }
+    bake_exact_tree_build(&slot->tree, chunk->triangle_count, boxes, slot->tree_memory,
+                          scratch->keys);
+}
+
+/* ---- tracing ---- */
+
+struct trace {
+    const struct exact_slot *slot;
+    uint64_t first;
+    const struct exact_limits *limits;
+    const struct bake_exact_ray *ray;
+    struct exact_line line;
+    struct exact_shear shear; /* set before the first triangle: many rays meet none */
+    bool sheared;
+    struct exact_span span; /* where hits would be taken; shrinks */
+    struct exact_best *best;
+    bool improved;
+};
+
+static void set_span(struct trace *trace)
+{
+    const struct exact_limits *limits = trace->limits;
+    double begin = limits->t_min, end = limits->t_max;
+    if (trace->best->triangle != BAKE_EXACT_NONE) {
+        double nearest = fabs(trace->best->t);
+        begin = begin > -nearest ? begin : -nearest;
+        end = end < nearest ? end : nearest;
+    }
+    trace->span = exact_span_of(begin, end);
+}
+
+/* A scan whose faces are wound the wrong way tells by its normals which side is outside. */
+static bool wound_backwards(const struct fmt_tris_chunk *chunk, const uint32_t *v)
+{
+    const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
+                *c = chunk->positions[v[2]];
+    struct bsq_vec3 n0 = bsq_oct_unpack(chunk->normals[v[0]]),
+                    n1 = bsq_oct_unpack(chunk->normals[v[1]]),
+                    n2 = bsq_oct_unpack(chunk->normals[v[2]]);
+    const double n[3] = {(double)n0.x + (double)n1.x + (double)n2.x,
+                         (double)n0.y + (double)n1.y + (double)n2.y,
+                         (double)n0.z + (double)n1.z + (double)n2.z};
+    double dot = 0;
+    for (int k = 0; k < 3; k++) {
+        int i = (k + 1) % 3, j = (k + 2) % 3;
+        dot += n[k] * (((double)b[i] - (double)a[i]) * ((double)c[j] - (double)a[j]) -
+                       ((double)b[j] - (double)a[j]) * ((double)c[i] - (double)a[i]));
+    }
+    return dot < 0;
+}
+
+static void try_triangle(struct trace *trace, uint32_t triangle)
+{
+    const struct fmt_tris_chunk *chunk = &trace->slot->chunk;
+    const struct exact_limits *limits = trace->limits;
+    struct exact_best *best = trace->best;
+    const uint32_t *v = chunk->triangles[triangle];
+    const uint64_t number = trace->first + triangle;
+    struct exact_crossing crossing;
+    if (!trace->sheared)
+        exact_shear_set(&trace->shear, trace->ray->origin, trace->ray->direction);
+    trace->sheared = true;
+    if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
+                              chunk->positions[v[2]], &crossing) ||
+        !(crossing.t >= limits->t_min && crossing.t <= limits->t_max))
+        return;
+    if (best->triangle != BAKE_EXACT_NONE &&
+        !exact_wins(crossing.t, number, best->t, best->triangle))
+        return;
+    if (!limits->two_sided) {
+        bool along = crossing.along;
+        if (chunk->normals && wound_backwards(chunk, v))
+            along = !along;
+        if (along == limits->against)
+            return;
+    }
+    *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2};
+    trace->improved = true;
+    set_span(trace);
+}
+
+struct entry {
+    float distance;
+    uint32_t level, node;
+};
+
+/* Pushes the children that are crossed so that the nearest is on top. */
+static uint32_t push_children(struct entry *stack, uint32_t depth, uint32_t level, uint32_t node,
+                              unsigned bits, const float distances[4])
+{
+    const uint32_t base = depth;
+    if ((bits & (bits - 1)) == 0 && bits != 0) {
+        const unsigned c = (unsigned)__builtin_ctz(bits);
+        stack[depth] = (struct entry){distances[c], level - 1, 4 * node + c};
+        return depth + 1;
+    }
+    for (; bits; bits &= bits - 1) {
+        const unsigned c = (unsigned)__builtin_ctz(bits);
+        uint32_t at = depth++;
+        for (; at > base && stack[at - 1].distance < distances[c]; at--)
+            stack[at] = stack[at - 1];
+        stack[at] = (struct entry){distances[c], level - 1, 4 * node + c};
+    }
+    return depth;
+}
+
+static bool too_far(const struct exact_span *span, float distance)
+{
+    return distance > span->end && distance > -span->begin;
+}
+
+bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
+                           const struct bake_exact_ray *ray, const struct exact_limits *limits,
+                           struct exact_best *best)
+{
+    const struct exact_tree *tree = &slot->tree;
+    struct entry stack[EXACT_TREE_STACK];
+    struct trace trace = {.slot = slot, .first = first, .limits = limits, .ray = ray, .best = best};
+    float distances[4];
+    uint32_t depth = 1;
+    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
+        return false;
+    set_span(&trace);
+    stack[0] = (struct entry){0, tree->levels - 1, 0};
+    while (depth > 0) {
+        const struct entry top = stack[--depth];
+        if (too_far(&trace.span, top.distance))
+            continue;
+        const struct exact_box4 *boxes = &tree->nodes[tree->first[top.level] + top.node];
+        unsigned bits = exact_line_crosses4(&trace.line, boxes, trace.span, distances);
+        if (top.level > 0) {
+            depth = push_children(stack, depth, top.level, top.node, bits, distances);
+            continue;
+        }
+        for (; bits; bits &= bits - 1) {
+            const unsigned c = (unsigned)__builtin_ctz(bits);
+            if (!too_far(&trace.span, distances[c]))
+                try_triangle(&trace, tree->order[4 * top.node + c]);
+        }
+    }
+    return trace.improved;
+}

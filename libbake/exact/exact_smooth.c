@@ -1,0 +1,156 @@
+/* exact_smooth.c - smooth vertex normals of a chunk, as if the scan were whole.
+ *
+ * Vertices are the same where their positions are, in one chunk or in several. A vertex's normal is
+ * the sum of the triangles' cross products around it, in the order of the file whatever
+ * chunks they are in, so it is the same bit for bit as on the whole scan. Only normals that hits
+ * ask for are summed, and only chunks that reach to those vertices are read. */
+#include "libbake/exact/exact_scene.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* ---- memory ---- */
+
+uint64_t bake_exact_smooth_bytes(uint32_t vertices)
+{
+    const struct exact_smooth *s = NULL;
+    return (uint64_t)bsq_positions_slots(vertices) * sizeof *s->table.slots +
+           (uint64_t)vertices * (sizeof *s->sums + sizeof *s->positions + sizeof *s->entry_of);
+}
+
+void bake_exact_smooth_begin(struct exact_slot *slot)
+{
+    struct exact_smooth *s = &slot->smooth;
+    const uint32_t vertices = slot->chunk.vertex_count, slots = bsq_positions_slots(vertices);
+    s->sums = slot->smooth_memory;
+    s->positions = (float(*)[3])(void *)(s->sums + vertices);
+    s->entry_of = (uint32_t *)(void *)(s->positions + vertices);
+    s->table =
+        (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
+    s->count = 0;
+    memset(s->table.slots, 0, slots * sizeof *s->table.slots);
+    memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
+}
+
+/* ---- vertices by position ---- */
+
+void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex)
+{
+    struct exact_smooth *s = &slot->smooth;
+    if (s->entry_of[vertex] != 0)
+        return;
+    uint32_t *entry = bsq_positions_find(&s->table, slot->chunk.positions[vertex]);
+    if (*entry == 0) {
+        memcpy(s->positions[s->count], slot->chunk.positions[vertex], sizeof *s->positions);
+        memset(s->sums[s->count], 0, sizeof *s->sums);
+        *entry = ++s->count;
+    }
+    s->entry_of[vertex] = *entry;
+}
+
+/* ---- sums ---- */
+
+static bool inside(const struct exact_box *box, const float p[3])
+{
+    bool in = true;
+    for (int k = 0; k < 3; k++)
+        in &= (p[k] >= box->low[k]) & (p[k] <= box->high[k]);
+    return in;
+}
+
+/* Twice the triangle's area vector, and its length. */
+static void area_vector(const float a[3], const float b[3], const float c[3], double n[4])
+{
+    double u[3], v[3];
+    for (int k = 0; k < 3; k++) {
+        u[k] = (double)b[k] - (double)a[k];
+        v[k] = (double)c[k] - (double)a[k];
+    }
+    n[0] = u[1] * v[2] - u[2] * v[1];
+    n[1] = u[2] * v[0] - u[0] * v[2];
+    n[2] = u[0] * v[1] - u[1] * v[0];
+    n[3] = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+}
+
+/* map: of the chunk's vertices, the numbers of their sums + 1, 0 where there are none. */
+static void add_triangles(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
+                          const uint32_t *map)
+{
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        const uint32_t *v = chunk->triangles[t];
+        if ((map[v[0]] | map[v[1]] | map[v[2]]) == 0)
+            continue;
+        double n[4];
+        area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
+        for (int i = 0; i < 3; i++) {
+            if (map[v[i]] == 0)
+                continue;
+            for (int k = 0; k < 4; k++)
+                s->sums[map[v[i]] - 1][k] += n[k];
+        }
+    }
+}
+
+static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
+                      const struct exact_box *box, uint32_t *map)
+{
+    if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count,
+                            map))
+        add_triangles(s, chunk, map);
+}
+
+static struct exact_box bounds_of(const struct exact_smooth *s)
+{
+    struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+    for (uint32_t i = 0; i < s->count; i++)
+        for (int k = 0; k < 3; k++) {
+            const float p = s->positions[i][k];
+            box.low[k] = p < box.low[k] ? p : box.low[k];
+            box.high[k] = p > box.high[k] ? p : box.high[k];
+        }
+    return box;
+}
+
+/* Whether any needed vertex lies within the chunk's bounds. */
+static bool reaches(const struct exact_smooth *s, const struct fmt_tris_chunk_info *chunk)
+{
+    struct exact_box box;
+    memcpy(box.low, chunk->bounds_min, sizeof box.low);
+    memcpy(box.high, chunk->bounds_max, sizeof box.high);
+    for (uint32_t i = 0; i < s->count; i++)
+        if (inside(&box, s->positions[i]))
+            return true;
+    return false;
+}
+
+static int ascending(const void *a, const void *b)
+{
+    uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
+    return (x > y) - (x < y);
+}
+
+int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
+                          const struct exact_scratch *scratch)
+{
+    struct exact_smooth *s = &slot->smooth;
+    const struct exact_box box = bounds_of(s);
+    const uint32_t near = bake_exact_tree_overlapping(&exact->tree, &box, scratch->near);
+    qsort(scratch->near, near, sizeof *scratch->near, ascending);
+    for (uint32_t i = 0; i < near; i++) {
+        const uint32_t number = scratch->near[i];
+        if (number == slot->number) {
+            /* Vertices that share a needed one's position count as well. */
+            add_chunk(s, &slot->chunk, &box, s->entry_of);
+            continue;
+        }
+        if (!reaches(s, &exact->chunks[number]))
+            continue;
+        struct fmt_tris_chunk neighbour;
+        int status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
+        if (status < 0)
+            return status;
+        add_chunk(s, &neighbour, &box, scratch->map);
+    }
+    return 0;
+}

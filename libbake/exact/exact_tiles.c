@@ -1,0 +1,340 @@
+/* exact_tiles.c - a map's samples as batches of exact rays.
+ *
+ * The map is cut into batches of tiles, each as large as the budget allows. Tiles go along a curve
+ * through the scan, not through the map, so that a chunk's rays are in few batches however the
+ * charts are laid out. Which triangle a sample lies in is found anew in each of the three passes
+ * over a tile: that costs less than keeping it. Rays and sums are those of the kernel. */
+#include "libbake/exact/exact_tiles.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/parallel.h"
+#include "libbake/exact/exact_tree.h"
+#include "libbake/kernel/bk_sample.h"
+#include "libbake/maps/tile_workers.h"
+
+struct tile {
+    uint64_t place;   /* on the curve */
+    uint32_t index;   /* of the raster */
+    uint32_t samples; /* inside triangles */
+};
+
+struct job {
+    struct bsq_ctx *ctx;
+    const struct bake_exact_tiles *tiles;
+    struct bake_tile_workers workers; /* with texels for a row */
+    struct tile *order;
+    uint32_t tile_count;
+    struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
+    /* The batch: tiles order[first .. first + count), whose rays begin at starts[]. */
+    uint32_t first, count;
+    uint64_t *starts; /* tile_count + 1; of the whole order */
+    struct bake_exact_ray *rays;
+    struct bake_exact_hit *hits;
+    uint32_t *footprints;
+    uint64_t capacity;
+};
+
+/* ---- counting and ordering ---- */
+
+static uint64_t place_of(const struct job *job, uint32_t triangle)
+{
+    const struct bake_exact_info *info = bake_exact_get_info(job->tiles->exact);
+    const struct bk_triangle *t = &job->tiles->triangles[triangle];
+    float centre[3], low[3];
+    double side = 0;
+    for (int k = 0; k < 3; k++) {
+        centre[k] = (t->position[0][k] + t->position[1][k] + t->position[2][k]) / 3.0f;
+        low[k] = (float)(info->scan_min[k] - info->origin[k]);
+        side = fmax(side, info->scan_max[k] - info->scan_min[k]);
+    }
+    return bake_exact_curve_place(centre, low, side);
+}
+
+static uint32_t tile_samples(const struct job *job, const struct bk_tile *tile)
+{
+    const uint32_t n = job->tiles->samples;
+    return tile->width * n * (tile->height * n);
+}
+
+static int count_tile(void *arg, uint64_t index, unsigned number)
+{
+    struct job *job = arg;
+    struct bake_tile_worker *worker = &job->workers.workers[number];
+    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, (uint32_t)index);
+    const uint32_t all = tile_samples(job, &tile);
+    uint64_t overlaps = 0;
+    uint32_t covered = 0, seen = 0;
+    bake_raster_fill(job->tiles->raster, (uint32_t)index, worker->sample_triangles, &overlaps);
+    worker->overlaps += overlaps;
+    for (uint32_t i = 0; i < all; i++)
+        covered += worker->sample_triangles[i] != BK_NO_TRIANGLE;
+    job->order[index] = (struct tile){.index = (uint32_t)index, .samples = covered};
+    for (uint32_t i = 0; i < all; i++) {
+        const uint32_t triangle = worker->sample_triangles[i];
+        if (triangle != BK_NO_TRIANGLE && seen++ == covered / 2) {
+            job->order[index].place = place_of(job, triangle);
+            break;
+        }
+    }
+    return 0;
+}
+
+static int compare_tiles(const void *a, const void *b)
+{
+    const struct tile *x = a, *y = b;
+    if (x->place != y->place)
+        return x->place < y->place ? -1 : 1;
+    return (x->index > y->index) - (x->index < y->index);
+}
+
+static int order_tiles(struct job *job)
+{
+    int status = bsq_parallel_for(job->ctx, job->tile_count, count_tile, job);
+    if (status < 0)
+        return status;
+    qsort(job->order, job->tile_count, sizeof *job->order, compare_tiles);
+    job->starts[0] = 0;
+    for (uint32_t i = 0; i < job->tile_count; i++)
+        job->starts[i + 1] = job->starts[i] + job->order[i].samples;
+    return 0;
+}
+
+/* ---- samples to rays ---- */
+
+/* Position of a tile's sample in the map, in texels, as in bk_sample_texel(). */
+static void sample_position(const struct job *job, const struct bk_tile *tile, uint32_t column,
+                            uint32_t row, float *x, float *y)
+{
+    const uint32_t n = job->tiles->samples;
+    const uint32_t texel_x = tile->x + column / n, texel_y = tile->y + row / n;
+    *x = (float)texel_x + ((float)(column % n) + 0.5f) / (float)n;
+    *y = (float)texel_y + ((float)(row % n) + 0.5f) / (float)n;
+}
+
+static int cast_tile(void *arg, uint64_t index, unsigned number)
+{
+    struct job *job = arg;
+    const struct tile *place = &job->order[job->first + index];
+    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
+    const uint32_t *sample = job->workers.workers[number].sample_triangles;
+    const uint32_t columns = tile.width * job->tiles->samples;
+    const uint32_t rows = tile.height * job->tiles->samples;
+    uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
+    bake_raster_fill(job->tiles->raster, place->index,
+                     job->workers.workers[number].sample_triangles, &overlaps);
+    for (uint32_t row = 0; row < rows; row++)
+        for (uint32_t column = 0; column < columns; column++, sample++) {
+            float x, y;
+            if (*sample == BK_NO_TRIANGLE)
+                continue;
+            sample_position(job, &tile, column, row, &x, &y);
+            const bk_point point = bk_point_at(&job->tiles->triangles[*sample], x, y);
+            const bk_vec3w direction = bk_unitw(point.normal);
+            job->rays[ray] =
+                (struct bake_exact_ray){{point.position.x, point.position.y, point.position.z},
+                                        {direction.x, direction.y, direction.z}};
+            if (job->footprints)
+                job->footprints[ray] = *sample;
+            ray++;
+        }
+    return 0;
+}
+
+static void measure_footprints(const struct job *job)
+{
+    const float step = 1.0f / (float)job->tiles->samples;
+    for (uint32_t t = 0; t < job->tiles->triangle_count; t++) {
+        const struct bk_triangle *triangle = &job->tiles->triangles[t];
+        for (int s = 0; s < 2; s++)
+            for (int k = 0; k < 3; k++)
+                job->footprint_table[t].step[s][k] =
+                    step *
+                    (triangle->b1[s] * (triangle->position[1][k] - triangle->position[0][k]) +
+                     triangle->b2[s] * (triangle->position[2][k] - triangle->position[0][k]));
+    }
+}
+
+/* ---- hits to texels ---- */
+
+/* Adds a sample to its texel, as bk_add_sample() does. */
+static void add_hit(const struct job *job, const struct bake_exact_hit *hit, uint32_t triangle,
+                    float x, float y, struct bk_texel *texel)
+{
+    texel->covered++;
+    if (hit->triangle == BAKE_EXACT_NONE)
+        return;
+    bk_vec3w normal = bk_v3w(hit->normal[0], hit->normal[1], hit->normal[2]);
+    if (!job->tiles->object_space) {
+        const bk_point point = bk_point_at(&job->tiles->triangles[triangle], x, y);
+        normal = bk_to_tangent_space(&point, normal);
+    }
+    texel->hits++;
+    texel->normal[0] += normal.x;
+    texel->normal[1] += normal.y;
+    texel->normal[2] += normal.z;
+    for (int c = 0; c < 3; c++)
+        texel->color[c] += hit->color[c];
+}
+
+/* Hits are in the order of a tile's samples, row by row, so a row of texels is summed together:
+ * each of its texels gets its samples in the same order as in the kernel. */
+static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t texel_row,
+                    const uint32_t *sample_triangles, uint64_t *next, struct bk_texel *texels)
+{
+    const uint32_t n = job->tiles->samples, columns = tile->width * n;
+    memset(texels, 0, tile->width * sizeof *texels);
+    for (uint32_t row = texel_row * n; row < (texel_row + 1) * n; row++) {
+        const uint32_t *sample = sample_triangles + (size_t)row * columns;
+        for (uint32_t column = 0; column < columns; column++) {
+            float x, y;
+            if (sample[column] == BK_NO_TRIANGLE)
+                continue;
+            sample_position(job, tile, column, row, &x, &y);
+            add_hit(job, &job->hits[(*next)++], sample[column], x, y, &texels[column / n]);
+        }
+    }
+}
+
+static int resolve_tile(void *arg, uint64_t index, unsigned number)
+{
+    struct job *job = arg;
+    struct bake_tile_worker *worker = &job->workers.workers[number];
+    const struct tile *place = &job->order[job->first + index];
+    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
+    uint64_t overlaps, next = job->starts[job->first + index] - job->starts[job->first];
+    bake_raster_fill(job->tiles->raster, place->index, worker->sample_triangles, &overlaps);
+    for (uint32_t row = 0; row < tile.height; row++) {
+        sum_row(job, &tile, row, worker->sample_triangles, &next, worker->texels);
+        bake_tile_worker_resolve(&job->workers, worker, tile.width,
+                                 worker->resolved +
+                                     (size_t)row * tile.width * job->workers.channels);
+    }
+    return bake_image_write(job->tiles->image, tile.x, tile.y, tile.width, tile.height,
+                            worker->resolved);
+}
+
+/* ---- batches ---- */
+
+/* Takes as many of the next tiles as fit. Returns their texels. */
+static uint64_t choose_batch(struct job *job)
+{
+    uint64_t texels = 0;
+    job->first += job->count;
+    job->count = 0;
+    while (job->first + job->count < job->tile_count) {
+        const uint32_t next = job->first + job->count;
+        const struct bk_tile tile = bake_raster_tile(job->tiles->raster, job->order[next].index);
+        if (job->starts[next + 1] - job->starts[job->first] > job->capacity)
+            break;
+        texels += (uint64_t)tile.width * tile.height;
+        job->count++;
+    }
+    return texels;
+}
+
+static int run_batch(struct job *job, uint64_t texels)
+{
+    const struct bake_exact_batch batch = {.rays = job->rays,
+                                           .hits = job->hits,
+                                           .count = job->starts[job->first + job->count] -
+                                                    job->starts[job->first],
+                                           .t_min = -job->tiles->back,
+                                           .t_max = job->tiles->front,
+                                           .footprints = job->footprints,
+                                           .footprint_table = job->footprint_table,
+                                           .progress = texels};
+    int status = bsq_parallel_for(job->ctx, job->count, cast_tile, job);
+    if (status == 0)
+        status = bake_exact_trace(job->tiles->exact, &batch);
+    if (status == 0)
+        status = bsq_parallel_for(job->ctx, job->count, resolve_tile, job);
+    return status;
+}
+
+static int run_batches(struct job *job)
+{
+    uint64_t total = 0;
+    int status = 0;
+    for (uint32_t i = 0; i < job->tile_count; i++) {
+        const struct bk_tile tile = bake_raster_tile(job->tiles->raster, i);
+        total += (uint64_t)tile.width * tile.height;
+    }
+    bsq_progress_begin(job->ctx, "tracing", "texels", total);
+    while (status == 0) {
+        const uint64_t texels = choose_batch(job);
+        if (job->count == 0)
+            break;
+        status = run_batch(job, texels);
+    }
+    bsq_progress_end(job->ctx);
+    return status;
+}
+
+/* ---- memory ---- */
+
+static int allocate_tiles(struct job *job)
+{
+    job->tile_count = bake_raster_tile_count(job->tiles->raster);
+    int status = bsq_alloc(job->ctx, "tiles", job->tile_count, sizeof *job->order, &job->order);
+    if (status == 0)
+        status = bsq_alloc(job->ctx, "tiles", (uint64_t)job->tile_count + 1, sizeof *job->starts,
+                           &job->starts);
+    if (status == 0 && bake_exact_wants_footprints(job->tiles->exact)) {
+        status = bsq_alloc(job->ctx, "footprints", job->tiles->triangle_count,
+                           sizeof *job->footprint_table, &job->footprint_table);
+        if (status == 0)
+            measure_footprints(job);
+    }
+    return status;
+}
+
+/* Room for as many rays as the budget has, but for a tile's at least. */
+static int allocate_rays(struct job *job)
+{
+    const uint64_t all = job->starts[job->tile_count];
+    job->capacity = bake_exact_capacity(job->tiles->exact);
+    for (uint32_t i = 0; i < job->tile_count; i++)
+        if (job->order[i].samples > job->capacity)
+            job->capacity = job->order[i].samples;
+    if (job->capacity > all)
+        job->capacity = all;
+    int status = bsq_alloc(job->ctx, "rays", job->capacity, sizeof *job->rays, &job->rays);
+    if (status == 0)
+        status = bsq_alloc(job->ctx, "hits", job->capacity, sizeof *job->hits, &job->hits);
+    if (status == 0 && job->footprint_table)
+        status = bsq_alloc(job->ctx, "footprints", job->capacity, sizeof *job->footprints,
+                           &job->footprints);
+    return status;
+}
+
+static void release(struct job *job, struct bake_report *report)
+{
+    bake_tile_workers_end(job->ctx, &job->workers, report);
+    bsq_free(job->ctx, job->order);
+    bsq_free(job->ctx, job->starts);
+    bsq_free(job->ctx, job->footprint_table);
+    bsq_free(job->ctx, job->rays);
+    bsq_free(job->ctx, job->hits);
+    bsq_free(job->ctx, job->footprints);
+}
+
+int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
+                           struct bake_report *report)
+{
+    struct job job = {.ctx = ctx, .tiles = tiles};
+    int status = bake_tile_workers_create(ctx, tiles->tile_size, tiles->samples, tiles->tile_size,
+                                          tiles->maps, &job.workers);
+    if (status == 0)
+        status = allocate_tiles(&job);
+    if (status == 0)
+        status = order_tiles(&job);
+    if (status == 0)
+        status = allocate_rays(&job);
+    if (status == 0)
+        status = run_batches(&job);
+    release(&job, report);
+    return status;
+}

@@ -1,0 +1,253 @@
+/* exact_tree.c - building and searching trees of boxes. */
+#include "libbake/exact/exact_tree.h"
+
+#include <string.h>
+
+/* A sort key: place on the curve above, number of the box below. */
+enum { NUMBER_BITS = 31, AXIS_BITS = 11, DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS };
+_Static_assert(NUMBER_BITS + 3 * AXIS_BITS == 64, "keys fill 64 bits");
+
+static uint64_t align64(uint64_t bytes)
+{
+    return (bytes + 63) & ~UINT64_C(63);
+}
+
+static uint32_t parents(uint32_t count)
+{
+    return count / 4 + (count % 4 != 0);
+}
+
+static uint64_t node_count(uint32_t count)
+{
+    uint64_t sum = 0;
+    do {
+        count = parents(count);
+        sum += count;
+    } while (count > 1);
+    return sum;
+}
+
+uint64_t bake_exact_tree_bytes(uint32_t count)
+{
+    return align64(node_count(count) * sizeof(struct exact_box4)) +
+           align64((uint64_t)count * sizeof(uint32_t));
+}
+
+uint64_t bake_exact_tree_scratch_bytes(uint32_t count)
+{
+    return 2 * (uint64_t)count * sizeof(uint64_t);
+}
+
+/* ---- order ---- */
+
+/* Hilbert's curve as an automaton: for a state and an octant (x in bit 0), the octant's place on
+ * the curve in the low three bits, and the state inside of it above. Found by following the curve
+ * of Skilling ("Programming the Hilbert curve", 2004) through two levels. */
+static const uint8_t hilbert[24][8] = {
+    {8, 55, 27, 36, 17, 46, 2, 5},
+    {56, 75, 65, 10, 95, 20, 86, 13},
+    {32, 99, 119, 12, 1, 18, 110, 21},
+    {142, 71, 29, 132, 121, 80, 26, 3},
+    {64, 57, 131, 34, 87, 94, 4, 37},
+    {156, 31, 51, 144, 45, 6, 42, 105},
+    {164, 143, 53, 70, 43, 120, 50, 81},
+    {0, 33, 111, 118, 171, 58, 68, 61},
+    {16, 47, 9, 54, 139, 60, 66, 69},
+    {134, 77, 177, 74, 39, 100, 112, 11},
+    {124, 91, 85, 82, 79, 160, 14, 49},
+    {188, 93, 83, 90, 135, 38, 176, 113},
+    {174, 101, 63, 76, 185, 98, 88, 19},
+    {148, 115, 103, 152, 109, 106, 22, 41},
+    {180, 117, 175, 62, 107, 114, 184, 89},
+    {122, 187, 125, 84, 25, 128, 150, 183},
+    {78, 161, 133, 130, 15, 48, 28, 35},
+    {30, 7, 145, 104, 141, 172, 138, 67},
+    {146, 179, 137, 168, 149, 108, 126, 191},
+    {154, 169, 163, 136, 157, 190, 44, 127},
+    {162, 129, 165, 182, 155, 24, 52, 151},
+    {102, 153, 23, 40, 173, 170, 140, 59},
+    {178, 181, 73, 166, 147, 116, 96, 159},
+    {186, 189, 123, 92, 97, 158, 72, 167},
+};
+
+uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side)
+{
+    const float most = (1 << AXIS_BITS) - 1;
+    const float scale = side > 0 ? (float)fmin((double)most / side, 1e30) : 0.0f;
+    uint32_t cells[3];
+    uint64_t place = 0;
+    for (int k = 0; k < 3; k++) {
+        float cell = (point[k] - low[k]) * scale;
+        cell = cell < most ? cell : most;
+        cells[k] = cell > 0.0f ? (uint32_t)cell : 0;
+    }
+    for (unsigned bit = AXIS_BITS, state = 0; bit-- > 0;) {
+        const unsigned octant =
+            (cells[0] >> bit & 1) | (cells[1] >> bit & 1) << 1 | (cells[2] >> bit & 1) << 2;
+        const unsigned entry = hilbert[state][octant];
+        place = place << 3 | (entry & 7);
+        state = entry >> 3;
+    }
+    return place;
+}
+
+/* Keys of the boxes' centres, on a lattice that divides the longest side of their bounds. */
+static void make_keys(uint32_t count, const struct exact_box *boxes, uint64_t *keys)
+{
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (uint32_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) {
+            float centre = 0.5f * boxes[i].low[k] + 0.5f * boxes[i].high[k];
+            low[k] = centre < low[k] ? centre : low[k];
+            high[k] = centre > high[k] ? centre : high[k];
+        }
+    double side = 0;
+    for (int k = 0; k < 3; k++)
+        side = fmax(side, (double)high[k] - (double)low[k]);
+    for (uint32_t i = 0; i < count; i++) {
+        float centre[3];
+        for (int k = 0; k < 3; k++)
+            centre[k] = 0.5f * boxes[i].low[k] + 0.5f * boxes[i].high[k];
+        keys[i] = bake_exact_curve_place(centre, low, side) << NUMBER_BITS | i;
+    }
+}
+
+/* Sorts by place; returns the array that has the result. */
+static const uint64_t *sort_keys(uint32_t count, uint64_t *keys, uint64_t *other)
+{
+    for (unsigned shift = NUMBER_BITS; shift < 64; shift += DIGIT_BITS) {
+        uint32_t starts[DIGITS] = {0}, sum = 0;
+        for (uint32_t i = 0; i < count; i++)
+            starts[keys[i] >> shift & (DIGITS - 1)]++;
+        for (int d = 0; d < DIGITS; d++) {
+            uint32_t here = starts[d];
+            starts[d] = sum;
+            sum += here;
+        }
+        for (uint32_t i = 0; i < count; i++)
+            other[starts[keys[i] >> shift & (DIGITS - 1)]++] = keys[i];
+        uint64_t *swap = keys;
+        keys = other;
+        other = swap;
+    }
+    return keys;
+}
+
+/* ---- nodes ---- */
+
+static void set_child(struct exact_box4 *node, unsigned child, const struct exact_box *box)
+{
+    for (int k = 0; k < 3; k++) {
+        node->planes[0][k][child] = box->low[k];
+        node->planes[1][k][child] = box->high[k];
+    }
+}
+
+static struct exact_box bounds_of(const struct exact_box4 *node)
+{
+    struct exact_box box;
+    for (int k = 0; k < 3; k++) {
+        const float *low = node->planes[0][k], *high = node->planes[1][k];
+        box.low[k] = low[0];
+        box.high[k] = high[0];
+        for (int c = 1; c < 4; c++) {
+            box.low[k] = low[c] < box.low[k] ? low[c] : box.low[k];
+            box.high[k] = high[c] > box.high[k] ? high[c] : box.high[k];
+        }
+    }
+    return box;
+}
+
+static const struct exact_box empty = {{INFINITY, INFINITY, INFINITY},
+                                       {-INFINITY, -INFINITY, -INFINITY}};
+
+static void fill_leaves(struct exact_tree *tree, const struct exact_box *boxes)
+{
+    uint32_t nodes = parents(tree->count);
+    for (uint32_t n = 0; n < nodes; n++)
+        for (unsigned c = 0; c < 4; c++) {
+            uint32_t place = 4 * n + c;
+            set_child(&tree->nodes[n], c,
+                      place < tree->count ? &boxes[tree->order[place]] : &empty);
+        }
+}
+
+static void fill_level(struct exact_tree *tree, uint32_t level, uint32_t children)
+{
+    const struct exact_box4 *below = tree->nodes + tree->first[level - 1];
+    struct exact_box4 *nodes = tree->nodes + tree->first[level];
+    for (uint32_t n = 0; n < parents(children); n++)
+        for (unsigned c = 0; c < 4; c++) {
+            struct exact_box box = empty;
+            if (4 * n + c < children)
+                box = bounds_of(&below[4 * n + c]);
+            set_child(&nodes[n], c, &box);
+        }
+}
+
+void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exact_box *boxes,
+                           void *memory, void *scratch)
+{
+    uint64_t *keys = scratch;
+    memset(tree, 0, sizeof *tree);
+    if (count == 0)
+        return;
+    tree->count = count;
+    tree->nodes = memory;
+    tree->order =
+        (uint32_t *)(void *)((char *)memory + align64(node_count(count) * sizeof *tree->nodes));
+    make_keys(count, boxes, keys);
+    const uint64_t *sorted = sort_keys(count, keys, keys + count);
+    for (uint32_t i = 0; i < count; i++)
+        tree->order[i] = (uint32_t)(sorted[i] & ((UINT64_C(1) << NUMBER_BITS) - 1));
+    fill_leaves(tree, boxes);
+    tree->levels = 1;
+    for (uint32_t children = parents(count); children > 1; children = parents(children)) {
+        uint32_t level = tree->levels++;
+        tree->first[level] = tree->first[level - 1] + children;
+        fill_level(tree, level, children);
+    }
+}
+
+/* ---- search ---- */
+
+static unsigned overlaps4(const struct exact_box4 *boxes, const struct exact_box *box)
+{
+    unsigned bits = 0;
+    for (unsigned c = 0; c < 4; c++) {
+        unsigned inside = 1;
+        for (int k = 0; k < 3; k++)
+            inside &= (unsigned)(boxes->planes[0][k][c] <= box->high[k]) &
+                      (unsigned)(boxes->planes[1][k][c] >= box->low[k]);
+        bits |= inside << c;
+    }
+    return bits;
+}
+
+uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct exact_box *box,
+                                     uint32_t *out)
+{
+    struct {
+        uint32_t level, node;
+    } stack[EXACT_TREE_STACK];
+    uint32_t depth = 0, found = 0;
+    if (tree->levels > 0) {
+        stack[0].level = tree->levels - 1;
+        stack[0].node = 0;
+        depth = 1;
+    }
+    while (depth > 0) {
+        const uint32_t level = stack[--depth].level, node = stack[depth].node;
+        unsigned bits = overlaps4(&tree->nodes[tree->first[level] + node], box);
+        for (; bits; bits &= bits - 1) {
+            uint32_t child = 4 * node + (uint32_t)__builtin_ctz(bits);
+            if (level == 0) {
+                out[found++] = tree->order[child];
+            } else {
+                stack[depth].level = level - 1;
+                stack[depth++].node = child;
+            }
+        }
+    }
+    return found;
+}

@@ -1,0 +1,261 @@
+/* lowpoly.c - the low mesh as the baker wants it: every triangle with its own three corners.
+ *
+ * Corners are unshared because texture seams and hard edges split them anyway, and because rays,
+ * rasterisation and tangents all go triangle by triangle. Normals that the file lacks are smooth
+ * vertex normals: the sum of the adjacent triangles' normals weighted by area, summed in double
+ * and by position index, so that texture seams do not show in them. */
+#include "libbake/lowpoly/lowpoly.h"
+
+#include <assert.h>
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "libbake/lowpoly/mikkt.h"
+
+static void face_cross(const struct bake_lowmesh *mesh, uint64_t triangle, double cross[3])
+{
+    const double(*p)[3] = (const double(*)[3])mesh->positions[triangle];
+    double a[3], b[3];
+    for (int k = 0; k < 3; k++) {
+        a[k] = p[1][k] - p[0][k];
+        b[k] = p[2][k] - p[0][k];
+    }
+    for (int k = 0; k < 3; k++) {
+        int k1 = (k + 1) % 3, k2 = (k + 2) % 3;
+        cross[k] = a[k1] * b[k2] - a[k2] * b[k1];
+    }
+}
+
+/* Writes v scaled to unit length; false where it has none. */
+static bool store_unit(const double v[3], float unit[3])
+{
+    double length = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    if (!(length > 0) || !isfinite(length))
+        return false;
+    for (int k = 0; k < 3; k++)
+        unit[k] = (float)(v[k] / length);
+    return true;
+}
+
+static int allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
+{
+    int rc = bsq_alloc(ctx, "low mesh positions", count, sizeof(*out->positions), &out->positions);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "low mesh normals", count, sizeof(*out->normals), &out->normals);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "low mesh texture coordinates", count, sizeof(*out->texcoords),
+                       &out->texcoords);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "low mesh tangents", count, sizeof(*out->tangents), &out->tangents);
+    return rc;
+}
+
+static void copy_positions(const struct fmt_mesh *mesh, struct bake_lowmesh *out)
+{
+    for (int k = 0; k < 3; k++) {
+        out->bounds_min[k] = INFINITY;
+        out->bounds_max[k] = -INFINITY;
+    }
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            const double *p = mesh->positions[mesh->vertices[t][i]];
+            for (int k = 0; k < 3; k++) {
+                out->positions[t][i][k] = p[k];
+                out->bounds_min[k] = fmin(out->bounds_min[k], p[k]);
+                out->bounds_max[k] = fmax(out->bounds_max[k], p[k]);
+            }
+        }
+    }
+}
+
+/* Names the line of a face without texture coordinates, for which the file is read once more. */
+static int fail_texcoords(struct bsq_ctx *ctx, const char *path, uint64_t face)
+{
+    struct fmt_obj_reader *reader = NULL;
+    struct fmt_obj_totals totals;
+    const char *file = path;
+    uint64_t line = 0;
+
+    int rc = fmt_obj_open(ctx, &path, 1, &reader);
+    if (rc == 0)
+        rc = fmt_obj_read(reader, NULL, NULL, &totals);
+    if (rc == 0)
+        rc = fmt_obj_locate_face(reader, face, &file, &line);
+    if (rc == 0)
+        rc = bsq_fail(ctx, BSQ_EDATA, "%s:%llu: face has no texture coordinates", file,
+                      (unsigned long long)line);
+    fmt_obj_close(reader);
+    return rc;
+}
+
+static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
+                          struct bake_lowmesh *out)
+{
+    if (mesh->corner_texcoords == NULL)
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: no texture coordinates: the low mesh has to be unwrapped", path);
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            uint32_t index = mesh->corner_texcoords[t][i];
+            if (index == UINT32_MAX)
+                return fail_texcoords(ctx, path, mesh->faces[t]);
+            for (int k = 0; k < 2; k++) {
+                double value = mesh->texcoords[index][k];
+                out->texcoords[t][i][k] = (float)fmin(fmax(value, -FLT_MAX), FLT_MAX);
+            }
+        }
+    }
+    return 0;
+}
+
+static bool lacks_normals(const struct fmt_mesh *mesh)
+{
+    if (mesh->corner_normals == NULL)
+        return true;
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            if (mesh->corner_normals[t][i] == UINT32_MAX)
+                return true;
+        }
+    }
+    return false;
+}
+
+/* Sums of area-weighted face normals by position index; *out stays NULL where none are needed. */
+static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
+                              const struct bake_lowmesh *low, double (**out)[3])
+{
+    double(*sums)[3] = NULL;
+
+    if (!lacks_normals(mesh))
+        return 0;
+    int rc = bsq_calloc(ctx, "smooth normals", mesh->vertex_count, sizeof(*sums), &sums);
+    if (rc)
+        return rc;
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        double cross[3];
+        face_cross(low, t, cross);
+        for (int i = 0; i < 3; i++) {
+            for (int k = 0; k < 3; k++)
+                sums[mesh->vertices[t][i]][k] += cross[k];
+        }
+    }
+    *out = sums;
+    return 0;
+}
+
+/* The corner's own normal, else the face's. A triangle without area that has no normal either gets
+ * an arbitrary one: it must be finite, but no direction is better than another. */
+static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[3],
+                          const float face_normal[3], uint64_t t, int i, float out[3])
+{
+    uint32_t index = mesh->corner_normals ? mesh->corner_normals[t][i] : UINT32_MAX;
+
+    assert(index != UINT32_MAX || smooth);
+    if (index != UINT32_MAX) {
+        const float *n = mesh->normals[index];
+        if (store_unit((const double[3]){n[0], n[1], n[2]}, out))
+            return;
+    } else if (store_unit(smooth[mesh->vertices[t][i]], out)) {
+        return;
+    }
+    memcpy(out, face_normal, 3 * sizeof(float));
+}
+
+static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
+{
+    double(*smooth)[3] = NULL;
+
+    int rc = sum_vertex_normals(ctx, mesh, out, &smooth);
+    if (rc)
+        return rc;
+    rc = bsq_check(ctx);
+    for (uint64_t t = 0; t < mesh->triangle_count && rc == 0; t++) {
+        float face_normal[3] = {0, 0, 1};
+        double cross[3];
+        face_cross(out, t, cross);
+        store_unit(cross, face_normal);
+        for (int i = 0; i < 3; i++)
+            choose_normal(mesh, (const double(*)[3])smooth, face_normal, t, i, out->normals[t][i]);
+    }
+    bsq_free(ctx, smooth);
+    return rc;
+}
+
+/* Where float positions relate to. The convention works on the file's coordinates as floats, so
+ * that is what it gets, except far from the origin, where floats would blur the corners together.
+ */
+static void choose_origin(const struct bake_lowmesh *mesh, double origin[3])
+{
+    double size = 0, reach = 0;
+
+    for (int k = 0; k < 3; k++) {
+        size = fmax(size, mesh->bounds_max[k] - mesh->bounds_min[k]);
+        reach = fmax(reach, fmax(fabs(mesh->bounds_min[k]), fabs(mesh->bounds_max[k])));
+    }
+    for (int k = 0; k < 3; k++)
+        origin[k] = reach > 64 * size ? (mesh->bounds_min[k] + mesh->bounds_max[k]) / 2 : 0;
+}
+
+static int compute_tangents(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
+{
+    float(*positions)[3][3] = NULL;
+    double origin[3];
+
+    int rc =
+        bsq_alloc(ctx, "tangent positions", mesh->triangle_count, sizeof(*positions), &positions);
+    if (rc < 0)
+        return rc;
+    choose_origin(mesh, origin);
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            for (int k = 0; k < 3; k++)
+                positions[t][i][k] = (float)(mesh->positions[t][i][k] - origin[k]);
+        }
+    }
+    rc = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
+                    (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
+                    mesh->tangents);
+    bsq_free(ctx, positions);
+    return rc;
+}
+
+int bake_lowmesh_load(struct bsq_ctx *ctx, const char *path, struct bake_lowmesh *out)
+{
+    struct fmt_mesh mesh = {0};
+
+    memset(out, 0, sizeof(*out));
+    int rc = fmt_mesh_load(ctx, path, &mesh);
+    if (rc < 0)
+        return rc;
+    rc = allocate(ctx, mesh.triangle_count, out);
+    if (rc < 0)
+        goto done;
+    out->triangle_count = mesh.triangle_count;
+    copy_positions(&mesh, out);
+    rc = bsq_check(ctx);
+    if (rc == 0)
+        rc = copy_texcoords(ctx, path, &mesh, out);
+    if (rc < 0)
+        goto done;
+    rc = fill_normals(ctx, &mesh, out);
+done:
+    fmt_mesh_free(ctx, &mesh);
+    if (rc == 0)
+        rc = bsq_check(ctx);
+    if (rc == 0)
+        rc = compute_tangents(ctx, out);
+    if (rc < 0)
+        bake_lowmesh_free(ctx, out);
+    return rc;
+}
+
+void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
+{
+    bsq_free(ctx, mesh->positions);
+    bsq_free(ctx, mesh->normals);
+    bsq_free(ctx, mesh->texcoords);
+    bsq_free(ctx, mesh->tangents);
+    memset(mesh, 0, sizeof(*mesh));
+}

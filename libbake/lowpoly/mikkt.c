@@ -1,0 +1,250 @@
+/* mikkt.c - tangent frames by the MikkTSpace convention (Mikkelsen, "Simulation of Wrinkled
+ * Surfaces Revisited", 2008).
+ *
+ * Around each vertex the triangles form fans: runs of neighbours across shared edges whose texture
+ * coordinates wind the same way. A fan's tangent is the mean of its triangles' tangents, each laid
+ * into the plane of the vertex normal and weighted by the angle of its corner there. Three kinds of
+ * triangle need care, and a shader agrees with the map only if they are treated as everybody does:
+ *  - without area in texture space: has no tangent; joins the first fan that reaches it, takes that
+ *    fan's winding, and carries the fan on to what lies behind it;
+ *  - with two corners in one place: joins nothing, and takes the tangents of its vertices
+ * afterwards;
+ *  - that no fan reaches: keeps the default, (1, 0, 0) with negative sign.
+ *
+ * Since a triangle has two edges at a vertex, a fan is a path or a ring and is found by walking in
+ * both directions. What is tested against zero is computed in float, as the convention does:
+ * whether a sliver counts as mirrored or as flat depends on it. */
+#include "libbake/lowpoly/mikkt.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "base/vec.h"
+#include "libbake/lowpoly/mikkt_topology.h"
+
+enum {
+    FLAG_DEGENERATE = 1, /* two corners in one place */
+    FLAG_FLAT = 2,       /* no area in texture space */
+    FLAG_UPRIGHT = 4,    /* texture space keeps its orientation; clear: mirrored */
+    FLAG_JOINED = 8,     /* corner 0 belongs to a fan; shifted by the corner */
+    FLAG_JOINED_ANY = FLAG_JOINED * 7
+};
+
+struct tangents {
+    struct mikkt_input input;
+    uint32_t *vertices;
+    uint32_t *twins;
+    uint8_t *flags;            /* per triangle */
+    struct bsq_vec3 *tangents; /* per triangle, unit, in its own plane */
+    float (*out)[4];
+};
+
+static struct bsq_vec3 load3(const float v[3])
+{
+    return bsq_v3(v[0], v[1], v[2]);
+}
+
+static bool not_zero(float x)
+{
+    return fabsf(x) > FLT_MIN;
+}
+
+/* Part of v in the plane of `normal`, as a unit vector. */
+static struct bsq_vec3 project_unit(struct bsq_vec3 v, struct bsq_vec3 normal)
+{
+    return bsq_unit3(bsq_sub3(v, bsq_scale3(normal, bsq_dot3(normal, v))));
+}
+
+/* ---- triangles ---- */
+
+/* Derivative of the position along u, up to scale, and how the texture lies on the triangle. */
+static void init_triangle(struct tangents *s, uint32_t triangle)
+{
+    const uint64_t c = 3 * (uint64_t)triangle;
+    const float(*uv)[2] = s->input.texcoords + c;
+    const struct bsq_vec3 p = load3(s->input.positions[c]);
+    const struct bsq_vec3 d1 = bsq_sub3(load3(s->input.positions[c + 1]), p);
+    const struct bsq_vec3 d2 = bsq_sub3(load3(s->input.positions[c + 2]), p);
+    const float u1 = uv[1][0] - uv[0][0], v1 = uv[1][1] - uv[0][1];
+    const float u2 = uv[2][0] - uv[0][0], v2 = uv[2][1] - uv[0][1];
+    const float area = u1 * v2 - v1 * u2;
+    const struct bsq_vec3 along_u = bsq_sub3(bsq_scale3(d1, v2), bsq_scale3(d2, v1));
+    const struct bsq_vec3 along_v = bsq_sub3(bsq_scale3(d2, u1), bsq_scale3(d1, u2));
+    uint8_t flags = area > 0 ? FLAG_UPRIGHT : 0;
+
+    if (!not_zero(area) || !not_zero(bsq_length3(along_u) / fabsf(area)) ||
+        !not_zero(bsq_length3(along_v) / fabsf(area)))
+        flags |= FLAG_FLAT;
+    if (mikkt_is_degenerate(&s->input, triangle))
+        flags |= FLAG_DEGENERATE;
+    s->flags[triangle] = flags;
+    s->tangents[triangle] = bsq_unit3(bsq_scale3(along_u, area > 0 ? 1.0f : -1.0f));
+}
+
+/* ---- fans ---- */
+
+/* The corner at the same vertex in the next triangle of the fan, or MIKKT_NONE. */
+static uint32_t step_left(const struct tangents *s, uint32_t corner)
+{
+    uint32_t twin = s->twins[corner];
+    return twin == MIKKT_NONE ? MIKKT_NONE : mikkt_next(twin);
+}
+static uint32_t step_right(const struct tangents *s, uint32_t corner)
+{
+    return s->twins[mikkt_previous(corner)];
+}
+
+/* Takes a corner into a fan if it is free and its triangle is wound as the fan is. */
+static bool join(struct tangents *s, uint32_t corner, uint8_t upright)
+{
+    uint8_t *flags = &s->flags[corner / 3];
+
+    if (*flags & (FLAG_JOINED << corner % 3))
+        return false;
+    if ((*flags & FLAG_FLAT) && !(*flags & FLAG_JOINED_ANY))
+        *flags = (uint8_t)((*flags & ~FLAG_UPRIGHT) | upright);
+    if ((*flags & FLAG_UPRIGHT) != upright)
+        return false;
+    *flags |= (uint8_t)(FLAG_JOINED << corner % 3);
+    return true;
+}
+
+/* A triangle's tangent at one of its corners, weighted by the angle of the corner as seen along the
+ * normal. */
+static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corner)
+{
+    const struct bsq_vec3 normal = load3(s->input.normals[corner]);
+    const struct bsq_vec3 p = load3(s->input.positions[corner]);
+    const struct bsq_vec3 a = load3(s->input.positions[mikkt_previous(corner)]);
+    const struct bsq_vec3 b = load3(s->input.positions[mikkt_next(corner)]);
+    const float cosine =
+        bsq_dot3(project_unit(bsq_sub3(a, p), normal), project_unit(bsq_sub3(b, p), normal));
+    const float angle = acosf(fminf(1.0f, fmaxf(-1.0f, cosine)));
+
+    return bsq_scale3(project_unit(s->tangents[corner / 3], normal), angle);
+}
+
+/* Collects the fan of a free corner, and gives its mean tangent to all of the fan's corners. */
+static void make_fan(struct tangents *s, uint32_t seed)
+{
+    const uint8_t upright = s->flags[seed / 3] & FLAG_UPRIGHT;
+    uint32_t first = seed, size = 1;
+    struct bsq_vec3 sum = {0, 0, 0};
+
+    join(s, seed, upright);
+    for (uint32_t c = step_left(s, seed); c != MIKKT_NONE && join(s, c, upright); size++) {
+        first = c;
+        c = step_left(s, c);
+    }
+    for (uint32_t c = step_right(s, seed); c != MIKKT_NONE && join(s, c, upright); size++)
+        c = step_right(s, c);
+
+    for (uint32_t n = 0, c = first; n < size; n++, c = step_right(s, c)) {
+        if (!(s->flags[c / 3] & FLAG_FLAT))
+            sum = bsq_add3(sum, weighted_tangent(s, c));
+    }
+    sum = bsq_unit3(sum);
+    for (uint32_t n = 0, c = first; n < size; n++, c = step_right(s, c)) {
+        s->out[c][0] = sum.x;
+        s->out[c][1] = sum.y;
+        s->out[c][2] = sum.z;
+        s->out[c][3] = upright ? 1.0f : -1.0f;
+    }
+}
+
+static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
+{
+    int rc = 0;
+    for (uint32_t c = 0; c < s->input.corner_count && rc == 0; c++) {
+        uint8_t flags = s->flags[c / 3];
+        if (!(flags & (FLAG_DEGENERATE | FLAG_FLAT | (FLAG_JOINED << c % 3))))
+            make_fan(s, c);
+        if (c % MIKKT_CORNERS_A_CHECK == 0)
+            rc = bsq_check(ctx);
+    }
+    return rc;
+}
+
+/* ---- triangles with two corners in one place ---- */
+
+/* Gives their corners the tangent of the first corner at the same vertex that has one. donors: room
+ * for one number a corner. */
+static void fill_degenerate(struct tangents *s, uint32_t *donors)
+{
+    const uint32_t count = s->input.corner_count;
+
+    memset(donors, 0xff, (size_t)count * sizeof(*donors));
+    for (uint32_t c = 0; c < count; c++) {
+        uint32_t *donor = &donors[s->vertices[c]];
+        if (*donor == MIKKT_NONE && !(s->flags[c / 3] & FLAG_DEGENERATE))
+            *donor = c;
+    }
+    for (uint32_t c = 0; c < count; c++) {
+        uint32_t donor = donors[s->vertices[c]];
+        if (donor != MIKKT_NONE && (s->flags[c / 3] & FLAG_DEGENERATE))
+            memcpy(s->out[c], s->out[donor], sizeof(s->out[c]));
+    }
+}
+
+/* ---- all ---- */
+
+static int allocate(struct bsq_ctx *ctx, struct tangents *s)
+{
+    const uint64_t corners = s->input.corner_count;
+
+    int rc = bsq_alloc(ctx, "welded vertices", corners, sizeof(*s->vertices), &s->vertices);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "edge twins", corners, sizeof(*s->twins), &s->twins);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "triangle flags", corners / 3, sizeof(*s->flags), &s->flags);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "triangle tangents", corners / 3, sizeof(*s->tangents), &s->tangents);
+    return rc;
+}
+
+static int compute(struct bsq_ctx *ctx, struct tangents *s)
+{
+    static const float unreached[4] = {1, 0, 0, -1};
+
+    int rc = bsq_check(ctx);
+    for (uint32_t t = 0; t < s->input.corner_count / 3 && rc == 0; t++) {
+        init_triangle(s, t);
+        if (t % MIKKT_CORNERS_A_CHECK == 0)
+            rc = bsq_check(ctx);
+    }
+    for (uint32_t c = 0; c < s->input.corner_count; c++)
+        memcpy(s->out[c], unreached, sizeof(unreached));
+    if (rc == 0)
+        rc = make_fans(ctx, s);
+    if (rc == 0)
+        fill_degenerate(s, s->twins); /* the twins have served */
+    return rc;
+}
+
+int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][3],
+               const float (*normals)[3][3], const float (*texcoords)[3][2], float (*out)[3][4])
+{
+    if (count >= UINT32_MAX / 3)
+        return bsq_fail(ctx, BSQ_EDATA, "low mesh has %llu triangles, %u are supported",
+                        (unsigned long long)count, UINT32_MAX / 3 - 1);
+    if (count == 0)
+        return 0;
+    struct tangents s = {.input = {.corner_count = (uint32_t)(3 * count),
+                                   .positions = positions[0],
+                                   .normals = normals[0],
+                                   .texcoords = texcoords[0]},
+                         .out = out[0]};
+    int rc = allocate(ctx, &s);
+    if (rc == 0)
+        rc = bake_mikkt_weld(ctx, &s.input, s.vertices);
+    if (rc == 0)
+        rc = bake_mikkt_find_twins(ctx, &s.input, s.vertices, s.twins);
+    if (rc == 0)
+        rc = compute(ctx, &s);
+    bsq_free(ctx, s.tangents);
+    bsq_free(ctx, s.flags);
+    bsq_free(ctx, s.twins);
+    bsq_free(ctx, s.vertices);
+    return rc;
+}

@@ -1,0 +1,164 @@
+/* mikkt_topology.c - welding by a hash table, pairing of edges by two counting sorts.
+ *
+ * Both are linear in the number of corners, whatever the mesh looks like: poles with many triangles
+ * and edges that many triangles share cost no more than others. */
+#include "libbake/lowpoly/mikkt_topology.h"
+
+#include <string.h>
+
+/* ---- welding ---- */
+
+static uint64_t mix_floats(uint64_t hash, const float *values, int count)
+{
+    for (int k = 0; k < count; k++) {
+        float value = values[k] + 0.0f; /* -0 becomes 0 */
+        uint32_t bits;
+        memcpy(&bits, &value, sizeof(bits));
+        hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+        hash ^= hash >> 32;
+    }
+    return hash;
+}
+
+static uint64_t hash_corner(const struct mikkt_input *input, uint32_t corner)
+{
+    uint64_t hash = mix_floats(1, input->positions[corner], 3);
+    hash = mix_floats(hash, input->normals[corner], 3);
+    return mix_floats(hash, input->texcoords[corner], 2);
+}
+
+static bool equal_floats(const float *a, const float *b, int count)
+{
+    for (int k = 0; k < count; k++) {
+        if (!(a[k] == b[k]))
+            return false;
+    }
+    return true;
+}
+
+static bool equal_corners(const struct mikkt_input *input, uint32_t a, uint32_t b)
+{
+    return equal_floats(input->positions[a], input->positions[b], 3) &&
+           equal_floats(input->normals[a], input->normals[b], 3) &&
+           equal_floats(input->texcoords[a], input->texcoords[b], 2);
+}
+
+int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32_t *vertices)
+{
+    uint32_t *table = NULL;
+    uint64_t capacity = 16;
+
+    while (capacity < 2 * (uint64_t)input->corner_count)
+        capacity *= 2;
+    int rc = bsq_alloc(ctx, "vertex table", capacity, sizeof(*table), &table);
+    if (rc < 0)
+        return rc;
+    memset(table, 0xff, capacity * sizeof(*table));
+    for (uint32_t c = 0; c < input->corner_count && rc == 0; c++) {
+        uint64_t slot = hash_corner(input, c) & (capacity - 1);
+        while (table[slot] != MIKKT_NONE && !equal_corners(input, table[slot], c))
+            slot = (slot + 1) & (capacity - 1);
+        if (table[slot] == MIKKT_NONE)
+            table[slot] = c;
+        vertices[c] = table[slot];
+        if (c % MIKKT_CORNERS_A_CHECK == 0)
+            rc = bsq_check(ctx);
+    }
+    bsq_free(ctx, table);
+    return rc;
+}
+
+/* ---- twins ---- */
+
+struct edge_ends {
+    uint32_t low, high; /* vertices, ordered by number */
+};
+
+static struct edge_ends ends_of(const uint32_t *vertices, uint32_t edge)
+{
+    uint32_t a = vertices[edge], b = vertices[mikkt_next(edge)];
+    return a < b ? (struct edge_ends){a, b} : (struct edge_ends){b, a};
+}
+
+/* Stable counting sort of edge numbers by their higher or lower vertex. `from` NULL means
+ * all in order; starts: room for count + 1 numbers, as vertices are numbered by corners. */
+static void sort_edges(uint32_t count, const uint32_t *vertices, bool by_high, const uint32_t *from,
+                       uint32_t *to, uint32_t *starts)
+{
+    memset(starts, 0, ((size_t)count + 1) * sizeof(*starts));
+    for (uint32_t e = 0; e < count; e++) {
+        struct edge_ends ends = ends_of(vertices, e);
+        starts[(by_high ? ends.high : ends.low) + 1]++;
+    }
+    for (uint32_t v = 0; v < count; v++)
+        starts[v + 1] += starts[v];
+    for (uint32_t n = 0; n < count; n++) {
+        uint32_t e = from ? from[n] : n;
+        struct edge_ends ends = ends_of(vertices, e);
+        to[starts[by_high ? ends.high : ends.low]++] = e;
+    }
+}
+
+/* Pairs the edges of one run, which all join the same two vertices: each takes the oldest one that
+ * waits for the opposite direction. Edges that wait all have one direction, so one cursor does. */
+static void pair_run(const uint32_t *run, uint32_t count, const uint32_t *vertices, uint32_t *twins)
+{
+    uint32_t waiting = 0;
+
+    for (uint32_t n = 0; n < count; n++) {
+        while (waiting < n && twins[run[waiting]] != MIKKT_NONE)
+            waiting++;
+        if (waiting < n && vertices[run[waiting]] != vertices[run[n]]) {
+            twins[run[waiting]] = run[n];
+            twins[run[n]] = run[waiting];
+        }
+    }
+}
+
+static void pair_sorted(const struct mikkt_input *input, const uint32_t *vertices, uint32_t *order,
+                        uint32_t *twins)
+{
+    uint32_t kept = 0;
+
+    for (uint32_t n = 0; n < input->corner_count; n++) {
+        if (!mikkt_is_degenerate(input, order[n] / 3))
+            order[kept++] = order[n];
+    }
+    for (uint32_t begin = 0, end; begin < kept; begin = end) {
+        struct edge_ends ends = ends_of(vertices, order[begin]);
+        for (end = begin + 1; end < kept; end++) {
+            struct edge_ends other = ends_of(vertices, order[end]);
+            if (other.low != ends.low || other.high != ends.high)
+                break;
+        }
+        pair_run(order + begin, end - begin, vertices, twins);
+    }
+}
+
+int bake_mikkt_find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input,
+                          const uint32_t *vertices, uint32_t *twins)
+{
+    const uint32_t corner_count = input->corner_count;
+    uint32_t *by_high = NULL, *by_both = NULL, *starts = NULL;
+
+    int rc = bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_high), &by_high);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "edge order", (uint64_t)corner_count + 1, sizeof(*starts), &starts);
+    if (rc)
+        goto done;
+    sort_edges(corner_count, vertices, true, NULL, by_high, starts);
+    if ((rc = bsq_check(ctx)) < 0)
+        goto done;
+    sort_edges(corner_count, vertices, false, by_high, by_both, starts);
+    if ((rc = bsq_check(ctx)) < 0)
+        goto done;
+    memset(twins, 0xff, (size_t)corner_count * sizeof(*twins));
+    pair_sorted(input, vertices, by_both, twins);
+done:
+    bsq_free(ctx, starts);
+    bsq_free(ctx, by_both);
+    bsq_free(ctx, by_high);
+    return rc;
+}

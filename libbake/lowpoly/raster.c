@@ -1,0 +1,222 @@
+/* raster.c - UV triangles by tile.
+ *
+ * The lists of all tiles lie in one array, each in the order of the mesh, found by counting first
+ * and placing second. Triangles are snapped again wherever they are needed: that is cheaper than
+ * the memory traffic of keeping them. */
+#include "libbake/lowpoly/raster_tiles.h"
+
+#include <string.h>
+
+/* Samples along a side of the map: corners still have 1/16 of a sample's distance. */
+#define MAX_SAMPLES_A_SIDE (UINT32_C(1) << 24)
+
+/* ---- lists ---- */
+
+static bool is_outside(const float (*texcoords)[2])
+{
+    for (int i = 0; i < 3; i++) {
+        for (int k = 0; k < 2; k++) {
+            if (!(texcoords[i][k] >= 0 && texcoords[i][k] <= 1))
+                return true;
+        }
+    }
+    return false;
+}
+
+/* Differences and products of floats are exact in double, unless magnitudes are far apart. */
+static bool has_uv_area(const float (*uv)[2])
+{
+    double ax = (double)uv[1][0] - uv[0][0], ay = (double)uv[1][1] - uv[0][1];
+    double bx = (double)uv[2][0] - uv[0][0], by = (double)uv[2][1] - uv[0][1];
+    return ax * by != ay * bx;
+}
+
+/* Range of tiles that a triangle's samples lie in; false where it has none. */
+static bool touched_tiles(const struct bake_raster *raster, uint64_t triangle,
+                          struct raster_window *tiles)
+{
+    const uint32_t size = raster->options.tile_size * raster->options.samples;
+    struct raster_triangle snapped;
+
+    if (!raster_snap_triangle(raster, triangle, &snapped))
+        return false;
+    struct raster_window samples = bake_raster_bounds(&raster->lattice, &snapped);
+    if (samples.begin_x >= samples.end_x || samples.begin_y >= samples.end_y)
+        return false;
+    *tiles = (struct raster_window){samples.begin_x / size, samples.begin_y / size,
+                                    (samples.end_x - 1) / size + 1, (samples.end_y - 1) / size + 1};
+    return true;
+}
+
+/* counts[tile] = number of triangles that may have samples in it. */
+static void count_triangles(const struct bake_raster *raster, uint64_t *counts)
+{
+    struct raster_window tiles;
+
+    for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
+        if (!touched_tiles(raster, t, &tiles))
+            continue;
+        for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
+            for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++)
+                counts[(uint64_t)y * raster->tile_columns + x]++;
+        }
+    }
+}
+
+/* Numbers the tiles that have triangles, and turns counts[] into where each tile's list begins. */
+static int number_tiles(struct bake_raster *raster, uint64_t *counts)
+{
+    const uint64_t places = (uint64_t)raster->tile_columns * raster->tile_rows;
+
+    for (uint64_t p = 0; p < places; p++)
+        raster->tile_count += counts[p] > 0;
+    int rc = bsq_alloc(raster->ctx, "tile numbers", raster->tile_count,
+                       sizeof(*raster->tile_numbers), &raster->tile_numbers);
+    if (rc == 0)
+        rc = bsq_alloc(raster->ctx, "tile lists", (uint64_t)raster->tile_count + 1,
+                       sizeof(*raster->starts), &raster->starts);
+    if (rc < 0)
+        return rc;
+    uint64_t sum = 0;
+    uint32_t tile = 0;
+    for (uint64_t p = 0; p < places; p++) {
+        uint64_t count = counts[p];
+        counts[p] = sum;
+        if (count > 0) {
+            raster->tile_numbers[tile] = (uint32_t)p;
+            raster->starts[tile++] = sum;
+        }
+        sum += count;
+    }
+    raster->starts[tile] = sum;
+    return bsq_alloc(raster->ctx, "tile lists", sum, sizeof(*raster->triangles),
+                     &raster->triangles);
+}
+
+/* Writes the lists; cursors[tile] is where its next entry goes. */
+static void place_triangles(struct bake_raster *raster, uint64_t *cursors)
+{
+    struct raster_window tiles;
+
+    for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
+        if (!touched_tiles(raster, t, &tiles))
+            continue;
+        for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
+            for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++) {
+                uint64_t *cursor = &cursors[(uint64_t)y * raster->tile_columns + x];
+                raster->triangles[(*cursor)++] = (uint32_t)t;
+            }
+        }
+    }
+}
+
+static int sort_into_tiles(struct bake_raster *raster)
+{
+    uint64_t *counts = NULL;
+
+    int rc =
+        bsq_calloc(raster->ctx, "tile counts", (uint64_t)raster->tile_columns * raster->tile_rows,
+                   sizeof(*counts), &counts);
+    if (rc < 0)
+        return rc;
+    count_triangles(raster, counts);
+    rc = bsq_check(raster->ctx);
+    if (rc == 0)
+        rc = number_tiles(raster, counts);
+    if (rc == 0)
+        place_triangles(raster, counts);
+    bsq_free(raster->ctx, counts);
+    return rc;
+}
+
+/* ---- creation ---- */
+
+static void inspect(const struct bake_raster *raster, struct bake_raster_report *report)
+{
+    struct raster_triangle snapped;
+
+    memset(report, 0, sizeof(*report));
+    for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
+        const float(*uv)[2] = (const float(*)[2])raster->mesh->texcoords[t];
+        bool fits = bake_raster_snap(&raster->lattice, uv, &snapped);
+        if (fits && !(has_uv_area(uv) && bake_raster_has_area(&snapped)))
+            report->degenerate_triangles++;
+        else if (is_outside(uv))
+            report->outside_triangles++;
+    }
+}
+
+static int check_options(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                         const struct bake_raster_options *o)
+{
+    if (o->width == 0 || o->height == 0 || o->samples == 0 || o->tile_size == 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a map of %u x %u texels, %u x %u samples each, is empty",
+                        o->width, o->height, o->samples, o->samples);
+    if ((uint64_t)(o->width > o->height ? o->width : o->height) * o->samples > MAX_SAMPLES_A_SIDE)
+        return bsq_fail(
+            ctx, BSQ_EUSAGE,
+            "a map of %u x %u texels with %u x %u samples each is too large: %u samples "
+            "a side are supported",
+            o->width, o->height, o->samples, o->samples, MAX_SAMPLES_A_SIDE);
+    if (mesh->triangle_count >= BK_NO_TRIANGLE)
+        return bsq_fail(ctx, BSQ_EDATA, "low mesh has %llu triangles, %u are supported",
+                        (unsigned long long)mesh->triangle_count, BK_NO_TRIANGLE - 1);
+    return 0;
+}
+
+static int lay_out_tiles(struct bake_raster *raster)
+{
+    struct bake_raster_options *o = &raster->options;
+    const uint32_t longest = o->width > o->height ? o->width : o->height;
+
+    if (o->tile_size > longest)
+        o->tile_size = longest;
+    raster->tile_columns = (o->width - 1) / o->tile_size + 1;
+    raster->tile_rows = (o->height - 1) / o->tile_size + 1;
+    if ((uint64_t)raster->tile_columns * raster->tile_rows > UINT32_MAX)
+        return bsq_fail(raster->ctx, BSQ_EUSAGE, "tiles of %u texels are too small for %u x %u",
+                        o->tile_size, o->width, o->height);
+    raster->lattice = bake_raster_lattice_for(o->width * o->samples, o->height * o->samples);
+    return 0;
+}
+
+int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                       const struct bake_raster_options *options, struct bake_raster_report *report,
+                       struct bake_raster **out)
+{
+    struct bake_raster *raster = NULL;
+
+    *out = NULL;
+    int rc = check_options(ctx, mesh, options);
+    if (rc == 0)
+        rc = bsq_calloc(ctx, "raster", 1, sizeof(*raster), &raster);
+    if (rc)
+        return rc;
+    raster->ctx = ctx;
+    raster->mesh = mesh;
+    raster->options = *options;
+    rc = lay_out_tiles(raster);
+    if (rc == 0) {
+        inspect(raster, report);
+        rc = bsq_check(ctx);
+        if (rc == 0)
+            rc = sort_into_tiles(raster);
+    }
+    if (rc < 0) {
+        bake_raster_free(raster);
+        return rc;
+    }
+    *out = raster;
+    return 0;
+}
+
+void bake_raster_free(struct bake_raster *raster)
+{
+    if (raster == NULL)
+        return;
+    struct bsq_ctx *ctx = raster->ctx;
+    bsq_free(ctx, raster->triangles);
+    bsq_free(ctx, raster->starts);
+    bsq_free(ctx, raster->tile_numbers);
+    bsq_free(ctx, raster);
+}

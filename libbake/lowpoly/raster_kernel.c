@@ -1,0 +1,122 @@
+/* raster_kernel.c - low-mesh triangles in the form that the kernel samples.
+ *
+ * The kernel works in float, so barycentric weights are affine functions of the distance to a texel
+ * near the triangle, and positions are in voxels of the grid; both are made in double. */
+#include "libbake/lowpoly/raster_tiles.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Across a sliver, weights change so fast that float and the snapping of its corners would place
+ * samples far outside of it. Triangles whose height is below 16 lattice steps, or below this part
+ * of their longest edge, are sampled along that edge instead. */
+#define SLIVER_STEPS  16.0
+#define SLIVER_ASPECT (1.0 / 16384)
+
+struct corners {
+    double x[3], y[3]; /* texels */
+};
+
+/* A barycentric weight as an affine function: gradient, and a point where it is zero. */
+struct weight {
+    double dx, dy, zero_x, zero_y;
+};
+
+static struct corners map_corners(const struct bake_raster *raster, uint64_t triangle)
+{
+    const float(*uv)[2] = (const float(*)[2])raster->mesh->texcoords[triangle];
+    struct corners c;
+
+    for (int i = 0; i < 3; i++) {
+        c.x[i] = uv[i][0] * (double)raster->options.width;
+        c.y[i] = (1.0 - uv[i][1]) * (double)raster->options.height;
+    }
+    return c;
+}
+
+static double corner_area(const struct corners *c)
+{
+    return (c->x[1] - c->x[0]) * (c->y[2] - c->y[0]) - (c->x[2] - c->x[0]) * (c->y[1] - c->y[0]);
+}
+
+static double edge_length(const struct corners *c, int i)
+{
+    int j = (i + 1) % 3;
+    return hypot(c->x[j] - c->x[i], c->y[j] - c->y[i]);
+}
+
+/* Weight of corner i: zero on the opposite edge. */
+static struct weight weight_in_triangle(const struct corners *c, double area, int i)
+{
+    int j = (i + 1) % 3, k = (i + 2) % 3;
+    return (struct weight){(c->y[j] - c->y[k]) / area, (c->x[k] - c->x[j]) / area, c->x[j],
+                           c->y[j]};
+}
+
+/* Weight of corner i along the edge from corner `edge` to the next: zero at the edge's other end.
+ */
+static struct weight weight_along_edge(const struct corners *c, int edge, int i)
+{
+    int other = i == edge ? (edge + 1) % 3 : edge;
+    double x = c->x[i] - c->x[other], y = c->y[i] - c->y[other];
+    double square = x * x + y * y;
+
+    if (i == (edge + 2) % 3)
+        return (struct weight){0, 0, 0, 0};
+    return (struct weight){x / square, y / square, c->x[other], c->y[other]};
+}
+
+static void set_weight(const struct weight *w, double x0, double y0, float out[3])
+{
+    out[0] = (float)w->dx;
+    out[1] = (float)w->dy;
+    out[2] = (float)(w->dx * (x0 - w->zero_x) + w->dy * (y0 - w->zero_y));
+}
+
+static void set_weights(const struct bake_raster *raster, uint64_t triangle,
+                        const struct raster_window *samples, struct bk_triangle *out)
+{
+    const uint32_t n = raster->options.samples;
+    const uint32_t texel_x = (samples->begin_x / 2 + samples->end_x / 2) / n;
+    const uint32_t texel_y = (samples->begin_y / 2 + samples->end_y / 2) / n;
+    const double x0 = texel_x, y0 = texel_y;
+    const double step = 1.0 / ((double)n * ((uint32_t)1 << raster->lattice.shift));
+    const struct corners c = map_corners(raster, triangle);
+    const double area = corner_area(&c);
+    struct weight w1 = weight_in_triangle(&c, area, 1), w2 = weight_in_triangle(&c, area, 2);
+    int longest = 0;
+
+    for (int i = 1; i < 3; i++)
+        longest = edge_length(&c, i) > edge_length(&c, longest) ? i : longest;
+    const double length = edge_length(&c, longest);
+    if (!(fabs(area) >= length * fmax(SLIVER_STEPS * step, SLIVER_ASPECT * length))) {
+        w1 = weight_along_edge(&c, longest, 1);
+        w2 = weight_along_edge(&c, longest, 2);
+    }
+    out->x0 = (float)x0;
+    out->y0 = (float)y0;
+    set_weight(&w1, x0, y0, out->b1);
+    set_weight(&w2, x0, y0, out->b2);
+}
+
+void bake_raster_kernel_triangles(const struct bake_raster *raster, const double translation[3],
+                                  double voxel_size, struct bk_triangle *out)
+{
+    const struct bake_lowmesh *mesh = raster->mesh;
+    struct raster_triangle snapped;
+
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        memset(&out[t], 0, sizeof(out[t]));
+        if (!raster_snap_triangle(raster, t, &snapped))
+            continue;
+        const struct raster_window samples = bake_raster_bounds(&raster->lattice, &snapped);
+        set_weights(raster, t, &samples, &out[t]);
+        for (int i = 0; i < 3; i++) {
+            for (int k = 0; k < 3; k++)
+                out[t].position[i][k] =
+                    (float)((mesh->positions[t][i][k] - translation[k]) / voxel_size);
+        }
+        memcpy(out[t].normal, mesh->normals[t], sizeof(out[t].normal));
+        memcpy(out[t].tangent, mesh->tangents[t], sizeof(out[t].tangent));
+    }
+}

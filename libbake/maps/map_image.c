@@ -1,0 +1,119 @@
+/* map_image.c - the map while it is being baked.
+ *
+ * Large maps go to a temporary file in row order: tiles are written as short runs that the page
+ * cache gathers, and the bands of the output stage are read in one piece each. What was never
+ * written is a hole, which reads as zeros. */
+#include "libbake/maps/map_image.h"
+
+#include <string.h>
+
+#include "base/file.h"
+
+struct bake_image {
+    struct bsq_ctx *ctx;
+    uint32_t width, height, channels;
+    size_t texel_bytes;
+    float *samples; /* NULL where the image is in `file` */
+    struct bsq_file file;
+};
+
+static int place(struct bake_image *image, const struct bake_image_options *options)
+{
+    struct bsq_ctx *ctx = image->ctx;
+    uint64_t texels = (uint64_t)options->width * options->height, bytes;
+    if (__builtin_mul_overflow(texels, image->texel_bytes, &bytes) || bytes > INT64_MAX)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a map of %u x %u texels is too large", options->width,
+                        options->height);
+    if (bytes <= options->memory_bytes)
+        return bsq_calloc(ctx, "map", texels, image->texel_bytes, &image->samples);
+    int status = bsq_require_disk(ctx, options->beside, bytes);
+    return status < 0 ? status : bsq_file_temp(ctx, options->beside, "map", &image->file);
+}
+
+int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *options,
+                      struct bake_image **out)
+{
+    *out = NULL;
+    struct bake_image *image;
+    int status = bsq_calloc(ctx, "map", 1, sizeof *image, &image);
+    if (status < 0)
+        return status;
+    image->ctx = ctx;
+    image->width = options->width;
+    image->height = options->height;
+    image->channels = options->channels;
+    image->texel_bytes = options->channels * sizeof(float);
+    image->file = (struct bsq_file)BSQ_FILE_CLOSED;
+    status = place(image, options);
+    if (status < 0)
+        bake_image_free(image);
+    else
+        *out = image;
+    return status;
+}
+
+void bake_image_free(struct bake_image *image)
+{
+    if (!image)
+        return;
+    bsq_file_close(image->ctx, &image->file);
+    bsq_free(image->ctx, image->samples);
+    bsq_free(image->ctx, image);
+}
+
+uint32_t bake_image_width(const struct bake_image *image)
+{
+    return image->width;
+}
+
+uint32_t bake_image_height(const struct bake_image *image)
+{
+    return image->height;
+}
+
+uint32_t bake_image_channels(const struct bake_image *image)
+{
+    return image->channels;
+}
+
+bool bake_image_in_memory(const struct bake_image *image)
+{
+    return image->samples != NULL;
+}
+
+int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t width,
+                     uint32_t height, const float *samples)
+{
+    size_t run_bytes = width * image->texel_bytes;
+    for (uint32_t row = 0; row < height; ++row) {
+        uint64_t texel = (uint64_t)(y + row) * image->width + x;
+        const float *run = samples + (size_t)row * width * image->channels;
+        if (image->samples) {
+            memcpy(image->samples + texel * image->channels, run, run_bytes);
+        } else {
+            int status = bsq_file_write(image->ctx, &image->file, run, run_bytes,
+                                        texel * image->texel_bytes);
+            if (status < 0)
+                return status;
+        }
+    }
+    return 0;
+}
+
+int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,
+                    const float **rows)
+{
+    uint64_t texel = (uint64_t)y * image->width;
+    if (image->samples) {
+        *rows = image->samples + texel * image->channels;
+        return 0;
+    }
+    uint64_t size = (uint64_t)count * image->width * image->texel_bytes, got;
+    int status = bsq_file_read_some(image->ctx, &image->file, buffer, size,
+                                    texel * image->texel_bytes, &got);
+    if (status < 0)
+        return status;
+    memset((char *)buffer + got, 0, size - got); /* the file ends after the last texel written */
+    *rows = buffer;
+    return 0;
+}

@@ -1,0 +1,159 @@
+/* preview_mesh.c - the low mesh in the preview: a z-buffer that holds triangle numbers, shaded
+ * afterwards, so that the plain and the mapped panel share the visibility. */
+#include "libbake/preview/preview_view.h"
+
+/* Corner on the panel: x, y in samples, depth towards the camera. */
+static void project(const struct preview_view *view, const double p[3], double out[3])
+{
+    double v[3];
+    for (int k = 0; k < 3; ++k)
+        v[k] = p[k] - view->centre[k];
+    double right = v[0] * view->right[0] + v[1] * view->right[1] + v[2] * view->right[2];
+    double up = v[0] * view->up[0] + v[1] * view->up[1] + v[2] * view->up[2];
+    out[0] = 0.5 * PREVIEW_SAMPLES + view->scale * right;
+    out[1] = 0.5 * PREVIEW_SAMPLES - view->scale * up;
+    out[2] = v[0] * view->toward[0] + v[1] * view->toward[1] + v[2] * view->toward[2];
+}
+
+static void project_triangle(const struct bake_preview *preview, const struct preview_view *view,
+                             uint64_t triangle, double out[3][3])
+{
+    for (int c = 0; c < 3; ++c)
+        project(view, preview->mesh->positions[triangle][c], out[c]);
+}
+
+void bake_preview_mesh_extents(const struct bake_preview *preview, const struct preview_view *view,
+                               uint64_t first, uint64_t count, struct preview_extent *extents)
+{
+    for (uint64_t t = first; t < first + count; ++t) {
+        double p[3][3];
+        project_triangle(preview, view, t, p);
+        extents[t].top = (float)fmin(p[0][1], fmin(p[1][1], p[2][1])) - 0.01f;
+        extents[t].bottom = (float)fmax(p[0][1], fmax(p[1][1], p[2][1])) + 0.01f;
+    }
+}
+
+/* Twice the signed area of a, b and the point; its sign tells the side. */
+static double edge(const double a[3], const double b[3], double x, double y)
+{
+    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
+}
+
+static void weights_at(double (*p)[3], double x, double y, double weights[3])
+{
+    double area = edge(p[0], p[1], p[2][0], p[2][1]);
+    weights[0] = edge(p[1], p[2], x, y) / area;
+    weights[1] = edge(p[2], p[0], x, y) / area;
+    weights[2] = 1.0 - weights[0] - weights[1];
+}
+
+static uint32_t clamp_sample(double v, double limit)
+{
+    return v > 0 ? (v < limit ? (uint32_t)v : (uint32_t)limit) : 0;
+}
+
+static void draw_triangle(double (*p)[3], uint32_t triangle, uint32_t first_row,
+                          struct preview_band *band)
+{
+    double area = edge(p[0], p[1], p[2][0], p[2][1]);
+    if (area == 0.0)
+        return;
+    double left = fmin(p[0][0], fmin(p[1][0], p[2][0]));
+    double right = fmax(p[0][0], fmax(p[1][0], p[2][0]));
+    double top = fmin(p[0][1], fmin(p[1][1], p[2][1])) - first_row;
+    double bottom = fmax(p[0][1], fmax(p[1][1], p[2][1])) - first_row;
+    uint32_t x0 = clamp_sample(left - 0.5, PREVIEW_SAMPLES);
+    uint32_t x1 = clamp_sample(right + 1.0, PREVIEW_SAMPLES);
+    uint32_t y0 = clamp_sample(top - 0.5, PREVIEW_BAND * PREVIEW_GRID);
+    uint32_t y1 = clamp_sample(bottom + 1.0, PREVIEW_BAND * PREVIEW_GRID);
+    for (uint32_t y = y0; y < y1; ++y)
+        for (uint32_t x = x0; x < x1; ++x) {
+            double w[3];
+            weights_at(p, x + 0.5, first_row + y + 0.5, w);
+            if (w[0] < 0 || w[1] < 0 || w[2] < 0)
+                continue;
+            size_t i = (size_t)y * PREVIEW_SAMPLES + x;
+            float depth = (float)(w[0] * p[0][2] + w[1] * p[1][2] + w[2] * p[2][2]);
+            if (band->triangle[i] == UINT32_MAX || depth > band->depth[i]) {
+                band->depth[i] = depth;
+                band->triangle[i] = triangle;
+            }
+        }
+}
+
+void bake_preview_mesh_band(const struct bake_preview *preview, const struct preview_view *view,
+                            const struct preview_extent *extents, uint32_t first_row,
+                            struct preview_band *band)
+{
+    const uint32_t rows = PREVIEW_BAND * PREVIEW_GRID;
+    float top = (float)first_row, bottom = (float)(first_row + rows);
+    for (size_t i = 0; i < (size_t)rows * PREVIEW_SAMPLES; ++i)
+        band->triangle[i] = UINT32_MAX;
+    for (uint64_t t = 0; t < preview->mesh->triangle_count; ++t) {
+        if (extents[t].bottom < top || extents[t].top > bottom)
+            continue;
+        double p[3][3];
+        project_triangle(preview, view, t, p);
+        draw_triangle(p, (uint32_t)t, first_row, band);
+    }
+}
+
+/* ---- shading ---- */
+
+static struct bsq_vec3 blend(float (*corners)[3], const float weights[3])
+{
+    float v[3];
+    for (int k = 0; k < 3; ++k)
+        v[k] = weights[0] * corners[0][k] + weights[1] * corners[1][k] + weights[2] * corners[2][k];
+    return bsq_v3(v[0], v[1], v[2]);
+}
+
+/* What a MikkTSpace shader does with a normal map: N and T as interpolated, not unit. */
+static struct bsq_vec3 mapped_normal(const struct bake_preview *preview, uint32_t triangle,
+                                     const float weights[3], float u, float v)
+{
+    const struct bake_lowmesh *mesh = preview->mesh;
+    float encoded[3];
+    bake_thumbnail_sample(&preview->normal, u, v, encoded);
+    struct bsq_vec3 m = bsq_v3(2 * encoded[0] - 1, 2 * encoded[1] - 1, 2 * encoded[2] - 1);
+    if (preview->normal_space == BAKE_OBJECT_SPACE)
+        return bsq_unit3(m);
+    if (preview->green_down)
+        m.y = -m.y;
+    struct bsq_vec3 normal = blend(mesh->normals[triangle], weights);
+    float tangents[3][3];
+    for (int c = 0; c < 3; ++c)
+        for (int k = 0; k < 3; ++k)
+            tangents[c][k] = mesh->tangents[triangle][c][k];
+    struct bsq_vec3 tangent = blend(tangents, weights);
+    struct bsq_vec3 bitangent =
+        bsq_scale3(bsq_cross3(normal, tangent), mesh->tangents[triangle][0][3]);
+    return bsq_unit3(bsq_add3(bsq_add3(bsq_scale3(tangent, m.x), bsq_scale3(bitangent, m.y)),
+                              bsq_scale3(normal, m.z)));
+}
+
+struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
+                                         const struct preview_view *view, uint32_t triangle,
+                                         double x, double y, bool with_maps)
+{
+    const struct bake_lowmesh *mesh = preview->mesh;
+    double p[3][3], w[3];
+    project_triangle(preview, view, triangle, p);
+    weights_at(p, x, y, w);
+    const float weights[3] = {(float)w[0], (float)w[1], (float)w[2]};
+    struct bsq_vec3 normal = bsq_unit3(blend(mesh->normals[triangle], weights));
+    struct bsq_vec3 albedo = bake_preview_grey();
+    if (with_maps) {
+        float(*uv)[2] = mesh->texcoords[triangle];
+        float u = weights[0] * uv[0][0] + weights[1] * uv[1][0] + weights[2] * uv[2][0];
+        float v = weights[0] * uv[0][1] + weights[1] * uv[1][1] + weights[2] * uv[2][1];
+        if (preview->normal.texels)
+            normal = mapped_normal(preview, triangle, weights, u, v);
+        if (preview->color.texels) {
+            float color[3];
+            bake_thumbnail_sample(&preview->color, u, v, color);
+            albedo = bsq_v3(color[0], color[1], color[2]);
+        }
+    }
+    return bake_preview_shade(view, normal, albedo);
+}

@@ -1,0 +1,114 @@
+/* preview_scan.c - the scan in the preview: rays from the camera, strip by strip of the panel. */
+#include "libbake/preview/preview_view.h"
+
+#include "base/parallel.h"
+
+enum { ROW_RAYS = PREVIEW_SAMPLES * PREVIEW_GRID }; /* of a row of pixels */
+
+struct strip {
+    const struct bake_preview *preview;
+    const struct preview_view *view;
+    uint32_t first_row, rows; /* of pixels */
+    struct bake_exact_ray *rays;
+    struct bake_exact_hit *hits;
+    float *pixels; /* of the panel's first row */
+    size_t stride; /* floats a row */
+};
+
+static int cast_row(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    const struct strip *strip = arg;
+    const struct preview_view *view = strip->view;
+    const struct bake_surface *surface = strip->preview->surface;
+    struct bake_exact_ray *ray = strip->rays + index * ROW_RAYS;
+    for (uint32_t i = 0; i < ROW_RAYS; ++i, ++ray) {
+        const double x = i % PREVIEW_SAMPLES + 0.5;
+        const uint64_t row = (strip->first_row + index) * PREVIEW_GRID + i / PREVIEW_SAMPLES;
+        const double y = (double)row + 0.5;
+        const double right = (x - 0.5 * PREVIEW_SAMPLES) / view->scale;
+        const double up = (0.5 * PREVIEW_SAMPLES - y) / view->scale;
+        for (int k = 0; k < 3; ++k) {
+            double p = view->centre[k] + right * view->right[k] + up * view->up[k] +
+                       view->scan_depth * view->toward[k];
+            ray->origin[k] = (float)((p - surface->translation[k]) / surface->unit);
+            ray->direction[k] = -(float)view->toward[k];
+        }
+    }
+    return 0;
+}
+
+static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_exact_hit *hit,
+                                 uint32_t row)
+{
+    if (hit->triangle == BAKE_EXACT_NONE)
+        return bake_preview_background(row);
+    struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
+    /* Grey beside a mesh without a colour map, so that the two pictures are to be the same. */
+    struct bsq_vec3 albedo = strip->preview->color.texels
+                                 ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
+                                 : bake_preview_grey();
+    return bake_preview_shade(strip->view, normal, albedo);
+}
+
+static int shade_row(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    const struct strip *strip = arg;
+    const uint32_t row = strip->first_row + (uint32_t)index;
+    const struct bake_exact_hit *hits = strip->hits + index * ROW_RAYS;
+    float *out = strip->pixels + row * strip->stride;
+    for (uint32_t column = 0; column < PREVIEW_SIDE; ++column, out += 3) {
+        struct bsq_vec3 sum = bsq_v3(0, 0, 0);
+        for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
+            for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
+                sum = bsq_add3(
+                    sum,
+                    hit_color(strip, &hits[j * PREVIEW_SAMPLES + column * PREVIEW_GRID + i], row));
+        sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
+        out[0] = sum.x;
+        out[1] = sum.y;
+        out[2] = sum.z;
+    }
+    return 0;
+}
+
+static int render_strip(struct strip *strip)
+{
+    struct bsq_ctx *ctx = strip->preview->surface->ctx;
+    struct bk_params params = *strip->preview->params;
+    params.flags &= ~(bk_uint)BK_NEAREST; /* the reference is the best that there is */
+    const struct bake_surface_rays rays = {.rays = strip->rays,
+                                           .hits = strip->hits,
+                                           .count = (uint64_t)strip->rows * ROW_RAYS,
+                                           .t_min = 0,
+                                           .t_max = strip->view->scan_span,
+                                           .against = true};
+    int status = bsq_parallel_for(ctx, strip->rows, cast_row, strip);
+    if (status == 0)
+        status = bake_surface_trace(strip->preview->surface, &params, &rays);
+    if (status == 0)
+        status = bsq_parallel_for(ctx, strip->rows, shade_row, strip);
+    return status;
+}
+
+int bake_preview_scan_panel(const struct bake_preview *preview, const struct preview_view *view,
+                            float *pixels, size_t stride)
+{
+    struct bsq_ctx *ctx = preview->surface->ctx;
+    struct strip strip = {.preview = preview, .view = view, .pixels = pixels, .stride = stride};
+    uint64_t most = bake_surface_capacity(preview->surface) / ROW_RAYS;
+    most = most < 1 ? 1 : most > PREVIEW_SIDE ? PREVIEW_SIDE : most;
+    int status = bsq_alloc(ctx, "preview", most, ROW_RAYS * sizeof *strip.rays, &strip.rays);
+    if (status == 0)
+        status = bsq_alloc(ctx, "preview", most, ROW_RAYS * sizeof *strip.hits, &strip.hits);
+    for (uint32_t row = 0; status == 0 && row < PREVIEW_SIDE; row += strip.rows) {
+        strip.first_row = row;
+        strip.rows = PREVIEW_SIDE - row < most ? PREVIEW_SIDE - row : (uint32_t)most;
+        status = render_strip(&strip);
+        bsq_progress_add(ctx, strip.rows);
+    }
+    bsq_free(ctx, strip.hits);
+    bsq_free(ctx, strip.rays);
+    return status;
+}

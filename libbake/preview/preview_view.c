@@ -1,0 +1,107 @@
+/* preview_view.c - where the preview's camera and lights stand. */
+#include "libbake/preview/preview_view.h"
+
+/* Three-quarter view from the front and slightly above; y is up, as in most OBJ files. */
+static const double azimuth = 0.52, elevation = 0.30; /* radians */
+static const double margin = 0.92; /* share of the panel that the low mesh fills */
+
+static double dot(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static void set_axes(struct preview_view *view)
+{
+    double sa = sin(azimuth), ca = cos(azimuth), se = sin(elevation), ce = cos(elevation);
+    const double right[3] = {ca, 0, -sa}, up[3] = {-se * sa, ce, -se * ca},
+                 toward[3] = {ce * sa, se, ce * ca};
+    for (int k = 0; k < 3; ++k) {
+        view->right[k] = right[k];
+        view->up[k] = up[k];
+        view->toward[k] = toward[k];
+    }
+}
+
+static struct bsq_vec3 direction(const struct preview_view *view, double right, double up,
+                                 double toward)
+{
+    float v[3];
+    for (int k = 0; k < 3; ++k)
+        v[k] = (float)(right * view->right[k] + up * view->up[k] + toward * view->toward[k]);
+    return bsq_unit3(bsq_v3(v[0], v[1], v[2]));
+}
+
+static void frame_mesh(const struct bake_lowmesh *mesh, struct preview_view *view)
+{
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t)
+        for (int c = 0; c < 3; ++c) {
+            const double *p = mesh->positions[t][c];
+            double at[2] = {dot(view->right, p), dot(view->up, p)};
+            for (int k = 0; k < 2; ++k) {
+                low[k] = fmin(low[k], at[k]);
+                high[k] = fmax(high[k], at[k]);
+            }
+        }
+    double centre_right = 0.5 * (low[0] + high[0]), centre_up = 0.5 * (low[1] + high[1]);
+    double size = fmax(high[0] - low[0], high[1] - low[1]);
+    view->scale = size > 0 ? margin * PREVIEW_SAMPLES / size : 1.0;
+    /* The plane of the picture goes through the origin of depths. */
+    for (int k = 0; k < 3; ++k)
+        view->centre[k] = centre_right * view->right[k] + centre_up * view->up[k];
+}
+
+static void span_scan(const struct bake_surface *scan, struct preview_view *view)
+{
+    double nearest = -INFINITY, farthest = INFINITY;
+    for (int corner = 0; corner < 8; ++corner) {
+        double p[3];
+        for (int k = 0; k < 3; ++k)
+            p[k] = corner >> k & 1 ? scan->scan_max[k] : scan->scan_min[k];
+        double depth = dot(p, view->toward) - dot(view->centre, view->toward);
+        nearest = fmax(nearest, depth);
+        farthest = fmin(farthest, depth);
+    }
+    double rim = 4 * scan->detail;
+    view->scan_depth = nearest + rim;
+    view->scan_span = nearest - farthest + 2 * rim;
+}
+
+void bake_preview_view_set(const struct bake_preview *preview, struct preview_view *view)
+{
+    set_axes(view);
+    view->key = direction(view, -0.55, 0.65, 0.55);
+    view->fill = direction(view, 0.85, 0.05, 0.5);
+    frame_mesh(preview->mesh, view);
+    span_scan(preview->surface, view);
+}
+
+static float above_zero(float v)
+{
+    return v > 0.0f ? v : 0.0f;
+}
+
+struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_vec3 normal,
+                                   struct bsq_vec3 albedo)
+{
+    float key = above_zero(bsq_dot3(normal, view->key));
+    float fill = above_zero(bsq_dot3(normal, view->fill));
+    float light = 0.95f * key + 0.16f * fill + 0.05f;
+    /* A faint highlight shows small changes of the normal. */
+    struct bsq_vec3 toward =
+        bsq_v3((float)view->toward[0], (float)view->toward[1], (float)view->toward[2]);
+    struct bsq_vec3 half = bsq_unit3(bsq_add3(view->key, toward));
+    float shine = 0.06f * powf(above_zero(bsq_dot3(normal, half)), 32.0f);
+    return bsq_add3(bsq_scale3(albedo, light), bsq_v3(shine, shine, shine));
+}
+
+struct bsq_vec3 bake_preview_grey(void)
+{
+    return bsq_v3(0.6f, 0.6f, 0.6f);
+}
+
+struct bsq_vec3 bake_preview_background(uint32_t row)
+{
+    float level = 0.16f - 0.10f * (float)row / PREVIEW_SIDE;
+    return bsq_v3(level, level, level);
+}

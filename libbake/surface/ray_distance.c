@@ -1,0 +1,158 @@
+/* ray_distance.c - measures the distance between low mesh and scan.
+ *
+ * A percentile rather than the largest distance: where the scan has a hole, a ray finds
+ * some other surface far away. Such rays are few, and cutting them off keeps them out of the map.
+ */
+#include "libbake/surface/ray_distance.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#include "base/vec.h"
+
+enum { PROBES = 16384 };
+
+struct probe {
+    uint64_t triangle;
+    float weights[3]; /* barycentric */
+};
+
+static double triangle_area(const struct bake_lowmesh *mesh, uint64_t triangle)
+{
+    double(*p)[3] = mesh->positions[triangle];
+    double a[3], b[3];
+    for (int k = 0; k < 3; ++k) {
+        a[k] = p[1][k] - p[0][k];
+        b[k] = p[2][k] - p[0][k];
+    }
+    double x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2],
+           z = a[0] * b[1] - a[1] * b[0];
+    return 0.5 * sqrt(x * x + y * y + z * z);
+}
+
+static float fraction(double v)
+{
+    return (float)(v - floor(v));
+}
+
+static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
+                                       const struct bake_lowmesh *mesh, const struct probe *probe)
+{
+    double(*positions)[3] = mesh->positions[probe->triangle];
+    float(*normals)[3] = mesh->normals[probe->triangle];
+    struct bake_exact_ray ray;
+    float normal[3];
+    for (int k = 0; k < 3; ++k) {
+        double p = 0, n = 0;
+        for (int c = 0; c < 3; ++c) {
+            /* Moved first: the weights' sum is 1 but for rounding, which far from the origin is a
+             * long way. */
+            p += (double)probe->weights[c] * (positions[c][k] - surface->translation[k]);
+            n += (double)probe->weights[c] * (double)normals[c][k];
+        }
+        ray.origin[k] = (float)(p / surface->unit);
+        normal[k] = (float)n;
+    }
+    struct bsq_vec3 unit = bsq_unit3(bsq_v3(normal[0], normal[1], normal[2]));
+    ray.direction[0] = unit.x;
+    ray.direction[1] = unit.y;
+    ray.direction[2] = unit.z;
+    return ray;
+}
+
+/* Equal steps of area over the triangles; inside them a low-discrepancy sequence (Roberts, 2018).
+ */
+static void place_probes(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
+                         struct bake_exact_ray *rays)
+{
+    double total = 0, passed = 0;
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t)
+        total += triangle_area(mesh, t);
+    uint64_t next = 0;
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
+        passed += triangle_area(mesh, t);
+        bool last = t + 1 == mesh->triangle_count;
+        for (; next < PROBES && (last || (double)next + 0.5 < passed / total * PROBES); ++next) {
+            float u = fraction(0.7548776662466927 * (double)next);
+            float v = fraction(0.5698402909980532 * (double)next);
+            if (u + v > 1.0f) {
+                u = 1.0f - u;
+                v = 1.0f - v;
+            }
+            struct probe probe = {.triangle = t, .weights = {1.0f - u - v, u, v}};
+            rays[next] = probe_ray(surface, mesh, &probe);
+        }
+    }
+}
+
+static int compare_floats(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+/* Length of the rays on one side; `distances` are sorted, negative ones lie on the other side. */
+static double side_length(const float *distances, size_t count, double sign, double detail)
+{
+    size_t rank = (size_t)((double)(count - 1) * 0.999);
+    double d = sign * (double)distances[sign > 0 ? rank : count - 1 - rank];
+    return 1.5 * (d > 0 ? d : 0) + 2.0 * detail;
+}
+
+static double scan_diagonal(const struct bake_surface *surface)
+{
+    double square = 0;
+    for (int k = 0; k < 3; ++k) {
+        double side = surface->scan_max[k] - surface->scan_min[k];
+        square += side * side;
+    }
+    return sqrt(square);
+}
+
+static size_t take_distances(const struct bake_exact_hit *hits, float *distances)
+{
+    size_t count = 0;
+    for (size_t i = 0; i < PROBES; ++i)
+        if (hits[i].triangle != BAKE_EXACT_NONE)
+            distances[count++] = (float)hits[i].t;
+    qsort(distances, count, sizeof *distances, compare_floats);
+    return count;
+}
+
+int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
+                           const struct bake_lowmesh *mesh, double *front, double *back)
+{
+    struct bsq_ctx *ctx = surface->ctx;
+    const double diagonal = scan_diagonal(surface), reach = 0.1 * diagonal + 2.0 * surface->detail;
+    struct bake_exact_ray *rays = NULL;
+    struct bake_exact_hit *hits = NULL;
+    float *distances = NULL;
+    *front = *back = 0.05 * diagonal;
+    int status = bsq_alloc(ctx, "distances", PROBES, sizeof *rays, &rays);
+    if (status == 0)
+        status = bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits);
+    if (status == 0)
+        status = bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances);
+    if (status)
+        goto done;
+    place_probes(surface, mesh, rays);
+    struct bake_surface_rays probes = {.rays = rays,
+                                       .hits = hits,
+                                       .count = PROBES,
+                                       .t_min = -reach,
+                                       .t_max = reach,
+                                       .distances_only = true};
+    status = bake_surface_trace(surface, params, &probes);
+    if (status)
+        goto done;
+    size_t count = take_distances(hits, distances);
+    if (count >= PROBES / 100) {
+        *front = side_length(distances, count, 1, surface->detail);
+        *back = side_length(distances, count, -1, surface->detail);
+    }
+done:
+    bsq_free(ctx, distances);
+    bsq_free(ctx, hits);
+    bsq_free(ctx, rays);
+    return status;
+}

@@ -1,0 +1,193 @@
+/* surface.c - grids and triangles behind one face, for all but the map's own rays, which go to a
+ * device or in batches. */
+#include "libbake/surface/surface.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/parallel.h"
+#include "formats/file_kind.h"
+
+enum {
+    RAYS_A_TASK = 256,
+    DETAILS = 2048, /* along the longest side, the usual resolution of a grid */
+    MOST_GRID_RAYS = 1 << 18
+};
+
+static int open_grid(struct bake_surface *surface, const struct bake_options *options)
+{
+    if (options->scan_normals != BAKE_SCAN_NORMALS_SMOOTH)
+        return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                        "%s: normals are chosen for triangles; a grid has its own",
+                        options->scan_path);
+    int status = fmt_nvdb_open(surface->ctx, options->scan_path, &surface->grid);
+    if (status < 0)
+        return status;
+    status = bake_check_grid(surface->ctx, &surface->grid);
+    if (status < 0) {
+        fmt_nvdb_close(surface->ctx, &surface->grid);
+        return status;
+    }
+    const struct fmt_nvdb_info *info = &surface->grid.info;
+    surface->has_color = info->has_color;
+    memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
+    memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
+    memcpy(surface->translation, info->translation, sizeof surface->translation);
+    surface->unit = surface->detail = info->voxel_size;
+    return 0;
+}
+
+static int check_exact(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    const char *device = options->device ? options->device : "auto";
+    if (options->sampling == BAKE_NEAREST)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s has triangles, no voxels to take the nearest of",
+                        options->scan_path);
+    if (strcmp(device, "auto") != 0 && strcmp(device, "cpu") != 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: triangles are traced on the cpu, not on %s",
+                        options->scan_path, device);
+    return 0;
+}
+
+static int open_exact(struct bake_surface *surface, const struct bake_options *options)
+{
+    const struct bake_exact_options exact = {.path = options->scan_path,
+                                             .normals = options->scan_normals,
+                                             .two_sided = options->two_sided};
+    int status = check_exact(surface->ctx, options);
+    if (status == 0)
+        status = bake_exact_open(surface->ctx, &exact, &surface->exact);
+    if (status < 0)
+        return status;
+    const struct bake_exact_info *info = bake_exact_get_info(surface->exact);
+    double side = 0;
+    for (int k = 0; k < 3; k++)
+        side = fmax(side, info->scan_max[k] - info->scan_min[k]);
+    surface->has_color = info->has_color;
+    memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
+    memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
+    memcpy(surface->translation, info->origin, sizeof surface->translation);
+    surface->unit = 1.0;
+    surface->detail = side / DETAILS;
+    return 0;
+}
+
+int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
+                      struct bake_surface *out)
+{
+    memset(out, 0, sizeof *out);
+    out->ctx = ctx;
+    enum fmt_kind kind;
+    int status = fmt_recognise_scan(ctx, options->scan_path, &kind);
+    if (status == 0)
+        status = kind == FMT_KIND_TRIS ? open_exact(out, options) : open_grid(out, options);
+    if (status < 0)
+        memset(out, 0, sizeof *out);
+    return status;
+}
+
+void bake_surface_close(struct bake_surface *surface)
+{
+    if (surface->exact)
+        bake_exact_close(surface->exact);
+    else if (surface->ctx)
+        fmt_nvdb_close(surface->ctx, &surface->grid);
+    memset(surface, 0, sizeof *surface);
+}
+
+int bake_surface_check(const struct bake_surface *surface)
+{
+    return surface->exact ? 0 : bsq_map_check(surface->ctx, &surface->grid.map);
+}
+
+int bake_surface_use_color(struct bake_surface *surface)
+{
+    return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : 0;
+}
+
+int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out)
+{
+    struct bake_options options;
+    struct bake_surface surface;
+    bake_defaults(&options);
+    options.scan_path = path;
+    int status = bake_surface_open(ctx, &options, &surface);
+    *out = status == 0 && surface.has_color;
+    bake_surface_close(&surface);
+    return status;
+}
+
+/* ---- rays ---- */
+
+struct grid_trace {
+    const struct bake_surface *surface;
+    const struct bk_params *params;
+    const struct bake_surface_rays *rays;
+};
+
+static void trace_grid_ray(const struct grid_trace *trace, const struct bake_exact_ray *ray,
+                           struct bake_exact_hit *out)
+{
+    const struct bake_surface_rays *rays = trace->rays;
+    const double unit = trace->surface->unit;
+    const float *d = ray->direction;
+    float facing[3];
+    struct bk_hit hit = {0};
+    for (int k = 0; k < 3; k++)
+        facing[k] = rays->against ? -d[k] : d[k];
+    if (d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f)
+        bake_trace_ray(&trace->surface->grid, trace->params, ray->origin, d,
+                       (float)(rays->t_min / unit), (float)(rays->t_max / unit), facing, &hit);
+    out->triangle = hit.found ? 0 : BAKE_EXACT_NONE;
+    out->t = (double)hit.t * unit;
+    memcpy(out->normal, hit.normal, sizeof out->normal);
+    memcpy(out->color, hit.color, sizeof out->color);
+}
+
+static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
+{
+    (void)worker;
+    const struct grid_trace *trace = arg;
+    const uint64_t begin = task * RAYS_A_TASK, left = trace->rays->count - begin;
+    for (uint64_t i = begin; i < begin + (left < RAYS_A_TASK ? left : RAYS_A_TASK); i++)
+        trace_grid_ray(trace, &trace->rays->rays[i], &trace->rays->hits[i]);
+    return 0;
+}
+
+static int trace_exact(const struct bake_surface *surface, const struct bake_surface_rays *rays)
+{
+    int status = 0;
+    for (uint64_t at = 0; status == 0 && at < rays->count;) {
+        const uint64_t most = bake_exact_capacity(surface->exact), left = rays->count - at;
+        const struct bake_exact_batch batch = {.rays = rays->rays + at,
+                                               .hits = rays->hits + at,
+                                               .count = left < most ? left : most,
+                                               .t_min = rays->t_min,
+                                               .t_max = rays->t_max,
+                                               .distances_only = rays->distances_only,
+                                               .against = rays->against};
+        status = bake_exact_trace(surface->exact, &batch);
+        at += batch.count;
+    }
+    return status;
+}
+
+int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
+                       const struct bake_surface_rays *rays)
+{
+    struct grid_trace trace = {surface, params, rays};
+    if (surface->exact)
+        return trace_exact(surface, rays);
+    return bsq_parallel_for(surface->ctx, (rays->count + RAYS_A_TASK - 1) / RAYS_A_TASK,
+                            trace_grid_rays, &trace);
+}
+
+uint64_t bake_surface_capacity(const struct bake_surface *surface)
+{
+    if (surface->exact)
+        return bake_exact_capacity(surface->exact);
+    const uint64_t limit = bsq_memory_limit(surface->ctx), used = bsq_memory_used(surface->ctx);
+    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);
+    const uint64_t most = used < limit ? (limit - used) / 8 / ray : 0;
+    return most < 1 ? 1 : most > MOST_GRID_RAYS ? MOST_GRID_RAYS : most;
+}

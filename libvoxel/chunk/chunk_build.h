@@ -1,0 +1,52 @@
+/* chunk_build.h - private to the sorter: sorted records become the bytes of a chunk. */
+#ifndef VOX_CHUNK_CHUNK_BUILD_H
+#define VOX_CHUNK_CHUNK_BUILD_H
+
+#include "libvoxel/chunk/radix_sort.h"
+#include "libvoxel/partition/triangle_record.h"
+#include "libvoxel/partition/used_vertices.h"
+
+/* The bytes of a corner of at most 16 bytes, and its vertex. */
+struct corner_tag {
+    uint64_t low, high;
+};
+struct corner_cache {
+    struct corner_tag tag;
+    uint32_t number;
+};
+
+/* Reused for many chunks; one for each chunk in the making. */
+struct chunk_builder {
+    struct bsq_ctx *ctx;
+    const struct scan *scan;
+    const struct record_layout *layout;
+    used_word *used; /* where vertices are marked, or NULL */
+    float (*positions)[3];
+    uint32_t *normals;
+    float (*texcoords)[2];
+    uint32_t *colors;
+    uint32_t (*triangles)[3];
+    uint32_t *materials;
+    uint32_t vertex_count;
+    uint32_t *table; /* hash table of vertices */
+    uint32_t table_bits;
+    struct corner_cache *cache; /* direct-mapped; either this or the next one is used */
+    uint64_t *plain;            /* the same for plain records: the index below the number */
+    /* Result. */
+    void *encoded;
+    uint64_t encoded_bytes;
+    struct fmt_tris_chunk_info info;
+};
+
+/* Memory of one builder. */
+uint64_t vox_chunk_builder_bytes(uint32_t attributes);
+int vox_chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
+                           const struct record_layout *layout, used_word *used);
+void vox_chunk_builder_free(struct chunk_builder *builder);
+
+/* Builds and encodes a chunk of entries[0 .. count). Vertices are numbered in the order of first
+ * use. */
+int vox_chunk_builder_run(struct chunk_builder *builder, const uint8_t *records,
+                          const struct entry *entries, uint32_t count);
+
+#endif

@@ -1,0 +1,311 @@
+/* chunk_writer.c - see chunk_writer.h.
+ *
+ * Cells are taken in Morton order, as many at a time as memory allows (sort_batch.h). What they
+ * have is cut into chunks that workers build. Triangles after the last cut begin the next batch, so
+ * that the cuts do not depend on batches. A cell that is too large for a batch is first divided by
+ * the next bits of the key. */
+#include "libvoxel/chunk/chunk_writer.h"
+#include "base/parallel.h"
+#include "libvoxel/chunk/sort_batch.h"
+#include "libvoxel/chunk/chunk_build.h"
+
+#define CHILD_LEVELS     2u
+#define CHILD_PAGE_BYTES 8192u
+
+struct batches {
+    struct bsq_ctx *ctx;
+    const struct scan *scan;
+    const struct scattered *scattered;
+    const char *beside;
+    struct fmt_tris_writer *writer;
+
+    struct batch batch;
+    uint64_t capacity;   /* triangles in a batch */
+    uint64_t part_limit; /* triangles in a part */
+    uint64_t cut;        /* triangles of the batch that are in chunks already */
+    bool last;           /* nothing follows this batch */
+
+    struct chunk_slot *slots;
+    unsigned slot_count;
+    struct batches_report report;
+};
+
+struct chunk_slot {
+    struct chunk_builder builder;
+    uint64_t first;
+    uint32_t count;
+};
+
+/* ---- memory ---- */
+
+/* Slots for chunks in the making: as many as the limits say, or half of what is left has room for;
+ * twice as many where that is little, as writing takes long now and then. */
+static unsigned count_slots(const struct batches *b, uint64_t left)
+{
+    uint64_t bytes = vox_chunk_builder_bytes(b->scan->attributes), usual = b->scan->limits->slots;
+    uint64_t most = left / 2 / bytes, generous = left / 8 / bytes;
+    uint64_t count = usual;
+    if (count > most)
+        count = most > 1 ? most : 1;
+    else if (count < generous)
+        count = generous < 2 * usual ? generous : 2 * usual;
+    return (unsigned)count;
+}
+
+/* Triangles that a batch should have. A small one touches little memory and stays near the core,
+ * but threads wait for each other where one ends, so each is to sort several cells of it; and it
+ * must not be too small for cells to be sorted whole. Where vertices have no order either, each
+ * batch may read them all, so there are to be few. */
+static uint64_t wanted_capacity(const struct batches *b)
+{
+    const struct cells *cells = &b->scattered->cells;
+    if (b->scattered->layout.windowed && b->scattered->vertices_lack_order)
+        return 8 * b->scan->limits->batch_triangles;
+    uint64_t wanted = (uint64_t)bsq_threads(b->ctx) << 18, largest = 0;
+    for (uint32_t c = 0; c < cells->cell_count; c++)
+        largest = cells->list[c].items > largest ? cells->list[c].items : largest;
+    if (wanted < 1 << 19)
+        wanted = 1 << 19;
+    if (wanted < FMT_TRIS_CHUNK_TRIANGLES + 4 * largest)
+        wanted = FMT_TRIS_CHUNK_TRIANGLES + 4 * largest;
+    return wanted < b->scan->limits->batch_triangles ? wanted : b->scan->limits->batch_triangles;
+}
+
+/* What chunks in the making leave is for the batch. */
+static void divide_memory(struct batches *b)
+{
+    const struct sort_limits *limits = b->scan->limits;
+    const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES, all = vox_batch_capacity_of_all(b->scattered);
+    uint64_t used = bsq_memory_used(b->ctx), limit = bsq_memory_limit(b->ctx);
+    uint64_t left = limit > used + limits->reserve_bytes ? limit - used - limits->reserve_bytes : 0;
+    b->slot_count = count_slots(b, left);
+    uint64_t others = b->slot_count * vox_chunk_builder_bytes(b->scan->attributes) +
+                      vox_batch_fixed_bytes(b->scan, b->scattered);
+    left = left > others ? left - others : 0;
+    const uint64_t most = left / vox_batch_triangle_bytes(b->scan, b->scattered),
+                   wanted = wanted_capacity(b);
+    b->capacity = most < wanted ? most : wanted;
+    bool enough = b->capacity >= all;
+    if (enough)
+        b->capacity = all;
+    if (b->capacity < carry + 4096)
+        b->capacity = carry + 4096;
+    b->part_limit = enough ? all : (b->capacity - carry) / 2;
+}
+
+static int allocate(struct batches *b)
+{
+    divide_memory(b);
+    int status = vox_batch_open(&b->batch, b->scan, b->scattered, b->capacity);
+    if (status == 0)
+        status = bsq_calloc(b->ctx, "sorting", b->slot_count, sizeof *b->slots, &b->slots);
+    for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
+        status = vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->scattered->layout,
+                                        b->batch.used);
+    return status;
+}
+
+static void release(struct batches *b)
+{
+    for (unsigned i = 0; b->slots && i < b->slot_count; i++)
+        vox_chunk_builder_free(&b->slots[i].builder);
+    bsq_free(b->ctx, b->slots);
+    vox_batch_close(&b->batch);
+}
+
+/* ---- chunks ---- */
+
+static int produce(void *arg, void *slot_arg, uint64_t sequence)
+{
+    struct batches *b = arg;
+    struct chunk_slot *slot = slot_arg;
+    const uint64_t left = b->batch.count - b->cut;
+    (void)sequence;
+    if (left == 0 || (left <= FMT_TRIS_CHUNK_TRIANGLES && !b->last))
+        return 0;
+    slot->first = b->cut;
+    slot->count = left <= FMT_TRIS_CHUNK_TRIANGLES ? (uint32_t)left
+                                                   : vox_radix_cut(b->batch.entries + b->cut);
+    b->cut += slot->count;
+    return 1;
+}
+
+static int work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
+{
+    const struct batches *b = arg;
+    struct chunk_slot *slot = slot_arg;
+    (void)sequence;
+    (void)worker;
+    return vox_chunk_builder_run(&slot->builder, b->batch.records, b->batch.entries + slot->first,
+                                 slot->count);
+}
+
+static int emit(void *arg, void *slot_arg, uint64_t sequence)
+{
+    struct batches *b = arg;
+    const struct chunk_slot *slot = slot_arg;
+    (void)sequence;
+    b->report.chunks++;
+    b->report.triangles += slot->count;
+    bsq_progress_add(b->ctx, slot->count);
+    return fmt_tris_append(b->writer, slot->builder.encoded, slot->builder.encoded_bytes,
+                           &slot->builder.info);
+}
+
+static int write_batch(struct batches *b)
+{
+    const struct bsq_pipeline pipeline = {.produce = produce,
+                                          .work = work,
+                                          .emit = emit,
+                                          .arg = b,
+                                          .slots = b->slots,
+                                          .slot_size = sizeof *b->slots,
+                                          .slot_count = b->slot_count};
+    int status = vox_batch_sort(&b->batch);
+    if (status == 0)
+        status = bsq_pipeline_run(b->ctx, &pipeline);
+    if (status < 0)
+        return status;
+    vox_batch_carry_over(&b->batch, b->cut);
+    b->cut = 0;
+    return 0;
+}
+
+/* ---- cells in order ---- */
+
+static int add_part(struct batches *b, const struct batch_part *part)
+{
+    int status = vox_batch_has_room(&b->batch, part->count) ? 0 : write_batch(b);
+    return status < 0 ? status : vox_batch_add(&b->batch, part);
+}
+
+/* All triangles of the cell have the same key: their order is the scan's. Parts end where runs do.
+ */
+static int add_in_parts(struct batches *b, const struct batch_part *whole)
+{
+    struct run_reader *reader = vox_batch_reader(&b->batch);
+    int status = 0;
+    vox_run_reader_seek(reader, whole->cells, whole->cell, 0);
+    for (uint64_t done = 0; status == 0 && done < whole->count;) {
+        struct batch_part part = *whole;
+        part.offset = run_reader_tell(reader);
+        part.count = 0;
+        while (status == 0 && part.count + RUN_TRIANGLES <= b->part_limit &&
+               done + part.count < whole->count) {
+            uint32_t count = 0;
+            status = vox_run_reader_next(reader, NULL, &count);
+            part.count += count;
+        }
+        if (status == 0)
+            status = add_part(b, &part);
+        done += part.count;
+    }
+    return status;
+}
+
+/* Distributes at most RUN_TRIANGLES records to the children of their cell, which has `levels` less.
+ */
+static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
+                      uint8_t *coded, struct cells *children)
+{
+    const struct record_layout *layout = &b->scattered->layout;
+    const uint32_t bytes = layout->bytes, mask = children->cell_count - 1;
+    int status = 0;
+    for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
+        uint32_t child = CELLS_NONE;
+        for (end = first; end < count; end++) {
+            uint32_t number = (uint32_t)(vox_batch_key(&b->batch, records + end * bytes) >>
+                                         (MORTON_KEY_BITS - 3 * levels)) &
+                              mask;
+            if (end > first && number != child)
+                break;
+            child = number;
+        }
+        uint8_t *coded_end =
+            vox_run_put_records(layout, records + first * bytes, end - first, coded);
+        status =
+            vox_buckets_add(children, child, coded, (uint64_t)(coded_end - coded), end - first);
+    }
+    return status;
+}
+
+/* Distributes the triangles of a cell to the cells inside of it. The batch has nothing but what was
+ * carried over. */
+static int divide_cell(struct batches *b, const struct batch_part *whole, uint32_t levels,
+                       struct cells *children)
+{
+    const uint32_t bytes = b->scattered->layout.bytes;
+    uint8_t *coded = NULL;
+    int status = bsq_alloc(b->ctx, "sorting",
+                           RUN_TRIANGLES * (uint64_t)bytes + sizeof(struct run_header), 1, &coded);
+    vox_run_reader_seek(vox_batch_reader(&b->batch), whole->cells, whole->cell, 0);
+    for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
+        const uint8_t *records;
+        uint64_t own;
+        status = vox_batch_read(&b->batch, whole, whole->count - done, b->part_limit, &count,
+                                &records, &own);
+        bsq_progress_add(b->ctx, count - own);
+        for (uint64_t first = 0, end; status == 0 && first < own; first = end) {
+            end = own - first < RUN_TRIANGLES ? own : first + RUN_TRIANGLES;
+            status = divide_run(b, records + first * bytes, (uint32_t)(end - first), levels, coded,
+                                children);
+        }
+    }
+    bsq_free(b->ctx, coded);
+    return status;
+}
+
+static int add_cells(struct batches *b, const struct cells *cells, uint32_t levels);
+
+static int add_large_cell(struct batches *b, const struct batch_part *whole)
+{
+    uint32_t levels = whole->levels + CHILD_LEVELS;
+    struct cells children;
+    if (whole->levels == MORTON_AXIS_BITS)
+        return add_in_parts(b, whole);
+    if (levels > MORTON_AXIS_BITS)
+        levels = MORTON_AXIS_BITS;
+    int status = b->batch.part_count > 0 ? write_batch(b) : 0;
+    if (status < 0)
+        return status;
+    status = vox_buckets_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
+                              CHILD_PAGE_BYTES, 0);
+    if (status == 0)
+        status = divide_cell(b, whole, levels, &children);
+    if (status == 0)
+        status = add_cells(b, &children, levels);
+    if (status == 0)
+        status = write_batch(b); /* before its cells are gone */
+    vox_buckets_free(&children);
+    return status;
+}
+
+static int add_cells(struct batches *b, const struct cells *cells, uint32_t levels)
+{
+    int status = 0;
+    for (uint32_t c = 0; status == 0 && c < cells->cell_count; c++) {
+        const struct batch_part part = {
+            .cells = cells, .cell = c, .levels = levels, .count = cells->list[c].items};
+        if (part.count == 0)
+            continue;
+        status = part.count <= b->part_limit ? add_part(b, &part) : add_large_cell(b, &part);
+    }
+    return status;
+}
+
+int vox_write_chunks(const struct scan *scan, const struct scattered *scattered, const char *beside,
+                     struct fmt_tris_writer *writer, struct batches_report *report)
+{
+    struct batches b = {
+        .ctx = scan->ctx, .scan = scan, .scattered = scattered, .beside = beside, .writer = writer};
+    int status = allocate(&b);
+    if (status == 0)
+        status = add_cells(&b, &scattered->cells, scattered->levels);
+    b.last = true;
+    if (status == 0)
+        status = write_batch(&b);
+    b.report.degenerate = b.batch.degenerate;
+    *report = b.report;
+    release(&b);
+    return status;
+}

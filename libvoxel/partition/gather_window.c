@@ -1,0 +1,304 @@
+/* gather_window.c - see gather_window.h. */
+#include "libvoxel/partition/gather_window.h"
+#include "base/parallel.h"
+
+#include <assert.h>
+
+#define WIDEST_ELEMENT 12u
+/* Elements are read by ranges of this many words of marks at most; and words without marks are read
+ * along where it is not worth a call of its own to leave them out. */
+#define RANGE_WORDS  256u
+#define GAP_WORDS    8u
+#define BUFFER_BYTES ((uint64_t)64 * RANGE_WORDS * WIDEST_ELEMENT)
+
+static bool is_active(const struct scan *scan, enum face_kind kind)
+{
+    bool active = false;
+    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+        active |= scan_kind_of(i) == kind && scan_keeps(scan, i) && scan->columns[i].spool.spilled;
+    return active;
+}
+
+/* ---- memory ---- */
+
+uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads)
+{
+    uint64_t bytes = threads * BUFFER_BYTES;
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+        if (is_active(scan, kind))
+            bytes += used_words(scan_count(scan, scan_column_of(kind))) *
+                     (sizeof(used_word) + sizeof(uint32_t));
+    return bytes;
+}
+
+uint64_t vox_gather_triangle_bytes(const struct scan *scan)
+{
+    uint64_t bytes = 0;
+    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+        if (scan_keeps(scan, i) && is_active(scan, scan_kind_of(i)))
+            bytes += 3 * scan->columns[i].element_bytes;
+    return bytes;
+}
+
+/* A column of the view is one segment. */
+static int open_column(struct window *w, enum scan_column number, uint64_t triangles)
+{
+    const struct column *from = &w->scan->columns[number];
+    struct column *column = &w->view.columns[number];
+    uint64_t most = column_count(from) < 3 * triangles ? column_count(from) : 3 * triangles;
+    int status = bsq_alloc(w->ctx, "sorting", most, from->element_bytes, &w->elements[number]);
+    *column = (struct column){.element_bytes = from->element_bytes, .shift = 32};
+    column->spool.segments = &w->elements[number];
+    return status;
+}
+
+static int open_kind(struct window *w, enum face_kind number)
+{
+    struct window_kind *kind = &w->kinds[number];
+    kind->active = is_active(w->scan, number);
+    kind->count = scan_count(w->scan, scan_column_of(number));
+    if (!kind->active)
+        return 0;
+    int status =
+        bsq_calloc(w->ctx, "sorting", used_words(kind->count), sizeof *kind->marks, &kind->marks);
+    if (status == 0)
+        status = bsq_alloc(w->ctx, "sorting", used_words(kind->count), sizeof *kind->ranks,
+                           &kind->ranks);
+    return status;
+}
+
+int vox_gather_open(struct window *w, const struct scan *scan, const struct record_layout *layout,
+                    uint64_t triangles)
+{
+    *w = (struct window){.ctx = scan->ctx, .scan = scan, .layout = layout, .view = *scan};
+    assert(triangles <= UINT32_MAX / 3);
+    int status = bsq_alloc(w->ctx, "sorting", bsq_threads(w->ctx), BUFFER_BYTES, &w->buffers);
+    for (int kind = 0; status == 0 && kind < FACE_KIND_COUNT; kind++)
+        status = open_kind(w, kind);
+    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
+        if (scan_keeps(scan, i) && w->kinds[scan_kind_of(i)].active)
+            status = open_column(w, i, triangles);
+    return status;
+}
+
+void vox_gather_close(struct window *w)
+{
+    if (!w->ctx)
+        return;
+    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+        bsq_free(w->ctx, w->elements[i]);
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
+        bsq_free(w->ctx, w->kinds[kind].marks);
+        bsq_free(w->ctx, w->kinds[kind].ranks);
+    }
+    bsq_free(w->ctx, w->buffers);
+    memset(w, 0, sizeof *w);
+}
+
+/* ---- marks ---- */
+
+void vox_gather_clear(struct window *w)
+{
+    for (int i = 0; i < FACE_KIND_COUNT; i++)
+        if (w->kinds[i].active)
+            memset((void *)w->kinds[i].marks, 0,
+                   used_words(w->kinds[i].count) * sizeof *w->kinds[i].marks);
+}
+
+/* fan: what vertex numbers have that are no part of them. */
+static void mark_plain(used_word *marks, uint32_t fan, const uint8_t *records, uint64_t count)
+{
+    for (uint64_t c = 0; c < 3 * count; c++) {
+        uint32_t index;
+        memcpy(&index, records + 4 * c, 4);
+        used_mark(marks, index & ~fan);
+    }
+}
+
+/* The index of a kind in corner `corner` of records that lie one behind the other; where it lies.
+ */
+static inline uint64_t corner_offset(const struct record_layout *layout, enum face_kind kind,
+                                     uint64_t corner)
+{
+    return corner / 3 * layout->bytes + corner % 3 * layout->corner_bytes + layout->index_at[kind];
+}
+
+/* Bytes of an index of this kind; 0 where its columns are in memory or not needed. */
+static inline uint32_t index_bytes_of(const struct window *w, enum face_kind kind)
+{
+    return w->kinds[kind].active ? w->layout->index_bytes[kind] : 0;
+}
+
+void vox_gather_mark(struct window *w, const uint8_t *records, uint64_t count)
+{
+    const uint64_t fan = w->layout->fans ? record_fan_bit(w->layout) : 0;
+    if (w->layout->plain) {
+        mark_plain(w->kinds[FACE_VERTEX].marks, (uint32_t)fan, records, count);
+        return;
+    }
+    for (int i = 0; i < FACE_KIND_COUNT; i++) {
+        const struct window_kind *kind = &w->kinds[i];
+        const uint32_t bytes = index_bytes_of(w, i);
+        for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
+            uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
+            index &= i == FACE_VERTEX ? ~fan : UINT64_MAX;
+            if (index < kind->count) /* others are "none" */
+                used_mark(kind->marks, index);
+        }
+    }
+}
+
+/* Counts the marks; vertices go to `used`, or NULL. */
+static void rank(struct window_kind *kind, used_word *used)
+{
+    uint32_t before = 0;
+    for (uint64_t i = 0; i < used_words(kind->count); i++) {
+        uint64_t marks = atomic_load_explicit(&kind->marks[i], memory_order_relaxed);
+        kind->ranks[i] = before;
+        before += (uint32_t)__builtin_popcountll(marks);
+        if (marks && used)
+            atomic_fetch_or_explicit(&used[i], marks, memory_order_relaxed);
+    }
+    kind->marked = before;
+}
+
+/* ---- reading ---- */
+
+struct fetch {
+    struct window *window;
+    enum scan_column column;
+};
+
+static uint64_t word_at(const struct window_kind *kind, uint64_t word)
+{
+    return atomic_load_explicit(&kind->marks[word], memory_order_relaxed);
+}
+
+/* Copies the marked elements of words [first, end), which begin at `from`, to their places. */
+static void gather(const struct window_kind *kind, uint64_t first, uint64_t end,
+                   const uint8_t *from, uint32_t bytes, uint8_t *elements)
+{
+    uint8_t *to = elements + (uint64_t)kind->ranks[first] * bytes;
+    for (uint64_t word = first; word < end; word++, from += 64 * bytes)
+        for (uint64_t marks = word_at(kind, word); marks;) {
+            unsigned at = (unsigned)__builtin_ctzll(marks), run = 64 - at;
+            if (~(marks >> at))
+                run = (unsigned)__builtin_ctzll(~(marks >> at));
+            memcpy(to, from + (uint64_t)at * bytes, (uint64_t)run * bytes);
+            to += (uint64_t)run * bytes;
+            marks &= at + run < 64 ? UINT64_MAX << (at + run) : 0;
+        }
+}
+
+/* The words from `first` on, up to `end`, that are read together: the last one has marks. */
+static uint64_t stretch_end(const struct window_kind *kind, uint64_t first, uint64_t end)
+{
+    uint64_t last = first;
+    for (uint64_t word = first + 1; word < end && word - last <= GAP_WORDS; word++)
+        last = word_at(kind, word) ? word : last;
+    return last + 1;
+}
+
+static int fetch_range(void *arg, uint64_t number, unsigned worker)
+{
+    const struct fetch *fetch = arg;
+    struct window *w = fetch->window;
+    const struct window_kind *kind = &w->kinds[scan_kind_of(fetch->column)];
+    const struct column *column = &w->scan->columns[fetch->column];
+    const uint32_t bytes = column->element_bytes;
+    uint8_t *buffer = w->buffers + worker * BUFFER_BYTES;
+    uint64_t words = used_words(kind->count), end = (number + 1) * RANGE_WORDS;
+    int status = 0;
+    end = end < words ? end : words;
+    for (uint64_t word = number * RANGE_WORDS; status == 0 && word < end; word++) {
+        if (!word_at(kind, word))
+            continue;
+        uint64_t behind = stretch_end(kind, word, end);
+        uint64_t count = (behind < words ? 64 * behind : kind->count) - 64 * word;
+        status = vox_spill_read(&column->spool, 64 * word * bytes, count * bytes, buffer);
+        if (status == 0)
+            gather(kind, word, behind, buffer, bytes, w->elements[fetch->column]);
+        word = behind - 1;
+    }
+    return status;
+}
+
+static int fetch_column(struct window *w, enum scan_column number)
+{
+    const struct window_kind *kind = &w->kinds[scan_kind_of(number)];
+    struct fetch fetch = {w, number};
+    w->view.columns[number].spool.bytes = kind->marked * w->view.columns[number].element_bytes;
+    return bsq_parallel_for(w->ctx, used_words(kind->count) / RANGE_WORDS + 1, fetch_range, &fetch);
+}
+
+int vox_gather_fetch(struct window *w, used_word *used)
+{
+    int status = 0;
+    for (int i = 0; i < FACE_KIND_COUNT; i++)
+        if (w->kinds[i].active)
+            rank(&w->kinds[i], i == FACE_VERTEX ? used : NULL);
+    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
+        if (w->elements[i])
+            status = fetch_column(w, i);
+    return status;
+}
+
+/* ---- numbers ---- */
+
+static void number_plain(const struct window_kind *kind, uint8_t *records, uint64_t count)
+{
+    for (uint64_t c = 0; c < 3 * count; c++) {
+        uint32_t index;
+        memcpy(&index, records + 4 * c, 4);
+        index = window_rank(kind, index);
+        memcpy(records + 4 * c, &index, 4);
+    }
+}
+
+void vox_gather_number(const struct window *w, uint8_t *records, uint64_t count)
+{
+    if (w->layout->plain) {
+        number_plain(&w->kinds[FACE_VERTEX], records, count);
+        return;
+    }
+    for (int i = 0; i < FACE_KIND_COUNT; i++) {
+        const struct window_kind *kind = &w->kinds[i];
+        const uint32_t bytes = index_bytes_of(w, i);
+        for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
+            uint8_t *at = records + corner_offset(w->layout, i, c);
+            uint64_t index = record_load(at, bytes);
+            if (index < kind->count)
+                record_store(at, window_rank(kind, index), bytes);
+        }
+    }
+}
+
+/* The marked element with this number. */
+static uint64_t element_of_rank(const struct window_kind *kind, uint32_t number)
+{
+    uint64_t low = 0,
+             high =
+                 used_words(kind->count); /* of words: the last with at most `number` before it */
+    while (high - low > 1) {
+        uint64_t middle = low + (high - low) / 2;
+        *(kind->ranks[middle] <= number ? &low : &high) = middle;
+    }
+    uint64_t marks = word_at(kind, low);
+    for (uint32_t before = kind->ranks[low]; before < number; before++)
+        marks &= marks - 1;
+    return 64 * low + (uint64_t)__builtin_ctzll(marks);
+}
+
+void vox_gather_restore(const struct window *w, uint8_t *records, uint64_t count)
+{
+    for (int i = 0; i < FACE_KIND_COUNT; i++) {
+        const struct window_kind *kind = &w->kinds[i];
+        const uint32_t bytes = index_bytes_of(w, i);
+        for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
+            uint8_t *at = records + corner_offset(w->layout, i, c);
+            uint64_t index = record_load(at, bytes);
+            if (index < kind->marked)
+                record_store(at, element_of_rank(kind, (uint32_t)index), bytes);
+        }
+    }
+}

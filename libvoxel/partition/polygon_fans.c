@@ -1,0 +1,107 @@
+/* polygon_fans.c - see polygon_fans.h. */
+#include "libvoxel/partition/polygon_fans.h"
+#include "base/polygon.h"
+
+uint64_t vox_fan_buffer_bytes(const struct record_layout *layout)
+{
+    return FAN_CORNERS *
+           (layout->corner_bytes + sizeof(double[3]) + sizeof(uint32_t[3]) + sizeof(uint32_t[2]));
+}
+
+int vox_fan_buffer_init(struct fan_room *room, struct bsq_ctx *ctx,
+                        const struct record_layout *layout)
+{
+    const char *what = "sorting";
+    int status;
+    *room = (struct fan_room){0};
+    if ((status = bsq_alloc(ctx, what, FAN_CORNERS, layout->corner_bytes, &room->corners)) < 0 ||
+        (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof *room->positions, &room->positions)) <
+            0 ||
+        (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[3]), &room->triangles)) < 0)
+        return status;
+    return bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[2]), &room->scratch);
+}
+
+void vox_fan_buffer_free(struct fan_room *room, struct bsq_ctx *ctx)
+{
+    bsq_free(ctx, room->corners);
+    bsq_free(ctx, room->positions);
+    bsq_free(ctx, room->triangles);
+    bsq_free(ctx, room->scratch);
+    *room = (struct fan_room){0};
+}
+
+/* How many records the fan that begins here has. */
+static uint32_t fan_length(const struct record_layout *layout, const uint8_t *records,
+                           uint64_t count)
+{
+    uint32_t length = 1;
+    while (length < count &&
+           record_continues_fan(layout, records + (uint64_t)length * layout->bytes))
+        length++;
+    return length;
+}
+
+/* The corners of a fan: two of its first triangle, and the third one of each. */
+static void collect_corners(const struct record_layout *layout, const uint8_t *records,
+                            uint32_t length, uint8_t *corners)
+{
+    const uint32_t bytes = layout->corner_bytes;
+    memcpy(corners, records, 2 * bytes);
+    for (uint32_t t = 0; t < length; t++)
+        memcpy(corners + (t + 2) * bytes, records + (uint64_t)t * layout->bytes + 2 * bytes, bytes);
+}
+
+static void triangulate(const struct window *window, struct fan_room *room, uint32_t corners)
+{
+    for (uint32_t c = 0; c < corners; c++) {
+        const uint8_t *corner = room->corners + c * window->layout->corner_bytes;
+        const float *p = window_position(window, record_vertex_index(window->layout, corner));
+        for (int axis = 0; axis < 3; axis++)
+            room->positions[c][axis] = p[axis];
+    }
+    bsq_triangulate((const double(*)[3])room->positions, corners, room->triangles, room->scratch);
+}
+
+static bool is_own(const struct fan_room *room, const struct morton_cube *cube, uint32_t levels,
+                   uint32_t cell, const uint32_t triangle[3])
+{
+    const double *p = room->positions[triangle[0]];
+    const float first[3] = {(float)p[0], (float)p[1], (float)p[2]};
+    return morton_cell(cube, levels, first) == cell;
+}
+
+static void put_triangle(const struct record_layout *layout, const struct fan_room *room,
+                         const uint32_t triangle[3], const uint8_t *material, uint8_t *to)
+{
+    const uint32_t bytes = layout->corner_bytes;
+    for (uint32_t k = 0; k < 3; k++)
+        memcpy(to + k * bytes, room->corners + triangle[k] * bytes, bytes);
+    memmove(to + 3 * bytes, material, layout->material_bytes);
+}
+
+uint64_t vox_fans_triangulate(const struct window *window, struct fan_room *room,
+                              const struct morton_cube *cube, uint32_t levels, uint32_t cell,
+                              uint8_t *records, uint64_t count)
+{
+    const struct record_layout *layout = window->layout;
+    uint8_t *to = records;
+    for (uint64_t t = 0; t < count;) {
+        uint8_t *from = records + t * layout->bytes, *material = from + 3 * layout->corner_bytes;
+        const uint32_t length = fan_length(layout, from, count - t);
+        t += length;
+        if (length == 1) {
+            memmove(to, from, layout->bytes);
+            to += layout->bytes;
+            continue;
+        }
+        collect_corners(layout, from, length, room->corners);
+        triangulate(window, room, length + 2);
+        for (uint32_t i = 0; i < length; i++)
+            if (is_own(room, cube, levels, cell, room->triangles + 3 * i)) {
+                put_triangle(layout, room, room->triangles + 3 * i, material, to);
+                to += layout->bytes;
+            }
+    }
+    return (uint64_t)(to - records) / layout->bytes;
+}

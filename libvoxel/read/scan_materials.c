@@ -1,0 +1,118 @@
+/* scan_materials.c - which attributes a scan keeps, and its table of materials.
+ *
+ * Only materials that faces use get into the table, and of these only such as say anything: a
+ * texture or a colour. Texture coordinates are kept where some texture will be looked up with them.
+ * A textured material has a second entry without texture for triangles that lack texture
+ * coordinates. */
+#include "formats/mesh/mtl.h"
+#include "libvoxel/read/scan.h"
+
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+/* Absolute path of a texture, owned by the scan. */
+static int resolve_texture(struct scan *scan, const char *path, char **out)
+{
+    char *absolute = realpath(path, NULL);
+    if (!absolute)
+        return bsq_fail_errno(scan->ctx, BSQ_ENOINPUT, errno, "%s: texture", path);
+    size_t size = strlen(absolute) + 1;
+    int status = bsq_alloc(scan->ctx, "materials", size, 1, out);
+    if (status == 0)
+        memcpy(*out, absolute, size);
+    free(absolute);
+    return status;
+}
+
+static uint32_t add_material(struct scan *scan, char *texture_path, const float diffuse[3])
+{
+    struct fmt_tris_material *material = &scan->materials[scan->material_count];
+    material->texture_path = texture_path;
+    memcpy(material->diffuse, diffuse, sizeof material->diffuse);
+    return scan->material_count++;
+}
+
+static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
+{
+    scan->usemtl_count = usemtl_count;
+    uint64_t entries = 2 * ((uint64_t)usemtl_count + 1);
+    int status =
+        bsq_alloc(scan->ctx, "materials", entries, sizeof *scan->material_map, &scan->material_map);
+    if (status == 0)
+        status =
+            bsq_calloc(scan->ctx, "materials", entries, sizeof *scan->materials, &scan->materials);
+    if (status == 0)
+        memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
+    return status;
+}
+
+/* One image for everything that has texture coordinates. */
+static int use_single_texture(struct scan *scan, const char *texture_path)
+{
+    static const float white[3] = {1.0f, 1.0f, 1.0f};
+    char *path = NULL;
+    int status = resolve_texture(scan, texture_path, &path);
+    if (status < 0)
+        return status;
+    uint32_t material = add_material(scan, path, white);
+    for (uint32_t i = 0; i <= scan->usemtl_count; i++)
+        scan->material_map[2 * i] = material;
+    return 0;
+}
+
+static int add_from_mtl(struct scan *scan, const struct fmt_material *from, uint32_t usemtl)
+{
+    uint32_t *map = &scan->material_map[2 * usemtl];
+    bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0;
+    if (textured && access(from->texture_path, F_OK) != 0) {
+        bsq_warn(scan->ctx, "%s: no such texture: material \"%s\" goes without it",
+                 from->texture_path, from->name);
+        textured = false;
+    }
+    if (textured) {
+        char *path = NULL;
+        int status = resolve_texture(scan, from->texture_path, &path);
+        if (status < 0)
+            return status;
+        map[0] = add_material(scan, path, from->diffuse);
+    }
+    if (from->has_diffuse && (!textured || scan->faces.lacks_texcoord))
+        map[1] = add_material(scan, NULL, from->diffuse);
+    if (!textured)
+        map[0] = map[1];
+    return 0;
+}
+
+static int use_mtl_files(struct scan *scan, struct fmt_obj_reader *reader)
+{
+    struct fmt_materials found = {0};
+    int status = fmt_obj_read_materials(reader, &found);
+    for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++)
+        status = add_from_mtl(scan, &found.list[i], i);
+    fmt_mtl_free(scan->ctx, &found);
+    return status;
+}
+
+int vox_scan_find_materials(struct scan *scan, struct fmt_obj_reader *reader,
+                            const char *texture_path)
+{
+    int status = allocate_tables(scan, fmt_obj_material_count(reader));
+    if (status < 0)
+        return status;
+    if (!texture_path)
+        status = use_mtl_files(scan, reader);
+    else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
+        status = use_single_texture(scan, texture_path);
+    else
+        bsq_warn(scan->ctx, "%s: no texture coordinates, %s is not used", scan->obj_paths[0],
+                 texture_path);
+    scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
+                       (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
+                       (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
+    for (uint32_t i = 0; i < scan->material_count; i++)
+        if (scan->materials[i].texture_path)
+            scan->attributes |= FMT_TRIS_TEXCOORDS;
+    return status;
+}

@@ -1,0 +1,57 @@
+/* spill_buffer.h - private to the sorter: bytes that only grow, in memory or in a temporary file.
+ *
+ * A spool keeps what is appended in segments of equal size; vox_spill_spill() moves all of it to a
+ * temporary file and keeps one segment as write buffer. Elements do not straddle segments when the
+ * segment size is a multiple of theirs. Appending is for one thread at a time, reading for any.
+ *
+ * Memory that is touched for the first time has to be found and cleared by the system, which takes
+ * longer than filling it: other threads can see to that shortly before (vox_spill_touch_ahead()).
+ */
+#ifndef VOX_READ_SPILL_BUFFER_H
+#define VOX_READ_SPILL_BUFFER_H
+
+#include <pthread.h>
+
+#include "base/file.h"
+
+struct spool {
+    struct bsq_ctx *ctx;
+    const char *what;   /* for messages */
+    const char *beside; /* output path, for the temporary file's place */
+    uint64_t segment_bytes;
+    uint64_t bytes; /* appended so far */
+    uint8_t **segments;
+    uint64_t segment_count, segment_capacity;
+    struct bsq_file file;
+    bool spilled;
+    /* What of the last segment nobody has touched, as far as is known, and where the next bytes go.
+     */
+    pthread_mutex_t lock; /* of these */
+    uint8_t *untouched, *untouched_end, *head;
+};
+
+void vox_spill_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, const char *beside,
+                    uint64_t segment_bytes);
+void vox_spill_free(struct spool *spool);
+
+/* Bytes of memory that the next vox_spill_room() will allocate. */
+uint64_t vox_spill_room_cost(const struct spool *spool);
+
+/* Contiguous room for at least one byte at the end; vox_spill_advance() says how much was used. */
+int vox_spill_room(struct spool *spool, uint8_t **at, uint64_t *room);
+void vox_spill_advance(struct spool *spool, uint64_t bytes);
+
+/* Touches some of the memory that is to be filled next. From any thread while one appends. */
+void vox_spill_touch_ahead(struct spool *spool);
+
+/* Moves the content to a temporary file and frees all but one segment. */
+int vox_spill_spill(struct spool *spool);
+/* Writes what is still buffered; call once after the last append. Frees the buffer if spilled. */
+int vox_spill_finish(struct spool *spool);
+
+uint64_t vox_spill_memory(const struct spool *spool);
+
+/* Copies bytes [offset, offset + size) out. A spilled spool must be finished. */
+int vox_spill_read(const struct spool *spool, uint64_t offset, uint64_t size, void *buffer);
+
+#endif

@@ -1,0 +1,529 @@
+/* chunk_cache.c - the cache of decoded chunks.
+ *
+ * The schedule tells which region will need a chunk next, so the cache need not guess: it gives up
+ * the chunk that is needed last of all (Belady, "A study of replacement algorithms for a
+ * virtual-storage computer", 1966). Slots are allocated when first used. */
+#include "libvoxel/voxelize/cache/chunk_cache.h"
+#include "base/octahedral.h"
+#include "libvoxel/voxelize/lanes/lanes.h"
+#include "libvoxel/voxelize/cache/scan_normals_check.h"
+
+#include <pthread.h>
+#include <string.h>
+
+enum { NO_SLOT = -1 };
+#define NO_CHUNK UINT32_MAX
+
+/* What a slot holds is made in two steps, as the normals of one chunk need others as they are in
+ * the file. Whoever finds a step to do does it, and others wait. */
+enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
+
+/* Where in a slot's memory; the chunk as it is in the file comes first. */
+struct slot_layout {
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, stray_at, bytes;
+};
+
+struct slot {
+    uint32_t chunk; /* NO_CHUNK: empty */
+    uint32_t users;
+    enum stage stage;
+    int status; /* of the steps */
+    uint8_t *memory;
+    struct slot_layout layout;
+    struct vox_chunk content;
+    const struct vox_box *vertex_groups; /* for neighbours */
+};
+
+struct use {
+    struct vox_region_key next; /* region that needs the chunk after those under way */
+    uint32_t expected;          /* units of work under way that need it */
+    int32_t slot;
+};
+
+struct vox_chunks {
+    struct bsq_ctx *ctx;
+    const struct fmt_tris_file *file;
+    const struct vox_lattice *lattice;
+    struct vox_smooth *smooth; /* NULL: chunks without normals stay so */
+    pthread_mutex_t lock;
+    pthread_cond_t stepped; /* a step was done */
+    pthread_cond_t freed;   /* a slot has no users any more */
+    uint32_t chunk_count, slot_count, slots_used;
+    struct slot *slots;
+    struct use *uses;    /* one a chunk */
+    uint64_t slot_bytes; /* for any chunk */
+};
+
+/* ---- layout of a slot ---- */
+
+static uint64_t align64(uint64_t bytes)
+{
+    return (bytes + 63) & ~UINT64_C(63);
+}
+
+/* load_bytes: what loading takes of a chunk, or of the largest, with that many vertices and
+ * triangles. */
+static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth,
+                                  uint64_t load_bytes, uint32_t vertices, uint32_t triangles)
+{
+    bool normals = smooth || (fmt_tris_get_header(file)->attributes & FMT_TRIS_NORMALS);
+    uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
+    uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
+    struct slot_layout to;
+    to.points_at = align64(load_bytes);
+    to.normals_at = to.points_at + align64(vertices * sizeof(double[4]));
+    to.groups_at = to.normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
+    to.vertex_groups_at = to.groups_at + align64(groups * sizeof(struct vox_box));
+    to.stray_at =
+        to.vertex_groups_at + (smooth ? align64(vertex_groups * sizeof(struct vox_box)) : 0);
+    to.bytes = to.stray_at + align64(groups * sizeof(bool));
+    return to;
+}
+
+/* Chunks have no more room in a slot than they need: what is not touched takes no memory. */
+static struct slot_layout layout_of(const struct vox_chunks *c, uint32_t chunk)
+{
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(c->file)[chunk];
+    return lay_out(c->file, c->smooth != NULL, fmt_tris_load_size(c->file, chunk),
+                   info->vertex_count, info->triangle_count);
+}
+
+uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
+{
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
+    uint32_t vertices = 0, triangles = 0;
+    for (uint64_t i = 0; i < header->chunk_count; i++) {
+        vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
+        triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
+    }
+    return lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
+}
+
+/* ---- loading ---- */
+
+/* As vox_lattice_coordinate() has it. */
+static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
+                       double (*points)[4])
+{
+    const double h = lattice->h;
+    const struct row origin =
+        row_of(lattice->origin[0], lattice->origin[1], lattice->origin[2], 0.0);
+    const struct row start = row_of(lattice->start[0], lattice->start[1], lattice->start[2], 0.0);
+    const struct row size = row_of(h, h, h, h);
+    for (uint32_t v = 0; v < source->vertex_count; v++) {
+        struct row position = row_of_floats(source->positions[v]);
+        row_store(row_quotient(row_difference(row_sum(origin, position), start), size), points[v]);
+    }
+}
+
+static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[4])
+{
+    for (uint32_t v = 0; v < source->vertex_count; v++) {
+        struct bsq_vec3 n = bsq_oct_unpack(source->normals[v]);
+        normals[v][0] = n.x;
+        normals[v][1] = n.y;
+        normals[v][2] = n.z;
+        normals[v][3] = 0.0f;
+    }
+}
+
+/* Mean square of an edge, in voxels, above which normals are those around vertices: below, a voxel
+ * averages over several triangles. Where triangles are about as large as voxels, that would be
+ * nearer to the surface, but farther from what bakers of triangles show: 0.80 degrees instead of
+ * 0.29 for the bunny with 10 triangles to its shortest wave (tests/bench/ACCURACY.md). */
+#define COARSE_EDGE_SQUARE 0.5
+/* And above which the scan's own normals are to be believed rather than the planes of its facets,
+ * whether they contradict each other or not. */
+#define LARGE_EDGE_SQUARE 4.0
+/* And above which normals that Bisque made are blended well without their planes, wherever pieces
+ * would have to be lifted far. */
+#define WIDE_EDGE_SQUARE 6.0
+
+/* Half of what planes say beyond normals is what a mean over a voxel has lost (bk_surface.h). It is
+ * not to be restored where an exact map does not have it either, or where it is of single
+ * triangles. Records of facets: normals around vertices, as the exact map has them, are means over
+ * rings of edges e, and interpolated. In an even lattice of triangles that takes as much from
+ * slopes as a mean over a voxel does where e is half a voxel, and less with the square of e; the
+ * bunny's waves come nearest with two thirds of that left out. Records of normals around vertices:
+ * where rings are not even their planes and normals do not go together. Leaving out 0.3 is best
+ * with edges of 0.9 voxels, 0.8 to 1 with 1.6. */
+#define GRAIN_OF_FACETS   2.7
+#define GRAIN_OF_VERTICES 0.4
+
+/* Mean square of the triangles' first edges, in voxels. */
+static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[4])
+{
+    struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
+    for (uint32_t t = 0; t < source->triangle_count; t++) {
+        const uint32_t *v = source->triangles[t];
+        struct row edge = row_difference(row_load(points[v[1]]), row_load(points[v[0]]));
+        sums = row_sum(sums, row_product(edge, edge));
+    }
+    return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) /
+           (double)source->triangle_count;
+}
+
+/* Finds where the scan's own normals do not go with its triangles; large: everywhere. */
+static void find_stray(bool large, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    const struct vox_own_normals own = {content->source.triangles, content->points,
+                                        content->normals};
+    bool *stray = (bool *)(slot->memory + slot->layout.stray_at), any = false;
+    for (uint32_t g = 0; g < content->group_count; g++) {
+        uint32_t begin = g * VOX_GROUP_TRIANGLES;
+        uint32_t end = vox_group_end(begin, content->source.triangle_count, VOX_GROUP_TRIANGLES);
+        stray[g] = large || vox_own_normals_stray(&own, begin, end);
+        any |= stray[g];
+    }
+    content->stray = any ? stray : NULL;
+}
+
+/* Points, and the bounds of groups. */
+static void place_chunk(const struct vox_chunks *c, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    const struct fmt_tris_chunk *source = &content->source;
+    double(*points)[4] = (double(*)[4])(void *)(slot->memory + slot->layout.points_at);
+    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + slot->layout.groups_at);
+    struct vox_box *vertex_groups =
+        (struct vox_box *)(void *)(slot->memory + slot->layout.vertex_groups_at);
+    map_points(c->lattice, source, points);
+    content->points = (const double(*)[4])points;
+    memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
+    vox_triangle_groups(source, content->points, content->last_cell, groups);
+    content->groups = groups;
+    content->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
+    if (c->smooth)
+        vox_vertex_groups(source, content->points, content->last_cell, vertex_groups);
+    slot->vertex_groups = vertex_groups;
+}
+
+/* The first step: the chunk as it is in the file, and where it lies. */
+static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+{
+    int status = 0;
+    if (!slot->memory)
+        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
+    slot->layout = layout_of(c, chunk);
+    if (status == 0)
+        status = fmt_tris_load(c->file, chunk, slot->memory, &slot->content.source);
+    if (status == 0)
+        place_chunk(c, slot);
+    return status;
+}
+
+static int lend(void *arg, uint32_t chunk, struct vox_loan *out);
+
+static void take_back(void *arg, uint32_t chunk)
+{
+    vox_chunks_release(arg, chunk);
+}
+
+static int smooth_normals(struct vox_chunks *c, uint32_t chunk, struct slot *slot,
+                          float (*normals)[4])
+{
+    const struct vox_smooth_lender lender = {c, lend, take_back};
+    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->lattice,
+                              normals);
+}
+
+/* The second step: what voxelizing needs beside. */
+static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+{
+    struct vox_chunk *content = &slot->content;
+    const struct fmt_tris_chunk *source = &content->source;
+    float(*normals)[4] = (float(*)[4])(void *)(slot->memory + slot->layout.normals_at);
+    int status = 0;
+    double square = mean_edge_square(source, content->points);
+    content->coarse = square > COARSE_EDGE_SQUARE;
+    content->wide = source->normals || square > WIDE_EDGE_SQUARE;
+    content->normals = (const float(*)[4])normals;
+    content->stray = NULL;
+    content->grain_share = 0.0;
+    if (c->smooth && !source->normals)
+        content->grain_share = content->coarse ? GRAIN_OF_VERTICES : GRAIN_OF_FACETS;
+    if (source->normals) {
+        unpack_normals(source, normals);
+        find_stray(square > LARGE_EDGE_SQUARE, slot);
+    } else if (c->smooth && content->coarse) {
+        status = smooth_normals(c, chunk, slot, normals);
+    } else {
+        content->normals = NULL;
+    }
+    return status;
+}
+
+/* ---- the cache ---- */
+
+int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      const struct vox_lattice *lattice, const struct vox_part *parts,
+                      uint64_t part_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      struct vox_chunks **out)
+{
+    struct vox_chunks *c;
+    uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "chunk cache", 1, sizeof *c, &c);
+    if (status < 0)
+        return status;
+    c->ctx = ctx;
+    c->file = file;
+    c->lattice = lattice;
+    c->smooth = smooth;
+    c->chunk_count = chunk_count;
+    c->slot_count = slot_count;
+    c->slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL);
+    if ((status = bsq_calloc(ctx, "chunk cache", slot_count, sizeof *c->slots, &c->slots)) < 0 ||
+        (status = bsq_calloc(ctx, "chunk cache", chunk_count, sizeof *c->uses, &c->uses)) < 0) {
+        bsq_free(ctx, c->slots);
+        bsq_free(ctx, c);
+        return status;
+    }
+    for (uint32_t i = 0; i < c->chunk_count; i++)
+        c->uses[i] = (struct use){.next = VOX_REGION_KEY_NEVER, .slot = NO_SLOT};
+    for (uint64_t i = 0; i < part_count; i++) {
+        struct vox_region_key first = vox_region_first(&parts[i].box);
+        struct use *use = &c->uses[parts[i].chunk];
+        if (vox_region_before(first, use->next))
+            use->next = first;
+    }
+    pthread_mutex_init(&c->lock, NULL);
+    pthread_cond_init(&c->stepped, NULL);
+    pthread_cond_init(&c->freed, NULL);
+    *out = c;
+    return 0;
+}
+
+void vox_chunks_destroy(struct vox_chunks *c)
+{
+    if (!c)
+        return;
+    for (uint32_t i = 0; i < c->slots_used; i++)
+        bsq_free(c->ctx, c->slots[i].memory);
+    pthread_cond_destroy(&c->freed);
+    pthread_cond_destroy(&c->stepped);
+    pthread_mutex_destroy(&c->lock);
+    bsq_free(c->ctx, c->slots);
+    bsq_free(c->ctx, c->uses);
+    bsq_free(c->ctx, c);
+}
+
+void vox_chunks_expect(struct vox_chunks *c, uint32_t chunk, uint32_t uses,
+                       struct vox_region_key after)
+{
+    pthread_mutex_lock(&c->lock);
+    c->uses[chunk].next = after;
+    c->uses[chunk].expected += uses;
+    pthread_mutex_unlock(&c->lock);
+}
+
+void vox_chunks_done(struct vox_chunks *c, uint32_t chunk)
+{
+    pthread_mutex_lock(&c->lock);
+    c->uses[chunk].expected--;
+    pthread_mutex_unlock(&c->lock);
+}
+
+/* Whether chunk a is needed before chunk b. */
+static bool needed_before(const struct vox_chunks *c, uint32_t a, uint32_t b)
+{
+    const struct use *ua = &c->uses[a], *ub = &c->uses[b];
+    if ((ua->expected == 0) != (ub->expected == 0))
+        return ua->expected != 0;
+    return vox_region_before(ua->next, ub->next);
+}
+
+static bool is_finished(const struct use *use)
+{
+    return use->expected == 0 && use->next.tile == UINT64_MAX;
+}
+
+/* A slot that may be filled: one whose chunk is not needed any more, else a new one, else the one
+ * whose chunk is needed last; NULL while all are held. */
+static struct slot *find_slot(struct vox_chunks *c)
+{
+    struct slot *best = NULL;
+    for (uint32_t i = 0; i < c->slots_used; i++) {
+        struct slot *slot = &c->slots[i];
+        if (slot->users > 0)
+            continue;
+        if (slot->chunk == NO_CHUNK || is_finished(&c->uses[slot->chunk]))
+            return slot;
+        if (!best || needed_before(c, best->chunk, slot->chunk))
+            best = slot;
+    }
+    if (c->slots_used < c->slot_count) {
+        best = &c->slots[c->slots_used++];
+        best->chunk = NO_CHUNK;
+    }
+    return best;
+}
+
+/* Makes the slot the chunk's, with the first step to do. */
+static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
+{
+    if (slot->chunk != NO_CHUNK)
+        c->uses[slot->chunk].slot = NO_SLOT;
+    slot->chunk = chunk;
+    slot->stage = STAGE_READING;
+    slot->status = 0;
+    c->uses[chunk].slot = (int32_t)(slot - c->slots);
+}
+
+/* Called with the lock held, as all below but for the public ones. */
+static void leave_slot(struct vox_chunks *c, struct slot *slot)
+{
+    if (--slot->users == 0) {
+        if (slot->status < 0) {
+            c->uses[slot->chunk].slot = NO_SLOT;
+            slot->chunk = NO_CHUNK;
+        }
+        pthread_cond_broadcast(&c->freed);
+    }
+}
+
+/* Brings a slot that is in use to a stage, by doing a step or by waiting until it is done. */
+static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
+                    int (*step)(struct vox_chunks *, uint32_t, struct slot *))
+{
+    if (mine) {
+        pthread_mutex_unlock(&c->lock);
+        int status = step(c, slot->chunk, slot);
+        pthread_mutex_lock(&c->lock);
+        slot->stage = stage;
+        slot->status = status;
+        pthread_cond_broadcast(&c->stepped);
+    }
+    while (slot->stage < stage && slot->status == 0)
+        pthread_cond_wait(&c->stepped, &c->lock);
+    return slot->status;
+}
+
+/* Takes both steps; `fresh`: the first one is the caller's to do. */
+static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
+{
+    int status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+    if (status < 0)
+        return status;
+    bool finish = slot->stage == STAGE_READ;
+    if (finish)
+        slot->stage = STAGE_FINISHING;
+    return run_step(c, slot, finish, STAGE_READY, finish_chunk);
+}
+
+/* Lends a chunk as it is in the file, unless it has no slot and its turn comes after that of all
+ * who have one. */
+static int lend(void *arg, uint32_t chunk, struct vox_loan *out)
+{
+    struct vox_chunks *c = arg;
+    const struct use *use = &c->uses[chunk];
+    int status = 0;
+    *out = (struct vox_loan){.chunk = NULL};
+    pthread_mutex_lock(&c->lock);
+    bool fresh = use->slot == NO_SLOT;
+    if (fresh) {
+        struct slot *slot = find_slot(c);
+        if (slot && (slot->chunk == NO_CHUNK || !needed_before(c, slot->chunk, chunk)))
+            give_slot(c, slot, chunk);
+    }
+    if (use->slot != NO_SLOT) {
+        struct slot *slot = &c->slots[use->slot];
+        slot->users++;
+        status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
+        if (status < 0)
+            leave_slot(c, slot);
+        else
+            *out =
+                (struct vox_loan){&slot->content.source, slot->content.groups, slot->vertex_groups};
+    }
+    pthread_mutex_unlock(&c->lock);
+    return status;
+}
+
+static bool in_making(const struct slot *slot)
+{
+    return slot->status == 0 && slot->stage != STAGE_READ && slot->stage != STAGE_READY;
+}
+
+/* The chunk that is needed first of those that nobody has made ready or is at; NO_CHUNK where there
+ * is none. */
+static uint32_t next_unready(const struct vox_chunks *c)
+{
+    uint32_t best = NO_CHUNK;
+    for (uint32_t i = 0; i < c->chunk_count; i++) {
+        const struct use *use = &c->uses[i];
+        if (is_finished(use) || (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
+            continue;
+        if (best == NO_CHUNK || needed_before(c, i, best))
+            best = i;
+    }
+    return best;
+}
+
+/* Gives the chunk a slot that no unit under way needs, if there is one. */
+static bool give_spare_slot(struct vox_chunks *c, uint32_t chunk)
+{
+    struct slot *slot = find_slot(c);
+    if (!slot || (slot->chunk != NO_CHUNK &&
+                  (c->uses[slot->chunk].expected > 0 || needed_before(c, slot->chunk, chunk))))
+        return false;
+    give_slot(c, slot, chunk);
+    return true;
+}
+
+/* Neighbouring regions share chunks, so workers come to need the same one at the same time. While
+ * another worker makes it ready, this one does so with those that come next. */
+static int prepare_others(struct vox_chunks *c, const struct slot *wanted)
+{
+    int status = 0;
+    while (status == 0 && in_making(wanted)) {
+        uint32_t chunk = next_unready(c);
+        if (chunk == NO_CHUNK)
+            break;
+        bool fresh = c->uses[chunk].slot == NO_SLOT;
+        if (fresh && !give_spare_slot(c, chunk))
+            break;
+        struct slot *slot = &c->slots[c->uses[chunk].slot];
+        slot->users++;
+        status = make_ready(c, slot, fresh);
+        leave_slot(c, slot);
+    }
+    return status;
+}
+
+int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+{
+    const struct use *use = &c->uses[chunk];
+    struct slot *slot;
+    bool fresh = false;
+    *out = NULL;
+    pthread_mutex_lock(&c->lock);
+    while (use->slot == NO_SLOT) {
+        if ((slot = find_slot(c)) != NULL) {
+            give_slot(c, slot, chunk);
+            fresh = true;
+        } else {
+            pthread_cond_wait(&c->freed, &c->lock);
+        }
+    }
+    slot = &c->slots[use->slot];
+    slot->users++;
+    int status = fresh ? 0 : prepare_others(c, slot);
+    if (status == 0)
+        status = make_ready(c, slot, fresh);
+    if (status < 0)
+        leave_slot(c, slot);
+    else
+        *out = &slot->content;
+    pthread_mutex_unlock(&c->lock);
+    return status;
+}
+
+void vox_chunks_release(struct vox_chunks *c, uint32_t chunk)
+{
+    pthread_mutex_lock(&c->lock);
+    leave_slot(c, &c->slots[c->uses[chunk].slot]);
+    pthread_mutex_unlock(&c->lock);
+}

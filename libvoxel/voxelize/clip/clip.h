@@ -1,0 +1,399 @@
+/* clip.h - cuts a triangle into its pieces, one for each voxel that it touches.
+ *
+ * This is the box-triangle overlap test and the clipping in one: a voxel is touched exactly where
+ * the triangle, a closed set, meets the voxel, a box that is half-open upwards, and the piece is
+ * what they share. Seen so, every point of the triangle belongs to one voxel: nothing that a
+ * triangle enters is missed, and what lies on the border of two voxels goes to the upper one alone.
+ *
+ * The triangle is cut into slabs along x, these into rows along y, these into voxels. Cutting with
+ * one plane at a time (Sutherland & Hodgman, "Reentrant Polygon Clipping", CACM 1974, keeping both
+ * sides) visits the touched voxels only, and yields with each its clipped polygon, which is needed
+ * anyway. A separating-axis test per voxel would decide the same set and cost more.
+ *
+ * The lower side of a cut is closed in the arithmetic, half-open by definition. Vertices remember
+ * the upper faces that they lie on because of a cut ("open" faces: not part of the voxel), so that
+ * a further cut does not count a voxel that is met in such points only.
+ *
+ * This takes any triangle. Most are small, and divided by divide_lanes.h at a fraction of the cost.
+ *
+ * All is in this header for the sake of one caller, into which it melts: a call per piece costs
+ * more than what is done with most pieces. */
+#ifndef VOX_VOXELIZE_CLIP_CLIP_H
+#define VOX_VOXELIZE_CLIP_CLIP_H
+
+#include <math.h>
+
+#include "libvoxel/voxelize/plan/voxel_transform.h"
+
+#define CLIP_INLINE static inline __attribute__((always_inline))
+
+/* The part of a triangle inside one voxel. b: weights of the second and third corner at the piece's
+ * centroid (the first has 1 - b[0] - b[1]). */
+struct vox_piece {
+    int32_t cell[3];
+    double fraction; /* of the triangle's area; 0 where they share a point or an edge */
+    double b[2];
+    double uv_extent[2]; /* widths of the piece in texture space, where the triangle has it */
+};
+
+struct vox_clip_triangle {
+    const double *corner[3];     /* in lattice coordinates */
+    const struct vox_box *cells; /* of its bounds, clamped to the lattice */
+    const double (*uv)[2];       /* texture coordinates of the corners, or NULL */
+};
+
+/* Takes pieces; a result other than 0 ends the clipping and is returned by it. */
+typedef int vox_piece_sink(void *arg, const struct vox_piece *piece);
+
+struct clip_vertex {
+    double p[3];
+    double b[2];   /* weights of the second and third corner */
+    uint64_t open; /* bit a: on the open upper face across axis a */
+};
+
+/* A plane adds at most one vertex to a convex polygon; six of the region and six of the voxel make
+ * 15. Rounding may make one slightly concave, hence the check in clip_split(). */
+enum { CLIP_MAX_VERTICES = 20 };
+
+struct clip_polygon {
+    uint32_t count;
+    struct clip_vertex v[CLIP_MAX_VERTICES];
+};
+
+struct clip_state {
+    const struct vox_clip_triangle *triangle;
+    const struct vox_box *window;
+    struct vox_box cells; /* of the triangle, inside the region */
+    int32_t cell[3];
+    void *arg; /* of the sink */
+};
+
+/* ---- pieces ---- */
+
+static inline void clip_uv_extent(const struct clip_polygon *p, const double (*uv)[2],
+                                  double extent[2])
+{
+    for (int k = 0; k < 2; k++) {
+        double d1 = uv[1][k] - uv[0][k], d2 = uv[2][k] - uv[0][k];
+        double min = INFINITY, max = -INFINITY;
+        for (uint32_t i = 0; i < p->count; i++) {
+            double at = p->v[i].b[0] * d1 + p->v[i].b[1] * d2;
+            min = at < min ? at : min;
+            max = at > max ? at : max;
+        }
+        extent[k] = max - min;
+    }
+}
+
+static inline void clip_mean_of_vertices(const struct clip_polygon *p, double b[2])
+{
+    b[0] = b[1] = 0.0;
+    for (uint32_t i = 0; i < p->count; i++) {
+        b[0] += p->v[i].b[0];
+        b[1] += p->v[i].b[1];
+    }
+    b[0] /= p->count;
+    b[1] /= p->count;
+}
+
+/* Area and centroid in the plane of the corner weights, where the triangle has area 1/2: well
+ * conditioned however thin the triangle is. */
+CLIP_INLINE void clip_measure(const struct clip_polygon *p, struct vox_piece *piece)
+{
+    const double *b0 = p->v[0].b;
+    double area2 = 0.0, absolute = 0.0, m0 = 0.0, m1 = 0.0;
+    double d0 = p->v[1].b[0] - b0[0], d1 = p->v[1].b[1] - b0[1];
+    for (uint32_t i = 2; i < p->count; i++) {
+        double e0 = p->v[i].b[0] - b0[0], e1 = p->v[i].b[1] - b0[1];
+        double a2 = d0 * e1 - d1 * e0;
+        area2 += a2;
+        absolute += fabs(a2);
+        m0 += a2 * (d0 + e0);
+        m1 += a2 * (d1 + e1);
+        d0 = e0;
+        d1 = e1;
+    }
+    /* Where signs differ, the area is rounding noise and no centroid can be had from it. */
+    if (area2 > 0.5 * absolute) {
+        double scale = 1.0 / (3.0 * area2);
+        piece->fraction = area2;
+        piece->b[0] = b0[0] + m0 * scale;
+        piece->b[1] = b0[1] + m1 * scale;
+    } else {
+        piece->fraction = area2 > 0.0 ? area2 : 0.0;
+        clip_mean_of_vertices(p, piece->b);
+    }
+}
+
+CLIP_INLINE int clip_emit(struct clip_state *c, const struct clip_polygon *p, vox_piece_sink *sink)
+{
+    struct vox_piece piece;
+    for (int a = 0; a < 3; a++)
+        piece.cell[a] = c->cell[a];
+    clip_measure(p, &piece);
+    if (c->triangle->uv)
+        clip_uv_extent(p, c->triangle->uv, piece.uv_extent);
+    return sink(c->arg, &piece);
+}
+
+/* ---- cutting ----
+ *
+ * Axes are cut in the order x, y, z, so what comes of a cut needs no coordinates of earlier axes,
+ * and the side below the plane not even that of its own. */
+
+/* Where the edge from l (below) to r (not below) crosses. Always taken from below, so that
+ * triangles that share an edge share the crossing. */
+CLIP_INLINE void clip_cross(const struct clip_vertex *l, const struct clip_vertex *r, int axis,
+                            double plane, struct clip_vertex *above, struct clip_vertex *below)
+{
+    double t = (plane - l->p[axis]) / (r->p[axis] - l->p[axis]);
+    for (int k = axis + 1; k < 3; k++)
+        below->p[k] = above->p[k] = l->p[k] + t * (r->p[k] - l->p[k]);
+    for (int k = 0; k < 2; k++)
+        below->b[k] = above->b[k] = l->b[k] + t * (r->b[k] - l->b[k]);
+    above->p[axis] = plane;
+    above->open = l->open & r->open;
+    below->open = above->open | UINT64_C(1) << axis;
+}
+
+CLIP_INLINE void clip_copy_vertex(struct clip_vertex *to, const struct clip_vertex *from,
+                                  int first_axis)
+{
+    for (int k = first_axis; k < 3; k++)
+        to->p[k] = from->p[k];
+    for (int k = 0; k < 2; k++)
+        to->b[k] = from->b[k];
+    to->open = from->open;
+}
+
+/* Bit i: vertex i is not below the plane. */
+CLIP_INLINE uint32_t clip_above_mask(const struct clip_polygon *p, int axis, double plane)
+{
+    uint32_t mask = 0;
+    for (uint32_t i = 0; i < p->count; i++)
+        mask |= (uint32_t)(p->v[i].p[axis] >= plane) << i;
+    return mask;
+}
+
+/* Splits any polygon, also one that rounding has made concave so that it crosses more than twice,
+ * and keeps all coordinates on both sides. */
+static inline void clip_split_any(const struct clip_polygon *in, int axis, double plane,
+                                  struct clip_polygon *below, struct clip_polygon *above)
+{
+    uint32_t nb = 0, na = 0;
+    const struct clip_vertex *previous = &in->v[in->count - 1];
+    for (uint32_t i = 0; i < in->count; i++) {
+        const struct clip_vertex *v = &in->v[i];
+        bool is_above = v->p[axis] >= plane, was_above = previous->p[axis] >= plane;
+        if (is_above != was_above && na < CLIP_MAX_VERTICES && nb < CLIP_MAX_VERTICES) {
+            const struct clip_vertex *l = is_above ? previous : v, *r = is_above ? v : previous;
+            struct clip_vertex *x = &above->v[na++], *y = &below->v[nb++];
+            clip_cross(l, r, axis, plane, x, y);
+            double t = (plane - l->p[axis]) / (r->p[axis] - l->p[axis]);
+            for (int k = 0; k < axis; k++)
+                y->p[k] = x->p[k] = l->p[k] + t * (r->p[k] - l->p[k]);
+            y->p[axis] = plane;
+        }
+        if (is_above && na < CLIP_MAX_VERTICES)
+            above->v[na++] = *v;
+        else if (!is_above && nb < CLIP_MAX_VERTICES)
+            below->v[nb++] = *v;
+        previous = v;
+    }
+    below->count = nb;
+    above->count = na;
+}
+
+/* Copies `count` vertices of the ring from `first` on. */
+CLIP_INLINE void clip_copy_run(struct clip_vertex *to, const struct clip_polygon *from,
+                               uint32_t first, uint32_t count, int first_axis)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        clip_copy_vertex(&to[i], &from->v[first], first_axis);
+        first = first + 1 < from->count ? first + 1 : 0;
+    }
+}
+
+/* Cuts a polygon that has vertices on both sides of the plane. The part below loses its coordinates
+ * on this axis and those before it, the part above those before it. */
+CLIP_INLINE void clip_split(const struct clip_polygon *in, int axis, double plane,
+                            struct clip_polygon *below, struct clip_polygon *above)
+{
+    uint32_t n = in->count, mask = clip_above_mask(in, axis, plane);
+    uint32_t previous = (mask << 1 | mask >> (n - 1)) & ((1u << n) - 1);
+    uint32_t enters = mask & ~previous, leaves = ~mask & previous;
+    if ((enters & (enters - 1)) != 0 || n == CLIP_MAX_VERTICES) {
+        clip_split_any(in, axis, plane, below, above);
+        return;
+    }
+    uint32_t enter = (uint32_t)__builtin_ctz(enters), leave = (uint32_t)__builtin_ctz(leaves);
+    uint32_t na = (uint32_t)__builtin_popcount(mask), nb = n - na;
+    clip_cross(&in->v[enter > 0 ? enter - 1 : n - 1], &in->v[enter], axis, plane, &above->v[0],
+               &below->v[nb + 1]);
+    clip_cross(&in->v[leave], &in->v[leave > 0 ? leave - 1 : n - 1], axis, plane, &above->v[na + 1],
+               &below->v[0]);
+    clip_copy_run(&above->v[1], in, enter, na, axis);
+    clip_copy_run(&below->v[1], in, leave, nb, axis + 1);
+    below->count = nb + 2;
+    above->count = na + 2;
+}
+
+/* Whether the points at the polygon's upper end, `max` on this axis, belong to it: not if all of
+ * them lie on one open face. */
+static inline bool clip_top_belongs(const struct clip_polygon *p, int axis, double max)
+{
+    uint64_t open = ~UINT64_C(0);
+    for (uint32_t i = 0; i < p->count; i++)
+        if (p->v[i].p[axis] == max)
+            open &= p->v[i].open;
+    return open == 0;
+}
+
+/* Narrows lo to hi to the cells that the polygon touches. */
+CLIP_INLINE void clip_cell_range(const struct clip_polygon *p, int axis, int32_t *lo, int32_t *hi)
+{
+    double min = p->v[0].p[axis], max = min;
+    for (uint32_t i = 1; i < p->count; i++) {
+        double x = p->v[i].p[axis];
+        min = x < min ? x : min;
+        max = x > max ? x : max;
+    }
+    int32_t first = (int32_t)floor(min), last = (int32_t)floor(max);
+    if (last < *hi)
+        *hi = last;
+    if (first > *lo)
+        *lo = first < *hi ? first : *hi;
+    if (*hi > *lo && max == *hi && !clip_top_belongs(p, axis, max))
+        --*hi;
+}
+
+typedef int clip_next(struct clip_state *c, const struct clip_polygon *p, vox_piece_sink *sink);
+
+CLIP_INLINE int clip_cut(struct clip_state *c, const struct clip_polygon *p, int axis,
+                         clip_next *next, vox_piece_sink *sink)
+{
+    int32_t lo = c->cells.lo[axis], hi = c->cells.hi[axis];
+    int32_t from = c->window->lo[axis], to = c->window->hi[axis];
+    struct clip_polygon piece, rest[2];
+    if (lo < hi)
+        clip_cell_range(p, axis, &lo, &hi);
+    for (int32_t i = lo; i <= hi && i <= to; i++) {
+        const struct clip_polygon *current = p;
+        if (i < hi) {
+            struct clip_polygon *above = &rest[i & 1];
+            clip_split(p, axis, i + 1, &piece, above);
+            current = &piece;
+            p = above;
+        }
+        if (i < from)
+            continue;
+        c->cell[axis] = i;
+        int status = next(c, current, sink);
+        if (status != 0)
+            return status;
+    }
+    return 0;
+}
+
+CLIP_INLINE int clip_cut_row(struct clip_state *c, const struct clip_polygon *p,
+                             vox_piece_sink *sink)
+{
+    return clip_cut(c, p, 2, clip_emit, sink);
+}
+
+CLIP_INLINE int clip_cut_slab(struct clip_state *c, const struct clip_polygon *p,
+                              vox_piece_sink *sink)
+{
+    return clip_cut(c, p, 1, clip_cut_row, sink);
+}
+
+CLIP_INLINE int clip_cut_triangle(struct clip_state *c, const struct clip_polygon *p,
+                                  vox_piece_sink *sink)
+{
+    return clip_cut(c, p, 0, clip_cut_slab, sink);
+}
+
+/* ---- the region ---- */
+
+static inline bool clip_reaches(const struct clip_polygon *p, int axis, double plane)
+{
+    double max = -INFINITY;
+    for (uint32_t i = 0; i < p->count; i++)
+        max = p->v[i].p[axis] > max ? p->v[i].p[axis] : max;
+    return max > plane || (max == plane && clip_top_belongs(p, axis, max));
+}
+
+static inline bool clip_begins_below(const struct clip_polygon *p, int axis, double plane)
+{
+    for (uint32_t i = 0; i < p->count; i++)
+        if (p->v[i].p[axis] < plane)
+            return true;
+    return false;
+}
+
+/* Keeps what lies inside the region; false where nothing does. Cutting a large triangle so first
+ * keeps the work in proportion to its share of the region. */
+static inline bool clip_cut_to_region(struct clip_polygon *p, const struct vox_box *cells,
+                                      const struct vox_box *region)
+{
+    struct clip_polygon below, above;
+    for (int a = 0; a < 3; a++) {
+        if (cells->lo[a] < region->lo[a]) {
+            if (!clip_reaches(p, a, region->lo[a]))
+                return false;
+            if (clip_begins_below(p, a, region->lo[a])) {
+                clip_split_any(p, a, region->lo[a], &below, &above);
+                *p = above;
+            }
+        }
+        if (cells->hi[a] > region->hi[a]) {
+            double plane = region->hi[a] + 1.0;
+            if (!clip_begins_below(p, a, plane))
+                return false;
+            if (clip_reaches(p, a, plane)) {
+                clip_split_any(p, a, plane, &below, &above);
+                *p = below;
+            }
+        }
+    }
+    return true;
+}
+
+/* ---- the whole ---- */
+
+static inline void clip_first_polygon(const struct vox_clip_triangle *triangle,
+                                      struct clip_polygon *p)
+{
+    p->count = 3;
+    for (int i = 0; i < 3; i++) {
+        for (int a = 0; a < 3; a++)
+            p->v[i].p[a] = triangle->corner[i][a];
+        p->v[i].b[0] = i == 1;
+        p->v[i].b[1] = i == 2;
+        p->v[i].open = 0;
+    }
+}
+
+/* Hands the pieces inside `window` to the sink, in ascending (x, y, z) order. region: a fixed
+ * division of the lattice that contains the window; a piece is the same bit for bit whatever window
+ * of the region it is asked for. */
+CLIP_INLINE int vox_clip(const struct vox_clip_triangle *triangle, const struct vox_box *region,
+                         const struct vox_box *window, vox_piece_sink *sink, void *arg)
+{
+    struct clip_state c = {.triangle = triangle, .window = window, .arg = arg};
+    struct clip_polygon p;
+    bool inside = true;
+    for (int a = 0; a < 3; a++) {
+        int32_t lo = triangle->cells->lo[a], hi = triangle->cells->hi[a];
+        inside = inside && lo >= region->lo[a] && hi <= region->hi[a];
+        c.cells.lo[a] = lo > region->lo[a] ? lo : region->lo[a];
+        c.cells.hi[a] = hi < region->hi[a] ? hi : region->hi[a];
+    }
+    clip_first_polygon(triangle, &p);
+    if (!inside && !clip_cut_to_region(&p, triangle->cells, region))
+        return 0;
+    return clip_cut_triangle(&c, &p, sink);
+}
+
+#undef CLIP_INLINE
+#endif

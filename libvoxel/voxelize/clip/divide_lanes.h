@@ -1,0 +1,225 @@
+/* divide_lanes.h - divides small triangles among the voxels they touch, several side by side.
+ *
+ * The triangles of a batch span the same number of cells along each axis, so that all take the same
+ * steps. No polygon is built: area and centroid of every piece are sums over its border (Green's
+ * theorem), and the border's parts lie on the triangle's edges and on the lines in which planes
+ * between cells cut the triangle. A part of a line has its place in closed form: the overlap of the
+ * spans in which the line is within a cell along each of the other axes. Each counts for the piece
+ * below the plane and, with the other sign, for the one above.
+ *
+ * Everything is measured in the plane of the corner weights with the first corner as origin, where
+ * the two edges from there contribute nothing.
+ *
+ * Where a corner or a crossing lies exactly on a plane, what is touched is a matter of half-open
+ * boxes, and where a piece is tiny or lines are nearly parallel digits are lost; such triangles are
+ * told apart as doubtful and left to clip.h, which is slower and has no such limits. */
+#ifndef VOX_VOXELIZE_CLIP_DIVIDE_LANES_H
+#define VOX_VOXELIZE_CLIP_DIVIDE_LANES_H
+
+#include "libvoxel/voxelize/lanes/lanes.h"
+
+/* Planes that cut a triangle, along an axis. */
+enum {
+    DIVIDE_MAX_PLANES = 3,
+    DIVIDE_MAX_CELLS = (DIVIDE_MAX_PLANES + 1) * (DIVIDE_MAX_PLANES + 1) * (DIVIDE_MAX_PLANES + 1)
+};
+
+/* Least share of the triangle's area that a piece has, and least change of a coordinate along a
+ * line that crosses a plane, lest digits get lost: where both are at their least, a piece's
+ * centroid is still within some millionths of the triangle's size. */
+#define DIVIDE_LEAST_SHARE 1e-7
+#define DIVIDE_LEAST_SLOPE 1e-3
+
+/* Sums over a piece's border: twice its area, and its moments, in the plane of corner weights. */
+struct divide_piece {
+    lanes share; /* of the triangle's area */
+    lanes
+        moment[2]; /* share times weight of the second and third corner at the centroid, times 3 */
+};
+
+/* Where a line, between parameters 0 and 1, is within each cell along an axis. */
+struct divide_spans {
+    lanes from[DIVIDE_MAX_PLANES + 1], to[DIVIDE_MAX_PLANES + 1];
+    lanes crossing[DIVIDE_MAX_PLANES]; /* of the planes */
+};
+
+/* The line's coordinate is at + slope * parameter; cells are cut by planes 1 to planes. */
+LANES_INLINE void divide_line(lanes at, lanes slope, int planes, struct divide_spans *spans,
+                              lane_mask *doubtful)
+{
+    const lanes zero = lanes_all(0.0), one = lanes_all(1.0);
+    if (planes == 0) {
+        spans->from[0] = zero;
+        spans->to[0] = one;
+        return;
+    }
+    /* A coordinate that stays the same crosses nothing; signs of zero tell below from above then.
+     */
+    lane_mask down = lanes_signs(slope);
+    lane_mask flat = lanes_less(lanes_abs(slope), lanes_all(DIVIDE_LEAST_SLOPE));
+    lanes inverse = 1.0 / slope, before = lanes_keep(down, one), end = one - before;
+    for (int i = 0; i < planes; i++) {
+        lanes s = ((double)(i + 1) - at) * inverse;
+        *doubtful |= lanes_equal(s, zero) | lanes_equal(s, one);
+        *doubtful |= flat & ~(lanes_less(s, lanes_all(-0.1)) | lanes_less(lanes_all(1.1), s));
+        spans->crossing[i] = s;
+        s = lanes_min(lanes_max(s, zero), one);
+        spans->from[i] = lanes_min(before, s);
+        spans->to[i] = lanes_max(before, s);
+        before = s;
+    }
+    spans->from[planes] = lanes_min(before, end);
+    spans->to[planes] = lanes_max(before, end);
+}
+
+/* Corner weights of the points where the triangle's border, followed from corner to corner, rises
+ * through a plane and where it falls through it. */
+struct divide_cut {
+    lanes rise[2], fall[2];
+};
+
+/* p: the corners' coordinates across the plane; inverse: of p[i] - p[i + 1]. */
+LANES_INLINE void divide_border(const lanes p[3], const lanes inverse[3], double plane,
+                                struct divide_cut *cut, lane_mask *doubtful)
+{
+    const lanes zero = lanes_all(0.0);
+    lanes d[3], t[3];
+    lane_mask below[3], rises[3], falls[3];
+    for (int i = 0; i < 3; i++) {
+        d[i] = p[i] - plane;
+        below[i] = lanes_less(d[i], zero);
+        t[i] = d[i] * inverse[i];
+        *doubtful |= lanes_equal(d[i], zero);
+    }
+    for (int i = 0; i < 3; i++) {
+        rises[i] = below[i] & ~below[(i + 1) % 3];
+        falls[i] = ~below[i] & below[(i + 1) % 3];
+    }
+    /* Weights (t, 0) on the first edge, (1 - t, t) on the second, (0, 1 - t) on the third. */
+    lanes rest1 = 1.0 - t[1], rest2 = 1.0 - t[2];
+    cut->rise[0] = lanes_select(rises[1], rest1, lanes_keep(rises[0], t[0]));
+    cut->rise[1] = lanes_select(rises[1], t[1], lanes_keep(rises[2], rest2));
+    cut->fall[0] = lanes_select(falls[1], rest1, lanes_keep(falls[0], t[0]));
+    cut->fall[1] = lanes_select(falls[1], t[1], lanes_keep(falls[2], rest2));
+}
+
+/* Adds the parts of the line in which one plane cuts the triangle. `below` is the first cell of the
+ * layer below the plane; strides lead to the next cell across the plane, along q and along r. */
+LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divide_spans *q,
+                                 int q_cells, const struct divide_spans *r, int r_cells,
+                                 struct divide_piece *below, const int stride[3])
+{
+    lanes cross = cut->rise[0] * cut->fall[1] - cut->rise[1] * cut->fall[0];
+    lanes twice[2], delta[2];
+    for (int k = 0; k < 2; k++) {
+        twice[k] = cut->rise[k] + cut->rise[k];
+        delta[k] = cut->fall[k] - cut->rise[k];
+    }
+    for (int j = 0; j < q_cells; j++)
+        for (int k = 0; k < r_cells; k++) {
+            struct divide_piece *lower = below + j * stride[1] + k * stride[2];
+            struct divide_piece *upper = lower + stride[0];
+            lanes from = lanes_max(q->from[j], r->from[k]), to = lanes_min(q->to[j], r->to[k]);
+            lanes share = lanes_max(to - from, lanes_all(0.0)) * cross, sum = from + to;
+            lower->share += share;
+            upper->share -= share;
+            for (int c = 0; c < 2; c++) {
+                lanes moment = share * (twice[c] + sum * delta[c]);
+                lower->moment[c] += moment;
+                upper->moment[c] -= moment;
+            }
+        }
+}
+
+/* Begins the sums with the edge that does not begin at the origin: from (1, 0) to (0, 1). */
+LANES_INLINE void divide_edge(const struct divide_spans spans[3], const int cells[3],
+                              struct divide_piece *pieces)
+{
+    for (int i = 0; i < cells[0]; i++)
+        for (int j = 0; j < cells[1]; j++) {
+            lanes low = lanes_max(spans[0].from[i], spans[1].from[j]);
+            lanes high = lanes_min(spans[0].to[i], spans[1].to[j]);
+            for (int k = 0; k < cells[2]; k++) {
+                lanes from = lanes_max(low, spans[2].from[k]);
+                lanes to = lanes_min(high, spans[2].to[k]);
+                lanes share = lanes_max(to - from, lanes_all(0.0)), sum = from + to;
+                pieces->share = share;
+                pieces->moment[0] = share * (2.0 - sum);
+                pieces->moment[1] = share * sum;
+                pieces++;
+            }
+        }
+}
+
+/* Lines of two kinds that meet on a line of the third: a cell may be touched in that point alone.
+ */
+LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_planes,
+                                       const struct divide_spans *r, int r_planes,
+                                       lane_mask *doubtful)
+{
+    for (int j = 0; j < q_planes; j++)
+        for (int k = 0; k < r_planes; k++)
+            *doubtful |= lanes_equal(q->crossing[j], r->crossing[k]);
+}
+
+/* The lines of all planes across an axis. */
+LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3],
+                              const int stride[3], struct divide_piece *pieces, lane_mask *doubtful)
+{
+    const int q = (axis + 1) % 3, r = (axis + 2) % 3;
+    const int strides[3] = {stride[axis], stride[q], stride[r]};
+    lanes across[3], inverse[3];
+    if (planes[axis] == 0)
+        return;
+    for (int i = 0; i < 3; i++)
+        across[i] = p[i][axis];
+    for (int i = 0; i < 3; i++)
+        inverse[i] = 1.0 / (across[i] - across[(i + 1) % 3]);
+    for (int i = 0; i < planes[axis]; i++) {
+        struct divide_cut cut;
+        struct divide_spans spans[2];
+        divide_border(across, inverse, i + 1, &cut, doubtful);
+        lanes d0 = cut.fall[0] - cut.rise[0], d1 = cut.fall[1] - cut.rise[1];
+        for (int k = 0; k < 2; k++) {
+            int other = k == 0 ? q : r;
+            lanes e = p[1][other] - p[0][other], f = p[2][other] - p[0][other];
+            divide_line(p[0][other] + cut.rise[0] * e + cut.rise[1] * f, d0 * e + d1 * f,
+                        planes[other], &spans[k], doubtful);
+        }
+        if (axis == 0)
+            divide_check_meeting(&spans[0], planes[q], &spans[1], planes[r], doubtful);
+        divide_add_cut(&cut, &spans[0], planes[q] + 1, &spans[1], planes[r] + 1,
+                       pieces + i * stride[axis], strides);
+    }
+}
+
+/* Divides triangles whose corners p[corner][axis] lie in cells 0 to planes[axis], counted from the
+ * lowest that each touches. Cell (x, y, z) becomes pieces[(x * (planes[1] + 1) + y) * (planes[2] +
+ * 1) + z]; divide_touching() tells of which triangles. Returns doubtful triangles, about whose
+ * pieces nothing can be said, and the cells may tell of more. */
+LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
+                                    struct divide_piece *pieces)
+{
+    const int cells[3] = {planes[0] + 1, planes[1] + 1, planes[2] + 1};
+    const int stride[3] = {cells[1] * cells[2], cells[2], 1};
+    lane_mask doubtful = lanes_none();
+    struct divide_spans edge[3];
+    for (int a = 0; a < 3; a++)
+        divide_line(p[1][a], p[2][a] - p[1][a], planes[a], &edge[a], &doubtful);
+    divide_edge(edge, cells, pieces);
+    /* Written out, lest the axis becomes a variable. */
+    divide_axis(p, 0, planes, stride, pieces, &doubtful);
+    divide_axis(p, 1, planes, stride, pieces, &doubtful);
+    divide_axis(p, 2, planes, stride, pieces, &doubtful);
+    return doubtful;
+}
+
+/* The triangles that touch the cell; with those for which that is not sure, doubtful. */
+LANES_INLINE lane_mask divide_touching(const struct divide_piece *piece, lane_mask *doubtful)
+{
+    lane_mask touching = lanes_less(lanes_all(DIVIDE_LEAST_SHARE), piece->share);
+    *doubtful |= ~(touching | lanes_equal(piece->share, lanes_all(0.0)));
+    return touching;
+}
+
+#endif

@@ -1,0 +1,124 @@
+/* shade.c - where the colour of a triangle comes from. What is linear over a triangle is
+ * interpolated at the centroid of a piece, which gives the piece's mean exactly (shade_lanes.h); a
+ * texture is averaged over the piece's extent instead. */
+#include "libvoxel/voxelize/clip/shade.h"
+#include "base/srgb.h"
+
+#include <math.h>
+#include <string.h>
+
+static bool has_materials(const struct fmt_tris_header *header)
+{
+    return (header->attributes & FMT_TRIS_MATERIALS) && header->material_count > 0;
+}
+
+bool vox_shading_has_color(const struct fmt_tris_header *header)
+{
+    return has_materials(header) || (header->attributes & FMT_TRIS_COLORS);
+}
+
+bool vox_shading_needs_textures(const struct fmt_tris_header *header)
+{
+    if (!(header->attributes & FMT_TRIS_TEXCOORDS) || !has_materials(header))
+        return false;
+    for (uint32_t i = 0; i < header->material_count; i++)
+        if (header->materials[i].texture_path)
+            return true;
+    return false;
+}
+
+static int open_textures(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
+                         uint64_t texture_bytes, struct fmt_textures **out)
+{
+    const char **paths;
+    int status = bsq_calloc(ctx, "texture paths", header->material_count, sizeof *paths, &paths);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < header->material_count; i++)
+        paths[i] = header->materials[i].texture_path;
+    status = fmt_textures_open(ctx, paths, header->material_count, texture_bytes, out);
+    bsq_free(ctx, paths);
+    return status;
+}
+
+int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
+                     uint64_t texture_bytes, struct vox_shading *out)
+{
+    memset(out, 0, sizeof *out);
+    out->header = header;
+    vox_color_tables_init(&out->tables);
+    out->has_color = vox_shading_has_color(header);
+    if (!has_materials(header))
+        return 0;
+    int status = bsq_alloc(ctx, "material colours", header->material_count, sizeof *out->diffuse,
+                           &out->diffuse);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < header->material_count; i++)
+        for (int k = 0; k < 3; k++)
+            out->diffuse[i][k] = bsq_srgb_to_linear((double)header->materials[i].diffuse[k]);
+    if (vox_shading_needs_textures(header) &&
+        (status = open_textures(ctx, header, texture_bytes, &out->textures)) < 0)
+        vox_shading_free(ctx, out);
+    return status;
+}
+
+void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
+{
+    if (shading->textures)
+        fmt_textures_close(shading->textures);
+    shading->textures = NULL;
+    bsq_free(ctx, shading->diffuse);
+    shading->diffuse = NULL;
+}
+
+/* ---- triangles ---- */
+
+static uint32_t material_of(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                            uint32_t triangle)
+{
+    bool known = chunk->source.materials && shading->diffuse;
+    return known ? chunk->source.materials[triangle] : UINT32_MAX;
+}
+
+uint32_t vox_shade_image(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                         uint32_t triangle)
+{
+    uint32_t material = shading->textures ? material_of(shading, chunk, triangle) : UINT32_MAX;
+    if (material == UINT32_MAX || !shading->header->materials[material].texture_path)
+        return UINT32_MAX;
+    return material;
+}
+
+bool vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                       uint32_t triangle, double rgb[3][3])
+{
+    const uint32_t *v = chunk->source.triangles[triangle];
+    uint32_t material = material_of(shading, chunk, triangle);
+    if (!chunk->source.colors && material == UINT32_MAX) {
+        memset(rgb, 0, sizeof(double[3][3]));
+        return false;
+    }
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            rgb[i][k] =
+                chunk->source.colors
+                    ? shading->tables.to_linear[chunk->source.colors[v[i]] >> (8 * k) & 0xff]
+                    : shading->diffuse[material][k];
+    return true;
+}
+
+/* ---- pieces ---- */
+
+int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
+                      const double b[2], const double uv_extent[2], double rgb[3])
+{
+    float color[3], at[2];
+    for (int k = 0; k < 2; k++)
+        at[k] = (float)(uv[0][k] + b[0] * (uv[1][k] - uv[0][k]) + b[1] * (uv[2][k] - uv[0][k]));
+    int status = fmt_texture_sample(shading->textures, image, at[0], at[1], (float)uv_extent[0],
+                                    (float)uv_extent[1], color);
+    for (int k = 0; k < 3 && status == 0; k++)
+        rgb[k] = (double)color[k];
+    return status;
+}

@@ -1,0 +1,182 @@
+/* grid_estimate.c - see grid_estimate.h.
+ *
+ * A plane with unit normal n crosses |nx| + |ny| + |nz| unit cubes per unit of its area: each term
+ * counts the cubes' faces across one axis that it passes through. So a triangle's share is the sum
+ * of its areas seen along the three axes, which is what its cross product holds.
+ *
+ * That is too much only where triangles share voxels, so what is refused is more than twice what
+ * there is room for. */
+#include "libvoxel/voxelize/grid_estimate.h"
+
+#include <inttypes.h>
+#include <math.h>
+
+#include "base/file.h"
+#include "base/parallel.h"
+
+/* From here on a grid is worth a look at the triangles, and a warning where these are few: it takes
+ * minutes and 10 GB. */
+static const double huge_voxels = 1e9;
+/* Voxels of a triangle where no more detail can come of smaller ones. */
+static const double fine_voxels = 16.0;
+
+/* Chunks that tell the size of an ordinary grid: some milliseconds. */
+enum { SAMPLES = 16 };
+
+/* A surface passes through 8 x 8 of a leaf's 512 voxels. */
+static const double voxels_of_leaf = 64.0;
+/* As measured: a normal and a plane, and a voxel's share of leaves and second records; a colour. */
+static const double voxel_bytes = 11.0, color_bytes = 4.0;
+static const double certainty = 0.5; /* the share of the estimate that is there at least */
+
+/* A chunk that is looked at. */
+struct sample {
+    double area;
+    uint32_t triangles;
+};
+
+struct area_job {
+    struct bsq_ctx *ctx;
+    const struct fmt_tris_file *file;
+    uint8_t *scratch; /* one chunk a worker */
+    uint64_t scratch_bytes;
+    struct sample *samples; /* their sum does not depend on threads */
+    uint64_t count;
+    unsigned workers;
+};
+
+/* ---- areas ---- */
+
+static double projected_areas(const struct fmt_tris_chunk *chunk)
+{
+    double sum = 0.0;
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        const float *p = chunk->positions[chunk->triangles[t][0]];
+        const float *q = chunk->positions[chunk->triangles[t][1]];
+        const float *r = chunk->positions[chunk->triangles[t][2]];
+        double u[3], v[3];
+        for (int a = 0; a < 3; a++) {
+            u[a] = (double)q[a] - (double)p[a];
+            v[a] = (double)r[a] - (double)p[a];
+        }
+        for (int a = 0; a < 3; a++) {
+            int b = (a + 1) % 3, c = (a + 2) % 3;
+            sum += fabs(u[b] * v[c] - u[c] * v[b]);
+        }
+    }
+    return sum / 2;
+}
+
+/* Every workers-th sample, from the index on. Samples are spread evenly over the file. */
+static int sum_areas(void *arg, uint64_t index, unsigned worker)
+{
+    struct area_job *job = arg;
+    uint64_t chunks = fmt_tris_get_header(job->file)->chunk_count;
+    void *scratch = job->scratch + index * job->scratch_bytes;
+    int status = 0;
+    (void)worker;
+    for (uint64_t i = index; i < job->count && status == 0; i += job->workers) {
+        uint64_t number = (2 * i + 1) * chunks / (2 * job->count);
+        struct fmt_tris_chunk chunk;
+        if ((status = bsq_check(job->ctx)) == 0 &&
+            (status = fmt_tris_load(job->file, number, scratch, &chunk)) == 0)
+            job->samples[i] = (struct sample){projected_areas(&chunk), chunk.triangle_count};
+    }
+    return status;
+}
+
+static unsigned choose_workers(const struct area_job *job)
+{
+    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
+    uint64_t room = limit > used ? (limit - used) / 2 / job->scratch_bytes : 0;
+    unsigned threads = bsq_threads(job->ctx);
+    return room >= threads ? threads : room > 0 ? (unsigned)room : 1;
+}
+
+int vox_estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                        const struct vox_lattice *lattice, uint64_t chunks_max, double *voxels)
+{
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
+    struct area_job job = {.ctx = ctx,
+                           .file = file,
+                           .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
+    job.count = header->chunk_count < chunks_max ? header->chunk_count : chunks_max;
+    job.workers = choose_workers(&job);
+    int status = bsq_calloc(ctx, "areas of chunks", job.count, sizeof *job.samples, &job.samples);
+    if (status == 0)
+        status = bsq_alloc(ctx, "areas of chunks", job.workers, job.scratch_bytes, &job.scratch);
+    if (status == 0)
+        status = bsq_parallel_for(ctx, job.workers, sum_areas, &job);
+    double area = 0.0, triangles = 0.0;
+    for (uint64_t i = 0; i < job.count && status == 0; i++) {
+        area += job.samples[i].area;
+        triangles += job.samples[i].triangles;
+    }
+    *voxels = triangles > 0.0
+                  ? area * ((double)header->triangle_count / triangles) / lattice->h / lattice->h
+                  : 0.0;
+    bsq_free(ctx, job.scratch);
+    bsq_free(ctx, job.samples);
+    return status;
+}
+
+/* ---- what to say of them ---- */
+
+/* As if each chunk were one surface, folded as little as its bounds allow. */
+static double voxels_by_bounds(const struct fmt_tris_file *file, const struct vox_lattice *lattice)
+{
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
+    double sum = 0.0;
+    for (uint64_t i = 0; i < fmt_tris_get_header(file)->chunk_count; i++) {
+        double side[3];
+        for (int a = 0; a < 3; a++)
+            side[a] =
+                ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / lattice->h;
+        sum += side[0] * side[1] + side[1] * side[2] + side[2] * side[0];
+    }
+    return sum;
+}
+
+double vox_estimate_bytes(double voxels, bool has_color)
+{
+    return voxels * (voxel_bytes + (has_color ? color_bytes : 0.0));
+}
+
+/* Nothing is said of a grid with fewer voxels than triangles: it is about as large as the scan. */
+static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      const struct vox_lattice *lattice, double voxels, double bytes,
+                      const char *grid_path)
+{
+    uint64_t triangles = fmt_tris_get_header(file)->triangle_count;
+    if (voxels < huge_voxels || voxels < (double)triangles)
+        return 0;
+    if (certainty * voxels / voxels_of_leaf > (double)UINT32_MAX)
+        return bsq_fail(
+            ctx, BSQ_EUSAGE,
+            "%s: about %.2g voxels of %g would be in the grid, which has no more than %" PRIu32
+            " leaves of 8x8x8; choose larger voxels",
+            grid_path, voxels, lattice->h, UINT32_MAX);
+    if (voxels > fine_voxels * (double)triangles)
+        bsq_warn(
+            ctx,
+            "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, and while it is made twice that: voxels are small "
+            "for a scan of %" PRIu64 " triangles",
+            grid_path, voxels, lattice->h, bytes / 0x1p30, triangles);
+    return 0;
+}
+
+int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                       const struct vox_lattice *lattice, bool has_color, const char *grid_path)
+{
+    uint64_t chunks_max = voxels_by_bounds(file, lattice) < huge_voxels ? SAMPLES : UINT64_MAX;
+    double voxels;
+    int status = vox_estimate_voxels(ctx, file, lattice, chunks_max, &voxels);
+    if (status < 0)
+        return status;
+    double bytes = vox_estimate_bytes(voxels, has_color);
+    if ((status = judge_huge(ctx, file, lattice, voxels, bytes, grid_path)) < 0)
+        return status;
+    /* Sections are temporary files until they are joined. */
+    uint64_t least = (uint64_t)fmin(certainty * bytes, 0x1p62);
+    return bsq_require_space(ctx, grid_path, least, least);
+}

@@ -1,0 +1,224 @@
+/* schedule.c - merges the sequences of regions of all parts of chunks.
+ *
+ * A part touches the regions that its bounds overlap, and the successor of a region in that
+ * sequence can be computed. So a heap with one entry a part, keyed by (next region, part), yields
+ * the regions in order and for each its chunks in ascending order: no list of pairs is ever held,
+ * and a grid that is huge and sparse costs nothing where there is no scan. */
+#include "libvoxel/voxelize/plan/schedule.h"
+
+/* A tile has 32^3 regions. Tile numbers are below 2^18 in magnitude; as 19-bit two's complement
+ * they sort like the unsigned keys of the grid's root: first 0 and up, then the negative ones. */
+enum { TILE_LOG2 = 5, TILE_BITS = 19 };
+
+struct entry {
+    struct vox_region_key key;
+    uint64_t part;
+};
+
+struct vox_schedule {
+    struct bsq_ctx *ctx;
+    const struct vox_part *parts;
+    struct entry *heap;
+    uint64_t count;
+    struct vox_region_key current;
+};
+
+/* ---- keys ---- */
+
+static struct vox_region_key make_key(const int32_t region[3])
+{
+    const uint32_t tile_mask = (1u << TILE_BITS) - 1, in_tile = (1u << TILE_LOG2) - 1;
+    struct vox_region_key key = {0, 0};
+    for (int a = 0; a < 3; a++) {
+        key.tile = key.tile << TILE_BITS | ((uint32_t)(region[a] >> TILE_LOG2) & tile_mask);
+        key.region = key.region << TILE_LOG2 | ((uint32_t)region[a] & in_tile);
+    }
+    return key;
+}
+
+static void split_key(struct vox_region_key key, int32_t region[3])
+{
+    for (int a = 2; a >= 0; a--) {
+        uint32_t bits = (uint32_t)key.tile & ((1u << TILE_BITS) - 1);
+        int32_t tile = (int32_t)bits - (bits >> (TILE_BITS - 1) ? 1 << TILE_BITS : 0);
+        region[a] = tile * (1 << TILE_LOG2) + (int32_t)(key.region & ((1u << TILE_LOG2) - 1));
+        key.tile >>= TILE_BITS;
+        key.region >>= TILE_LOG2;
+    }
+}
+
+void vox_region_origin(struct vox_region_key key, int32_t origin[3])
+{
+    split_key(key, origin);
+    for (int a = 0; a < 3; a++)
+        origin[a] *= VOX_REGION_SIZE;
+}
+
+/* ---- the sequence of one box ---- */
+
+static int32_t region_of(int32_t voxel)
+{
+    return voxel >> VOX_REGION_LOG2;
+}
+
+static int32_t tile_of(int32_t region)
+{
+    return region >> TILE_LOG2;
+}
+
+static int32_t max32(int32_t a, int32_t b)
+{
+    return a > b ? a : b;
+}
+
+static int32_t first_tile(int32_t lo, int32_t hi)
+{
+    return lo < 0 && hi >= 0 ? 0 : lo;
+}
+
+/* Tile after `tile` among lo to hi in the order of the keys; false after the last. */
+static bool next_tile(int32_t lo, int32_t hi, int32_t *tile)
+{
+    if (*tile == hi && hi >= 0 && lo < 0) {
+        *tile = lo;
+        return true;
+    }
+    if (*tile == hi || *tile == -1)
+        return false;
+    ++*tile;
+    return true;
+}
+
+/* First region of the box in a tile, on one axis. */
+static int32_t enter_tile(const struct vox_box *box, int axis, int32_t tile)
+{
+    return max32(region_of(box->lo[axis]), tile * (1 << TILE_LOG2));
+}
+
+struct vox_region_key vox_region_first(const struct vox_box *box)
+{
+    int32_t region[3];
+    for (int a = 0; a < 3; a++)
+        region[a] = enter_tile(
+            box, a, first_tile(tile_of(region_of(box->lo[a])), tile_of(region_of(box->hi[a]))));
+    return make_key(region);
+}
+
+static struct vox_region_key region_after(const struct vox_box *box, struct vox_region_key key)
+{
+    int32_t region[3];
+    split_key(key, region);
+    for (int a = 2; a >= 0; a--) {
+        int32_t tile = tile_of(region[a]);
+        if (region[a] < region_of(box->hi[a]) && tile_of(region[a] + 1) == tile) {
+            region[a]++;
+            return make_key(region);
+        }
+        region[a] = enter_tile(box, a, tile);
+    }
+    for (int a = 2; a >= 0; a--) {
+        int32_t lo = tile_of(region_of(box->lo[a])), hi = tile_of(region_of(box->hi[a]));
+        int32_t tile = tile_of(region[a]);
+        if (next_tile(lo, hi, &tile)) {
+            region[a] = enter_tile(box, a, tile);
+            return make_key(region);
+        }
+        region[a] = enter_tile(box, a, first_tile(lo, hi));
+    }
+    return VOX_REGION_KEY_NEVER;
+}
+
+/* ---- the heap ---- */
+
+static bool entry_before(const struct entry *a, const struct entry *b)
+{
+    if (vox_region_before(a->key, b->key))
+        return true;
+    return !vox_region_before(b->key, a->key) && a->part < b->part;
+}
+
+/* Puts `entry` into the hole at `at`, moving smaller children up. */
+static void sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
+{
+    for (uint64_t child; (child = 2 * at + 1) < s->count; at = child) {
+        if (child + 1 < s->count && entry_before(&s->heap[child + 1], &s->heap[child]))
+            child++;
+        if (!entry_before(&s->heap[child], &entry))
+            break;
+        s->heap[at] = s->heap[child];
+    }
+    s->heap[at] = entry;
+}
+
+uint64_t vox_schedule_entry_bytes(void)
+{
+    return sizeof(struct entry);
+}
+
+int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint64_t part_count,
+                        struct vox_schedule **out)
+{
+    struct vox_schedule *s;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s);
+    if (status < 0)
+        return status;
+    if ((status = bsq_alloc(ctx, "region schedule", part_count + 1, sizeof *s->heap, &s->heap)) <
+        0) {
+        bsq_free(ctx, s);
+        return status;
+    }
+    s->ctx = ctx;
+    s->parts = parts;
+    s->count = part_count;
+    for (uint64_t i = 0; i < part_count; i++)
+        s->heap[i] = (struct entry){vox_region_first(&parts[i].box), i};
+    for (uint64_t i = part_count / 2; i-- > 0;)
+        sift_down(s, i, s->heap[i]);
+    *out = s;
+    return 0;
+}
+
+void vox_schedule_destroy(struct vox_schedule *s)
+{
+    if (!s)
+        return;
+    bsq_free(s->ctx, s->heap);
+    bsq_free(s->ctx, s);
+}
+
+bool vox_schedule_next(struct vox_schedule *s, struct vox_region_key *key)
+{
+    if (s->count == 0)
+        return false;
+    *key = s->current = s->heap[0].key;
+    return true;
+}
+
+/* Moves the first part of the heap to the next region of its own, and returns that. */
+static struct vox_region_key advance(struct vox_schedule *s)
+{
+    struct entry entry = s->heap[0];
+    struct vox_region_key after = region_after(&s->parts[entry.part].box, entry.key);
+    entry.key = after;
+    if (after.tile == UINT64_MAX)
+        entry = s->heap[--s->count];
+    if (s->count > 0)
+        sift_down(s, 0, entry);
+    return after;
+}
+
+bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, struct vox_region_key *after)
+{
+    if (s->count == 0 || vox_region_before(s->current, s->heap[0].key))
+        return false;
+    *chunk = s->parts[s->heap[0].part].chunk;
+    *after = VOX_REGION_KEY_NEVER;
+    while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) &&
+           s->parts[s->heap[0].part].chunk == *chunk) {
+        struct vox_region_key next = advance(s);
+        if (vox_region_before(next, *after))
+            *after = next;
+    }
+    return true;
+}

@@ -1,0 +1,99 @@
+/* voxel_transform.c - places the voxel lattice over a scan.
+ *
+ * The mapping is monotonic on each axis, since every operation in it is, so the voxels of a
+ * triangle lie between those of its bounds whatever the rounding. */
+#include "libvoxel/voxelize/plan/voxel_transform.h"
+
+#include <float.h>
+#include <math.h>
+
+/* Indices keep clear of the ends of int32_t, so that neighbours and region origins do not
+ * overflow. */
+static const double index_limit = 1073741824.0; /* 2^30 */
+
+/* An extent that is a whole number of voxels may come out as a little more; the plane that ends it
+ * belongs to the last voxel, not to one of its own. */
+static const double whole_tolerance = 1e-9;
+
+static int32_t clamp_index(double value, int32_t lo, int32_t hi)
+{
+    return value <= lo ? lo : value >= hi ? hi : (int32_t)value;
+}
+
+static int init_by_resolution(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
+                              const char *path, uint32_t resolution, struct vox_lattice *out)
+{
+    double extent[3], longest = 0.0;
+    for (int a = 0; a < 3; a++) {
+        out->start[a] = header->origin[a] + (double)header->bounds_min[a];
+        extent[a] = header->origin[a] + (double)header->bounds_max[a] - out->start[a];
+        if (extent[a] > longest)
+            longest = extent[a];
+    }
+    if (resolution > index_limit)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a resolution of %u is above the limit of %.0f",
+                        resolution, index_limit);
+    out->h = longest / resolution;
+    if (!(out->h > 0.0) || !isfinite(out->h))
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: the scan's longest side is %g at (%g, %g, %g), which cannot be "
+                        "divided into %u voxels",
+                        path, longest, out->start[0], out->start[1], out->start[2], resolution);
+    for (int a = 0; a < 3; a++) {
+        double count = ceil(extent[a] / out->h - whole_tolerance);
+        out->voxels.lo[a] = 0;
+        out->voxels.hi[a] = extent[a] == longest
+                                ? (int32_t)resolution - 1
+                                : clamp_index(count - 1.0, 0, (int32_t)resolution - 1);
+    }
+    return 0;
+}
+
+static int init_by_size(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
+                        double voxel_size, struct vox_lattice *out)
+{
+    if (!(voxel_size > 0.0) || !isfinite(voxel_size))
+        return bsq_fail(ctx, BSQ_EUSAGE, "a voxel size of %g is not a positive number", voxel_size);
+    out->h = voxel_size;
+    for (int a = 0; a < 3; a++) {
+        out->start[a] = 0.0;
+        double lo = floor(vox_lattice_coordinate(out, header->bounds_min[a], a));
+        double hi = floor(vox_lattice_coordinate(out, header->bounds_max[a], a));
+        if (!(lo >= -index_limit) || !(hi < index_limit))
+            return bsq_fail(
+                ctx, BSQ_EUSAGE,
+                "%s: with a voxel size of %g the scan reaches from index %.12g to %.12g "
+                "along %c, beyond the limit of +-%.0f",
+                path, voxel_size, lo, hi, "xyz"[a], index_limit);
+        out->voxels.lo[a] = (int32_t)lo;
+        out->voxels.hi[a] = (int32_t)hi;
+    }
+    return 0;
+}
+
+int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
+                     uint32_t resolution, double voxel_size, struct vox_lattice *out)
+{
+    for (int a = 0; a < 3; a++)
+        out->origin[a] = header->origin[a];
+    int status = resolution > 0 ? init_by_resolution(ctx, header, path, resolution, out)
+                                : init_by_size(ctx, header, path, voxel_size, out);
+    if (status == 0 && (out->h < FLT_MIN || 1.0 / out->h < FLT_MIN))
+        status =
+            bsq_fail(ctx, resolution > 0 ? BSQ_EDATA : BSQ_EUSAGE,
+                     "%s: voxels of %g are beyond the 32-bit numbers of a NanoVDB grid, %g to %g",
+                     path, out->h, (double)FLT_MIN, 1.0 / (double)FLT_MIN);
+    return status;
+}
+
+struct vox_box vox_lattice_box(const struct vox_lattice *lattice, const float min[3],
+                               const float max[3])
+{
+    struct vox_box box;
+    for (int a = 0; a < 3; a++) {
+        int32_t lo = lattice->voxels.lo[a], hi = lattice->voxels.hi[a];
+        box.lo[a] = clamp_index(floor(vox_lattice_coordinate(lattice, min[a], a)), lo, hi);
+        box.hi[a] = clamp_index(floor(vox_lattice_coordinate(lattice, max[a], a)), lo, hi);
+    }
+    return box;
+}

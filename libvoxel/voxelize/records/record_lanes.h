@@ -1,0 +1,105 @@
+/* record_lanes.h - turns the sums of voxels into records of the grid, several side by side. */
+#ifndef VOX_VOXELIZE_RECORDS_RECORD_LANES_H
+#define VOX_VOXELIZE_RECORDS_RECORD_LANES_H
+
+#include "libvoxel/voxelize/lanes/lanes.h"
+#include "libvoxel/voxelize/records/region.h"
+
+typedef float float_lanes __attribute__((vector_size(4 * LANE_COUNT)));
+typedef int32_t int_lanes __attribute__((vector_size(4 * LANE_COUNT)));
+
+/* Nearest integer, ties to even, of |x| < 2^22. */
+LANES_INLINE int_lanes record_round_floats(float_lanes x)
+{
+    const int32_t bits = 0x4b400000; /* of 1.5 * 2^23 */
+    return (int_lanes)(x + 12582912.0f) - bits;
+}
+
+/* The same of |x| < 2^51. */
+LANES_INLINE lane_ints record_round(lanes x)
+{
+    const int64_t bits = INT64_C(0x4338000000000000); /* of 1.5 * 2^52 */
+    return (lane_ints)(x + 6755399441055744.0) - bits;
+}
+
+LANES_INLINE float_lanes record_abs(float_lanes x)
+{
+    return (float_lanes)((int_lanes)x & INT32_MAX);
+}
+
+/* 1 - magnitude, with the sign of `like`; +0 and -0 are positive. */
+LANES_INLINE float_lanes record_fold(float_lanes magnitude, float_lanes like)
+{
+    return (float_lanes)((int_lanes)(1.0f - magnitude) ^ ((like < 0.0f) & INT32_MIN));
+}
+
+LANES_INLINE float_lanes record_select(int_lanes mask, float_lanes yes, float_lanes no)
+{
+    return (float_lanes)((mask & (int_lanes)yes) | (~mask & (int_lanes)no));
+}
+
+/* bsq_oct_pack() of unit vectors. */
+LANES_INLINE int_lanes record_pack_normal(const lanes unit[3])
+{
+    float_lanes x = __builtin_convertvector(unit[0], float_lanes);
+    float_lanes y = __builtin_convertvector(unit[1], float_lanes);
+    float_lanes z = __builtin_convertvector(unit[2], float_lanes);
+    float_lanes sum = record_abs(x) + record_abs(y) + record_abs(z);
+    x /= sum;
+    y /= sum;
+    float_lanes folded_x = record_fold(record_abs(y), x);
+    float_lanes folded_y = record_fold(record_abs(x), y);
+    int_lanes below = z < 0.0f;
+    int_lanes u = record_round_floats(record_select(below, folded_x, x) * 32767.0f);
+    int_lanes v = record_round_floats(record_select(below, folded_y, y) * 32767.0f);
+    return (u & 0xffff) | v << 16;
+}
+
+LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_lanes *normal,
+                              lane_ints *plane)
+{
+    lanes sum[8], n[3];
+    const double *half[2][LANE_COUNT];
+    for (int l = 0; l < LANE_COUNT; l++) {
+        half[0][l] = from[l]->normal;
+        half[1][l] = from[l]->center;
+    }
+    lanes_gather_four(half[0], sum);
+    lanes_gather_four(half[1], sum + 4);
+    lanes length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[7];
+    lane_mask has = lanes_less(lanes_all(0.0), length);
+    for (int k = 0; k < 3; k++)
+        n[k] = lanes_select(has, sum[k] / length, lanes_all(k == 2));
+    *normal = record_pack_normal(n);
+
+    /* No plane that meets the voxel is farther from its centre than half a diagonal. */
+    lanes d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
+    d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
+    lanes coverage = lanes_min(length / area, lanes_all(1.0));
+    lane_mask shaded = lanes_less(2.0 * area, sum[3]);
+    lanes grain = lanes_keep(~shaded, lanes_min(sum[3] / area, lanes_all(1.0)));
+    *plane = lanes_set_bits(shaded, record_round(d * 32767.0) & 0xffff,
+                            lanes_all_bits(FMT_NVDB_PLANE_SHADED)) |
+             record_round(coverage * 255.0) << 16 |
+             record_round(grain * FMT_NVDB_GRAIN_MAX) << FMT_NVDB_GRAIN_SHIFT;
+}
+
+static void make_records(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,
+                         struct fmt_nvdb_record *records)
+{
+    for (uint64_t done = 0; done < count; done += LANE_COUNT) {
+        const struct vox_sum *from[LANE_COUNT];
+        int_lanes normal;
+        lane_ints plane;
+        for (uint64_t l = 0; l < LANE_COUNT; l++)
+            from[l] = &sums[numbers[done + l < count ? done + l : done]];
+        record_make(from, &normal, &plane);
+        for (uint64_t l = 0; l < LANE_COUNT && done + l < count; l++) {
+            records[done + l].normal = (uint32_t)normal[l];
+            records[done + l].plane = (uint32_t)plane[l];
+            records[done + l].color = 0;
+        }
+    }
+}
+
+#endif

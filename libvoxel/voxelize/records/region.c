@@ -1,0 +1,332 @@
+/* region.c - sums of the pieces in each voxel, and what becomes of them.
+ *
+ * A wall thinner than a voxel has two sides whose normals would cancel. So a piece that faces away
+ * from the voxel's record opens a second one. Because a record only takes pieces that do not face
+ * away from it, its own sum cannot cancel. */
+#include "libvoxel/voxelize/records/region.h"
+#include "libvoxel/voxelize/lanes/lane_code.h"
+#include "libvoxel/voxelize/lanes/lanes.h"
+
+#include <math.h>
+#include <string.h>
+
+/* A second record below this share of the first one's area is noise. */
+static const double second_share = 0.01;
+
+/* What all voxels of a brick, or of the region, take, and what is kept ready beyond. */
+enum {
+    SUMS_MIN = 2 * VOX_BRICK_VOXELS + VOX_PIECES_AT_ONCE,
+    SUMS_MAX = 2 * VOX_BRICKS * VOX_BRICK_VOXELS + VOX_PIECES_AT_ONCE
+};
+
+/* ---- memory ---- */
+
+static uint64_t bytes_per_sum(bool has_color)
+{
+    return sizeof(struct vox_sum) + sizeof(uint32_t) +
+           (has_color ? sizeof(struct vox_color_sum) : 0);
+}
+
+static uint64_t capacity_bytes(uint64_t bricks, uint64_t sums, bool has_color)
+{
+    return sizeof(struct vox_accumulator) + (bricks + 1) * sizeof(vox_brick) +
+           (sums + 1) * bytes_per_sum(has_color);
+}
+
+uint64_t vox_accumulator_bytes_min(bool has_color)
+{
+    return capacity_bytes(1, SUMS_MIN, has_color);
+}
+
+uint64_t vox_accumulator_bytes_max(bool has_color)
+{
+    return capacity_bytes(VOX_BRICKS, SUMS_MAX, has_color);
+}
+
+/* A surface leaves about 80 records in a brick, so most of the memory is theirs. */
+static void set_capacities(struct vox_accumulator *a, uint64_t bytes, bool has_color)
+{
+    uint64_t bricks = bytes / 5 / sizeof(vox_brick);
+    bricks = bricks < 1 ? 1 : bricks > VOX_BRICKS ? VOX_BRICKS : bricks;
+    uint64_t rest = capacity_bytes(bricks, 0, has_color);
+    uint64_t sums = bytes > rest ? (bytes - rest) / bytes_per_sum(has_color) : 0;
+    a->brick_capacity = (uint32_t)bricks;
+    a->sum_capacity = (uint32_t)(sums < SUMS_MIN ? SUMS_MIN : sums > SUMS_MAX ? SUMS_MAX : sums);
+}
+
+int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
+                           struct vox_accumulator **out)
+{
+    struct vox_accumulator *a;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "voxel sums", 1, sizeof *a, &a);
+    if (status < 0)
+        return status;
+    a->ctx = ctx;
+    set_capacities(a, bytes, has_color);
+    if ((status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
+                            &a->bricks)) < 0 ||
+        (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->sums,
+                            &a->sums)) < 0 ||
+        (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->others,
+                            &a->others)) < 0 ||
+        (has_color && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
+                                          sizeof *a->colors, &a->colors)) < 0)) {
+        vox_accumulator_destroy(a);
+        return status;
+    }
+    memset(&a->bricks[0], 0, sizeof a->bricks[0]);
+    *out = a;
+    return 0;
+}
+
+void vox_accumulator_destroy(struct vox_accumulator *a)
+{
+    if (!a)
+        return;
+    bsq_free(a->ctx, a->bricks);
+    bsq_free(a->ctx, a->sums);
+    bsq_free(a->ctx, a->others);
+    bsq_free(a->ctx, a->colors);
+    bsq_free(a->ctx, a);
+}
+
+void vox_accumulator_clear(struct vox_accumulator *a)
+{
+    if (a->brick_count > 0)
+        memset(a->brick_of, 0, sizeof a->brick_of);
+    a->brick_count = 0;
+    a->sum_count = a->ready_count = 0;
+}
+
+/* ---- adding ---- */
+
+/* Records that are made ready together. */
+enum { READY_STEP = 2 * VOX_PIECES_AT_ONCE };
+
+bool vox_accumulator_make_ready(struct vox_accumulator *a)
+{
+    uint32_t first = a->ready_count + 1, count = a->sum_capacity - a->ready_count;
+    count = count < READY_STEP ? count : READY_STEP;
+    memset(&a->sums[first], 0, count * sizeof *a->sums);
+    memset(&a->others[first], 0, count * sizeof *a->others);
+    if (a->colors)
+        memset(&a->colors[first], 0, count * sizeof *a->colors);
+    a->ready_count += count;
+    return a->ready_count - a->sum_count >= VOX_PIECES_AT_ONCE;
+}
+
+bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
+{
+    if (a->brick_count == a->brick_capacity)
+        return false;
+    *brick = ++a->brick_count;
+    memset(&a->bricks[*brick], 0, sizeof a->bricks[*brick]);
+    return true;
+}
+
+/* Length of a normal times the cosine of its angle to a record's. */
+static double along(const struct vox_sum *piece, const struct vox_sum *sum)
+{
+    double length = sqrt(vox_dot(sum->normal, sum->normal));
+    return length > 0.0 ? vox_dot(piece->normal, sum->normal) / length : 0.0;
+}
+
+uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
+                                const struct vox_sum *piece)
+{
+    uint32_t second = a->others[first];
+    if (second == 0)
+        return a->others[first] = ++a->sum_count;
+    if (!vox_faces_away(row_load(piece->normal), piece->area, &a->sums[second]))
+        return second;
+    return along(piece, &a->sums[second]) > along(piece, &a->sums[first]) ? second : first;
+}
+
+/* ---- records ---- */
+
+static uint32_t encode_color(const struct vox_color_sum *color,
+                             const struct vox_color_tables *tables)
+{
+    if (!(color->area > 0.0))
+        return 0;
+    uint32_t packed = 0xff000000u;
+    for (int k = 0; k < 3; k++)
+        packed |= vox_color_encode(tables, color->rgb[k] / color->area) << (8 * k);
+    return packed;
+}
+
+static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask[8])
+{
+    uint64_t any = 0;
+    uint32_t lo[3] = {7, 7, 7}, hi[3] = {0, 0, 0};
+    for (uint32_t x = 0; x < 8; x++) {
+        if (mask[x] == 0)
+            continue;
+        any |= mask[x];
+        lo[0] = x < lo[0] ? x : lo[0];
+        hi[0] = x;
+    }
+    for (uint32_t i = 0; i < 8; i++) {
+        if (any >> (8 * i) & 0xff) {
+            lo[1] = i < lo[1] ? i : lo[1];
+            hi[1] = i;
+        }
+        if (any >> i & UINT64_C(0x0101010101010101)) {
+            lo[2] = i < lo[2] ? i : lo[2];
+            hi[2] = i;
+        }
+    }
+    for (int a = 0; a < 3; a++) {
+        uint32_t origin = (brick >> (8 - 4 * a) & 15) * 8;
+        if (origin + lo[a] < leaves->voxel_min[a])
+            leaves->voxel_min[a] = origin + lo[a];
+        if (origin + hi[a] > leaves->voxel_max[a])
+            leaves->voxel_max[a] = origin + hi[a];
+    }
+}
+
+/* The records of a brick's voxels: numbers of their sums. */
+struct brick_records {
+    uint32_t first_count, second_count;
+    uint32_t first[VOX_BRICK_VOXELS], second[VOX_BRICK_VOXELS];
+    bool has_second[VOX_BRICK_VOXELS];
+};
+
+/* The larger of a voxel's sums is its record, the other its second one where that is worth keeping.
+ */
+static void choose_records(const struct vox_accumulator *a, uint32_t number,
+                           struct brick_records *chosen)
+{
+    uint32_t other = a->others[number];
+    if (other != 0 && a->sums[other].area > a->sums[number].area) {
+        uint32_t smaller = number;
+        number = other;
+        other = smaller;
+    }
+    bool keep = other != 0 && a->sums[other].area >= second_share * a->sums[number].area;
+    chosen->has_second[chosen->first_count] = keep;
+    chosen->first[chosen->first_count++] = number;
+    if (keep)
+        chosen->second[chosen->second_count++] = other;
+}
+
+static void make_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
+                         const struct vox_color_tables *tables, struct fmt_nvdb_record *records)
+{
+    vox_lane_code()->make_records(a->sums, numbers, count, records);
+    for (uint32_t i = 0; a->colors && i < count; i++)
+        records[i].color = encode_color(&a->colors[numbers[i]], tables);
+}
+
+/* Sums are in the order in which voxels were first touched; they are asked for ahead of time. */
+static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, uint64_t mask[8])
+{
+    for (uint32_t word = 0; word < 8; word++) {
+        mask[word] = 0;
+        for (uint32_t i = 0; i < 64; i += 16)
+            mask[word] |= (uint64_t)sixteen_bits(slots + 64 * word + i) << i;
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
+            __builtin_prefetch(&a->sums[slots[64 * word + (uint32_t)__builtin_ctzll(bits)]]);
+    }
+}
+
+static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
+                         const struct vox_color_tables *tables, struct vox_leaves *leaves)
+{
+    const uint32_t *slots = a->bricks[a->brick_of[brick]];
+    uint64_t *mask = leaves->masks[leaves->leaf_count];
+    struct brick_records chosen;
+    chosen.first_count = chosen.second_count = 0;
+    find_voxels(a, slots, mask);
+    for (uint32_t word = 0; word < 8; word++)
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
+            choose_records(a, slots[64 * word + (uint32_t)__builtin_ctzll(bits)], &chosen);
+
+    struct fmt_nvdb_record *records = leaves->records + leaves->record_count;
+    make_records(a, chosen.first, chosen.first_count, tables, records);
+    for (uint32_t i = 0; chosen.second_count > 0 && i < chosen.first_count; i++)
+        records[i].plane |= chosen.has_second[i] ? FMT_NVDB_PLANE_SECOND : 0;
+    if (chosen.second_count > 0)
+        make_records(a, chosen.second, chosen.second_count, tables,
+                     leaves->second + leaves->second_count);
+    leaves->record_count += chosen.first_count;
+    leaves->second_count += chosen.second_count;
+    leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
+    widen(leaves, brick, mask);
+}
+
+static uint64_t count_seconds(const struct vox_accumulator *a)
+{
+    uint64_t count = 0;
+    for (uint32_t i = 1; i <= a->sum_count; i++)
+        count += a->others[i] != 0;
+    return count;
+}
+
+/* Makes room for so many more leaves and records. */
+static int grow_leaves(struct vox_leaves *l, uint64_t leaves, uint64_t records, uint64_t second)
+{
+    int status;
+    leaves += l->leaf_count;
+    records += l->record_count;
+    second += l->second_count;
+    if ((status = bsq_grow(l->ctx, "voxel records", leaves, sizeof *l->ids, &l->ids,
+                           &l->id_capacity)) < 0 ||
+        (status = bsq_grow(l->ctx, "voxel records", leaves, sizeof *l->masks, &l->masks,
+                           &l->mask_capacity)) < 0 ||
+        (status = bsq_grow(l->ctx, "voxel records", records, sizeof *l->records, &l->records,
+                           &l->record_capacity)) < 0)
+        return status;
+    return bsq_grow(l->ctx, "voxel records", second, sizeof *l->second, &l->second,
+                    &l->second_capacity);
+}
+
+uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const struct vox_leaves *l)
+{
+    uint64_t leaves = (uint64_t)l->leaf_count + a->brick_count;
+    uint64_t records = l->record_count + l->second_count + a->sum_count;
+    return leaves * (sizeof *l->ids + sizeof *l->masks) + records * sizeof *l->records;
+}
+
+int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
+                           struct vox_leaves *l)
+{
+    uint64_t seconds = count_seconds(a);
+    int status = grow_leaves(l, a->brick_count, a->sum_count - seconds, seconds);
+    if (status < 0)
+        return status;
+    if (a->brick_count > 0)
+        for (uint32_t brick = 0; brick < VOX_BRICKS; brick++)
+            if (a->brick_of[brick] != 0)
+                finish_brick(a, brick, tables, l);
+    return 0;
+}
+
+/* ---- leaves ---- */
+
+void vox_leaves_init(struct vox_leaves *leaves, struct bsq_ctx *ctx)
+{
+    memset(leaves, 0, sizeof *leaves);
+    leaves->ctx = ctx;
+    vox_leaves_clear(leaves);
+}
+
+void vox_leaves_clear(struct vox_leaves *leaves)
+{
+    leaves->leaf_count = 0;
+    leaves->record_count = leaves->second_count = 0;
+    for (int a = 0; a < 3; a++) {
+        leaves->voxel_min[a] = UINT32_MAX;
+        leaves->voxel_max[a] = 0;
+    }
+}
+
+void vox_leaves_free(struct vox_leaves *leaves)
+{
+    bsq_free(leaves->ctx, leaves->ids);
+    bsq_free(leaves->ctx, leaves->masks);
+    bsq_free(leaves->ctx, leaves->records);
+    bsq_free(leaves->ctx, leaves->second);
+    vox_leaves_init(leaves, leaves->ctx);
+}

@@ -1,0 +1,45 @@
+/* nvdb_scene.h - random sparse voxels for the tests of .nvdb files. */
+#ifndef TEST_NVDB_SCENE_H
+#define TEST_NVDB_SCENE_H
+
+#include "formats/grid/nvdb.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct scene_voxel {
+    int32_t ijk[3];
+    struct fmt_nvdb_record first, second; /* second only where first.plane has the flag */
+};
+
+struct scene {
+    struct fmt_nvdb_info info;
+    uint64_t count, second_count;
+    struct scene_voxel *voxels; /* in the order of the file */
+};
+
+/* About `per_cluster` voxels around each of several points: several root tiles, both signs, borders
+ * of nodes, and (with `extremes`) the ends of the coordinate range. */
+void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster, bool extremes);
+/* Puts voxels into the order of the file; of several in one place the first stays. */
+void scene_sort(struct scene *scene);
+void scene_free(struct scene *scene);
+
+/* Number of the voxel in scene->voxels, or UINT64_MAX. */
+uint64_t scene_find(const struct scene *scene, const int32_t ijk[3]);
+
+/* Number of distinct nodes with this edge length. */
+uint64_t scene_nodes(const struct scene *scene, int32_t dim);
+
+/* Writes the scene as a grid of this type. */
+int scene_write(struct bsq_ctx *ctx, const char *path, const struct scene *scene,
+                struct fmt_nvdb_totals *totals);
+
+/* A deterministic random number; *state must not be zero. */
+uint64_t scene_next(uint64_t *state);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

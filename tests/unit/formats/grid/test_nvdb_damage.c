@@ -1,0 +1,257 @@
+/* test_nvdb_damage.c - .nvdb files that are cut, flipped, forged or of another kind. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "formats/grid/nvdb_writer_internal.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/formats/grid/nvdb_files.h"
+#include "tests/unit/formats/grid/nvdb_scene.h"
+#include "tests/unit/sanitized.h"
+
+/* ---- damaged files ---- */
+
+/* Opens a copy of `size` bytes that ends where it ends, so that the sanitizer sees any access
+ * behind it. */
+static int open_bytes(struct bsq_ctx *ctx, const uint8_t *bytes, uint64_t size,
+                      struct fmt_nvdb_grid *grid)
+{
+    bsq_clear_error(ctx);
+    memset(grid, 0, sizeof(*grid));
+    grid->map = (struct bsq_map){.data = bytes, .size = size, .path = (char *)"x.nvdb"};
+    int status = fmt_nvdb_check_head(ctx, grid);
+    if (status == 0)
+        status = fmt_nvdb_check_nodes(ctx, grid);
+    if (status) {
+        assert_int_equal(status, BSQ_EDATA);
+        assert_int_equal(strncmp(bsq_error(ctx), "x.nvdb: ", 8), 0);
+    }
+    return status;
+}
+
+/* Looks up everything; where `right`, the answers have to be those of the scene. */
+static void look_up(const struct fmt_nvdb_grid *grid, const struct scene *scene, bool right)
+{
+    for (uint64_t i = 0; i < scene->count; i++) {
+        uint64_t index = fmt_nvdb_find(grid, scene->voxels[i].ijk);
+        if (right)
+            assert_int_equal(index, i + 1);
+        assert_true(index < grid->record_count);
+        if (index > 0) {
+            struct fmt_nvdb_record record = fmt_nvdb_get(grid, index);
+            (void)record;
+        }
+        assert_true(fmt_nvdb_second(grid, index) < grid->record_count);
+    }
+}
+
+/* Makes the checksums that fmt_nvdb_open() looks at fit the bytes, as a forger would. */
+static void forge(uint8_t *bytes, uint64_t size, const struct nvdb_layout *layout)
+{
+    uint32_t crc = fmt_nvdb_head_crc(bytes, layout);
+    memcpy(bytes + FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, checksum), &crc, 4);
+    struct nvdb_record record;
+    memcpy(&record, bytes + size - sizeof(record), sizeof(record));
+    record.record_checksum = fmt_nvdb_record_checksum(&record);
+    memcpy(bytes + size - sizeof(record), &record, sizeof(record));
+}
+
+struct small_file {
+    struct bsq_ctx *ctx;
+    struct scene scene;
+    uint8_t *bytes;
+    uint64_t size;
+    struct nvdb_layout layout;
+};
+
+static void small_file_open(struct small_file *file, enum fmt_nvdb_type type)
+{
+    file->ctx = test_context(1, 0);
+    scene_random(&file->scene, 7, 12, false);
+    /* One root tile is enough, and every byte of it is tried. */
+    uint64_t kept = 0;
+    for (uint64_t i = 0; i < file->scene.count; i++) {
+        struct scene_voxel *v = &file->scene.voxels[i];
+        if (v->ijk[0] >= 0 && v->ijk[1] >= 0 && v->ijk[2] >= 0 && v->ijk[0] < 300 &&
+            v->ijk[1] < 300 && v->ijk[2] < 300)
+            file->scene.voxels[kept++] = *v;
+    }
+    file->scene.count = kept;
+    file->scene.info.type = type;
+    struct fmt_nvdb_totals totals;
+    assert_ok(file->ctx, scene_write(file->ctx, nvdb_path, &file->scene, &totals));
+    assert_int_equal(totals.uppers, 1);
+    assert_true(totals.lowers > 1);
+    file->bytes = nvdb_read_file(nvdb_path, &file->size);
+    struct fmt_nvdb_grid grid;
+    assert_ok(file->ctx, open_bytes(file->ctx, file->bytes, file->size, &grid));
+    fmt_nvdb_layout_of(&grid, &file->layout);
+}
+
+static void small_file_close(struct small_file *file)
+{
+    free(file->bytes);
+    scene_free(&file->scene);
+    bsq_ctx_destroy(file->ctx);
+}
+
+static void test_truncated(void **state)
+{
+    (void)state;
+    struct small_file file;
+    small_file_open(&file, FMT_NVDB_MASK);
+    for (int claimed = 0; claimed < 2; claimed++) {
+        for (uint64_t size = 0; size < file.size;
+             size += size < 1200 || size + 600 > file.size ? 1 : 89) {
+            uint8_t *bytes = malloc(size ? size : 1);
+            memcpy(bytes, file.bytes, size);
+            uint64_t grid_bytes = size - FMT_NVDB_GRID_OFFSET;
+            if (claimed && size >= FMT_NVDB_GRID_OFFSET + 40)
+                memcpy(bytes + FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, grid_bytes),
+                       &grid_bytes, sizeof(grid_bytes));
+            struct fmt_nvdb_grid grid;
+            assert_int_equal(open_bytes(file.ctx, bytes, size, &grid), BSQ_EDATA);
+            free(bytes);
+        }
+    }
+    small_file_close(&file);
+}
+
+/* With `stride`, only each of so many bytes is tried in the table of the upper node, which is
+ * 256 KiB of entries that are alike. */
+static void flip_bytes(enum fmt_nvdb_type type, bool forged, uint64_t stride)
+{
+    struct small_file file;
+    small_file_open(&file, type);
+    uint64_t accepted = 0, random = 77;
+    uint8_t *bytes = malloc(file.size);
+    memcpy(bytes, file.bytes, file.size);
+    uint64_t table = file.layout.section[NVDB_UPPERS].offset + offsetof(struct nvdb_upper, table);
+    for (uint64_t at = 0; at < file.size; at++) {
+        if (at > table && at % stride != 0 && at < file.layout.section[NVDB_LOWERS].offset)
+            continue;
+        uint8_t flip = (uint8_t)(scene_next(&random) % 255 + 1);
+        bytes[at] ^= flip;
+        if (forged)
+            forge(bytes, file.size, &file.layout);
+        struct fmt_nvdb_grid grid;
+        if (open_bytes(file.ctx, bytes, file.size, &grid) == 0) {
+            accepted++;
+            look_up(&grid, &file.scene, true);
+            /* Tables are mostly entries without a child, so a sample of them is enough. */
+            if ((accepted < 2000 || accepted % 64 == 0) && !forged)
+                assert_int_equal(fmt_nvdb_verify(file.ctx, &grid), BSQ_EDATA);
+        } else if (at >= file.layout.section[NVDB_NORMALS].offset &&
+                   at < file.layout.section[NVDB_SECONDS].offset) {
+            fail_msg("channels are not read on opening, but byte %llu matters: %s",
+                     (unsigned long long)at, bsq_error(file.ctx));
+        }
+        memcpy(bytes + at, file.bytes + at, 1);
+        if (forged)
+            forge(bytes, file.size, &file.layout);
+    }
+    assert_memory_equal(bytes, file.bytes, file.size);
+    free(bytes);
+    small_file_close(&file);
+}
+
+static void test_flipped(void **state)
+{
+    (void)state;
+    flip_bytes(FMT_NVDB_MASK, false, TEST_SANITIZED ? 61 : 1);
+}
+
+/* The head, where forging has an effect, and many words at a time anywhere. */
+static void test_forged(void **state)
+{
+    (void)state;
+    static const uint64_t values[] = {0, 1, UINT64_MAX, INT64_MAX, UINT32_MAX, 96, 33856, 270400};
+    struct small_file file;
+    small_file_open(&file, FMT_NVDB_ONINDEX);
+    uint64_t seed = 4711, random = seed, accepted = 0;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    for (int round = 0; round < 6000; round++) {
+        uint8_t *bytes = malloc(file.size);
+        memcpy(bytes, file.bytes, file.size);
+        uint64_t hits = 1 + scene_next(&random) % 3;
+        for (uint64_t i = 0; i < hits; i++) {
+            const struct nvdb_range *range =
+                &file.layout.section[scene_next(&random) % NVDB_SECTION_COUNT];
+            uint64_t at = range->offset + scene_next(&random) % (range->size / 4) * 4;
+            uint64_t value = scene_next(&random) % 2
+                                 ? values[scene_next(&random) % 8]
+                                 : scene_next(&random) >> scene_next(&random) % 64;
+            uint64_t size = file.size - at < 8 || scene_next(&random) % 2 ? 4 : 8;
+            memcpy(bytes + at, &value, size);
+        }
+        forge(bytes, file.size, &file.layout);
+        struct fmt_nvdb_grid grid;
+        if (open_bytes(file.ctx, bytes, file.size, &grid) == 0) {
+            look_up(&grid, &file.scene, false);
+            accepted++;
+        }
+        free(bytes);
+    }
+    assert_true(accepted > 0); /* e.g. channels and empty table entries */
+    small_file_close(&file);
+    flip_bytes(FMT_NVDB_ONINDEX, true, 13);
+}
+
+static void assert_open_fails(const uint8_t *bytes, uint64_t size, const char *expected)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    FILE *file = fopen(nvdb_path, "wb");
+    assert_int_equal(fwrite(bytes, 1, size, file), size);
+    fclose(file);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(ctx, nvdb_path, &grid), BSQ_EDATA);
+    if (!strstr(bsq_error(ctx), expected))
+        fail_msg("\"%s\" does not say \"%s\"", bsq_error(ctx), expected);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_messages(void **state)
+{
+    (void)state;
+    struct small_file file;
+    small_file_open(&file, FMT_NVDB_MASK);
+    uint8_t *bytes = file.bytes;
+    assert_open_fails(bytes, 0, "not a NanoVDB file");
+    assert_open_fails((const uint8_t *)"v 1 2 3\nv 4 5 6\n", 16, "not a NanoVDB file");
+    assert_open_fails(bytes, 999, "truncated");
+    assert_open_fails(bytes, file.size - 1, "truncated");
+    uint32_t version = NVDB_VERSION(33, 1, 2);
+    memcpy(bytes + 8, &version, 4);
+    assert_open_fails(bytes, file.size, "version 33.1.2");
+    version = NVDB_VERSION(32, 7, 0);
+    memcpy(bytes + 8, &version, 4);
+    assert_open_fails(bytes, file.size, "version 32.7.0");
+    version = NVDB_VERSION_MASK;
+    memcpy(bytes + 8, &version, 4);
+    struct nvdb_record *record = (void *)(bytes + file.size - sizeof(*record));
+    record->version = 9;
+    assert_open_fails(bytes, file.size, "version 9");
+    record->version = NVDB_RECORD_VERSION;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(ctx, "/nowhere/a.nvdb", &grid), BSQ_ENOINPUT);
+    bsq_ctx_destroy(ctx);
+    small_file_close(&file);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_truncated),
+        cmocka_unit_test(test_flipped),
+        cmocka_unit_test(test_forged),
+        cmocka_unit_test(test_messages),
+    };
+    return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);
+}

@@ -1,0 +1,225 @@
+/* test_nvdb_writer.c - regions in parts, wrong regions, too many of them, and places that cannot be
+ * written to. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "formats/grid/nvdb_writer_internal.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/formats/grid/nvdb_files.h"
+
+/* ---- wrong use of the writer ---- */
+
+static const uint16_t two_ids[2] = {7, 9};
+static const uint64_t two_masks[2][8] = {{1, 0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 2, 0, 0, 0}};
+static const struct fmt_nvdb_record two_records[2] = {{1, 2, 3}, {4, 5, 6}};
+
+static struct fmt_nvdb_region small_region(int32_t x, int32_t y, int32_t z)
+{
+    return (struct fmt_nvdb_region){.origin = {x, y, z},
+                                    .leaf_count = 2,
+                                    .leaf_ids = two_ids,
+                                    .masks = two_masks,
+                                    .record_count = 2,
+                                    .records = two_records};
+}
+
+static struct fmt_nvdb_writer *new_writer(struct bsq_ctx *ctx)
+{
+    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
+    struct fmt_nvdb_writer *writer;
+    assert_ok(ctx, fmt_nvdb_create(ctx, nvdb_path, &info, &writer));
+    return writer;
+}
+
+/* Appends `first` (which is right) and `second`, which has to be refused as `expected`. */
+static void assert_refused(const struct fmt_nvdb_region *first,
+                           const struct fmt_nvdb_region *second, const char *expected)
+{
+    unlink(nvdb_path);
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_nvdb_writer *writer = new_writer(ctx);
+    if (first)
+        assert_ok(ctx, fmt_nvdb_append(writer, first));
+    assert_int_equal(fmt_nvdb_append(writer, second), BSQ_EBUG);
+    assert_non_null(strstr(bsq_error(ctx), expected));
+    struct fmt_nvdb_totals totals;
+    assert_int_equal(fmt_nvdb_commit(writer, &totals), BSQ_EBUG);
+    assert_int_equal(access(nvdb_path, F_OK), -1);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* A region in one call and in two: the same file. */
+static void test_region_in_parts(void **state)
+{
+    (void)state;
+    uint64_t masks[3][8] = {{1, 0, 0, 0, 0, 0, 0, 5}, {0, 2}, {UINT64_MAX, 3}};
+    uint16_t ids[3] = {7, 8, 4095};
+    struct fmt_nvdb_record records[70], second = {5, 6, 0};
+    for (uint32_t i = 0; i < 70; i++)
+        records[i] = (struct fmt_nvdb_record){i, 2 * i, 0};
+    records[3].plane |= FMT_NVDB_PLANE_SECOND;
+    struct fmt_nvdb_region whole = {.origin = {128, 0, 0},
+                                    .leaf_count = 3,
+                                    .leaf_ids = ids,
+                                    .masks = (const uint64_t(*)[8])masks,
+                                    .record_count = 70,
+                                    .second_count = 1,
+                                    .records = records,
+                                    .second = &second};
+    struct fmt_nvdb_region first = whole, rest = whole, after = small_region(128, 0, 128);
+    first.leaf_count = 1;
+    first.record_count = 3;
+    first.second_count = 0;
+    rest.leaf_count = 2;
+    rest.leaf_ids++;
+    rest.masks++;
+    rest.record_count -= 3;
+    rest.records += 3;
+    struct fmt_nvdb_totals totals;
+    struct bsq_map map[2];
+    struct bsq_ctx *ctx = test_context(1, 0);
+    char copy[sizeof nvdb_path + 8];
+    snprintf(copy, sizeof copy, "%s.whole", nvdb_path);
+    for (int parts = 0; parts < 2; parts++) {
+        struct fmt_nvdb_writer *writer = new_writer(ctx);
+        assert_ok(ctx, fmt_nvdb_append(writer, parts ? &first : &whole));
+        if (parts)
+            assert_ok(ctx, fmt_nvdb_append(writer, &rest));
+        assert_ok(ctx, fmt_nvdb_append(writer, &after));
+        assert_ok(ctx, fmt_nvdb_commit(writer, &totals));
+        assert_int_equal(totals.lowers, 2);
+        assert_int_equal(totals.leaves, 3 + after.leaf_count);
+        if (!parts)
+            assert_int_equal(rename(nvdb_path, copy), 0);
+    }
+    assert_ok(ctx, bsq_map_open(ctx, copy, &map[0]));
+    assert_ok(ctx, bsq_map_open(ctx, nvdb_path, &map[1]));
+    assert_int_equal(map[0].size, map[1].size);
+    assert_memory_equal(map[0].data, map[1].data, map[0].size);
+    bsq_map_close(ctx, &map[0]);
+    bsq_map_close(ctx, &map[1]);
+    unlink(copy);
+    unlink(nvdb_path);
+    bsq_ctx_destroy(ctx);
+    assert_refused(&rest, &first, "out of order");
+}
+
+static void test_order_of_regions(void **state)
+{
+    (void)state;
+    /* Left comes before right; negative root tiles come after positive ones. */
+    static const int32_t ordered[][2][3] = {
+        {{0, 0, 0}, {0, 0, 128}},       {{0, 0, 128}, {0, 128, 0}},
+        {{0, 128, 0}, {128, 0, 0}},     {{3968, 0, 0}, {0, 0, 4096}},
+        {{0, 0, 4096}, {0, 0, -128}},   {{0, 0, -128}, {-128, 0, 0}},
+        {{-4096, 0, 0}, {-128, 0, 0}},  {{-8192, 0, 0}, {-4096, 0, 0}},
+        {{128, 0, 0}, {4096, -128, 0}},
+    };
+    for (size_t i = 0; i < sizeof(ordered) / sizeof(*ordered); i++) {
+        const int32_t *a = ordered[i][0], *b = ordered[i][1];
+        struct fmt_nvdb_region left = small_region(a[0], a[1], a[2]);
+        struct fmt_nvdb_region right = small_region(b[0], b[1], b[2]);
+        assert_refused(&right, &left, "out of order");
+        assert_refused(&left, &left, "out of order");
+        struct bsq_ctx *ctx = test_context(1, 0);
+        struct fmt_nvdb_writer *writer = new_writer(ctx);
+        assert_ok(ctx, fmt_nvdb_append(writer, &left));
+        assert_ok(ctx, fmt_nvdb_append(writer, &right));
+        fmt_nvdb_discard(writer);
+        bsq_ctx_destroy(ctx);
+    }
+}
+
+static void test_wrong_regions(void **state)
+{
+    (void)state;
+    static const uint16_t descending[2] = {9, 7}, large[2] = {7, 4096};
+    static const uint64_t empty[2][8] = {{1, 0, 0, 0, 0, 0, 0, 0}, {0}};
+    static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
+    struct fmt_nvdb_region region = small_region(0, 0, 64);
+    assert_refused(NULL, &region, "multiple of 128");
+    region = small_region(0, 0, 0);
+    region.leaf_ids = descending;
+    assert_refused(NULL, &region, "ascending");
+    region.leaf_ids = large;
+    assert_refused(NULL, &region, "ascending");
+    region = small_region(0, 0, 0);
+    region.masks = empty;
+    assert_refused(NULL, &region, "without voxels");
+    region = small_region(0, 0, 0);
+    region.record_count = 1;
+    assert_refused(NULL, &region, "records");
+    region = small_region(0, 0, 0);
+    region.records = flagged;
+    assert_refused(NULL, &region, "second");
+}
+
+static void test_nothing_to_write(void **state)
+{
+    (void)state;
+    unlink(nvdb_path);
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_nvdb_writer *writer = new_writer(ctx);
+    struct fmt_nvdb_region nothing = {.origin = {0, 0, 0}};
+    assert_ok(ctx, fmt_nvdb_append(writer, &nothing));
+    struct fmt_nvdb_totals totals;
+    assert_int_equal(fmt_nvdb_commit(writer, &totals), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(ctx), "no voxels"));
+    assert_int_equal(access(nvdb_path, F_OK), -1);
+    bsq_ctx_destroy(ctx);
+}
+
+static void test_limits(void **state)
+{
+    (void)state;
+    static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
+    for (int i = 0; i < 3; i++) {
+        struct bsq_ctx *ctx = test_context(1, 0);
+        struct fmt_nvdb_writer *writer = new_writer(ctx);
+        struct fmt_nvdb_region region = small_region(0, 0, 0);
+        region.records = region.second = flagged;
+        region.second_count = 1;
+        if (i == 0)
+            writer->counts.leaves = UINT32_MAX - 1;
+        else if (i == 1)
+            writer->counts.lowers = UINT32_MAX;
+        else
+            writer->counts.seconds = UINT32_MAX;
+        assert_int_equal(fmt_nvdb_append(writer, &region), BSQ_EUSAGE);
+        assert_non_null(strstr(bsq_error(ctx), "4294967295"));
+        fmt_nvdb_discard(writer);
+        bsq_ctx_destroy(ctx);
+    }
+}
+
+static void test_unwritable(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
+    struct fmt_nvdb_writer *writer;
+    assert_int_equal(fmt_nvdb_create(ctx, "/nowhere/a.nvdb", &info, &writer), BSQ_ECANTCREAT);
+    assert_null(writer);
+    bsq_clear_error(ctx);
+    info.voxel_size = 0;
+    assert_int_equal(fmt_nvdb_create(ctx, nvdb_path, &info, &writer), BSQ_EUSAGE);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_region_in_parts), cmocka_unit_test(test_order_of_regions),
+        cmocka_unit_test(test_wrong_regions),   cmocka_unit_test(test_nothing_to_write),
+        cmocka_unit_test(test_limits),          cmocka_unit_test(test_unwritable),
+    };
+    return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);
+}

@@ -1,0 +1,203 @@
+// test_vdb_export.cc - OpenVDB reads an exported grid: all voxels, normals, colours, and the
+// transform.
+#include <cmath>
+#include <cstdarg>
+#include <cstddef>
+#include <csetjmp>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <unistd.h>
+
+#include <openvdb/io/File.h>
+#include <openvdb/openvdb.h>
+
+extern "C" {
+#include "base/octahedral.h"
+}
+#include "formats/grid/vdb_export.h"
+#include "tests/unit/formats/grid/nvdb_scene.h"
+
+// Last, for its macros (skip, fail) are names of others too.
+extern "C" {
+#include <cmocka.h>
+}
+
+namespace
+{
+
+char directory[] = "/tmp/bsq-test-vdb-export-XXXXXX";
+std::string grid_path, vdb_path;
+
+int make_directory(void **)
+{
+    if (!mkdtemp(directory))
+        return -1;
+    grid_path = std::string(directory) + "/a.nvdb";
+    vdb_path = std::string(directory) + "/a.vdb";
+    return 0;
+}
+
+int remove_directory(void **)
+{
+    unlink(grid_path.c_str());
+    unlink(vdb_path.c_str());
+    return rmdir(directory);
+}
+
+bsq_ctx *new_context(uint64_t memory)
+{
+    bsq_ctx_options options = {};
+    options.memory_bytes = memory;
+    options.threads = 2;
+    bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+// Writes a random grid and exports it.
+int write_and_export(bsq_ctx *ctx, scene &scene, uint64_t seed, bool color)
+{
+    scene_random(&scene, seed, 3000, false);
+    scene.info.has_color = color;
+    for (uint64_t i = 0; i < scene.count; i++) {
+        const int32_t *p = scene.voxels[i].ijk;
+        bsq_vec3 n = bsq_unit3(bsq_vec3{float(p[0] % 7) + 0.5f, float(p[1] % 5), float(p[2] % 3)});
+        scene.voxels[i].first.normal = bsq_oct_pack(n);
+    }
+    fmt_nvdb_totals totals;
+    if (scene_write(ctx, grid_path.c_str(), &scene, &totals))
+        fail_msg("%s", bsq_error(ctx));
+    fmt_nvdb_grid grid;
+    if (fmt_nvdb_open(ctx, grid_path.c_str(), &grid))
+        fail_msg("%s", bsq_error(ctx));
+    int status = fmt_vdb_export(ctx, &grid, vdb_path.c_str());
+    fmt_nvdb_close(ctx, &grid);
+    return status;
+}
+
+void compare_transform(const openvdb::GridBase &grid, const scene &scene)
+{
+    openvdb::Vec3d world = grid.indexToWorld(openvdb::Vec3d(3, -4, 5));
+    const double index[3] = {3, -4, 5};
+    for (int axis = 0; axis < 3; axis++) {
+        double expected = index[axis] * scene.info.voxel_size + scene.info.translation[axis];
+        assert_true(std::abs(world[axis] - expected) < 1e-9);
+    }
+}
+
+double linear(uint32_t byte)
+{
+    double s = byte / 255.0;
+    return s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4);
+}
+
+void test_export(void **)
+{
+    for (bool color : {true, false}) {
+        bsq_ctx *ctx = new_context(0);
+        scene scene;
+        if (write_and_export(ctx, scene, 31, color))
+            fail_msg("%s", bsq_error(ctx));
+        assert_int_equal(bsq_memory_used(ctx), 0);
+        assert_true(bsq_memory_high(ctx) > 1 << 20);
+        bsq_ctx_destroy(ctx);
+
+        openvdb::initialize();
+        openvdb::io::File file(vdb_path);
+        file.open();
+        auto grids = file.getGrids();
+        assert_int_equal(grids->size(), color ? 3 : 2);
+        auto surface = openvdb::gridPtrCast<openvdb::MaskGrid>(file.readGrid("surface"));
+        auto normals = openvdb::gridPtrCast<openvdb::Vec3fGrid>(file.readGrid("N"));
+        openvdb::Vec3fGrid::Ptr colors;
+        if (color)
+            colors = openvdb::gridPtrCast<openvdb::Vec3fGrid>(file.readGrid("Cd"));
+        assert_int_equal(surface->activeVoxelCount(), scene.count);
+        assert_int_equal(normals->activeVoxelCount(), scene.count);
+        compare_transform(*surface, scene);
+        compare_transform(*normals, scene);
+        auto on = surface->getConstAccessor();
+        auto n = normals->getConstAccessor();
+        for (uint64_t i = 0; i < scene.count; i++) {
+            const scene_voxel &v = scene.voxels[i];
+            openvdb::Coord ijk(v.ijk);
+            assert_true(on.isValueOn(ijk));
+            assert_true(n.isValueOn(ijk));
+            bsq_vec3 unit = bsq_oct_unpack(v.first.normal);
+            assert_true(n.getValue(ijk) == openvdb::Vec3f(unit.x, unit.y, unit.z));
+            if (color) {
+                openvdb::Vec3f found = colors->getConstAccessor().getValue(ijk);
+                for (int c = 0; c < 3; c++)
+                    assert_true(std::abs(found[c] - linear(v.first.color >> 8 * c & 255)) < 1e-6);
+            }
+        }
+        scene_free(&scene);
+    }
+}
+
+std::string read_file(const std::string &path)
+{
+    std::ifstream file(path, std::ios::binary);
+    return std::string((std::istreambuf_iterator<char>(file)), std::istreambuf_iterator<char>());
+}
+
+void test_same_bytes(void **)
+{
+    std::string bytes[2];
+    for (std::string &b : bytes) {
+        bsq_ctx *ctx = new_context(0);
+        scene scene;
+        assert_int_equal(write_and_export(ctx, scene, 32, true), 0);
+        scene_free(&scene);
+        bsq_ctx_destroy(ctx);
+        b = read_file(vdb_path);
+    }
+    assert_true(!bytes[0].empty() && bytes[0] == bytes[1]);
+    openvdb::io::File file(vdb_path);
+    file.open();
+    assert_int_equal(file.getUniqueTag().size(), 36);
+    assert_int_equal(bytes[0].compare(21, 36, file.getUniqueTag()), 0);
+}
+
+// No partial file stays behind, and the message says what is missing.
+void test_no_memory(void **)
+{
+    unlink(vdb_path.c_str());
+    bsq_ctx *ctx = new_context(uint64_t(6) << 20);
+    scene scene;
+    assert_int_equal(write_and_export(ctx, scene, 33, true), BSQ_ENOMEM);
+    assert_non_null(std::strstr(bsq_error(ctx), "OpenVDB export"));
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    assert_int_equal(access(vdb_path.c_str(), F_OK), -1);
+    bsq_ctx_destroy(ctx);
+    scene_free(&scene);
+}
+
+void test_unwritable(void **)
+{
+    bsq_ctx *ctx = new_context(0);
+    scene scene;
+    std::string kept = vdb_path;
+    vdb_path = "/nowhere/a.vdb";
+    assert_int_equal(write_and_export(ctx, scene, 34, false), BSQ_ECANTCREAT);
+    vdb_path = kept;
+    scene_free(&scene);
+    bsq_ctx_destroy(ctx);
+}
+
+} // namespace
+
+int main()
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_export),
+        cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_no_memory),
+        cmocka_unit_test(test_unwritable),
+    };
+    return cmocka_run_group_tests(tests, make_directory, remove_directory);
+}

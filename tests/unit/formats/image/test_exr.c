@@ -1,0 +1,399 @@
+/* test_exr.c - EXR files against OpenEXR's other reader and writer (its C++ library, through
+ * ImfCRgbaFile.h), exact rounding to half, and damaged files. */
+#include <ImfCRgbaFile.h>
+#include <fcntl.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+#include "formats/image/exr.h"
+#include "tests/unit/fixture.h"
+
+static char directory[64];
+static char path[128];
+
+static int make_directory(void **state)
+{
+    (void)state;
+    strcpy(directory, "/tmp/bsq-exr-XXXXXX");
+    if (!mkdtemp(directory))
+        return -1;
+    snprintf(path, sizeof path, "%s/image.exr", directory);
+    return 0;
+}
+
+static int remove_directory(void **state)
+{
+    (void)state;
+    unlink(path);
+    return rmdir(directory); /* fails where a temporary file was left behind */
+}
+
+static uint32_t next_random(uint32_t *state)
+{
+    *state = *state * 1664525u + 1013904223u;
+    return *state >> 8;
+}
+
+static float *random_samples(size_t count, uint32_t seed)
+{
+    float *samples = malloc(count * sizeof *samples);
+    for (size_t i = 0; i < count; ++i)
+        samples[i] =
+            ldexpf((float)next_random(&seed) - 0x1p23f, (int)(next_random(&seed) % 30) - 45);
+    return samples;
+}
+
+/* Nearest half, ties to even, from the definition: 11 significant bits, least exponent -24. */
+static float round_to_half(float v)
+{
+    int exponent;
+    frexpf(v, &exponent);
+    int unit = exponent - 11 < -24 ? -24 : exponent - 11;
+    return ldexpf(nearbyintf(ldexpf(v, -unit)), unit);
+}
+
+static const char *const rgb[3] = {"R", "G", "B"};
+static const struct fmt_exr_attribute attributes[] = {{"bisque:map", "normal"},
+                                                      {"bisque:front", "0.125"}};
+
+static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
+                        enum fmt_exr_type type, const float *samples, uint32_t batch)
+{
+    struct fmt_exr_options options = {.width = width,
+                                      .height = height,
+                                      .channel_count = 3,
+                                      .channels = rgb,
+                                      .type = type,
+                                      .data = true,
+                                      .attributes = attributes,
+                                      .attribute_count = 2};
+    struct fmt_exr_writer *writer;
+    assert_int_equal(fmt_exr_create(ctx, path, &options, &writer), 0);
+    for (uint32_t y = 0; y < height; y += batch) {
+        uint32_t rows = height - y < batch ? height - y : batch;
+        assert_int_equal(fmt_exr_write_rows(writer, samples + (size_t)y * width * 3, rows), 0);
+    }
+    assert_int_equal(fmt_exr_commit(writer), 0);
+}
+
+static uint8_t *read_bytes(const char *name, size_t *size)
+{
+    FILE *file = fopen(name, "rb");
+    assert_non_null(file);
+    fseek(file, 0, SEEK_END);
+    *size = (size_t)ftell(file);
+    rewind(file);
+    uint8_t *bytes = malloc(*size);
+    assert_int_equal(fread(bytes, 1, *size, file), *size);
+    fclose(file);
+    return bytes;
+}
+
+static void write_bytes(const char *name, const uint8_t *bytes, size_t size)
+{
+    FILE *file = fopen(name, "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(bytes, 1, size, file), size);
+    fclose(file);
+}
+
+static const uint32_t sizes[][3] = {/* width, height, rows at a time */
+                                    {1, 1, 1},    {37, 53, 7},  {130, 33, 33},
+                                    {16, 16, 16}, {5, 100, 17}, {300, 64, 40}};
+
+static void test_round_trip_is_exact(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(4, 0);
+    for (size_t s = 0; s < sizeof sizes / sizeof *sizes; ++s)
+        for (int type = FMT_EXR_HALF; type <= FMT_EXR_FLOAT; ++type) {
+            uint32_t width = sizes[s][0], height = sizes[s][1];
+            size_t count = (size_t)width * height * 3;
+            float *samples = random_samples(count, 7 + (uint32_t)s);
+            write_image(ctx, width, height, (enum fmt_exr_type)type, samples, sizes[s][2]);
+            struct fmt_exr_image image;
+            assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
+            assert_int_equal(image.width, width);
+            assert_int_equal(image.height, height);
+            assert_int_equal(image.channel_count, 3);
+            assert_int_equal(fmt_exr_channel(&image, "A"), UINT32_MAX);
+            assert_string_equal(fmt_exr_image_attribute(&image, "bisque:front"), "0.125");
+            assert_null(fmt_exr_image_attribute(&image, "bisque:back"));
+            for (size_t i = 0; i < count; ++i) {
+                float expected = type == FMT_EXR_HALF ? round_to_half(samples[i]) : samples[i];
+                uint32_t channel = fmt_exr_channel(&image, rgb[i % 3]);
+                assert_true(image.samples[i / 3 * 3 + channel] == expected);
+            }
+            fmt_exr_image_free(ctx, &image);
+            free(samples);
+        }
+    test_context_end(ctx);
+}
+
+static void test_other_reader_agrees(void **state)
+{
+    (void)state;
+    enum { WIDTH = 45, HEIGHT = 39 };
+    struct bsq_ctx *ctx = test_context(3, 0);
+    float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 99);
+    write_image(ctx, WIDTH, HEIGHT, FMT_EXR_HALF, samples, 11);
+    ImfInputFile *input = ImfOpenInputFile(path);
+    assert_non_null(input);
+    const ImfHeader *header = ImfInputHeader(input);
+    assert_int_equal(ImfHeaderCompression(header), IMF_ZIP_COMPRESSION);
+    assert_int_equal(ImfHeaderLineOrder(header), IMF_INCREASING_Y);
+    const char *text;
+    assert_true(ImfHeaderStringAttribute(header, "bisque:front", &text));
+    assert_string_equal(text, "0.125");
+    assert_true(ImfHeaderStringAttribute(header, "oiio:ColorSpace", &text));
+    assert_string_equal(text, "Raw");
+    ImfRgba *pixels = calloc(WIDTH * HEIGHT, sizeof *pixels);
+    assert_true(ImfInputSetFrameBuffer(input, pixels, 1, WIDTH));
+    assert_true(ImfInputReadPixels(input, 0, HEIGHT - 1));
+    for (size_t i = 0; i < WIDTH * HEIGHT; ++i) {
+        assert_true(ImfHalfToFloat(pixels[i].r) == round_to_half(samples[3 * i]));
+        assert_true(ImfHalfToFloat(pixels[i].g) == round_to_half(samples[3 * i + 1]));
+        assert_true(ImfHalfToFloat(pixels[i].b) == round_to_half(samples[3 * i + 2]));
+    }
+    ImfCloseInputFile(input);
+    free(pixels);
+    free(samples);
+    test_context_end(ctx);
+}
+
+static void test_bytes_do_not_depend_on_threads(void **state)
+{
+    (void)state;
+    enum { WIDTH = 64, HEIGHT = 333 };
+    float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 5);
+    uint8_t *first = NULL;
+    size_t first_size = 0;
+    for (unsigned threads = 1; threads <= 5; threads += 2) {
+        struct bsq_ctx *ctx = test_context(threads, 0);
+        write_image(ctx, WIDTH, HEIGHT, FMT_EXR_HALF, samples, 10 * threads + 1);
+        size_t size;
+        uint8_t *bytes = read_bytes(path, &size);
+        if (first) {
+            assert_int_equal(size, first_size);
+            assert_memory_equal(bytes, first, size);
+            free(bytes);
+        } else {
+            first = bytes;
+            first_size = size;
+        }
+        test_context_end(ctx);
+    }
+    free(first);
+    free(samples);
+}
+
+static void write_tiled(int width, int height, int compression, const ImfRgba *pixels)
+{
+    ImfHeader *header = ImfNewHeader();
+    ImfHeaderSetDataWindow(header, -3, 5, width - 4, height + 4);
+    ImfHeaderSetDisplayWindow(header, -3, 5, width - 4, height + 4);
+    ImfHeaderSetCompression(header, compression);
+    ImfTiledOutputFile *output = ImfOpenTiledOutputFile(path, header, IMF_WRITE_RGBA, 32, 24,
+                                                        IMF_MIPMAP_LEVELS, IMF_ROUND_DOWN);
+    assert_non_null(output);
+    assert_true(ImfTiledOutputSetFrameBuffer(output, pixels + 3 - 5 * width, 1, (size_t)width));
+    for (int y = 0; y * 24 < height; ++y)
+        for (int x = 0; x * 32 < width; ++x)
+            assert_true(ImfTiledOutputWriteTile(output, x, y, 0, 0));
+    ImfCloseTiledOutputFile(output);
+    ImfDeleteHeader(header);
+}
+
+static void test_reads_tiles_of_other_writers(void **state)
+{
+    (void)state;
+    enum { WIDTH = 77, HEIGHT = 50 };
+    static const int compressions[] = {IMF_NO_COMPRESSION, IMF_RLE_COMPRESSION,
+                                       IMF_ZIPS_COMPRESSION, IMF_ZIP_COMPRESSION,
+                                       IMF_PIZ_COMPRESSION};
+    struct bsq_ctx *ctx = test_context(2, 0);
+    ImfRgba *pixels = calloc(WIDTH * HEIGHT, sizeof *pixels);
+    for (size_t i = 0; i < WIDTH * HEIGHT; ++i) {
+        ImfFloatToHalf((float)(i % WIDTH), &pixels[i].r);
+        ImfFloatToHalf((float)(i / WIDTH), &pixels[i].g);
+        ImfFloatToHalf((float)(i % 7), &pixels[i].b);
+        ImfFloatToHalf(0.5f, &pixels[i].a);
+    }
+    for (size_t c = 0; c < sizeof compressions / sizeof *compressions; ++c) {
+        write_tiled(WIDTH, HEIGHT, compressions[c], pixels);
+        struct fmt_exr_image image;
+        assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
+        assert_int_equal(image.width, WIDTH);
+        assert_int_equal(image.height, HEIGHT);
+        assert_int_equal(image.channel_count, 4);
+        assert_string_equal(image.channels[0], "A");
+        for (size_t i = 0; i < WIDTH * HEIGHT; ++i) {
+            assert_true(image.samples[4 * i] == 0.5f);
+            assert_true(image.samples[4 * i + 3] == (float)(i % WIDTH));
+            assert_true(image.samples[4 * i + 2] == (float)(i / WIDTH));
+            assert_true(image.samples[4 * i + 1] == (float)(i % 7));
+        }
+        fmt_exr_image_free(ctx, &image);
+    }
+    free(pixels);
+    test_context_end(ctx);
+}
+
+static void expect_damage(struct bsq_ctx *ctx, const char *what, size_t where)
+{
+    struct fmt_exr_image image;
+    int status = fmt_exr_read(ctx, path, &image);
+    if (status >= 0 || !strstr(bsq_error(ctx), path)) {
+        print_message("%s %zu: status %d, \"%s\"\n", what, where, status, bsq_error(ctx));
+        fail();
+    }
+    assert_null(image.samples);
+    bsq_clear_error(ctx);
+}
+
+static void test_truncated_files_are_refused(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    float *samples = random_samples(20 * 40 * 3, 3);
+    write_image(ctx, 20, 40, FMT_EXR_HALF, samples, 40);
+    size_t size;
+    free(read_bytes(path, &size));
+    for (size_t length = size; length-- > 0;) {
+        assert_int_equal(truncate(path, (off_t)length), 0);
+        expect_damage(ctx, "length", length);
+    }
+    free(samples);
+    test_context_end(ctx);
+}
+
+/* Any result is right as long as nothing is read or written out of bounds (sanitizers watch) and
+ * nothing leaks. */
+static void test_flipped_bytes_do_no_harm(void **state)
+{
+    (void)state;
+    uint32_t seed = (uint32_t)getpid();
+    print_message("seed %u\n", seed);
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(256) << 20);
+    float *samples = random_samples(20 * 40 * 3, 3);
+    write_image(ctx, 20, 40, FMT_EXR_FLOAT, samples, 40);
+    size_t size;
+    uint8_t *bytes = read_bytes(path, &size);
+    for (int round = 0; round < 1000; ++round) {
+        /* Most rounds hit the header, where the sizes are. */
+        size_t range = round % 4 ? 600 : size;
+        size_t at = next_random(&seed) % range;
+        uint8_t old = bytes[at];
+        bytes[at] = (uint8_t)next_random(&seed);
+        write_bytes(path, bytes, size);
+        bytes[at] = old;
+        struct fmt_exr_image image;
+        if (fmt_exr_read(ctx, path, &image) == 0)
+            fmt_exr_image_free(ctx, &image);
+        assert_int_equal(bsq_memory_used(ctx), 0);
+        bsq_clear_error(ctx);
+    }
+    free(bytes);
+    free(samples);
+    test_context_end(ctx);
+}
+
+static void test_sizes_are_held_against_the_budget(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
+    float *samples = random_samples(64 * 64 * 3, 3);
+    write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
+    size_t size;
+    uint8_t *bytes = read_bytes(path, &size);
+    /* dataWindow is "dataWindow\0box2i\0", a length, and four int32: xMax comes third. */
+    static const char name[] = "dataWindow\0box2i";
+    uint8_t *window = memmem(bytes, size, name, sizeof name);
+    assert_non_null(window);
+    window[sizeof name + 4 + 8 + 2] = 0x40; /* 4 million texels wide */
+    write_bytes(path, bytes, size);
+    struct fmt_exr_image image;
+    assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_ENOMEM);
+    assert_non_null(strstr(bsq_error(ctx), "budget"));
+    assert_null(image.samples);
+    assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
+    free(bytes);
+    free(samples);
+    test_context_end(ctx);
+}
+
+/* Made OpenEXR allocate a table of 256 MiB for a file of 10 KB. */
+static void test_a_table_of_blocks_is_held_against_the_file(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
+    float *samples = random_samples(64 * 64 * 3, 3);
+    write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
+    size_t size;
+    uint8_t *bytes = read_bytes(path, &size);
+    static const char name[] = "dataWindow\0box2i";
+    uint8_t *window = memmem(bytes, size, name, sizeof name);
+    assert_non_null(window);
+    /* One texel wide, 2^29 lines high, 16 lines a block. */
+    static const int32_t box[4] = {0, 0, 0, (1 << 29) - 1};
+    memcpy(window + sizeof name + 4, box, sizeof box);
+    write_bytes(path, bytes, size);
+    struct fmt_exr_image image;
+    assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(ctx), "table of blocks"));
+    assert_true(bsq_memory_high(ctx) < 1 << 20);
+    free(bytes);
+    free(samples);
+    test_context_end(ctx);
+}
+
+static void test_nothing_is_left_of_a_discarded_file(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(2, 0);
+    unlink(path);
+    float *samples = random_samples(20 * 40 * 3, 3);
+    struct fmt_exr_options options = {
+        .width = 20, .height = 40, .channel_count = 3, .channels = rgb};
+    struct fmt_exr_writer *writer;
+    assert_int_equal(fmt_exr_create(ctx, path, &options, &writer), 0);
+    assert_int_equal(fmt_exr_write_rows(writer, samples, 20), 0);
+    fmt_exr_discard(writer);
+    assert_int_equal(access(path, F_OK), -1);
+    assert_string_equal(bsq_error(ctx), "");
+    assert_int_equal(fmt_exr_create(ctx, "/nonexistent/a.exr", &options, &writer), BSQ_ECANTCREAT);
+    assert_null(writer);
+    bsq_clear_error(ctx);
+    /* Too few rows are a bug of the caller and give no file. */
+    assert_int_equal(fmt_exr_create(ctx, path, &options, &writer), 0);
+    assert_int_equal(fmt_exr_write_rows(writer, samples, 20), 0);
+    assert_int_equal(fmt_exr_commit(writer), BSQ_EBUG);
+    assert_int_equal(access(path, F_OK), -1);
+    free(samples);
+    test_context_end(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_round_trip_is_exact),
+        cmocka_unit_test(test_other_reader_agrees),
+        cmocka_unit_test(test_bytes_do_not_depend_on_threads),
+        cmocka_unit_test(test_reads_tiles_of_other_writers),
+        cmocka_unit_test(test_truncated_files_are_refused),
+        cmocka_unit_test(test_flipped_bytes_do_no_harm),
+        cmocka_unit_test(test_sizes_are_held_against_the_budget),
+        cmocka_unit_test(test_a_table_of_blocks_is_held_against_the_file),
+        cmocka_unit_test(test_nothing_is_left_of_a_discarded_file),
+    };
+    return cmocka_run_group_tests(tests, make_directory, remove_directory);
+}

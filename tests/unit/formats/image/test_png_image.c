@@ -1,0 +1,264 @@
+/* test_png_image.c - PNG files against libpng's reader, the sRGB formula and the mean that
+ * dithering has to keep. */
+#include <math.h>
+#include <png.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+#include "formats/image/png_image.h"
+#include "tests/unit/fixture.h"
+
+static char directory[64];
+static char path[128];
+
+static int make_directory(void **state)
+{
+    (void)state;
+    strcpy(directory, "/tmp/bsq-png-XXXXXX");
+    if (!mkdtemp(directory))
+        return -1;
+    snprintf(path, sizeof path, "%s/image.png", directory);
+    return 0;
+}
+
+static int remove_directory(void **state)
+{
+    (void)state;
+    unlink(path);
+    return rmdir(directory); /* fails where a temporary file was left behind */
+}
+
+static void write_image(struct bsq_ctx *ctx, const struct fmt_png_options *options,
+                        const float *samples, uint32_t batch)
+{
+    struct fmt_png_writer *writer;
+    assert_int_equal(fmt_png_create(ctx, path, options, &writer), 0);
+    for (uint32_t y = 0; y < options->height; y += batch) {
+        uint32_t rows = options->height - y < batch ? options->height - y : batch;
+        assert_int_equal(
+            fmt_png_write_rows(writer,
+                               samples + (size_t)y * options->width * options->channel_count, rows),
+            0);
+    }
+    assert_int_equal(fmt_png_commit(writer), 0);
+}
+
+struct image {
+    png_structp png;
+    png_infop info;
+    png_bytepp rows;
+};
+
+static struct image read_image(void)
+{
+    struct image image;
+    FILE *file = fopen(path, "rb");
+    assert_non_null(file);
+    image.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, NULL, NULL, NULL);
+    image.info = png_create_info_struct(image.png);
+    png_init_io(image.png, file);
+    png_read_png(image.png, image.info, PNG_TRANSFORM_IDENTITY, NULL);
+    image.rows = png_get_rows(image.png, image.info);
+    fclose(file);
+    return image;
+}
+
+static void free_image(struct image *image)
+{
+    png_destroy_read_struct(&image->png, &image->info, NULL);
+}
+
+static uint32_t sample16(const struct image *image, uint32_t y, uint32_t sample)
+{
+    return (uint32_t)image->rows[y][2 * sample] << 8 | image->rows[y][2 * sample + 1];
+}
+
+static void test_16_bits_are_rounded(void **state)
+{
+    (void)state;
+    enum { WIDTH = 401, HEIGHT = 500 }; /* several bands of the compression */
+    static const uint32_t channel_counts[] = {1, 3, 4};
+    struct bsq_ctx *ctx = test_context(3, 0);
+    for (int c = 0; c < 3; ++c) {
+        uint32_t channels = channel_counts[c];
+        struct fmt_png_options options = {
+            .width = WIDTH, .height = HEIGHT, .channel_count = channels, .bits = 16};
+        size_t count = (size_t)WIDTH * HEIGHT * channels;
+        float *samples = malloc(count * sizeof *samples);
+        for (size_t i = 0; i < count; ++i)
+            samples[i] =
+                (float)((double)(i * 7919 % 4001) / 3600.0 - 0.05); /* clamped at both ends */
+        samples[0] = NAN;
+        write_image(ctx, &options, samples, 9 + 100 * (uint32_t)c);
+        struct image image = read_image();
+        assert_int_equal(png_get_image_width(image.png, image.info), WIDTH);
+        assert_int_equal(png_get_image_height(image.png, image.info), HEIGHT);
+        assert_int_equal(png_get_channels(image.png, image.info), channels);
+        assert_int_equal(png_get_bit_depth(image.png, image.info), 16);
+        double gamma = 0;
+        assert_true(png_get_gAMA(image.png, image.info, &gamma));
+        assert_true(gamma == 1.0);
+        assert_false(png_get_valid(image.png, image.info, PNG_INFO_sRGB));
+        for (size_t i = 1; i < count; ++i) {
+            double v = fmin(fmax((double)samples[i], 0.0), 1.0) * 65535.0;
+            uint32_t row = (uint32_t)(i / (WIDTH * channels));
+            double stored = sample16(&image, row, (uint32_t)(i % (WIDTH * channels)));
+            assert_true(fabs(stored - v) <= 0.505);
+        }
+        assert_int_equal(sample16(&image, 0, 0), 0);
+        free_image(&image);
+        free(samples);
+    }
+    test_context_end(ctx);
+}
+
+static void test_color_is_encoded_as_srgb_but_alpha_is_not(void **state)
+{
+    (void)state;
+    enum { WIDTH = 256 };
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_png_options options = {
+        .width = WIDTH, .height = 1, .channel_count = 4, .bits = 16, .srgb = true};
+    float samples[WIDTH * 4];
+    for (int i = 0; i < WIDTH * 4; ++i)
+        samples[i] = (float)(i / 4) / 255.0f;
+    write_image(ctx, &options, samples, 1);
+    struct image image = read_image();
+    assert_true(png_get_valid(image.png, image.info, PNG_INFO_sRGB));
+    for (uint32_t i = 0; i < WIDTH; ++i) {
+        double v = i / 255.0;
+        double s = v <= 0.0031308 ? 12.92 * v : 1.055 * pow(v, 1 / 2.4) - 0.055;
+        for (uint32_t c = 0; c < 3; ++c)
+            assert_true(fabs(sample16(&image, 0, 4 * i + c) - s * 65535) < 0.6);
+        assert_int_equal(sample16(&image, 0, 4 * i + 3), i * 257);
+    }
+    free_image(&image);
+    test_context_end(ctx);
+}
+
+/* Mean of a channel over a block of the image. */
+static double block_mean(const struct image *image, uint32_t x0, uint32_t y0, uint32_t size,
+                         uint32_t channel)
+{
+    double sum = 0;
+    for (uint32_t y = y0; y < y0 + size; ++y)
+        for (uint32_t x = x0; x < x0 + size; ++x)
+            sum += image->rows[y][3 * x + channel];
+    return sum / size / size;
+}
+
+static void test_dither_keeps_the_mean(void **state)
+{
+    (void)state;
+    enum { SIZE = 128, BLOCK = 16 };
+    struct bsq_ctx *ctx = test_context(2, 0);
+    struct fmt_png_options options = {.width = SIZE, .height = SIZE, .channel_count = 3, .bits = 8};
+    float *samples = malloc(SIZE * SIZE * 3 * sizeof *samples);
+    for (int level = 0; level <= 20; ++level) {
+        double value = 100.0 + level / 20.0;
+        for (size_t i = 0; i < SIZE * SIZE * 3; ++i)
+            samples[i] = (float)(value / 255.0);
+        write_image(ctx, &options, samples, 50);
+        struct image image = read_image();
+        for (uint32_t c = 0; c < 3; ++c) {
+            assert_true(fabs(block_mean(&image, 0, 0, SIZE, c) - value) < 0.005);
+            for (uint32_t y = 0; y < SIZE; y += BLOCK)
+                for (uint32_t x = 0; x < SIZE; x += BLOCK)
+                    assert_true(fabs(block_mean(&image, x, y, BLOCK, c) - value) < 0.05);
+        }
+        for (uint32_t y = 0; y < SIZE; ++y)
+            for (uint32_t i = 0; i < 3 * SIZE; ++i)
+                assert_true(fabs(image.rows[y][i] - value) < 1.0 + 1e-4);
+        free_image(&image);
+    }
+    free(samples);
+    test_context_end(ctx);
+}
+
+static void test_black_and_white_do_not_dither(void **state)
+{
+    (void)state;
+    enum { SIZE = 64 };
+    struct bsq_ctx *ctx = test_context(2, 0);
+    struct fmt_png_options options = {
+        .width = SIZE, .height = SIZE, .channel_count = 1, .bits = 8, .srgb = true};
+    float *samples = malloc(SIZE * SIZE * sizeof *samples);
+    for (uint32_t i = 0; i < SIZE * SIZE; ++i)
+        samples[i] = i % SIZE < SIZE / 2 ? 0.0f : 1.0f;
+    write_image(ctx, &options, samples, SIZE);
+    struct image image = read_image();
+    for (uint32_t y = 0; y < SIZE; ++y)
+        for (uint32_t x = 0; x < SIZE; ++x)
+            assert_int_equal(image.rows[y][x], x < SIZE / 2 ? 0 : 255);
+    free_image(&image);
+    free(samples);
+    test_context_end(ctx);
+}
+
+static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
+{
+    (void)state;
+    enum { WIDTH = 990, HEIGHT = 750 };
+    float *samples = malloc(WIDTH * HEIGHT * 3 * sizeof *samples);
+    for (uint32_t i = 0; i < WIDTH * HEIGHT * 3; ++i)
+        samples[i] = (float)(i % 997) / 997.0f;
+    struct fmt_png_options options = {
+        .width = WIDTH, .height = HEIGHT, .channel_count = 3, .bits = 8};
+    uint8_t *bytes[3];
+    size_t sizes[3];
+    for (unsigned i = 0; i < 3; ++i) {
+        struct bsq_ctx *ctx = test_context(2 * i + 1, 0);
+        write_image(ctx, &options, samples, 1 + 170 * i);
+        FILE *file = fopen(path, "rb");
+        assert_non_null(file);
+        bytes[i] = malloc(4 << 20);
+        sizes[i] = fread(bytes[i], 1, 4 << 20, file);
+        fclose(file);
+        assert_int_equal(sizes[i], sizes[0]);
+        assert_memory_equal(bytes[i], bytes[0], sizes[0]);
+        test_context_end(ctx);
+    }
+    for (unsigned i = 0; i < 3; ++i)
+        free(bytes[i]);
+    free(samples);
+}
+
+static void test_nothing_is_left_of_a_discarded_file(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    float samples[8 * 3] = {0};
+    unlink(path);
+    struct fmt_png_options options = {.width = 8, .height = 4, .channel_count = 3, .bits = 8};
+    struct fmt_png_writer *writer;
+    assert_int_equal(fmt_png_create(ctx, path, &options, &writer), 0);
+    assert_int_equal(fmt_png_write_rows(writer, samples, 1), 0);
+    fmt_png_discard(writer);
+    assert_int_equal(access(path, F_OK), -1);
+    assert_int_equal(fmt_png_create(ctx, path, &options, &writer), 0);
+    assert_int_equal(fmt_png_commit(writer), BSQ_EBUG);
+    assert_int_equal(access(path, F_OK), -1);
+    bsq_clear_error(ctx);
+    assert_int_equal(fmt_png_create(ctx, "/nonexistent/a.png", &options, &writer), BSQ_ECANTCREAT);
+    test_context_end(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_16_bits_are_rounded),
+        cmocka_unit_test(test_color_is_encoded_as_srgb_but_alpha_is_not),
+        cmocka_unit_test(test_dither_keeps_the_mean),
+        cmocka_unit_test(test_black_and_white_do_not_dither),
+        cmocka_unit_test(test_bytes_do_not_depend_on_threads_or_batches),
+        cmocka_unit_test(test_nothing_is_left_of_a_discarded_file),
+    };
+    return cmocka_run_group_tests(tests, make_directory, remove_directory);
+}

@@ -1,0 +1,326 @@
+/* test_texture.c - texture lookups against averages computed by hand or by the plain definition. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <inttypes.h>
+#include <math.h>
+#include <png.h>
+#include <stdbool.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/parallel.h"
+#include "formats/image/texture.h"
+#include "tests/unit/formats/scratch.h"
+
+/* An image of the test: `channels` bytes a texel, row 0 on top. */
+struct picture {
+    int width, height, channels;
+    uint8_t *texels;
+};
+
+static uint64_t random_state = 77;
+
+static double random_unit(void)
+{
+    random_state ^= random_state >> 12;
+    random_state ^= random_state << 25;
+    random_state ^= random_state >> 27;
+    return (double)(random_state * UINT64_C(0x2545f4914f6cdd1d) >> 11) * 0x1p-53;
+}
+
+/* A wave over the whole image, another for each channel, under noise: wide averages differ from
+ * place to place, neighbouring texels differ, and all of it is periodic. */
+static struct picture make_picture(int width, int height, int channels)
+{
+    const double turn = 6.283185307179586;
+    struct picture p = {width, height, channels, malloc((size_t)width * (size_t)height * 4)};
+    size_t i = 0;
+    for (int y = 0; y < height; y++)
+        for (int x = 0; x < width; x++)
+            for (int c = 0; c < channels; c++)
+                p.texels[i++] = (uint8_t)(128 +
+                                          70 * sin(turn * (x + 0.5) / width + c) *
+                                              cos(turn * (y + 0.5) / height - c) +
+                                          57 * (2 * random_unit() - 1));
+    return p;
+}
+
+static const char *write_png(const char *name, const struct picture *p)
+{
+    const char *path = scratch_path(name);
+    png_image image = {.version = PNG_IMAGE_VERSION,
+                       .width = (png_uint_32)p->width,
+                       .height = (png_uint_32)p->height,
+                       .format = p->channels == 1   ? PNG_FORMAT_GRAY
+                                 : p->channels == 3 ? PNG_FORMAT_RGB
+                                                    : PNG_FORMAT_RGBA};
+    assert_true(png_image_write_to_file(&image, path, 0, p->texels, 0, NULL));
+    return path;
+}
+
+/* IEC 61966-2-1. */
+static double linear(uint8_t value)
+{
+    double s = value / 255.0;
+    return s <= 0.04045 ? s / 12.92 : pow((s + 0.055) / 1.055, 2.4);
+}
+
+static double texel(const struct picture *p, int64_t x, int64_t y, int channel)
+{
+    x = (x % p->width + p->width) % p->width;
+    y = (y % p->height + p->height) % p->height;
+    return linear(p->texels[(y * p->width + x) * p->channels + (p->channels < 3 ? 0 : channel)]);
+}
+
+/* Average over the box by its definition: every texel weighted with the area that it shares. */
+static void reference(const struct picture *p, double u, double v, double du, double dv,
+                      double out[3])
+{
+    double width = fmin(fmax(du * p->width, 1), p->width);
+    double height = fmin(fmax(dv * p->height, 1), p->height);
+    double x0 = u * p->width - width / 2, y0 = (1 - v) * p->height - height / 2;
+    memset(out, 0, 3 * sizeof *out);
+    for (int64_t y = (int64_t)floor(y0); (double)y < y0 + height; y++)
+        for (int64_t x = (int64_t)floor(x0); (double)x < x0 + width; x++) {
+            double area = (fmin((double)x + 1, x0 + width) - fmax((double)x, x0)) *
+                          (fmin((double)y + 1, y0 + height) - fmax((double)y, y0));
+            for (int c = 0; c < 3; c++)
+                out[c] += area * texel(p, x, y, c) / (width * height);
+        }
+}
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_textures *textures;
+};
+
+static int open_textures(struct fixture *f, const char *const *paths, uint32_t count,
+                         uint64_t cache)
+{
+    struct bsq_ctx_options options = {
+        .threads = 3, .memory_bytes = 256 << 20, .tmpdir = scratch_directory};
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    return fmt_textures_open(f->ctx, paths, count, cache, &f->textures);
+}
+
+static void open_one(struct fixture *f, const char *path)
+{
+    int status = open_textures(f, &path, 1, 32 << 20);
+    if (status)
+        print_message("%s\n", bsq_error(f->ctx));
+    assert_int_equal(status, 0);
+}
+
+static void close_fixture(struct fixture *f)
+{
+    fmt_textures_close(f->textures);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+}
+
+static void assert_sample(struct fixture *f, double u, double v, double du, double dv, double r,
+                          double g, double b, double tolerance)
+{
+    const double expected[3] = {r, g, b};
+    float out[3];
+    int status = fmt_texture_sample(f->textures, 0, (float)u, (float)v, (float)du, (float)dv, out);
+    assert_int_equal(status, 0);
+    for (int c = 0; c < 3; c++)
+        if (!(fabs((double)out[c] - expected[c]) <= tolerance))
+            fail_msg("(%g, %g) box %g x %g channel %d: %.9g, expected %.9g", u, v, du, dv, c,
+                     (double)out[c], expected[c]);
+}
+
+static void test_orientation(void **state)
+{
+    (void)state;
+    /* Red above, green below; blue grows to the right. */
+    static uint8_t texels[2][2][3] = {{{255, 0, 0}, {255, 0, 255}}, {{0, 255, 0}, {0, 255, 255}}};
+    struct picture p = {2, 2, 3, &texels[0][0][0]};
+    struct fixture f;
+    uint32_t width, height;
+    open_one(&f, write_png("small.png", &p));
+    fmt_texture_size(f.textures, 0, &width, &height);
+    assert_int_equal(width, 2);
+    assert_int_equal(height, 2);
+    assert_sample(&f, 0.25, 0.75, 0, 0, 1, 0, 0, 1e-6);
+    assert_sample(&f, 0.75, 0.75, 0, 0, 1, 0, 1, 1e-6);
+    assert_sample(&f, 0.25, 0.25, 0, 0, 0, 1, 0, 1e-6);
+    /* Bilinear: a quarter of the way from one texel's centre to the next. */
+    assert_sample(&f, 0.375, 0.25, 0, 0, 0, 1, 0.25, 1e-6);
+    /* Wrapping: at u = 0 both columns meet, at v = 1 both rows; whole periods change nothing. */
+    assert_sample(&f, 0, 0.75, 0, 0, 1, 0, 0.5, 1e-6);
+    assert_sample(&f, 0.75, 1, 0, 0, 0.5, 0.5, 1, 1e-6);
+    assert_sample(&f, 0.75, 0, 0, 0, 0.5, 0.5, 1, 1e-6);
+    assert_sample(&f, -2.75, 5.75, 0, 0, 1, 0, 0, 1e-6);
+    assert_sample(&f, 0.3, 0.9, 7, 9, 0.5, 0.5, 0.5, 1e-6);
+    close_fixture(&f);
+}
+
+static void test_checker_averages_in_linear_light(void **state)
+{
+    (void)state;
+    struct picture p = make_picture(256, 128, 1);
+    for (int i = 0; i < 256 * 128; i++)
+        p.texels[i] = (i + i / 256) % 2 ? 255 : 0;
+    struct fixture f;
+    open_one(&f, write_png("checker.png", &p));
+    for (double size = 2; size <= 64; size *= 2)
+        assert_sample(&f, 0.5, 0.5, size / 256, size / 128, 0.5, 0.5, 0.5, 1e-6);
+    assert_sample(&f, 0.1, 0.2, 1, 1, 0.5, 0.5, 0.5, 1e-6);
+    /* Grey 188 is what half the light looks like in sRGB; its own light is 0.503. */
+    memset(p.texels, 188, 256 * 128);
+    close_fixture(&f);
+    open_one(&f, write_png("grey.png", &p));
+    assert_sample(&f, 0.3, 0.3, 0.1, 0.1, 0.502886, 0.502886, 0.502886, 1e-6);
+    close_fixture(&f);
+    free(p.texels);
+}
+
+/* Random boxes; those so wide that averages are used err at their borders. */
+static void compare_random_boxes(struct fixture *f, const struct picture *p, int count)
+{
+    for (int i = 0; i < count; i++) {
+        float u = (float)(3 * random_unit() - 1), v = (float)(3 * random_unit() - 1);
+        double texels = exp2(8 * random_unit() - 1);
+        float du = (float)(texels / p->width);
+        float dv = (float)(texels * (0.5 + random_unit()) / p->height);
+        double expected[3], least = fmin((double)du * p->width, (double)dv * p->height);
+        reference(p, (double)u, (double)v, (double)du, (double)dv, expected);
+        /* What a wide box takes of cells at its border is their average, not its own part; the
+         * wave moves its colour by up to 0.2. */
+        double tolerance = least < 16 ? 2e-4 : 0.01;
+        assert_sample(f, (double)u, (double)v, (double)du, (double)dv, expected[0], expected[1],
+                      expected[2], tolerance);
+    }
+}
+
+static void test_random_boxes(void **state)
+{
+    (void)state;
+    static const int shapes[][3] = {{200, 100, 3}, {65, 131, 4}, {127, 1, 1}, {1, 77, 3}};
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (size_t i = 0; i < sizeof shapes / sizeof *shapes; i++) {
+        struct picture p = make_picture(shapes[i][0], shapes[i][1], shapes[i][2]);
+        struct fixture f;
+        open_one(&f, write_png("random.png", &p));
+        compare_random_boxes(&f, &p, 400);
+        close_fixture(&f);
+        free(p.texels);
+    }
+}
+
+/* Images larger than the cache go through a tiled copy; lookups must not notice. */
+static void test_image_larger_than_cache(void **state)
+{
+    (void)state;
+    struct picture p = make_picture(3001, 2003, 3);
+    struct fixture f;
+    const char *path = write_png("large.png", &p);
+    print_message("seed %" PRIu64 "\n", random_state);
+    assert_int_equal(open_textures(&f, &path, 1, 12 << 20), 0);
+    compare_random_boxes(&f, &p, 400);
+    assert_true(bsq_memory_high(f.ctx) < 16 << 20);
+    close_fixture(&f);
+    free(p.texels);
+}
+
+struct lookup {
+    struct fixture *f;
+    float (*colors)[3];
+};
+
+static int look_up(void *arg, uint64_t index, unsigned worker)
+{
+    struct lookup *lookup = arg;
+    (void)worker;
+    return fmt_texture_sample(lookup->f->textures, (uint32_t)(index % 2), (float)index * 0.377f,
+                              (float)index * 0.619f, 0.003f, 0.004f, lookup->colors[index]);
+}
+
+static void test_threads_see_the_same(void **state)
+{
+    (void)state;
+    enum { count = 3000 };
+    static float parallel[count][3], serial[count][3];
+    struct picture p = make_picture(900, 700, 3);
+    const char *paths[3] = {write_png("t.png", &p), write_png("u.png", &p), NULL};
+    struct fixture f;
+    assert_int_equal(open_textures(&f, paths, 3, 12 << 20), 0);
+    struct lookup lookup = {&f, parallel};
+    assert_int_equal(bsq_parallel_for(f.ctx, count, look_up, &lookup), 0);
+    lookup.colors = serial;
+    for (uint64_t i = 0; i < count; i++)
+        assert_int_equal(look_up(&lookup, i, 0), 0);
+    assert_memory_equal(parallel, serial, sizeof serial);
+    close_fixture(&f);
+    free(p.texels);
+}
+
+/* A PFM holds linear floats, from the lowest row up. */
+static void test_float_image_is_linear(void **state)
+{
+    (void)state;
+    static const float rows[2][3] = {{0.25f, 4, -1}, {0.5f, 0, 0}};
+    const char *path = scratch_path("linear.pfm");
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    fprintf(file, "PF\n1 2\n-1.0\n");
+    fwrite(rows, sizeof rows, 1, file);
+    fclose(file);
+    struct fixture f;
+    open_one(&f, path);
+    assert_sample(&f, 0.5, 0.25, 0, 0, 0.25, 4, -1, 1e-6);
+    assert_sample(&f, 0.5, 0.75, 0, 0, 0.5, 0, 0, 1e-6);
+    assert_sample(&f, 0.5, 0.5, 0, 0, 0.375, 2, -0.5, 1e-6);
+    close_fixture(&f);
+}
+
+static void test_bad_files(void **state)
+{
+    (void)state;
+    struct fixture f;
+    const char *path = scratch_path("missing.png");
+    assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_ENOINPUT);
+    assert_non_null(strstr(bsq_error(f.ctx), "missing.png"));
+    close_fixture(&f);
+
+    path = scratch_path("text.png");
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    fputs("this is no picture", file);
+    fclose(file);
+    assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f.ctx), "text.png"));
+    assert_null(strchr(bsq_error(f.ctx), '\n'));
+    close_fixture(&f);
+
+    path = scratch_path("cut.ppm");
+    file = fopen(path, "wb");
+    assert_non_null(file);
+    fprintf(file, "P6\n300 300\n255\n%050000d", 0);
+    fclose(file);
+    assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f.ctx), "cut.ppm"));
+    assert_null(strchr(bsq_error(f.ctx), '\n'));
+    close_fixture(&f);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_orientation),
+        cmocka_unit_test(test_checker_averages_in_linear_light),
+        cmocka_unit_test(test_random_boxes),
+        cmocka_unit_test(test_image_larger_than_cache),
+        cmocka_unit_test(test_threads_see_the_same),
+        cmocka_unit_test(test_float_image_is_linear),
+        cmocka_unit_test(test_bad_files),
+    };
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
+}

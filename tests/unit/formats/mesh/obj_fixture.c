@@ -1,0 +1,146 @@
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "tests/unit/formats/mesh/obj_fixture.h"
+
+static void *grown(void *memory, uint64_t count, size_t size)
+{
+    void *result = realloc(memory, (count + 1) * size);
+    assert_non_null(result);
+    return result;
+}
+
+static int keep_elements(struct obj_scan *scan, const struct fmt_obj_block *b)
+{
+    uint64_t n = b->vertex_base + b->vertex_count;
+    scan->positions = grown(scan->positions, n, sizeof *scan->positions);
+    scan->colors = grown(scan->colors, n, sizeof *scan->colors);
+    for (uint64_t i = 0; i < b->vertex_count; i++)
+        for (int c = 0; c < 3; c++) {
+            scan->positions[b->vertex_base + i][c] = b->positions[i][c];
+            scan->colors[b->vertex_base + i][c] = b->colors ? b->colors[i][c] : -1;
+        }
+    n = b->texcoord_base + b->texcoord_count;
+    scan->texcoords = grown(scan->texcoords, n, sizeof *scan->texcoords);
+    for (uint64_t i = 0; i < b->texcoord_count; i++)
+        memcpy(scan->texcoords[b->texcoord_base + i], b->texcoords[i], sizeof b->texcoords[0]);
+    n = b->normal_base + b->normal_count;
+    scan->normals = grown(scan->normals, n, sizeof *scan->normals);
+    for (uint64_t i = 0; i < b->normal_count; i++)
+        memcpy(scan->normals[b->normal_base + i], b->normals[i], sizeof b->normals[0]);
+    return 0;
+}
+
+static int keep_block(void *arg, const struct fmt_obj_block *b)
+{
+    struct obj_scan *scan = arg;
+    const uint64_t *from[3] = {b->corner_vertices, b->corner_texcoords, b->corner_normals};
+    uint64_t corner_base = scan->totals.corners, faces = b->face_base + b->face_count;
+    assert_int_equal(b->sequence, scan->blocks);
+    assert_int_equal(b->vertex_base, scan->totals.vertices);
+    assert_int_equal(b->face_base, scan->totals.faces);
+    keep_elements(scan, b);
+    scan->sizes = grown(scan->sizes, faces, sizeof *scan->sizes);
+    scan->materials = grown(scan->materials, faces, sizeof *scan->materials);
+    uint32_t material = b->material_at_start;
+    uint64_t change = 0, corners = 0;
+    for (uint64_t i = 0; i < b->face_count; i++) {
+        for (; change < b->material_change_count && b->material_changes[change].face == i; change++)
+            material = b->material_changes[change].material;
+        scan->sizes[b->face_base + i] = b->face_sizes[i];
+        scan->materials[b->face_base + i] = material;
+        corners += b->face_sizes[i];
+    }
+    assert_int_equal(corners, b->corner_count);
+    for (int kind = 0; kind < 3; kind++) {
+        scan->corners[kind] =
+            grown(scan->corners[kind], corner_base + corners, sizeof *scan->corners[kind]);
+        for (uint64_t i = 0; i < corners; i++)
+            scan->corners[kind][corner_base + i] = from[kind] ? from[kind][i] : FMT_OBJ_NONE;
+    }
+    scan->totals.vertices += b->vertex_count;
+    scan->totals.faces += b->face_count;
+    scan->totals.corners += corners;
+    scan->blocks++;
+    return 0;
+}
+
+void obj_free_scan(struct obj_scan *scan)
+{
+    free(scan->positions);
+    free(scan->colors);
+    free(scan->texcoords);
+    free(scan->normals);
+    free(scan->sizes);
+    free(scan->materials);
+    for (int kind = 0; kind < 3; kind++)
+        free(scan->corners[kind]);
+}
+
+void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
+                    const char *const *paths)
+{
+    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = 64 << 20};
+    struct fmt_obj_totals totals = {0};
+    memset(f, 0, sizeof *f);
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    f->status = fmt_obj_open(f->ctx, paths, count, &f->reader);
+    if (!f->status)
+        f->status = fmt_obj_read(f->reader, keep_block, &f->scan, &totals);
+    if (!f->status)
+        assert_int_equal(totals.corners, f->scan.totals.corners);
+    f->scan.totals = totals;
+}
+
+void obj_close(struct obj_fixture *f)
+{
+    obj_free_scan(&f->scan);
+    fmt_obj_close(f->reader);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+}
+
+void obj_read_text(struct obj_fixture *f, const char *text)
+{
+    const char *path = scratch_text("scan.obj", text);
+    obj_read_files(f, 2, 1, &path);
+    if (f->status)
+        print_message("%s\n", bsq_error(f->ctx));
+    assert_int_equal(f->status, 0);
+}
+
+void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...)
+{
+    va_list expected;
+    va_start(expected, count);
+    assert_int_equal(f->scan.totals.corners, count);
+    for (uint64_t i = 0; i < count; i++) {
+        int value = va_arg(expected, int);
+        assert_int_equal(f->scan.corners[kind][i], value < 0 ? FMT_OBJ_NONE : (uint64_t)value);
+    }
+    va_end(expected);
+}
+
+void obj_expect_error(const char *text, size_t size, const char *message)
+{
+    struct obj_fixture f;
+    const char *path = scratch_bytes("bad.obj", text, size);
+    for (unsigned threads = 1; threads <= 3; threads += 2) {
+        obj_read_files(&f, threads, 1, &path);
+        assert_int_equal(f.status, BSQ_EDATA);
+        const char *error = bsq_error(f.ctx);
+        assert_int_equal(strncmp(error, scratch_directory, strlen(scratch_directory)), 0);
+        assert_string_equal(error + strlen(scratch_directory) + 1, message);
+        obj_close(&f);
+    }
+}
+
+void obj_expect_text_error(const char *text, const char *message)
+{
+    obj_expect_error(text, strlen(text), message);
+}

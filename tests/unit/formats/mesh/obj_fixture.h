@@ -1,0 +1,41 @@
+/* obj_fixture.h - a scan as the OBJ reader delivers it, for the tests of the reader. */
+#ifndef TEST_OBJ_FIXTURE_H
+#define TEST_OBJ_FIXTURE_H
+
+#include "formats/mesh/obj.h"
+#include "tests/unit/formats/scratch.h"
+
+struct obj_scan {
+    struct fmt_obj_totals totals;
+    double (*positions)[3];
+    float (*colors)[3];
+    double (*texcoords)[2];
+    float (*normals)[3];
+    uint32_t *sizes;
+    uint64_t *corners[3];
+    uint32_t *materials; /* of each face */
+    uint64_t blocks;
+};
+
+/* A context, a reader over files and the scan that came out of it. */
+struct obj_fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_obj_reader *reader;
+    struct obj_scan scan;
+    int status;
+};
+
+void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
+                    const char *const *paths);
+/* Must succeed. */
+void obj_read_text(struct obj_fixture *f, const char *text);
+void obj_close(struct obj_fixture *f);
+void obj_free_scan(struct obj_scan *scan);
+
+/* Corners of a kind, numbered from 0; below 0: none given. */
+void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...);
+/* Reads `text`, which must fail with `message` behind the directory. */
+void obj_expect_error(const char *text, size_t size, const char *message);
+void obj_expect_text_error(const char *text, const char *message);
+
+#endif

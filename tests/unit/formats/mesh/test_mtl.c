@@ -1,0 +1,215 @@
+/* test_mtl.c - MTL files as programs write them. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "formats/mesh/mtl.h"
+
+static char directory[64];
+
+static const char *write_file(const char *name, const char *text, size_t size)
+{
+    static char path[160];
+    snprintf(path, sizeof path, "%s/%s", directory, name);
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(text, 1, size, file), size);
+    fclose(file);
+    return path;
+}
+
+static int make_directory(void **state)
+{
+    (void)state;
+    char path[96];
+    strcpy(directory, "/tmp/test_mtl.XXXXXX");
+    if (!mkdtemp(directory))
+        return -1;
+    snprintf(path, sizeof path, "%s/sub dir", directory);
+    if (mkdir(path, 0777))
+        return -1;
+    write_file("sub dir/wood grain.png", "x", 1);
+    write_file("back\\slash.png", "x", 1);
+    write_file("here.png", "x", 1);
+    return 0;
+}
+
+static int remove_directory(void **state)
+{
+    (void)state;
+    char command[128];
+    snprintf(command, sizeof command, "rm -r %s", directory);
+    return system(command);
+}
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_materials materials;
+    int warnings;
+    char warning[256]; /* the last */
+};
+
+static void note_warning(void *user, const char *line)
+{
+    struct fixture *f = user;
+    f->warnings++;
+    snprintf(f->warning, sizeof f->warning, "%s", line);
+}
+
+static void open_fixture(struct fixture *f)
+{
+    struct bsq_ctx_options options = {.on_warning = note_warning, .user = f, .threads = 1};
+    memset(f, 0, sizeof *f);
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+}
+
+static void close_fixture(struct fixture *f)
+{
+    fmt_mtl_free(f->ctx, &f->materials);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+}
+
+static void read_text(struct fixture *f, const char *text)
+{
+    open_fixture(f);
+    const char *path = write_file("test.mtl", text, strlen(text));
+    assert_int_equal(fmt_mtl_read(f->ctx, path, &f->materials), 0);
+}
+
+static void assert_diffuse(const struct fmt_material *m, float r, float g, float b)
+{
+    assert_true(m->diffuse[0] == r && m->diffuse[1] == g && m->diffuse[2] == b);
+}
+
+static void test_diffuse(void **state)
+{
+    (void)state;
+    struct fixture f;
+    read_text(&f, "# made by hand\r\nnewmtl red paint \r\n\tKd 1 0 .5\r\n  illum 2\r\n\r\n"
+                  "newmtl grey\nKd 0.25\nnewmtl none\nKa 1 1 1\nKd spectral a.rfl 1\nKd xyz 1 1 1\n"
+                  "newmtl bright\nKd 2 -1 1 # comment\nnewmtl last\nKd 1e-1 0 0");
+    assert_int_equal(f.materials.count, 5);
+    assert_string_equal(f.materials.list[0].name, "red paint");
+    assert_diffuse(&f.materials.list[0], 1, 0, 0.5f);
+    assert_true(f.materials.list[0].has_diffuse);
+    assert_diffuse(&f.materials.list[1], 0.25f, 0.25f, 0.25f);
+    assert_diffuse(&f.materials.list[2], 0.8f, 0.8f, 0.8f);
+    assert_false(f.materials.list[2].has_diffuse);
+    assert_diffuse(&f.materials.list[3], 1, 0, 1);
+    assert_diffuse(&f.materials.list[4], 0.1f, 0, 0);
+    assert_int_equal(f.warnings, 0);
+    assert_int_equal(fmt_mtl_find(&f.materials, "grey"), 1);
+    assert_int_equal(fmt_mtl_find(&f.materials, "Grey"), UINT32_MAX);
+    close_fixture(&f);
+}
+
+static void test_map_paths(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *statement, *expected;
+    } cases[] = {
+        {"map_Kd here.png", "here.png"},
+        {"map_kd  sub dir/wood grain.png  ", "sub dir/wood grain.png"},
+        {"map_Kd sub dir\\wood grain.png", "sub dir/wood grain.png"},
+        {"map_Kd back\\slash.png", "back\\slash.png"},
+        {"map_Kd C:\\Users\\me\\here.png", "here.png"},
+        {"map_Kd /nowhere/at all/here.png", "here.png"},
+        {"map_Kd \"sub dir/wood grain.png\"", "sub dir/wood grain.png"},
+        {"map_Kd not there.png", "not there.png"},
+        {"map_Kd .\\not\\there.png", ".\\not\\there.png"},
+        {"map_Kd -s 1 1 1 -o 0 0 0 -mm 0 1 here.png", "here.png"},
+        {"map_Kd -blendu on -blendv off -cc off -clamp on -bm 0.5 -boost 1 -imfchan l -texres 512 "
+         "-type sphere sub dir/wood grain.png",
+         "sub dir/wood grain.png"},
+        {"map_Kd -o 0 2.png", "2.png"},
+        {"map_Kd -s 1 1 7", "7"},
+        {"map_Kd -t 0 0 0 -x.png", "-x.png"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct fixture f;
+        char text[300], expected[300];
+        snprintf(text, sizeof text, "newmtl a\n%s\n", cases[i].statement);
+        snprintf(expected, sizeof expected, "%s/%s", directory, cases[i].expected);
+        read_text(&f, text);
+        assert_string_equal(f.materials.list[0].texture_path, expected);
+        assert_int_equal(f.warnings, 0);
+        close_fixture(&f);
+    }
+}
+
+static void test_warnings(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *warning;
+    } cases[] = {
+        {"Kd 1 1 1\n", "test.mtl:1: no newmtl before this, ignored: \"Kd\""},
+        {"newmtl a\nKd 1 1\n", "test.mtl:2: a colour has 1 or 3 numbers, ignored: \"1 1\""},
+        {"newmtl a\nKd 1 x 1\n", "test.mtl:2: not a colour, ignored: \"1 x 1\""},
+        {"newmtl a\nmap_Kd\n", "test.mtl:2: names no file, ignored: \"map_Kd\""},
+        {"newmtl a\nmap_Kd -s 2 2 here.png\n",
+         "test.mtl:2: texture is used without this shift or scale: \"-s 2 2 here.png\""},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct fixture f;
+        read_text(&f, cases[i].text);
+        assert_int_equal(f.warnings, 1);
+        assert_string_equal(f.warning + strlen(directory) + 1, cases[i].warning);
+        close_fixture(&f);
+    }
+}
+
+static void test_missing_file_is_a_warning(void **state)
+{
+    (void)state;
+    struct fixture f;
+    open_fixture(&f);
+    assert_int_equal(fmt_mtl_read(f.ctx, "/nowhere/a.mtl", &f.materials), 0);
+    assert_int_equal(f.warnings, 1);
+    assert_non_null(strstr(f.warning, "/nowhere/a.mtl"));
+    close_fixture(&f);
+}
+
+static void test_files_append(void **state)
+{
+    (void)state;
+    struct fixture f;
+    read_text(&f, "newmtl a\nnewmtl b\n");
+    const char *path = write_file("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
+    assert_int_equal(fmt_mtl_read(f.ctx, path, &f.materials), 0);
+    assert_int_equal(f.materials.count, 3);
+    assert_int_equal(fmt_mtl_find(&f.materials, "c"), 2);
+    close_fixture(&f);
+}
+
+static void test_every_truncated_length(void **state)
+{
+    (void)state;
+    static const char text[] = "newmtl a b\r\nKd 1 0.5 .25\nmap_Kd -s 1 1 1 -mm 0 1 here.png\nKd";
+    for (size_t size = 0; size < sizeof text; size++) {
+        struct fixture f;
+        open_fixture(&f);
+        const char *path = write_file("cut.mtl", text, size);
+        assert_int_equal(fmt_mtl_read(f.ctx, path, &f.materials), 0);
+        close_fixture(&f);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_diffuse),      cmocka_unit_test(test_map_paths),
+        cmocka_unit_test(test_warnings),     cmocka_unit_test(test_missing_file_is_a_warning),
+        cmocka_unit_test(test_files_append), cmocka_unit_test(test_every_truncated_length),
+    };
+    return cmocka_run_group_tests(tests, make_directory, remove_directory);
+}

@@ -1,0 +1,281 @@
+/* test_obj.c - the OBJ reader against what the text means, in all spellings, and against text that
+ * means nothing. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <stdio.h>
+#include <string.h>
+
+#include "tests/unit/formats/mesh/obj_fixture.h"
+
+/* ---- spellings ---- */
+
+static void test_vertices(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "v 1 2 3\nv 4 5 6 0.5\n  v\t-1.5  +.5 1e2 0.25 0.5 0.75  \r\n"
+                      "v 7 8 9 0 1 0 0.5 # green\nv \\\n 1 \\\r\n 2 3\nv 1 2 3");
+    assert_int_equal(f.scan.totals.vertices, 6);
+    const double positions[6][3] = {{1, 2, 3}, {4, 5, 6}, {-1.5, 0.5, 100},
+                                    {7, 8, 9}, {1, 2, 3}, {1, 2, 3}};
+    const float colors[6][3] = {{-1, -1, -1}, {-1, -1, -1}, {0.25f, 0.5f, 0.75f},
+                                {0, 1, 0},    {-1, -1, -1}, {-1, -1, -1}};
+    assert_memory_equal(f.scan.positions, positions, sizeof positions);
+    assert_memory_equal(f.scan.colors, colors, sizeof colors);
+    obj_close(&f);
+}
+
+static void test_texcoords_and_normals(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "vt 0.25\nvt 0.5 0.75\nvt 1 -2 3\nvn 0 0 2\nvp 1 2\nvt\t3\t4\t# x\n");
+    const double texcoords[4][2] = {{0.25, 0}, {0.5, 0.75}, {1, -2}, {3, 4}};
+    const float normals[1][3] = {{0, 0, 2}};
+    assert_int_equal(f.scan.totals.texcoords, 4);
+    assert_memory_equal(f.scan.texcoords, texcoords, sizeof texcoords);
+    assert_int_equal(f.scan.totals.normals, 1);
+    assert_memory_equal(f.scan.normals, normals, sizeof normals);
+    assert_int_equal(f.scan.totals.skipped_lines, 0);
+    obj_close(&f);
+}
+
+static void test_face_forms(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "f 1 2 3\nf 4/5 6/7 8/9\nf 1//2 3//4 5//6 7//8\nf 1/2/3 4/5/6 7/8/9\n"
+                      "f 10 20/30 40//50 \\\n 60/70/80\n");
+    assert_int_equal(f.scan.totals.faces, 5);
+    const uint32_t sizes[5] = {3, 3, 4, 3, 4};
+    assert_memory_equal(f.scan.sizes, sizes, sizeof sizes);
+    obj_assert_corners(&f, 0, 17, 0, 1, 2, 3, 5, 7, 0, 2, 4, 6, 0, 3, 6, 9, 19, 39, 59);
+    obj_assert_corners(&f, 1, 17, -1, -1, -1, 4, 6, 8, -1, -1, -1, -1, 1, 4, 7, -1, 29, -1, 69);
+    obj_assert_corners(&f, 2, 17, -1, -1, -1, -1, -1, -1, 1, 3, 5, 7, 2, 5, 8, -1, -1, 49, 79);
+    obj_close(&f);
+}
+
+static void test_relative_indices(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "v 0 0 0\nv 1 0 0\nv 1 1 0\nvn 0 0 1\nvt 0 0\nf -3/-1/-1 -2/-1/-1 -1/1/1\n"
+                      "v 2 2 2\nf -1 -2 1\n");
+    obj_assert_corners(&f, 0, 6, 0, 1, 2, 3, 2, 0);
+    obj_assert_corners(&f, 1, 6, 0, 0, 0, -1, -1, -1);
+    obj_close(&f);
+}
+
+static void test_short_faces_and_unknown(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "\xef\xbb\xbf# comment \\\nv 0 0 0\ng group\no object\ns off\nl 1 2\np 1\n"
+                      "fancy statement\nf 1 1\nf\nf 1 2 3\nfo 1 2 3\ncurv2 1 2\nvc 1 2 3\n\n \t\n");
+    assert_int_equal(f.scan.totals.vertices, 1);
+    assert_int_equal(f.scan.totals.faces, 2);
+    assert_int_equal(f.scan.totals.short_faces, 2);
+    assert_int_equal(f.scan.totals.skipped_lines, 2);
+    obj_close(&f);
+}
+
+static void test_line_ends(void **state)
+{
+    (void)state;
+    static const char *const texts[] = {
+        "v 1 2 3\nusemtl a b\nf 1 2 3\n# c\ng x\nf 4 5 6\n",
+        "v 1 2 3\r\nusemtl a b \r\nf 1 2 3\r\n# c\r\ng x\r\nf 4 5 6\r\n",
+        "v 1 2 3\rusemtl a b\rf 1 2 3\r# c\rg x\rf 4 5 6\r",
+        "v 1 2 3\rusemtl a b\rf 1 2 3\r# c\rg x\rf 4 5 6",
+        "v 1 2 3\r\nusemtl a b\nf 1 2 3 \r# c\ng x\rf 4 5 6 \\\r\n"};
+    for (size_t i = 0; i < sizeof texts / sizeof *texts; i++) {
+        struct obj_fixture f;
+        const char *path;
+        uint64_t line;
+        obj_read_text(&f, texts[i]);
+        obj_assert_corners(&f, 0, 6, 0, 1, 2, 3, 4, 5);
+        assert_int_equal(fmt_obj_material_count(f.reader), 1);
+        assert_string_equal(fmt_obj_material_name(f.reader, 0), "a b");
+        assert_int_equal(fmt_obj_locate_face(f.reader, 1, &path, &line), 0);
+        assert_int_equal(line, 6);
+        obj_close(&f);
+    }
+}
+
+static void test_empty_files(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    const char *paths[3] = {scratch_text("empty.obj", ""), scratch_text("some.obj", "f 1 2 3\n"),
+                            scratch_text("blank.obj", "\n\n")};
+    obj_read_files(&f, 2, 3, paths);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(f.scan.totals.faces, 1);
+    obj_close(&f);
+    obj_read_files(&f, 2, 1, paths);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(f.scan.totals.faces, 0);
+    obj_close(&f);
+}
+
+static void test_several_files(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    scratch_text("b.mtl", "newmtl m\nKd 0 0 1\n");
+    scratch_text("a file.mtl", "newmtl m\nKd 1 0 0\n");
+    const char *paths[2] = {
+        scratch_text("a.obj", "mtllib a file.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl m\nf 1 2 3\n"),
+        scratch_text("b.obj", "mtllib b.mtl missing.mtl\nf 1 2 -1\nv 0 0 0\nusemtl m\nf 1 -1 2\n")};
+    obj_read_files(&f, 2, 2, paths);
+    assert_int_equal(f.status, BSQ_EDATA); /* -1 before any vertex of this file */
+    obj_close(&f);
+    scratch_text("b.obj", "mtllib b.mtl missing.mtl\nv 0 0 0\nf 1 2 -1\nusemtl m\nv 1 1 1\n"
+                          "f 1 -1 2\nusemtl\nf 1 1 1");
+    obj_read_files(&f, 2, 2, paths);
+    assert_int_equal(f.status, 0);
+    obj_assert_corners(&f, 0, 12, 0, 1, 2, 3, 4, 3, 3, 4, 4, 3, 3, 3);
+    assert_int_equal(f.scan.materials[0], 0);
+    assert_int_equal(f.scan.materials[1], FMT_OBJ_NO_MATERIAL);
+    assert_int_equal(f.scan.materials[2], 1);
+    assert_int_equal(f.scan.materials[3], FMT_OBJ_NO_MATERIAL);
+    assert_int_equal(fmt_obj_library_count(f.reader), 3);
+    assert_string_equal(fmt_obj_library_path(f.reader, 0), scratch_path("a file.mtl"));
+    assert_string_equal(fmt_obj_library_path(f.reader, 2), scratch_path("missing.mtl"));
+    struct fmt_materials materials;
+    assert_int_equal(fmt_obj_read_materials(f.reader, &materials), 0);
+    assert_int_equal(materials.count, 2);
+    assert_true(materials.list[0].diffuse[0] == 1 && materials.list[0].diffuse[2] == 0);
+    assert_true(materials.list[1].diffuse[0] == 0 && materials.list[1].diffuse[2] == 1);
+    fmt_mtl_free(f.ctx, &materials);
+    /* A second reading gives the same numbers. */
+    struct fmt_obj_totals again;
+    assert_int_equal(fmt_obj_read(f.reader, NULL, NULL, &again), 0);
+    assert_memory_equal(&again, &f.scan.totals, sizeof again);
+    assert_int_equal(fmt_obj_material_count(f.reader), 2);
+    obj_close(&f);
+}
+
+/* ---- errors ---- */
+
+static void test_errors(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *message;
+    } cases[] = {
+        {"v 0 0 0\nv 1 nan 0\n", "bad.obj:2: \"nan\" is not a finite number"},
+        {"v 0 0 0\nv 1 -inf 0\n", "bad.obj:2: \"-inf\" is not a finite number"},
+        {"v 0 0 1e999\n", "bad.obj:1: \"1e999\" is not a finite number"},
+        {"v 0 0 1.#QNAN0\n", "bad.obj:1: \"1.#QNAN0\" is not a finite number"},
+        {"# 1\n#2 \\\n\nv 1,0 2,0 3,0\n", "bad.obj:4: \"1,0\" is not a finite number"},
+        {"v 1 2\n", "bad.obj:1: a vertex of 2 numbers, expected 3, 4, 6 or 7"},
+        {"v 1 2 3 4 5\n", "bad.obj:1: a vertex of 5 numbers, expected 3, 4, 6 or 7"},
+        {"v 1 2 3 4 5 6 7 8\n",
+         "bad.obj:1: a vertex of more than 7 numbers, expected 3, 4, 6 or 7"},
+        {"vn 1 2\n", "bad.obj:1: a normal of 2 numbers, expected 3"},
+        {"vn 1 2 3 4\n", "bad.obj:1: unexpected \"4\" at the end of the line"},
+        {"vt\n", "bad.obj:1: a texture coordinate without numbers"},
+        {"v 0 0 0\nf 1 0 1\n", "bad.obj:2: face refers to vertex 0, indices begin with 1"},
+        {"f 1/0 1 1\n", "bad.obj:1: face refers to texture coordinate 0, indices begin with 1"},
+        {"f 1//0 1 1\n", "bad.obj:1: face refers to normal 0, indices begin with 1"},
+        {"f 1 2 x\n", "bad.obj:1: \"x\" is not a face corner"},
+        {"f 1 2 3/4/5/6\n", "bad.obj:1: \"3/4/5/6\" is not a face corner"},
+        {"f 1 2 1234567890123456789\n", "bad.obj:1: \"1234567890123456789\" is not a face corner"},
+        {"f 1 2.5 3\n", "bad.obj:1: \"2.5\" is not a face corner"},
+        {"v 0 0 0\nv 0 0 0\nv 0 0 0\n# c\n\nf 1 2 3\nf 1 2 -5\n",
+         "bad.obj:7: face refers to vertex -5, file has 3 so far"},
+        {"v 0 0 0\nf 1 -1 -2\nv 0 0 nan\n",
+         "bad.obj:2: face refers to vertex -2, file has 1 so far"},
+        {"f 1//-1 2 3\n", "bad.obj:1: face refers to normal -1, file has 0 so far"},
+        {"v 0 0 \x01zzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzz\n",
+         "bad.obj:1: \"?zzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzzz...\" is not a finite number"},
+        {"solid statue\nfacet normal 0 0 1\n",
+         "bad.obj:1: not an OBJ file: \"solid statue\" is no statement of that format"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        obj_expect_text_error(cases[i].text, cases[i].message);
+    static const char zero[] = "v 0 0 0\ng a\0b\nv 1 2 3\n";
+    obj_expect_error(zero, sizeof zero - 1, "bad.obj:2: not a text file (zero byte)");
+    static const char png[] = "\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
+    obj_expect_error(png, sizeof png - 1, "bad.obj:3: not a text file (zero byte)");
+    static const char utf16[] = "v\0 \0\x31\0";
+    obj_expect_error(utf16, sizeof utf16 - 1, "bad.obj:1: not a text file (zero byte)");
+}
+
+static void test_other_kinds_of_files_are_named(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *bytes;
+        size_t size;
+        const char *message;
+    } cases[] = {
+        {"\x1f\x8b\x08\0", 4, "bad.obj: not an OBJ file, but one packed by gzip: unpack it first"},
+        {"PK\x03\x04\x14\0", 6, "bad.obj: not an OBJ file, but a ZIP archive: unpack it first"},
+        {"ply\nformat ascii 1.0\n", 21,
+         "bad.obj: not an OBJ file, but a PLY file: export the mesh as OBJ"},
+        {"ply\r\nformat binary", 19,
+         "bad.obj: not an OBJ file, but a PLY file: export the mesh as OBJ"},
+        {"\xff\xfev\0 \0", 6, "bad.obj: not an OBJ file, but text in UTF-16: save it as UTF-8"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        obj_expect_error(cases[i].bytes, cases[i].size, cases[i].message);
+    /* Cut short, the beginning of any of them is text that is no statement, or nothing. */
+    obj_expect_error("PK", 2, "bad.obj:1: not an OBJ file: \"PK\" is no statement of that format");
+}
+
+static void test_missing_file(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    const char *path = scratch_path("nothing.obj");
+    obj_read_files(&f, 1, 1, &path);
+    assert_int_equal(f.status, BSQ_ENOINPUT);
+    assert_non_null(strstr(bsq_error(f.ctx), "nothing.obj"));
+    obj_close(&f);
+}
+
+static void test_fail_index(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    char expected[160];
+    const char *paths[2] = {scratch_text("one.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n"),
+                            scratch_text("two.obj", "v 0 0 0\nvt 0 0\nf 1 1 1\n\nf 1/1 1/9 1/1\n")};
+    obj_read_files(&f, 2, 2, paths);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(f.scan.corners[1][7], 8);
+    assert_int_equal(fmt_obj_fail_index(f.reader, 2, "texture coordinate", 8), BSQ_EDATA);
+    snprintf(expected, sizeof expected,
+             "%s/two.obj:5: face refers to texture coordinate 9, file has 1", scratch_directory);
+    assert_string_equal(bsq_error(f.ctx), expected);
+    bsq_clear_error(f.ctx);
+    assert_int_equal(fmt_obj_fail_index(f.reader, 2, "vertex", 3 + 98), BSQ_EDATA);
+    snprintf(expected, sizeof expected, "%s/two.obj:5: face refers to vertex 99, file has 1",
+             scratch_directory);
+    assert_string_equal(bsq_error(f.ctx), expected);
+    obj_close(&f);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_vertices),
+        cmocka_unit_test(test_texcoords_and_normals),
+        cmocka_unit_test(test_face_forms),
+        cmocka_unit_test(test_relative_indices),
+        cmocka_unit_test(test_short_faces_and_unknown),
+        cmocka_unit_test(test_line_ends),
+        cmocka_unit_test(test_empty_files),
+        cmocka_unit_test(test_several_files),
+        cmocka_unit_test(test_errors),
+        cmocka_unit_test(test_other_kinds_of_files_are_named),
+        cmocka_unit_test(test_missing_file),
+        cmocka_unit_test(test_fail_index),
+    };
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
+}

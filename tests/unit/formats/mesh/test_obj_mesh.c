@@ -1,0 +1,80 @@
+/* test_obj_mesh.c - OBJ files that are read as whole meshes. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <string.h>
+
+#include "tests/unit/formats/mesh/obj_fixture.h"
+
+/* ---- whole meshes ---- */
+
+static void load_mesh(struct obj_fixture *f, struct fmt_mesh *mesh, const char *text)
+{
+    const char *path = scratch_text("mesh.obj", text);
+    memset(f, 0, sizeof *f);
+    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->status = fmt_mesh_load(f->ctx, path, mesh);
+}
+
+static void test_mesh(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct fmt_mesh mesh;
+    /* Faces come first; the quad has its reflex corner at 2, so it must be cut from there. */
+    load_mesh(&f, &mesh,
+              "f 1/1/1 2/2/1 3/3/2 4/4/1\nf 1 2 3\nv 0 0 0\nv 1 1 0\nv 4 0 0\nv 1 4 0\n"
+              "vt 0 0\nvt .1 .1\nvt .2 .2\nvt .3 .3\nvn 0 0 3\nvn 0 0 0\n");
+    assert_int_equal(f.status, 0);
+    assert_int_equal(mesh.vertex_count, 4);
+    assert_int_equal(mesh.triangle_count, 3);
+    assert_int_equal(mesh.face_count, 2);
+    const uint32_t triangles[3][3] = {{1, 2, 3}, {1, 3, 0}, {0, 1, 2}};
+    assert_memory_equal(mesh.vertices, triangles, sizeof triangles);
+    const uint32_t texcoords[3][3] = {{1, 2, 3}, {1, 3, 0}, {UINT32_MAX, UINT32_MAX, UINT32_MAX}};
+    assert_memory_equal(mesh.corner_texcoords, texcoords, sizeof texcoords);
+    const uint32_t normals[3][3] = {{0, 1, 0}, {0, 0, 0}, {UINT32_MAX, UINT32_MAX, UINT32_MAX}};
+    assert_memory_equal(mesh.corner_normals, normals, sizeof normals);
+    const uint64_t faces[3] = {0, 0, 1};
+    assert_memory_equal(mesh.faces, faces, sizeof faces);
+    assert_true(mesh.normals[0][2] == 1 && mesh.normals[1][2] == 0);
+    fmt_mesh_free(f.ctx, &mesh);
+    obj_close(&f);
+}
+
+static void test_mesh_errors(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *message;
+    } cases[] = {
+        {"v 0 0 0\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 2 4\n",
+         "mesh.obj:5: face refers to vertex 4, file has 3"},
+        {"v 0 0 0\nf 1 1 1\nf 1 1 99999999999\n",
+         "mesh.obj:3: face refers to vertex 99999999999, file has 1"},
+        {"v 0 0 0\nf 1/1 1/1 1/1\n", "mesh.obj:2: face refers to texture coordinate 1, file has 0"},
+        {"v 0 0 0\nvn 0 0 1\nf 1//1 1//4294967296 1//1\n",
+         "mesh.obj:3: face refers to normal 4294967296, file has 1"},
+        {"v 0 0 0\nl 1 1\n", "mesh.obj: no faces"},
+        {"", "mesh.obj: no faces"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct obj_fixture f;
+        struct fmt_mesh mesh;
+        load_mesh(&f, &mesh, cases[i].text);
+        assert_int_equal(f.status, BSQ_EDATA);
+        assert_string_equal(bsq_error(f.ctx) + strlen(scratch_directory) + 1, cases[i].message);
+        obj_close(&f);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_mesh),
+        cmocka_unit_test(test_mesh_errors),
+    };
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
+}

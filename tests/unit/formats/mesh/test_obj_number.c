@@ -1,0 +1,420 @@
+/* test_obj_number.c - numbers are rounded exactly as strtod() rounds them in the C locale. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <inttypes.h>
+#include <locale.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "formats/mesh/obj_line.h"
+
+static uint64_t random_state = 20081;
+
+/* xorshift64* (Vigna 2016). */
+static uint64_t random_bits(void)
+{
+    random_state ^= random_state >> 12;
+    random_state ^= random_state << 25;
+    random_state ^= random_state >> 27;
+    return random_state * 0x2545f4914f6cdd1du;
+}
+
+static unsigned below(unsigned limit)
+{
+    return (unsigned)((random_bits() >> 32) * limit >> 32);
+}
+
+/* What strtod says of `text`; the expected value is taken before any other locale is set. */
+static double reference(const char *text)
+{
+    static locale_t c_locale;
+    if (!c_locale)
+        c_locale = newlocale(LC_ALL_MASK, "C", (locale_t)0);
+    return strtod_l(text, NULL, c_locale);
+}
+
+/* Parses `text` followed by `delimiter`, through the fast and through the general way. */
+static void check(const char *text, char delimiter)
+{
+    char buffer[2048 + OBJ_TEXT_PADDING] = {0};
+    size_t length = strlen(text);
+    memcpy(buffer, text, length);
+    buffer[length] = delimiter;
+    double expected = reference(text);
+    for (int general = 0; general < 2; general++) {
+        double value = 77;
+        const char *end =
+            general ? fmt_obj_number_general(buffer, &value) : obj_number(buffer, &value);
+        if (!isfinite(expected)) {
+            assert_null(end);
+            continue;
+        }
+        if (end != buffer + length || memcmp(&value, &expected, sizeof value))
+            fail_msg("\"%s\" gives %a, strtod gives %a (general %d)", text, value, expected,
+                     general);
+    }
+}
+
+static const char delimiters[] = " \n\t\r\\";
+
+static char any_delimiter(void)
+{
+    return delimiters[below(sizeof delimiters)]; /* the string's end, too */
+}
+
+static int append_digits(char *out, unsigned count)
+{
+    for (unsigned i = 0; i < count; i++)
+        out[i] = (char)('0' + below(10));
+    return (int)count;
+}
+
+/* [sign] digits [. digits] [e exponent], with the lengths given at most. */
+static void random_shape(char *out, unsigned whole, unsigned fraction, int exponent)
+{
+    unsigned w = below(whole + 1), f = below(fraction + 1);
+    if (w + f == 0)
+        w = 1;
+    switch (below(6)) {
+    case 0:
+        *out++ = '+';
+        break;
+    case 1:
+    case 2:
+        *out++ = '-';
+        break;
+    }
+    for (unsigned zeros = below(8) ? 0 : below(30); zeros; zeros--)
+        *out++ = '0';
+    out += append_digits(out, w);
+    if (f || below(4) == 0)
+        *out++ = '.';
+    for (unsigned zeros = f == 0 || below(8) ? 0 : below(30); zeros; zeros--)
+        *out++ = '0';
+    out += append_digits(out, f);
+    if (exponent && below(2))
+        out += sprintf(out, "%c%s%d", below(2) ? 'e' : 'E', below(3) ? "" : "+",
+                       (int)below((unsigned)exponent));
+    else if (exponent)
+        out += sprintf(out, "e-%d", (int)below((unsigned)exponent));
+    *out = '\0';
+}
+
+static void test_random_shapes(void **state)
+{
+    (void)state;
+    static const struct {
+        unsigned count, whole, fraction;
+        int exponent;
+    } shapes[] = {
+        {800000, 4, 6, 0},   {300000, 7, 8, 0},    {300000, 1, 17, 0},  {300000, 3, 20, 0},
+        {200000, 19, 0, 0},  {200000, 10, 10, 30}, {100000, 25, 25, 0}, {100000, 10, 10, 330},
+        {20000, 60, 60, 40}, {20000, 2, 800, 0},   {300000, 2, 2, 23},  {50000, 400, 3, 400},
+    };
+    char text[2048];
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (size_t s = 0; s < sizeof shapes / sizeof *shapes; s++)
+        for (unsigned i = 0; i < shapes[s].count; i++) {
+            random_shape(text, shapes[s].whole, shapes[s].fraction, shapes[s].exponent);
+            check(text, any_delimiter());
+        }
+}
+
+/* Doubles as programs print them must come back as they were. */
+static void test_printed_doubles(void **state)
+{
+    (void)state;
+    static const char *const formats[] = {"%.17g", "%.9g", "%.15e", "%f", "%.6f", "%.12f", "%a"};
+    char text[400];
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 300000; i++) {
+        uint64_t bits = random_bits();
+        double value;
+        if (below(2)) /* exponents as coordinates have them */
+            bits = (bits & ~(UINT64_C(0x7ff) << 52)) | (uint64_t)(1023 - 40 + below(70)) << 52;
+        memcpy(&value, &bits, sizeof value);
+        if (!isfinite(value))
+            continue;
+        snprintf(text, sizeof text, formats[below(6)], value);
+        check(text, any_delimiter());
+    }
+}
+
+/* Exact midpoints of neighbouring doubles, and one unit in the last printed place to either side:
+ * ties must go to even and everything else to the nearer one. */
+static void test_midpoints(void **state)
+{
+    (void)state;
+    char text[400];
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 100000; i++) {
+        uint64_t mantissa = (random_bits() >> 11) | UINT64_C(1) << 52;
+        int exponent = (int)below(60) - 54;
+        /* (2 m + 1) * 2^(e-1) has at most 54 bits: exact as a long double, and so is its text. */
+        long double midpoint = ldexpl((long double)(2 * mantissa + 1), exponent - 1);
+        int length =
+            snprintf(text, sizeof text, "%.*Lf", exponent < 1 ? 1 - exponent : 1, midpoint);
+        check(text, ' ');
+        char *last = text + length - 1;
+        if (*last != '9') {
+            ++*last;
+            check(text, ' ');
+            --*last;
+        }
+        if (*last != '0') {
+            --*last;
+            check(text, ' ');
+        }
+    }
+}
+
+static void test_other_locale(void **state)
+{
+    (void)state;
+    static const char *const comma_locales[] = {"de_DE.UTF-8", "fr_FR.UTF-8", "de_DE.utf8"};
+    for (size_t i = 0; i < sizeof comma_locales / sizeof *comma_locales; i++)
+        if (setlocale(LC_ALL, comma_locales[i]))
+            break;
+    check("1.5", ' ');
+    check("3.14159265358979323846264338327950288", ' ');
+    check("2.2250738585072011e-308", ' ');
+    check("9007199254740993.00000000000000000000000000000000000000001", ' ');
+    setlocale(LC_ALL, "C");
+}
+
+static void test_shapes_in_the_wild(void **state)
+{
+    (void)state;
+    static const char *const texts[] = {"0",
+                                        "-0",
+                                        "-0.0",
+                                        "1",
+                                        "1.",
+                                        ".5",
+                                        "-.5E+2",
+                                        "+1.0",
+                                        "1e5",
+                                        "1.e-3",
+                                        "1E+05",
+                                        "00012.500",
+                                        "123456789012345678901234567890",
+                                        "0.000000000000000000000000000001",
+                                        "1e-400",
+                                        "4.9e-324",
+                                        "2.4703282292062327e-324",
+                                        "2.4703282292062328e-324",
+                                        "1.7976931348623157e308",
+                                        "0e999999999999999999999",
+                                        "1e-999999999999999999999",
+                                        "500000.123",
+                                        "12345678.1234567",
+                                        "123456789.123456",
+                                        "0.1234567890123456",
+                                        "9007199254740993",
+                                        "9007199254740992.5"};
+    for (size_t i = 0; i < sizeof texts / sizeof *texts; i++)
+        for (size_t d = 0; d < sizeof delimiters; d++)
+            check(texts[i], delimiters[d]);
+}
+
+static void test_rejected(void **state)
+{
+    (void)state;
+    static const char *const texts[] = {"",
+                                        "-",
+                                        "+",
+                                        ".",
+                                        "-.",
+                                        "e5",
+                                        ".e5",
+                                        "1e",
+                                        "1e+",
+                                        "1e-",
+                                        "1.5e",
+                                        "--1",
+                                        "+-1",
+                                        "1..2",
+                                        "1.2.3",
+                                        "1,5",
+                                        "nan",
+                                        "NaN",
+                                        "-nan",
+                                        "inf",
+                                        "-inf",
+                                        "infinity",
+                                        "1e400",
+                                        "-1e309",
+                                        "0x10",
+                                        "1.#QNAN",
+                                        "1.#INF00",
+                                        "1#",
+                                        "1.5f",
+                                        "1.5/2",
+                                        "12a",
+                                        "1.234567x",
+                                        "1.7976931348623159e308",
+                                        " 1",
+                                        "1e99999999999999999999999",
+                                        "1d5"};
+    for (size_t i = 0; i < sizeof texts / sizeof *texts; i++) {
+        char buffer[128] = {0};
+        double value;
+        snprintf(buffer, 64, "%s\n", texts[i]);
+        if (obj_number(buffer, &value) || fmt_obj_number_general(buffer, &value))
+            fail_msg("\"%s\" was accepted", texts[i]);
+    }
+}
+
+static void test_integers(void **state)
+{
+    (void)state;
+    char buffer[96];
+    uint64_t value;
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 1000000; i++) {
+        memset(buffer, below(2) ? '/' : ' ', sizeof buffer);
+        int length = append_digits(buffer, 1 + below(18));
+        buffer[length] = "/ \n\r:a\x80\xff"[below(8)];
+        buffer[length + 1] = (char)random_bits();
+        assert_ptr_equal(obj_integer(buffer, &value), buffer + length);
+        char copy[32] = {0};
+        memcpy(copy, buffer, (size_t)length);
+        assert_true(value == strtoull(copy, NULL, 10));
+    }
+    memset(buffer, 0, sizeof buffer);
+    assert_null(obj_integer(buffer, &value));
+    assert_null(obj_integer("/1 234567890123456789012345678901", &value));
+    assert_null(obj_integer("1234567890123456789 23456789012345", &value));
+    assert_null(obj_integer("123456789012345678901234567890123456", &value));
+}
+
+/* What was parsed ends with the line feed at `length`; without SSE nothing is. */
+static void check_end(const char *end, const char *line, int length)
+{
+#ifdef __SSE4_1__
+    assert_ptr_equal(end, line + length);
+#else
+    (void)line, (void)length;
+    assert_null(end);
+#endif
+}
+
+/* obj_three_indices() takes exactly "a b c" and a line feed, and hands all else back. */
+static void test_three_indices(void **state)
+{
+    (void)state;
+    print_message("seed %" PRIu64 "\n", random_state);
+    for (int i = 0; i < 1000000; i++) {
+        char buffer[160] = {0};
+        uint64_t expected[3], values[3];
+        bool plain = true;
+        int length = 0;
+        for (int k = 0; k < 3; k++) {
+            unsigned digits = below(20) ? 1 + below(8) : below(12);
+            int start = length;
+            plain &= digits >= 1 && digits <= 8;
+            length += append_digits(buffer + length, digits);
+            expected[k] = strtoull(buffer + start, NULL, 10);
+            plain &= expected[k] != 0;
+            expected[k]--;
+            char after = k == 2 ? '\n' : ' ';
+            if (below(30) == 0)
+                after = " \n\t/\r-:"[below(7)];
+            plain &= after == (k == 2 ? '\n' : ' ');
+            buffer[length++] = after;
+        }
+        for (int k = 0; k < 32; k++)
+            buffer[length + k] = "01 f\n"[below(5)];
+        const char *end = obj_three_indices(buffer, values);
+        if (!plain) {
+            assert_null(end);
+            continue;
+        }
+        check_end(end, buffer, length);
+        if (end)
+            assert_memory_equal(values, expected, sizeof values);
+    }
+    uint64_t values[3];
+    static const char line[96] = "f 12345678 1 98765432\n";
+    check_end(obj_three_indices(line + 2, values), line, (int)strlen(line));
+    assert_null(obj_three_indices("1 0 3\n                          ", values));
+}
+
+/* A number as "%.6f" would print it, or with another count of digits up to 15, or something else;
+ * *plain: it has a point and at most 15 digits. Returns its length. */
+static int any_coordinate(char *out, bool *plain)
+{
+    unsigned whole = below(6) ? below(4) : below(16), fraction = below(6) ? 6 : below(17);
+    char *p = out;
+    if (below(2))
+        *p++ = '-';
+    p += append_digits(p, whole);
+    bool point = below(40) > 0;
+    if (point)
+        *p++ = '.';
+    p += append_digits(p, fraction);
+    *plain &= point && whole + fraction >= 1 && whole + fraction <= 15;
+    if (below(60) == 0) {
+        *p++ = "+-eE,"[below(5)];
+        *plain = false;
+    }
+    *p = '\0';
+    return (int)(p - out);
+}
+
+/* obj_three_numbers() takes exactly "x y z" and a line feed, rounds like strtod(), and hands all
+ * else back. */
+static void test_three_numbers(void **state)
+{
+    (void)state;
+    print_message("seed %" PRIu64 "\n", random_state);
+    int taken = 0;
+    for (int i = 0; i < 1000000; i++) {
+        char buffer[256] = {0};
+        double expected[3], values[3];
+        bool plain = true;
+        int length = 0;
+        for (int k = 0; k < 3; k++) {
+            char text[64];
+            int size = any_coordinate(text, &plain);
+            memcpy(buffer + length, text, (size_t)size);
+            expected[k] = reference(text);
+            length += size;
+            char after = k == 2 ? '\n' : ' ';
+            if (below(40) == 0)
+                after = " \n\t/\r-"[below(6)];
+            plain &= after == (k == 2 ? '\n' : ' ');
+            buffer[length++] = after;
+        }
+        for (int k = 0; k < 64; k++)
+            buffer[length + k] = "01 v.-\n"[below(7)];
+        const char *end = obj_three_numbers(buffer, values);
+        if (!plain || length > 48) {
+            if (end)
+                fail_msg("\"%s\" is taken", buffer);
+            continue;
+        }
+        check_end(end, buffer, length);
+        if (end && memcmp(values, expected, sizeof values) != 0)
+            fail_msg("\"%s\" gives %a %a %a", buffer, values[0], values[1], values[2]);
+        taken += end != NULL;
+    }
+    assert_true(taken == 0 || taken > 300000);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_shapes_in_the_wild), cmocka_unit_test(test_rejected),
+        cmocka_unit_test(test_random_shapes),      cmocka_unit_test(test_printed_doubles),
+        cmocka_unit_test(test_midpoints),          cmocka_unit_test(test_other_locale),
+        cmocka_unit_test(test_integers),           cmocka_unit_test(test_three_indices),
+        cmocka_unit_test(test_three_numbers),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

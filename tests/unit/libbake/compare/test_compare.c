@@ -1,0 +1,296 @@
+/* test_compare.c - colour differences against published values, figures against hand-made maps. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "formats/image/exr.h"
+#include "libbake/compare/colour_difference.h"
+#include "libbake/compare.h"
+#include "libbake/compare/compare.h"
+
+/* Pairs and differences from table 1 of Sharma, Wu & Dalal 2005. */
+static void ciede2000_matches_published_values(void **state)
+{
+    (void)state;
+    static const double pairs[][7] = {
+        {50.0000, 2.6772, -79.7751, 50.0000, 0.0000, -82.7485, 2.0425},
+        {50.0000, 3.1571, -77.2803, 50.0000, 0.0000, -82.7485, 2.8615},
+        {50.0000, 2.8361, -74.0200, 50.0000, 0.0000, -82.7485, 3.4412},
+        {50.0000, -1.3802, -84.2814, 50.0000, 0.0000, -82.7485, 1.0000},
+        {50.0000, 0.0000, 0.0000, 50.0000, -1.0000, 2.0000, 2.3669},
+        {50.0000, 2.4900, -0.0010, 50.0000, -2.4900, 0.0009, 7.1792},
+        {50.0000, 2.4900, -0.0010, 50.0000, -2.4900, 0.0011, 7.2195},
+        {50.0000, 2.5000, 0.0000, 50.0000, 0.0000, -2.5000, 4.3065},
+        {50.0000, 2.5000, 0.0000, 73.0000, 25.0000, -18.0000, 27.1492},
+        {50.0000, 2.5000, 0.0000, 61.0000, -5.0000, 29.0000, 22.8977},
+        {50.0000, 2.5000, 0.0000, 56.0000, -27.0000, -3.0000, 31.9030},
+        {50.0000, 2.5000, 0.0000, 58.0000, 24.0000, 15.0000, 19.4535},
+        {60.2574, -34.0099, 36.2677, 60.4626, -34.1751, 39.4387, 1.2644},
+        {22.7233, 20.0904, -46.6940, 23.0331, 14.9730, -42.5619, 2.0373},
+        {90.8027, -2.0831, 1.4410, 91.1528, -1.6435, 0.0447, 1.4441},
+        {2.0776, 0.0795, -1.1350, 0.9033, -0.0636, -0.5514, 0.9082},
+    };
+    for (unsigned i = 0; i < sizeof pairs / sizeof *pairs; i++) {
+        assert_true(fabs(bake_ciede2000(pairs[i], pairs[i] + 3) - pairs[i][6]) < 1e-4);
+        assert_true(fabs(bake_ciede2000(pairs[i] + 3, pairs[i]) - pairs[i][6]) < 1e-4);
+    }
+}
+
+static void lab_of_known_colours(void **state)
+{
+    (void)state;
+    double lab[3];
+    bake_lab((const float[3]){1, 1, 1}, lab);
+    assert_true(fabs(lab[0] - 100) < 1e-6 && fabs(lab[1]) < 1e-6 && fabs(lab[2]) < 1e-6);
+    bake_lab((const float[3]){0, 0, 0}, lab);
+    assert_true(fabs(lab[0]) < 1e-6);
+    /* 18.42 % reflectance is mid grey: L* = 50. */
+    bake_lab((const float[3]){0.1842f, 0.1842f, 0.1842f}, lab);
+    assert_true(fabs(lab[0] - 50) < 0.01);
+    /* Rec. 709 red: L* 53.24, a* 80.09, b* 67.20. */
+    bake_lab((const float[3]){1, 0, 0}, lab);
+    assert_true(fabs(lab[0] - 53.24) < 0.01 && fabs(lab[1] - 80.09) < 0.02 &&
+                fabs(lab[2] - 67.20) < 0.02);
+}
+
+/* ---- maps made by hand ---- */
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    char directory[32];
+};
+
+static int set_up(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    snprintf(f->directory, sizeof f->directory, "/tmp/bsq-compare-XXXXXX");
+    assert_non_null(mkdtemp(f->directory));
+    assert_int_equal(
+        bsq_ctx_create(&(struct bsq_ctx_options){.memory_bytes = 64 << 20, .threads = 2}, &f->ctx),
+        0);
+    *state = f;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    char command[64];
+    bsq_ctx_destroy(f->ctx);
+    snprintf(command, sizeof command, "rm -r %s", f->directory);
+    assert_int_equal(system(command), 0);
+    free(f);
+    return 0;
+}
+
+static char *path_in(const struct fixture *f, const char *name)
+{
+    char *path;
+    assert_true(asprintf(&path, "%s/%s", f->directory, name) > 0);
+    return path;
+}
+
+enum { WIDTH = 10, HEIGHT = 10 };
+
+/* A map whose texel i holds value(i). */
+static char *write_map(struct fixture *f, const char *name, uint32_t channels,
+                       void (*value)(unsigned i, float *out), const char *map)
+{
+    static const char *const rgb[] = {"R", "G", "B"}, *const grey[] = {"Y"};
+    struct fmt_exr_attribute attribute = {"bisque:map", map};
+    struct fmt_exr_options options = {.width = WIDTH,
+                                      .height = HEIGHT,
+                                      .channel_count = channels,
+                                      .channels = channels == 3 ? rgb : grey,
+                                      .type = FMT_EXR_FLOAT,
+                                      .data = true,
+                                      .attributes = &attribute,
+                                      .attribute_count = map ? 1 : 0};
+    struct fmt_exr_writer *writer;
+    float samples[WIDTH * HEIGHT * 3];
+    char *path = path_in(f, name);
+    for (unsigned i = 0; i < WIDTH * HEIGHT; i++)
+        value(i, samples + i * channels);
+    assert_int_equal(fmt_exr_create(f->ctx, path, &options, &writer), 0);
+    assert_int_equal(fmt_exr_write_rows(writer, samples, HEIGHT), 0);
+    assert_int_equal(fmt_exr_commit(writer), 0);
+    return path;
+}
+
+static void up(unsigned i, float *out)
+{
+    (void)i;
+    out[0] = out[1] = 0.5f, out[2] = 1;
+}
+
+/* Tilted by i / 10 degrees. */
+static void tilted(unsigned i, float *out)
+{
+    double angle = i / 10.0 * 3.14159265358979 / 180;
+    out[0] = (float)(sin(angle) / 2 + 0.5), out[1] = 0.5f, out[2] = (float)(cos(angle) / 2 + 0.5);
+}
+
+static void upper_half(unsigned i, float *out)
+{
+    *out = i < 60;
+}
+
+static void lower_half(unsigned i, float *out)
+{
+    *out = i >= 40;
+}
+
+static void ramp(unsigned i, float *out)
+{
+    *out = (float)i;
+}
+
+static void steeper_ramp(unsigned i, float *out)
+{
+    *out = 2 * (float)i;
+}
+
+static void grey(unsigned i, float *out)
+{
+    (void)i;
+    out[0] = out[1] = out[2] = 0.1842f;
+}
+
+static void angles_have_the_right_distribution(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 3, tilted, "normal"),
+         *b = write_map(f, "b.exr", 3, up, "normal");
+    assert_int_equal(
+        bake_compare(f->ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+    assert_int_equal(r.kind, BAKE_COMPARE_NORMAL);
+    assert_int_equal(r.compared, 100);
+    assert_true(fabs(r.mean - 4.95) < 1e-3);
+    assert_true(fabs(r.median - 4.9) < 1e-3);
+    assert_true(fabs(r.p95 - 9.4) < 1e-3);
+    assert_true(fabs(r.p99 - 9.8) < 1e-3);
+    assert_true(fabs(r.max - 9.9) < 1e-3);
+    assert_true(r.max_x == 9 && r.max_y == 9);
+    assert_true(fabs(r.above_5 - 0.49) < 0.011); /* 5.0 itself may fall on either side */
+    free(a), free(b);
+}
+
+static void masks_give_the_agreement(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 3, tilted, NULL), *b = write_map(f, "b.exr", 3, up, NULL);
+    char *ma = write_map(f, "ma.exr", 1, upper_half, NULL),
+         *mb = write_map(f, "mb.exr", 1, lower_half, NULL);
+    struct bake_compare_options options = {
+        .a_path = a, .b_path = b, .a_mask_path = ma, .b_mask_path = mb};
+    assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+    assert_int_equal(r.kind, BAKE_COMPARE_NORMAL); /* found out from the values */
+    assert_int_equal(r.compared, 20);
+    assert_int_equal(r.only_a, 40);
+    assert_int_equal(r.only_b, 40);
+    assert_true(fabs(r.agreement - 0.2) < 1e-12);
+    assert_true(fabs(r.mean - 4.95) < 1e-3); /* 4.0 .. 5.9 */
+    free(a), free(b), free(ma), free(mb);
+}
+
+static void data_has_absolute_and_relative_errors(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 1, steeper_ramp, NULL),
+         *b = write_map(f, "b.exr", 1, ramp, NULL);
+    assert_int_equal(
+        bake_compare(f->ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+    assert_int_equal(r.kind, BAKE_COMPARE_DATA);
+    assert_true(fabs(r.mean - 49.5) < 1e-9);
+    assert_true(fabs(r.relative_max - 0.5) < 1e-9);
+    assert_true(fabs(r.relative_mean - 0.5 * 99 / 100) < 1e-9);
+    free(a), free(b);
+}
+
+static void equal_colours_have_no_noise(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 3, grey, "color"), *heat = path_in(f, "heat.png"),
+         *hist = path_in(f, "hist.png");
+    struct bake_compare_options options = {
+        .a_path = a, .b_path = a, .heatmap_path = heat, .histogram_path = hist};
+    assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+    assert_int_equal(r.kind, BAKE_COMPARE_COLOR);
+    assert_true(r.max == 0 && isinf(r.psnr));
+    assert_int_equal(access(heat, R_OK), 0);
+    assert_int_equal(access(hist, R_OK), 0);
+    free(a), free(heat), free(hist);
+}
+
+static void different_sizes_and_channels_are_refused(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 3, grey, NULL), *b = write_map(f, "b.exr", 1, ramp, NULL);
+    assert_int_equal(
+        bake_compare(f->ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r),
+        BSQ_EDATA);
+    bsq_clear_error(f->ctx);
+    struct bake_compare_options options = {
+        .a_path = a, .b_path = a, .a_mask_path = b, .b_mask_path = "/nowhere.exr"};
+    assert_int_equal(bake_compare(f->ctx, &options, &r), BSQ_ENOINPUT);
+    free(a), free(b);
+}
+
+/* A map of 128 texels has a chart of 256 pixels, where five labels have no room beside each other.
+ */
+static void labels_of_scales_do_not_collide(void **state)
+{
+    (void)state;
+    static const double tops[] = {1.2345e-7, 0.000123456, 0.0125, 0.3333,
+                                  1,         12.34,       179.99, 123456.7};
+    static const char *const units[] = {"degrees", "dE2000", "difference"};
+    unsigned all_shown = 0;
+    for (int64_t width = 256; width <= 8192; width *= 2)
+        for (unsigned t = 0; t < sizeof tops / sizeof *tops; t++)
+            for (unsigned u = 0; u < 3; u++) {
+                struct bake_scale_label l[BAKE_SCALE_TICKS];
+                unsigned scale = width < 512 ? 1 : (unsigned)(width / 512), shown = 0;
+                bake_scale_layout(width, scale, tops[t], units[u], l);
+                int64_t end = 0; /* of the label before */
+                for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
+                    if (!l[i].shown)
+                        continue;
+                    assert_true(l[i].left >= end && l[i].left + l[i].width <= width);
+                    end = l[i].left + l[i].width + 3 * (int64_t)scale;
+                    shown++;
+                }
+                assert_true(l[0].shown && l[BAKE_SCALE_TICKS - 1].shown);
+                assert_non_null(strstr(l[BAKE_SCALE_TICKS - 1].text, units[u]));
+                all_shown += shown == BAKE_SCALE_TICKS;
+            }
+    assert_true(all_shown > 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(ciede2000_matches_published_values),
+        cmocka_unit_test(lab_of_known_colours),
+        cmocka_unit_test(labels_of_scales_do_not_collide),
+        cmocka_unit_test_setup_teardown(angles_have_the_right_distribution, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(masks_give_the_agreement, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(data_has_absolute_and_relative_errors, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(equal_colours_have_no_noise, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(different_sizes_and_channels_are_refused, set_up,
+                                        tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,626 @@
+/* test_cuda.c - the CUDA device with a driver that has no GPU (tests/fake/fake_cuda.c): the same
+ * bits as the processor's, and what is said when something fails. */
+#include <dlfcn.h>
+#include <link.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "libbake/device/cuda/cuda_api.h"
+#include "libbake/device/backend.h"
+#include "libbake/device/driver_library.h"
+#include "libbake/device/launch_batches.h"
+#include "tests/unit/libbake/surface/traced_sheet.h"
+
+/* The driver's name is looked up among the libraries that are open already. */
+static int open_fake(void)
+{
+    char path[4096];
+    ssize_t length = readlink("/proc/self/exe", path, sizeof path - 64);
+
+    assert_true(length > 0);
+    path[length] = '\0';
+    *strrchr(path, '/') = '\0';
+    strcat(path, "/../fake/libcuda.so.1");
+    if (dlopen(path, RTLD_NOW | RTLD_LOCAL))
+        return 0;
+    fprintf(stderr, "%s\n", dlerror());
+    return -1;
+}
+
+static void restore(void)
+{
+    static const char *const names[] = {"DEVICES", "MEMORY", "TAKEN", "CAPABILITY", "FAIL",
+                                        "NS",      "HOURS",  "PTX",   "MAPS"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
+        unsetenv(name);
+    }
+}
+
+static char warnings[4096];
+
+static void on_warning(void *user, const char *line)
+{
+    (void)user;
+    strncat(warnings, line, sizeof warnings - strlen(warnings) - 2);
+    strcat(warnings, "\n");
+}
+
+/* A context that keeps warnings, with no more than the given memory. */
+static struct bsq_ctx *create_context(uint64_t memory_bytes)
+{
+    struct bsq_ctx *ctx;
+    struct bsq_ctx_options options = {
+        .threads = 2, .memory_bytes = memory_bytes, .on_warning = on_warning};
+
+    warnings[0] = '\0';
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+static int each_setup(void **state)
+{
+    (void)state;
+    restore();
+    return 0;
+}
+
+static void assert_same(const struct bk_texel *a, const struct bk_texel *b, size_t count)
+{
+    assert_memory_equal(a, b, count * sizeof *a);
+}
+
+static uint64_t grid_bytes(const struct fixture *f)
+{
+    struct bake_part whole;
+    uint64_t sum = 0;
+
+    bake_part_whole(&f->grid, &f->job.params, &whole);
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        sum += whole.bytes[i];
+    return sum;
+}
+
+static void test_same_bits(void **state)
+{
+    struct fixture *f = *state;
+    static const uint32_t flags[] = {0, BK_OBJECT_SPACE, BK_NEAREST, BK_TWO_SIDED};
+
+    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
+        struct bk_texel *native, *cuda;
+        f->job.params.flags |= flags[i];
+        native = traced_sheet_trace(f, "cpu", 0);
+        cuda = traced_sheet_trace(f, "cuda", 1);
+        f->job.params.flags &= ~flags[i];
+        assert_non_null(cuda);
+        assert_same(native, cuda, TEXELS);
+        free(native);
+        free(cuda);
+    }
+}
+
+/* The PTX itself gives them too. */
+static void test_same_bits_with_ptx(void **state)
+{
+    struct fixture *f = *state;
+    uint64_t launches;
+    struct bk_texel *native, *cuda;
+
+    setenv("FAKE_CUDA_PTX", "1", 1);
+    test_same_bits(state);
+    native = traced_sheet_trace_dense(f, "cpu", 17, &launches);
+    cuda = traced_sheet_trace_dense(f, "cuda", 17, &launches);
+    assert_same(native, cuda, DENSE_TEXELS);
+    free(native);
+    free(cuda);
+}
+
+/* Each worker has buffers of its own, and a tile may be smaller than the largest. */
+static void test_small_tile(void **state)
+{
+    struct fixture *f = *state;
+    const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
+    struct bk_texel a[21], b[21];
+    uint32_t samples[21 * 4] = {0};
+    struct bake_device *native, *cuda;
+
+    assert_int_equal(bake_device_open(f->ctx, "cuda:0", &f->job, &cuda), 0);
+    assert_int_equal(bake_device_open(f->ctx, "cpu", &f->job, &native), 0);
+    assert_int_equal(bake_device_trace(native, &tile, samples, a, 0), 0);
+    for (unsigned worker = 0; worker < 2; worker++) {
+        memset(b, 0xff, sizeof b);
+        assert_int_equal(bake_device_trace(cuda, &tile, samples, b, worker), 0);
+        assert_same(a, b, 21);
+    }
+    bake_device_close(cuda);
+    bake_device_close(native);
+}
+
+/* Of a backend that traces the whole map `tiles` times on one worker. */
+static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk_texel *texels)
+{
+    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    struct bake_device_times times;
+    struct bake_backend *backend;
+    struct bake_part whole;
+    char why[BAKE_WHY_BYTES];
+
+    assert_int_equal(bake_cuda_open(f->ctx, 0, &f->job, &backend), 0);
+    bake_part_whole(&f->grid, &f->job.params, &whole);
+    assert_int_equal(backend->load(backend, 0, &whole, why), 0);
+    for (int i = 0; i < tiles; i++)
+        assert_int_equal(backend->trace(backend, 0, &tile, f->samples, texels, 0, why), 0);
+    backend->times(backend, &times);
+    backend->close(backend);
+    return times;
+}
+
+/* On a slow device tiles are cut into kernel calls that take about BAKE_SLICE_SECONDS. */
+static void test_slices(void **state)
+{
+    enum { TILES = 3 };
+    struct fixture *f = *state;
+    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
+    struct bk_texel *cuda = calloc(TEXELS, sizeof *cuda);
+    const double seconds = 1e-9 * 2500 * TEXELS * SAMPLES * SAMPLES; /* 66 ms a tile */
+    struct bake_device_times times;
+
+    times = times_of(f, 1, cuda);
+    assert_int_equal(times.launches, 1);
+    setenv("FAKE_CUDA_NS", "2500", 1);
+    times = times_of(f, TILES, cuda);
+    assert_same(native, cuda, TEXELS);
+    /* The first tile is below BAKE_SLICE_FIRST samples. Then 0.05 s are 20000 samples of 26412: two
+     * calls. */
+    assert_int_equal(times.launches, 1 + 2 + 2);
+    assert_true(times.kernels > 0.999 * TILES * seconds && times.kernels < 1.001 * TILES * seconds);
+    free(native);
+    free(cuda);
+}
+
+/* What a tile took is told exactly, however long ago the device was opened: events' distances are
+ * floats. */
+static void test_times_after_days(void **state)
+{
+    struct fixture *f = *state;
+    struct bk_texel *cuda = calloc(TEXELS, sizeof *cuda);
+    const double seconds = 1e-9 * 10 * TEXELS * SAMPLES * SAMPLES;
+    struct bake_device_times times;
+
+    setenv("FAKE_CUDA_NS", "10", 1);
+    setenv("FAKE_CUDA_HOURS", "100", 1);
+    times = times_of(f, 3, cuda);
+    assert_true(times.kernels > 0.99 * 3 * seconds && times.kernels < 1.01 * 3 * seconds);
+    free(cuda);
+}
+
+/* A driver needs some of the memory itself: a grid that would take all of it is traced in passes.
+ */
+static void test_memory_for_the_driver(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_device *device;
+    uint64_t part, buffer, other;
+    char bytes[32];
+
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    assert_true(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(other + grid_bytes(f)));
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    snprintf(bytes, sizeof bytes, "%llu",
+             (unsigned long long)(other + grid_bytes(f)) / 15 * 16 + 32);
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    {
+        struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
+        struct bk_texel *cuda = traced_sheet_trace(f, "cuda", 0);
+        assert_same(native, cuda, TEXELS);
+        free(native);
+        free(cuda);
+    }
+}
+
+/* Opens a device that has room for the grid and what tiles need, until another program takes
+ * memory: `left` bytes of the grid's. Tells what parts may take then. */
+static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const char *name,
+                                   uint64_t left)
+{
+    struct bake_device *device;
+    uint64_t part, buffer, other, all;
+    char bytes[32];
+
+    assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
+    assert_true(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    all = (other + grid_bytes(f)) / 15 * 16 + 32;
+    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)all);
+    setenv("FAKE_CUDA_MEMORY", bytes, 1);
+    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(all - all / 16 - other - left));
+    setenv("FAKE_CUDA_TAKEN", bytes, 1);
+    assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
+    assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
+    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    bake_device_close(device);
+    restore();
+    return BAKE_SLOTS * part;
+}
+
+/* A grid that there was room for until another program took some is traced in passes, in what is
+ * left; whether or not the device was named. */
+static void test_memory_for_others(void **state)
+{
+    struct fixture *f = *state;
+    static const char *const names[] = {"cuda", "auto"};
+    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
+    const struct bsq_ctx_options one_thread = {.threads = 1, .on_warning = on_warning};
+    const uint64_t grid = grid_bytes(f);
+    struct bsq_ctx *ctx;
+
+    warnings[0] = '\0';
+    assert_int_equal(bsq_ctx_create(&one_thread, &ctx), 0);
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        for (uint64_t share = 4; share <= 32; share *= 2) {
+            uint64_t parts = open_beside_others(f, ctx, names[i], grid / share);
+            assert_in_range(parts, grid / share - 2, grid / share);
+            assert_int_equal(live(), 0);
+            assert_int_equal(bsq_memory_used(ctx), 0);
+        }
+    assert_string_equal(warnings, "");
+    bsq_ctx_destroy(ctx);
+}
+
+/* No piece of memory is longer than a limit: a longer array, as the upper nodes are here, is made
+ * of several; or, where the device cannot do that, the grid is traced in passes. */
+static void test_pieces_of_memory(void **state)
+{
+    static const char *const failures[] = {"cuMemAddressReserve:1:304",
+                                           "cuMemCreate:1:304",
+                                           "cuMemCreate:2:304",
+                                           "cuMemMap:1:304",
+                                           "cuMemMap:3:304",
+                                           "cuMemSetAccess:1:304",
+                                           "cuMemSetAccess:2:304"};
+    const struct bake_cuda_tuning tuning = {
+        .registers = 128, .block_width = 8, .block_height = 16, .piece_bytes = (128 << 10) + 1};
+    struct fixture *f = *state;
+    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
+    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
+    struct bake_device *device;
+    uint64_t part, buffer, other;
+
+    f->job.cuda_tuning = &tuning;
+    cuda = traced_sheet_trace(f, "cuda", 0);
+    assert_same(native, cuda, TEXELS);
+    assert_int_equal(live(), 0);
+    for (size_t i = 0; i < sizeof failures / sizeof *failures; i++) {
+        setenv("FAKE_CUDA_FAIL", failures[i], 1);
+        assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
+        assert_non_null(strstr(bsq_error(f->ctx), "CUDA error 304"));
+        bsq_clear_error(f->ctx);
+        assert_int_equal(live(), 0);
+    }
+    restore();
+    setenv("FAKE_CUDA_MAPS", "0", 1);
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    assert_int_equal(buffer, tuning.piece_bytes);
+    bake_device_close(device);
+    f->job.cuda_tuning = NULL;
+    free(native);
+    free(cuda);
+}
+
+/* The samples of a texel are traced by several calls where there are many. */
+static void test_slices_of_texels(void **state)
+{
+    enum { N = 33 /* calls of 7 lines, the last of 5 */ };
+    uint64_t none, launches;
+    struct bk_texel *native = traced_sheet_trace_dense(*state, "cpu", N, &none);
+    struct bk_texel *cuda = traced_sheet_trace_dense(*state, "cuda", N, &launches);
+
+    assert_same(native, cuda, DENSE_TEXELS);
+    assert_int_equal(launches, (N + BAKE_SLICE_THREAD / N - 1) / (BAKE_SLICE_THREAD / N));
+    free(native);
+    free(cuda);
+}
+
+static void expect_failure(struct fixture *f, const char *device, const char *message)
+{
+    struct bake_device *opened;
+
+    assert_int_equal(bake_device_open(f->ctx, device, &f->job, &opened), BSQ_ENODEVICE);
+    assert_null(opened);
+    assert_string_equal(bsq_error(f->ctx), message);
+    bsq_clear_error(f->ctx);
+    restore();
+}
+
+static void test_absent(void **state)
+{
+    struct fixture *f = *state;
+
+    setenv("FAKE_CUDA_DEVICES", "2", 1);
+    expect_failure(f, "cuda:2",
+                   "there is no device cuda:2; there is cuda:0 Fake GPU 0, cuda:1 Fake GPU 1");
+    setenv("FAKE_CUDA_DEVICES", "0", 1);
+    expect_failure(f, "cuda", "CUDA has no devices");
+    setenv("FAKE_CUDA_FAIL", "cuInit:1:803", 1);
+    expect_failure(f, "cuda",
+                   "CUDA does not start: CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (system has unsupported "
+                   "display driver / "
+                   "cuda driver combination)");
+}
+
+static void test_wrong_architecture(void **state)
+{
+    const char *target = strstr(bake_cuda_ptx, ".target sm_"); /* 5.0 by Clang, 7.5 by nvcc */
+    char message[128];
+
+    assert_non_null(target);
+    target += strlen(".target sm_");
+    snprintf(message, sizeof message, "Fake GPU 0: compute capability 3.5, the program needs %c.%c",
+             target[0], target[1]);
+    setenv("FAKE_CUDA_CAPABILITY", "35", 1);
+    expect_failure(*state, "cuda", message);
+}
+
+static void test_compiler_refuses(void **state)
+{
+    setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:218", 1);
+    expect_failure(
+        *state, "cuda",
+        "Fake GPU 0: compiling the kernel: CUDA_ERROR_INVALID_PTX (a PTX JIT compilation "
+        "failed)");
+}
+
+static void test_small_device(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_device *device;
+
+    setenv("FAKE_CUDA_MEMORY", "1000", 1);
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
+    assert_non_null(strstr(bsq_error(f->ctx), "of the device's memory, 938 are allowed"));
+    bsq_clear_error(f->ctx);
+}
+
+/* Every call that opening makes fails in turn; nothing is left behind. */
+static void test_opening_fails(void **state)
+{
+    static const char *const calls[] = {"cuDeviceGet",         "cuDeviceGetName",
+                                        "cuDeviceTotalMem_v2", "cuDeviceGetAttribute",
+                                        "cuCtxSetCurrent",     "cuMemGetInfo_v2",
+                                        "cuModuleGetFunction", "cuStreamCreate",
+                                        "cuEventCreate",       "cuMemAllocHost_v2",
+                                        "cuMemAlloc_v2",       "cuMemcpyHtoDAsync_v2",
+                                        "cuEventRecord",       "cuStreamSynchronize",
+                                        "cuEventSynchronize",  "cuDevicePrimaryCtxRetain"};
+    struct fixture *f = *state;
+    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
+    struct bake_device *device;
+
+    for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
+        char setting[64];
+        snprintf(setting, sizeof setting, "%s:1:999", calls[i]);
+        setenv("FAKE_CUDA_FAIL", setting, 1);
+        assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
+        assert_non_null(strstr(bsq_error(f->ctx), "CUDA error 999"));
+        assert_int_equal(live(), 0);
+        bsq_clear_error(f->ctx);
+    }
+}
+
+/* Every call that a tile makes fails in turn: an error where the device was asked for. The numbers
+ * leave out the calls that opening makes: nine arrays go up through two pieces of host memory. */
+static void test_tracing_fails(void **state)
+{
+    static const char *const calls[] = {"cuCtxSetCurrent:3",       "cuStreamCreate:2",
+                                        "cuMemAlloc_v2:10",        "cuMemAllocHost_v2:3",
+                                        "cuMemcpyHtoDAsync_v2:10", "cuLaunchKernel:1",
+                                        "cuMemcpyDtoHAsync_v2:1",  "cuEventElapsedTime:1"};
+    struct fixture *f = *state;
+    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
+    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
+
+    for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
+        struct bake_device *device;
+        char setting[64];
+        int status;
+        snprintf(setting, sizeof setting, "%s:719", calls[i]);
+        setenv("FAKE_CUDA_FAIL", setting, 1);
+        assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+        status = bake_device_trace(device, &tile, f->samples, texels, 0);
+        assert_int_equal(status, BSQ_ENODEVICE);
+        assert_non_null(strstr(bsq_error(f->ctx), "Fake GPU 0 (CUDA): cu"));
+        assert_non_null(
+            strstr(bsq_error(f->ctx), ": CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"));
+        bsq_clear_error(f->ctx);
+        bake_device_close(device);
+        assert_int_equal(live(), 0);
+    }
+    free(texels);
+}
+
+/* "auto" prefers CUDA, and goes on with the processor when the GPU fails on the way. */
+static void test_auto(void **state)
+{
+    struct fixture *f = *state;
+    struct bsq_ctx *ctx = create_context(0);
+    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
+    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
+    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    struct bake_device *device;
+
+    setenv("FAKE_CUDA_FAIL", "cuLaunchKernel:2:719", 1);
+    assert_int_equal(bake_device_open(ctx, "auto", &f->job, &device), 0);
+    assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
+    for (int i = 0; i < 3; i++) {
+        memset(texels, 0xff, TEXELS * sizeof *texels);
+        assert_int_equal(bake_device_trace(device, &tile, f->samples, texels, 0), 0);
+        assert_same(native, texels, TEXELS);
+    }
+    assert_string_equal(warnings,
+                        "Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified "
+                        "launch failure); going on with cpu, 2 threads\n");
+    bake_device_close(device);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+    free(native);
+    free(texels);
+}
+
+/* "auto" takes the next GPU where one cannot be used. */
+static void test_auto_takes_the_next(void **state)
+{
+    struct fixture *f = *state;
+    struct bsq_ctx *ctx = create_context(0);
+    struct bake_device *device;
+
+    setenv("FAKE_CUDA_DEVICES", "2", 1);
+    setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:218", 1);
+    assert_int_equal(bake_device_open(ctx, "auto", &f->job, &device), 0);
+    /* Looking for the second one starts the fake anew, which counts again: it fails alike. */
+    assert_non_null(strstr(warnings, "cuda:0 is not used: Fake GPU 0: compiling"));
+    assert_non_null(strstr(warnings, "cuda:1 is not used: Fake GPU 1: compiling"));
+    bake_device_close(device);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* Page-locked memory counts. */
+static void test_budget(void **state)
+{
+    struct fixture *f = *state;
+    struct bsq_ctx *ctx = create_context(1 << 20);
+    struct bake_device *device;
+
+    assert_int_equal(bake_device_open(ctx, "cuda", &f->job, &device), BSQ_ENOMEM);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+static void on_device(void *arg, const struct bake_device_info *info)
+{
+    char *listed = arg;
+    if (strncmp(info->id, "cuda", 4) != 0)
+        return;
+    assert_true(info->is_gpu);
+    assert_int_equal(info->memory_bytes, 123456789);
+    strcat(listed, info->id);
+    strcat(listed, " ");
+    strcat(listed, info->name);
+    strcat(listed, "\n");
+}
+
+static void test_list(void **state)
+{
+    struct bsq_ctx *ctx = create_context(0);
+    char listed[256] = "";
+
+    (void)state;
+    setenv("FAKE_CUDA_DEVICES", "2", 1);
+    setenv("FAKE_CUDA_MEMORY", "123456789", 1);
+    assert_int_equal(bake_list_devices(ctx, on_device, listed), 0);
+    assert_string_equal(listed, "cuda:0 Fake GPU 0\ncuda:1 Fake GPU 1\n");
+    assert_string_equal(warnings, "");
+    setenv("FAKE_CUDA_FAIL", "cuInit:1:999", 1);
+    listed[0] = '\0';
+    assert_int_equal(bake_list_devices(ctx, on_device, listed), 0);
+    assert_string_equal(listed, "");
+    assert_string_equal(warnings, "CUDA does not start: CUDA error 999\n");
+    bsq_ctx_destroy(ctx);
+}
+
+/* A driver's library is found where the dynamic linker does not look; one that is no library is
+ * passed over. */
+static void test_directories(void **state)
+{
+    static const char name[] = "libbisque-driver.so.1";
+    char wrong[] = "/tmp/bisque-wrong-XXXXXX", right[] = "/tmp/bisque-right-XXXXXX", path[64];
+    const char *const directories[] = {"/nowhere", wrong, right, NULL}, *found = name;
+    struct link_map *fake = NULL;
+    FILE *file;
+
+    (void)state;
+    assert_non_null(mkdtemp(wrong));
+    assert_non_null(mkdtemp(right));
+    assert_null(bake_driver_library(name, RTLD_NOW, directories, &found));
+    assert_null(found);
+    snprintf(path, sizeof path, "%s/%s", wrong, name);
+    assert_non_null(file = fopen(path, "w"));
+    fclose(file);
+    assert_int_equal(dlinfo(dlopen("libcuda.so.1", RTLD_NOW), RTLD_DI_LINKMAP, &fake), 0);
+    snprintf(path, sizeof path, "%s/%s", right, name);
+    assert_int_equal(symlink(fake->l_name, path), 0);
+    void *library = bake_driver_library(name, RTLD_NOW, directories, &found);
+    assert_non_null(library);
+    assert_ptr_equal(found, right);
+    assert_non_null(dlsym(library, "fake_cuda_live"));
+    assert_non_null(bake_driver_library("libcuda.so.1", RTLD_NOW, directories, &found));
+    assert_null(found);
+    unlink(path);
+    snprintf(path, sizeof path, "%s/%s", wrong, name);
+    unlink(path);
+    rmdir(wrong);
+    rmdir(right);
+}
+
+/* Whether the kernel was compiled for CUDA. */
+static bool has_kernel(void)
+{
+    struct bsq_ctx *ctx = create_context(0);
+    struct bake_backend *backend;
+    const struct bake_job nothing = {0};
+    bool has;
+
+    setenv("FAKE_CUDA_DEVICES", "0", 1);
+    has = bake_cuda_open(ctx, 0, &nothing, &backend) == BSQ_ENODEVICE &&
+          !strstr(bsq_error(ctx), "built without CUDA");
+    bsq_ctx_destroy(ctx);
+    return has;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup(test_same_bits, each_setup),
+        cmocka_unit_test_setup(test_same_bits_with_ptx, each_setup),
+        cmocka_unit_test_setup(test_small_tile, each_setup),
+        cmocka_unit_test_setup(test_slices, each_setup),
+        cmocka_unit_test_setup(test_times_after_days, each_setup),
+        cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
+        cmocka_unit_test_setup(test_memory_for_others, each_setup),
+        cmocka_unit_test_setup(test_pieces_of_memory, each_setup),
+        cmocka_unit_test_setup(test_slices_of_texels, each_setup),
+        cmocka_unit_test_setup(test_absent, each_setup),
+        cmocka_unit_test_setup(test_wrong_architecture, each_setup),
+        cmocka_unit_test_setup(test_compiler_refuses, each_setup),
+        cmocka_unit_test_setup(test_small_device, each_setup),
+        cmocka_unit_test_setup(test_opening_fails, each_setup),
+        cmocka_unit_test_setup(test_tracing_fails, each_setup),
+        cmocka_unit_test_setup(test_auto, each_setup),
+        cmocka_unit_test_setup(test_auto_takes_the_next, each_setup),
+        cmocka_unit_test_setup(test_budget, each_setup),
+        cmocka_unit_test_setup(test_list, each_setup),
+        cmocka_unit_test_setup(test_directories, each_setup),
+    };
+    if (open_fake() < 0)
+        return 1;
+    if (!has_kernel()) {
+        puts("1..1\nok 1 - CUDA # skip built without it");
+        return 0;
+    }
+    return cmocka_run_group_tests(tests, traced_sheet_setup, traced_sheet_teardown);
+}

@@ -1,0 +1,290 @@
+/* test_passes.c - with only those nodes of a grid that its rays reach, a piece of the map gets the
+ * same bits as with all of it; and passes are within the memory that they are planned for. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "libbake/kernel/bk_grid.h"
+#include "libbake/device/native/native.h"
+#include "libbake/device/subgrid/ray_bounds.h"
+#include "libbake/device/subgrid/subgrid.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+enum { WIDTH = 64, HEIGHT = 48, SAMPLES = 2, TEXELS = WIDTH * HEIGHT, TRIANGLES = 24 };
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_nvdb_grid grid;
+    struct bake_job job;
+    struct bk_triangle triangles[TRIANGLES];
+    uint32_t samples[TEXELS * SAMPLES * SAMPLES];
+};
+
+/* Over the corner of eight upper nodes: sheets, a sphere, and clutter with second records. */
+static const double centre[3] = {3, -2, 4095};
+
+static double between(uint64_t *seed, double low, double high)
+{
+    return low + (high - low) * analytic_random(seed);
+}
+
+static void fill(struct fixture *f, uint64_t *seed)
+{
+    struct analytic_grid *grid = analytic_grid_create();
+    const struct analytic_sine sine = analytic_sine_make(20, 150, centre);
+    analytic_sine_add(grid, &sine, 2);
+    analytic_sphere(grid, centre, 90, 2);
+    for (int i = 0; i < 20000; i++) {
+        double p[3], n[3];
+        float color[3];
+        for (int k = 0; k < 3; k++) {
+            p[k] = centre[k] + between(seed, -120, 120);
+            color[k] = (float)analytic_random(seed);
+        }
+        analytic_random_unit(seed, n);
+        analytic_grid_add(grid, p, n, 1, color);
+        for (int k = 0; k < 3; k++)
+            n[k] = -n[k];
+        if (i % 3 == 0)
+            analytic_grid_add(grid, p, n, 1, color);
+    }
+    analytic_grid_open(f->ctx, grid, true, &f->grid);
+    analytic_grid_free(grid);
+}
+
+/* A patch of some ten voxels somewhere. */
+static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
+{
+    double at[3], normal[3], tangent[3];
+    *triangle = (struct bk_triangle){.b1 = {1.f / WIDTH, 0, 0}, .b2 = {0, 1.f / HEIGHT, 0}};
+    analytic_random_unit(seed, normal);
+    for (int k = 0; k < 3; k++)
+        at[k] = centre[k] + between(seed, -100, 100);
+    for (int corner = 0; corner < 3; corner++) {
+        analytic_random_unit(seed, tangent);
+        for (int k = 0; k < 3; k++) {
+            triangle->position[corner][k] = (float)(at[k] + between(seed, -12, 12));
+            triangle->normal[corner][k] = (float)(normal[k] + between(seed, -0.3, 0.3));
+            triangle->tangent[corner][k] = (float)tangent[k];
+        }
+        triangle->tangent[corner][3] = 1;
+    }
+}
+
+static int setup(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    uint64_t seed = 20080312;
+    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    fill(f, &seed);
+    for (int i = 0; i < TRIANGLES; i++)
+        make_triangle(&f->triangles[i], &seed);
+    memset(f->triangles[5].normal, 0, sizeof f->triangles[5].normal);
+    for (uint32_t j = 0; j < HEIGHT * SAMPLES; j++)
+        for (uint32_t i = 0; i < WIDTH * SAMPLES; i++)
+            f->samples[j * WIDTH * SAMPLES + i] =
+                i % 37 == 0 ? BK_NO_TRIANGLE : (i / 20 * 5 + j / 16 * 7) % TRIANGLES;
+    f->job = (struct bake_job){.grid = &f->grid,
+                               .triangles = f->triangles,
+                               .triangle_count = TRIANGLES,
+                               .tile_texels = TEXELS,
+                               .params = {.samples = SAMPLES, .front = 30, .back = 22}};
+    bake_params_from_grid(&f->grid, &f->job.params);
+    *state = f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    fmt_nvdb_close(f->ctx, &f->grid);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+    free(f);
+    return 0;
+}
+
+/* ---- a device in memory ---- */
+
+struct memory {
+    char *data;
+    uint64_t used, bytes;
+};
+
+static int put(void *arg, const void *data, uint64_t bytes)
+{
+    struct memory *memory = arg;
+    assert_true(bytes <= memory->bytes - memory->used);
+    memcpy(memory->data + memory->used, data, bytes);
+    memory->used += bytes;
+    return 0;
+}
+
+static void load(const struct bake_part *part, struct memory arrays[BAKE_PART_ARRAYS],
+                 struct bk_grid *grid)
+{
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
+        /* Its own allocation: tools that watch memory see a step outside. */
+        arrays[i] = (struct memory){malloc(part->bytes[i] + !part->bytes[i]), 0, part->bytes[i]};
+        assert_int_equal(bake_part_send(part, i, put, &arrays[i]), 0);
+        assert_int_equal(arrays[i].used, part->bytes[i]);
+    }
+    bk_grid_from_params(grid, &part->params);
+    grid->tiles = (const bk_ulong *)(void *)arrays[BAKE_TILES].data;
+    grid->uppers = (const bk_ulong *)(void *)arrays[BAKE_UPPERS].data;
+    grid->lowers = (const bk_ulong *)(void *)arrays[BAKE_LOWERS].data;
+    grid->leaves = (const bk_ulong *)(void *)arrays[BAKE_LEAVES].data;
+    grid->normals = (const bk_uint *)(void *)arrays[BAKE_NORMALS].data;
+    grid->planes = (const bk_uint *)(void *)arrays[BAKE_PLANES].data;
+    grid->colors = (const bk_uint *)(void *)arrays[BAKE_COLORS].data;
+    grid->seconds = (const bk_uint *)(void *)arrays[BAKE_SECONDS].data;
+}
+
+static void trace(const struct fixture *f, const struct bake_part *part, const struct bk_tile *tile,
+                  const uint32_t *samples, struct bk_texel *texels)
+{
+    struct memory arrays[BAKE_PART_ARRAYS];
+    struct bk_grid grid;
+    load(part, arrays, &grid);
+    bake_native_tile_4(&grid, &part->params, f->triangles, tile, samples, texels);
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+        free(arrays[i].data);
+}
+
+/* Traces a rectangle with the nodes that it reaches; expected: of the whole map. */
+static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
+                        const struct bk_texel *expected)
+{
+    const struct bk_tile map = {0, 0, WIDTH, HEIGHT}, tile = {r->x, r->y, r->width, r->height};
+    const uint32_t row = r->width * SAMPLES;
+    uint32_t *samples = malloc(sizeof *samples * row * r->height * SAMPLES);
+    struct bk_texel *texels = malloc(sizeof *texels * r->width * r->height);
+    struct bake_leaf_set set;
+    struct bake_part part;
+    uint64_t leaves;
+    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
+    assert_int_equal(bake_reach(f->ctx, &f->job, &map, f->samples, r, &set), 0);
+    leaves = set.leaf_count;
+    assert_int_equal(bake_part_create(f->ctx, &set, &f->job.params, &part), 0);
+    for (uint32_t j = 0; j < r->height * SAMPLES; j++)
+        memcpy(samples + j * row,
+               f->samples + (r->y * SAMPLES + j) * WIDTH * SAMPLES + r->x * SAMPLES,
+               row * sizeof *samples);
+    trace(f, &part, &tile, samples, texels);
+    for (uint32_t y = 0; y < r->height; y++)
+        assert_memory_equal(texels + y * r->width, expected + (r->y + y) * WIDTH + r->x,
+                            r->width * sizeof *texels);
+    bake_part_free(f->ctx, &part);
+    bake_leaf_set_free(f->ctx, &set);
+    free(samples);
+    free(texels);
+    return leaves;
+}
+
+static void test_same_bits(void **state)
+{
+    struct fixture *f = *state;
+    static const uint32_t flags[] = {0, BK_TWO_SIDED, BK_NEAREST | BK_OBJECT_SPACE};
+    static const struct bake_rectangle rectangles[] = {
+        {0, 0, WIDTH, HEIGHT}, {0, 0, 32, 16}, {17, 9, 1, 1}, {40, 31, 13, 9}, {3, 40, 60, 8}};
+    static struct bk_texel expected[TEXELS];
+    const struct bk_tile map = {0, 0, WIDTH, HEIGHT};
+
+    for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
+        struct bake_part whole;
+        uint64_t hits = 0, covered = 0;
+        f->job.params.flags |= flags[i];
+        bake_part_whole(&f->grid, &f->job.params, &whole);
+        trace(f, &whole, &map, f->samples, expected);
+        for (int t = 0; t < TEXELS; t++) {
+            hits += expected[t].hits;
+            covered += expected[t].covered;
+        }
+        print_message("%u of %u rays hit\n", (unsigned)hits, (unsigned)covered);
+        assert_true(hits > covered / 20 && hits < covered);
+        for (size_t r = 0; r < sizeof rectangles / sizeof *rectangles; r++) {
+            const uint64_t leaves = compare(f, &rectangles[r], expected);
+            print_message("%u x %u texels: %u of %u leaves\n", (unsigned)rectangles[r].width,
+                          (unsigned)rectangles[r].height, (unsigned)leaves,
+                          (unsigned)f->grid.leaf_count);
+            /* What a part is for. A texel's rays are 52 voxels long: some ten leaves, and those
+             * around them. */
+            assert_true(leaves < f->grid.leaf_count);
+            assert_true(rectangles[r].width > 1 || leaves < 600);
+        }
+        f->job.params.flags &= ~flags[i];
+    }
+}
+
+/* A set with everything is the grid itself. */
+static void test_whole_set(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_leaf_set set;
+    struct bake_part part, whole;
+    struct memory a[BAKE_PART_ARRAYS], b[BAKE_PART_ARRAYS];
+    struct bk_grid grid;
+    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
+    assert_int_equal(bake_leaf_set_add_box(f->ctx, &set, f->grid.index_min, f->grid.index_max), 0);
+    assert_int_equal(set.leaf_count, f->grid.leaf_count);
+    assert_int_equal(set.voxel_count, f->grid.voxel_count);
+    assert_int_equal(set.second_count, f->grid.record_count - 1 - f->grid.voxel_count);
+    assert_true(set.second_count > 1000 && f->grid.upper_count == 8);
+    assert_int_equal(bake_part_create(f->ctx, &set, &f->job.params, &part), 0);
+    bake_part_whole(&f->grid, &f->job.params, &whole);
+    assert_memory_equal(&part.params, &whole.params, sizeof part.params);
+    load(&part, a, &grid);
+    load(&whole, b, &grid);
+    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
+        assert_int_equal(a[i].bytes, b[i].bytes);
+        /* Tables keep no values of places without a child. */
+        if (i != BAKE_UPPERS && i != BAKE_LOWERS)
+            assert_memory_equal(a[i].data, b[i].data, a[i].bytes);
+        free(a[i].data);
+        free(b[i].data);
+    }
+    bake_part_free(f->ctx, &part);
+    bake_leaf_set_free(f->ctx, &set);
+}
+
+/* Sizes that are promised before a set is added are those that it has then. */
+static void test_preview(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_leaf_set a, b, counts;
+    uint64_t seed = 7;
+    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &a), 0);
+    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &b), 0);
+    for (int i = 0; i < 40; i++) {
+        int32_t low[3], high[3];
+        for (int k = 0; k < 3; k++) {
+            low[k] = (int32_t)(centre[k] + between(&seed, -200, 150));
+            high[k] = low[k] + (int32_t)between(&seed, 0, 60);
+        }
+        bake_leaf_set_clear(&b);
+        assert_int_equal(bake_leaf_set_add_box(f->ctx, &b, low, high), 0);
+        bake_leaf_set_preview(&a, &b, &counts);
+        assert_int_equal(bake_leaf_set_add(f->ctx, &a, &b), 0);
+        assert_int_equal(a.upper_count, counts.upper_count);
+        assert_int_equal(a.lower_count, counts.lower_count);
+        assert_int_equal(a.leaf_count, counts.leaf_count);
+        assert_int_equal(a.voxel_count, counts.voxel_count);
+        assert_int_equal(a.second_count, counts.second_count);
+    }
+    assert_true(a.leaf_count > 100 && a.leaf_count < f->grid.leaf_count);
+    bake_leaf_set_free(f->ctx, &a);
+    bake_leaf_set_free(f->ctx, &b);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_same_bits),
+                                       cmocka_unit_test(test_whole_set),
+                                       cmocka_unit_test(test_preview)};
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

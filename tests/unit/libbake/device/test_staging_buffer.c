@@ -1,0 +1,121 @@
+/* test_staging_buffer.c - what is put into a stage comes out of it in order and whole, also where
+ * several threads fill it. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "base/context.h"
+#include "libbake/device/staging_buffer.h"
+
+enum { PIECE = (5 << 20) + 3, TOTAL = 24 << 20 };
+
+struct sink {
+    struct bake_stage stage;
+    char *bytes;
+    uint64_t count;
+    unsigned expected_turn;
+    int left; /* pieces that are taken before one is refused */
+};
+
+static int take(void *device, unsigned turn, uint64_t bytes)
+{
+    struct sink *sink = device;
+
+    assert_int_equal(turn, sink->expected_turn);
+    sink->expected_turn ^= 1;
+    if (sink->left-- == 0)
+        return BSQ_ENODEVICE;
+    memcpy(sink->bytes + sink->count, sink->stage.pieces[turn], bytes);
+    sink->count += bytes;
+    /* The device has it: what is filled next is the other one. */
+    memset(sink->stage.pieces[turn], 0xee, bytes);
+    return 0;
+}
+
+static void open_sink(struct sink *sink, struct bsq_ctx *ctx, int left)
+{
+    *sink = (struct sink){.bytes = malloc(TOTAL), .left = left};
+    sink->stage = (struct bake_stage){.pieces = {malloc(PIECE), malloc(PIECE)},
+                                      .piece_bytes = PIECE,
+                                      .send = take,
+                                      .device = sink,
+                                      .ctx = ctx};
+}
+
+static void close_sink(struct sink *sink)
+{
+    free(sink->bytes);
+    free(sink->stage.pieces[0]);
+    free(sink->stage.pieces[1]);
+}
+
+static char *numbers(void)
+{
+    char *data = malloc(TOTAL);
+    for (uint32_t i = 0; i < TOTAL / 4; i++)
+        memcpy(data + 4 * i, &(uint32_t){i * 2654435761u}, 4);
+    return data;
+}
+
+static void put_in_parts(struct bsq_ctx *ctx)
+{
+    static const uint64_t parts[] = {1, (1 << 20) + 1, 7, 11 << 20, 1 << 20, 4 << 20};
+    char *data = numbers();
+    uint64_t at = 0;
+    struct sink sink;
+
+    open_sink(&sink, ctx, 1000);
+    for (size_t i = 0; i < sizeof parts / sizeof *parts; at += parts[i++])
+        assert_int_equal(bake_stage_put(&sink.stage, data + at, parts[i]), 0);
+    assert_int_equal(bake_stage_put(&sink.stage, data + at, TOTAL - at), 0);
+    assert_int_equal(bake_stage_flush(&sink.stage), 0);
+    assert_int_equal(bake_stage_flush(&sink.stage), 0); /* nothing is left */
+    assert_int_equal(sink.count, TOTAL);
+    assert_memory_equal(sink.bytes, data, TOTAL);
+    close_sink(&sink);
+    free(data);
+}
+
+static void test_one_thread(void **state)
+{
+    (void)state;
+    put_in_parts(NULL);
+}
+
+static void test_threads(void **state)
+{
+    (void)state;
+    for (unsigned threads = 1; threads <= 4; threads++) {
+        struct bsq_ctx *ctx;
+        assert_int_equal(bsq_ctx_create(&(struct bsq_ctx_options){.threads = threads}, &ctx), 0);
+        put_in_parts(ctx);
+        bsq_ctx_destroy(ctx);
+    }
+}
+
+static void test_refusal(void **state)
+{
+    char *data = numbers();
+    struct sink sink;
+
+    (void)state;
+    open_sink(&sink, NULL, 2);
+    assert_int_equal(bake_stage_put(&sink.stage, data, TOTAL), BSQ_ENODEVICE);
+    assert_int_equal(sink.count, 2 * PIECE);
+    close_sink(&sink);
+    free(data);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_one_thread),
+        cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_refusal),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

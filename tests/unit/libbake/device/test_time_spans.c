@@ -1,0 +1,106 @@
+/* test_time_spans.c - unions of spans, and how kernel calls follow what was measured. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+
+#include <cmocka.h>
+
+#include "libbake/device/time_spans.h"
+#include "libbake/device/device.h"
+#include "libbake/device/launch_batches.h"
+
+static void test_overlaps_count_once(void **state)
+{
+    static struct bake_busy busy;
+    (void)state;
+    assert_true(bake_busy_seconds(&busy) == 0);
+    bake_busy_add(&busy, 4, 6);
+    bake_busy_add(&busy, 1, 2);
+    bake_busy_add(&busy, 5, 7);
+    bake_busy_add(&busy, 1.25, 1.5);
+    bake_busy_add(&busy, 9, 9);
+    bake_busy_add(&busy, 9, 8);
+    assert_true(bake_busy_seconds(&busy) == 4);
+    bake_busy_add(&busy, 2, 4);
+    assert_true(bake_busy_seconds(&busy) == 6);
+}
+
+/* Four queues with spans of random lengths, held against a raster of time. */
+static void test_many(void **state)
+{
+    enum { QUEUES = 4, STEPS = 200000 };
+    static struct bake_busy busy;
+    static unsigned char raster[STEPS];
+    int at[QUEUES] = {0};
+    double expected = 0;
+    (void)state;
+    srand(1);
+    for (;;) {
+        int q = 0;
+        for (int i = 1; i < QUEUES; i++)
+            if (at[i] < at[q])
+                q = i;
+        int start = at[q] + rand() % 40, end = start + rand() % 20;
+        if (end >= STEPS)
+            break;
+        for (int i = start; i < end; i++)
+            raster[i] = 1;
+        bake_busy_add(&busy, start, end);
+        at[q] = end;
+    }
+    for (int i = 0; i < STEPS; i++)
+        expected += raster[i];
+    assert_true(expected > STEPS / 2);
+    assert_true(bake_busy_seconds(&busy) == expected);
+}
+
+static void test_slices_follow(void **state)
+{
+    struct bake_slices slices = {0};
+    (void)state;
+    assert_int_equal(bake_slice_rows(&slices, 1024, 256), BAKE_SLICE_FIRST / 1024);
+    assert_int_equal(bake_slice_rows(&slices, 1024, 64), 64);
+    assert_int_equal(bake_slice_rows(&slices, BAKE_SLICE_FIRST * 10, 64), 1);
+    /* Fast: fourfold, not more. */
+    bake_slices_learn(&slices, 1 << 17, 1e-4);
+    assert_int_equal(slices.samples, 4 * BAKE_SLICE_FIRST);
+    /* Slow: at once. 10^6 samples a second. */
+    bake_slices_learn(&slices, 1000000, 1.0);
+    assert_int_equal(slices.samples, 1000000 * BAKE_SLICE_SECONDS);
+    assert_int_equal(bake_slice_rows(&slices, 1000, 256), 50);
+    /* A clock that stands still, and one that is far off. */
+    bake_slices_learn(&slices, 1000000, 0.0);
+    assert_int_equal(slices.samples, 4 * 50000);
+    bake_slices_learn(&slices, 1, 1e9);
+    assert_int_equal(slices.samples, BAKE_SLICE_LEAST);
+    for (int i = 0; i < 100; i++)
+        bake_slices_learn(&slices, UINT64_MAX, 0.0);
+    assert_int_equal(bake_slice_rows(&slices, 1, UINT32_MAX), UINT32_MAX);
+}
+
+/* A thread of the device never traces more of a texel in one call than it can in time, and calls of
+ * a texel's lines are as few as that allows. */
+static void test_slices_of_texels(void **state)
+{
+    (void)state;
+    for (uint32_t n = 1; n <= BAKE_MOST_SAMPLES; n++) {
+        const uint32_t lines = bake_slice_lines(n);
+        assert_in_range(lines, 1, n);
+        assert_true(lines * n <= BAKE_SLICE_THREAD);
+        assert_true(lines == n || (lines + 1) * n > BAKE_SLICE_THREAD);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_overlaps_count_once),
+        cmocka_unit_test(test_many),
+        cmocka_unit_test(test_slices_follow),
+        cmocka_unit_test(test_slices_of_texels),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

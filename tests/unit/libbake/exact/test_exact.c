@@ -1,0 +1,213 @@
+/* test_exact.c - which hit of exact rays wins, whatever the chunks, threads and budgets, and
+ * damaged scans. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+#include "base/octahedral.h"
+#include "libbake/exact/exact_tree.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/libbake/exact/exact_fixture.h"
+
+/* ---- the curve ---- */
+
+/* Each cell of a lattice has a place of its own, and neighbours on the curve are neighbours in
+ * space. */
+static void test_curve_goes_from_neighbour_to_neighbour(void **state)
+{
+    (void)state;
+    enum { CELLS = 16, ALL = CELLS * CELLS * CELLS };
+    static int cell_at[ALL];
+    static const float low[3] = {-2, 5, 0};
+    memset(cell_at, 0xff, sizeof cell_at);
+    for (int c = 0; c < ALL; c++) {
+        const int cell[3] = {c % CELLS, c / CELLS % CELLS, c / CELLS / CELLS};
+        float point[3];
+        for (int k = 0; k < 3; k++)
+            point[k] = low[k] + 3 * ((float)cell[k] + 0.5f) / CELLS;
+        const uint64_t place = bake_exact_curve_place(point, low, 3) >> (33 - 12);
+        assert_in_range(place, 0, ALL - 1);
+        assert_int_equal(cell_at[place], -1);
+        cell_at[place] = c;
+    }
+    for (int p = 1; p < ALL; p++) {
+        int steps = 0;
+        for (int k = 1; k < ALL; k *= CELLS)
+            steps += abs(cell_at[p] / k % CELLS - cell_at[p - 1] / k % CELLS);
+        assert_int_equal(steps, 1);
+    }
+}
+
+/* ---- independence ---- */
+
+static void test_hits_do_not_depend_on_chunks_threads_or_budget(void **state)
+{
+    (void)state;
+    enum { RAYS = 60000 };
+    static const struct {
+        uint32_t chunk;
+        unsigned threads;
+        uint64_t memory;
+    } cases[] = {{60000, 1, 0},      {60000, 4, 6 << 20}, {5000, 3, 0},
+                 {1000, 2, 2 << 20}, {333, 5, 3 << 20},   {20, 2, 0}};
+    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
+    struct bake_exact_hit *first = calloc(RAYS, sizeof *first), *hits = calloc(RAYS, sizeof *hits);
+    struct triangle_scan mesh = exact_torus(150, 100);
+    mesh.attributes = FMT_TRIS_COLORS;
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        mesh.colors[v] = (uint32_t)(exact_uniform() * 4294967295.0);
+    exact_random_rays(rays, RAYS, -1.5, 1.5);
+    for (uint32_t r = 0; r < RAYS / 2;
+         r++) { /* half of them through vertices, where triangles tie */
+        const float *p = mesh.positions[(uint32_t)(exact_uniform() * mesh.vertex_count)];
+        double to[3] = {(double)p[0], (double)p[1], (double)p[2]};
+        exact_toward(rays[r].origin, to, rays[r].direction);
+    }
+    for (unsigned c = 0; c < sizeof cases / sizeof *cases; c++) {
+        struct exact_setup setup = {.threads = cases[c].threads,
+                                    .memory = cases[c].memory,
+                                    .color = true,
+                                    .t_min = -0.8,
+                                    .t_max = 1.1};
+        exact_write_scan(&mesh, cases[c].chunk);
+        exact_trace(&setup, rays, RAYS, c == 0 ? first : hits);
+        if (c > 0)
+            assert_memory_equal(hits, first, RAYS * sizeof *hits);
+    }
+    free(rays);
+    free(first);
+    free(hits);
+    triangle_scan_free(&mesh);
+}
+
+/* ---- which hit wins ---- */
+
+static void test_facing(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = exact_square();
+    struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
+    exact_write_scan(&mesh, 1);
+    /* The low mesh below looks up: the square's front is met from its back. */
+    struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1);
+    assert_int_equal(hit.triangle, 0);
+    assert_true(hit.t == 0.5 && hit.normal[2] == 1.0f);
+    hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
+    assert_true(hit.triangle == BAKE_EXACT_NONE);
+    setup.against = true; /* a camera above sees it */
+    hit = exact_trace_one(&setup, 0.5f, 1.5f, 0.75f, -1);
+    assert_int_equal(hit.triangle, 1);
+    assert_true(hit.t == 0.75);
+    hit = exact_trace_one(&setup, 0.5f, 1.5f, -0.75f, 1);
+    assert_true(hit.triangle == BAKE_EXACT_NONE);
+    setup.two_sided = true;
+    hit = exact_trace_one(&setup, 0.5f, 1.5f, -0.75f, 1);
+    assert_true(hit.t == 0.75 && hit.normal[2] == 1.0f);
+    hit = exact_trace_one(&setup, 0.5f, 1.5f, -1.25f, 1);
+    assert_true(hit.triangle == BAKE_EXACT_NONE);
+    triangle_scan_free(&mesh);
+}
+
+/* Vertex normals say which side is outside, whatever the winding. */
+static void test_normals_decide_on_the_outside(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = exact_square();
+    struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
+    mesh.attributes = FMT_TRIS_NORMALS;
+    for (int v = 0; v < 4; v++)
+        mesh.normals[v] = bsq_oct_pack(bsq_v3(0, 0, -1));
+    exact_write_scan(&mesh, 2);
+    assert_true(exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1).triangle == BAKE_EXACT_NONE);
+    struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
+    assert_true(hit.t == -0.5);
+    assert_true(hit.normal[2] == -1.0f);
+    triangle_scan_free(&mesh);
+}
+
+/* Of two sheets as far away, the one in front wins; of the same place, the first in the file. */
+static void test_ties(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = triangle_scan_new(9, 3);
+    for (uint32_t v = 0; v < 9; v++) {
+        mesh.positions[v][0] = v % 3 == 1 ? 4.0f : 0.0f;
+        mesh.positions[v][1] = v % 3 == 2 ? 4.0f : 0.0f;
+        mesh.positions[v][2] = v < 3 ? -1.0f : 1.0f;
+        mesh.triangles[v / 3][v % 3] = v;
+    }
+    struct exact_setup setup = {.threads = 2, .t_min = -2, .t_max = 2};
+    for (uint32_t chunk = 1; chunk <= 3; chunk++) {
+        exact_write_scan(&mesh, chunk);
+        struct bake_exact_hit hit = exact_trace_one(&setup, 1, 1, 0, 1);
+        assert_true(hit.t == 1.0);
+        assert_int_equal(hit.triangle, 1);
+    }
+    triangle_scan_free(&mesh);
+}
+
+static void test_rays_that_are_none_find_nothing(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = exact_square();
+    struct exact_setup setup = {.threads = 1, .two_sided = true, .t_min = -1, .t_max = 1};
+    exact_write_scan(&mesh, 1);
+    assert_true(exact_trace_one(&setup, 1, 1, 0, 0).triangle == BAKE_EXACT_NONE);
+    assert_true(exact_trace_one(&setup, NAN, 1, 0, 1).triangle == BAKE_EXACT_NONE);
+    assert_true(exact_trace_one(&setup, INFINITY, 1, 0, 1).triangle == BAKE_EXACT_NONE);
+    assert_true(exact_trace_one(&setup, 1, 1, 0, NAN).triangle == BAKE_EXACT_NONE);
+    assert_true(exact_trace_one(&setup, 1, 1, 0.5f, 1).t == -0.5);
+    triangle_scan_free(&mesh);
+}
+
+/* ---- failures ---- */
+
+static void test_damaged_chunk_is_reported(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = exact_torus(20, 20);
+    exact_write_scan(&mesh, 100);
+    FILE *file = fopen(exact_scan_path, "r+b");
+    assert_non_null(file);
+    assert_int_equal(fseek(file, 3000, SEEK_SET), 0);
+    int byte = fgetc(file);
+    fseek(file, 3000, SEEK_SET);
+    fputc(byte ^ 0x55, file);
+    fclose(file);
+    struct bsq_ctx *ctx = test_context(2, 0);
+    struct bake_exact_options options = {.path = exact_scan_path};
+    struct bake_exact *exact;
+    struct bake_exact_ray rays[400];
+    struct bake_exact_hit hits[400];
+    exact_random_rays(rays, 400, -1, 1);
+    assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
+    struct bake_exact_batch batch = {
+        .rays = rays, .hits = hits, .count = 400, .t_min = -3, .t_max = 3};
+    assert_int_equal(bake_exact_trace(exact, &batch), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(ctx), "checksum"));
+    bake_exact_close(exact);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+    triangle_scan_free(&mesh);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_curve_goes_from_neighbour_to_neighbour),
+        cmocka_unit_test(test_hits_do_not_depend_on_chunks_threads_or_budget),
+        cmocka_unit_test(test_facing),
+        cmocka_unit_test(test_normals_decide_on_the_outside),
+        cmocka_unit_test(test_ties),
+        cmocka_unit_test(test_rays_that_are_none_find_nothing),
+        cmocka_unit_test(test_damaged_chunk_is_reported),
+    };
+    print_message("seed %llu\n", (unsigned long long)exact_seed);
+    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+}

@@ -1,0 +1,253 @@
+/* test_exact_reference.c - exact rays against brute force and against Embree, and at edges and
+ * vertices. */
+#include <embree3/rtcore.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+#include "tests/unit/libbake/exact/exact_fixture.h"
+
+/* ---- brute force ---- */
+
+struct candidate {
+    double t, least; /* smallest barycentric weight */
+    bool along;
+};
+
+/* Moller & Trumbore 1997. */
+static struct candidate meet(const struct triangle_scan *mesh, uint32_t triangle,
+                             const struct bake_exact_ray *ray)
+{
+    double e[2][3], s[3], p[3], q[3], d[3], determinant = 0, u = 0, v = 0, t = 0;
+    const float *a = mesh->positions[mesh->triangles[triangle][0]];
+    for (int k = 0; k < 3; k++) {
+        for (int i = 0; i < 2; i++)
+            e[i][k] = (double)mesh->positions[mesh->triangles[triangle][i + 1]][k] - (double)a[k];
+        s[k] = (double)ray->origin[k] - (double)a[k];
+        d[k] = (double)ray->direction[k];
+    }
+    for (int k = 0; k < 3; k++) {
+        int i = (k + 1) % 3, j = (k + 2) % 3;
+        p[k] = d[i] * e[1][j] - d[j] * e[1][i];
+        q[k] = s[i] * e[0][j] - s[j] * e[0][i];
+    }
+    for (int k = 0; k < 3; k++) {
+        determinant += e[0][k] * p[k];
+        u += s[k] * p[k];
+        v += d[k] * q[k];
+        t += e[1][k] * q[k];
+    }
+    u /= determinant;
+    v /= determinant;
+    /* d . (e0 x e1) = - determinant */
+    return (struct candidate){t / determinant, fmin(fmin(u, v), 1 - u - v), determinant < 0};
+}
+
+static void check_by_force(const struct triangle_scan *mesh, const struct exact_setup *setup,
+                           const struct bake_exact_ray *ray, const struct bake_exact_hit *hit)
+{
+    const double slack = 1e-9;
+    double nearest = INFINITY; /* of those that are hit beyond doubt */
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        struct candidate c = meet(mesh, t, ray);
+        if (c.least > slack && c.t > setup->t_min + slack && c.t < setup->t_max - slack &&
+            (setup->two_sided || c.along != setup->against))
+            nearest = fmin(nearest, fabs(c.t));
+    }
+    if (hit->triangle == BAKE_EXACT_NONE) {
+        assert_true(isinf(nearest));
+        return;
+    }
+    struct candidate c = meet(mesh, (uint32_t)hit->triangle, ray);
+    assert_true(fabs(hit->t) <= nearest + slack);
+    assert_true(fabs(hit->t - c.t) < slack);
+    assert_true(c.least > -slack);
+    assert_true(hit->t >= setup->t_min && hit->t <= setup->t_max);
+    assert_true(setup->two_sided || c.along != setup->against);
+}
+
+static void test_soup_agrees_with_brute_force(void **state)
+{
+    (void)state;
+    enum { RAYS = 6000 };
+    static struct bake_exact_ray rays[RAYS];
+    static struct bake_exact_hit hits[RAYS];
+    struct triangle_scan mesh = exact_soup(2000);
+    exact_write_scan(&mesh, 97);
+    for (int variant = 0; variant < 4; variant++) {
+        struct exact_setup setup = {.threads = 2,
+                                    .two_sided = variant == 1,
+                                    .against = variant == 2,
+                                    .t_min = variant == 3 ? 0.05 : -0.3,
+                                    .t_max = 0.4};
+        uint64_t found = 0;
+        exact_random_rays(rays, RAYS, -0.2, 1.2);
+        exact_trace(&setup, rays, RAYS, hits);
+        for (uint32_t r = 0; r < RAYS; r++) {
+            check_by_force(&mesh, &setup, &rays[r], &hits[r]);
+            found += hits[r].triangle != BAKE_EXACT_NONE;
+        }
+        assert_in_range(found, RAYS / 10, RAYS);
+    }
+    triangle_scan_free(&mesh);
+}
+
+/* ---- Embree ---- */
+
+static void embree_nearest(RTCScene scene, const struct bake_exact_ray *ray, double sign,
+                           double reach, uint32_t *triangle, double *t)
+{
+    struct RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    struct RTCRayHit query = {.ray = {.org_x = ray->origin[0],
+                                      .org_y = ray->origin[1],
+                                      .org_z = ray->origin[2],
+                                      .dir_x = (float)sign * ray->direction[0],
+                                      .dir_y = (float)sign * ray->direction[1],
+                                      .dir_z = (float)sign * ray->direction[2],
+                                      .tfar = (float)reach,
+                                      .mask = UINT32_MAX},
+                              .hit = {.geomID = RTC_INVALID_GEOMETRY_ID}};
+    rtcIntersect1(scene, &context, &query);
+    if (query.hit.geomID != RTC_INVALID_GEOMETRY_ID && (double)query.ray.tfar < fabs(*t)) {
+        *t = sign * (double)query.ray.tfar;
+        *triangle = query.hit.primID;
+    }
+}
+
+static void test_whole_scan_in_embree_agrees(void **state)
+{
+    (void)state;
+    enum { RAYS = 100000 };
+    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
+    struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
+    struct triangle_scan mesh = exact_torus(300, 200);
+    struct exact_setup setup = {.threads = 2, .two_sided = true, .t_min = -0.7, .t_max = 0.9};
+    uint32_t same = 0, found = 0;
+    exact_write_scan(&mesh, 1500);
+    exact_random_rays(rays, RAYS, -1.5, 1.5);
+    exact_trace(&setup, rays, RAYS, hits);
+
+    RTCDevice device = rtcNewDevice("threads=1,set_affinity=0");
+    RTCScene scene = rtcNewScene(device);
+    RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+    memcpy(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12,
+                                   mesh.vertex_count),
+           mesh.positions, 12 * mesh.vertex_count);
+    memcpy(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12,
+                                   mesh.triangle_count),
+           mesh.triangles, 12 * mesh.triangle_count);
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometry(scene, geometry);
+    rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+    rtcCommitScene(scene);
+    for (uint32_t r = 0; r < RAYS; r++) {
+        uint32_t triangle = UINT32_MAX;
+        double t = INFINITY;
+        embree_nearest(scene, &rays[r], 1, setup.t_max, &triangle, &t);
+        embree_nearest(scene, &rays[r], -1, -setup.t_min, &triangle, &t);
+        bool hit = hits[r].triangle != BAKE_EXACT_NONE;
+        found += hit;
+        same += hit == (triangle != UINT32_MAX) &&
+                (!hit || hits[r].triangle == triangle || fabs(hits[r].t - t) < 1e-5);
+    }
+    rtcReleaseGeometry(geometry);
+    rtcReleaseScene(scene);
+    rtcReleaseDevice(device);
+    /* Embree works in float: at silhouettes and at the ends of rays it may differ. */
+    print_message("%u hits, %u rays differ from Embree\n", found, RAYS - same);
+    assert_true(found > RAYS / 4);
+    assert_true(RAYS - same <= 3);
+    free(rays);
+    free(hits);
+    triangle_scan_free(&mesh);
+}
+
+/* ---- watertightness ---- */
+
+/* From inside the closed torus every ray must hit, wherever it aims: vertices, points of edges. */
+static void test_no_ray_slips_through_edges_and_vertices(void **state)
+{
+    (void)state;
+    enum { RAYS = 1 << 20 };
+    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
+    struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
+    struct triangle_scan mesh = exact_torus(120, 90);
+    struct exact_setup setup = {.threads = 2, .flat = true, .two_sided = true, .t_max = 0.7};
+    exact_write_scan(&mesh, 50);
+    for (uint32_t r = 0; r < RAYS; r++) {
+        const uint32_t triangle = (uint32_t)((uint64_t)r * mesh.triangle_count / RAYS);
+        const uint32_t *v = mesh.triangles[triangle];
+        const float *a = mesh.positions[v[r % 3]], *b = mesh.positions[v[(r + 1) % 3]];
+        const double w = r % 2 ? 0 : exact_uniform();
+        const double around = atan2((double)a[1], (double)a[0]) + 0.3 * exact_uniform() - 0.15;
+        double to[3];
+        for (int k = 0; k < 3; k++)
+            to[k] = (double)a[k] + w * ((double)b[k] - (double)a[k]);
+        rays[r].origin[0] = (float)cos(around);
+        rays[r].origin[1] = (float)sin(around);
+        exact_toward(rays[r].origin, to, rays[r].direction);
+    }
+    exact_trace(&setup, rays, RAYS, hits);
+    for (uint32_t r = 0; r < RAYS; r++)
+        if (hits[r].triangle == BAKE_EXACT_NONE)
+            fail_msg("ray %u slipped through", r);
+    free(rays);
+    free(hits);
+    triangle_scan_free(&mesh);
+}
+
+/* Rays straight down on the lattice of a flat grid meet vertices and edges exactly. */
+static void test_rays_that_meet_edges_exactly_hit(void **state)
+{
+    (void)state;
+    enum { SIDE = 64, STEPS = 4 * SIDE + 1, RAYS = STEPS * STEPS };
+    static struct bake_exact_ray rays[RAYS];
+    static struct bake_exact_hit hits[RAYS];
+    struct triangle_scan mesh = triangle_scan_new((SIDE + 1) * (SIDE + 1), 2 * SIDE * SIDE);
+    for (uint32_t v = 0; v < mesh.vertex_count; v++) {
+        mesh.positions[v][0] = (float)(v % (SIDE + 1));
+        mesh.positions[v][1] = (float)(v / (SIDE + 1));
+    }
+    for (uint32_t q = 0; q < SIDE * SIDE; q++) {
+        uint32_t a = q / SIDE * (SIDE + 1) + q % SIDE;
+        memcpy(mesh.triangles[2 * q], (uint32_t[3]){a, a + 1, a + SIDE + 2}, 12);
+        memcpy(mesh.triangles[2 * q + 1], (uint32_t[3]){a, a + SIDE + 2, a + SIDE + 1}, 12);
+    }
+    exact_write_scan(&mesh, 37);
+    for (int axis = 0; axis < 3; axis++) {
+        struct exact_setup setup = {.threads = 2, .two_sided = true, .t_min = -1, .t_max = 1};
+        for (uint32_t r = 0; r < RAYS; r++) {
+            float tilt[3] = {0, 0, -1};
+            tilt[axis % 2] = axis < 2 ? 0.5f : 0.0f;
+            rays[r].origin[0] = 0.25f * (float)(r % STEPS);
+            rays[r].origin[1] = 0.25f * (float)(r / STEPS);
+            rays[r].origin[2] = 0.0f;
+            memcpy(rays[r].direction, tilt, sizeof tilt);
+        }
+        exact_trace(&setup, rays, RAYS, hits);
+        for (uint32_t r = 0; r < RAYS; r++) {
+            assert_true(hits[r].triangle != BAKE_EXACT_NONE);
+            assert_true(hits[r].t == 0.0);
+            assert_true(hits[r].normal[2] == 1.0f);
+        }
+    }
+    triangle_scan_free(&mesh);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_soup_agrees_with_brute_force),
+        cmocka_unit_test(test_whole_scan_in_embree_agrees),
+        cmocka_unit_test(test_no_ray_slips_through_edges_and_vertices),
+        cmocka_unit_test(test_rays_that_meet_edges_exactly_hit),
+    };
+    print_message("seed %llu\n", (unsigned long long)exact_seed);
+    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+}

@@ -1,0 +1,489 @@
+/* test_kernel.c - the kernel's parts against naive versions of them. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "base/octahedral.h"
+#include "libbake/device/device.h"
+#include "libbake/kernel/bk_sample.h"
+#include "libbake/device/native/native.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+#define PI 3.14159265358979323846
+
+static struct bsq_ctx *context;
+
+static int make_context(void **state)
+{
+    (void)state;
+    context = test_context(0, 0);
+    return 0;
+}
+
+static int free_context(void **state)
+{
+    (void)state;
+    test_context_end(context);
+    return 0;
+}
+
+static int by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double angle_degrees(const double a[3], const float b[3])
+{
+    double dot = 0, cross = 0;
+    for (int k = 0; k < 3; k++) {
+        int p = (k + 1) % 3, q = (k + 2) % 3;
+        double c = a[p] * b[q] - a[q] * b[p];
+        dot += a[k] * b[k];
+        cross += c * c;
+    }
+    return atan2(sqrt(cross), dot) * 180 / PI;
+}
+
+/* ---- parts ---- */
+
+static void test_srgb_table(void **state)
+{
+    (void)state;
+    for (int i = 0; i < 256; i++) {
+        double c = i / 255.0, linear = c <= 0.04045 ? c / 12.92 : pow((c + 0.055) / 1.055, 2.4);
+        assert_true(fabs(bk_srgb[i] - linear) <= 1e-7 * linear);
+    }
+}
+
+/* Every word is valid; where a coordinate is -32768, which the encoder never writes, the decoders
+ * may differ from base/octahedral.h. The kernel has one for single words and one for lanes. */
+static void test_decode_normal(void **state)
+{
+    (void)state;
+    uint64_t seed = test_seed();
+    for (int i = 0; i < 200000; i++) {
+        uint32_t word = (uint32_t)(analytic_random(&seed) * 4294967296.0);
+        struct bsq_vec3 expected = bsq_oct_unpack(word);
+        bk_vec3 n = bk_decode_normal(word);
+        bk_vec3w lanes = bk_decode_normalw((bk_int)word);
+        bool written = (word & 0xffff) != 0x8000 && word >> 16 != 0x8000;
+        float tolerance = written ? 1e-6f : 1e-4f;
+        assert_true(fabsf(n.x - expected.x) < tolerance && fabsf(n.y - expected.y) < tolerance &&
+                    fabsf(n.z - expected.z) < tolerance);
+        assert_true(lanes.x == n.x && lanes.y == n.y && lanes.z == n.z);
+        assert_true(fabsf(bk_dot(n, n) - 1) < 1e-6f);
+    }
+}
+
+/* m.x T + m.y B + m.z N has to be parallel to the normal for any frame, as a shader computes it. */
+static void test_tangent_space(void **state)
+{
+    (void)state;
+    uint64_t seed = test_seed();
+    for (int i = 0; i < 100000; i++) {
+        double n[3], t[3], target[3];
+        analytic_random_unit(&seed, n);
+        analytic_random_unit(&seed, t);
+        analytic_random_unit(&seed, target);
+        float scale = 0.5f + (float)analytic_random(&seed);
+        bk_point point = {.normal = {(float)n[0] * scale, (float)n[1] * scale, (float)n[2] * scale},
+                          .tangent = {(float)t[0], (float)t[1], (float)t[2]},
+                          .handedness = i & 1 ? 1.f : -1.f};
+        bk_vec3w b = bk_scalew(bk_crossw(point.normal, point.tangent), point.handedness);
+        if (bk_dotw(b, b) < 0.01f)
+            continue; /* tangent along the normal */
+        bk_vec3w m = bk_to_tangent_space(
+            &point, bk_v3w((float)target[0], (float)target[1], (float)target[2]));
+        float back[3] = {m.x * point.tangent.x + m.y * b.x + m.z * point.normal.x,
+                         m.x * point.tangent.y + m.y * b.y + m.z * point.normal.y,
+                         m.x * point.tangent.z + m.y * b.z + m.z * point.normal.z};
+        assert_true(fabsf(bk_dotw(m, m) - 1) < 1e-5f);
+        assert_true(angle_degrees(target, back) < 0.01);
+    }
+}
+
+/* Nearest half-precision number: eleven significant bits, steps of 2^-24 below the normal range. */
+static double to_half(double x)
+{
+    int exponent;
+    frexp(x, &exponent);
+    int step = exponent - 11 < -24 ? -24 : exponent - 11;
+    return ldexp(nearbyint(ldexp(x, -step)), step);
+}
+
+/* A triangle with a frame at each corner: alike and at right angles, or spread as on a coarse low
+ * mesh. */
+static bk_triangle framed_triangle(uint64_t *seed, bool alike, float handedness)
+{
+    bk_triangle triangle = {.b1 = {1, 0, 0}, .b2 = {0, 1, 0}};
+    double up[3], n[3], t[3];
+    analytic_random_unit(seed, up);
+    for (int corner = 0; corner < 3; corner++) {
+        if (corner == 0 || !alike) {
+            double dot = 0, lengths[2] = {0, 0};
+            analytic_random_unit(seed, n);
+            analytic_random_unit(seed, t);
+            for (int k = 0; k < 3; k++) {
+                n[k] = up[k] + 0.6 * n[k];
+                lengths[0] += n[k] * n[k];
+                dot += n[k] * t[k];
+            }
+            for (int k = 0; k < 3; k++) {
+                t[k] -= dot / lengths[0] * n[k];
+                lengths[1] += t[k] * t[k];
+            }
+            for (int k = 0; k < 3; k++) {
+                n[k] /= sqrt(lengths[0]);
+                t[k] /= sqrt(lengths[1]);
+            }
+        }
+        for (int k = 0; k < 3; k++) {
+            triangle.normal[corner][k] = (float)n[k];
+            triangle.tangent[corner][k] = (float)t[k];
+        }
+        triangle.tangent[corner][3] = handedness;
+    }
+    return triangle;
+}
+
+/* Columns T, B, N of the shader's frame at weights w: interpolated, not normalised. */
+static void shader_frame(const bk_triangle *triangle, const double w[3], double frame[3][3])
+{
+    for (int k = 0; k < 3; k++) {
+        frame[0][k] = frame[2][k] = 0;
+        for (int corner = 0; corner < 3; corner++) {
+            frame[0][k] += w[corner] * (double)triangle->tangent[corner][k];
+            frame[2][k] += w[corner] * (double)triangle->normal[corner][k];
+        }
+    }
+    for (int k = 0; k < 3; k++) {
+        int p = (k + 1) % 3, q = (k + 2) % 3;
+        frame[1][k] = (double)triangle->tangent[0][3] *
+                      (frame[2][p] * frame[0][q] - frame[2][q] * frame[0][p]);
+    }
+}
+
+/* What a shader reads from a half-float map n / 2 + 1/2 gives back the normal. Halves between 1/2
+ * and 1 are rounded by at most 2^-12, so m is off by at most sqrt(3) 2^-11: 0.0485 degrees in a
+ * frame at right angles, and in another at most as much longer as the frame stretches the error
+ * more than the normal. */
+static void test_tangent_space_of_halves(void **state)
+{
+    (void)state;
+    const double rounding = sqrt(3) / 2048;
+    uint64_t seed = test_seed();
+    int mirrored = 0, skewed = 0;
+    for (int i = 0; i < 100000; i++) {
+        const bool alike = i & 2;
+        const bk_triangle triangle = framed_triangle(&seed, alike, i & 1 ? 1.0f : -1.0f);
+        double target[3], w[3], frame[3][3], found[3] = {0, 0, 0}, size = 0, length = 0;
+        analytic_random_unit(&seed, target);
+        w[1] = analytic_random(&seed);
+        w[2] = analytic_random(&seed) * (1 - w[1]);
+        w[0] = 1 - w[1] - w[2];
+        shader_frame(&triangle, w, frame);
+        const bk_point point = bk_point_at(&triangle, (float)w[1], (float)w[2]);
+        if (!(bk_dotw(point.tangent, point.tangent) > 0.04f))
+            continue; /* opposite tangents: no frame */
+        const bk_vec3w m = bk_to_tangent_space(
+            &point, bk_v3w((float)target[0], (float)target[1], (float)target[2]));
+        const double value[3] = {(double)m.x, (double)m.y, (double)m.z};
+        for (int axis = 0; axis < 3; axis++) {
+            const double read = 2 * to_half(value[axis] / 2 + 0.5) - 1;
+            for (int k = 0; k < 3; k++) {
+                found[k] += read * frame[axis][k];
+                size += frame[axis][k] * frame[axis][k];
+            }
+        }
+        for (int k = 0; k < 3; k++)
+            length += found[k] * found[k];
+        const double stretch = alike ? 1 : sqrt(size / length);
+        const float back[3] = {(float)found[0], (float)found[1], (float)found[2]};
+        const double limit = asin(fmin(rounding * stretch * 1.01, 1)) * 180 / PI + 1e-3;
+        assert_true(angle_degrees(target, back) <= limit);
+        mirrored += triangle.tangent[0][3] < 0;
+        skewed += !alike;
+    }
+    assert_true(mirrored > 40000 && skewed > 40000);
+}
+
+/* ---- random grids against naive lookups and walks ---- */
+
+/* Clusters of voxels in several leaves, regions and root tiles, on both sides of 0. */
+static void random_grid(uint64_t *seed, struct fmt_nvdb_grid *out, int32_t corners[8][3])
+{
+    struct analytic_grid *grid = analytic_grid_create();
+    for (int c = 0; c < 8; c++) {
+        static const int far[8][3] = {{0},           {-8},         {4090, -3, 5}, {120, 120, 120},
+                                      {-4100, 7, 9}, {3, 250, -7}, {-1, -1, -1},  {5, 9, 4095}};
+        memcpy(corners[c], far[c], sizeof corners[c]);
+        for (int i = 0; i < 150; i++) {
+            double p[3], n[3];
+            for (int k = 0; k < 3; k++)
+                p[k] = corners[c][k] + 14 * analytic_random(seed);
+            analytic_random_unit(seed, n);
+            analytic_grid_add(grid, p, n, 1, NULL);
+        }
+    }
+    analytic_grid_open(context, grid, false, out);
+    analytic_grid_free(grid);
+}
+
+static struct bk_grid kernel_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params)
+{
+    struct bk_grid kernel;
+    bake_params_from_grid(grid, params);
+    bake_native_grid(grid, params, &kernel);
+    return kernel;
+}
+
+static void test_lookup(void **state)
+{
+    (void)state;
+    uint64_t seed = test_seed(), active = 0, seconds = 0;
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+    int32_t corners[8][3];
+    random_grid(&seed, &grid, corners);
+    struct bk_grid kernel = kernel_grid(&grid, &params);
+    struct bk_cache cache = bk_cache_empty();
+
+    for (int i = 0; i < 300000; i++) {
+        const int32_t *corner = corners[(i / 50) % 8];
+        int32_t at[3];
+        for (int k = 0; k < 3; k++)
+            at[k] = corner[k] - 6 + (int32_t)(26 * analytic_random(&seed));
+        if (i % 100 == 0)
+            at[i / 100 % 3] += 1 << (i / 300 % 30);
+        uint64_t expected = fmt_nvdb_find(&grid, at), found = 0;
+        uint32_t level = bk_locate(&kernel, &cache, at[0], at[1], at[2]);
+        if (level == 0)
+            found = bk_leaf_value(&kernel, cache.leaf, at[0], at[1], at[2]);
+        assert_int_equal(found, expected);
+        active += expected != 0;
+        if (expected && fmt_nvdb_second(&grid, expected)) {
+            assert_int_equal(bk_second(&kernel, expected), fmt_nvdb_second(&grid, expected));
+            seconds++;
+        }
+        bk_ulong corner_values[8];
+        bk_uint present = bk_cell_values(&kernel, &cache, at[0], at[1], at[2], corner_values);
+        for (int c = 0; c < 8; c++) {
+            int32_t near[3] = {at[0] + (c >> 2), at[1] + (c >> 1 & 1), at[2] + (c & 1)};
+            assert_int_equal(corner_values[c], fmt_nvdb_find(&grid, near));
+            assert_int_equal(present >> c & 1, corner_values[c] != 0);
+        }
+    }
+    assert_true(active > 1000 && seconds > 10);
+    fmt_nvdb_close(context, &grid);
+}
+
+/* The naive walk: all voxel faces that the ray crosses, sorted; every voxel looked up by itself. In
+ * doubles. */
+struct naive {
+    bool found, doubtful; /* doubtful: rounding may decide otherwise */
+    double t;
+};
+
+enum { NAIVE_FACES = 600 };
+
+static int naive_faces(const double origin[3], const double direction[3], double limit,
+                       double *faces)
+{
+    int count = 0;
+    faces[count++] = 0;
+    for (int k = 0; k < 3; k++) {
+        if (direction[k] == 0)
+            continue;
+        double a = origin[k] + 0.5, b = a + limit * direction[k];
+        for (double f = ceil(fmin(a, b)); f <= fmax(a, b) && count < NAIVE_FACES - 1; f++)
+            faces[count++] = (f - a) / direction[k];
+    }
+    faces[count++] = limit;
+    qsort(faces, (size_t)count, sizeof *faces, by_value);
+    return count;
+}
+
+static bool nearly(double a, double b)
+{
+    return fabs(a - b) < 1e-3;
+}
+
+/* A fifth of a voxel, and more where the record's mean normal hides a fold. */
+static double naive_margin(const struct fmt_nvdb_record *record)
+{
+    double coverage = (record->plane >> 16 & 255) / 255.0;
+    return 0.2 + 0.4 * sqrt(fmax(0.98 - coverage * coverage, 0));
+}
+
+/* The rules of bk_trace.h for one sheet that faces `facing`, along a half ray. */
+static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double origin[3],
+                                const double direction[3], double limit, const double facing[3])
+{
+    struct naive result = {.t = limit};
+    double faces[NAIVE_FACES], outside = 0, ahead = 0, margin = 0;
+    int count = naive_faces(origin, direction, limit, faces), side = BK_APART;
+
+    for (int i = 0; i + 1 < count && !result.found; i++) {
+        double t_in = faces[i], t_out = faces[i + 1], middle = (t_in + t_out) / 2;
+        int32_t at[3];
+        if (t_out - t_in < 1e-3) {
+            /* An edge, or a start on a face: which voxels are met is a matter of rounding. */
+            result.doubtful |= i + 2 < count;
+            continue;
+        }
+        for (int k = 0; k < 3; k++)
+            at[k] = (int32_t)floor(origin[k] + middle * direction[k] + 0.5);
+        uint64_t v = fmt_nvdb_find(grid, at), numbers[2] = {v, 0};
+        int before = side;
+        double below = outside, next = ahead, reach = margin;
+        side = BK_APART;
+        if (v)
+            numbers[1] = fmt_nvdb_second(grid, v);
+        for (int r = 0; v && r < 2; r++) {
+            if (!numbers[r])
+                continue;
+            struct fmt_nvdb_record record = fmt_nvdb_get(grid, numbers[r]);
+            struct bsq_vec3 u = bsq_oct_unpack(record.normal);
+            double n[3] = {u.x, u.y, u.z}, f = -(int16_t)record.plane / 32767.0;
+            double slope = 0, facing_dot = 0, t;
+            for (int k = 0; k < 3; k++) {
+                f += n[k] * (origin[k] - at[k]);
+                slope += n[k] * direction[k];
+                facing_dot += n[k] * facing[k];
+            }
+            result.doubtful |= nearly(facing_dot, 0);
+            if (facing_dot <= 0)
+                continue;
+            f = slope < 0 ? -f : f;
+            slope = fabs(slope);
+            double f_in = f + slope * t_in, f_out = f + slope * t_out;
+            double own = naive_margin(&record);
+            result.doubtful |= nearly(f_in, 0) || nearly(f_out, 0) || nearly(f_in, own) ||
+                               nearly(f_in, slope) || nearly(-f_out, slope);
+            if (f_out < 0) {
+                side = BK_BELOW;
+                margin = own;
+                outside = -f_out < slope ? -f_out : 1;
+                ahead = t_out - f_out / slope;
+                continue;
+            }
+            side = BK_ABOVE;
+            if (f_in <= 0)
+                t = -f / slope;
+            else if (before == BK_BELOW)
+                t = t_in;
+            else if (before == BK_APART && f_in <= own && f_in < slope && t_in > 0)
+                t = fmax(t_in - f_in / slope, 0);
+            else
+                continue;
+            if (!result.found || t < result.t)
+                result.t = t;
+            result.found = true;
+        }
+        if (side == BK_APART && before == BK_BELOW && !result.found) {
+            result.doubtful |= nearly(below, reach) || nearly(next, limit);
+            result.found = below <= reach && next <= limit;
+            result.t = result.found ? next : result.t;
+        }
+    }
+    if (!result.found && side == BK_BELOW)
+        result.doubtful |= outside <= 2 * margin; /* at the end of the ray */
+    return result;
+}
+
+static void test_traversal(void **state)
+{
+    (void)state;
+    uint64_t seed = test_seed();
+    struct bk_params params = {.flags = BK_NEAREST};
+    struct fmt_nvdb_grid grid;
+    int32_t corners[8][3];
+    int compared = 0, found = 0, rays = 100000;
+
+    random_grid(&seed, &grid, corners);
+    bake_params_from_grid(&grid, &params);
+    for (int i = 0; i < rays; i++) {
+        const int32_t *corner = corners[i % 8];
+        double origin[3], direction[3];
+        float o[3], d[3];
+        struct bk_hit hit;
+        analytic_random_unit(&seed, direction);
+        if (i % 5 == 0) /* along an axis */
+            for (int k = 0; k < 3; k++)
+                direction[k] = k != i / 5 % 3 ? 0 : i & 1 ? -1 : 1;
+        if (i % 5 == 1) { /* in a plane of the axes */
+            double *zero = &direction[i / 5 % 3];
+            double rest = sqrt(1 - *zero * *zero);
+            *zero = 0;
+            for (int k = 0; k < 3; k++)
+                direction[k] /= rest;
+        }
+        double away = i % 3 == 0 ? 60 * analytic_random(&seed) : 0, limit = 80;
+        for (int k = 0; k < 3; k++) {
+            o[k] = (float)(corner[k] - 1 + 16 * analytic_random(&seed) - away * direction[k]);
+            if (i % 7 == 0)
+                o[k] = floorf(o[k]) + (i & 8 ? 0.5f : 0.f); /* on voxel faces or centres */
+            d[k] = (float)direction[k];
+            origin[k] = o[k];
+            direction[k] = d[k];
+        }
+        struct naive expected = naive_trace(&grid, origin, direction, limit, direction);
+        if (expected.doubtful)
+            continue;
+        bake_trace_ray(&grid, &params, o, d, 0, (float)limit, d, &hit);
+        compared++;
+        found += expected.found;
+        assert_int_equal(hit.found, expected.found);
+        if (hit.found)
+            assert_true(fabs(hit.t - expected.t) < 2e-3);
+    }
+    print_message("compared %d of %d rays, %d of them hit\n", compared, rays, found);
+    assert_true(compared > rays / 2 && found > rays / 10);
+    fmt_nvdb_close(context, &grid);
+}
+
+/* Rays that are no rays, or far away, end. */
+static void test_degenerate_rays(void **state)
+{
+    (void)state;
+    uint64_t seed = test_seed();
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+    int32_t corners[8][3];
+    static const float odd[] = {0, -0.0f, 1, -1, 1e-30f, -1e-12f, 1e9f, -3e38f, NAN, INFINITY};
+    enum { ODD = sizeof odd / sizeof *odd };
+
+    random_grid(&seed, &grid, corners);
+    bake_params_from_grid(&grid, &params);
+    for (int i = 0; i < 200000; i++) {
+        float v[6], t_min, t_max;
+        struct bk_hit hit;
+        for (int k = 0; k < 6; k++)
+            v[k] = odd[(int)(ODD * analytic_random(&seed))];
+        t_min = odd[(int)(ODD * analytic_random(&seed))];
+        t_max = odd[(int)(ODD * analytic_random(&seed))];
+        bake_trace_ray(&grid, &params, v, v + 3, t_min, t_max, v + 3, &hit);
+        if (hit.found)
+            assert_true(isfinite(hit.t) && isfinite(hit.normal[0]));
+    }
+    fmt_nvdb_close(context, &grid);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_srgb_table),      cmocka_unit_test(test_decode_normal),
+        cmocka_unit_test(test_tangent_space),   cmocka_unit_test(test_tangent_space_of_halves),
+        cmocka_unit_test(test_lookup),          cmocka_unit_test(test_traversal),
+        cmocka_unit_test(test_degenerate_rays),
+    };
+    return cmocka_run_group_tests(tests, make_context, free_context);
+}

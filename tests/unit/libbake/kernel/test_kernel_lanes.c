@@ -1,0 +1,162 @@
+/* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
+ * samples: groups of four, eight and sixteen in squares of texels, in Morton order, against one
+ * sample at a time, row by row. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "libbake/kernel/bk_sample.h"
+#include "libbake/device/native/native.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+/* No multiples of a square or a group; three samples an axis leave groups open at texels' ends. */
+enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_nvdb_grid file;
+    struct bk_grid grid;
+    struct bk_params params;
+    struct bk_triangle triangles[TRIANGLES];
+    uint32_t samples[TEXELS * SAMPLES * SAMPLES];
+};
+
+static double between(uint64_t *seed, double low, double high)
+{
+    return low + (high - low) * analytic_random(seed);
+}
+
+/* Crossing sheets and clutter over the borders of leaves, lower and upper nodes: many records with
+ * seconds, runs that begin and end, cells across up to eight leaves. */
+static void fill(struct fixture *f, uint64_t *seed)
+{
+    struct analytic_grid *grid = analytic_grid_create();
+    const double centre[3] = {2, 127, 4095};
+    const struct analytic_sine sine = analytic_sine_make(9, 20, centre);
+    analytic_sine_add(grid, &sine, 3);
+    analytic_sphere(grid, centre, 11, 3);
+    for (int i = 0; i < 3000; i++) {
+        double p[3], n[3];
+        float color[3];
+        for (int k = 0; k < 3; k++) {
+            p[k] = centre[k] + between(seed, -24, 24);
+            color[k] = (float)analytic_random(seed);
+        }
+        analytic_random_unit(seed, n);
+        analytic_grid_add(grid, p, n, 1, color);
+    }
+    analytic_grid_open(f->ctx, grid, true, &f->file);
+    analytic_grid_free(grid);
+}
+
+static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
+{
+    const double centre[3] = {2, 127, 4095};
+    *triangle = (struct bk_triangle){.b1 = {1.f / WIDTH, 0, 0}, .b2 = {0, 1.f / HEIGHT, 0}};
+    for (int corner = 0; corner < 3; corner++) {
+        double normal[3], tangent[3];
+        analytic_random_unit(seed, normal);
+        analytic_random_unit(seed, tangent);
+        for (int k = 0; k < 3; k++) {
+            triangle->position[corner][k] = (float)(centre[k] + between(seed, -20, 20));
+            triangle->normal[corner][k] = (float)normal[k];
+            triangle->tangent[corner][k] = (float)tangent[k];
+        }
+        triangle->tangent[corner][3] = corner & 1 ? -1.f : 1.f;
+    }
+}
+
+static int setup(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    uint64_t seed = 20080312;
+    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    fill(f, &seed);
+    bake_params_from_grid(&f->file, &f->params);
+    f->params.samples = SAMPLES;
+    f->params.front = 9;
+    f->params.back = 14;
+    bake_native_grid(&f->file, &f->params, &f->grid);
+    for (int i = 0; i < TRIANGLES; i++)
+        make_triangle(&f->triangles[i], &seed);
+    /* One without a direction: it covers texels and finds nothing. */
+    memset(f->triangles[7].normal, 0, sizeof f->triangles[7].normal);
+    /* Runs of one triangle, single samples of others, and holes. */
+    uint32_t current = 0;
+    for (size_t i = 0; i < sizeof f->samples / sizeof *f->samples; i++) {
+        if (analytic_random(&seed) < 0.1)
+            current = (uint32_t)(TRIANGLES * analytic_random(&seed));
+        f->samples[i] = analytic_random(&seed) < 0.1 ? BK_NO_TRIANGLE : current;
+    }
+    *state = f;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    struct fixture *f = *state;
+    fmt_nvdb_close(f->ctx, &f->file);
+    bsq_ctx_destroy(f->ctx);
+    free(f);
+    return 0;
+}
+
+static void one_by_one(const struct fixture *f, const struct bk_params *params,
+                       const struct bk_tile *tile, struct bk_texel *texels)
+{
+    bk_cache cache = bk_cache_empty();
+    for (uint32_t row = 0; row < HEIGHT; row++)
+        for (uint32_t column = 0; column < WIDTH; column++) {
+            struct bk_texel *texel = &texels[row * WIDTH + column];
+            *texel = bk_texel_empty();
+            bk_sample_texel(&f->grid, params, &cache, f->triangles, tile, f->samples, column, row,
+                            0, params->samples, texel);
+        }
+}
+
+static void compare(const struct fixture *f, uint32_t flags)
+{
+    static struct bk_texel expected[TEXELS], found[TEXELS];
+    const struct bk_tile tile = {.x = 3, .y = 1, .width = WIDTH, .height = HEIGHT};
+    struct bk_params params = f->params;
+    uint64_t covered = 0, hits = 0;
+
+    params.flags |= flags;
+    one_by_one(f, &params, &tile, expected);
+    for (int i = 0; i < TEXELS; i++) {
+        covered += expected[i].covered;
+        hits += expected[i].hits;
+    }
+    print_message("flags %u: %u of %u rays hit\n", (unsigned)params.flags, (unsigned)hits,
+                  (unsigned)covered);
+    assert_true(hits > covered / 4 && hits < covered);
+    for (unsigned lanes = 4; lanes <= 16; lanes *= 2) {
+        bake_native_tile *code = bake_native_code(lanes);
+        if (!code) {
+            print_message("this processor has not the instructions for %u lanes\n", lanes);
+            continue;
+        }
+        memset(found, 0xff, sizeof found);
+        code(&f->grid, &params, f->triangles, &tile, f->samples, found);
+        assert_memory_equal(found, expected, sizeof found);
+    }
+}
+
+static void test_lanes(void **state)
+{
+    compare(*state, 0);
+    compare(*state, BK_TWO_SIDED);
+    compare(*state, BK_NEAREST);
+    compare(*state, BK_OBJECT_SPACE);
+    compare(*state, BK_OBJECT_SPACE | BK_NEAREST | BK_TWO_SIDED);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_lanes)};
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

@@ -1,0 +1,286 @@
+/* Loading of the low mesh: what the file says, what is filled in where it says nothing, and
+ * messages. */
+#include <float.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "libbake/lowpoly/lowpoly.h"
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    char path[64];
+    FILE *file;
+    struct bake_lowmesh mesh;
+};
+
+static int set_up(void **state)
+{
+    struct fixture *f = calloc(1, sizeof(*f));
+    if (f == NULL || bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &f->ctx) < 0)
+        return -1;
+    strcpy(f->path, "/tmp/test_lowmesh_XXXXXX.obj");
+    int fd = mkstemps(f->path, 4);
+    f->file = fd < 0 ? NULL : fdopen(fd, "w");
+    *state = f;
+    return f->file ? 0 : -1;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    unlink(f->path);
+    bake_lowmesh_free(f->ctx, &f->mesh);
+    if (bsq_memory_used(f->ctx) > 0)
+        return -1;
+    bsq_ctx_destroy(f->ctx);
+    free(f);
+    return 0;
+}
+
+static void load(struct fixture *f)
+{
+    assert_int_equal(fclose(f->file), 0);
+    if (bake_lowmesh_load(f->ctx, f->path, &f->mesh) < 0)
+        fail_msg("%s", bsq_error(f->ctx));
+}
+
+static void load_text(struct fixture *f, const char *text)
+{
+    fputs(text, f->file);
+    load(f);
+}
+
+/* Expects failure with "PATH" followed by `message`. */
+static void fail_text(struct fixture *f, const char *text, const char *message)
+{
+    char expected[256];
+
+    fputs(text, f->file);
+    assert_int_equal(fclose(f->file), 0);
+    assert_int_equal(bake_lowmesh_load(f->ctx, f->path, &f->mesh), BSQ_EDATA);
+    snprintf(expected, sizeof(expected), "%s%s", f->path, message);
+    assert_string_equal(bsq_error(f->ctx), expected);
+    assert_null(f->mesh.positions);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+}
+
+static void assert_vector(const float *v, float x, float y, float z)
+{
+    if (!(fabsf(v[0] - x) < 1e-5f && fabsf(v[1] - y) < 1e-5f && fabsf(v[2] - z) < 1e-5f))
+        fail_msg("(%g %g %g), expected (%g %g %g)", v[0], v[1], v[2], x, y, z);
+}
+
+/* A sphere of quads with triangles at its poles; a seam in the texture where longitude wraps, none
+ * in the positions. No normals. */
+static void write_sphere(FILE *file, const double centre[3], int columns, int rows)
+{
+    for (int y = 0; y <= rows; y++) {
+        for (int x = 0; x < columns; x++) {
+            double a = 2 * M_PI * x / columns, b = M_PI * y / rows - M_PI / 2;
+            if ((y > 0 && y < rows) || x == 0)
+                fprintf(file, "v %.12f %.12f %.12f\n", centre[0] + cos(a) * cos(b),
+                        centre[1] + sin(a) * cos(b), centre[2] + sin(b));
+        }
+    }
+    for (int y = 0; y <= rows; y++) {
+        for (int x = 0; x <= columns; x++)
+            fprintf(file, "vt %.9f %.9f\n", (double)x / columns, (double)y / rows);
+    }
+    for (int y = 0; y < rows; y++) {
+        for (int x = 0; x < columns; x++) {
+            int south = 2 + (y - 1) * columns, north = south + columns, next = (x + 1) % columns;
+            int vt = 1 + y * (columns + 1) + x, above = vt + columns + 1;
+            if (y == 0)
+                fprintf(file, "f 1/%d %d/%d %d/%d\n", vt, north + next, above + 1, north + x,
+                        above);
+            else if (y == rows - 1)
+                fprintf(file, "f %d/%d %d/%d %d/%d\n", south + x, vt, south + next, vt + 1, north,
+                        above);
+            else
+                fprintf(file, "f %d/%d %d/%d %d/%d %d/%d\n", south + x, vt, south + next, vt + 1,
+                        north + next, above + 1, north + x, above);
+        }
+    }
+}
+
+/* Radial directions from the sphere's definition; a row of 32 turns 5.6 degrees. */
+static void test_missing_normals_are_smooth(void **state)
+{
+    struct fixture *f = *state;
+    const double centre[3] = {3, -2, 7};
+    write_sphere(f->file, centre, 64, 32);
+    load(f);
+    assert_int_equal(f->mesh.triangle_count, 2 * 64 * 30 + 2 * 64);
+    for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            double dot = 0;
+            for (int k = 0; k < 3; k++)
+                dot += (f->mesh.positions[t][i][k] - centre[k]) * f->mesh.normals[t][i][k];
+            assert_true(dot > cos(M_PI / 180)); /* within a degree, seam and poles included */
+        }
+    }
+    for (int k = 0; k < 3; k++) {
+        assert_float_equal(f->mesh.bounds_min[k], centre[k] - 1, 1e-9);
+        assert_float_equal(f->mesh.bounds_max[k], centre[k] + 1, 1e-9);
+    }
+}
+
+/* On a sphere, tangents point along the circles of latitude, and rows of v go north. */
+static void test_tangents_of_a_sphere(void **state)
+{
+    struct fixture *f = *state;
+    const double centre[3] = {0, 0, 0};
+    write_sphere(f->file, centre, 64, 32);
+    load(f);
+    for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            const double *p = f->mesh.positions[t][i];
+            const float *tangent = f->mesh.tangents[t][i];
+            double radius = hypot(p[0], p[1]);
+            if (radius < 0.2)
+                continue; /* longitude has no direction at the poles */
+            assert_true((tangent[1] * p[0] - tangent[0] * p[1]) / radius > cos(5 * M_PI / 180));
+            assert_float_equal(tangent[3], 1, 0);
+        }
+    }
+}
+
+/* Floats step by 0.5 m at 5,000,000 m, half of the sphere's radius. */
+static void test_tangents_far_from_the_origin(void **state)
+{
+    struct fixture *f = *state;
+    const double centre[3] = {5000000, 400000, 300};
+    write_sphere(f->file, centre, 64, 32);
+    load(f);
+    for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
+        for (int i = 0; i < 3; i++) {
+            double x = f->mesh.positions[t][i][0] - centre[0];
+            double y = f->mesh.positions[t][i][1] - centre[1];
+            const float *tangent = f->mesh.tangents[t][i];
+            if (hypot(x, y) > 0.2)
+                assert_true((tangent[1] * x - tangent[0] * y) / hypot(x, y) > cos(5 * M_PI / 180));
+        }
+    }
+}
+
+static void test_large_triangles_weigh_more(void **state)
+{
+    struct fixture *f = *state;
+    /* Two triangles share vertices 1 and 2: one of area 3 that faces z, one of area 1 that faces
+     * -y. */
+    load_text(f, "v 0 0 0\nv 2 0 0\nv 0 3 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
+                 "f 1/1 2/2 3/3\nf 1/1 2/2 4/3\n");
+    assert_vector(f->mesh.normals[0][0], 0, -1 / sqrtf(10), 3 / sqrtf(10));
+    assert_vector(f->mesh.normals[1][1], 0, -1 / sqrtf(10), 3 / sqrtf(10));
+    assert_vector(f->mesh.normals[0][2], 0, 0, 1);
+    assert_vector(f->mesh.normals[1][2], 0, -1, 0);
+}
+
+static void test_attributes_of_the_file(void **state)
+{
+    struct fixture *f = *state;
+    load_text(f, "v 0 0 0\nv 1 0 0\nv 1 1 0.25\nv 0 1 0\nvt 0.5 0.25\nvt 1 0.25\nvt 1 1\nvt 0.5 1\n"
+                 "vn 0 0 5\nvn 3 0 4\nf 1/1/1 2/2/2 3/3/1 4/4/1\n");
+    assert_int_equal(f->mesh.triangle_count, 2);
+    for (int t = 0; t < 2; t++) {
+        for (int i = 0; i < 3; i++) {
+            const double *p = f->mesh.positions[t][i];
+            const float *uv = f->mesh.texcoords[t][i];
+            assert_float_equal(uv[0], 0.5 + 0.5 * p[0], 0);
+            assert_float_equal(uv[1], 0.25 + 0.75 * p[1], 0);
+            if (p[0] == 1 && p[1] == 0)
+                assert_vector(f->mesh.normals[t][i], 0.6f, 0, 0.8f);
+            else
+                assert_vector(f->mesh.normals[t][i], 0, 0, 1);
+        }
+    }
+}
+
+/* A zero normal is replaced by the face's; a corner without any gets the smooth one. */
+static void test_zero_and_partly_missing_normals(void **state)
+{
+    struct fixture *f = *state;
+    load_text(f, "v 0 0 0\nv 0 1 0\nv 0 0 1\nv 1 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 0\nvn 0 1 0\n"
+                 "f 1/1/1 2/2/2 3/3/1\nf 1/1 4/2 2/3\n");
+    assert_vector(f->mesh.normals[0][0], 1, 0, 0);
+    assert_vector(f->mesh.normals[0][1], 0, 1, 0);
+    assert_vector(f->mesh.normals[0][2], 1, 0, 0);
+    assert_vector(f->mesh.normals[1][0], sqrtf(0.5f), 0, sqrtf(0.5f));
+    assert_vector(f->mesh.normals[1][1], 0, 0, 1);
+}
+
+static void test_degenerate_triangle_has_a_unit_normal(void **state)
+{
+    struct fixture *f = *state;
+    load_text(f, "v 0 0 0\nv 1 0 0\nv 2 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 0\n"
+                 "f 1/1 2/2 3/3\nf 1/1/1 2/2/1 3/3/1\n");
+    for (int t = 0; t < 2; t++) {
+        for (int i = 0; i < 3; i++) {
+            const float *n = f->mesh.normals[t][i];
+            assert_float_equal(n[0] * n[0] + n[1] * n[1] + n[2] * n[2], 1, 1e-6);
+        }
+    }
+}
+
+static void test_no_texture_coordinates(void **state)
+{
+    fail_text(*state, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+              ": no texture coordinates: the low mesh has to be unwrapped");
+}
+
+static void test_a_face_without_texture_coordinates(void **state)
+{
+    fail_text(*state,
+              "# comment\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+              "f 1/1 2/2 3/3 4/3\n\nf 1/1 2/2 3\nf 1 2 3\n",
+              ":11: face has no texture coordinates");
+}
+
+static void test_missing_file(void **state)
+{
+    struct fixture *f = *state;
+    fclose(f->file);
+    assert_int_equal(bake_lowmesh_load(f->ctx, "/nonexistent/low.obj", &f->mesh), BSQ_ENOINPUT);
+    assert_null(f->mesh.positions);
+}
+
+/* Became infinite. */
+static void test_texture_coordinates_beyond_float_are_the_largest_float(void **state)
+{
+    struct fixture *f = *state;
+    load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 6e38 -1e300\nvt .5 .5\nvt -1 2\nf 1/1 2/2 3/3\n");
+    assert_true(f->mesh.texcoords[0][0][0] == FLT_MAX);
+    assert_true(f->mesh.texcoords[0][0][1] == -FLT_MAX);
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 4; k++)
+            assert_true(isfinite(f->mesh.tangents[0][i][k]));
+}
+
+#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(test_missing_normals_are_smooth),
+        TEST(test_tangents_of_a_sphere),
+        TEST(test_tangents_far_from_the_origin),
+        TEST(test_large_triangles_weigh_more),
+        TEST(test_attributes_of_the_file),
+        TEST(test_zero_and_partly_missing_normals),
+        TEST(test_degenerate_triangle_has_a_unit_normal),
+        TEST(test_no_texture_coordinates),
+        TEST(test_a_face_without_texture_coordinates),
+        TEST(test_missing_file),
+        TEST(test_texture_coordinates_beyond_float_are_the_largest_float),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

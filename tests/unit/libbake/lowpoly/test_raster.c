@@ -1,0 +1,625 @@
+/* Rasterisation of UV triangles against a naive reference in double, and against what must hold for
+ * any mesh. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "libbake/lowpoly/raster.h"
+
+#define SEED UINT64_C(20080611)
+
+/* ---- helpers ---- */
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct bake_lowmesh mesh;
+    uint64_t capacity;
+    uint64_t random;
+};
+
+static int set_up(void **state)
+{
+    struct fixture *f = calloc(1, sizeof(*f));
+    if (f == NULL || bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &f->ctx) < 0)
+        return -1;
+    f->random = SEED;
+    *state = f;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    uint64_t used = bsq_memory_used(f->ctx);
+    free(f->mesh.positions);
+    free(f->mesh.normals);
+    free(f->mesh.texcoords);
+    free(f->mesh.tangents);
+    if (used > 0)
+        return -1; /* a failed test leaves its memory behind */
+    bsq_ctx_destroy(f->ctx);
+    free(f);
+    return 0;
+}
+
+static double random_between(struct fixture *f, double low, double high)
+{
+    f->random = f->random * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    return low + (high - low) * (double)(f->random >> 11) * 0x1p-53;
+}
+
+static void *resized(void *memory, uint64_t count, size_t size)
+{
+    memory = realloc(memory, count * size);
+    assert_non_null(memory);
+    return memory;
+}
+
+/* Adds a triangle; its other attributes are functions of the texture coordinates. */
+static void add_triangle(struct fixture *f, const float a[2], const float b[2], const float c[2])
+{
+    const float *uv[3] = {a, b, c};
+    struct bake_lowmesh *m = &f->mesh;
+
+    if (m->triangle_count == f->capacity) {
+        f->capacity = 2 * f->capacity + 16;
+        m->positions = resized(m->positions, f->capacity, sizeof(*m->positions));
+        m->normals = resized(m->normals, f->capacity, sizeof(*m->normals));
+        m->texcoords = resized(m->texcoords, f->capacity, sizeof(*m->texcoords));
+        m->tangents = resized(m->tangents, f->capacity, sizeof(*m->tangents));
+    }
+    uint64_t t = m->triangle_count++;
+    for (int i = 0; i < 3; i++) {
+        const double position[3] = {100 + 2.0 * uv[i][0], 200 + 3.0 * uv[i][1], -50.0 * uv[i][0]};
+        const float normal[3] = {0, 0, 1}, tangent[4] = {1, 0, 0, i == 0 ? 1.0f : -1.0f};
+        memcpy(m->positions[t][i], position, sizeof(position));
+        memcpy(m->normals[t][i], normal, sizeof(normal));
+        memcpy(m->texcoords[t][i], uv[i], 2 * sizeof(float));
+        memcpy(m->tangents[t][i], tangent, sizeof(tangent));
+    }
+}
+
+static void add_quad(struct fixture *f, float u0, float v0, float u1, float v1)
+{
+    const float a[2] = {u0, v0}, b[2] = {u1, v0}, c[2] = {u1, v1}, d[2] = {u0, v1};
+    add_triangle(f, a, b, c);
+    add_triangle(f, a, c, d);
+}
+
+struct map {
+    uint32_t columns, rows; /* samples */
+    uint32_t *owners;
+    uint64_t overlaps, covered;
+    struct bake_raster_report report;
+};
+
+static struct bake_raster *create(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
+                                  uint32_t tile_size, struct bake_raster_report *report)
+{
+    const struct bake_raster_options options = {width, height, n, tile_size};
+    struct bake_raster *raster = NULL;
+    if (bake_raster_create(f->ctx, &f->mesh, &options, report, &raster) < 0)
+        fail_msg("%s", bsq_error(f->ctx));
+    return raster;
+}
+
+/* Fills all tiles and puts them together. */
+static struct map rasterise(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
+                            uint32_t tile_size)
+{
+    struct map map = {.columns = width * n, .rows = height * n};
+    struct bake_raster *raster = create(f, width, height, n, tile_size, &map.report);
+    uint32_t *tile_owners = resized(NULL, (uint64_t)tile_size * tile_size * n * n, 4);
+
+    map.owners = resized(NULL, (uint64_t)map.columns * map.rows, 4);
+    memset(map.owners, 0xff, (size_t)map.columns * map.rows * 4);
+    for (uint32_t k = 0; k < bake_raster_tile_count(raster); k++) {
+        struct bk_tile tile = bake_raster_tile(raster, k);
+        uint64_t overlaps = UINT64_MAX;
+        bake_raster_fill(raster, k, tile_owners, &overlaps);
+        map.overlaps += overlaps;
+        for (uint32_t y = 0; y < tile.height * n; y++)
+            memcpy(map.owners + (uint64_t)(tile.y * n + y) * map.columns + tile.x * n,
+                   tile_owners + (uint64_t)y * tile.width * n, tile.width * n * 4);
+    }
+    for (uint64_t k = 0; k < (uint64_t)map.columns * map.rows; k++)
+        map.covered += map.owners[k] != BK_NO_TRIANGLE;
+    free(tile_owners);
+    bake_raster_free(raster);
+    return map;
+}
+
+static uint32_t owner(const struct map *map, uint32_t x, uint32_t y)
+{
+    return map->owners[(uint64_t)y * map->columns + x];
+}
+
+/* ---- the naive reference ---- */
+
+/* Distance of a sample's centre from the nearest border line of a triangle, in samples, negative
+ * outside. */
+static double depth(const struct fixture *f, uint64_t triangle, const struct map *map, uint32_t x,
+                    uint32_t y)
+{
+    double px[3], py[3], smallest = INFINITY;
+
+    for (int i = 0; i < 3; i++) {
+        px[i] = (double)f->mesh.texcoords[triangle][i][0] * map->columns;
+        py[i] = (1 - (double)f->mesh.texcoords[triangle][i][1]) * map->rows;
+    }
+    double area = (px[1] - px[0]) * (py[2] - py[0]) - (px[2] - px[0]) * (py[1] - py[0]);
+    for (int i = 0; i < 3; i++) {
+        int j = (i + 1) % 3;
+        double ex = px[j] - px[i], ey = py[j] - py[i];
+        double side = ex * (y + 0.5 - py[i]) - ey * (x + 0.5 - px[i]);
+        smallest = fmin(smallest, (area < 0 ? -side : side) / hypot(ex, ey));
+    }
+    return smallest;
+}
+
+/* Checks every sample that is not within 1e-3 of a border. */
+static void check_against_reference(const struct fixture *f, const struct map *map)
+{
+    uint64_t overlaps = 0, unclear = 0;
+
+    for (uint32_t y = 0; y < map->rows; y++) {
+        for (uint32_t x = 0; x < map->columns; x++) {
+            uint32_t expected = BK_NO_TRIANGLE, inside = 0;
+            bool clear = true;
+            for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
+                double d = depth(f, t, map, x, y);
+                clear = clear && fabs(d) > 1e-3;
+                if (d > 0 && inside++ == 0)
+                    expected = (uint32_t)t;
+            }
+            overlaps += clear && inside > 1;
+            unclear += !clear;
+            if (clear && owner(map, x, y) != expected)
+                fail_msg("sample %u, %u is of triangle %u, expected %u", x, y, owner(map, x, y),
+                         expected);
+        }
+    }
+    assert_in_range(map->overlaps, overlaps, overlaps + unclear);
+    assert_true(unclear < (uint64_t)map->columns * map->rows / 5);
+}
+
+static void test_random_triangles(void **state)
+{
+    struct fixture *f = *state;
+    print_message("seed %llu\n", (unsigned long long)SEED);
+    for (int round = 0; round < 20; round++) {
+        f->mesh.triangle_count = 0;
+        for (int t = 0; t < 12; t++) {
+            float uv[3][2];
+            for (int i = 0; i < 3; i++) {
+                uv[i][0] = (float)random_between(f, -0.3, 1.3);
+                uv[i][1] = (float)random_between(f, -0.3, 1.3);
+            }
+            add_triangle(f, uv[0], uv[1], uv[2]);
+        }
+        struct map map = rasterise(f, 37, 23, 1 + round % 4, 8);
+        check_against_reference(f, &map);
+        free(map.owners);
+    }
+}
+
+/* Corners far outside: coordinates that would not fit 32 bits of the lattice. */
+static void test_far_corners(void **state)
+{
+    struct fixture *f = *state;
+    const double reach[] = {10, 3e3, 1e6};
+    for (int k = 0; k < 3; k++) {
+        f->mesh.triangle_count = 0;
+        for (int t = 0; t < 4; t++) {
+            float uv[3][2];
+            for (int i = 0; i < 3; i++) {
+                double angle = random_between(f, 0, 1) + 2 * i + t;
+                uv[i][0] = (float)(0.5 + cos(angle) * reach[k]);
+                uv[i][1] = (float)(0.5 + sin(angle) * random_between(f, 0, reach[k]));
+            }
+            add_triangle(f, uv[0], uv[1], uv[2]);
+        }
+        struct map map = rasterise(f, 61, 64, 2, 16);
+        check_against_reference(f, &map);
+        assert_int_equal(map.report.outside_triangles, 4);
+        free(map.owners);
+    }
+}
+
+/* ---- watertightness ---- */
+
+/* Splits the unit square into cells x cells quads with shaken corners and random diagonals; some
+ * triangles are split again at an inner point. */
+static void add_shaken_grid(struct fixture *f, uint32_t cells)
+{
+    float(*p)[2] = resized(NULL, (uint64_t)(cells + 1) * (cells + 1), sizeof(*p));
+
+    for (uint32_t y = 0; y <= cells; y++) {
+        for (uint32_t x = 0; x <= cells; x++) {
+            double dx = x % cells ? random_between(f, -0.3, 0.3) : 0;
+            double dy = y % cells ? random_between(f, -0.3, 0.3) : 0;
+            p[y * (cells + 1) + x][0] = (float)((x + dx) / cells);
+            p[y * (cells + 1) + x][1] = (float)((y + dy) / cells);
+        }
+    }
+    for (uint32_t y = 0; y < cells; y++) {
+        for (uint32_t x = 0; x < cells; x++) {
+            float *a = p[y * (cells + 1) + x], *b = a + 2, *d = p[(y + 1) * (cells + 1) + x],
+                  *c = d + 2;
+            if (random_between(f, 0, 1) < 0.5) {
+                add_triangle(f, a, b, c);
+                add_triangle(f, a, d, c); /* mirrored */
+            } else {
+                const float m[2] = {(b[0] + c[0] + d[0]) / 3, (b[1] + c[1] + d[1]) / 3};
+                add_triangle(f, d, a, b);
+                add_triangle(f, m, b, c);
+                add_triangle(f, c, d, m);
+                add_triangle(f, b, m, d);
+            }
+        }
+    }
+    free(p);
+}
+
+static void check_each_sample_once(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
+                                   uint32_t tile_size)
+{
+    struct map map = rasterise(f, width, height, n, tile_size);
+    if (map.covered != (uint64_t)map.columns * map.rows || map.overlaps != 0)
+        fail_msg("%u x %u texels, %u samples: %llu covered, %llu overlaps", width, height, n,
+                 (unsigned long long)map.covered, (unsigned long long)map.overlaps);
+    assert_int_equal(map.report.outside_triangles, 0);
+    free(map.owners);
+}
+
+static void test_triangulated_square_is_covered_once(void **state)
+{
+    struct fixture *f = *state;
+    const uint32_t cells[] = {1, 2, 7, 16, 61};
+    print_message("seed %llu\n", (unsigned long long)SEED);
+    for (int k = 0; k < 5; k++) {
+        f->mesh.triangle_count = 0;
+        add_shaken_grid(f, cells[k]);
+        check_each_sample_once(f, 1, 1, 1, 1);
+        check_each_sample_once(f, 64, 64, 1, 16);
+        check_each_sample_once(f, 33, 100, 3, 32);
+        check_each_sample_once(f, 256, 128, 2, 512);
+        check_each_sample_once(f, 65536, 8, 1, 64);
+    }
+}
+
+/* Corners and edges that pass exactly through the samples' centres. */
+static void test_edges_on_sample_centres(void **state)
+{
+    struct fixture *f = *state;
+    for (uint32_t y = 0; y < 9; y++) {
+        for (uint32_t x = 0; x < 9; x++) {
+            float low_u = x ? (x - 0.5f) / 8 : 0, low_v = y ? (y - 0.5f) / 8 : 0;
+            add_quad(f, low_u, low_v, x < 8 ? (x + 0.5f) / 8 : 1, y < 8 ? (y + 0.5f) / 8 : 1);
+        }
+    }
+    check_each_sample_once(f, 8, 8, 1, 4);
+    check_each_sample_once(f, 8, 8, 3, 3);
+}
+
+/* Slivers: a fan from one corner of the square to many points on the opposite sides. */
+static void test_fan_of_slivers_is_covered_once(void **state)
+{
+    struct fixture *f = *state;
+    const int count = 700;
+    const float apex[2] = {0, 0};
+    for (int k = 0; k < count; k++) {
+        const float right[2][2] = {{1, (float)k / count}, {1, (float)(k + 1) / count}};
+        const float top[2][2] = {{(float)k / count, 1}, {(float)(k + 1) / count, 1}};
+        add_triangle(f, apex, right[0], right[1]);
+        add_triangle(f, apex, top[0], top[1]);
+    }
+    check_each_sample_once(f, 100, 100, 2, 32);
+    check_each_sample_once(f, 16, 16, 1, 16);
+}
+
+/* ---- rules ---- */
+
+static void test_orientation_of_the_map(void **state)
+{
+    struct fixture *f = *state;
+    add_quad(f, 0.5f, 0.75f, 1, 1); /* right half of the top quarter */
+    struct map map = rasterise(f, 8, 4, 1, 4);
+    for (uint32_t y = 0; y < 4; y++) {
+        for (uint32_t x = 0; x < 8; x++)
+            assert_int_equal(owner(&map, x, y) != BK_NO_TRIANGLE, y == 0 && x >= 4);
+    }
+    free(map.owners);
+}
+
+/* A square from centre (1, 1) to centre (3, 3) has its top and left borders, not the others. */
+static void test_top_left_rule(void **state)
+{
+    struct fixture *f = *state;
+    add_quad(f, 1.5f / 8, 1 - 3.5f / 8, 3.5f / 8, 1 - 1.5f / 8);
+    struct map map = rasterise(f, 8, 8, 1, 8);
+    for (uint32_t y = 0; y < 8; y++) {
+        for (uint32_t x = 0; x < 8; x++)
+            assert_int_equal(owner(&map, x, y) != BK_NO_TRIANGLE,
+                             (x == 1 || x == 2) && (y == 1 || y == 2));
+    }
+    free(map.owners);
+}
+
+static void test_tile_size_does_not_matter(void **state)
+{
+    struct fixture *f = *state;
+    const uint32_t sizes[] = {1, 5, 16, 31, 200};
+    add_shaken_grid(f, 9);
+    add_quad(f, 0.1f, 0.1f, 0.6f, 0.7f);
+    struct map expected = rasterise(f, 70, 50, 2, 64);
+    for (int k = 0; k < 5; k++) {
+        struct map map = rasterise(f, 70, 50, 2, sizes[k]);
+        assert_memory_equal(map.owners, expected.owners, (size_t)map.columns * map.rows * 4);
+        assert_int_equal(map.overlaps, expected.overlaps);
+        free(map.owners);
+    }
+    /* 0.5 by 0.6 of the map, which the quad begins and ends on whole samples of. */
+    assert_int_equal(expected.overlaps, 70 * 60);
+    free(expected.owners);
+}
+
+static void test_first_triangle_wins(void **state)
+{
+    struct fixture *f = *state;
+    add_quad(f, 0, 0, 0.5f, 1);
+    add_quad(f, 0.25f, 0, 1, 1);
+    add_quad(f, 0.25f, 0, 0.5f, 1); /* third layer: its samples are counted already */
+    struct map map = rasterise(f, 400, 300, 1, 300);
+    assert_int_equal(map.covered, 400 * 300);
+    assert_int_equal(map.overlaps, 100 * 300);
+    for (uint32_t y = 0; y < 300; y++) {
+        for (uint32_t x = 0; x < 400; x++)
+            assert_int_equal(owner(&map, x, y) / 2, x < 200 ? 0 : 1);
+    }
+    free(map.owners);
+}
+
+static void test_mirrored_triangles_cover_the_same(void **state)
+{
+    struct fixture *f = *state;
+    add_shaken_grid(f, 5);
+    struct map expected = rasterise(f, 64, 64, 2, 16);
+    for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
+        float swapped[2];
+        memcpy(swapped, f->mesh.texcoords[t][1], sizeof(swapped));
+        memcpy(f->mesh.texcoords[t][1], f->mesh.texcoords[t][2], sizeof(swapped));
+        memcpy(f->mesh.texcoords[t][2], swapped, sizeof(swapped));
+    }
+    struct map map = rasterise(f, 64, 64, 2, 16);
+    assert_memory_equal(map.owners, expected.owners, (size_t)map.columns * map.rows * 4);
+    free(map.owners);
+    free(expected.owners);
+}
+
+static void test_outside_and_degenerate_are_counted(void **state)
+{
+    struct fixture *f = *state;
+    const float inside[2] = {0.5f, 0.5f}, corner[2] = {1, 1}, edge[2] = {0, 0.25f};
+    const float beyond[2] = {1.5f, 0.5f}, below[2] = {0.5f, -1e-6f}, far_away[2] = {1e30f, 0.5f};
+    const float line[3][2] = {{0.1f, 0.1f}, {0.2f, 0.2f}, {0.4f, 0.4f}};
+    const float nan_corner[2] = {NAN, 0.5f}, infinite[2] = {0.5f, -INFINITY};
+
+    add_triangle(f, inside, corner, edge); /* touches the border only */
+    add_triangle(f, inside, corner, beyond);
+    add_triangle(f, inside, edge, below);
+    add_triangle(f, inside, edge, far_away);
+    add_triangle(f, inside, edge, nan_corner);
+    add_triangle(f, inside, edge, infinite);
+    add_triangle(f, line[0], line[1], line[2]);
+    add_triangle(f, inside, inside, corner);
+    struct map map = rasterise(f, 64, 64, 1, 64);
+    assert_int_equal(map.report.outside_triangles, 5);
+    assert_int_equal(map.report.degenerate_triangles, 2);
+    for (uint32_t k = 0; k < 64 * 64; k++)
+        assert_true(map.owners[k] == BK_NO_TRIANGLE || map.owners[k] < 3);
+    free(map.owners);
+}
+
+static void test_empty_tiles_are_left_out(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_raster_report report;
+    struct bake_raster *raster = create(f, 64, 64, 1, 16, &report);
+    assert_int_equal(bake_raster_tile_count(raster), 0);
+    bake_raster_free(raster);
+
+    add_quad(f, 0.26f, 0.01f, 0.49f, 0.19f);
+    add_quad(f, 0.3f, 0.8f, 0.7f, 0.9f);
+    raster = create(f, 64, 60, 1, 16, &report);
+    assert_int_equal(bake_raster_tile_count(raster), 3);
+    const struct bk_tile expected[3] = {{16, 0, 16, 16}, {32, 0, 16, 16}, {16, 48, 16, 12}};
+    for (uint32_t k = 0; k < 3; k++) {
+        struct bk_tile tile = bake_raster_tile(raster, k);
+        assert_memory_equal(&tile, &expected[k], sizeof(tile));
+    }
+    bake_raster_free(raster);
+}
+
+static void test_senseless_options_are_refused(void **state)
+{
+    struct fixture *f = *state;
+    const struct bake_raster_options options[] = {{0, 64, 1, 16},
+                                                  {64, 64, 0, 16},
+                                                  {64, 64, 1, 0},
+                                                  {UINT32_MAX, 64, 2, 64},
+                                                  {1 << 20, 64, 1 << 20, 64},
+                                                  {1 << 20, 1 << 20, 1, 1}};
+    for (int k = 0; k < 6; k++) {
+        struct bake_raster_report report;
+        struct bake_raster *raster = NULL;
+        bsq_clear_error(f->ctx);
+        assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options[k], &report, &raster),
+                         BSQ_EUSAGE);
+        assert_null(raster);
+        assert_true(strlen(bsq_error(f->ctx)) > 0);
+    }
+}
+
+/* Whatever allocation the budget stops, nothing stays behind. */
+static void test_small_budgets_fail_cleanly(void **state)
+{
+    struct fixture *f = *state;
+    const struct bake_raster_options options = {256, 256, 1, 16};
+    int rc = BSQ_ENOMEM, failures = 0;
+    add_shaken_grid(f, 8);
+    for (uint64_t budget = 1; rc != 0; budget += 64) {
+        struct bsq_ctx *ctx = NULL;
+        struct bake_raster_report report;
+        struct bake_raster *raster = NULL;
+        assert_int_equal(
+            bsq_ctx_create(&(struct bsq_ctx_options){.memory_bytes = budget, .threads = 1}, &ctx),
+            0);
+        rc = bake_raster_create(ctx, &f->mesh, &options, &report, &raster);
+        assert_true(rc == 0 || (rc == BSQ_ENOMEM && raster == NULL));
+        assert_true(bsq_memory_high(ctx) <= budget);
+        failures += rc != 0;
+        bake_raster_free(raster);
+        assert_int_equal(bsq_memory_used(ctx), 0);
+        bsq_ctx_destroy(ctx);
+    }
+    assert_true(failures > 4);
+}
+
+/* ---- kernel triangles ---- */
+
+/* At a sample of a triangle, the weights must give back the sample's own map position. */
+static void check_weights(const struct fixture *f, const struct map *map, uint32_t n,
+                          const struct bk_triangle *triangles, double tolerance)
+{
+    for (uint32_t y = 0; y < map->rows; y++) {
+        for (uint32_t x = 0; x < map->columns; x++) {
+            uint32_t t = owner(map, x, y);
+            if (t == BK_NO_TRIANGLE)
+                continue;
+            const struct bk_triangle *k = &triangles[t];
+            const float(*uv)[2] = (const float(*)[2])f->mesh.texcoords[t];
+            double dx = (x + 0.5) / n - (double)k->x0, dy = (y + 0.5) / n - (double)k->y0;
+            double w1 = k->b1[0] * dx + k->b1[1] * dy + k->b1[2];
+            double w2 = k->b2[0] * dx + k->b2[1] * dy + k->b2[2], w0 = 1 - w1 - w2;
+            double u = w0 * uv[0][0] + w1 * uv[1][0] + w2 * uv[2][0];
+            double v = w0 * uv[0][1] + w1 * uv[1][1] + w2 * uv[2][1];
+            assert_true(fmin(w0, fmin(w1, w2)) > -0.1);
+            if (!(fabs(u * map->columns - x - 0.5) < tolerance &&
+                  fabs((1 - v) * map->rows - y - 0.5) < tolerance))
+                fail_msg("triangle %u: sample (%u, %u) at (%.9g, %.9g)", t, x, y,
+                         u * map->columns - 0.5, (1 - v) * map->rows - 0.5);
+        }
+    }
+}
+
+static void check_attributes(const struct fixture *f, const struct bk_triangle *triangles)
+{
+    for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
+        const struct bk_triangle *k = &triangles[t];
+        assert_true(k->x0 == floorf(k->x0) && k->y0 == floorf(k->y0));
+        for (int i = 0; i < 3; i++) {
+            const float *uv = f->mesh.texcoords[t][i];
+            assert_float_equal(k->position[i][0], 8 * uv[0], 1e-5);
+            assert_float_equal(k->position[i][1], 12 * uv[1], 1e-5);
+            assert_float_equal(k->position[i][2], -200 * uv[0], 1e-3);
+        }
+        assert_memory_equal(k->normal, f->mesh.normals[t], sizeof(k->normal));
+        assert_memory_equal(k->tangent, f->mesh.tangents[t], sizeof(k->tangent));
+    }
+}
+
+/* Returns the triangles; free() them. */
+static struct bk_triangle *check_kernel_triangles(struct fixture *f, uint32_t width,
+                                                  uint32_t height, uint32_t n, double tolerance)
+{
+    const double translation[3] = {100, 200, 0};
+    struct bake_raster_report report;
+    struct bake_raster *raster = create(f, width, height, n, 64, &report);
+    struct bk_triangle *triangles = resized(NULL, f->mesh.triangle_count, sizeof(*triangles));
+    struct map map = rasterise(f, width, height, n, 64);
+
+    memset(triangles, 0xff, f->mesh.triangle_count * sizeof(*triangles));
+    bake_raster_kernel_triangles(raster, translation, 0.25, triangles);
+    check_weights(f, &map, n, triangles, tolerance);
+    free(map.owners);
+    bake_raster_free(raster);
+    return triangles;
+}
+
+static void test_kernel_triangles(void **state)
+{
+    struct fixture *f = *state;
+    add_shaken_grid(f, 13);
+    struct bk_triangle *triangles = check_kernel_triangles(f, 100, 60, 3, 1e-3);
+    check_attributes(f, triangles);
+    free(triangles);
+    free(check_kernel_triangles(f, 16384, 8, 1, 0.1));
+}
+
+/* Slivers around the map's diagonal, some thinner than the lattice: their samples must not be
+ * extrapolated. Float weights place them a little off along a sliver of 2000 samples. */
+static void test_kernel_triangles_of_slivers(void **state)
+{
+    struct fixture *f = *state;
+    const float a[2] = {0.01f, 0.013f}, b[2] = {0.97f, 0.96f};
+    float last[2] = {0.5f, 0.45f};
+    for (int k = 1; k <= 24; k++) {
+        const float offset = ldexpf(0.05f, -k);
+        const float next[2] = {0.5f, 0.5f - offset};
+        add_triangle(f, a, last, next);
+        add_triangle(f, b, next, last);
+        memcpy(last, next, sizeof(last));
+    }
+    free(check_kernel_triangles(f, 1024, 1024, 2, 4));
+    free(check_kernel_triangles(f, 4096, 64, 4, 4));
+}
+
+static void test_kernel_triangles_without_area_are_zero(void **state)
+{
+    struct fixture *f = *state;
+    const float a[2] = {0.1f, 0.1f}, b[2] = {0.7f, 0.3f};
+    struct bake_raster_report report;
+    struct bk_triangle triangle, zero;
+
+    add_triangle(f, a, b, a);
+    struct bake_raster *raster = create(f, 64, 64, 1, 64, &report);
+    memset(&zero, 0, sizeof(zero));
+    memset(&triangle, 0xff, sizeof(triangle));
+    bake_raster_kernel_triangles(raster, (const double[3]){0, 0, 0}, 1, &triangle);
+    assert_memory_equal(&triangle, &zero, sizeof(zero));
+    bake_raster_free(raster);
+}
+
+#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(test_random_triangles),
+        TEST(test_far_corners),
+        TEST(test_triangulated_square_is_covered_once),
+        TEST(test_edges_on_sample_centres),
+        TEST(test_fan_of_slivers_is_covered_once),
+        TEST(test_orientation_of_the_map),
+        TEST(test_top_left_rule),
+        TEST(test_tile_size_does_not_matter),
+        TEST(test_first_triangle_wins),
+        TEST(test_mirrored_triangles_cover_the_same),
+        TEST(test_outside_and_degenerate_are_counted),
+        TEST(test_empty_tiles_are_left_out),
+        TEST(test_senseless_options_are_refused),
+        TEST(test_small_budgets_fail_cleanly),
+        TEST(test_kernel_triangles),
+        TEST(test_kernel_triangles_of_slivers),
+        TEST(test_kernel_triangles_without_area_are_zero),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

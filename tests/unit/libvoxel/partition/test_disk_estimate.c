@@ -1,0 +1,186 @@
+/* What sorting needs on disk is known before it starts. The free space is made up here. */
+#include "libvoxel/partition/disk_estimate.h"
+#include "base/file.h"
+
+#include <setjmp.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+#define MIB ((uint64_t)1 << 20)
+
+static uint64_t free_bytes;
+
+/* Instead of the C library's. */
+int statvfs(const char *path, struct statvfs *info)
+{
+    (void)path;
+    *info = (struct statvfs){.f_frsize = 1, .f_bsize = 1, .f_bavail = free_bytes};
+    return 0;
+}
+
+enum { COLORS = 1, NORMALS = 2, QUADS = 4, TILES = 8 };
+
+/* A wavy grid of n x n quads. Tiles: faces of each row follow its vertices. */
+static void write_scan(const char *path, unsigned n, unsigned flags)
+{
+    FILE *file = fopen(path, "wb");
+    for (unsigned y = 0; y <= n; y++) {
+        for (unsigned x = 0; x <= n; x++) {
+            fprintf(file, "v %.5f %.5f %.5f", x * 0.01, y * 0.01, (x * 7 + y * 5) % 13 * 0.003);
+            fputs(flags & COLORS ? " 0.2 0.4 0.6\n" : "\n", file);
+            if (flags & NORMALS)
+                fputs("vn 0.1 0.2 0.97\n", file);
+        }
+        for (unsigned x = 1; flags & TILES && y > 0 && x <= n; x++)
+            fprintf(file, "f %u %u %u %u\n", (y - 1) * (n + 1) + x, (y - 1) * (n + 1) + x + 1,
+                    y * (n + 1) + x + 1, y * (n + 1) + x);
+    }
+    for (unsigned y = 0; !(flags & TILES) && y < n; y++)
+        for (unsigned x = 1; x <= n; x++) {
+            unsigned a = y * (n + 1) + x, b = a + 1, c = a + n + 1, d = c + 1;
+            if (flags & NORMALS)
+                fprintf(file, "f %u//%u %u//%u %u//%u\nf %u//%u %u//%u %u//%u\n", a, a, b, b, c, c,
+                        b, b, d, d, c, c);
+            else if (flags & QUADS)
+                fprintf(file, "f %u %u %u %u\n", a, b, d, c);
+            else
+                fprintf(file, "f %u %u %u\nf %u %u %u\n", a, b, c, b, d, c);
+        }
+    assert_int_equal(fclose(file), 0);
+}
+
+struct fixture {
+    char directory[40], obj[60], tris[60];
+    struct bsq_ctx *ctx;
+};
+
+static int set_up(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    strcpy(f->directory, "/tmp/bisque-test.XXXXXX");
+    assert_non_null(mkdtemp(f->directory));
+    snprintf(f->obj, sizeof f->obj, "%s/scan.obj", f->directory);
+    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
+    *state = f;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    bsq_ctx_destroy(f->ctx);
+    unlink(f->obj);
+    unlink(f->tris);
+    int status = rmdir(f->directory); /* nothing else is left */
+    free(f);
+    return status;
+}
+
+static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_sort_report *report)
+{
+    const char *paths[1] = {f->obj};
+    struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    struct bsq_ctx_options ctx_options = {.memory_bytes = 128 * MIB, .threads = 2};
+    bsq_ctx_destroy(f->ctx);
+    assert_int_equal(bsq_ctx_create(&ctx_options, &f->ctx), 0);
+    return vox_sort_with_limits(f->ctx, &options, limits, report);
+}
+
+static struct fmt_obj_estimate estimate(struct fixture *f)
+{
+    const char *paths[1] = {f->obj};
+    struct fmt_obj_reader *reader;
+    struct fmt_obj_estimate result;
+    bsq_ctx_destroy(f->ctx);
+    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    assert_int_equal(fmt_obj_open(f->ctx, paths, 1, &reader), 0);
+    assert_int_equal(fmt_obj_estimate(reader, &result), 0);
+    fmt_obj_close(reader);
+    return result;
+}
+
+static void estimates_are_near_the_truth(void **state)
+{
+    struct fixture *f = *state;
+    static const unsigned kinds[] = {0, COLORS, NORMALS, QUADS, QUADS | COLORS, TILES};
+    free_bytes = UINT64_MAX / 4;
+    for (size_t k = 0; k < sizeof kinds / sizeof *kinds; k++)
+        for (int spilled = 0; spilled < 2; spilled++) {
+            const unsigned n = 300;
+            struct vox_sort_report report;
+            struct sort_limits limits;
+            write_scan(f->obj, n, kinds[k]);
+            vox_sort_limits_for(128 * MIB, 2, &limits);
+            if (spilled)
+                limits.column_bytes = limits.page_memory = 0;
+            struct fmt_obj_estimate scan = estimate(f);
+            bsq_ctx_destroy(f->ctx);
+            f->ctx = NULL;
+            struct space space = vox_disk_estimate(&scan, &limits);
+            assert_int_equal(scan.faces_come_last, !(kinds[k] & TILES));
+            assert_int_equal(scan.has_colors, !!(kinds[k] & COLORS));
+            assert_int_equal(sort(f, &limits, &report), 0);
+            assert_true(labs((long)scan.vertices - (long)report.vertices) <
+                        (long)report.vertices / 10);
+            assert_true(labs((long)(scan.corners - 2 * scan.faces) - (long)report.triangles) <
+                        (long)report.triangles / 10);
+            assert_true(space.output_bytes > report.tris_bytes / 10 * 8);
+            assert_true(space.output_bytes < report.tris_bytes / 10 * 12);
+            assert_true(space.temp_bytes >= report.temp_bytes / 2);
+            assert_true(space.temp_bytes <= report.temp_bytes * 2);
+            assert_int_equal(spilled, space.temp_bytes > 0);
+        }
+}
+
+static void a_full_disk_is_found_before_the_work(void **state)
+{
+    struct fixture *f = *state;
+    struct vox_sort_report report;
+    struct sort_limits limits;
+    char needed[60], available[60];
+    vox_sort_limits_for(128 * MIB, 2, &limits);
+    write_scan(f->obj, 300, 0);
+    struct fmt_obj_estimate scan = estimate(f);
+    uint64_t bytes = vox_disk_estimate(&scan, &limits).output_bytes;
+    free_bytes = bytes - 1;
+    assert_int_equal(sort(f, &limits, &report), BSQ_EIO);
+    snprintf(needed, sizeof needed, ": %llu bytes are needed", (unsigned long long)bytes);
+    snprintf(available, sizeof available, ", %llu are free", (unsigned long long)bytes - 1);
+    assert_non_null(strstr(bsq_error(f->ctx), needed));
+    assert_non_null(strstr(bsq_error(f->ctx), available));
+    assert_int_equal(report.vertices, 0); /* not read */
+    assert_int_equal(access(f->tris, F_OK), -1);
+    free_bytes = bytes;
+    assert_int_equal(sort(f, &limits, &report), 0);
+}
+
+/* Temporary files beside the output need their room together with it. */
+static void outputs_and_temporary_files_share_a_disk(void **state)
+{
+    struct fixture *f = *state;
+    struct bsq_ctx_options elsewhere = {.tmpdir = "/proc"};
+    free_bytes = 100;
+    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 40), 0);
+    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 41), BSQ_EIO);
+    bsq_ctx_destroy(f->ctx);
+    assert_int_equal(bsq_ctx_create(&elsewhere, &f->ctx), 0);
+    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 41), 0);
+    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 101), BSQ_EIO);
+    assert_non_null(strstr(bsq_error(f->ctx), "/proc: 101 bytes are needed for temporary files"));
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(estimates_are_near_the_truth, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(a_full_disk_is_found_before_the_work, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(outputs_and_temporary_files_share_a_disk, set_up,
+                                        tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,281 @@
+/* The vertices of a batch: what records refer to comes from files, numbered anew, and records get
+ * their old numbers back. */
+#include "libvoxel/partition/vertex_buckets.h"
+#include "libvoxel/partition/gather_window.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+#include "tests/unit/libvoxel/sort_grid.h"
+
+#define VERTICES  100003u
+#define TEXCOORDS 40000u
+#define NORMALS   64u /* a whole word of marks */
+#define MOST      3000u
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct sort_limits limits;
+    struct scan scan;
+};
+
+/* An element's bytes follow from its column and number. */
+static void make_element(enum scan_column column, uint64_t index, uint32_t bytes, uint8_t *to)
+{
+    uint64_t seed = index * SCAN_COLUMN_COUNT + column + 1;
+    for (uint32_t i = 0; i < bytes; i++)
+        to[i] = (uint8_t)(sort_random(&seed) >> 8);
+}
+
+static void fill_column(struct scan *scan, enum scan_column number, uint64_t count, bool spilled)
+{
+    struct column *column = &scan->columns[number];
+    for (uint64_t i = 0; i < count; i++) {
+        uint8_t *at;
+        uint64_t room;
+        assert_int_equal(vox_spill_room(&column->spool, &at, &room), 0);
+        make_element(number, i, column->element_bytes, at);
+        vox_spill_advance(&column->spool, column->element_bytes);
+    }
+    if (spilled)
+        assert_int_equal(vox_spill_spill(&column->spool), 0);
+    assert_int_equal(vox_spill_finish(&column->spool), 0);
+}
+
+static int set_up(void **state)
+{
+    const struct bsq_ctx_options options = {
+        .memory_bytes = 128 * MIB, .threads = 3, .tmpdir = "/tmp"};
+    static const char *const paths[] = {"scan.obj"};
+    struct fixture *f = calloc(1, sizeof *f);
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    vox_sort_limits_for(128 * MIB, 3, &f->limits);
+    vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
+    *state = f;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    vox_scan_free(&f->scan);
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+    free(f);
+    return 0;
+}
+
+/* ---- records ---- */
+
+/* Corners in a few clusters, the first and the last element, and now and then none. */
+static uint64_t random_index(const struct scan *scan, enum face_kind kind, uint64_t *seed)
+{
+    const uint64_t count = scan_count(scan, scan_column_of(kind));
+    uint32_t choice = sort_random(seed) % 64;
+    if (count == 0)
+        return FMT_OBJ_NONE;
+    if (choice == 0)
+        return 0;
+    if (choice == 1)
+        return count - 1;
+    if (choice < 4 && kind != FACE_VERTEX)
+        return FMT_OBJ_NONE;
+    return choice < 8 ? sort_random(seed) % count
+                      : (choice * 7919 + sort_random(seed) % 300) % count;
+}
+
+static void make_records(const struct scan *scan, const struct record_layout *layout,
+                         uint32_t count, uint64_t seed, uint8_t *records)
+{
+    for (uint32_t c = 0; c < 3 * count; c++)
+        for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+            record_store(records + c / 3 * layout->bytes + c % 3 * layout->corner_bytes +
+                             layout->index_at[kind],
+                         random_index(scan, kind, &seed), layout->index_bytes[kind]);
+}
+
+/* Each corner has the element in the view that it had in the scan; elements are in the order of the
+ * scan, once each. */
+static void expect_view(const struct window *w, const uint8_t *old, const uint8_t *numbered,
+                        uint32_t count)
+{
+    const struct record_layout *layout = w->layout;
+    for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
+        const uint32_t width = layout->index_bytes[kind];
+        const uint64_t all = scan_count(w->scan, scan_column_of(kind));
+        for (uint32_t c = 0; width > 0 && c < 3 * count; c++) {
+            uint64_t at =
+                c / 3 * layout->bytes + c % 3 * layout->corner_bytes + layout->index_at[kind];
+            uint64_t before = record_load(old + at, width), now = record_load(numbered + at, width);
+            if (before >= all) {
+                assert_int_equal(now, before);
+                continue;
+            }
+            for (int i = 0; i < SCAN_COLUMN_COUNT; i++) {
+                const struct column *column = &w->view.columns[i];
+                uint8_t expected[12];
+                if ((int)scan_kind_of(i) != kind || !scan_keeps(w->scan, i))
+                    continue;
+                make_element(i, before, column->element_bytes, expected);
+                assert_true(now < column_count(column));
+                assert_memory_equal(column_at(column, now, column->element_bytes), expected,
+                                    column->element_bytes);
+            }
+        }
+    }
+}
+
+/* How many different vertices the records have, and that `used` has these. */
+static void expect_used(const struct window *w, const uint8_t *records, uint32_t count,
+                        const used_word *used)
+{
+    static bool seen[VERTICES];
+    uint64_t different = 0;
+    memset(seen, 0, sizeof seen);
+    for (uint32_t c = 0; c < 3 * count; c++) {
+        uint64_t v = record_vertex_index(w->layout, records + c / 3 * w->layout->bytes +
+                                                        c % 3 * w->layout->corner_bytes);
+        different += !seen[v];
+        seen[v] = true;
+        assert_true(used[v / 64] >> v % 64 & 1);
+    }
+    assert_int_equal(used_count(used, VERTICES), different);
+    if (w->kinds[FACE_VERTEX].active)
+        assert_int_equal(column_count(&w->view.columns[SCAN_POSITIONS]), different);
+}
+
+static void run_window(struct fixture *f, const struct record_layout *layout)
+{
+    struct window window;
+    uint64_t bytes = layout->bytes * (uint64_t)MOST + RECORD_SLACK,
+             before = bsq_memory_used(f->ctx);
+    uint8_t *records = calloc(bytes, 1), *numbered = calloc(bytes, 1);
+    assert_int_equal(vox_gather_open(&window, &f->scan, layout, MOST), 0);
+    assert_true(bsq_memory_used(f->ctx) - before <= vox_gather_bytes(&f->scan, 3) +
+                                                        MOST * vox_gather_triangle_bytes(&f->scan) +
+                                                        8 * 4096);
+    for (uint64_t round = 0; round < 4; round++) {
+        static used_word used[VERTICES / 64 + 1];
+        const uint32_t count = round == 0 ? 1 : round == 3 ? MOST : 500;
+        memset((void *)used, 0, sizeof used);
+        make_records(&f->scan, layout, count, round + 3, records);
+        memcpy(numbered, records, bytes);
+        vox_gather_clear(&window);
+        vox_gather_mark(&window, records, count / 2);
+        vox_gather_mark(&window, records + count / 2 * layout->bytes, count - count / 2);
+        assert_int_equal(vox_gather_fetch(&window, used), 0);
+        if (window.kinds[FACE_VERTEX].active)
+            expect_used(&window, records, count, used);
+        for (uint32_t t = 0; t < count; t++) {
+            uint64_t v = record_vertex_index(layout, records + t * layout->bytes);
+            uint8_t expected[12];
+            make_element(SCAN_POSITIONS, v, 12, expected);
+            assert_memory_equal(window_position(&window, v), expected, 12);
+        }
+        vox_gather_number(&window, numbered, count);
+        expect_view(&window, records, numbered, count);
+        vox_gather_restore(&window, numbered, count);
+        assert_memory_equal(numbered, records, bytes);
+    }
+    vox_gather_close(&window);
+    free(numbered);
+    free(records);
+}
+
+static void positions_alone_come_from_a_file(void **state)
+{
+    struct fixture *f = *state;
+    struct record_layout layout;
+    fill_column(&f->scan, SCAN_POSITIONS, VERTICES, true);
+    vox_record_layout_for(&f->scan, false, &layout);
+    assert_true(layout.plain && layout.windowed && layout.bytes == 12);
+    run_window(f, &layout);
+    f->limits.index_bytes = 5;
+    vox_record_layout_for(&f->scan, false, &layout);
+    assert_true(!layout.plain && layout.bytes == 15);
+    run_window(f, &layout);
+}
+
+/* Every choice of columns in files. */
+static void columns_in_memory_stay_there(void **state)
+{
+    struct fixture *f = *state;
+    for (unsigned spilled = 1; spilled < 1 << SCAN_COLUMN_COUNT; spilled++) {
+        static const uint64_t counts[SCAN_COLUMN_COUNT] = {VERTICES, VERTICES, TEXCOORDS, NORMALS};
+        struct record_layout layout;
+        for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+            fill_column(&f->scan, i, counts[i], spilled >> i & 1);
+        f->scan.attributes = FMT_TRIS_COLORS | FMT_TRIS_TEXCOORDS | FMT_TRIS_NORMALS;
+        f->scan.material_count = 300; /* two bytes behind the corners */
+        vox_record_layout_for(&f->scan, false, &layout);
+        assert_true(layout.windowed && !layout.plain);
+        run_window(f, &layout);
+        f->scan.material_count = 0;
+        vox_scan_free(&f->scan);
+        static const char *const paths[] = {"scan.obj"};
+        vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
+    }
+}
+
+/* ---- cells of vertices ---- */
+
+static void expect_cells(struct fixture *f, bool have_order)
+{
+    const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
+    const struct morton_cube cube = morton_cube_over(low, high);
+    struct vertex_cells cells;
+    for (uint32_t levels = 1; levels <= VERTEX_CELLS_WIDE_LEVELS; levels++) {
+        assert_int_equal(vox_vertex_buckets_make(&f->scan, &cube, levels, &cells), 0);
+        for (uint64_t v = 0; v < column_count(&f->scan.columns[SCAN_POSITIONS]); v++) {
+            float p[3];
+            assert_int_equal(vox_spill_read(&f->scan.columns[SCAN_POSITIONS].spool, 12 * v, 12, p),
+                             0);
+            assert_int_equal(vertex_cell(&cells, v),
+                             morton_point_key(&cube, p) >> (MORTON_KEY_BITS - 3 * levels));
+        }
+        assert_true((cells.wide != NULL) == (levels > VERTEX_CELLS_NARROW_LEVELS) &&
+                    (!cells.wide || !cells.narrow));
+        if (levels > 2)
+            assert_int_equal(cells.have_order, have_order);
+        vox_vertex_buckets_free(&f->scan, &cells);
+    }
+}
+
+static void cells_of_vertices_are_those_of_their_keys(void **state)
+{
+    struct fixture *f = *state;
+    for (int order = 0; order < 2; order++) {
+        uint64_t seed = 5;
+        for (uint32_t v = 0; v < 30000; v++) {
+            float p[3] = {(float)(v % 1000), (float)(v / 1000 * 16), (float)(v / 5000 * 100)};
+            uint8_t *at;
+            uint64_t room;
+            for (int axis = 0; !order && axis < 3; axis++)
+                p[axis] = (float)(sort_random(&seed) % 1001);
+            assert_int_equal(vox_spill_room(&f->scan.columns[SCAN_POSITIONS].spool, &at, &room), 0);
+            memcpy(at, p, 12);
+            vox_spill_advance(&f->scan.columns[SCAN_POSITIONS].spool, 12);
+        }
+        assert_int_equal(vox_spill_spill(&f->scan.columns[SCAN_POSITIONS].spool), 0);
+        assert_int_equal(vox_spill_finish(&f->scan.columns[SCAN_POSITIONS].spool), 0);
+        expect_cells(f, order);
+        static const char *const paths[] = {"scan.obj"};
+        vox_scan_free(&f->scan);
+        vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
+    }
+}
+
+int main(void)
+{
+#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+    const struct CMUnitTest tests[] = {
+        TEST(positions_alone_come_from_a_file),
+        TEST(columns_in_memory_stay_there),
+        TEST(cells_of_vertices_are_those_of_their_keys),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,114 @@
+/* Triangles' corners as bytes: what goes in comes out, and ordinary meshes take two bytes a
+ * triangle. */
+#include "libvoxel/read/corner_delta_code.h"
+#include "formats/mesh/obj.h"
+
+#include <setjmp.h>
+#include <stdlib.h>
+#include <cmocka.h>
+
+enum { COUNT = 3000 };
+
+static uint64_t next(uint64_t *seed)
+{
+    *seed ^= *seed << 13;
+    *seed ^= *seed >> 7;
+    return *seed ^= *seed << 17;
+}
+
+/* Codes, decodes and compares; returns the bytes that it took. */
+static uint64_t round_trip(const uint64_t (*triangles)[3], uint64_t count)
+{
+    uint8_t *bytes = malloc(count * CORNER_CODE_MAX + CORNER_CODE_SLACK), *to = bytes;
+    struct corner_code code = {0};
+    for (uint64_t t = 0; t < count; t++) {
+        uint8_t *end = corner_code_put(&code, triangles[t], to);
+        assert_in_range(end - to, 1, CORNER_CODE_MAX);
+        to = end;
+    }
+    memset(to, 0, CORNER_CODE_SLACK);
+    const uint8_t *from = bytes;
+    code = (struct corner_code){0};
+    for (uint64_t t = 0; t < count; t++) {
+        uint64_t index[3];
+        from = corner_code_get(&code, from, index);
+        assert_memory_equal(index, triangles[t], sizeof index);
+    }
+    assert_ptr_equal(from, to);
+    const uint64_t size = (uint64_t)(to - bytes);
+    free(bytes);
+    return size;
+}
+
+/* Any numbers, the extremes and repetitions among them. */
+static void any_indices_come_back(void **state)
+{
+    (void)state;
+    uint64_t(*triangles)[3] = malloc(COUNT * sizeof *triangles);
+    for (uint64_t seed = 1; seed <= 50; seed++) {
+        uint64_t random = seed;
+        for (int t = 0; t < COUNT; t++)
+            for (int k = 0; k < 3; k++) {
+                uint64_t kind = next(&random) % 8;
+                triangles[t][k] = kind == 0           ? FMT_OBJ_NONE
+                                  : kind == 1         ? next(&random) % 3
+                                  : kind < 5 && t > 0 ? triangles[t - 1][next(&random) % 3]
+                                                      : next(&random) >> next(&random) % 64;
+            }
+        round_trip((const uint64_t(*)[3])triangles, COUNT);
+    }
+    free(triangles);
+}
+
+/* Rows of n quads, two triangles each; to be freed. */
+static uint64_t (*make_grid(uint64_t n))[3]
+{
+    uint64_t(*triangles)[3] = malloc(2 * n * n * sizeof *triangles), count = 0;
+    for (uint64_t y = 0; y < n; y++)
+        for (uint64_t x = 0; x < n; x++) {
+            uint64_t a = y * (n + 1) + x, b = a + 1, c = a + n + 1, d = c + 1;
+            const uint64_t pair[2][3] = {{a, b, c}, {b, d, c}};
+            memcpy(triangles[count], pair, sizeof pair);
+            count += 2;
+        }
+    return triangles;
+}
+
+/* A new corner a triangle, near the last one but for row ends. */
+static void grids_take_two_bytes(void **state)
+{
+    (void)state;
+    enum { N = 50 };
+    uint64_t(*triangles)[3] = make_grid(N), count = 2 * N * N;
+    assert_in_range(round_trip((const uint64_t(*)[3])triangles, count), 2 * count,
+                    2 * count + 4 * N);
+    free(triangles);
+}
+
+/* In any order: control and widths, four bytes to the first corner, one to its neighbour in the row
+ * and two to the one in the next row, some 400 numbers away; seldom less, where a corner is the
+ * last triangle's or near. */
+static void grids_without_order_take_nine_bytes(void **state)
+{
+    (void)state;
+    enum { N = 400 };
+    uint64_t(*triangles)[3] = make_grid(N), count = 2 * N * N, random = 5;
+    for (uint64_t t = count - 1; t > 0; t--) {
+        uint64_t other = next(&random) % (t + 1), moving[3];
+        memcpy(moving, triangles[t], sizeof moving);
+        memcpy(triangles[t], triangles[other], sizeof moving);
+        memcpy(triangles[other], moving, sizeof moving);
+    }
+    assert_in_range(round_trip((const uint64_t(*)[3])triangles, count), 8 * count, 9.5 * count);
+    free(triangles);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(any_indices_come_back),
+        cmocka_unit_test(grids_take_two_bytes),
+        cmocka_unit_test(grids_without_order_take_nine_bytes),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

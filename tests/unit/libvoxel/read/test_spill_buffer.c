@@ -1,0 +1,153 @@
+/* Spools: what is appended comes back, while another thread touches the memory ahead, in memory and
+ * in a file; and that memory is there before it is filled. */
+#include "libvoxel/read/spill_buffer.h"
+
+#include <pthread.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+#define MIB ((uint64_t)1 << 20)
+
+static struct bsq_ctx *create(void)
+{
+    struct bsq_ctx_options options = {.memory_bytes = 256 * MIB, .threads = 2, .tmpdir = "/tmp"};
+    struct bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+static uint8_t expected_byte(uint64_t at)
+{
+    return (uint8_t)(at * 7 + at / 251 + 1);
+}
+
+static void append(struct spool *spool, uint64_t size)
+{
+    for (uint64_t done = 0; done < size;) {
+        uint8_t *at;
+        uint64_t room, begin = spool->bytes;
+        assert_int_equal(vox_spill_room(spool, &at, &room), 0);
+        room = room < 5000 ? room : 5000;
+        room = room < size - done ? room : size - done;
+        for (uint64_t i = 0; i < room; i++)
+            at[i] = expected_byte(begin + i);
+        vox_spill_advance(spool, room);
+        done += room;
+    }
+}
+
+static void expect_content(struct spool *spool, uint64_t size)
+{
+    uint8_t *all = malloc(size);
+    assert_non_null(all);
+    assert_int_equal(spool->bytes, size);
+    assert_int_equal(vox_spill_read(spool, 0, size, all), 0);
+    for (uint64_t i = 0; i < size; i++)
+        if (all[i] != expected_byte(i))
+            fail_msg("byte %llu", (unsigned long long)i);
+    free(all);
+}
+
+struct toucher {
+    struct spool *spool;
+    atomic_bool stop;
+};
+
+static void *touch(void *arg)
+{
+    struct toucher *toucher = arg;
+    while (!atomic_load(&toucher->stop))
+        vox_spill_touch_ahead(toucher->spool);
+    return NULL;
+}
+
+static void content_stays_while_others_touch(void **state)
+{
+    (void)state;
+    static const uint64_t segments[] = {100000, 5 * MIB + 4096, 6 * MIB};
+    for (int s = 0; s < 3; s++)
+        for (int spilled = 0; spilled < 2; spilled++) {
+            struct bsq_ctx *ctx = create();
+            struct spool spool;
+            struct toucher toucher = {.spool = &spool};
+            pthread_t thread;
+            vox_spill_init(&spool, ctx, "testing", "/tmp/x", segments[s]);
+            assert_int_equal(pthread_create(&thread, NULL, touch, &toucher), 0);
+            append(&spool, 17 * MIB);
+            if (spilled)
+                assert_int_equal(vox_spill_spill(&spool), 0);
+            append(&spool, 3 * MIB);
+            atomic_store(&toucher.stop, true);
+            assert_int_equal(pthread_join(thread, NULL), 0);
+            assert_int_equal(vox_spill_finish(&spool), 0);
+            expect_content(&spool, 20 * MIB);
+            vox_spill_free(&spool);
+            assert_int_equal(bsq_memory_used(ctx), 0);
+            bsq_ctx_destroy(ctx);
+        }
+}
+
+/* How many of the pages are resident. */
+static uint64_t resident(uint8_t *at, uint64_t size)
+{
+    const uint64_t page = (uint64_t)sysconf(_SC_PAGE_SIZE);
+    unsigned char *pages = calloc(size / page, 1);
+    uint64_t count = 0;
+    assert_non_null(pages);
+    assert_int_equal(mincore(at, size, pages), 0);
+    for (uint64_t i = 0; i < size / page; i++)
+        count += pages[i] & 1;
+    free(pages);
+    return count * page;
+}
+
+/* Two huge pages ahead of what is filled, and no more: a scan's last segment is not filled. */
+static void memory_is_there_before_it_is_filled(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create();
+    struct spool spool;
+    uint8_t *at;
+    uint64_t room;
+    vox_spill_init(&spool, ctx, "testing", "/tmp/x", 32 * MIB);
+    vox_spill_touch_ahead(&spool); /* nothing to touch yet */
+    assert_int_equal(vox_spill_room(&spool, &at, &room), 0);
+    uint8_t *segment = at;
+    if ((uintptr_t)segment % (2 * MIB) != 0) { /* checkers of addresses have blocks of their own */
+        vox_spill_free(&spool);
+        bsq_ctx_destroy(ctx);
+        skip();
+    }
+    if (madvise(segment, 1, MADV_POPULATE_WRITE) != 0) { /* systems that cannot */
+        vox_spill_free(&spool);
+        bsq_ctx_destroy(ctx);
+        skip();
+    }
+    for (int i = 0; i < 10; i++)
+        vox_spill_touch_ahead(&spool);
+    assert_int_equal(resident(segment, 4 * MIB), 4 * MIB);
+    assert_int_equal(resident(segment + 4 * MIB, 28 * MIB), 0);
+    append(&spool, 8 * MIB);
+    for (int i = 0; i < 10; i++)
+        vox_spill_touch_ahead(&spool);
+    assert_int_equal(resident(segment, 12 * MIB), 12 * MIB);
+    assert_int_equal(resident(segment + 12 * MIB, 20 * MIB), 0);
+    expect_content(&spool, 8 * MIB);
+    vox_spill_free(&spool);
+    bsq_ctx_destroy(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(content_stays_while_others_touch),
+        cmocka_unit_test(memory_is_there_before_it_is_filled),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

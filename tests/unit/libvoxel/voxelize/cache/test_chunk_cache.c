@@ -1,0 +1,144 @@
+/* What the cache of chunks gives up when it is full. */
+#include "libvoxel/voxelize/cache/chunk_cache.h"
+#include "tests/unit/libvoxel/scan_fixture.h"
+
+#include <fcntl.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+enum { LEFT, RIGHT, APART, CHUNKS };
+
+struct fixture {
+    char directory[64], tris[96];
+    struct bsq_ctx *ctx;
+    struct fmt_tris_file *file;
+    struct vox_lattice lattice;
+    struct vox_smooth *smooth;
+    struct vox_part parts[CHUNKS];
+    struct vox_chunks *chunks;
+};
+
+static void put_square(struct scan_mesh *mesh, uint32_t number, float x)
+{
+    for (uint32_t v = 0; v < 4; v++) {
+        float *p = mesh->positions[4 * number + v];
+        p[0] = x + (float)(v & 1);
+        p[1] = (float)(v >> 1);
+        p[2] = 0.0f;
+    }
+    for (uint32_t t = 0; t < 2; t++)
+        for (uint32_t k = 0; k < 3; k++)
+            mesh->triangles[2 * number + t][k] = 4 * number + (t == 0 ? k : 3 - k);
+}
+
+/* Three chunks, each a square of two triangles; two of them touch. Triangles are ten voxels wide,
+ * so a chunk's normals are made with the one that it touches. The boxes that the cache is told are
+ * such that the right one is needed last. */
+static int set_up(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    assert_non_null(f);
+    strcpy(f->directory, "/tmp/test_scan_chunks_XXXXXX");
+    assert_non_null(mkdtemp(f->directory));
+    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
+    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    struct scan_mesh mesh = scan_mesh_new(4 * CHUNKS, 2 * CHUNKS);
+    put_square(&mesh, LEFT, 0.0f);
+    put_square(&mesh, RIGHT, 1.0f);
+    put_square(&mesh, APART, 5.0f);
+    scan_write(f->ctx, f->tris, &mesh, (double[3]){0, 0, 0}, NULL, 0, 2);
+    scan_mesh_free(&mesh);
+    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &f->file), 0);
+    const struct fmt_tris_header *header = fmt_tris_get_header(f->file);
+    assert_int_equal(header->chunk_count, CHUNKS);
+    assert_int_equal(vox_lattice_init(f->ctx, header, f->tris, 0, 0.1, &f->lattice), 0);
+    assert_int_equal(vox_smooth_create(f->ctx, f->file, 1, 1 << 20, &f->smooth), 0);
+    for (uint32_t i = 0; i < CHUNKS; i++)
+        f->parts[i].chunk = i;
+    f->parts[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};
+    assert_int_equal(
+        vox_chunks_create(f->ctx, f->file, &f->lattice, f->parts, CHUNKS, f->smooth, 2, &f->chunks),
+        0);
+    *state = f;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    vox_chunks_destroy(f->chunks);
+    vox_smooth_destroy(f->smooth);
+    fmt_tris_close(f->file);
+    bsq_ctx_destroy(f->ctx);
+    unlink(f->tris);
+    assert_int_equal(rmdir(f->directory), 0);
+    free(f);
+    return 0;
+}
+
+/* A region that needs the chunk comes and goes; `next` is the origin's x of the one that needs it
+ * after that, 0: none. Returns the status of getting the chunk. */
+static int use(struct fixture *f, uint32_t chunk, int32_t next)
+{
+    struct vox_box box = {.lo = {next, 0, 0}, .hi = {next, 0, 0}};
+    const struct vox_chunk *content;
+    vox_chunks_expect(f->chunks, chunk, 1, next ? vox_region_first(&box) : VOX_REGION_KEY_NEVER);
+    int status = vox_chunks_acquire(f->chunks, chunk, &content);
+    if (status == 0)
+        vox_chunks_release(f->chunks, chunk);
+    vox_chunks_done(f->chunks, chunk);
+    return status;
+}
+
+/* What is read from now on is damaged. */
+static void damage(struct fixture *f, uint32_t chunk)
+{
+    int fd = open(f->tris, O_RDWR);
+    off_t at = (off_t)fmt_tris_chunks(f->file)[chunk].offset + 20;
+    uint8_t byte;
+    assert_int_equal(pread(fd, &byte, 1, at), 1);
+    byte ^= 1;
+    assert_int_equal(pwrite(fd, &byte, 1, at), 1);
+    close(fd);
+}
+
+/* The right chunk is lent to the left one before any region needs it. It passed for the one that is
+ * needed first, so what was needed earlier was given up for it. */
+static void a_chunk_lent_before_its_turn_is_not_kept_instead_of_others(void **state)
+{
+    struct fixture *f = *state;
+    assert_int_equal(use(f, LEFT, 128), 0);
+    assert_int_equal(use(f, APART, 0), 0);
+    damage(f, LEFT);
+    assert_int_equal(use(f, LEFT, 0), 0);
+    damage(f, RIGHT);
+    assert_int_equal(use(f, RIGHT, 0), BSQ_EDATA); /* this one was given up */
+}
+
+static void a_chunk_that_is_not_needed_any_more_goes_first(void **state)
+{
+    struct fixture *f = *state;
+    assert_int_equal(use(f, APART, 0), 0);
+    damage(f, APART);
+    assert_int_equal(use(f, LEFT, 1000), 0); /* with the right one beside it in the cache */
+    damage(f, LEFT);
+    assert_int_equal(use(f, LEFT, 0), 0);
+    assert_int_equal(use(f, APART, 0), BSQ_EDATA);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others,
+                                        set_up, tear_down),
+        cmocka_unit_test_setup_teardown(a_chunk_that_is_not_needed_any_more_goes_first, set_up,
+                                        tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

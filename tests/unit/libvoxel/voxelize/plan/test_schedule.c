@@ -1,0 +1,176 @@
+/* The schedule of regions: held against a list of all pairs, sorted by the definition of the grid
+ * file's order. */
+#include "libvoxel/voxelize/plan/schedule.h"
+#include "tests/unit/libvoxel/scan_fixture.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+struct pair {
+    int32_t origin[3];
+    uint32_t chunk;
+};
+
+/* Root keys hold origin / 4096 as unsigned numbers, x first; inside a tile regions go by x, y, z.
+ */
+static int compare_pairs(const void *a, const void *b)
+{
+    const struct pair *p = a, *q = b;
+    for (int axis = 0; axis < 3; axis++) {
+        uint32_t x = (uint32_t)p->origin[axis] >> 12, y = (uint32_t)q->origin[axis] >> 12;
+        if (x != y)
+            return x < y ? -1 : 1;
+    }
+    for (int axis = 0; axis < 3; axis++)
+        if (p->origin[axis] != q->origin[axis])
+            return p->origin[axis] < q->origin[axis] ? -1 : 1;
+    return p->chunk < q->chunk ? -1 : p->chunk > q->chunk;
+}
+
+static int32_t down_to_region(int32_t voxel)
+{
+    int32_t rest = voxel % 128;
+    return voxel - (rest < 0 ? rest + 128 : rest);
+}
+
+static uint64_t list_pairs(const struct vox_part *parts, uint32_t count, struct pair *pairs,
+                           uint64_t room)
+{
+    uint64_t n = 0, distinct = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const struct vox_box *b = &parts[i].box;
+        for (int32_t x = down_to_region(b->lo[0]); x <= b->hi[0]; x += 128)
+            for (int32_t y = down_to_region(b->lo[1]); y <= b->hi[1]; y += 128)
+                for (int32_t z = down_to_region(b->lo[2]); z <= b->hi[2]; z += 128, n++) {
+                    assert_true(n < room);
+                    pairs[n] = (struct pair){{x, y, z}, parts[i].chunk};
+                }
+    }
+    qsort(pairs, n, sizeof *pairs, compare_pairs);
+    for (uint64_t i = 0; i < n; i++)
+        if (i == 0 || compare_pairs(&pairs[i], &pairs[i - 1]) != 0)
+            pairs[distinct++] = pairs[i];
+    return distinct;
+}
+
+static bool same_region(struct vox_region_key a, struct vox_region_key b)
+{
+    return a.tile == b.tile && a.region == b.region;
+}
+
+/* The schedule's pairs are those listed, and each chunk comes when it was announced,
+ * or before, for another of its parts. */
+static void check_schedule(const struct vox_part *parts, uint32_t count)
+{
+    const uint64_t room = 2000000;
+    struct pair *pairs = calloc(room, sizeof *pairs);
+    assert_non_null(pairs);
+    uint64_t n = list_pairs(parts, count, pairs, room), at = 0;
+
+    struct bsq_ctx *ctx;
+    struct vox_schedule *schedule;
+    struct bsq_ctx_options options = {.memory_bytes = 1 << 20, .threads = 1};
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    assert_int_equal(vox_schedule_create(ctx, parts, count, &schedule), 0);
+    struct vox_region_key key, after, due[20];
+    uint32_t chunk;
+    assert_true(count <= 20);
+    bool in_parts = count > 0 && parts[count - 1].chunk < count - 1;
+    for (uint32_t i = 0; i < count; i++)
+        due[i] = VOX_REGION_KEY_NEVER;
+    for (uint32_t i = 0; i < count; i++) {
+        struct vox_region_key first = vox_region_first(&parts[i].box);
+        if (vox_region_before(first, due[parts[i].chunk]))
+            due[parts[i].chunk] = first;
+    }
+    while (vox_schedule_next(schedule, &key)) {
+        int32_t origin[3];
+        vox_region_origin(key, origin);
+        uint64_t first = at;
+        while (vox_schedule_chunk(schedule, &chunk, &after)) {
+            assert_true(at < n);
+            assert_memory_equal(origin, pairs[at].origin, sizeof origin);
+            assert_int_equal(chunk, pairs[at].chunk);
+            assert_true(vox_region_before(key, after));
+            assert_false(vox_region_before(due[chunk], key));
+            assert_true(in_parts || same_region(key, due[chunk]));
+            due[chunk] = after;
+            at++;
+        }
+        assert_true(at > first);
+    }
+    assert_int_equal(at, n);
+    for (uint32_t i = 0; i < count; i++)
+        assert_true(same_region(due[i], VOX_REGION_KEY_NEVER));
+    vox_schedule_destroy(schedule);
+    bsq_ctx_destroy(ctx);
+    free(pairs);
+}
+
+/* parts_of_chunk: how many parts each chunk has. */
+static void check_random_parts(uint32_t parts_of_chunk)
+{
+    uint64_t seed = 4711;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    static const double spreads[] = {100.0, 5000.0, 20000.0, 1000000000.0};
+    static const double sizes[] = {300.0, 1500.0, 6000.0, 4000.0};
+    for (int k = 0; k < 4; k++)
+        for (int round = 0; round < 10; round++) {
+            struct vox_part parts[20];
+            for (uint32_t i = 0; i < 20; i++) {
+                parts[i].chunk = i / parts_of_chunk;
+                for (int a = 0; a < 3; a++) {
+                    double at = spreads[k] * (2.0 * scan_random(&seed) - 1.0);
+                    parts[i].box.lo[a] = (int32_t)at;
+                    parts[i].box.hi[a] = (int32_t)(at + sizes[k] * scan_random(&seed)) + 1;
+                }
+            }
+            check_schedule(parts, 20);
+        }
+}
+
+static void test_random_boxes(void **state)
+{
+    (void)state;
+    check_random_parts(1);
+}
+
+/* A region gets a chunk once, however many of its parts touch it. */
+static void test_parts_of_one_chunk(void **state)
+{
+    (void)state;
+    check_random_parts(20);
+    check_random_parts(3);
+}
+
+static void test_ends_of_the_index(void **state)
+{
+    (void)state;
+    const int32_t end = 1 << 30;
+    struct vox_part parts[2] = {
+        {{{-end, -end, -end}, {-end + 200, -end, -end}}, 0},
+        {{{end - 200, end - 1, end - 1}, {end - 1, end - 1, end - 1}}, 1},
+    };
+    check_schedule(parts, 2);
+}
+
+static void test_no_chunks(void **state)
+{
+    (void)state;
+    struct vox_part none = {{{0, 0, 0}, {0, 0, 0}}, 0};
+    check_schedule(&none, 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_random_boxes),
+        cmocka_unit_test(test_parts_of_one_chunk),
+        cmocka_unit_test(test_ends_of_the_index),
+        cmocka_unit_test(test_no_chunks),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,190 @@
+/* Estimates of a grid's size: held against grids that are made, and against what is said of those
+ * that are not. */
+#include "libvoxel/voxelize/grid_estimate.h"
+#include "libvoxel/voxel.h"
+#include "tests/unit/libvoxel/scan_fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+static uint64_t free_bytes;
+
+/* A disk of any size: this one is found before the system's. */
+int statvfs(const char *path, struct statvfs *info)
+{
+    (void)path;
+    *info = (struct statvfs){.f_frsize = 1, .f_bsize = 1, .f_bavail = free_bytes};
+    return 0;
+}
+
+struct fixture {
+    char directory[64], tris[96], grid[96];
+    struct bsq_ctx *ctx;
+    unsigned warnings;
+    char warning[512];
+};
+
+static void keep_warning(void *user, const char *line)
+{
+    struct fixture *f = user;
+    f->warnings++;
+    snprintf(f->warning, sizeof f->warning, "%s", line);
+}
+
+static int set_up(void **state)
+{
+    struct fixture *f = calloc(1, sizeof *f);
+    struct bsq_ctx_options options = {
+        .memory_bytes = 256 << 20, .threads = 2, .on_warning = keep_warning, .user = f};
+    assert_non_null(f);
+    strcpy(f->directory, "/tmp/test_estimate_XXXXXX");
+    assert_non_null(mkdtemp(f->directory));
+    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
+    snprintf(f->grid, sizeof f->grid, "%s/scan.nvdb", f->directory);
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    free_bytes = UINT64_C(1) << 60;
+    *state = f;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    struct fixture *f = *state;
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+    unlink(f->tris);
+    unlink(f->grid);
+    assert_int_equal(rmdir(f->directory), 0);
+    free(f);
+    return 0;
+}
+
+static double estimate(const struct fixture *f, double voxel_size, uint64_t chunks_max)
+{
+    struct fmt_tris_file *file;
+    struct vox_lattice lattice;
+    double voxels;
+    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
+    assert_int_equal(
+        vox_lattice_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &lattice), 0);
+    assert_int_equal(vox_estimate_voxels(f->ctx, file, &lattice, chunks_max, &voxels), 0);
+    fmt_tris_close(file);
+    return voxels;
+}
+
+static int check(struct fixture *f, double voxel_size)
+{
+    struct fmt_tris_file *file;
+    struct vox_lattice lattice;
+    f->warnings = 0;
+    bsq_clear_error(f->ctx);
+    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
+    assert_int_equal(
+        vox_lattice_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &lattice), 0);
+    int status = vox_estimate_check(f->ctx, file, &lattice, false, f->grid);
+    fmt_tris_close(file);
+    return status;
+}
+
+static void test_estimates_are_those_of_grids(void **state)
+{
+    struct fixture *f = *state;
+    struct scan_mesh mesh = scan_sphere(10.0, 2.0);
+    scan_sort(&mesh);
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, mesh.triangle_count / 40);
+    scan_mesh_free(&mesh);
+    /* A ball's surface crosses 1.5 voxels per unit on average. */
+    assert_true(fabs(estimate(f, 0.5, UINT64_MAX) / (1.5 * 4 * M_PI * 400) - 1) < 0.02);
+    for (double size = 0.5; size > 0.03; size /= 2) {
+        struct vox_voxelize_options options = {
+            .tris_path = f->tris, .grid_path = f->grid, .voxel_size = size};
+        struct vox_voxelize_report report;
+        assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
+        double voxels = estimate(f, size, UINT64_MAX);
+        assert_true(fabs(voxels / (double)report.voxels - 1) < 0.03);
+        assert_true(fabs(estimate(f, size, 16) / voxels - 1) < 0.1);
+        double bytes = vox_estimate_bytes(voxels, false) / (double)report.grid_bytes;
+        assert_true(bytes < 1.2 &&
+                    (bytes > 0.8 || size > 0.04)); /* a small file is one of nodes and headers */
+    }
+}
+
+/* A quad of 1 x 1 along an axis: one voxel per unit of area. */
+static void write_quad(const struct fixture *f)
+{
+    static const float corners[4][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
+    static const uint32_t triangles[2][3] = {{0, 1, 2}, {0, 2, 3}};
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    memcpy(mesh.positions, corners, sizeof corners);
+    memcpy(mesh.triangles, triangles, sizeof triangles);
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 2);
+    scan_mesh_free(&mesh);
+}
+
+static void test_ordinary_grids_are_nothing_to_speak_of(void **state)
+{
+    struct fixture *f = *state;
+    write_quad(f);
+    assert_int_equal(check(f, 1.0 / 4096), 0);
+    assert_int_equal(f->warnings, 0);
+}
+
+static void test_huge_grids_of_few_triangles_are_warned_of(void **state)
+{
+    struct fixture *f = *state;
+    write_quad(f);
+    assert_int_equal(check(f, 1e-5), 0); /* 1e10 voxels of 11 bytes */
+    assert_int_equal(f->warnings, 1);
+    assert_non_null(strstr(
+        f->warning, "scan.nvdb: the grid will have about 1e+10 voxels of 1e-05 and take 102 GiB"));
+    assert_non_null(strstr(f->warning, "a scan of 2 triangles"));
+}
+
+/* Half of what is estimated must be there, twice; the surface might overlap itself. */
+static void test_grids_without_room_on_the_disk_are_refused(void **state)
+{
+    struct fixture *f = *state;
+    write_quad(f);
+    free_bytes = UINT64_C(110100000000);
+    assert_int_equal(check(f, 1e-5), 0);
+    free_bytes = UINT64_C(109900000000);
+    assert_int_equal(check(f, 1e-5), BSQ_EIO);
+    assert_non_null(strstr(bsq_error(f->ctx), "109900000000 are free"));
+    assert_int_equal(f->warnings, 1);
+    free_bytes = 4096 * 4096 * 11 + 100;
+    assert_int_equal(check(f, 1.0 / 4096), 0);
+    free_bytes = 4096 * 4096 * 11 - 100;
+    assert_int_equal(check(f, 1.0 / 4096), BSQ_EIO);
+    assert_int_equal(f->warnings, 0);
+}
+
+/* 2^32 leaves of 64 voxels are 2.7e11, of which an estimate may be twice. */
+static void test_grids_that_no_file_can_hold_are_refused(void **state)
+{
+    struct fixture *f = *state;
+    write_quad(f);
+    assert_int_equal(check(f, 1.4e-6), 0);
+    assert_int_equal(check(f, 1.3e-6), BSQ_EUSAGE);
+    assert_non_null(strstr(bsq_error(f->ctx), "scan.nvdb: about 5.9e+11 voxels of 1.3e-06"));
+    assert_int_equal(f->warnings, 0);
+}
+
+int main(void)
+{
+#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+    const struct CMUnitTest tests[] = {
+        TEST(test_estimates_are_those_of_grids),
+        TEST(test_ordinary_grids_are_nothing_to_speak_of),
+        TEST(test_huge_grids_of_few_triangles_are_warned_of),
+        TEST(test_grids_without_room_on_the_disk_are_refused),
+        TEST(test_grids_that_no_file_can_hold_are_refused),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

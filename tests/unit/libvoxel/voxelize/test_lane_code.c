@@ -1,0 +1,291 @@
+/* What is compiled for several kinds of instructions: the same bits from each, and right ones. */
+#include "libvoxel/voxelize/lanes/lane_code.h"
+#include "base/octahedral.h"
+#include "tests/unit/libvoxel/scan_fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+enum { KINDS_MAX = 3 };
+
+/* The kinds that this processor can run; *count of them. */
+static const struct vox_lane_code *const *kinds(size_t *count)
+{
+    static const struct vox_lane_code *found[KINDS_MAX];
+    *count = 0;
+    for (unsigned width = 2; width <= 8; width *= 2) {
+        const struct vox_lane_code *code = vox_lane_code_of(width);
+        if (code)
+            found[(*count)++] = code;
+        else
+            print_message("this processor has not the instructions for %u lanes\n", width);
+    }
+    return found;
+}
+
+enum { SUMS = 5003 };
+
+static void random_sum(uint64_t *seed, struct vox_sum *sum)
+{
+    double length = 0.0, *n = sum->normal;
+    for (int k = 0; k < 3; k++) {
+        n[k] = scan_random(seed) - 0.5;
+        length += n[k] * n[k];
+    }
+    sum->area = sqrt(length) * (1.0 + scan_random(seed));
+    for (int k = 0; k < 3; k++)
+        sum->center[k] = sum->area * (2.0 * scan_random(seed) - 1.0);
+    sum->grain =
+        sum->area * (scan_random(seed) < 0.1 ? VOX_SHADED * VOX_NO_AREA : scan_random(seed));
+}
+
+/* As struct fmt_nvdb_record describes them, one at a time. */
+static struct fmt_nvdb_record expected_record(const struct vox_sum *sum)
+{
+    const double *s = sum->normal, *c = sum->center;
+    double length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
+    double n[3] = {0.0, 0.0, 1.0};
+    for (int k = 0; k < 3 && length > 0.0; k++)
+        n[k] = s[k] / length;
+    double d = (n[0] * c[0] + n[1] * c[1] + n[2] * c[2]) / sum->area;
+    struct fmt_nvdb_record record = {
+        .normal = bsq_oct_pack(bsq_v3((float)n[0], (float)n[1], (float)n[2])),
+        .plane = (uint32_t)lrint(fmin(fmax(d, -0.87), 0.87) * 32767.0) & 0xffff,
+    };
+    record.plane |= (uint32_t)lrint(fmin(length / sum->area, 1.0) * 255.0) << 16;
+    record.plane |= sum->grain > 2.0 * sum->area
+                        ? FMT_NVDB_PLANE_SHADED
+                        : (uint32_t)lrint(sum->grain / sum->area * 7.0) << 26;
+    return record;
+}
+
+static void test_records(void **state)
+{
+    (void)state;
+    uint64_t seed = 12;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    struct vox_sum *sums = calloc(SUMS, sizeof *sums);
+    uint32_t *numbers = calloc(SUMS, sizeof *numbers);
+    struct fmt_nvdb_record *records = calloc(SUMS, sizeof *records);
+    assert_true(sums && numbers && records);
+    for (uint32_t i = 0; i < SUMS; i++) {
+        random_sum(&seed, &sums[i]);
+        numbers[i] = SUMS - 1 - i;
+    }
+    memset(sums[0].normal, 0, sizeof sums[0].normal); /* no direction */
+    for (int k = 0; k < 3; k++) {                     /* along the axes, both zeros beside them */
+        memset(sums[1 + k].normal, 0, sizeof sums[1 + k].normal);
+        sums[1 + k].normal[k] = -0.5;
+        sums[1 + k].normal[(k + 1) % 3] = -0.0;
+    }
+    size_t count;
+    const struct vox_lane_code *const *code = kinds(&count);
+    for (size_t c = 0; c < count; c++) {
+        memset(records, 0xff, SUMS * sizeof *records);
+        code[c]->make_records(sums, numbers, SUMS, records);
+        for (uint32_t i = 0; i < SUMS; i++) {
+            struct fmt_nvdb_record expected = expected_record(&sums[numbers[i]]);
+            assert_int_equal(records[i].normal, expected.normal);
+            assert_int_equal(records[i].plane, expected.plane);
+            assert_int_equal(records[i].color, 0);
+        }
+    }
+    free(sums);
+    free(numbers);
+    free(records);
+}
+
+enum { TRIANGLES = 3000 };
+
+/* A chunk of triangles of all small sizes about a region of 128^3. */
+struct soup {
+    double points[3 * TRIANGLES][4];
+    float normals[3 * TRIANGLES][4];
+    uint32_t colors[3 * TRIANGLES];
+    uint32_t triangles[TRIANGLES][3];
+    struct vox_box groups[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
+    bool stray[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
+};
+
+static void make_soup(struct soup *soup)
+{
+    uint64_t seed = 99;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    for (uint32_t t = 0; t < TRIANGLES; t++) {
+        double at[3], size = pow(10.0, 2.0 * scan_random(&seed) - 1.0);
+        for (int a = 0; a < 3; a++)
+            at[a] = 140.0 * scan_random(&seed) - 6.0;
+        for (uint32_t v = 3 * t; v < 3 * t + 3; v++) {
+            for (int a = 0; a < 3; a++) {
+                soup->points[v][a] = at[a] + size * (scan_random(&seed) - 0.5);
+                soup->normals[v][a] = (float)(scan_random(&seed) - 0.5);
+            }
+            soup->normals[v][3] = (float)(0.6 * scan_random(&seed) - 0.3);
+            soup->colors[v] = (uint32_t)(4294967296.0 * scan_random(&seed));
+            soup->triangles[t][v - 3 * t] = v;
+        }
+    }
+    for (uint32_t g = 0; g * VOX_GROUP_TRIANGLES < TRIANGLES; g++) {
+        soup->groups[g] = (struct vox_box){{-99, -99, -99}, {999, 999, 999}};
+        soup->stray[g] = g % 3 == 0;
+    }
+}
+
+static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
+{
+    struct fmt_tris_header header = {.attributes = FMT_TRIS_COLORS};
+    struct vox_shading shading;
+    struct vox_box region = {{0, 0, 0}, {127, 127, 127}}, window = {{0, 8, 0}, {127, 119, 127}};
+    struct vox_accumulator *sums[KINDS_MAX];
+    struct vox_block *block;
+    size_t count;
+    const struct vox_lane_code *const *code = kinds(&count);
+    assert_int_equal(vox_shading_init(ctx, &header, 0, &shading), 0);
+    assert_int_equal(vox_block_create(ctx, &block), 0);
+    for (size_t c = 0; c < count; c++) {
+        uint64_t counted = 0;
+        assert_int_equal(vox_accumulator_create(ctx, 64 << 20, true, &sums[c]), 0);
+        struct vox_accumulation what = {.shading = &shading,
+                                        .chunk = chunk,
+                                        .region = &region,
+                                        .window = &window,
+                                        .sums = sums[c],
+                                        .block = block};
+        assert_int_equal(code[c]->accumulate_chunk(&what, &counted), 0);
+        assert_true(sums[c]->sum_count > 10000);
+        assert_int_equal(sums[c]->sum_count, sums[0]->sum_count);
+        assert_memory_equal(sums[c]->sums + 1, sums[0]->sums + 1,
+                            sums[0]->sum_count * sizeof *sums[0]->sums);
+        assert_memory_equal(sums[c]->colors + 1, sums[0]->colors + 1,
+                            sums[0]->sum_count * sizeof *sums[0]->colors);
+        assert_memory_equal(sums[c]->brick_of, sums[0]->brick_of, sizeof sums[0]->brick_of);
+    }
+    for (size_t c = 0; c < count; c++)
+        vox_accumulator_destroy(sums[c]);
+    vox_block_destroy(ctx, block);
+    vox_shading_free(ctx, &shading);
+}
+
+static void test_sums(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx;
+    struct bsq_ctx_options options = {.memory_bytes = 512 << 20, .threads = 1};
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct soup *soup = calloc(1, sizeof *soup);
+    assert_non_null(soup);
+    make_soup(soup);
+    struct vox_chunk chunk = {
+        .source = {.triangle_count = TRIANGLES,
+                   .vertex_count = 3 * TRIANGLES,
+                   .colors = soup->colors,
+                   .triangles = (const uint32_t(*)[3])soup->triangles},
+        .points = (const double(*)[4])soup->points,
+        .last_cell = {999, 999, 999},
+        .groups = soup->groups,
+        .group_count = (TRIANGLES + VOX_GROUP_TRIANGLES - 1) / VOX_GROUP_TRIANGLES,
+    };
+    check_sums(ctx, &chunk);
+    chunk.normals = (const float(*)[4])soup->normals;
+    check_sums(ctx, &chunk);
+    chunk.stray = soup->stray;
+    check_sums(ctx, &chunk);
+    chunk.coarse = true;
+    check_sums(ctx, &chunk);
+    chunk.stray = NULL;
+    check_sums(ctx, &chunk);
+    free(soup);
+    bsq_ctx_destroy(ctx);
+}
+
+enum { RING_VERTICES = 100 };
+
+/* As struct vox_ring describes it, from scratch for one vertex. */
+static struct vox_ring expected_ring(const struct fmt_tris_chunk *chunk, uint32_t vertex)
+{
+    struct vox_ring ring = {.area = 0.0};
+    for (uint32_t t = 0; t < chunk->triangle_count; t++)
+        for (int i = 0; i < 3; i++) {
+            const uint32_t *v = chunk->triangles[t];
+            if (v[i] != vertex)
+                continue;
+            double corner[3][3], n[3], length;
+            for (int k = 0; k < 3; k++)
+                for (int a = 0; a < 3; a++)
+                    corner[k][a] = chunk->positions[v[(i + k) % 3]][a];
+            for (int a = 0; a < 3; a++) {
+                int b = (a + 1) % 3, c = (a + 2) % 3;
+                n[a] = (corner[1][b] - corner[0][b]) * (corner[2][c] - corner[0][c]) -
+                       (corner[1][c] - corner[0][c]) * (corner[2][b] - corner[0][b]);
+            }
+            length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+            for (int a = 0; a < 3; a++) {
+                ring.area_vector[a] += n[a];
+                ring.moment[a] +=
+                    length * (corner[0][a] + corner[1][a] + corner[2][a] - 3.0 * corner[0][a]);
+            }
+            ring.area += length;
+        }
+    return ring;
+}
+
+/* Vertex 0 has no ring of its own. */
+static void test_rings(void **state)
+{
+    (void)state;
+    uint64_t seed = 7;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    float positions[RING_VERTICES][3];
+    uint32_t triangles[3 * RING_VERTICES][3], ring_of[RING_VERTICES];
+    for (uint32_t v = 0; v < RING_VERTICES; v++) {
+        for (int a = 0; a < 3; a++)
+            positions[v][a] = (float)(10.0 * scan_random(&seed));
+        ring_of[v] = v;
+    }
+    for (uint32_t t = 0; t < 3 * RING_VERTICES; t++)
+        for (int i = 0; i < 3; i++)
+            triangles[t][i] = (t + (uint32_t)i * (1 + t % 7)) % RING_VERTICES;
+    const struct fmt_tris_chunk chunk = {.vertex_count = RING_VERTICES,
+                                         .triangle_count = 3 * RING_VERTICES,
+                                         .positions = (const float(*)[3])positions,
+                                         .triangles = (const uint32_t(*)[3])triangles};
+    struct vox_ring rings[KINDS_MAX][RING_VERTICES];
+    float normals[KINDS_MAX][RING_VERTICES][4];
+    size_t count;
+    const struct vox_lane_code *const *code = kinds(&count);
+    for (size_t c = 0; c < count; c++) {
+        memset(rings[c], 0, sizeof rings[c]);
+        code[c]->add_rings(&chunk, 0, chunk.triangle_count, ring_of, rings[c]);
+        assert_memory_equal(rings[c], rings[0], sizeof rings[c]);
+    }
+    for (uint32_t v = 1; v < RING_VERTICES; v++) {
+        const struct vox_ring expected = expected_ring(&chunk, v), *ring = &rings[0][v];
+        assert_true(fabs(ring->area - expected.area) < 1e-9);
+        for (int a = 0; a < 3; a++) {
+            assert_true(fabs(ring->area_vector[a] - expected.area_vector[a]) < 1e-9);
+            assert_true(fabs(ring->moment[a] - expected.moment[a]) < 1e-7);
+        }
+    }
+    const uint32_t empty = 9, finished = RING_VERTICES - 1; /* no multiple of any number of lanes */
+    for (size_t c = 0; c < count; c++) {
+        memset(&rings[c][empty], 0, sizeof rings[c][empty]);
+        code[c]->finish_rings(rings[c], ring_of, finished, 0.5, normals[c]);
+        assert_memory_equal(normals[c], normals[0], finished * sizeof normals[c][0]);
+        for (int k = 0; k < 4; k++)
+            assert_true(normals[c][empty][k] == 0.0f);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_records),
+        cmocka_unit_test(test_sums),
+        cmocka_unit_test(test_rings),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,408 @@
+/* From a chunk file to a grid file: counts against the exact sphere, records against analytic
+ * surfaces. */
+#include "base/octahedral.h"
+#include "tests/unit/sanitized.h"
+#include "voxelize_fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+#include <cmocka.h>
+
+/* ---- the sphere ---- */
+
+/* Voxels of an n^3 grid that an exact sphere of radius n / 2 about its centre touches: nearest
+ * corner
+ * <= R <= farthest corner. One octant is enough. */
+static uint64_t exact_sphere_voxels(int64_t n)
+{
+    int64_t half = n / 2, square = half * half;
+    uint64_t count = 0;
+    for (int64_t x = 0; x < half; x++)
+        for (int64_t y = 0; y < half; y++)
+            for (int64_t z = 0; z < half; z++) {
+                int64_t near = x * x + y * y + z * z;
+                int64_t far = near + 2 * (x + y + z) + 3;
+                count += near <= square && square <= far;
+            }
+    return 8 * count;
+}
+
+/* A polyhedron inside the sphere gives the same voxels if no voxel corner fits between the two.
+ * Corners next to the sphere are at least 1 / (2 R) from it; triangles with sides of up to 1.5
+ * voxels dip 1.5^2 / (6 R) below it. */
+static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
+{
+    struct vox_fixture *f = *state;
+    static const struct {
+        uint32_t resolution;
+        uint64_t voxels;
+    } table[] = {{4, 56},      {8, 272},      {16, 1160},     {32, 4760},     {64, 19232},
+                 {128, 77096}, {256, 308576}, {512, 1235144}, {1024, 4940816}};
+    const size_t count = sizeof table / sizeof table[0] - (TEST_SANITIZED ? 3 : 0);
+    for (size_t i = 0; i < count; i++) {
+        assert_int_equal(exact_sphere_voxels(table[i].resolution), table[i].voxels);
+        struct scan_mesh mesh = scan_sphere(table[i].resolution / 2.0, 1.5);
+        scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 30000);
+        struct vox_voxelize_report report = vox_make(f, table[i].resolution, 0.0);
+        assert_int_equal(report.voxels, table[i].voxels);
+        assert_int_equal(report.triangles, mesh.triangle_count);
+        scan_mesh_free(&mesh);
+        for (int a = 0; a < 3; a++) {
+            assert_int_equal(report.index_min[a], 0);
+            assert_int_equal(report.index_max[a], table[i].resolution - 1);
+        }
+    }
+}
+
+/* Normals and planes of a finely tessellated sphere against the sphere's. */
+static void test_sphere_records(void **state)
+{
+    struct vox_fixture *f = *state;
+    const double radius = 40.0;
+    struct scan_mesh mesh = scan_sphere(radius, 0.4);
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    struct vox_voxelize_report report = vox_make(f, 80, 0.0);
+    assert_int_equal(report.second_records, 0);
+    assert_false(report.has_color);
+
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    uint64_t found = 0;
+    for (int32_t x = 0; x < 80; x++)
+        for (int32_t y = 0; y < 80; y++)
+            for (int32_t z = 0; z < 80; z++) {
+                uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, z});
+                if (index == 0)
+                    continue;
+                found++;
+                struct fmt_nvdb_record record = fmt_nvdb_get(&grid, index);
+                double p[3] = {x + 0.5 - radius, y + 0.5 - radius, z + 0.5 - radius};
+                double r = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+                struct bsq_vec3 n = bsq_oct_unpack(record.normal);
+                double cosine = ((double)n.x * p[0] + (double)n.y * p[1] + (double)n.z * p[2]) / r;
+                /* The piece may lie at the voxel's far end: 0.87 voxels of 40. */
+                assert_true(cosine > cos(0.87 / 39.0 + 0.01));
+                assert_true(fabs(record_plane(record) - (radius - r)) < 0.02);
+                assert_true(record_coverage(record) > 0.99);
+                assert_int_equal(record.color, 0);
+            }
+    assert_int_equal(found, report.voxels);
+    assert_true(fabs(grid.info.translation[0] - (-radius + 0.5)) < 1e-12);
+    assert_true(fabs(grid.info.voxel_size - 1.0) < 1e-12);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* ---- borders ---- */
+
+static void set_box(struct scan_mesh *mesh, uint32_t first_quad, double lo, double hi)
+{
+    double at[3] = {lo, lo, lo}, top[3] = {hi, hi, hi}, d = hi - lo;
+    for (int a = 0; a < 3; a++) {
+        double u[3] = {0, 0, 0}, v[3] = {0, 0, 0}, mu[3] = {0, 0, 0}, mv[3] = {0, 0, 0};
+        u[(a + 1) % 3] = v[(a + 2) % 3] = d;
+        mu[(a + 1) % 3] = mv[(a + 2) % 3] = -d;
+        scan_set_quad(mesh, first_quad + 2 * (uint32_t)a, at, v, u);
+        scan_set_quad(mesh, first_quad + 2 * (uint32_t)a + 1, top, mu, mv);
+    }
+}
+
+static void test_box_that_ends_on_the_bounds(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(24, 12);
+    set_box(&mesh, 0, -0.3, 0.7);
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    for (uint32_t n = 1; n <= 21; n += 4) {
+        struct vox_voxelize_report report = vox_make(f, n, 0.0);
+        uint64_t inner = n > 2 ? n - 2 : 0;
+        assert_int_equal(report.voxels, (uint64_t)n * n * n - inner * inner * inner);
+    }
+}
+
+/* With a given voxel size every border belongs to the voxel above it. */
+static void test_box_on_the_lattice_of_a_voxel_size(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(24, 12);
+    set_box(&mesh, 0, -2.0, 3.0);
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    struct vox_voxelize_report report = vox_make(f, 0, 0.5);
+    /* Planes at -2 fill layer -4, planes at 3 layer 6: a shell of 11^3. */
+    for (int a = 0; a < 3; a++) {
+        assert_int_equal(report.index_min[a], -4);
+        assert_int_equal(report.index_max[a], 6);
+    }
+    assert_int_equal(report.voxels, 11 * 11 * 11 - 9 * 9 * 9);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int a = 0; a < 3; a++)
+        assert_true(grid.info.translation[a] == 0.25);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+static void test_flat_scan(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    scan_set_quad(&mesh, 0, (double[3]){5, 5, 5}, (double[3]){8, 0, 0}, (double[3]){0, 4, 0});
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    struct vox_voxelize_report report = vox_make(f, 16, 0.0);
+    assert_int_equal(report.voxels, 16 * 8);
+    assert_int_equal(report.index_max[2], 0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    struct fmt_nvdb_record record =
+        fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){3, 3, 0}));
+    struct bsq_vec3 n = bsq_oct_unpack(record.normal);
+    assert_true(n.z > 0.99999f);
+    /* The plane lies on the voxel's lower face. */
+    assert_true(fabs(record_plane(record) + 0.5) < 1e-4);
+    assert_true(record_coverage(record) == 1.0);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* ---- two sheets ---- */
+
+static void test_plate_thinner_than_a_voxel(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(8, 4);
+    /* Upper side at z = 0.7, lower side at z = 0.4 and smaller, so that some voxels have only one.
+     */
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.7}, (double[3]){8, 0, 0}, (double[3]){0, 8, 0});
+    scan_set_quad(&mesh, 1, (double[3]){0, 0, 0.4}, (double[3]){0, 8, 0}, (double[3]){4, 0, 0});
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    struct vox_voxelize_report report = vox_make(f, 0, 1.0);
+    /* Where a side ends on a border it touches the voxels beyond. These have records of no area:
+     * where both sides end, at y = 8, the two are equal. */
+    assert_int_equal(report.voxels, 9 * 9);
+    assert_int_equal(report.second_records, 4 * 8 + 5);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    uint64_t two = fmt_nvdb_find(&grid, (int32_t[3]){2, 5, 0});
+    uint64_t one = fmt_nvdb_find(&grid, (int32_t[3]){6, 5, 0});
+    assert_int_equal(fmt_nvdb_second(&grid, one), 0);
+    uint64_t second = fmt_nvdb_second(&grid, two);
+    assert_int_not_equal(second, 0);
+    struct fmt_nvdb_record up = fmt_nvdb_get(&grid, two), down = fmt_nvdb_get(&grid, second);
+    /* Equal areas: the sheet that came first is the first record. */
+    assert_true(bsq_oct_unpack(up.normal).z > 0.99999f);
+    assert_true(bsq_oct_unpack(down.normal).z < -0.99999f);
+    assert_true(fabs(record_plane(up) - 0.2) < 1e-4);
+    assert_true(fabs(record_plane(down) - 0.1) < 1e-4);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* The larger sheet is the first record whatever comes first, and one below a hundredth is dropped.
+ */
+static void test_second_sheet_is_the_smaller(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(12, 6);
+    scan_set_quad(&mesh, 0, (double[3]){0.1, 0.1, 0.7}, (double[3]){0.3, 0, 0},
+                  (double[3]){0, 0.3, 0});
+    scan_set_quad(&mesh, 1, (double[3]){0.1, 0.1, 0.4}, (double[3]){0, 0.8, 0},
+                  (double[3]){0.8, 0, 0});
+    scan_set_quad(&mesh, 2, (double[3]){1.1, 0.1, 0.4}, (double[3]){0.05, 0, 0},
+                  (double[3]){0, 0.05, 0});
+    vox_write_scan(f, &mesh);
+    vox_make(f, 0, 1.0);
+    struct fmt_nvdb_grid grid;
+    const int32_t origin[3] = {0, 0, 0};
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    uint64_t index = fmt_nvdb_find(&grid, origin);
+    assert_true(bsq_oct_unpack(fmt_nvdb_get(&grid, index).normal).z < -0.99999f);
+    assert_int_not_equal(fmt_nvdb_second(&grid, index), 0);
+    fmt_nvdb_close(f->ctx, &grid);
+
+    scan_set_quad(&mesh, 0, (double[3]){0.1, 0.1, 0.7}, (double[3]){0.05, 0, 0},
+                  (double[3]){0, 0.05, 0});
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    vox_make(f, 0, 1.0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    index = fmt_nvdb_find(&grid, origin);
+    assert_true(bsq_oct_unpack(fmt_nvdb_get(&grid, index).normal).z < -0.99999f);
+    assert_int_equal(fmt_nvdb_second(&grid, index), 0);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* ---- sums ---- */
+
+static void test_a_million_triangles_in_one_voxel(void **state)
+{
+    struct vox_fixture *f = *state;
+    /* Large ones that face up, then tiny ones of the same total area that lean: all must count. */
+    const uint32_t tiny = 1000000;
+    struct scan_mesh mesh = scan_mesh_new(4 + 3, 2 + tiny);
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){0.9, 0, 0}, (double[3]){0, 0.9, 0});
+    /* Area of each: 0.81 / 1e6; normal (1, 0, 1) / sqrt(2). */
+    double side = sqrt(2.0 * 0.81e-6);
+    scan_set_vertex(&mesh, 4, 0.5, 0.5, 0.5);
+    scan_set_vertex(&mesh, 5, 0.5, 0.5 + side, 0.5);
+    scan_set_vertex(&mesh, 6, 0.5 - side / sqrt(2.0), 0.5, 0.5 + side / sqrt(2.0));
+    for (uint32_t i = 0; i < tiny; i++)
+        scan_set_triangle(&mesh, 2 + i, 4, 5, 6);
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 65536);
+    scan_mesh_free(&mesh);
+    vox_make(f, 0, 1.0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    struct fmt_nvdb_record record =
+        fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){0, 0, 0}));
+    struct bsq_vec3 n = bsq_oct_unpack(record.normal);
+    /* The mean of two unit vectors 45 degrees apart leans by 22.5. */
+    assert_true(fabs(atan2((double)n.x, (double)n.z) - acos(-1.0) / 8.0) < 1e-3);
+    assert_true(fabs(record_coverage(record) - cos(acos(-1.0) / 8.0)) < 1.0 / 255.0);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* ---- far and wide ---- */
+
+/* Voxels at both ends of the index, across many root tiles: nothing is held for what lies between.
+ */
+static void test_sparse_and_huge(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(6, 2);
+    const double far = 1073741000.0 / 1024.0;
+    for (int s = 0; s < 2; s++) {
+        double x = s ? far : -far;
+        scan_set_vertex(&mesh, 3 * (uint32_t)s, x, x, x);
+        scan_set_vertex(&mesh, 3 * (uint32_t)s + 1, x + 0.125, x, x);
+        scan_set_vertex(&mesh, 3 * (uint32_t)s + 2, x, x + 0.125, x);
+        scan_set_triangle(&mesh, (uint32_t)s, 3 * (uint32_t)s, 3 * (uint32_t)s + 1,
+                          3 * (uint32_t)s + 2);
+    }
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 1);
+    vox_make(f, 0, 1.0 / 1024.0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int s = 0; s < 2; s++) {
+        int32_t at = (int32_t)floor((double)mesh.positions[3 * s][0] * 1024.0);
+        assert_int_not_equal(fmt_nvdb_find(&grid, (int32_t[3]){at, at, at}), 0);
+        assert_int_equal(fmt_nvdb_find(&grid, (int32_t[3]){at, at, at + 1}), 0);
+    }
+    scan_mesh_free(&mesh);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* A large origin must not cost precision: same voxels and records as without it. */
+static void test_origin_only_moves_the_grid(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_sphere(10.0, 0.5);
+    const double origin[3] = {500000.0, -4000000.0, 1024.0};
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 4000);
+    struct vox_voxelize_report plain = vox_make(f, 64, 0.0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    double translation[3];
+    memcpy(translation, grid.info.translation, sizeof translation);
+    fmt_nvdb_close(f->ctx, &grid);
+    scan_write(f->ctx, f->tris, &mesh, origin, NULL, 0, 4000);
+    scan_mesh_free(&mesh);
+    struct vox_voxelize_report moved = vox_make(f, 64, 0.0);
+    assert_int_equal(plain.voxels, moved.voxels);
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int a = 0; a < 3; a++) {
+        assert_true(fabs(grid.info.translation[a] - translation[a] - origin[a]) < 1e-9);
+        assert_true(fabs(grid.info.scan_max[a] - origin[a] - 10.0) < 1e-9);
+    }
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* ---- errors ---- */
+
+static void test_bad_sizes(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0}, (double[3]){2, 0, 0}, (double[3]){0, 1, 0});
+    vox_write_scan(f, &mesh);
+    vox_expect_failure(f, 0, 0.0, BSQ_EUSAGE, "voxel size of 0");
+    vox_expect_failure(f, 0, -1.0, BSQ_EUSAGE, "voxel size of -1");
+    vox_expect_failure(f, 0, (double)NAN, BSQ_EUSAGE, "voxel size of");
+    vox_expect_failure(f, 0, 1e-10, BSQ_EUSAGE, "from index 0 to 20000000000 along x");
+    vox_expect_failure(f, 0, 1e-300, BSQ_EUSAGE, "from index 0 to 2e+300 along x");
+    vox_expect_failure(f, 2000000000, 0.0, BSQ_EUSAGE, "2000000000");
+
+    scan_set_quad(&mesh, 0, (double[3]){3, 4, 5}, (double[3]){0, 0, 0}, (double[3]){0, 0, 0});
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    vox_expect_failure(f, 100, 0.0, BSQ_EDATA, "(3, 4, 5)");
+    assert_int_equal(vox_make(f, 0, 1.0).voxels, 1);
+}
+
+static void test_missing_and_damaged_input(void **state)
+{
+    struct vox_fixture *f = *state;
+    vox_expect_failure(f, 100, 0.0, BSQ_ENOINPUT, "scan.tris");
+    struct scan_mesh mesh = scan_sphere(10.0, 0.5);
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    /* A byte in the middle of a chunk: found when it is loaded, with the output under way. */
+    FILE *file = fopen(f->tris, "r+b");
+    assert_non_null(file);
+    assert_int_equal(fseek(file, 5000, SEEK_SET), 0);
+    int byte = fgetc(file);
+    assert_int_equal(fseek(file, 5000, SEEK_SET), 0);
+    fputc(byte ^ 1, file);
+    fclose(file);
+    vox_expect_failure(f, 100, 0.0, BSQ_EDATA, "scan.tris");
+}
+
+static void test_budget_too_small(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_sphere(10.0, 0.5);
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    for (uint64_t kib = 64; kib <= 16384; kib *= 2) {
+        struct bsq_ctx *ctx;
+        struct bsq_ctx_options options = {.memory_bytes = kib << 10, .threads = 2};
+        assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+        struct vox_voxelize_options what = {
+            .tris_path = f->tris, .grid_path = f->other, .resolution = 100};
+        struct vox_voxelize_report report;
+        int status = vox_voxelize(ctx, &what, &report);
+        if (kib == 64)
+            assert_true(status == BSQ_EUSAGE || status == BSQ_ENOMEM);
+        if (kib == 16384)
+            assert_int_equal(status, 0);
+        if (status != 0)
+            assert_non_null(strstr(bsq_error(ctx), "budget"));
+        assert_int_equal(bsq_memory_used(ctx), 0);
+        bsq_ctx_destroy(ctx);
+    }
+}
+
+#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(test_sphere_touches_the_voxels_of_the_exact_one),
+        TEST(test_sphere_records),
+        TEST(test_box_that_ends_on_the_bounds),
+        TEST(test_box_on_the_lattice_of_a_voxel_size),
+        TEST(test_flat_scan),
+        TEST(test_plate_thinner_than_a_voxel),
+        TEST(test_second_sheet_is_the_smaller),
+        TEST(test_a_million_triangles_in_one_voxel),
+        TEST(test_sparse_and_huge),
+        TEST(test_origin_only_moves_the_grid),
+        TEST(test_bad_sizes),
+        TEST(test_missing_and_damaged_input),
+        TEST(test_budget_too_small),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

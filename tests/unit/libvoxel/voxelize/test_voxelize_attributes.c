@@ -1,0 +1,257 @@
+/* Normals, colours, materials and textures of a scan in the records of its grid. */
+#include "base/octahedral.h"
+#include "formats/image/png_image.h"
+#include "voxelize_fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <cmocka.h>
+
+/* ---- attributes ---- */
+
+static void test_vertex_normals_are_interpolated(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
+    mesh.normals = calloc(4, sizeof *mesh.normals);
+    for (int i = 0; i < 4; i++) /* leaning along x: -0.5 at x = 0, 0.5 at x = 10 */
+        mesh.normals[i] =
+            bsq_oct_pack(bsq_unit3(bsq_v3(i == 1 || i == 2 ? 0.5f : -0.5f, 0.0f, 1.0f)));
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    vox_make(f, 0, 1.0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int32_t x = 0; x < 10; x++) {
+        uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, 4, 0});
+        struct bsq_vec3 n = bsq_oct_unpack(fmt_nvdb_get(&grid, index).normal);
+        /* Both ends have the same length, so the slope x / z is linear. */
+        assert_true(fabsf(n.x / n.z - ((float)x + 0.5f - 5.0f) / 10.0f) < 1e-3f);
+    }
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* Number of records whose plane is said not to go with the normal, of a plane in triangles of half
+ * a voxel whose normals lean by this slope. */
+static uint64_t count_shaded(struct vox_fixture *f, float lean)
+{
+    enum { SIDE = 40 };
+    struct scan_mesh mesh = scan_mesh_new(4 * SIDE * SIDE, 2 * SIDE * SIDE);
+    mesh.normals = calloc(mesh.vertex_count, sizeof *mesh.normals);
+    for (uint32_t q = 0; q < SIDE * SIDE; q++)
+        scan_set_quad(&mesh, q, (double[3]){0.5 * (q % SIDE), 0.5 * (q / SIDE), 0.5},
+                      (double[3]){0.5, 0, 0}, (double[3]){0, 0.5, 0});
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        mesh.normals[v] = bsq_oct_pack(bsq_unit3(bsq_v3(lean, 0.0f, 1.0f)));
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    vox_make(f, 0, 1.0);
+    struct fmt_nvdb_grid grid;
+    uint64_t count = 0;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int32_t i = 0; i < SIDE * SIDE / 4; i++) {
+        uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
+        count += (fmt_nvdb_get(&grid, index).plane & FMT_NVDB_PLANE_SHADED) != 0;
+    }
+    fmt_nvdb_close(f->ctx, &grid);
+    return count;
+}
+
+static void test_planes_that_normals_contradict_are_marked(void **state)
+{
+    assert_int_equal(count_shaded(*state, 0.0f), 0);
+    assert_int_equal(count_shaded(*state, 0.05f), 400);
+}
+
+/* Grain of the record in the middle of a plane of squares of this side, in voxels, each of two
+ * triangles. */
+static uint32_t grain_of_squares(struct vox_fixture *f, double side, bool with_normals)
+{
+    enum { COUNT = 40 };
+    struct scan_mesh mesh = scan_mesh_new(4 * COUNT * COUNT, 2 * COUNT * COUNT);
+    for (uint32_t q = 0; q < COUNT * COUNT; q++)
+        scan_set_quad(&mesh, q, (double[3]){side * (q % COUNT), side * (q / COUNT), 0.5},
+                      (double[3]){side, 0, 0}, (double[3]){0, side, 0});
+    if (with_normals)
+        mesh.normals = calloc(mesh.vertex_count, sizeof *mesh.normals);
+    for (uint32_t v = 0; with_normals && v < mesh.vertex_count; v++)
+        mesh.normals[v] = bsq_oct_pack(bsq_v3(0.0f, 0.0f, 1.0f));
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    vox_make(f, 0, 1.0);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    int32_t middle = (int32_t)(COUNT / 2 * side);
+    uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){middle, middle, 0});
+    assert_true(index > 0);
+    uint32_t plane = fmt_nvdb_get(&grid, index).plane;
+    fmt_nvdb_close(f->ctx, &grid);
+    return plane >> FMT_NVDB_GRAIN_SHIFT;
+}
+
+/* The squares of a triangle's edges are s^2, s^2 and 2 s^2. Of their mean grain is 2.7 times as
+ * much, up to edges of 0.7 voxels, and 0.4 times above; but 1 at most, which is 7 in the file.
+ * Normals of the scan have none. */
+static void test_grain_follows_the_triangles(void **state)
+{
+    static const struct {
+        double side, share;
+    } cases[] = {{0.125, 2.7}, {0.25, 2.7}, {0.5, 2.7}, {1.0, 0.4}, {1.25, 0.4}, {2.0, 0.4}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        double grain = cases[i].share * 4.0 / 3.0 * cases[i].side * cases[i].side;
+        assert_int_equal(grain_of_squares(*state, cases[i].side, false),
+                         lrint(7.0 * fmin(grain, 1.0)));
+        assert_int_equal(grain_of_squares(*state, cases[i].side, true), 0);
+    }
+}
+
+static double to_linear(double srgb)
+{
+    return srgb <= 0.04045 ? srgb / 12.92 : pow((srgb + 0.055) / 1.055, 2.4);
+}
+
+static double to_srgb(double linear)
+{
+    return linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1.0 / 2.4) - 0.055;
+}
+
+static void test_vertex_colors_are_mixed_in_linear_light(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
+    mesh.colors = calloc(4, sizeof *mesh.colors);
+    for (int i = 0; i < 4; i++)
+        mesh.colors[i] = i == 1 || i == 2 ? 0xff3050ffu : 0xff305000u;
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    struct vox_voxelize_report report = vox_make(f, 0, 1.0);
+    assert_true(report.has_color);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int32_t x = 0; x < 10; x++)
+        for (int32_t y = 0; y < 10; y++) {
+            uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, 0});
+            uint32_t color = fmt_nvdb_get(&grid, index).color;
+            /* Red rises linearly in light along x; a voxel on the diagonal has two pieces. */
+            double expected = 255.0 * to_srgb((x + 0.5) / 10.0);
+            assert_true(fabs((double)(color & 0xff) - expected) <= 0.51);
+            assert_int_equal(color >> 8, 0xff3050);
+        }
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+static void test_materials_color_what_has_no_other(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(8, 4);
+    struct fmt_tris_material materials[2] = {{NULL, {0.0f, 0.5f, 1.0f}},
+                                             {NULL, {1.0f, 0.5f, 0.2f}}};
+    /* Two halves of voxel (0, 0, 0) in two materials, and a voxel without one. */
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){0.5, 0, 0}, (double[3]){0, 0.9, 0});
+    scan_set_quad(&mesh, 1, (double[3]){2.1, 0, 0.5}, (double[3]){0.5, 0, 0},
+                  (double[3]){0, 0.9, 0});
+    mesh.materials = calloc(4, sizeof *mesh.materials);
+    mesh.materials[1] = 1;
+    mesh.materials[2] = mesh.materials[3] = UINT32_MAX;
+    scan_write(f->ctx, f->tris, &mesh, NULL, materials, 2, 4000);
+    scan_mesh_free(&mesh);
+    assert_true(vox_make(f, 0, 1.0).has_color);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    uint32_t mixed = fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){0, 0, 0})).color;
+    for (int k = 0; k < 3; k++) {
+        double linear = 0.5 * (to_linear((double)materials[0].diffuse[k]) +
+                               to_linear((double)materials[1].diffuse[k]));
+        assert_true(fabs((double)(mixed >> (8 * k) & 0xff) - 255.0 * to_srgb(linear)) <= 0.51);
+    }
+    assert_int_equal(mixed >> 24, 255);
+    assert_int_equal(fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){2, 0, 0})).color, 0);
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+/* A texture that rises linearly in light, red with u and green with v, so that its mean over a
+ * piece is its value at the centroid. */
+static void write_ramp(const struct vox_fixture *f)
+{
+    enum { SIZE = 40 };
+    static float texel[SIZE][SIZE][3];
+    struct fmt_png_options options = {
+        .width = SIZE, .height = SIZE, .channel_count = 3, .bits = 16, .srgb = true};
+    struct fmt_png_writer *writer;
+    for (int row = 0; row < SIZE; row++)
+        for (int column = 0; column < SIZE; column++) {
+            texel[row][column][0] = ((float)column + 0.5f) / SIZE;
+            texel[row][column][1] = 1.0f - ((float)row + 0.5f) / SIZE;
+            texel[row][column][2] = 0.25f;
+        }
+    assert_int_equal(fmt_png_create(f->ctx, f->image, &options, &writer), 0);
+    assert_int_equal(fmt_png_write_rows(writer, &texel[0][0][0], SIZE), 0);
+    assert_int_equal(fmt_png_commit(writer), 0);
+}
+
+static void test_texture_is_sampled_where_the_piece_lies(void **state)
+{
+    struct vox_fixture *f = *state;
+    write_ramp(f);
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
+    mesh.texcoords = calloc(4, sizeof *mesh.texcoords);
+    for (int i = 0; i < 4; i++) {
+        mesh.texcoords[i][0] = i == 1 || i == 2;
+        mesh.texcoords[i][1] = i >= 2;
+    }
+    mesh.colors = calloc(4, sizeof *mesh.colors); /* the texture takes precedence */
+    mesh.materials = calloc(2, sizeof *mesh.materials);
+    struct fmt_tris_material material = {f->image, {1.0f, 0.0f, 0.0f}};
+    scan_write(f->ctx, f->tris, &mesh, NULL, &material, 1, 4000);
+    scan_mesh_free(&mesh);
+    assert_true(vox_make(f, 0, 1.0).has_color);
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    for (int32_t x = 0; x < 10; x++)
+        for (int32_t y = 0; y < 10; y++) {
+            /* Boxes of the two pieces on the diagonal reach over the texture's edge at its ends. */
+            if (x == y && (x == 0 || x == 9))
+                continue;
+            uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, 0});
+            uint32_t color = fmt_nvdb_get(&grid, index).color;
+            const double linear[3] = {(x + 0.5) / 10.0, (y + 0.5) / 10.0, 0.25};
+            for (int k = 0; k < 3; k++)
+                assert_true(fabs((double)(color >> (8 * k) & 0xff) - 255.0 * to_srgb(linear[k])) <
+                            0.6);
+        }
+    fmt_nvdb_close(f->ctx, &grid);
+}
+
+static void test_missing_texture(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_mesh_new(4, 2);
+    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
+    mesh.texcoords = calloc(4, sizeof *mesh.texcoords);
+    mesh.materials = calloc(2, sizeof *mesh.materials);
+    struct fmt_tris_material material = {f->image, {1.0f, 0.0f, 0.0f}};
+    scan_write(f->ctx, f->tris, &mesh, NULL, &material, 1, 4000);
+    scan_mesh_free(&mesh);
+    vox_expect_failure(f, 10, 0.0, BSQ_ENOINPUT, "texture.png");
+}
+
+#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(test_vertex_normals_are_interpolated),
+        TEST(test_planes_that_normals_contradict_are_marked),
+        TEST(test_grain_follows_the_triangles),
+        TEST(test_vertex_colors_are_mixed_in_linear_light),
+        TEST(test_materials_color_what_has_no_other),
+        TEST(test_texture_is_sampled_where_the_piece_lies),
+        TEST(test_missing_texture),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,122 @@
+/* A grid has the same bytes for any budget, number of threads and chunks. */
+#include "voxelize_fixture.h"
+#include "tests/unit/fixture.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <cmocka.h>
+
+/* ---- same bytes ---- */
+
+static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
+{
+    static const struct {
+        uint64_t mebibytes;
+        unsigned threads;
+    } ways[] = {{1024, 1}, {1024, 2}, {1024, 7}, {32, 1}, {128, 3}};
+    for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
+        struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
+        struct vox_voxelize_options options = {
+            .tris_path = f->tris,
+            .grid_path = i == 0 ? f->grid : f->other,
+            .resolution = resolution,
+        };
+        struct vox_voxelize_report report;
+        int status = vox_voxelize(ctx, &options, &report);
+        if (status != 0)
+            print_message("%s\n", bsq_error(ctx));
+        assert_int_equal(status, 0);
+        assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
+        assert_int_equal(bsq_memory_used(ctx), 0);
+        bsq_ctx_destroy(ctx);
+        if (i > 0)
+            expect_same_bytes(f->grid, f->other);
+    }
+}
+
+/* Triangles of all sizes everywhere: fills most voxels, so that small budgets work in parts. */
+static void test_noise_gives_the_same_bytes(void **state)
+{
+    struct vox_fixture *f = *state;
+    const uint32_t count = 40000;
+    uint64_t seed = 8;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    struct scan_mesh mesh = scan_mesh_new(3 * count, count);
+    mesh.colors = calloc(3 * count, sizeof *mesh.colors);
+    for (uint32_t t = 0; t < count; t++) {
+        double at[3], size = pow(10.0, -3.0 * scan_random(&seed));
+        for (int a = 0; a < 3; a++)
+            at[a] = scan_random(&seed);
+        for (uint32_t i = 3 * t; i < 3 * t + 3; i++) {
+            for (int a = 0; a < 3; a++)
+                mesh.positions[i][a] = (float)(at[a] + 0.3 * size * (scan_random(&seed) - 0.5));
+            mesh.colors[i] = (uint32_t)(4294967296.0 * scan_random(&seed));
+        }
+        scan_set_triangle(&mesh, t, 3 * t, 3 * t + 1, 3 * t + 2);
+    }
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    check_same_bytes(f, 100);
+}
+
+/* Parallel sheets, one in every layer (the last two share theirs): 2 million voxels in each of the
+ * regions, whose records alone are more than the budget. */
+static void test_solid_regions_in_little_memory(void **state)
+{
+    struct vox_fixture *f = *state;
+    const uint32_t size = 144;
+    struct scan_mesh mesh = scan_mesh_new(4 * size, 2 * size);
+    for (uint32_t i = 0; i < size; i++)
+        scan_set_quad(&mesh, i, (double[3]){0, 0, i + 0.5}, (double[3]){size, 0, 0},
+                      (double[3]){0, size, 0});
+    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 64);
+    scan_mesh_free(&mesh);
+    static const struct {
+        uint64_t mebibytes;
+        unsigned threads;
+    } ways[] = {{256, 2}, {20, 4}, {12, 1}};
+    for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
+        struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
+        struct vox_voxelize_options options = {
+            .tris_path = f->tris,
+            .grid_path = i == 0 ? f->grid : f->other,
+            .resolution = size,
+        };
+        struct vox_voxelize_report report;
+        int status = vox_voxelize(ctx, &options, &report);
+        if (status != 0)
+            print_message("%s\n", bsq_error(ctx));
+        assert_int_equal(status, 0);
+        assert_int_equal(report.voxels, (uint64_t)size * size * (size - 1));
+        assert_int_equal(report.lowers, 8);
+        assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
+        bsq_ctx_destroy(ctx);
+        if (i > 0)
+            expect_same_bytes(f->grid, f->other);
+    }
+}
+
+static void test_sphere_gives_the_same_bytes(void **state)
+{
+    struct vox_fixture *f = *state;
+    struct scan_mesh mesh = scan_sphere(100.0, 0.7);
+    scan_sort(&mesh);
+    vox_write_scan(f, &mesh);
+    scan_mesh_free(&mesh);
+    check_same_bytes(f, 300);
+    check_same_bytes(f, 40);
+}
+
+#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(test_noise_gives_the_same_bytes),
+        TEST(test_solid_regions_in_little_memory),
+        TEST(test_sphere_gives_the_same_bytes),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,32 @@
+/* voxelize_fixture.h - for the tests of the voxelizer: files in a directory of their own, and what
+ * a record holds. */
+#ifndef TEST_VOXELIZE_FIXTURE_H
+#define TEST_VOXELIZE_FIXTURE_H
+
+#include "formats/grid/nvdb.h"
+#include "libvoxel/voxel.h"
+#include "tests/unit/libvoxel/scan_fixture.h"
+
+struct vox_fixture {
+    char directory[64], tris[96], grid[96], other[96], image[96];
+    struct bsq_ctx *ctx;
+};
+
+/* For cmocka; nothing but the fixture's files may be left in the end. */
+int vox_set_up(void **state);
+int vox_tear_down(void **state);
+
+/* As a chunk file with 4000 triangles in a chunk. */
+void vox_write_scan(const struct vox_fixture *f, const struct scan_mesh *mesh);
+/* Voxelizes tris to grid. */
+struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolution,
+                                    double voxel_size);
+/* The same where that must fail, with this text in the error. */
+void vox_expect_failure(struct vox_fixture *f, uint32_t resolution, double voxel_size, int status,
+                        const char *text);
+void expect_same_bytes(const char *a, const char *b);
+
+double record_plane(struct fmt_nvdb_record record);
+double record_coverage(struct fmt_nvdb_record record);
+
+#endif
