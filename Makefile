@@ -395,7 +395,7 @@ sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
 .PHONY: lint
 ## lint: include rules, cppcheck, clang-tidy (installs the latter two where they are missing)
 lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc)
-	tests/lint/includes.sh
+	tests/lint/rooms.sh
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
 	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
