@@ -10,14 +10,13 @@
 
 #include "base/clock.h"
 #include "libbake/device/device.h"
-#include "libbake/surface/ray_distance.h"
 #include "libbake/exact/exact_tiles.h"
 #include "libbake/maps/map_image.h"
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/maps/map_files.h"
 #include "libbake/device/subgrid/passes.h"
 #include "libbake/preview/preview.h"
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
 #include "libbake/surface/grid_tiles.h"
 

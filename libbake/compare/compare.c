@@ -5,7 +5,7 @@
 #include "base/parallel.h"
 #include "base/srgb.h"
 #include "libbake/compare/colour_difference.h"
-#include "libbake/compare/compare.h"
+#include "libbake/compare/comparison.h"
 
 const char *bake_compare_unit(enum bake_compare_kind kind)
 {

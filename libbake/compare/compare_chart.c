@@ -8,7 +8,7 @@
 #include <string.h>
 
 #include "formats/image/png_image.h"
-#include "libbake/compare/compare.h"
+#include "libbake/compare/comparison.h"
 #include "libbake/compare/glyphs.h"
 
 /* ---- a small canvas ---- */

@@ -4,7 +4,7 @@
 
 #include "libbake/exact/exact.h"
 #include "libbake/maps/map_image.h"
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 
 struct bake_exact_tiles {
     struct bake_exact *exact;

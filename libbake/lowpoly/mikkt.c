@@ -21,7 +21,6 @@
 #include <string.h>
 
 #include "base/vec.h"
-#include "libbake/lowpoly/mikkt_topology.h"
 
 enum {
     FLAG_DEGENERATE = 1, /* two corners in one place */

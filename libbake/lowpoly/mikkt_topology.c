@@ -2,7 +2,7 @@
  *
  * Both are linear in the number of corners, whatever the mesh looks like: poles with many triangles
  * and edges that many triangles share cost no more than others. */
-#include "libbake/lowpoly/mikkt_topology.h"
+#include "libbake/lowpoly/mikkt.h"
 
 #include <string.h>
 

@@ -5,7 +5,7 @@
 #include "libbake/device/device.h"
 #include "libbake/maps/map_image.h"
 #include "libbake/device/subgrid/passes.h"
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
 
 /* Side of the tiles: large where there is work for all threads, small where memory is short. */

@@ -3,7 +3,7 @@
  * A percentile rather than the largest distance: where the scan has a hole, a ray finds
  * some other surface far away. Such rays are few, and cutting them off keeps them out of the map.
  */
-#include "libbake/surface/ray_distance.h"
+#include "libbake/surface/surface.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -4,6 +4,7 @@
 
 #include "libbake/device/device.h"
 #include "libbake/exact/exact.h"
+#include "libbake/lowpoly/lowpoly.h"
 
 struct bake_surface {
     struct bsq_ctx *ctx;
@@ -45,5 +46,18 @@ int bake_surface_trace(const struct bake_surface *surface, const struct bk_param
 
 /* Number of rays that can comfortably be held at a time. */
 uint64_t bake_surface_capacity(const struct bake_surface *surface);
+
+/* ---- ray lengths ---- */
+
+/* Chooses ray lengths in world units, along the low-poly mesh's normals (front) and against them
+ * (back):
+ *   1. Casts 16384 rays from points spread evenly over the low-poly mesh, both ways along its
+ *      normals, up to a tenth of the diagonal of the scan's bounds.
+ *   2. Takes the 99.9th percentile of the distances of the hits on either side.
+ *   3. Returns one and a half times that percentile plus two details (struct bake_surface).
+ * If fewer than one ray in a hundred hits, both are a twentieth of the diagonal. Deterministic.
+ * Errors: BSQ_ENOMEM, and those of bake_surface_trace(). */
+int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
+                           const struct bake_lowmesh *mesh, double *front, double *back);
 
 #endif

@@ -3,7 +3,7 @@
 #define BENCH_RAYS_H
 
 #include "libbake/device/device.h"
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
 
 /* A low mesh before a grid, as bisque-bake prepares them with default options. */

@@ -4,7 +4,6 @@
 
 #include "base/clock.h"
 #include "base/parallel.h"
-#include "libbake/surface/ray_distance.h"
 #include "libbake/surface/grid_tiles.h"
 #include "tests/bench/rays.h"
 

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 
 enum { SIDE = 12, SAMPLES = 2, TILE = 5 };
 

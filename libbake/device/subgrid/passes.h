@@ -4,7 +4,7 @@
 #define BAKE_DEVICE_SUBGRID_PASSES_H
 
 #include "libbake/device/subgrid/subgrid.h"
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 #include "libbake/device/subgrid/ray_bounds.h"
 
 /* Texels that are traced together: mostly a tile, less where a tile's nodes are too many. */

@@ -14,7 +14,7 @@
 #include "formats/image/exr.h"
 #include "libbake/compare/colour_difference.h"
 #include "libbake/compare.h"
-#include "libbake/compare/compare.h"
+#include "libbake/compare/comparison.h"
 
 /* Pairs and differences from table 1 of Sharma, Wu & Dalal 2005. */
 static void ciede2000_matches_published_values(void **state)

@@ -3,7 +3,7 @@
  * The lists of all tiles lie in one array, each in the order of the mesh, found by counting first
  * and placing second. Triangles are snapped again wherever they are needed: that is cheaper than
  * the memory traffic of keeping them. */
-#include "libbake/lowpoly/raster_tiles.h"
+#include "libbake/raster/raster_index.h"
 
 #include <string.h>
 

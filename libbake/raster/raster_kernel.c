@@ -2,7 +2,7 @@
  *
  * The kernel works in float, so barycentric weights are affine functions of the distance to a texel
  * near the triangle, and positions are in voxels of the grid; both are made in double. */
-#include "libbake/lowpoly/raster_tiles.h"
+#include "libbake/raster/raster_index.h"
 
 #include <math.h>
 #include <string.h>

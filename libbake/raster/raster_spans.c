@@ -10,7 +10,7 @@
  *
  * Numerators are products of two coordinates; with 128 bits none can overflow, also for triangles
  * that reach far out of the map. */
-#include "libbake/lowpoly/raster_spans.h"
+#include "libbake/raster/raster_spans.h"
 
 #include <math.h>
 

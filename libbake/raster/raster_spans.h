@@ -3,8 +3,8 @@
  * The map is a lattice of samples, width * N by height * N of them; sample i has its centre at
  * i + 1/2. Corners are snapped to a grid that divides the distance of two samples by 2^shift, and
  * from there on all arithmetic is exact. */
-#ifndef BAKE_LOWPOLY_RASTER_SPANS_H
-#define BAKE_LOWPOLY_RASTER_SPANS_H
+#ifndef BAKE_RASTER_RASTER_SPANS_H
+#define BAKE_RASTER_RASTER_SPANS_H
 
 #include <stdbool.h>
 #include <stdint.h>

@@ -11,7 +11,7 @@
 
 #include <cmocka.h>
 
-#include "libbake/lowpoly/raster.h"
+#include "libbake/raster/raster.h"
 
 #define SEED UINT64_C(20080611)
 

@@ -1,10 +1,10 @@
-/* raster_tiles.h - what a raster keeps; shared by the files that make, fill and export it.
+/* raster_index.h - what a raster keeps; shared by the files that make, fill and export it.
  */
-#ifndef BAKE_LOWPOLY_RASTER_TILES_H
-#define BAKE_LOWPOLY_RASTER_TILES_H
+#ifndef BAKE_RASTER_RASTER_INDEX_H
+#define BAKE_RASTER_RASTER_INDEX_H
 
-#include "libbake/lowpoly/raster.h"
-#include "libbake/lowpoly/raster_spans.h"
+#include "libbake/raster/raster.h"
+#include "libbake/raster/raster_spans.h"
 
 struct bake_raster {
     struct bsq_ctx *ctx;

@@ -3,7 +3,7 @@
  * The first triangle in the order of the mesh takes a sample. Painting only finds out whether any
  * sample was wanted twice; how many were is counted in a second pass over the few tiles concerned,
  * as that needs a mark for each sample. */
-#include "libbake/lowpoly/raster_tiles.h"
+#include "libbake/raster/raster_index.h"
 
 #include <string.h>
 

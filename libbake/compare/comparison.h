@@ -1,6 +1,6 @@
-/* compare.h - what the parts of a comparison share. */
-#ifndef BAKE_COMPARE_COMPARE_H
-#define BAKE_COMPARE_COMPARE_H
+/* comparison.h - what the parts of a comparison share. */
+#ifndef BAKE_COMPARE_COMPARISON_H
+#define BAKE_COMPARE_COMPARISON_H
 
 #include "formats/image/exr.h"
 #include "libbake/compare.h"

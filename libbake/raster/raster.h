@@ -1,6 +1,6 @@
 /* raster.h - which triangle does each sample of the map lie in? */
-#ifndef BAKE_LOWPOLY_RASTER_H
-#define BAKE_LOWPOLY_RASTER_H
+#ifndef BAKE_RASTER_RASTER_H
+#define BAKE_RASTER_RASTER_H
 
 #include "libbake/kernel/bk_types.h"
 #include "libbake/lowpoly/lowpoly.h"
