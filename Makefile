@@ -291,7 +291,7 @@ packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools po
 # Compiles the kernel for NVIDIA GPUs; the build does without, and without CUDA then.
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)
-packages_lint := cppcheck clang-tidy
+packages_lint := cppcheck clang-tidy clang-format
 jobs ?= $(shell nproc)
 
 .PHONY: deps deps-lint
@@ -299,6 +299,9 @@ jobs ?= $(shell nproc)
 deps:
 	@tests/install-packages.sh $(packages)
 	@tests/install-packages.sh $(packages_cuda) || echo "deps: goes on without clang, so that there will be no CUDA"
+
+deps-lint:
+	@tests/install-packages.sh $(packages_lint)
 
 # ---- demo ----
 demo_dir ?= demo
@@ -392,14 +395,31 @@ gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
-.PHONY: lint
-## lint: include rules, cppcheck, clang-tidy (installs the latter two where they are missing)
+# All that .clang-format holds for.
+formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
+    -name '*.c' -o -name '*.h' -o -name '*.cc' -o -name '*.cl'))
+.PHONY: lint format
+## lint: check includes, formatting, cppcheck and clang-tidy (installs the tools that are missing)
 lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc)
 	tests/lint/rooms.sh
+	clang-format --dry-run -Werror $(formatted)
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
 	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
 	    -std=c11 $(CPPFLAGS) $(formats_cppflags) $(module_cppflags)
+
+## format: format all sources with clang-format
+format: deps-lint
+	clang-format -i $(formatted)
+
+# Takes the lines of `make -n` that compile one source.
+compile_commands := [inputs | select(test(" -c \\S+ -o ")) | \
+    {$$directory, command: ., file: capture(" -c (?<file>\\S+) -o ").file}]
+.PHONY: compile_commands.json
+## compile_commands.json: how each source is compiled, for editors and clangd (needs jq)
+compile_commands.json:
+	@$(MAKE) --no-print-directory -Bn tests-build | \
+	    jq -nR --arg directory '$(CURDIR)' '$(compile_commands)' > $@
 
 # ---- installation ----
 bindir = $(DESTDIR)$(prefix)/bin
