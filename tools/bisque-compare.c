@@ -1,4 +1,4 @@
-/* bisque-compare.c - how far apart are two maps? */
+/* bisque-compare.c - measures how far apart two maps are, and checks the figures against limits. */
 #include <math.h>
 #include <stdio.h>
 
@@ -9,21 +9,21 @@ static const char help[] =
     "Usage: bisque-compare [OPTION]... A.exr B.exr\n"
     "Measures how far map A is from the reference B: the angle between normals in degrees, the\n"
     "CIEDE2000 difference and PSNR of colours, absolute and relative differences of other maps.\n"
-    "Exits with 0 when all limits hold, 1 when one does not.\n"
+    "Exits with 0 if all limits hold, with 1 if one does not.\n"
     "\n"
     "      --type KIND         auto, normal, color or data (default: auto)\n"
-    "      --mask FILE         texels that count, for both maps: those above 0\n"
-    "      --mask-a FILE       texels that A covers; with --mask-b, hit agreement is reported too\n"
-    "      --mask-b FILE       texels that B covers\n"
-    "      --force             compare maps whose attributes say that they hold different things\n"
-    "      --heatmap FILE.png  the error in place, with its scale\n"
+    "      --mask FILE         compare only texels where this mask is above 0\n"
+    "      --mask-a FILE       mask of the texels that A covers\n"
+    "      --mask-b FILE       mask of the texels that B covers; with both, hit agreement is reported\n"
+    "      --force             compare maps although their attributes disagree\n"
+    "      --heatmap FILE.png  write a picture of the error of each texel\n"
     "      --histogram FILE.png\n"
-    "                          the distribution of the error\n"
+    "                          write a picture of the distribution of the error\n"
     "      --scale E           error at the top of their scale (default: the 99th percentile)\n"
     "      --max-mean E, --max-median E, --max-p95 E, --max-p99 E, --max-error E\n"
-    "                          largest mean, median, percentile, maximum to pass\n"
-    "      --min-psnr DB       smallest PSNR to pass, for colours\n"
-    "      --min-agreement S   smallest share of texels covered by both, 0 to 1\n" CLI_COMMON_HELP;
+    "                          limits: the largest mean, median, percentile, maximum that passes\n"
+    "      --min-psnr DB       limit: the smallest PSNR that passes, for colours\n"
+    "      --min-agreement S   limit: the smallest hit agreement that passes, 0 to 1\n" CLI_COMMON_HELP;
 
 enum {
     OPT_TYPE = CLI_OWN,
@@ -34,7 +34,7 @@ enum {
     OPT_HEATMAP,
     OPT_HISTOGRAM,
     OPT_SCALE,
-    OPT_LIMITS /* the limits' options count up from here */
+    OPT_LIMITS /* option of the first limit; those of the others follow */
 };
 
 enum limit { MAX_MEAN, MAX_MEDIAN, MAX_P95, MAX_P99, MAX_ERROR, MIN_PSNR, MIN_AGREEMENT, LIMITS };
@@ -61,7 +61,7 @@ static const struct option long_options[] = {
 
 static const struct {
     const char *option, *figure;
-    bool smallest; /* the limit is a lower one */
+    bool smallest; /* a lower limit */
 } limit_names[LIMITS] = {
     [MAX_MEAN] = {"--max-mean", "mean", false},
     [MAX_MEDIAN] = {"--max-median", "median", false},
@@ -79,8 +79,8 @@ struct arguments {
     double limits[LIMITS]; /* NAN: not given */
 };
 
-/* Maps agree on what they cover only where each says it for itself. */
-static bool knows_agreement(const struct bake_compare_options *compare)
+/* Checks that each map has a mask of its own; without them there is no hit agreement. */
+static bool has_agreement(const struct bake_compare_options *compare)
 {
     return compare->a_mask_path && compare->b_mask_path &&
            compare->a_mask_path != compare->b_mask_path;
@@ -142,7 +142,7 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
     double agreement = arguments->limits[MIN_AGREEMENT];
     if (agreement > 1)
         return cli_usage(cli, "--min-agreement: %g is not a share from 0 to 1", agreement);
-    if (!isnan(agreement) && !knows_agreement(&arguments->compare))
+    if (!isnan(agreement) && !has_agreement(&arguments->compare))
         return cli_usage(cli, "--min-agreement needs --mask-a and --mask-b");
     return 0;
 }
@@ -188,7 +188,7 @@ static double figure(const struct bake_compare_report *report, enum limit limit)
     }
 }
 
-/* Number of limits that do not hold; says so on standard error. */
+/* Reports the limits that do not hold on standard error; returns their number. */
 static int count_failures(struct cli *cli, const struct arguments *arguments,
                           const struct bake_compare_report *report)
 {
@@ -224,7 +224,7 @@ static void print_report(const struct arguments *arguments,
         printf("PSNR: %.2f dB\n", report->psnr);
     if (report->kind == BAKE_COMPARE_DATA)
         printf("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
-    if (knows_agreement(&arguments->compare))
+    if (has_agreement(&arguments->compare))
         printf("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
                (unsigned long long)report->only_a, (unsigned long long)report->only_b);
 }
@@ -243,7 +243,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
         report->rms, "median", report->median, "p95", report->p95, "p99", report->p99, "max",
         report->max, "max_x", (int)report->max_x, "max_y", (int)report->max_y, "share_above_1",
         report->above_1, "share_above_5", report->above_5, "within_limits", failures == 0);
-    /* Equal maps have no noise at all; JSON has no infinity. */
+    /* The PSNR of equal maps is infinite, which JSON cannot express. */
     if (root && report->kind == BAKE_COMPARE_COLOR)
         json_object_set_new(root, "psnr",
                             isinf(report->psnr) ? json_null() : json_real(report->psnr));

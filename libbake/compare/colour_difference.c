@@ -1,6 +1,7 @@
+/* colour_difference.c - CIELAB and CIEDE2000. */
 #include <math.h>
 
-#include "libbake/compare/colour_difference.h"
+#include "libbake/compare/comparison.h"
 
 static const double pi = 3.14159265358979323846;
 
@@ -12,7 +13,7 @@ static double lab_curve(double t)
 
 void bake_lab(const float linear[3], double lab[3])
 {
-    /* Rows sum to the white point, so that (1, 1, 1) is exactly neutral. */
+    /* Each row sums to a component of the white point, so that (1, 1, 1) is exactly neutral. */
     static const double to_xyz[3][3] = {{0.4124564, 0.3575761, 0.1804375},
                                         {0.2126729, 0.7151522, 0.0721750},
                                         {0.0193339, 0.1191920, 0.9503041}};
@@ -43,8 +44,8 @@ static double cos_degrees(double angle)
     return cos(angle * pi / 180);
 }
 
-/* C^7 / (C^7 + 25^7), the share of the chroma correction. */
-static double chroma_share(double chroma)
+/* Returns sqrt(C^7 / (C^7 + 25^7)), the weight of the chroma correction. */
+static double chroma_weight(double chroma)
 {
     double c7 = pow(chroma, 7);
     return sqrt(c7 / (c7 + 6103515625.0));
@@ -57,7 +58,7 @@ struct polar {
 static struct polar to_polar(const double a[3], const double b[3])
 {
     double chroma = (hypot(a[1], a[2]) + hypot(b[1], b[2])) / 2;
-    double stretch = 1 + 0.5 * (1 - chroma_share(chroma));
+    double stretch = 1 + 0.5 * (1 - chroma_weight(chroma));
     return (struct polar){hypot(stretch * a[1], a[2]), hypot(stretch * b[1], b[2]),
                           hue(stretch * a[1], a[2]), hue(stretch * b[1], b[2])};
 }
@@ -83,7 +84,7 @@ double bake_ciede2000(const double a[3], const double b[3])
     double t = 1 - 0.17 * cos_degrees(h - 30) + 0.24 * cos_degrees(2 * h) +
                0.32 * cos_degrees(3 * h + 6) - 0.20 * cos_degrees(4 * h - 63);
     double bend = (h - 275) / 25;
-    double rotation = -2 * chroma_share(c) * sin(60 * exp(-bend * bend) * pi / 180);
+    double rotation = -2 * chroma_weight(c) * sin(60 * exp(-bend * bend) * pi / 180);
     double sl = 1 + 0.015 * (l - 50) * (l - 50) / sqrt(20 + (l - 50) * (l - 50));
     double sc = 1 + 0.045 * c, sh = 1 + 0.015 * c * t;
     double x = dl / sl, y = dc / sc, z = dh / sh;

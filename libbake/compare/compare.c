@@ -1,10 +1,9 @@
-/* compare.c - loads two maps, measures the error texel by texel and sums it up. */
+/* compare.c - loads two maps, checks that they can be compared, and measures the error of each
+ * texel. */
 #include <math.h>
 #include <string.h>
 
 #include "base/parallel.h"
-#include "base/srgb.h"
-#include "libbake/compare/colour_difference.h"
 #include "libbake/compare/comparison.h"
 
 const char *bake_compare_unit(enum bake_compare_kind kind)
@@ -13,10 +12,10 @@ const char *bake_compare_unit(enum bake_compare_kind kind)
     return units[kind];
 }
 
-/* ---- loading ---- */
+/* ---- inputs ---- */
 
-static int same_size(struct bsq_ctx *ctx, const char *path, const struct fmt_exr_image *image,
-                     const char *other_path, const struct fmt_exr_image *other)
+static int check_same_size(struct bsq_ctx *ctx, const char *path, const struct fmt_exr_image *image,
+                           const char *other_path, const struct fmt_exr_image *other)
 {
     if (image->width == other->width && image->height == other->height)
         return 0;
@@ -31,18 +30,19 @@ static int load(struct bsq_ctx *ctx, const struct bake_compare_options *o,
     if (!status)
         status = fmt_exr_read(ctx, o->b_path, &c->b);
     if (!status)
-        status = same_size(ctx, o->a_path, &c->a, o->b_path, &c->b);
+        status = check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b);
     if (!status && o->a_mask_path)
         status = fmt_exr_read(ctx, o->a_mask_path, &c->a_mask);
     if (!status && o->a_mask_path)
-        status = same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a);
+        status = check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a);
     if (!status && o->b_mask_path)
         status = fmt_exr_read(ctx, o->b_mask_path, &c->b_mask);
     if (!status && o->b_mask_path)
-        status = same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b);
+        status = check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b);
     return status;
 }
 
+/* Sets rgb[] to the channels R, G and B, and returns whether there are all three. */
 static bool find_rgb(const struct fmt_exr_image *image, uint32_t rgb[3])
 {
     static const char *const names[] = {"R", "G", "B"};
@@ -64,15 +64,8 @@ static bool same_channels(const struct fmt_exr_image *a, const struct fmt_exr_im
     return true;
 }
 
-static void read_rgb(const struct fmt_exr_image *image, const uint32_t rgb[3], uint64_t texel,
-                     float out[3])
-{
-    const float *samples = image->samples + texel * image->channel_count;
-    for (int k = 0; k < 3; k++)
-        out[k] = samples[rgb[k]];
-}
-
-/* Do the reference's values, decoded, have length 1? Colours hardly ever do. */
+/* Checks whether nine in ten of the reference's values, decoded, have length 1. Colours hardly ever
+ * do. Looks at about 65536 texels. */
 static bool looks_like_normals(const struct bake_comparison *c)
 {
     uint64_t texels = (uint64_t)c->b.width * c->b.height, unit = 0, seen = 0;
@@ -99,10 +92,10 @@ static enum bake_compare_kind kind_of_map(const struct bake_comparison *c, bool 
     return looks_like_normals(c) ? BAKE_COMPARE_NORMAL : BAKE_COMPARE_COLOR;
 }
 
-/* Maps may say what their values are; where they disagree, an error would be a number without
- * meaning. Maps that say nothing are judged by their values alone. */
-static int same_meaning(struct bsq_ctx *ctx, const struct bake_compare_options *o,
-                        const struct bake_comparison *c)
+/* Refuses maps whose attributes say that their values mean different things: the error would mean
+ * nothing. Attributes that only one of the maps has are not checked. */
+static int check_same_meaning(struct bsq_ctx *ctx, const struct bake_compare_options *o,
+                              const struct bake_comparison *c)
 {
     static const char *const names[] = {"bisque:map", "bisque:normalSpace", "bisque:tangents",
                                         "bisque:green", "bisque:encoding"};
@@ -111,8 +104,8 @@ static int same_meaning(struct bsq_ctx *ctx, const struct bake_compare_options *
         const char *b = fmt_exr_image_attribute(&c->b, names[i]);
         if (a && b && strcmp(a, b) != 0)
             return bsq_fail(ctx, BSQ_EDATA,
-                            "%s has %s \"%s\", %s has \"%s\": these maps do not compare", o->a_path,
-                            names[i], a, o->b_path, b);
+                            "%s has %s \"%s\", %s has \"%s\": these maps cannot be compared",
+                            o->a_path, names[i], a, o->b_path, b);
     }
     return 0;
 }
@@ -130,8 +123,10 @@ static int choose_kind(struct bsq_ctx *ctx, const struct bake_compare_options *o
     return 0;
 }
 
-/* ---- errors ---- */
+/* ---- the error of a texel ---- */
 
+/* Returns the angle in degrees between two encoded normals. The arc tangent is accurate for small
+ * angles, unlike the arc cosine of the dot product. */
 static float angle_between(const float a[3], const float b[3])
 {
     double n[3], m[3], cross = 0, dot = 0;
@@ -177,11 +172,6 @@ static float error_at(const struct bake_comparison *c, uint64_t texel)
     return c->kind == BAKE_COMPARE_NORMAL ? angle_between(a, b) : colour_difference(a, b);
 }
 
-static bool covers(const struct fmt_exr_image *mask, uint64_t texel)
-{
-    return !mask->samples || mask->samples[texel * mask->channel_count] > 0;
-}
-
 static int measure_row(void *arg, uint64_t y, unsigned worker)
 {
     (void)worker;
@@ -193,163 +183,7 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
     return 0;
 }
 
-/* ---- figures ---- */
-
-/* Maps have up to billions of texels: true once in a while, so that an interruption is noticed. */
-static bool interrupted(struct bsq_ctx *ctx, uint64_t texel)
-{
-    return texel % (1 << 20) == 0 && bsq_check(ctx) < 0;
-}
-
-/* The value that would stand at `rank` if the values were sorted (Hoare's selection); reorders
- * them. */
-static float select_rank(float *values, int64_t count, int64_t rank)
-{
-    int64_t low = 0, high = count - 1;
-    while (low < high) {
-        float pivot = values[low + (high - low) / 2];
-        int64_t i = low, j = high;
-        while (i <= j) {
-            while (values[i] < pivot)
-                i++;
-            while (values[j] > pivot)
-                j--;
-            if (i > j)
-                break;
-            float swapped = values[i];
-            values[i++] = values[j];
-            values[j--] = swapped;
-        }
-        /* low..j holds values <= pivot, i..high values >= pivot, what lies between equals it. */
-        if (rank <= j)
-            high = j;
-        else if (rank >= i)
-            low = i;
-        else
-            break;
-    }
-    return values[rank];
-}
-
-static float percentile(float *values, uint64_t count, double share)
-{
-    uint64_t rank = (uint64_t)ceil(share * (double)count);
-    return select_rank(values, (int64_t)count, rank > 0 ? (int64_t)rank - 1 : 0);
-}
-
-static int find_percentiles(struct bsq_ctx *ctx, const struct bake_comparison *c,
-                            struct bake_compare_report *r)
-{
-    float *values, median = 0, p95 = 0, p99 = 0;
-    int status = bsq_alloc(ctx, "sorting errors", r->compared, sizeof *values, &values);
-    if (status)
-        return status;
-    uint64_t texels = (uint64_t)r->width * r->height, count = 0;
-    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++)
-        if (c->errors[i] >= 0)
-            values[count++] = c->errors[i];
-    float *const figures[] = {&median, &p95, &p99};
-    static const double shares[] = {0.5, 0.95, 0.99};
-    for (int k = 0; k < 3 && (status = bsq_check(ctx)) == 0; k++)
-        *figures[k] = percentile(values, count, shares[k]);
-    r->median = median;
-    r->p95 = p95;
-    r->p99 = p99;
-    bsq_free(ctx, values);
-    return status;
-}
-
-static void sum_errors(struct bsq_ctx *ctx, const struct bake_comparison *c,
-                       struct bake_compare_report *r)
-{
-    double sum = 0, squares = 0, above_1 = 0, above_5 = 0;
-    uint64_t texels = (uint64_t)r->width * r->height;
-    r->max = -1;
-    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++) {
-        double error = c->errors[i];
-        if (error < 0) {
-            r->only_a += covers(&c->a_mask, i) && !covers(&c->b_mask, i);
-            r->only_b += covers(&c->b_mask, i) && !covers(&c->a_mask, i);
-            continue;
-        }
-        r->compared++;
-        sum += error;
-        squares += error * error;
-        above_1 += error > 1;
-        above_5 += error > 5;
-        if (error > r->max) {
-            r->max = error;
-            r->max_x = (uint32_t)(i % r->width);
-            r->max_y = (uint32_t)(i / r->width);
-        }
-    }
-    double count = (double)r->compared;
-    r->mean = sum / count;
-    r->rms = sqrt(squares / count);
-    r->above_1 = above_1 / count;
-    r->above_5 = above_5 / count;
-    r->agreement = count / (count + (double)r->only_a + (double)r->only_b);
-}
-
-static void measure_noise(struct bsq_ctx *ctx, const struct bake_comparison *c,
-                          struct bake_compare_report *r)
-{
-    uint64_t texels = (uint64_t)r->width * r->height;
-    double squares = 0;
-    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++) {
-        float a[3], b[3];
-        if (c->errors[i] < 0)
-            continue;
-        read_rgb(&c->a, c->a_rgb, i, a);
-        read_rgb(&c->b, c->b_rgb, i, b);
-        for (int k = 0; k < 3; k++) {
-            double d = bsq_linear_to_srgb((double)a[k]) - bsq_linear_to_srgb((double)b[k]);
-            squares += d * d;
-        }
-    }
-    r->psnr = -10 * log10(squares / (3 * (double)r->compared));
-}
-
-static void measure_relative(struct bsq_ctx *ctx, const struct bake_comparison *c,
-                             struct bake_compare_report *r)
-{
-    uint64_t samples = (uint64_t)r->width * r->height * c->a.channel_count, count = 0;
-    for (uint64_t i = 0; i < samples && !interrupted(ctx, i); i++) {
-        double a = fabs((double)c->a.samples[i]), b = fabs((double)c->b.samples[i]);
-        if (c->errors[i / c->a.channel_count] < 0)
-            continue;
-        double larger = fmax(a, b), d = fabs((double)c->a.samples[i] - (double)c->b.samples[i]);
-        double relative = larger > 0 ? d / larger : 0;
-        r->relative_mean += relative;
-        r->relative_max = fmax(r->relative_max, relative);
-        count++;
-    }
-    r->relative_mean /= (double)count;
-}
-
-static int summarise(struct bsq_ctx *ctx, const struct bake_compare_options *o,
-                     const struct bake_comparison *c, struct bake_compare_report *r)
-{
-    r->kind = c->kind;
-    r->width = c->a.width;
-    r->height = c->a.height;
-    sum_errors(ctx, c, r);
-    int status = bsq_check(ctx);
-    if (status < 0)
-        return status;
-    if (r->compared == 0)
-        return bsq_fail(ctx, BSQ_EDATA, "no texel is covered by both %s and %s", o->a_path,
-                        o->b_path);
-    if (isnan(r->mean))
-        return bsq_fail(ctx, BSQ_EDATA, "%s or %s holds values that are not numbers", o->a_path,
-                        o->b_path);
-    if (c->kind == BAKE_COMPARE_COLOR)
-        measure_noise(ctx, c, r);
-    if (c->kind == BAKE_COMPARE_DATA)
-        measure_relative(ctx, c, r);
-    status = bsq_check(ctx);
-    return status < 0 ? status : find_percentiles(ctx, c, r);
-}
+/* ---- all ---- */
 
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                  struct bake_compare_report *report)
@@ -358,7 +192,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     memset(report, 0, sizeof *report);
     int status = load(ctx, options, &c);
     if (!status)
-        status = same_meaning(ctx, options, &c);
+        status = check_same_meaning(ctx, options, &c);
     if (!status)
         status = choose_kind(ctx, options, &c);
     if (!status)
@@ -367,7 +201,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     if (!status)
         status = bsq_parallel_for(ctx, c.a.height, measure_row, &c);
     if (!status)
-        status = summarise(ctx, options, &c, report);
+        status = bake_comparison_summarise(ctx, options, &c, report);
     double top = options->scale > 0 ? options->scale : report->p99 > 0 ? report->p99 : 1;
     if (!status && options->heatmap_path)
         status = bake_heatmap_write(ctx, &c, top, options->heatmap_path);

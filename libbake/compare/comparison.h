@@ -1,35 +1,55 @@
-/* comparison.h - what the parts of a comparison share. */
+/* comparison.h - what the files of this room share; private to it. The room's door is
+ * libbake/compare.h. */
 #ifndef BAKE_COMPARE_COMPARISON_H
 #define BAKE_COMPARE_COMPARISON_H
 
 #include "formats/image/exr.h"
 #include "libbake/compare.h"
 
-/* The maps, and the error of each texel; -1 where none was computed. */
+/* Two maps of the same size and the error of each texel. */
 struct bake_comparison {
-    struct fmt_exr_image a, b, a_mask, b_mask; /* masks have no samples where none was given */
+    struct fmt_exr_image a, b, a_mask, b_mask; /* without a mask, its `samples` are NULL */
     enum bake_compare_kind kind;
-    uint32_t a_rgb[3], b_rgb[3]; /* channel numbers, where the kind needs them */
-    float *errors;               /* height x width */
+    uint32_t a_rgb[3], b_rgb[3]; /* channels R, G and B; not for BAKE_COMPARE_DATA */
+    float *errors;               /* height x width; -1: not compared */
 };
 
-/* Draws the errors in place, with a scale from 0 to `top` below. */
+static inline void read_rgb(const struct fmt_exr_image *image, const uint32_t rgb[3],
+                            uint64_t texel, float out[3])
+{
+    const float *samples = image->samples + texel * image->channel_count;
+    for (int k = 0; k < 3; k++)
+        out[k] = samples[rgb[k]];
+}
+
+static inline bool covers(const struct fmt_exr_image *mask, uint64_t texel)
+{
+    return !mask->samples || mask->samples[texel * mask->channel_count] > 0;
+}
+
+/* Fills the report. Errors: BSQ_EDATA if no texel was compared or a value is not a number,
+ * BSQ_ENOMEM, BSQ_EINTR. */
+int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_options *options,
+                              const struct bake_comparison *comparison,
+                              struct bake_compare_report *report);
+
+/* ---- colours ---- */
+
+/* Converts a linear Rec. 709 colour to CIELAB under D65 (IEC 61966-2-1, CIE 15). */
+void bake_lab(const float linear[3], double lab[3]);
+
+/* Returns the CIEDE2000 difference of two CIELAB colours (CIE 142; Sharma, Wu & Dalal, "The
+ * CIEDE2000 Color-Difference Formula: Implementation Notes", 2005). About 1 is just noticeable. */
+double bake_ciede2000(const double a[3], const double b[3]);
+
+/* ---- pictures ---- */
+
+/* Writes the error of each texel as a PNG, with a scale from 0 to `top` below. */
 int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
                        const char *path);
-/* Draws their distribution over 0 .. `top`, with the report's percentiles marked. */
+/* Writes the distribution of the error from 0 to `top` as a PNG, with the report's mean and
+ * percentiles marked. */
 int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
                          const struct bake_compare_report *report, double top, const char *path);
-
-/* The labels of a scale from 0 to `top` over a picture of `width` pixels, `scale` pixels to a dot:
- * where they and their ticks are, in pixels from the left. Labels that have no room beside more
- * important ones (the last, the first, the middle one) are not shown. */
-enum { BAKE_SCALE_TICKS = 5, BAKE_SCALE_MARGIN = 24 /* dots beside the bar */ };
-struct bake_scale_label {
-    char text[48];
-    int64_t tick, left, width;
-    bool shown;
-};
-void bake_scale_layout(int64_t width, unsigned scale, double top, const char *unit,
-                       struct bake_scale_label labels[BAKE_SCALE_TICKS]);
 
 #endif

@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_compare.sh - bisque-compare from the outside: figures, limits, exit codes, pictures.
+# test_compare.sh - runs bisque-compare: figures, limits, exit codes, pictures.
 . "$(dirname "$0")/lib.sh"
 
 compare="run bisque-compare"
@@ -32,10 +32,10 @@ $compare a_normal.exr a_normal.exr --type color --json
 code 0
 json '.psnr == null and .mean == 0'
 
-# Tangent space against object space does not compare; forced to, they are far apart, and the limits say so.
+# Maps of tangent and object space are refused; with --force they are far apart, and a limit fails.
 run bisque-bake box.nvdb low.obj --size 64 --maps normal --float -o t.exr
 $compare t.exr a_normal.exr --mask a_mask.exr
-refused 65 "$p t.exr has bisque:normalSpace \"tangent\", a_normal.exr has \"object\": these maps do not compare"
+refused 65 "$p t.exr has bisque:normalSpace \"tangent\", a_normal.exr has \"object\": these maps cannot be compared"
 $compare t.exr a_normal.exr --mask a_mask.exr --force --max-mean 1 --max-p95 5 --json
 code 1
 json '.mean > 20 and (.within_limits | not)'
@@ -44,18 +44,18 @@ check "the limit that does not hold is named" $?
 $compare t.exr a_normal.exr --force --max-mean 180
 code 0
 
-# Green up against green down is another convention, not an error of some degrees; nor is a mask a map of normals.
+# Maps with green up and green down, or a mask and a normal map, differ in meaning, not by some degrees.
 run bisque-bake box.nvdb low.obj --size 64 --maps normal --green down --float -o d.exr
 $compare t.exr d.exr
-refused 65 "$p t.exr has bisque:green \"up\", d.exr has \"down\": these maps do not compare"
+refused 65 "$p t.exr has bisque:green \"up\", d.exr has \"down\": these maps cannot be compared"
 $compare d.exr t.exr --type data
-refused 65 "$p d.exr has bisque:green \"down\", t.exr has \"up\": these maps do not compare"
+refused 65 "$p d.exr has bisque:green \"down\", t.exr has \"up\": these maps cannot be compared"
 $compare d.exr t.exr --force
 code 0
 $compare d.exr d.exr
 code 0
 $compare a_mask.exr a_normal.exr
-refused 65 "$p a_mask.exr has bisque:map \"mask\", a_normal.exr has \"normal\": these maps do not compare"
+refused 65 "$p a_mask.exr has bisque:map \"mask\", a_normal.exr has \"normal\": these maps cannot be compared"
 rm d.exr
 
 $compare a_normal.exr a_normal.exr --mask-a a_mask.exr --mask-b a_mask.exr --heatmap h.png --histogram g.png

@@ -1,26 +1,78 @@
-/* compare_chart.c - heat map and histogram of a comparison, as PNG.
+/* charts.c - heat map and histogram of a comparison, as PNG.
+ *
+ * The scale is written into the picture, with a small font of this file, because its top is the
+ * 99th percentile of each comparison by default. Without the number, pictures of an error of 0.1
+ * and of 10 degrees would look alike once they are apart from the program's output.
  *
  * Colours run from near black over purple and orange to light yellow with steadily growing
- * lightness, so that the picture reads the same in grey and for colour-blind eyes. Texels without
- * an error are blue-grey. */
+ * lightness, so that the picture reads the same in grey and for colour-blind eyes. Texels that were
+ * not compared are blue-grey. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "formats/image/png_image.h"
 #include "libbake/compare/comparison.h"
-#include "libbake/compare/glyphs.h"
+
+static const float paper[3] = {0.11f, 0.12f, 0.14f}, ink[3] = {0.92f, 0.92f, 0.90f};
+static const float not_compared[3] = {0.22f, 0.25f, 0.30f};
+
+/* ---- a font ---- */
+
+enum { GLYPH_WIDTH = 5, GLYPH_HEIGHT = 7 }; /* dots */
+
+/* The characters of numbers, units and names of figures. Rows from the top; the leftmost dot is bit
+ * 4. */
+static const struct {
+    char character;
+    uint8_t rows[GLYPH_HEIGHT];
+} glyphs[] = {
+    {'0', {0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e}},
+    {'1', {0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e}},
+    {'2', {0x0e, 0x11, 0x01, 0x02, 0x04, 0x08, 0x1f}},
+    {'3', {0x0e, 0x11, 0x01, 0x06, 0x01, 0x11, 0x0e}},
+    {'4', {0x02, 0x06, 0x0a, 0x12, 0x1f, 0x02, 0x02}},
+    {'5', {0x1f, 0x10, 0x1e, 0x01, 0x01, 0x11, 0x0e}},
+    {'6', {0x0e, 0x10, 0x10, 0x1e, 0x11, 0x11, 0x0e}},
+    {'7', {0x1f, 0x01, 0x02, 0x02, 0x04, 0x04, 0x04}},
+    {'8', {0x0e, 0x11, 0x11, 0x0e, 0x11, 0x11, 0x0e}},
+    {'9', {0x0e, 0x11, 0x11, 0x0f, 0x01, 0x01, 0x0e}},
+    {'.', {0x00, 0x00, 0x00, 0x00, 0x00, 0x0c, 0x0c}},
+    {'-', {0x00, 0x00, 0x00, 0x0e, 0x00, 0x00, 0x00}},
+    {'+', {0x00, 0x04, 0x04, 0x1f, 0x04, 0x04, 0x00}},
+    {'a', {0x00, 0x00, 0x0e, 0x01, 0x0f, 0x11, 0x0f}},
+    {'c', {0x00, 0x00, 0x0e, 0x10, 0x10, 0x10, 0x0e}},
+    {'d', {0x01, 0x01, 0x0f, 0x11, 0x11, 0x11, 0x0f}},
+    {'e', {0x00, 0x00, 0x0e, 0x11, 0x1f, 0x10, 0x0e}},
+    {'f', {0x06, 0x08, 0x1c, 0x08, 0x08, 0x08, 0x08}},
+    {'g', {0x00, 0x0f, 0x11, 0x11, 0x0f, 0x01, 0x0e}},
+    {'i', {0x04, 0x00, 0x0c, 0x04, 0x04, 0x04, 0x0e}},
+    {'m', {0x00, 0x00, 0x1a, 0x15, 0x15, 0x15, 0x15}},
+    {'n', {0x00, 0x00, 0x1e, 0x11, 0x11, 0x11, 0x11}},
+    {'p', {0x00, 0x1e, 0x11, 0x11, 0x1e, 0x10, 0x10}},
+    {'r', {0x00, 0x00, 0x16, 0x18, 0x10, 0x10, 0x10}},
+    {'s', {0x00, 0x00, 0x0f, 0x10, 0x0e, 0x01, 0x1e}},
+    {'E', {0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x1f}},
+};
+
+static const uint8_t *find_glyph(char character)
+{
+    static const uint8_t blank[GLYPH_HEIGHT];
+    for (unsigned i = 0; i < sizeof glyphs / sizeof *glyphs; i++)
+        if (glyphs[i].character == character)
+            return glyphs[i].rows;
+    return blank;
+}
 
 /* ---- a small canvas ---- */
 
 struct canvas {
-    uint32_t width, height;
-    float (*pixels)[3]; /* display-referred 0..1 */
+    uint32_t width, height; /* pixels */
+    float (*pixels)[3];     /* height x width, display-referred 0..1 */
 };
 
 static int canvas_create(struct bsq_ctx *ctx, uint64_t width, uint64_t height, struct canvas *out)
 {
-    static const float paper[3] = {0.11f, 0.12f, 0.14f};
     *out = (struct canvas){(uint32_t)width, (uint32_t)height, NULL};
     int status = bsq_alloc(ctx, "chart", width * height, sizeof *out->pixels, &out->pixels);
     for (uint64_t i = 0; !status && i < width * height; i++)
@@ -42,6 +94,7 @@ static int canvas_write(struct bsq_ctx *ctx, const struct canvas *canvas, const 
     return status;
 }
 
+/* Fills a rectangle; parts outside of the canvas are ignored. */
 static void fill(struct canvas *canvas, int64_t x0, int64_t y0, int64_t width, int64_t height,
                  const float color[3])
 {
@@ -51,28 +104,28 @@ static void fill(struct canvas *canvas, int64_t x0, int64_t y0, int64_t width, i
                 memcpy(canvas->pixels[y * canvas->width + x], color, 3 * sizeof *color);
 }
 
-static const float ink[3] = {0.92f, 0.92f, 0.90f};
-
-/* Text with its top left corner at (x, y), `scale` pixels to a dot. */
+/* Draws text with its top left corner at (x, y). A dot of the font is `scale` pixels wide and high.
+ */
 static void write_text(struct canvas *canvas, int64_t x, int64_t y, unsigned scale,
                        const char *text)
 {
-    for (; *text; text++, x += (BAKE_GLYPH_WIDTH + 1) * scale) {
-        const uint8_t *rows = bake_glyph(*text);
-        for (unsigned row = 0; row < BAKE_GLYPH_HEIGHT; row++)
-            for (unsigned column = 0; column < BAKE_GLYPH_WIDTH; column++)
-                if (rows[row] >> (BAKE_GLYPH_WIDTH - 1 - column) & 1)
+    for (; *text; text++, x += (GLYPH_WIDTH + 1) * scale) {
+        const uint8_t *rows = find_glyph(*text);
+        for (unsigned row = 0; row < GLYPH_HEIGHT; row++)
+            for (unsigned column = 0; column < GLYPH_WIDTH; column++)
+                if (rows[row] >> (GLYPH_WIDTH - 1 - column) & 1)
                     fill(canvas, x + column * scale, y + row * scale, scale, scale, ink);
     }
 }
 
 static int64_t text_width(const char *text, unsigned scale)
 {
-    return (int64_t)(strlen(text) * (BAKE_GLYPH_WIDTH + 1) * scale);
+    return (int64_t)(strlen(text) * (GLYPH_WIDTH + 1) * scale);
 }
 
 /* ---- colours ---- */
 
+/* Returns the colour of an error; `value` is its share of the top of the scale, clamped to 0..1. */
 static void heat(double value, float color[3])
 {
     static const float stops[][3] = {{0.02f, 0.02f, 0.07f}, {0.24f, 0.06f, 0.42f},
@@ -85,70 +138,48 @@ static void heat(double value, float color[3])
         color[k] = stops[i][k] + (float)(x - i) * (stops[i + 1][k] - stops[i][k]);
 }
 
-/* ---- the scale: a bar with five ticks ---- */
+/* ---- the scale ---- */
 
-static bool overlap(const struct bake_scale_label *a, const struct bake_scale_label *b, int64_t gap)
-{
-    return a->left < b->left + b->width + gap && b->left < a->left + a->width + gap;
-}
+enum { SCALE_MARGIN = 24, SCALE_HEIGHT = 28, TICKS = 5 }; /* margin and height in dots */
 
-void bake_scale_layout(int64_t width, unsigned scale, double top, const char *unit,
-                       struct bake_scale_label labels[BAKE_SCALE_TICKS])
+/* Draws the axis from 0 to `top`: a bar of colours if it is `colored`, ticks, and labels at both
+ * ends. A dot is `dot` pixels wide and high. */
+static void draw_scale(struct canvas *canvas, int64_t y, unsigned dot, double top, const char *unit,
+                       bool colored)
 {
-    static const int by_weight[BAKE_SCALE_TICKS] = {4, 0, 2, 1, 3};
-    int64_t margin = BAKE_SCALE_MARGIN * scale, bar = width - 2 * margin,
-            gap = BAKE_GLYPH_WIDTH * scale;
-    for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
-        int tick = by_weight[i];
-        bool last = tick == BAKE_SCALE_TICKS - 1;
-        struct bake_scale_label *label = &labels[tick];
-        snprintf(label->text, sizeof label->text, "%.3g%s%s", top * tick / (BAKE_SCALE_TICKS - 1),
-                 last ? "+ " : "", last ? unit : "");
-        label->tick = margin + bar * tick / (BAKE_SCALE_TICKS - 1);
-        label->width = text_width(label->text, scale) - scale;
-        label->left = last ? width - label->width - 2 * scale : label->tick - label->width / 2;
-        label->shown = true;
-        for (int j = 0; j < i; j++)
-            if (labels[by_weight[j]].shown && overlap(label, &labels[by_weight[j]], gap))
-                label->shown = false;
-    }
-}
-
-static void draw_scale(struct canvas *canvas, int64_t y, unsigned scale, double top,
-                       const char *unit, bool colored)
-{
-    struct bake_scale_label labels[BAKE_SCALE_TICKS];
-    int64_t margin = BAKE_SCALE_MARGIN * scale, width = (int64_t)canvas->width - 2 * margin,
-            bar = 8 * scale;
+    char label[48];
+    int64_t margin = SCALE_MARGIN * dot, width = (int64_t)canvas->width - 2 * margin, bar = 8 * dot;
     for (int64_t x = 0; colored && x < width; x++) {
         float color[3];
         heat((double)x / (double)width, color);
         fill(canvas, margin + x, y, 1, bar, color);
     }
-    bake_scale_layout(canvas->width, scale, top, unit, labels);
-    for (int i = 0; i < BAKE_SCALE_TICKS; i++) {
-        fill(canvas, labels[i].tick, y + bar, scale, 3 * scale, ink);
-        if (labels[i].shown)
-            write_text(canvas, labels[i].left, y + bar + 5 * scale, scale, labels[i].text);
-    }
+    for (int i = 0; i < TICKS; i++)
+        fill(canvas, margin + width * i / (TICKS - 1), y + bar, dot, 3 * dot, ink);
+    write_text(canvas, margin - GLYPH_WIDTH * dot / 2, y + bar + 5 * dot, dot, "0");
+    snprintf(label, sizeof label, "%.3g+ %s", top, unit);
+    write_text(canvas, (int64_t)canvas->width - text_width(label, dot) - dot, y + bar + 5 * dot,
+               dot, label);
 }
 
-static unsigned scale_for(uint32_t width)
+/* ---- the heat map ---- */
+
+enum { LEAST_WIDTH = 256 }; /* pixels, for the labels */
+
+/* Returns the size in pixels of the font's dots for a map of `width` texels. */
+static unsigned dot_size(uint32_t width)
 {
     return width < 512 ? 1 : width / 512;
 }
 
-enum { SCALE_HEIGHT = 28, LEAST_WIDTH = 256 };
-
 int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
                        const char *path)
 {
-    static const float empty[3] = {0.22f, 0.25f, 0.30f};
     uint32_t width = comparison->a.width, height = comparison->a.height;
     struct canvas canvas;
-    unsigned scale = scale_for(width);
+    unsigned dot = dot_size(width);
     int status = canvas_create(ctx, width < LEAST_WIDTH ? LEAST_WIDTH : width,
-                               (uint64_t)height + SCALE_HEIGHT * scale, &canvas);
+                               (uint64_t)height + SCALE_HEIGHT * dot, &canvas);
     if (status)
         return status;
     for (uint64_t y = 0; y < height && (status = bsq_check(ctx)) == 0; y++)
@@ -156,12 +187,12 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
             float error = comparison->errors[y * width + x],
                   *pixel = canvas.pixels[y * canvas.width + x];
             if (error < 0)
-                memcpy(pixel, empty, sizeof empty);
+                memcpy(pixel, not_compared, sizeof not_compared);
             else
                 heat((double)error / top, pixel);
         }
-    draw_scale(&canvas, (int64_t)height + 4 * scale, scale, top,
-               bake_compare_unit(comparison->kind), true);
+    draw_scale(&canvas, (int64_t)height + 4 * dot, dot, top, bake_compare_unit(comparison->kind),
+               true);
     if (status == 0)
         status = canvas_write(ctx, &canvas, path);
     bsq_free(ctx, canvas.pixels);
@@ -170,8 +201,10 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
 
 /* ---- the histogram ---- */
 
+/* Sizes in pixels. */
 enum { BINS = 200, BIN_WIDTH = 4, CHART_HEIGHT = 320, CHART_TOP = 36, CHART_MARGIN = 48 };
 
+/* Counts the compared errors in BINS equal steps up to `top`; the last bin takes all above. */
 static void count_bins(const struct bake_comparison *comparison, double top, uint64_t bins[BINS])
 {
     uint64_t texels = (uint64_t)comparison->a.width * comparison->a.height;
@@ -183,6 +216,7 @@ static void count_bins(const struct bake_comparison *comparison, double top, uin
     }
 }
 
+/* Draws a line at a value, with its name. Values beyond `top` are left out. */
 static void draw_mark(struct canvas *canvas, double value, double top, int64_t y, const char *name)
 {
     if (value > top)
