@@ -1,5 +1,6 @@
 # Bisque's only build. `make help` lists the targets; config = release, debug, asan, tsan, fuzz.
-VERSION := 0.2.0
+# base/version.h has the version's three numbers.
+VERSION := $(shell awk '/define BSQ_VERSION_(MAJOR|MINOR|PATCH)/ { printf "%s%s", dot, $$3; dot = "." }' base/version.h)
 config  ?= release
 BUILD   ?= build/$(config)
 prefix  ?= /usr/local
@@ -23,7 +24,7 @@ $(error config=$(config) is not one of release, debug, asan, tsan, fuzz)
 endif
 
 # No contraction and no fast math: results are the same on every device and compiler.
-CPPFLAGS += -I. -I$(BUILD)/gen -D_GNU_SOURCE -D_FILE_OFFSET_BITS=64 -DBSQ_VERSION='"$(VERSION)"'
+CPPFLAGS += -I. -I$(BUILD)/gen -D_GNU_SOURCE -D_FILE_OFFSET_BITS=64
 common   := $(opt.$(config)) $(ARCH) -ffp-contract=off -fno-math-errno -fPIC -pthread -MMD -MP
 CFLAGS   += -std=c11 $(WARN) $(common)
 CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
@@ -58,7 +59,7 @@ modules      := texture openvdb
 src.texture  := formats/image/texture_oiio.cc formats/image/texture_pyramid.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
-module_headers  := $(addprefix base/,context.h file.h output.h parallel.h) \
+module_headers  := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
     $(addprefix formats/,module_internal.h grid/nvdb.h image/texture.h)
 module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
@@ -78,9 +79,6 @@ $(BUILD)/obj/%.cc.o: %.cc
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
 # The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
 $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
-# Whoever says the version is compiled again when it is raised here.
-$(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(foreach m,$(modules),$(src.$(m))) libbake/maps/map_files.c libvoxel/job_record.c \
-    tools/cli.c tools/cli_report.c): Makefile
 # Fused operations would round otherwise. Nobody makes them where -ffp-contract=off says so; but Clang takes AVX-512 away with
 # them.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
@@ -427,7 +425,7 @@ libdir = $(DESTDIR)$(prefix)/lib
 moddir = $(libdir)/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
-public_headers := base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
+public_headers := base/version.h base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 
 .PHONY: install uninstall
 ## install: programs, man pages, libraries, modules, headers and pkg-config files, under prefix=/usr/local

@@ -33,6 +33,11 @@ static unsigned usable_processors(void)
     return 1;
 }
 
+const char *bsq_version(void)
+{
+    return BSQ_VERSION;
+}
+
 int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
 {
     *out = NULL;

@@ -1,12 +1,15 @@
-/* context.h - what every call into Bisque's libraries shares.
+/** @file
+ * The context: what every call into Bisque's libraries shares.
  *
- * A context carries the memory budget, the thread pool, the error of the first failure, and the
- * callbacks for progress and warnings. Create one per job; everything that a library allocates for
- * a job is reserved from the context's budget and nothing is global. Functions return 0 or a
- * negative code of enum bsq_status; whoever detects a failure describes it once with bsq_fail(),
- * callers only forward the code.
+ * A context carries the memory budget, the threads, the error of the first failure, and the
+ * callbacks for progress and warnings. Create one for each job. Libraries reserve all memory of a
+ * job from its context. They keep no global state, print nothing and never exit.
  *
- * Thread safety: all functions here may be called from any thread, except create and destroy. */
+ * Functions return 0 or a negative code of enum bsq_status. Whoever detects a failure describes it
+ * once with bsq_fail(); callers only forward the code.
+ *
+ * Thread safety: any thread may call any function here, except bsq_ctx_create() and
+ * bsq_ctx_destroy(). */
 #ifndef BSQ_CONTEXT_H
 #define BSQ_CONTEXT_H
 
@@ -15,125 +18,152 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "base/version.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* Status codes are negated sysexits(3) values, so that a tool's exit code is -status. */
+/** Status codes. Each is a negated exit code of sysexits(3), so a tool's exit code is -status. */
 enum bsq_status {
-    BSQ_OK = 0,
-    BSQ_EUSAGE = -64,     /* arguments that make no sense, a budget that is too small */
-    BSQ_EDATA = -65,      /* input that is damaged or not of the expected kind */
-    BSQ_ENOINPUT = -66,   /* input that does not exist or cannot be read */
-    BSQ_ENODEVICE = -69,  /* no such compute device */
-    BSQ_EBUG = -70,       /* an invariant of Bisque's own does not hold */
-    BSQ_ENOMEM = -71,     /* the system or the budget has no memory left */
-    BSQ_ECANTCREAT = -73, /* output cannot be created */
-    BSQ_EIO = -74,        /* reading or writing failed, disk full included */
-    BSQ_EINTR = -75       /* bsq_interrupt() was called */
+    BSQ_OK = 0,           /**< Success. */
+    BSQ_EUSAGE = -64,     /**< Arguments that make no sense, or a budget that is too small. */
+    BSQ_EDATA = -65,      /**< Input that is damaged or not of the expected kind. */
+    BSQ_ENOINPUT = -66,   /**< Input that does not exist or cannot be read. */
+    BSQ_ENODEVICE = -69,  /**< No such compute device. */
+    BSQ_EBUG = -70,       /**< An invariant of Bisque does not hold. */
+    BSQ_ENOMEM = -71,     /**< The system or the budget has no memory left. */
+    BSQ_ECANTCREAT = -73, /**< Output that cannot be created. */
+    BSQ_EIO = -74,        /**< Reading or writing failed; a full disk is one reason. */
+    BSQ_EINTR = -75       /**< bsq_interrupt() was called. */
 };
 
-/* One progress report. `done` and `total` count `unit`s ("bytes", "triangles", "texels");
- * total is 0 where it is not known. */
+/** Normals of a scan (the high-poly mesh) that has none of its own. */
+enum bsq_scan_normals {
+    BSQ_SCAN_NORMALS_SMOOTH, /**< Interpolated between area-weighted vertex normals. They stop at
+                                creases. */
+    BSQ_SCAN_NORMALS_FLAT    /**< The normals of the triangles. */
+};
+
+/** A progress report. */
 struct bsq_progress {
-    const char *stage; /* e.g. "reading", "sorting"; static storage */
-    const char *unit;
-    uint64_t done, total;
-    bool finished; /* last report of this stage */
+    const char *stage; /**< For example "reading" or "sorting"; static storage. */
+    const char *unit;  /**< What is counted: "bytes", "triangles", "texels"; static storage. */
+    uint64_t done;     /**< Units that are done. */
+    uint64_t total;    /**< Units in all; 0 if unknown. */
+    bool finished;     /**< True in the last report of a stage. */
 };
 
+/** Options of a context. All zeros are the defaults. */
 struct bsq_ctx_options {
-    uint64_t memory_bytes; /* budget; 0: half of the machine's memory */
-    unsigned threads;      /* 0: one per processor that this process may use */
-    const char *tmpdir;    /* where temporary files go; NULL: $TMPDIR, else beside the output */
-    /* Called at most about ten times a second, never concurrently; may be NULL. */
+    uint64_t memory_bytes; /**< Memory budget; 0: half of the machine's memory. */
+    unsigned threads;      /**< 0: one for each processor that this process may use. */
+    const char *tmpdir; /**< Directory of temporary files. NULL: $TMPDIR, else that of the output.
+                         */
+    /** Called at most about ten times a second, never concurrently; may be NULL. */
     void (*on_progress)(void *user, const struct bsq_progress *progress);
-    /* Called once per warning with a line without newline, never concurrently; may be NULL. */
+    /** Called for each warning, a line without a newline, never concurrently; may be NULL. */
     void (*on_warning)(void *user, const char *line);
-    void *user;
+    void *user; /**< Passed to both callbacks. */
 };
 
 struct bsq_ctx;
 
-/* Creates a context in *out. options may be NULL for all defaults; strings in it are copied.
- * The caller owns *out. Errors: BSQ_ENOMEM. */
+/** Creates a context in *out, which the caller owns. `options` may be NULL for the defaults;
+ * strings in it are copied. Errors: BSQ_ENOMEM. */
 int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out);
 
-/* Stops the threads and frees the context; NULL is allowed. All memory obtained through it must
- * have been freed before. */
+/** Stops the threads and frees the context; NULL is allowed. All memory that was allocated from it
+ * must be freed before. */
 void bsq_ctx_destroy(struct bsq_ctx *ctx);
 
-/* Number of worker threads, at least 1 (the calling thread counts as one of them). */
+/** Returns the number of worker threads, at least 1. The calling thread counts as one of them. */
 unsigned bsq_threads(const struct bsq_ctx *ctx);
 
-/* Directory for temporary files: the option, else $TMPDIR, else NULL (beside the output). */
+/** Returns the directory of temporary files: the option, else $TMPDIR, else NULL, which means the
+ * output's directory. */
 const char *bsq_tmpdir(const struct bsq_ctx *ctx);
 
 /* ---- errors ---- */
 
-/* Records the description of a failure and returns `status`. Only the first failure of a context
- * is kept. The text is one line without newline: "scan.obj:12: face refers to vertex 9, ...". */
+/** Records the description of a failure and returns `status`. A context keeps only its first
+ * failure. The text is a line without a newline: "scan.obj:12: face refers to vertex 9, ...". */
 int bsq_fail(struct bsq_ctx *ctx, int status, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 
-/* Like bsq_fail() for a failed system call: appends ": " and the text of `errnum`. ENOSPC, EDQUOT
- * and EIO turn `status` into BSQ_EIO, ENOMEM into BSQ_ENOMEM. */
+/** Records a failed system call as bsq_fail() does, and appends ": " and the text of `errnum`.
+ * ENOSPC, EDQUOT and EIO change `status` to BSQ_EIO, ENOMEM changes it to BSQ_ENOMEM. */
 int bsq_fail_errno(struct bsq_ctx *ctx, int status, int errnum, const char *format, ...)
     __attribute__((format(printf, 4, 5)));
 
-/* Text of the first failure, or "" when there was none. Valid until the context is destroyed or
- * bsq_clear_error() is called. */
+/** Returns the text of the first failure, or "" if there was none. It is valid until
+ * bsq_clear_error() or bsq_ctx_destroy(). */
 const char *bsq_error(const struct bsq_ctx *ctx);
 
-/* Forgets the recorded failure, so that the context can be used for another job. */
+/** Forgets the recorded failure, so that the context can be used for another job. */
 void bsq_clear_error(struct bsq_ctx *ctx);
 
-/* Passes one line to on_warning. */
+/** Passes a line to on_warning. */
 void bsq_warn(struct bsq_ctx *ctx, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 /* ---- interruption ---- */
 
-/* Asks all work of this context to stop soon with BSQ_EINTR. Async-signal-safe. */
+/** Makes all work of this context stop soon with BSQ_EINTR. Async-signal-safe. */
 void bsq_interrupt(struct bsq_ctx *ctx);
 
-/* 0, or BSQ_EINTR once bsq_interrupt() was called. Long loops call this every few milliseconds. */
+/** Returns BSQ_EINTR after bsq_interrupt(), else 0. Long loops call this every few milliseconds. */
 int bsq_check(struct bsq_ctx *ctx);
 
 /* ---- memory ---- */
 
-/* All sizes are overflow-checked: count * size that overflows is BSQ_ENOMEM. Memory is aligned to
- * 64 bytes and counts against the budget until bsq_free(). On failure *out is NULL and the error
- * names the bytes asked for, the budget and what is in use. `what` names the purpose. */
+/** Allocates `count` elements of `size` bytes, aligned to 64 bytes, and stores the pointer in *out.
+ * The memory counts against the budget until bsq_free(). `what` names its purpose in errors.
+ * Errors: BSQ_ENOMEM, also if count * size overflows; then *out is NULL, and the text names the
+ * bytes requested, the budget and the bytes in use. */
 int bsq_alloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out);
+
+/** Allocates as bsq_alloc() does and sets all bytes to 0. */
 int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out);
 
-/* Grows *inout (NULL at first) from old_count to at least `count` elements, keeping its content;
- * *capacity (elements) is updated; grows by at least half so that appending is linear. */
+/** Grows *inout, NULL at first, to at least `count` elements of `size` bytes and keeps its content.
+ * Updates *capacity, in elements. Grows by at least half, so appending takes linear time.
+ * Errors: as bsq_alloc(); then *inout stays as it was. */
 int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
              uint64_t *capacity);
 
-/* Frees memory of bsq_alloc/calloc/grow; NULL is allowed. */
+/** Frees memory of bsq_alloc(), bsq_calloc() or bsq_grow(); NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);
 
-/* Takes the whole pages in [at, at + bytes) from the system now and not when they are first
- * touched: for threads that have time for it before another one fills them. Content stays; a wish,
- * that older systems do not grant. */
+/** Prefaults the whole pages in [at, at + bytes): the system assigns them now, not at their first
+ * use. The content stays. Does nothing on systems that cannot do this. */
 void bsq_touch(void *at, uint64_t bytes);
 
-/* Counts `bytes` that somebody else allocates (a library's cache) against the budget. */
+/** Counts `bytes` that other code allocates, such as a library's cache, against the budget.
+ * Errors: BSQ_ENOMEM. */
 int bsq_reserve(struct bsq_ctx *ctx, const char *what, uint64_t bytes);
+
+/** Returns `bytes` of bsq_reserve() to the budget. */
 void bsq_release(struct bsq_ctx *ctx, uint64_t bytes);
 
-uint64_t bsq_memory_limit(const struct bsq_ctx *ctx); /* the budget in bytes */
-uint64_t bsq_memory_used(const struct bsq_ctx *ctx);  /* bytes reserved now */
-uint64_t bsq_memory_high(const struct bsq_ctx *ctx);  /* most bytes ever reserved at a time */
+/** Returns the memory budget in bytes. */
+uint64_t bsq_memory_limit(const struct bsq_ctx *ctx);
+
+/** Returns the bytes that are reserved now. */
+uint64_t bsq_memory_used(const struct bsq_ctx *ctx);
+
+/** Returns the largest number of bytes that was reserved at any time. */
+uint64_t bsq_memory_high(const struct bsq_ctx *ctx);
 
 /* ---- progress ---- */
 
-/* Starts a stage; `stage` and `unit` must be string literals. One stage at a time. */
+/** Starts a stage with `total` units; 0 if unknown. `stage` and `unit` must be string literals. A
+ * context has one stage at a time. */
 void bsq_progress_begin(struct bsq_ctx *ctx, const char *stage, const char *unit, uint64_t total);
-/* Adds to the stage's count; any thread, cheap. */
+
+/** Adds `count` units to the stage's count. Cheap enough for inner loops. */
 void bsq_progress_add(struct bsq_ctx *ctx, uint64_t count);
+
+/** Ends the stage. */
 void bsq_progress_end(struct bsq_ctx *ctx);
 
 #ifdef __cplusplus

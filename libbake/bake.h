@@ -1,5 +1,11 @@
-/* bake.h - stage 2: rays from a low mesh to the scan, as a voxel grid or as its triangles, give
- * texture maps. */
+/** @file
+ * libbake, stage 2: rays from a low-poly mesh (the low mesh) to a high-poly mesh (the scan) give
+ * texture maps. The scan is a voxel grid, or a chunk file for exact results.
+ *
+ * Lengths are in the scan's units. Both meshes share one coordinate system.
+ *
+ * @example bake_maps.c
+ * Bakes the maps of a grid or of a chunk file. */
 #ifndef BAKE_BAKE_H
 #define BAKE_BAKE_H
 
@@ -9,104 +15,133 @@
 extern "C" {
 #endif
 
+/** Maps; bits that can be combined. */
 enum bake_map {
-    BAKE_MAPS_DEFAULT = 0, /* normal, and color where the scan has colours */
-    BAKE_MAP_NORMAL = 1,   /* unit normal n as n / 2 + 1/2 in R, G, B */
-    BAKE_MAP_COLOR = 2,    /* linear Rec. 709 light in EXR, sRGB in PNG */
-    BAKE_MAP_MASK = 4 /* share of a texel's samples that hit: 1 all, 0 none or outside the charts */
+    BAKE_MAPS_DEFAULT = 0, /**< Normal, and color if the scan has colours. */
+    BAKE_MAP_NORMAL = 1,   /**< The unit normal n as n / 2 + 1/2 in R, G, B. */
+    BAKE_MAP_COLOR = 2,    /**< Linear Rec. 709 light in EXR, sRGB in PNG. */
+    BAKE_MAP_MASK = 4      /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
+                              charts. */
 };
-enum bake_normal_space { BAKE_TANGENT_SPACE, BAKE_OBJECT_SPACE };
+
+/** Space of a normal map. */
+enum bake_normal_space {
+    BAKE_TANGENT_SPACE, /**< MikkTSpace tangent frames of the low-poly mesh. */
+    BAKE_OBJECT_SPACE   /**< The coordinate system of the meshes. */
+};
+
+/** What a ray takes from a grid. */
 enum bake_sampling {
-    BAKE_TRILINEAR, /* normals and colours blended over the occupied neighbours */
-    BAKE_NEAREST    /* those of the voxel that is hit (West 2008) */
+    BAKE_TRILINEAR, /**< Normals and colours blended over the occupied neighbours of the hit. */
+    BAKE_NEAREST    /**< Those of the voxel that is hit (West 2008). */
 };
-/* Normals of triangles (exact baking) of a scan that has none of its own. */
-enum bake_scan_normals {
-    BAKE_SCAN_NORMALS_SMOOTH, /* interpolated from vertex normals weighted by area */
-    BAKE_SCAN_NORMALS_FLAT
-};
+
+/** Formats of map files. */
 enum bake_format {
-    BAKE_FORMAT_DEFAULT, /* by the output's name: .png is BAKE_PNG16, else BAKE_EXR_HALF */
-    BAKE_EXR_HALF,
-    BAKE_EXR_FLOAT,
-    BAKE_PNG8, /* dithered */
-    BAKE_PNG16
+    BAKE_FORMAT_DEFAULT, /**< BAKE_PNG16 if the output's name ends in .png, else BAKE_EXR_HALF. */
+    BAKE_EXR_HALF,       /**< OpenEXR with 16-bit floating-point samples. */
+    BAKE_EXR_FLOAT,      /**< OpenEXR with 32-bit floating-point samples. */
+    BAKE_PNG8,           /**< PNG with 8 bits a sample, dithered. */
+    BAKE_PNG16           /**< PNG with 16 bits a sample. */
 };
 
+/** What bake_run() reads and writes. The caller owns all strings. */
 struct bake_options {
-    /* A grid (.nvdb), or for exact maps a chunk file (.tris); told apart by content. */
-    const char *scan_path;
-    const char *mesh_path; /* low mesh, OBJ with texture coordinates */
-    uint32_t maps;         /* of enum bake_map, or-ed */
-    /* Output path; "<MAP>" in it stands for normal, color, mask, and must be there when there
-     * are several maps. Must end in .png for a PNG format, and must not for EXR. */
+    const char
+        *scan_path; /**< Input: a grid (.nvdb) or a chunk file (.tris); the content decides. */
+    const char *mesh_path; /**< Input: the low-poly mesh, an OBJ file with texture coordinates. */
+    uint32_t maps;         /**< Bits of enum bake_map. */
+    /** Output path. "<MAP>" in it stands for the map's name: normal, color or mask. It must contain
+     * "<MAP>" if there are several maps. It must end in .png if and only if `format` is PNG. */
     const char *output_path;
-    enum bake_format format;
-    uint32_t width, height; /* texels */
-    uint32_t samples;       /* N: N x N ray pairs a texel */
-    double front,
-        back;         /* ray lengths in world units along and against the normal; < 0: automatic */
-    uint32_t padding; /* texels around each chart; UINT32_MAX: everywhere */
-    bool green_down;  /* flip the tangent-space map's green channel (Direct3D convention) */
-    enum bake_normal_space normal_space;
-    enum bake_sampling sampling;         /* of a grid */
-    enum bake_scan_normals scan_normals; /* of a chunk file */
-    bool two_sided;                      /* also take surfaces that face away from the low mesh */
-    const char *device;                  /* one of BAKE_DEVICE_NAMES */
-    /* Most bytes to use of a GPU's memory, 0: all that is free. A grid that needs more is baked in
-     * passes. The processor reads the grid from its file and uses none. */
+    enum bake_format format; /**< Format of the map files. */
+    uint32_t width;          /**< Width of the maps in texels. */
+    uint32_t height;         /**< Height of the maps in texels. */
+    uint32_t samples;        /**< N: each texel gets N x N pairs of rays. */
+    double front;            /**< Length of rays along the normal; < 0: automatic. */
+    double back;             /**< Length of rays against the normal; < 0: automatic. */
+    uint32_t padding;        /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
+    bool green_down; /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
+    enum bake_normal_space normal_space; /**< Space of the normal map. */
+    enum bake_sampling sampling;         /**< For grids. */
+    enum bsq_scan_normals scan_normals;  /**< For chunk files without normals. */
+    bool two_sided;     /**< Also takes surfaces that face away from the low-poly mesh. */
+    const char *device; /**< One of BAKE_DEVICE_NAMES. */
+    /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
+     * The processor reads the grid from its file and ignores this. */
     uint64_t gpu_memory_bytes;
-    const char *preview_path; /* PNG, or NULL */
+    const char *preview_path; /**< Output: a preview, PNG, or NULL. */
 };
 
-/* Name of one map's file: output_path with every "<MAP>" replaced; to be freed with free(). NULL:
- * no memory. */
+/** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
+ * it with free(). Returns NULL if there is no memory. */
 char *bake_map_path(const char *output_path, enum bake_map map);
 
-/* Fills in the defaults: default maps, 2048 x 2048, 2 x 2 samples, automatic distances, padding 16.
- */
+/** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
+ * 16 texels of padding, tangent space, any device. */
 void bake_defaults(struct bake_options *options);
 
+/** What bake_run() did. Times are wall times in seconds. */
 struct bake_report {
-    char device[128]; /* name of the device that traced */
-    uint64_t low_triangles, degenerate_uv_triangles, outside_uv_triangles;
-    uint64_t covered_texels; /* with at least one sample inside a chart */
-    uint64_t samples, hits, misses;
-    uint64_t overlapping_samples; /* inside more than one triangle: the first takes them */
-    double front, back;           /* as used */
-    /* Wall times. open has what comes before the first ray, the upload of the grid too; trace also
-     * rasterises and averages texels; resolve encodes pixels. */
-    double seconds_open, seconds_trace, seconds_padding, seconds_resolve, seconds_write,
-        seconds_preview;
-    /* Of a device other than the processor, else 0: upload of the grid (wall time), and on the
-     * device's clock how long kernels and copies of tiles ran; those of several threads at once
-     * count once. */
-    double seconds_upload, seconds_kernels, seconds_copies;
-    uint64_t kernel_calls;
-    uint64_t passes; /* over the map, each with a part of the grid; 1: the device holds all of it */
+    char device[128];                 /**< Name of the device that traced. */
+    uint64_t low_triangles;           /**< Triangles of the low-poly mesh. */
+    uint64_t degenerate_uv_triangles; /**< Of these, without an area in the map. */
+    uint64_t outside_uv_triangles;    /**< Of these, partly or wholly outside the map. */
+    uint64_t covered_texels;          /**< Texels with at least one sample inside a UV chart. */
+    uint64_t samples;                 /**< Samples inside UV charts. */
+    uint64_t hits;                    /**< Samples whose rays found the scan. */
+    uint64_t misses;                  /**< Samples whose rays did not. */
+    uint64_t
+        overlapping_samples; /**< Samples in several triangles; the first triangle takes them. */
+    double front;            /**< Length of rays along the normal. */
+    double back;             /**< Length of rays against the normal. */
+    double seconds_open;     /**< Before the first ray; includes the upload of the grid. */
+    double seconds_trace;    /**< Rasterising, tracing and averaging. */
+    double seconds_padding;  /**< Filling texels around charts. */
+    double seconds_resolve;  /**< Encoding pixels. */
+    double seconds_write;    /**< Writing files. */
+    double seconds_preview;  /**< Rendering the preview. */
+    double seconds_upload;   /**< Upload of the grid to a GPU; 0 for the processor. */
+    /** Time with at least one kernel running, on the GPU's clock; 0 for the processor. */
+    double seconds_kernels;
+    /** Time with at least one copy of a tile running, on the GPU's clock; 0 for the processor. */
+    double seconds_copies;
+    uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
+    uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
 
-/* Bakes and writes the maps. They are all written before the first takes its final name, so a
- * failure leaves none of them. Errors: BSQ_EDATA for a low mesh without texture coordinates, a scan
- * without colour when a colour map is asked for, a damaged grid or chunk file, or when no ray hits
- * the scan; BSQ_ENODEVICE; BSQ_EUSAGE, for the name of a device too that is none of
- * BAKE_DEVICE_NAMES. */
+/** Bakes and writes the maps, and fills in *report.
+ *
+ * The method follows West, "GPU-optimized generation of normal and color maps" (Linkoping 2008):
+ * each sample of a texel sends a ray along the interpolated normal and one against it, and the
+ * nearest hit wins. Tangent frames are MikkTSpace's (Mikkelsen 2008).
+ *
+ * All maps are complete on the disk before the first gets its final name, so a failure leaves none
+ * of them. Errors: BSQ_ENOINPUT; BSQ_EDATA for a low-poly mesh without texture coordinates, for a
+ * colour map of a scan without colours, for a damaged input, and if no ray hits the scan;
+ * BSQ_ENODEVICE; BSQ_EUSAGE for options that contradict each other and for a device name that is
+ * not one of BAKE_DEVICE_NAMES; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report);
 
-/* Whether a grid or chunk file has colours. Errors: as for one that cannot be opened. */
+/** Sets *out if a grid or chunk file has colours. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO. */
 int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out);
 
-/* One line a device: "cpu  16 threads ...", "opencl:0  NVIDIA ...". */
+/** A device that can trace rays. */
 struct bake_device_info {
-    char id[32]; /* what --device takes */
-    char name[128];
-    uint64_t memory_bytes;
-    bool is_gpu;
+    char id[32];           /**< Name for bake_options.device, such as "cpu" or "opencl:0". */
+    char name[128];        /**< Name for people, such as "16 threads" or "NVIDIA ...". */
+    uint64_t memory_bytes; /**< Its memory. */
+    bool is_gpu;           /**< False for processors, also if they are OpenCL devices. */
 };
-/* Whether this is how devices are named: BAKE_DEVICE_NAMES. There need be no such device. */
-bool bake_is_device_name(const char *name);
+
+/** Names of devices, for messages. */
 #define BAKE_DEVICE_NAMES "auto, cpu, cuda, cuda:N, opencl or opencl:N"
-/* Calls fn for each device that can be used; warnings explain drivers that cannot. */
+
+/** Checks that `name` is one of BAKE_DEVICE_NAMES. Does not check that the device exists. */
+bool bake_is_device_name(const char *name);
+
+/** Calls `fn` with `arg` for each device that can be used. Warns about drivers that cannot be used,
+ * and says why. Errors: BSQ_ENOMEM. */
 int bake_list_devices(struct bsq_ctx *ctx,
                       void (*fn)(void *arg, const struct bake_device_info *device), void *arg);
 

@@ -10,6 +10,7 @@
 #include "libvoxel/partition/one_pass.h"
 #include "libvoxel/job_record.h"
 #include "libvoxel/partition/disk_estimate.h"
+#include "libvoxel/temp_tris.h"
 
 #include <sys/stat.h>
 
@@ -171,9 +172,9 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
 static int commit(const struct vox_sort_options *options, struct fmt_tris_writer *writer,
                   struct vox_sort_report *report)
 {
-    if (options->tris_file) {
-        int status = fmt_tris_keep_temp(writer, options->tris_file);
-        report->tris_bytes = options->tris_file->size;
+    if (options->temp_tris) {
+        int status = fmt_tris_keep_temp(writer, &options->temp_tris->file);
+        report->tris_bytes = options->temp_tris->file.size;
         return status;
     }
     int status = fmt_tris_commit(writer);
@@ -203,7 +204,7 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
         .materials = scan->materials,
     };
     struct fmt_tris_writer *writer;
-    int status = options->tris_file
+    int status = options->temp_tris
                      ? fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer)
                      : fmt_tris_create(scan->ctx, options->tris_path, &header, &writer);
     if (status < 0)
@@ -256,6 +257,27 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     vox_scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;
+}
+
+void vox_sort_defaults(struct vox_sort_options *options)
+{
+    *options = (struct vox_sort_options){0};
+}
+
+int vox_temp_tris_create(struct bsq_ctx *ctx, struct vox_temp_tris **out)
+{
+    int status = bsq_alloc(ctx, "temporary chunk file", 1, sizeof **out, out);
+    if (status == 0)
+        **out = (struct vox_temp_tris){.ctx = ctx, .file = BSQ_FILE_CLOSED};
+    return status;
+}
+
+void vox_temp_tris_close(struct vox_temp_tris *temp)
+{
+    if (!temp)
+        return;
+    bsq_file_close(temp->ctx, &temp->file);
+    bsq_free(temp->ctx, temp);
 }
 
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,

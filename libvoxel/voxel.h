@@ -1,10 +1,18 @@
-/* voxel.h - stage 1: a scan of any size becomes a chunk file and a voxel grid.
+/** @file
+ * libvoxel, stage 1: a scan (the high-poly mesh) of any size becomes a chunk file and a voxel grid.
  *
- *   vox_sort()      OBJ files -> scan.tris   (triangles in spatially sorted chunks)
- *   vox_voxelize()  scan.tris -> scan.nvdb   (sparse grid of surface voxels)
+ * | function       | reads       | writes                                                   |
+ * |----------------|-------------|----------------------------------------------------------|
+ * | vox_sort()     | OBJ files   | a chunk file, .tris: triangles in spatially sorted chunks |
+ * | vox_voxelize() | chunk file  | a grid, .nvdb: sparse surface voxels                     |
  *
- * Both stay within the context's memory budget and give the same bytes for any budget and number of
- * threads. */
+ * Both stay within the context's memory budget. Output bytes are the same for any budget and any
+ * number of threads. Each call uses the context's threads; run one call of a context at a time.
+ *
+ * Positions and lengths are in the scan's units, in its coordinate system.
+ *
+ * @example voxelize_scan.c
+ * Turns an OBJ file into a chunk file and a grid. */
 #ifndef VOX_VOXEL_H
 #define VOX_VOXEL_H
 
@@ -14,110 +22,164 @@
 extern "C" {
 #endif
 
-struct bsq_file; /* base/file.h */
 struct vox_job;
 
+/** A chunk file without a name: it is gone when it is closed or the process ends. vox_sort() writes
+ * it and vox_voxelize() reads it. */
+struct vox_temp_tris;
+
+/** Creates a handle without content in *out, which the caller owns. Errors: BSQ_ENOMEM. */
+int vox_temp_tris_create(struct bsq_ctx *ctx, struct vox_temp_tris **out);
+
+/** Closes the file and frees the handle; NULL is allowed. */
+void vox_temp_tris_close(struct vox_temp_tris *temp);
+
+/** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
-    const char *const *obj_paths; /* read as one scan */
-    uint32_t obj_count;
-    const char
-        *texture_path; /* image for every face with texture coordinates; NULL: from the MTL files */
-    const char *tris_path; /* output */
-    /* NULL, or where to put the chunks instead: a temporary file, to be closed by the caller with
-     * bsq_file_close(). tris_path then only says beside what. */
-    struct bsq_file *tris_file;
-    struct vox_job *job; /* to be told of the material libraries that were read; may be NULL */
+    const char *const *obj_paths; /**< Input files, read as one scan. */
+    uint32_t obj_count;           /**< Number of input files, at least 1. */
+    const char *texture_path; /**< Image for all faces with texture coordinates. NULL: the images
+                                 that the MTL files name. */
+    const char *tris_path;    /**< Output: the chunk file. */
+    /** NULL, or the output to use instead of tris_path, which then only names the directory of
+     * temporary files. */
+    struct vox_temp_tris *temp_tris;
+    struct vox_job *job; /**< NULL, or a job that records the material libraries that are read. */
 };
 
+/** What vox_sort() did. */
 struct vox_sort_report {
-    uint64_t bytes_read, vertices, faces, triangles;
-    uint64_t degenerate_triangles; /* zero area: left out */
-    uint64_t short_faces;          /* fewer than three corners: left out */
-    uint64_t unused_vertices;
-    uint64_t skipped_lines; /* statements that OBJ does not define */
-    uint64_t chunks, tris_bytes, temp_bytes;
-    double origin[3];
-    bool has_normals, has_texcoords, has_colors;
-    double seconds_read, seconds_sort;
+    uint64_t bytes_read;           /**< Bytes of OBJ text. */
+    uint64_t vertices;             /**< Vertices of the scan. */
+    uint64_t faces;                /**< Faces of the scan, polygons included. */
+    uint64_t triangles;            /**< Triangles in the chunk file. */
+    uint64_t degenerate_triangles; /**< Triangles without area; left out. */
+    uint64_t short_faces;          /**< Faces with fewer than three corners; left out. */
+    uint64_t unused_vertices;      /**< Vertices that no face refers to. */
+    uint64_t skipped_lines;        /**< Lines with statements that OBJ does not define. */
+    uint64_t chunks;               /**< Chunks in the chunk file. */
+    uint64_t tris_bytes;           /**< Size of the chunk file. */
+    uint64_t temp_bytes;           /**< Bytes written to temporary files. */
+    double origin[3];              /**< Origin that stored positions are relative to. */
+    bool has_normals;              /**< The scan has normals. */
+    bool has_texcoords;            /**< The scan has texture coordinates. */
+    bool has_colors;               /**< The scan has vertex colours. */
+    double seconds_read;           /**< Wall time of reading. */
+    double seconds_sort;           /**< Wall time of sorting and writing. */
 };
 
-/* Reads OBJ files and writes the chunk file. Errors: those of the reader; BSQ_EDATA where there are
- * no triangles with an area; BSQ_EUSAGE where the budget is below vox_memory_min(). */
+/** Fills in the defaults: no inputs, no outputs, textures from the MTL files. */
+void vox_sort_defaults(struct vox_sort_options *options);
+
+/** Sorts the triangles of a scan in space and writes them as a chunk file (formats/FORMATS.md).
+ * Fills in *report. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged input and for a scan without any
+ * triangle that has an area; BSQ_EUSAGE if the budget is below vox_memory_min(); BSQ_ENOMEM;
+ * BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
              struct vox_sort_report *report);
 
-/* ---- going on after an interruption ----
+/** @name Resuming a job
  *
- * A job that has sorted its scan can go on with the chunk file. What this was made from is recorded
- * beside it, in tris_path.job, from when it is complete until the job is finished:
+ * A job that was interrupted after sorting can continue with its chunk file. A record beside it,
+ * tris_path + ".job", says what the chunk file was made from. It exists from the end of sorting to
+ * the end of the job. The calls in order:
  *
- *   vox_job_open(), vox_job_resume(); unless sorted: vox_sort(), vox_job_record(); vox_voxelize(),
- * vox_job_finish()
+ *     vox_job_open(), vox_job_resume();
+ *     unless sorted: vox_sort(), vox_job_record();
+ *     vox_voxelize(), vox_job_finish(), vox_job_close()
  *
- * One thread at a time. */
+ * A job belongs to one thread at a time.
+ * @{ */
 
-/* Looks at the inputs as they are now. The options are copied. Errors: BSQ_ENOINPUT. */
+/** Opens a job in *out, which the caller owns, and notes the inputs' sizes and times. Copies the
+ * options. Errors: BSQ_ENOINPUT, BSQ_ENOMEM. */
 int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out);
-void vox_job_close(struct vox_job *job); /* NULL is allowed */
 
-/* *sorted: the chunk file is there, complete, and what vox_sort() would write. Without a record, or
- * where the chunk file is not the one that it is about, false. Errors: BSQ_EDATA where an input has
- * changed since, or a program of another version or from other sources made it; BSQ_EUSAGE where
- * inputs or texture are others. The line says which. */
+/** Frees a job; NULL is allowed. The record stays. */
+void vox_job_close(struct vox_job *job);
+
+/** Sets *sorted if the chunk file is complete and is what vox_sort() would write. Clears it if
+ * there is no record or the record is about another chunk file. Errors: BSQ_EDATA if an input has
+ * changed since, or a program of another version or other sources wrote the record; BSQ_EUSAGE if
+ * the inputs or the texture are not the recorded ones. */
 int vox_job_resume(struct vox_job *job, bool *sorted);
 
-/* Writes the record, after vox_sort(); none where an input has changed meanwhile, which is a
- * warning. */
+/** Writes the record; to be called after vox_sort(). If an input has changed since vox_job_open(),
+ * warns and writes none. Errors: BSQ_ECANTCREAT, BSQ_EIO. */
 int vox_job_record(struct vox_job *job);
 
-/* Removes the record. NULL is allowed. */
+/** Removes the record. NULL is allowed. */
 void vox_job_finish(struct vox_job *job);
 
-/* Smallest budget in bytes that vox_sort and vox_voxelize work with, for this number of threads. */
+/** @} */
+
+/** Returns the smallest budget in bytes that vox_sort() and vox_voxelize() accept, for a number of
+ * threads. */
 uint64_t vox_memory_min(unsigned threads);
 
 /* Parses without keeping anything; for measuring the reader. */
 int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t obj_count,
                    struct vox_sort_report *report);
 
-/* Normals of a scan that has none of its own. Where its edges are shorter than 0.7 voxels both are
- * the same, as a voxel averages over several triangles. */
-enum vox_scan_normals {
-    VOX_NORMALS_SMOOTH, /* interpolated between vertices; each is the area-weighted mean around it
-                         */
-    VOX_NORMALS_FLAT    /* those of the triangles */
+/** NanoVDB types of a grid. Both have the same nodes and channels. */
+enum vox_grid_type {
+    VOX_GRID_MASK,   /**< Readable by NanoVDB 32.4 and later. */
+    VOX_GRID_ONINDEX /**< Readable by NanoVDB 32.6 and later. */
 };
 
-enum vox_grid_type { VOX_GRID_MASK, VOX_GRID_ONINDEX };
+/** The largest resolution, in voxels along the longest side. */
+#define VOX_RESOLUTION_MAX (UINT32_C(1) << 30)
 
+/** What vox_voxelize() reads and writes. The caller owns all strings and handles. */
 struct vox_voxelize_options {
-    const char *tris_path;
-    const struct bsq_file *tris_file; /* NULL, or that of vox_sort(), read instead of tris_path */
-    const char *grid_path;            /* output */
-    uint32_t resolution;              /* voxels along the longest side; 0: use voxel_size */
-    double voxel_size; /* world units; the lattice is then aligned to its multiples */
-    enum vox_grid_type grid_type;
-    enum vox_scan_normals scan_normals; /* of a scan without normals */
-    const char *vdb_path;               /* OpenVDB export, or NULL */
+    const char *tris_path;                 /**< Input: a chunk file. */
+    const struct vox_temp_tris *temp_tris; /**< NULL, or the input to read instead of tris_path. */
+    const char *grid_path;                 /**< Output: the grid. */
+    uint32_t resolution; /**< Voxels along the longest side, up to VOX_RESOLUTION_MAX. 0: voxel_size
+                            counts. */
+    double voxel_size;   /**< Edge of a voxel in the scan's units. Voxels are then aligned to its
+                            multiples. */
+    enum vox_grid_type grid_type;       /**< NanoVDB type of the grid. */
+    enum bsq_scan_normals scan_normals; /**< Normals of a scan without normals. If its edges are
+                                           shorter than 0.7 voxels, both choices are the same. */
+    const char *vdb_path;               /**< Output: an OpenVDB file, or NULL. */
 };
 
+/** What vox_voxelize() did. */
 struct vox_voxelize_report {
-    uint64_t triangles, voxels, second_records, leaves, lowers, uppers, grid_bytes;
-    double voxel_size;
-    int32_t index_min[3], index_max[3];
-    bool has_color;
-    double seconds;
+    uint64_t triangles; /**< Triangles of the scan. */
+    uint64_t voxels;    /**< Voxels that are set. */
+    uint64_t
+        second_records;   /**< Voxels with a second record, for a sheet of opposite orientation. */
+    uint64_t leaves;      /**< Leaf nodes, 8 x 8 x 8 voxels. */
+    uint64_t lowers;      /**< Lower nodes, 128 x 128 x 128 voxels. */
+    uint64_t uppers;      /**< Upper nodes, 4096 x 4096 x 4096 voxels. */
+    uint64_t grid_bytes;  /**< Size of the grid file. */
+    double voxel_size;    /**< Edge of a voxel in the scan's units. */
+    int32_t index_min[3]; /**< Smallest index of a set voxel on each axis. */
+    int32_t index_max[3]; /**< Largest index of a set voxel on each axis. */
+    bool has_color;       /**< The grid has a colour channel. */
+    double seconds;       /**< Wall time. */
 };
 
-/* A voxel is set where a triangle touches its half-open box, as the box-triangle separating-axis
- * test (Akenine-Moeller, "Fast 3D Triangle-Box Overlap Testing", 2001; Schwarz & Seidel, "Fast
- * Parallel Surface and Solid Voxelization on GPUs", 2010) says that a triangle touches it. Its
- * record is the mean over the clipped triangle pieces inside it, weighted by area. */
+/** Fills in the defaults: a resolution of 2048, a mask grid, smooth normals, no OpenVDB file. */
+void vox_voxelize_defaults(struct vox_voxelize_options *options);
+
+/** Voxelizes a chunk file into a grid (formats/FORMATS.md) and fills in *report.
+ *
+ * A voxel is a half-open box. It is set if a triangle touches it by the separating-axis test
+ * (Akenine-Moeller, "Fast 3D Triangle-Box Overlap Testing", 2001; in the form of Schwarz and
+ * Seidel, "Fast Parallel Surface and Solid Voxelization on GPUs", 2010). Its record is the
+ * area-weighted mean over the fragments of triangles that are clipped to it.
+ *
+ * Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file; BSQ_EUSAGE for a resolution or voxel
+ * size that no grid can have, and if the budget is below vox_memory_min(); BSQ_ENOMEM;
+ * BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR; those of vox_check_export(). */
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report);
 
-/* 0 where OpenVDB files can be written, else the status and error of what is missing.
- * vox_voxelize() asks too; this is for those who have other work to do before. */
+/** Checks that OpenVDB files can be written. vox_voxelize() checks this too; call it before other
+ * long work. Errors: BSQ_ENOINPUT if the module is missing. */
 int vox_check_export(struct bsq_ctx *ctx);
 
 #ifdef __cplusplus

@@ -183,7 +183,7 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
         return status;
     case OPT_SCAN_NORMALS:
         if ((status = cli_parse_word(cli, "--scan-normals", optarg, normals, &choice)) == 0)
-            bake->scan_normals = choice == 0 ? BAKE_SCAN_NORMALS_SMOOTH : BAKE_SCAN_NORMALS_FLAT;
+            bake->scan_normals = choice == 0 ? BSQ_SCAN_NORMALS_SMOOTH : BSQ_SCAN_NORMALS_FLAT;
         return status;
     case OPT_NORMAL_SPACE:
         if ((status = cli_parse_word(cli, "--normal-space", optarg, spaces, &choice)) == 0)

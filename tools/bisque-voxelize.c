@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/file.h"
 #include "formats/file_kind.h"
 #include "tools/voxelize_report.h"
 
@@ -121,7 +122,7 @@ static int sort_scan(struct voxelize_job *job)
         .obj_count = arguments->input_count,
         .texture_path = arguments->texture,
         .tris_path = job->tris_path,
-        .tris_file = job->temporary_tris ? &job->tris_file : NULL,
+        .temp_tris = job->temp_tris,
     };
     struct bsq_ctx *ctx = job->cli->ctx;
     int status = 0;
@@ -142,7 +143,7 @@ static int make_grid(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     struct vox_voxelize_options options = {
         .tris_path = job->tris_path,
-        .tris_file = job->temporary_tris ? &job->tris_file : NULL,
+        .temp_tris = job->temp_tris,
         .grid_path = arguments->output,
         .resolution = (uint32_t)arguments->resolution,
         .voxel_size = arguments->voxel_size,
@@ -168,6 +169,8 @@ static int do_work(struct voxelize_job *job)
         status = check_outputs(job);
     if (status == 0)
         status = check_temporary_files(job);
+    if (status == 0 && job->temporary_tris)
+        status = vox_temp_tris_create(job->cli->ctx, &job->temp_tris);
     if (status == 0 && !job->sorted_input)
         status = sort_scan(job);
     if (status == 0)
@@ -179,13 +182,16 @@ static int do_work(struct voxelize_job *job)
 
 static int run(struct cli *cli, const struct voxelize_arguments *arguments)
 {
-    struct voxelize_job job = {.cli = cli, .arguments = arguments, .tris_file = BSQ_FILE_CLOSED};
+    struct voxelize_job job = {
+        .cli = cli,
+        .arguments = arguments,
+    };
     if (arguments->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
     int status = recognise_inputs(&job);
     if (status == 0)
         status = do_work(&job);
-    bsq_file_close(cli->ctx, &job.tris_file);
+    vox_temp_tris_close(job.temp_tris);
     if (status == 0)
         status = voxelize_report_print(&job);
     vox_job_close(job.record);

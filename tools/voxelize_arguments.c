@@ -57,8 +57,6 @@ static const struct option long_options[] = {
     {NULL, 0, NULL, 0},
 };
 
-enum { DEFAULT_RESOLUTION = 2048, MAX_RESOLUTION = 1 << 30 };
-
 static int parse_grid_type(struct cli *cli, struct voxelize_arguments *arguments)
 {
     static const char *const words[] = {"mask", "onindex", NULL};
@@ -75,7 +73,7 @@ static int parse_scan_normals(struct cli *cli, struct voxelize_arguments *argume
     unsigned mode = 0;
     int status = cli_parse_word(cli, "--scan-normals", optarg, words, &mode);
     if (status == 0)
-        arguments->scan_normals = mode == 0 ? VOX_NORMALS_SMOOTH : VOX_NORMALS_FLAT;
+        arguments->scan_normals = mode == 0 ? BSQ_SCAN_NORMALS_SMOOTH : BSQ_SCAN_NORMALS_FLAT;
     return status;
 }
 
@@ -87,7 +85,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
         arguments->output = optarg;
         return 0;
     case OPT_RESOLUTION:
-        return cli_parse_count(cli, "--resolution", optarg, 1, MAX_RESOLUTION,
+        return cli_parse_count(cli, "--resolution", optarg, 1, VOX_RESOLUTION_MAX,
                                &arguments->resolution);
     case OPT_VOXEL_SIZE:
         return cli_parse_length(cli, "--voxel-size", optarg, true, &arguments->voxel_size);
@@ -151,7 +149,9 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     arguments->input_count = (uint32_t)(argc - optind);
     if (status == 0)
         status = check_arguments(cli, arguments);
+    struct vox_voxelize_options defaults;
+    vox_voxelize_defaults(&defaults);
     if (status == 0 && arguments->resolution == 0 && arguments->voxel_size == 0)
-        arguments->resolution = DEFAULT_RESOLUTION;
+        arguments->resolution = defaults.resolution;
     return status;
 }

@@ -12,7 +12,7 @@ struct voxelize_arguments {
     uint64_t resolution; /* 0: a voxel size is given */
     double voxel_size;   /* 0: not given */
     enum vox_grid_type grid_type;
-    enum vox_scan_normals scan_normals;
+    enum bsq_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
     bool no_tris, parse_only, resume, verify;
 };

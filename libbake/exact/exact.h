@@ -15,7 +15,7 @@ struct bake_exact;
 
 struct bake_exact_options {
     const char *path; /* chunk file */
-    enum bake_scan_normals normals;
+    enum bsq_scan_normals normals;
     bool two_sided;
 };
 

@@ -24,7 +24,7 @@ enum {
 static bool needs_smooth(const struct bake_exact *exact)
 {
     return !(exact->header->attributes & FMT_TRIS_NORMALS) &&
-           exact->options.normals == BAKE_SCAN_NORMALS_SMOOTH;
+           exact->options.normals == BSQ_SCAN_NORMALS_SMOOTH;
 }
 
 static uint64_t align64(uint64_t bytes)

@@ -16,7 +16,7 @@ enum {
 
 static int open_grid(struct bake_surface *surface, const struct bake_options *options)
 {
-    if (options->scan_normals != BAKE_SCAN_NORMALS_SMOOTH)
+    if (options->scan_normals != BSQ_SCAN_NORMALS_SMOOTH)
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
                         "%s: normals are chosen for triangles; a grid has its own",
                         options->scan_path);

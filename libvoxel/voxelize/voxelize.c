@@ -16,6 +16,7 @@
 #include "formats/grid/vdb_export.h"
 #include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/float_precision.h"
+#include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/region_work.h"
 
 /* Sums of a region's voxels beyond this are better done in parts: they would not stay in a
@@ -104,8 +105,8 @@ static int make_plan(const struct job *job, struct plan *plan)
 static int open_input(struct job *job)
 {
     const char *path = job->options->tris_path;
-    const struct bsq_file *temp = job->options->tris_file;
-    int status = temp ? fmt_tris_open_temp(job->ctx, temp, &job->file)
+    const struct vox_temp_tris *temp = job->options->temp_tris;
+    int status = temp ? fmt_tris_open_temp(job->ctx, &temp->file, &job->file)
                       : fmt_tris_open(job->ctx, path, &job->file);
     if (status < 0)
         return status;
@@ -129,7 +130,7 @@ static int open_input(struct job *job)
 static int make_smooth(struct job *job)
 {
     if ((job->header->attributes & FMT_TRIS_NORMALS) ||
-        job->options->scan_normals == VOX_NORMALS_FLAT)
+        job->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
         return 0;
     uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
     uint64_t available = limit > used ? limit - used : 0;
@@ -460,6 +461,11 @@ static int export_vdb(struct bsq_ctx *ctx, const struct vox_voxelize_options *op
 int vox_check_export(struct bsq_ctx *ctx)
 {
     return fmt_vdb_check(ctx);
+}
+
+void vox_voxelize_defaults(struct vox_voxelize_options *options)
+{
+    *options = (struct vox_voxelize_options){.resolution = 2048};
 }
 
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,

@@ -109,8 +109,8 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
     struct bake_exact_options options = {.path = exact_scan_path,
-                                         .normals = setup->flat ? BAKE_SCAN_NORMALS_FLAT
-                                                                : BAKE_SCAN_NORMALS_SMOOTH,
+                                         .normals = setup->flat ? BSQ_SCAN_NORMALS_FLAT
+                                                                : BSQ_SCAN_NORMALS_SMOOTH,
                                          .two_sided = setup->two_sided};
     struct bake_exact *exact;
     assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);

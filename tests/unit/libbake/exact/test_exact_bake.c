@@ -226,7 +226,7 @@ static void test_flat_normals(void **state)
     struct fmt_exr_image image;
     options.maps = BAKE_MAP_NORMAL;
     options.samples = 1;
-    options.scan_normals = BAKE_SCAN_NORMALS_FLAT;
+    options.scan_normals = BSQ_SCAN_NORMALS_FLAT;
     bake(ctx, &options, &report);
     assert_int_equal(fmt_exr_read(ctx, in_directory("n.exr"), &image), 0);
     /* Texel (10, 20) lies in one triangle of one quad, whose corners are on a lattice. */

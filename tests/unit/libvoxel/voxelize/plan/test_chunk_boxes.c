@@ -168,7 +168,7 @@ static void test_scattered_triangles_of_one_chunk(void **state)
         struct vox_voxelize_options options = {.tris_path = f->tris,
                                                .grid_path = i ? f->other : f->grid,
                                                .voxel_size = 1.0,
-                                               .scan_normals = VOX_NORMALS_FLAT};
+                                               .scan_normals = BSQ_SCAN_NORMALS_FLAT};
         struct vox_voxelize_report report;
         scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, i ? 1 : mesh.triangle_count);
         assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
