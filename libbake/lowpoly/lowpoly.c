@@ -1,9 +1,9 @@
-/* lowpoly.c - the low mesh as the baker wants it: every triangle with its own three corners.
+/* lowpoly.c - loads the low-poly mesh and gives every triangle three corners of its own.
  *
- * Corners are unshared because texture seams and hard edges split them anyway, and because rays,
- * rasterisation and tangents all go triangle by triangle. Normals that the file lacks are smooth
- * vertex normals: the sum of the adjacent triangles' normals weighted by area, summed in double
- * and by position index, so that texture seams do not show in them. */
+ * Triangles share no corners: texture seams and hard edges split them anyway, and rays,
+ * rasterisation and tangents go triangle by triangle. A corner without a normal in the file gets
+ * the smooth vertex normal: the area-weighted sum of the normals of the adjacent triangles. It is
+ * summed by position index, so that texture seams do not show in it. */
 #include "libbake/lowpoly/lowpoly.h"
 
 #include <assert.h>
@@ -27,7 +27,7 @@ static void face_cross(const struct bake_lowmesh *mesh, uint64_t triangle, doubl
     }
 }
 
-/* Writes v scaled to unit length; false where it has none. */
+/* Writes v scaled to unit length; returns false if v is zero or not finite. */
 static bool store_unit(const double v[3], float unit[3])
 {
     double length = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
@@ -40,14 +40,16 @@ static bool store_unit(const double v[3], float unit[3])
 
 static int allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
 {
-    int rc = bsq_alloc(ctx, "low mesh positions", count, sizeof(*out->positions), &out->positions);
+    int rc =
+        bsq_alloc(ctx, "low-poly mesh positions", count, sizeof(*out->positions), &out->positions);
     if (rc == 0)
-        rc = bsq_alloc(ctx, "low mesh normals", count, sizeof(*out->normals), &out->normals);
+        rc = bsq_alloc(ctx, "low-poly mesh normals", count, sizeof(*out->normals), &out->normals);
     if (rc == 0)
-        rc = bsq_alloc(ctx, "low mesh texture coordinates", count, sizeof(*out->texcoords),
+        rc = bsq_alloc(ctx, "low-poly mesh texture coordinates", count, sizeof(*out->texcoords),
                        &out->texcoords);
     if (rc == 0)
-        rc = bsq_alloc(ctx, "low mesh tangents", count, sizeof(*out->tangents), &out->tangents);
+        rc =
+            bsq_alloc(ctx, "low-poly mesh tangents", count, sizeof(*out->tangents), &out->tangents);
     return rc;
 }
 
@@ -69,7 +71,7 @@ static void copy_positions(const struct fmt_mesh *mesh, struct bake_lowmesh *out
     }
 }
 
-/* Names the line of a face without texture coordinates, for which the file is read once more. */
+/* Reports the line of a face without texture coordinates. Reads the file again to find it. */
 static int fail_texcoords(struct bsq_ctx *ctx, const char *path, uint64_t face)
 {
     struct fmt_obj_reader *reader = NULL;
@@ -94,7 +96,7 @@ static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fm
 {
     if (mesh->corner_texcoords == NULL)
         return bsq_fail(ctx, BSQ_EDATA,
-                        "%s: no texture coordinates: the low mesh has to be unwrapped", path);
+                        "%s: no texture coordinates: the low-poly mesh has to be unwrapped", path);
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         for (int i = 0; i < 3; i++) {
             uint32_t index = mesh->corner_texcoords[t][i];
@@ -183,19 +185,19 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
     return rc;
 }
 
-/* Where float positions relate to. The convention works on the file's coordinates as floats, so
- * that is what it gets, except far from the origin, where floats would blur the corners together.
- */
+/* Chooses the origin of the float positions from which tangents are computed. The convention works
+ * on the file's coordinates as floats, so the origin is 0. Only a mesh that is far away for its
+ * size gets another one, as floats would merge its corners. */
 static void choose_origin(const struct bake_lowmesh *mesh, double origin[3])
 {
-    double size = 0, reach = 0;
+    double size = 0, farthest = 0;
 
     for (int k = 0; k < 3; k++) {
         size = fmax(size, mesh->bounds_max[k] - mesh->bounds_min[k]);
-        reach = fmax(reach, fmax(fabs(mesh->bounds_min[k]), fabs(mesh->bounds_max[k])));
+        farthest = fmax(farthest, fmax(fabs(mesh->bounds_min[k]), fabs(mesh->bounds_max[k])));
     }
     for (int k = 0; k < 3; k++)
-        origin[k] = reach > 64 * size ? (mesh->bounds_min[k] + mesh->bounds_max[k]) / 2 : 0;
+        origin[k] = farthest > 64 * size ? (mesh->bounds_min[k] + mesh->bounds_max[k]) / 2 : 0;
 }
 
 static int compute_tangents(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)

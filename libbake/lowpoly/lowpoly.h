@@ -1,4 +1,5 @@
-/* lowpoly.h - the low mesh: corners with normals, texture coordinates and tangent frames. */
+/* lowpoly.h - the low-poly mesh that maps are baked for. Takes a mesh file with texture
+ * coordinates; gives corners with normals, texture coordinates and tangent frames. */
 #ifndef BAKE_LOWPOLY_LOWPOLY_H
 #define BAKE_LOWPOLY_LOWPOLY_H
 
@@ -6,16 +7,19 @@
 
 struct bake_lowmesh {
     uint64_t triangle_count;
-    double (*positions)[3][3]; /* per triangle, three corners, world space */
+    /* Of each triangle's three corners. */
+    double (*positions)[3][3]; /* world space */
     float (*normals)[3][3];    /* unit; from the file, else area-weighted smooth vertex normals */
-    float (*texcoords)[3][2];  /* OBJ convention: v upwards */
-    float (*tangents)[3][4];   /* MikkTSpace; w is the bitangent's sign */
+    float (*texcoords)[3][2];  /* OBJ convention: v upwards; clamped to finite floats */
+    float (*tangents)[3][4];   /* MikkTSpace; w is the sign of the bitangent */
     double bounds_min[3], bounds_max[3];
 };
 
-/* Loads an OBJ, fills in missing normals and computes tangents. A file whose faces have no texture
- * coordinates is BSQ_EDATA with the line of the first such face. Free with bake_lowmesh_free(). */
+/* Loads a mesh file, fills in missing normals and computes tangents. Free *out with
+ * bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with the line of the first face
+ * that has no texture coordinates, or for too many triangles; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_lowmesh_load(struct bsq_ctx *ctx, const char *path, struct bake_lowmesh *out);
+/* A zeroed mesh is allowed. */
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh);
 
 #endif

@@ -1,19 +1,19 @@
-/* mikkt.c - tangent frames by the MikkTSpace convention (Mikkelsen, "Simulation of Wrinkled
- * Surfaces Revisited", 2008).
+/* mikkt.c - computes tangents from fans of triangles.
  *
- * Around each vertex the triangles form fans: runs of neighbours across shared edges whose texture
- * coordinates wind the same way. A fan's tangent is the mean of its triangles' tangents, each laid
- * into the plane of the vertex normal and weighted by the angle of its corner there. Three kinds of
- * triangle need care, and a shader agrees with the map only if they are treated as everybody does:
- *  - without area in texture space: has no tangent; joins the first fan that reaches it, takes that
- *    fan's winding, and carries the fan on to what lies behind it;
- *  - with two corners in one place: joins nothing, and takes the tangents of its vertices
- * afterwards;
- *  - that no fan reaches: keeps the default, (1, 0, 0) with negative sign.
+ * The triangles around a vertex form fans: neighbours across shared edges whose texture coordinates
+ * have the same winding. The tangent of a fan is the mean of its triangles' tangents, each
+ * projected into the plane of the vertex normal and weighted by the angle of its corner. A shader
+ * agrees with the map only if three kinds of triangle are treated as the convention's reference
+ * code does:
+ *  - A triangle without area in texture space has no tangent. It joins the first fan that reaches
+ *    it, takes that fan's winding, and connects the fan with the triangles on its other side.
+ *  - A triangle with two coincident corners joins no fan. It takes the tangents of its vertices
+ *    after all fans are done.
+ *  - A triangle that no fan reaches keeps the default tangent, (1, 0, 0) with negative sign.
  *
- * Since a triangle has two edges at a vertex, a fan is a path or a ring and is found by walking in
- * both directions. What is tested against zero is computed in float, as the convention does:
- * whether a sliver counts as mirrored or as flat depends on it. */
+ * A triangle has two edges at a vertex, so a fan is a path or a cycle. It is found by walking in
+ * both directions. Values that are tested against zero are computed in float, as in the reference
+ * code: the result decides whether a sliver is mirrored or flat. */
 #include "libbake/lowpoly/mikkt.h"
 
 #include <float.h>
@@ -23,10 +23,10 @@
 #include "base/vec.h"
 
 enum {
-    FLAG_DEGENERATE = 1, /* two corners in one place */
+    FLAG_DEGENERATE = 1, /* two corners coincide */
     FLAG_FLAT = 2,       /* no area in texture space */
-    FLAG_UPRIGHT = 4,    /* texture space keeps its orientation; clear: mirrored */
-    FLAG_JOINED = 8,     /* corner 0 belongs to a fan; shifted by the corner */
+    FLAG_UPRIGHT = 4,    /* texture space is not mirrored */
+    FLAG_JOINED = 8,     /* corner 0 belongs to a fan; corner i: FLAG_JOINED << i */
     FLAG_JOINED_ANY = FLAG_JOINED * 7
 };
 
@@ -49,7 +49,7 @@ static bool not_zero(float x)
     return fabsf(x) > FLT_MIN;
 }
 
-/* Part of v in the plane of `normal`, as a unit vector. */
+/* Projects v into the plane of `normal` and returns it as a unit vector. */
 static struct bsq_vec3 project_unit(struct bsq_vec3 v, struct bsq_vec3 normal)
 {
     return bsq_unit3(bsq_sub3(v, bsq_scale3(normal, bsq_dot3(normal, v))));
@@ -57,7 +57,8 @@ static struct bsq_vec3 project_unit(struct bsq_vec3 v, struct bsq_vec3 normal)
 
 /* ---- triangles ---- */
 
-/* Derivative of the position along u, up to scale, and how the texture lies on the triangle. */
+/* Sets a triangle's flags, and its tangent: the derivative of the position along u, as a unit
+ * vector. */
 static void init_triangle(struct tangents *s, uint32_t triangle)
 {
     const uint64_t c = 3 * (uint64_t)triangle;
@@ -83,7 +84,8 @@ static void init_triangle(struct tangents *s, uint32_t triangle)
 
 /* ---- fans ---- */
 
-/* The corner at the same vertex in the next triangle of the fan, or MIKKT_NONE. */
+/* Each returns the corner at the same vertex in the next triangle of the fan on one side, or
+ * MIKKT_NONE. */
 static uint32_t step_left(const struct tangents *s, uint32_t corner)
 {
     uint32_t twin = s->twins[corner];
@@ -94,7 +96,8 @@ static uint32_t step_right(const struct tangents *s, uint32_t corner)
     return s->twins[mikkt_previous(corner)];
 }
 
-/* Takes a corner into a fan if it is free and its triangle is wound as the fan is. */
+/* Adds a corner to a fan if it belongs to none and its triangle has the fan's winding. Returns
+ * whether it did. */
 static bool join(struct tangents *s, uint32_t corner, uint8_t upright)
 {
     uint8_t *flags = &s->flags[corner / 3];
@@ -109,8 +112,8 @@ static bool join(struct tangents *s, uint32_t corner, uint8_t upright)
     return true;
 }
 
-/* A triangle's tangent at one of its corners, weighted by the angle of the corner as seen along the
- * normal. */
+/* Returns the tangent of a triangle at one of its corners, weighted by the angle of the corner in
+ * the plane of the vertex normal. */
 static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corner)
 {
     const struct bsq_vec3 normal = load3(s->input.normals[corner]);
@@ -124,7 +127,8 @@ static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corne
     return bsq_scale3(project_unit(s->tangents[corner / 3], normal), angle);
 }
 
-/* Collects the fan of a free corner, and gives its mean tangent to all of the fan's corners. */
+/* Collects the fan of a corner that belongs to none yet, and gives its mean tangent to all of the
+ * fan's corners. */
 static void make_fan(struct tangents *s, uint32_t seed)
 {
     const uint8_t upright = s->flags[seed / 3] & FLAG_UPRIGHT;
@@ -165,10 +169,10 @@ static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
     return rc;
 }
 
-/* ---- triangles with two corners in one place ---- */
+/* ---- triangles with coincident corners ---- */
 
-/* Gives their corners the tangent of the first corner at the same vertex that has one. donors: room
- * for one number a corner. */
+/* Gives the corners of degenerate triangles the tangent of the first other corner at the same
+ * vertex. donors: scratch memory, one entry per corner. */
 static void fill_degenerate(struct tangents *s, uint32_t *donors)
 {
     const uint32_t count = s->input.corner_count;
@@ -217,7 +221,7 @@ static int compute(struct bsq_ctx *ctx, struct tangents *s)
     if (rc == 0)
         rc = make_fans(ctx, s);
     if (rc == 0)
-        fill_degenerate(s, s->twins); /* the twins have served */
+        fill_degenerate(s, s->twins); /* twins are no longer needed */
     return rc;
 }
 
@@ -225,7 +229,7 @@ int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][
                const float (*normals)[3][3], const float (*texcoords)[3][2], float (*out)[3][4])
 {
     if (count >= UINT32_MAX / 3)
-        return bsq_fail(ctx, BSQ_EDATA, "low mesh has %llu triangles, %u are supported",
+        return bsq_fail(ctx, BSQ_EDATA, "low-poly mesh has %llu triangles, %u are supported",
                         (unsigned long long)count, UINT32_MAX / 3 - 1);
     if (count == 0)
         return 0;

@@ -1,7 +1,7 @@
-/* mikkt_topology.c - welding by a hash table, pairing of edges by two counting sorts.
+/* mikkt_topology.c - welds corners with a hash table, and pairs edges with two counting sorts.
  *
- * Both are linear in the number of corners, whatever the mesh looks like: poles with many triangles
- * and edges that many triangles share cost no more than others. */
+ * Both are linear in the number of corners for any mesh: poles with many triangles and edges that
+ * many triangles share cost no more than others. */
 #include "libbake/lowpoly/mikkt.h"
 
 #include <string.h>
@@ -80,8 +80,8 @@ static struct edge_ends ends_of(const uint32_t *vertices, uint32_t edge)
     return a < b ? (struct edge_ends){a, b} : (struct edge_ends){b, a};
 }
 
-/* Stable counting sort of edge numbers by their higher or lower vertex. `from` NULL means
- * all in order; starts: room for count + 1 numbers, as vertices are numbered by corners. */
+/* Sorts edge numbers by their higher or lower vertex with a stable counting sort. from NULL: all
+ * edges in order. starts: scratch memory of count + 1 entries; vertices are numbered by corners. */
 static void sort_edges(uint32_t count, const uint32_t *vertices, bool by_high, const uint32_t *from,
                        uint32_t *to, uint32_t *starts)
 {
@@ -99,18 +99,19 @@ static void sort_edges(uint32_t count, const uint32_t *vertices, bool by_high, c
     }
 }
 
-/* Pairs the edges of one run, which all join the same two vertices: each takes the oldest one that
- * waits for the opposite direction. Edges that wait all have one direction, so one cursor does. */
-static void pair_run(const uint32_t *run, uint32_t count, const uint32_t *vertices, uint32_t *twins)
+/* Pairs edges that all connect the same two vertices. Each edge is paired with the first unpaired
+ * one of the opposite direction. Unpaired edges all have the same direction, so one cursor does. */
+static void pair_edges(const uint32_t *edges, uint32_t count, const uint32_t *vertices,
+                       uint32_t *twins)
 {
-    uint32_t waiting = 0;
+    uint32_t unpaired = 0;
 
     for (uint32_t n = 0; n < count; n++) {
-        while (waiting < n && twins[run[waiting]] != MIKKT_NONE)
-            waiting++;
-        if (waiting < n && vertices[run[waiting]] != vertices[run[n]]) {
-            twins[run[waiting]] = run[n];
-            twins[run[n]] = run[waiting];
+        while (unpaired < n && twins[edges[unpaired]] != MIKKT_NONE)
+            unpaired++;
+        if (unpaired < n && vertices[edges[unpaired]] != vertices[edges[n]]) {
+            twins[edges[unpaired]] = edges[n];
+            twins[edges[n]] = edges[unpaired];
         }
     }
 }
@@ -131,7 +132,7 @@ static void pair_sorted(const struct mikkt_input *input, const uint32_t *vertice
             if (other.low != ends.low || other.high != ends.high)
                 break;
         }
-        pair_run(order + begin, end - begin, vertices, twins);
+        pair_edges(order + begin, end - begin, vertices, twins);
     }
 }
 

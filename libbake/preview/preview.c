@@ -1,4 +1,4 @@
-/* preview.c - the preview picture: bands of rows on all threads, then one PNG. */
+/* preview.c - renders the preview picture band by band on all threads, and writes the PNG. */
 #include "libbake/preview/preview.h"
 
 #include <string.h>
@@ -62,7 +62,8 @@ static int measure_extents(void *arg, uint64_t task, unsigned worker)
     return 0;
 }
 
-/* Colour of one sample of a low mesh's panel. x, y in samples; band_y: y inside the band. */
+/* Returns the colour of a sample of one of the mesh's panels. x, y: in samples; band_y: y inside
+ * the band. */
 static struct bsq_vec3 sample(const struct rendering *r, const struct preview_band *band, int panel,
                               uint32_t x, uint32_t y, uint32_t band_y)
 {

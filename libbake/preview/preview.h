@@ -1,5 +1,6 @@
-/* preview.h - one picture that tells whether a bake is right: the low mesh plain, the low
- * mesh with its maps, and the scan, from the same side in the same light. */
+/* preview.h - a picture that shows whether a bake is right. Takes the low-poly mesh, thumbnails of
+ * its maps and the scan's surface; gives a PNG with three panels of the same view in the same
+ * light: the mesh plain, the mesh with its maps, and the scan. */
 #ifndef BAKE_PREVIEW_PREVIEW_H
 #define BAKE_PREVIEW_PREVIEW_H
 
@@ -10,19 +11,21 @@
 struct bake_preview {
     const struct bake_lowmesh *mesh;
     const struct bake_surface *surface;
-    const struct bk_params *params;      /* of a grid */
-    struct bake_thumbnail normal, color; /* of the maps as written, linear; texels may be NULL */
-    enum bake_normal_space normal_space;
-    bool green_down;
+    const struct bk_params *params;      /* for a voxel grid */
+    struct bake_thumbnail normal, color; /* linear; `texels` is NULL if the map is not baked */
+    enum bake_normal_space normal_space; /* of the normal map */
+    bool green_down;                     /* likewise */
 };
 
 struct bake_preview_file;
 
-/* Creates the PNG under a temporary name. */
+/* Creates the PNG under a temporary name. Errors: those of fmt_png_create(), BSQ_ENOMEM. */
 int bake_preview_open(struct bsq_ctx *ctx, const char *path, struct bake_preview_file **out);
-/* Renders and writes. */
+/* Renders on all threads and completes the file. Call it at most once, not from parallel work.
+ * Errors: those of bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview);
-int bake_preview_commit(struct bake_preview_file *file);   /* frees in any case */
+/* Gives the file its final name; frees `file` in any case. */
+int bake_preview_commit(struct bake_preview_file *file);
 void bake_preview_discard(struct bake_preview_file *file); /* NULL is allowed */
 
 #endif

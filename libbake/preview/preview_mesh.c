@@ -1,8 +1,8 @@
-/* preview_mesh.c - the low mesh in the preview: a z-buffer that holds triangle numbers, shaded
- * afterwards, so that the plain and the mapped panel share the visibility. */
+/* preview_mesh.c - renders the low-poly mesh. A z-buffer holds triangle numbers and is shaded
+ * afterwards, so that the panels with and without maps share it. */
 #include "libbake/preview/preview_view.h"
 
-/* Corner on the panel: x, y in samples, depth towards the camera. */
+/* Projects a corner onto the panel: x and y in samples, depth growing towards the camera. */
 static void project(const struct preview_view *view, const double p[3], double out[3])
 {
     double v[3];
@@ -33,12 +33,13 @@ void bake_preview_mesh_extents(const struct bake_preview *preview, const struct 
     }
 }
 
-/* Twice the signed area of a, b and the point; its sign tells the side. */
+/* Returns twice the signed area of a, b and the point; its sign says on which side the point is. */
 static double edge(const double a[3], const double b[3], double x, double y)
 {
     return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
 }
 
+/* Computes the barycentric weights of a point of the panel. */
 static void weights_at(double (*p)[3], double x, double y, double weights[3])
 {
     double area = edge(p[0], p[1], p[2][0], p[2][1]);
@@ -108,7 +109,7 @@ static struct bsq_vec3 blend(float (*corners)[3], const float weights[3])
     return bsq_v3(v[0], v[1], v[2]);
 }
 
-/* What a MikkTSpace shader does with a normal map: N and T as interpolated, not unit. */
+/* Applies the normal map as a MikkTSpace shader does: N and T are interpolated, not normalised. */
 static struct bsq_vec3 mapped_normal(const struct bake_preview *preview, uint32_t triangle,
                                      const float weights[3], float u, float v)
 {

@@ -1,18 +1,19 @@
-/* preview_scan.c - the scan in the preview: rays from the camera, strip by strip of the panel. */
+/* preview_scan.c - renders the scan by rays from the camera. The panel is divided into strips whose
+ * rays and hits fit into memory. */
 #include "libbake/preview/preview_view.h"
 
 #include "base/parallel.h"
 
-enum { ROW_RAYS = PREVIEW_SAMPLES * PREVIEW_GRID }; /* of a row of pixels */
+enum { ROW_RAYS = PREVIEW_SAMPLES * PREVIEW_GRID }; /* rays of a row of pixels */
 
 struct strip {
     const struct bake_preview *preview;
     const struct preview_view *view;
-    uint32_t first_row, rows; /* of pixels */
+    uint32_t first_row, rows; /* pixels */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
     float *pixels; /* of the panel's first row */
-    size_t stride; /* floats a row */
+    size_t stride; /* floats from row to row */
 };
 
 static int cast_row(void *arg, uint64_t index, unsigned worker)
@@ -44,7 +45,7 @@ static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_ex
     if (hit->triangle == BAKE_EXACT_NONE)
         return bake_preview_background(row);
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
-    /* Grey beside a mesh without a colour map, so that the two pictures are to be the same. */
+    /* Without a colour map the mesh is grey; so is the scan, to be compared with it. */
     struct bsq_vec3 albedo = strip->preview->color.texels
                                  ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
                                  : bake_preview_grey();
@@ -77,7 +78,7 @@ static int render_strip(struct strip *strip)
 {
     struct bsq_ctx *ctx = strip->preview->surface->ctx;
     struct bk_params params = *strip->preview->params;
-    params.flags &= ~(bk_uint)BK_NEAREST; /* the reference is the best that there is */
+    params.flags &= ~(bk_uint)BK_NEAREST; /* the reference is as accurate as possible */
     const struct bake_surface_rays rays = {.rays = strip->rays,
                                            .hits = strip->hits,
                                            .count = (uint64_t)strip->rows * ROW_RAYS,

@@ -1,9 +1,9 @@
-/* preview_view.c - where the preview's camera and lights stand. */
+/* preview_view.c - places the camera and the lights, and shades. */
 #include "libbake/preview/preview_view.h"
 
 /* Three-quarter view from the front and slightly above; y is up, as in most OBJ files. */
 static const double azimuth = 0.52, elevation = 0.30; /* radians */
-static const double margin = 0.92; /* share of the panel that the low mesh fills */
+static const double margin = 0.92;                    /* share of the panel that the mesh fills */
 
 static double dot(const double a[3], const double b[3])
 {
@@ -31,6 +31,7 @@ static struct bsq_vec3 direction(const struct preview_view *view, double right, 
     return bsq_unit3(bsq_v3(v[0], v[1], v[2]));
 }
 
+/* Scales and centres the mesh in the panel. */
 static void frame_mesh(const struct bake_lowmesh *mesh, struct preview_view *view)
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
@@ -46,11 +47,12 @@ static void frame_mesh(const struct bake_lowmesh *mesh, struct preview_view *vie
     double centre_right = 0.5 * (low[0] + high[0]), centre_up = 0.5 * (low[1] + high[1]);
     double size = fmax(high[0] - low[0], high[1] - low[1]);
     view->scale = size > 0 ? margin * PREVIEW_SAMPLES / size : 1.0;
-    /* The plane of the picture goes through the origin of depths. */
+    /* Depths are measured from the plane through the world's origin. */
     for (int k = 0; k < 3; ++k)
         view->centre[k] = centre_right * view->right[k] + centre_up * view->up[k];
 }
 
+/* Finds where camera rays enter and leave the bounds of the scan. */
 static void span_scan(const struct bake_surface *scan, struct preview_view *view)
 {
     double nearest = -INFINITY, farthest = INFINITY;
@@ -87,7 +89,7 @@ struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_v
     float key = above_zero(bsq_dot3(normal, view->key));
     float fill = above_zero(bsq_dot3(normal, view->fill));
     float light = 0.95f * key + 0.16f * fill + 0.05f;
-    /* A faint highlight shows small changes of the normal. */
+    /* A faint highlight shows small changes of the normal (Blinn-Phong). */
     struct bsq_vec3 toward =
         bsq_v3((float)view->toward[0], (float)view->toward[1], (float)view->toward[2]);
     struct bsq_vec3 half = bsq_unit3(bsq_add3(view->key, toward));

@@ -1,13 +1,14 @@
-/* raster.c - UV triangles by tile.
+/* raster.c - sorts triangles into tiles.
  *
- * The lists of all tiles lie in one array, each in the order of the mesh, found by counting first
- * and placing second. Triangles are snapped again wherever they are needed: that is cheaper than
- * the memory traffic of keeping them. */
+ * One array holds the lists of all tiles, each in the order of the mesh. One pass counts, a second
+ * one writes the lists. Snapped triangles are not stored: computing them again costs less than the
+ * memory traffic. */
 #include "libbake/raster/raster_index.h"
 
 #include <string.h>
 
-/* Samples along a side of the map: corners still have 1/16 of a sample's distance. */
+/* Samples along a side of the map. Corners are then snapped to 1/16 of the distance of two samples.
+ */
 #define MAX_SAMPLES_A_SIDE (UINT32_C(1) << 24)
 
 /* ---- lists ---- */
@@ -23,7 +24,7 @@ static bool is_outside(const float (*texcoords)[2])
     return false;
 }
 
-/* Differences and products of floats are exact in double, unless magnitudes are far apart. */
+/* Differences and products of floats are exact in double unless their magnitudes are far apart. */
 static bool has_uv_area(const float (*uv)[2])
 {
     double ax = (double)uv[1][0] - uv[0][0], ay = (double)uv[1][1] - uv[0][1];
@@ -31,16 +32,17 @@ static bool has_uv_area(const float (*uv)[2])
     return ax * by != ay * bx;
 }
 
-/* Range of tiles that a triangle's samples lie in; false where it has none. */
-static bool touched_tiles(const struct bake_raster *raster, uint64_t triangle,
-                          struct raster_window *tiles)
+/* Finds the range of tiles that the samples of a triangle may lie in. Returns false if it has none.
+ */
+static bool overlapped_tiles(const struct bake_raster *raster, uint64_t triangle,
+                             struct raster_window *tiles)
 {
     const uint32_t size = raster->options.tile_size * raster->options.samples;
     struct raster_triangle snapped;
 
     if (!raster_snap_triangle(raster, triangle, &snapped))
         return false;
-    struct raster_window samples = bake_raster_bounds(&raster->lattice, &snapped);
+    struct raster_window samples = bake_raster_bounds(&raster->grid, &snapped);
     if (samples.begin_x >= samples.end_x || samples.begin_y >= samples.end_y)
         return false;
     *tiles = (struct raster_window){samples.begin_x / size, samples.begin_y / size,
@@ -48,13 +50,13 @@ static bool touched_tiles(const struct bake_raster *raster, uint64_t triangle,
     return true;
 }
 
-/* counts[tile] = number of triangles that may have samples in it. */
+/* Counts the triangles that may have samples in each tile. */
 static void count_triangles(const struct bake_raster *raster, uint64_t *counts)
 {
     struct raster_window tiles;
 
     for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
-        if (!touched_tiles(raster, t, &tiles))
+        if (!overlapped_tiles(raster, t, &tiles))
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
             for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++)
@@ -63,7 +65,7 @@ static void count_triangles(const struct bake_raster *raster, uint64_t *counts)
     }
 }
 
-/* Numbers the tiles that have triangles, and turns counts[] into where each tile's list begins. */
+/* Lists the tiles that have triangles, and turns counts[] into the start of each tile's list. */
 static int number_tiles(struct bake_raster *raster, uint64_t *counts)
 {
     const uint64_t places = (uint64_t)raster->tile_columns * raster->tile_rows;
@@ -93,13 +95,13 @@ static int number_tiles(struct bake_raster *raster, uint64_t *counts)
                      &raster->triangles);
 }
 
-/* Writes the lists; cursors[tile] is where its next entry goes. */
+/* Writes the lists. cursors[tile]: index of its next entry. */
 static void place_triangles(struct bake_raster *raster, uint64_t *cursors)
 {
     struct raster_window tiles;
 
     for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
-        if (!touched_tiles(raster, t, &tiles))
+        if (!overlapped_tiles(raster, t, &tiles))
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
             for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++) {
@@ -131,6 +133,7 @@ static int sort_into_tiles(struct bake_raster *raster)
 
 /* ---- creation ---- */
 
+/* Counts triangles without area and those outside of the map. */
 static void inspect(const struct bake_raster *raster, struct bake_raster_report *report)
 {
     struct raster_triangle snapped;
@@ -138,7 +141,7 @@ static void inspect(const struct bake_raster *raster, struct bake_raster_report 
     memset(report, 0, sizeof(*report));
     for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
         const float(*uv)[2] = (const float(*)[2])raster->mesh->texcoords[t];
-        bool fits = bake_raster_snap(&raster->lattice, uv, &snapped);
+        bool fits = bake_raster_snap(&raster->grid, uv, &snapped);
         if (fits && !(has_uv_area(uv) && bake_raster_has_area(&snapped)))
             report->degenerate_triangles++;
         else if (is_outside(uv))
@@ -159,7 +162,7 @@ static int check_options(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
             "a side are supported",
             o->width, o->height, o->samples, o->samples, MAX_SAMPLES_A_SIDE);
     if (mesh->triangle_count >= BK_NO_TRIANGLE)
-        return bsq_fail(ctx, BSQ_EDATA, "low mesh has %llu triangles, %u are supported",
+        return bsq_fail(ctx, BSQ_EDATA, "low-poly mesh has %llu triangles, %u are supported",
                         (unsigned long long)mesh->triangle_count, BK_NO_TRIANGLE - 1);
     return 0;
 }
@@ -176,7 +179,7 @@ static int lay_out_tiles(struct bake_raster *raster)
     if ((uint64_t)raster->tile_columns * raster->tile_rows > UINT32_MAX)
         return bsq_fail(raster->ctx, BSQ_EUSAGE, "tiles of %u texels are too small for %u x %u",
                         o->tile_size, o->width, o->height);
-    raster->lattice = bake_raster_lattice_for(o->width * o->samples, o->height * o->samples);
+    raster->grid = bake_raster_sample_grid(o->width * o->samples, o->height * o->samples);
     return 0;
 }
 

@@ -1,44 +1,49 @@
-/* raster.h - which triangle does each sample of the map lie in? */
+/* raster.h - rasterises the charts of a low-poly mesh. Takes its triangles in texture space; gives,
+ * tile by tile, the triangle that each sample of the map lies in, and the triangles as the kernel
+ * reads them. */
 #ifndef BAKE_RASTER_RASTER_H
 #define BAKE_RASTER_RASTER_H
 
 #include "libbake/kernel/bk_types.h"
 #include "libbake/lowpoly/lowpoly.h"
 
-/* Prepared UV triangles with an index by tile. */
+/* The triangles of a mesh in texture space, indexed by tile. */
 struct bake_raster;
 
 struct bake_raster_options {
     uint32_t width, height; /* of the map in texels */
-    uint32_t samples;       /* N x N a texel */
-    uint32_t tile_size;     /* tiles of tile_size x tile_size texels, the last ones smaller */
+    uint32_t samples;       /* N, for N x N samples a texel */
+    uint32_t tile_size;     /* side in texels; tiles at the right and lower border may be smaller */
 };
 
 struct bake_raster_report {
-    uint64_t degenerate_triangles; /* no area in UV space */
-    uint64_t outside_triangles; /* wholly or partly outside 0..1: the part outside is not baked */
+    uint64_t degenerate_triangles; /* without area in texture space */
+    uint64_t outside_triangles;    /* not wholly inside 0..1; what lies outside is not baked */
 };
 
-/* Prepares; mesh must outlive the raster. Sorts triangles into tiles once: O(triangles + tiles
- * touched). */
+/* Sorts the triangles into tiles, in time linear in the triangles and the tiles that they overlap.
+ * mesh must outlive *out; free *out with bake_raster_free(). Errors: BSQ_EUSAGE for a map that is
+ * empty or too large, BSQ_EDATA for too many triangles, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
                        const struct bake_raster_options *options, struct bake_raster_report *report,
                        struct bake_raster **out);
-void bake_raster_free(struct bake_raster *raster);
+void bake_raster_free(struct bake_raster *raster); /* NULL is allowed */
 
-/* Tiles in row order. Tiles that no triangle touches are left out. */
+/* Return the number of tiles, and the place of a tile in texels. Tiles are in row order, without
+ * those that no triangle overlaps. */
 uint32_t bake_raster_tile_count(const struct bake_raster *raster);
 struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index);
 
-/* Fills height * N rows of width * N entries for a tile (see bk_tile). Where triangles overlap, the
- * one that comes first in the mesh wins, and *overlaps is set to the number of samples concerned.
- * Edges shared by two triangles belong to exactly one of them (top-left rule on exact fixed-point
- * coordinates). Thread-safe. */
+/* Writes the triangle of each sample of a tile, or BK_NO_TRIANGLE: height * N rows of width * N
+ * entries. If triangles overlap, the first one in the mesh takes the sample; *overlaps is set to
+ * the number of samples inside more than one triangle. A sample on an edge that two triangles share
+ * belongs to exactly one of them (top-left rule on exact fixed-point coordinates). Thread-safe. */
 void bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
                       uint64_t *overlaps);
 
-/* Fills bk_triangles for the kernel: index = (world - translation) / voxel_size. `out` has one
- * entry per triangle; those without UV area are zeroed (no sample refers to them). */
+/* Writes all triangles in the kernel's form, with positions (world - translation) / voxel_size.
+ * `out` has one entry per triangle. Triangles without area in texture space, to which no sample
+ * refers, are zeroed. */
 void bake_raster_kernel_triangles(const struct bake_raster *raster, const double translation[3],
                                   double voxel_size, struct bk_triangle *out);
 

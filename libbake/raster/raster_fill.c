@@ -1,8 +1,8 @@
-/* raster_fill.c - the samples of a tile.
+/* raster_fill.c - finds the triangle of each sample of a tile.
  *
- * The first triangle in the order of the mesh takes a sample. Painting only finds out whether any
- * sample was wanted twice; how many were is counted in a second pass over the few tiles concerned,
- * as that needs a mark for each sample. */
+ * The first triangle in the order of the mesh takes a sample. Painting only detects whether any
+ * samples overlap. A second pass counts them, for the few tiles that have some: it needs a mark for
+ * each sample. */
 #include "libbake/raster/raster_index.h"
 
 #include <string.h>
@@ -35,7 +35,7 @@ static struct raster_window tile_window(const struct bake_raster *raster, uint32
                                   (tile.y + tile.height) * n};
 }
 
-/* Takes the free samples of a span, and returns how many were not free. */
+/* Gives the free samples of a span to a triangle. Returns the number of those that are not free. */
 static uint32_t paint_span(uint32_t *samples, uint32_t count, uint32_t triangle)
 {
     uint32_t taken = 0;
@@ -48,7 +48,7 @@ static uint32_t paint_span(uint32_t *samples, uint32_t count, uint32_t triangle)
     return taken;
 }
 
-/* Paints the triangles of a tile in the order of the mesh; true where any of them overlap. */
+/* Paints the triangles of a tile in the order of the mesh. Returns whether any samples overlap. */
 static bool paint_tile(const struct bake_raster *raster, uint32_t index, uint32_t *samples)
 {
     const struct raster_window window = tile_window(raster, index);
@@ -61,7 +61,7 @@ static bool paint_tile(const struct bake_raster *raster, uint32_t index, uint32_
     for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1]; k++) {
         if (!raster_snap_triangle(raster, raster->triangles[k], &snapped))
             continue;
-        bake_raster_spans_begin(&raster->lattice, &snapped, window, &spans);
+        bake_raster_spans_begin(&raster->grid, &snapped, window, &spans);
         while (bake_raster_spans_next(&spans, &row, &begin, &end)) {
             uint32_t *first = samples + (row - window.begin_y) * stride + (begin - window.begin_x);
             overlap |= paint_span(first, end - begin, raster->triangles[k]) > 0;
@@ -74,8 +74,8 @@ static bool paint_tile(const struct bake_raster *raster, uint32_t index, uint32_
 
 #define MARK_SIDE 256 /* samples; their marks, one bit each, fit 8 KiB */
 
-/* Number of samples of a window of at most MARK_SIDE squared that lie in more than one triangle of
- * a painted tile: those inside a triangle that is not their owner. */
+/* Counts the samples of a painted tile that lie inside more than one triangle: those inside a
+ * triangle that does not own them. The window has at most MARK_SIDE x MARK_SIDE samples. */
 static uint64_t count_overlaps_in(const struct bake_raster *raster, uint32_t index,
                                   const uint32_t *samples, struct raster_window window)
 {
@@ -89,7 +89,7 @@ static uint64_t count_overlaps_in(const struct bake_raster *raster, uint32_t ind
     for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1]; k++) {
         if (!raster_snap_triangle(raster, raster->triangles[k], &snapped))
             continue;
-        bake_raster_spans_begin(&raster->lattice, &snapped, window, &spans);
+        bake_raster_spans_begin(&raster->grid, &snapped, window, &spans);
         while (bake_raster_spans_next(&spans, &row, &begin, &end)) {
             const uint32_t *owners = samples + (row - tile.begin_y) * stride;
             uint64_t *bits = marks[row - window.begin_y];

@@ -1,15 +1,16 @@
-/* raster_kernel.c - low-mesh triangles in the form that the kernel samples.
+/* raster_kernel.c - converts the triangles of the low-poly mesh into the kernel's form.
  *
- * The kernel works in float, so barycentric weights are affine functions of the distance to a texel
- * near the triangle, and positions are in voxels of the grid; both are made in double. */
+ * The kernel works in float. To keep precision, barycentric weights are affine functions of the
+ * offset from a texel near the triangle, and positions are in the index space of the grid. Both are
+ * computed in double. */
 #include "libbake/raster/raster_index.h"
 
 #include <math.h>
 #include <string.h>
 
-/* Across a sliver, weights change so fast that float and the snapping of its corners would place
- * samples far outside of it. Triangles whose height is below 16 lattice steps, or below this part
- * of their longest edge, are sampled along that edge instead. */
+/* Across a sliver, weights change so fast that float rounding and the snapping of corners would
+ * place samples far outside of it. Triangles whose height is below SLIVER_STEPS steps of the sample
+ * grid, or below SLIVER_ASPECT times their longest edge, are sampled along that edge instead. */
 #define SLIVER_STEPS  16.0
 #define SLIVER_ASPECT (1.0 / 16384)
 
@@ -17,7 +18,7 @@ struct corners {
     double x[3], y[3]; /* texels */
 };
 
-/* A barycentric weight as an affine function: gradient, and a point where it is zero. */
+/* A barycentric weight as an affine function: its gradient per texel, and a point where it is 0. */
 struct weight {
     double dx, dy, zero_x, zero_y;
 };
@@ -45,7 +46,7 @@ static double edge_length(const struct corners *c, int i)
     return hypot(c->x[j] - c->x[i], c->y[j] - c->y[i]);
 }
 
-/* Weight of corner i: zero on the opposite edge. */
+/* Returns the weight of corner i, which is 0 on the opposite edge. */
 static struct weight weight_in_triangle(const struct corners *c, double area, int i)
 {
     int j = (i + 1) % 3, k = (i + 2) % 3;
@@ -53,8 +54,8 @@ static struct weight weight_in_triangle(const struct corners *c, double area, in
                            c->y[j]};
 }
 
-/* Weight of corner i along the edge from corner `edge` to the next: zero at the edge's other end.
- */
+/* Returns the weight of corner i along the edge from corner `edge` to the next one: 0 at the other
+ * end of the edge, and 0 for the corner opposite to it. */
 static struct weight weight_along_edge(const struct corners *c, int edge, int i)
 {
     int other = i == edge ? (edge + 1) % 3 : edge;
@@ -80,7 +81,7 @@ static void set_weights(const struct bake_raster *raster, uint64_t triangle,
     const uint32_t texel_x = (samples->begin_x / 2 + samples->end_x / 2) / n;
     const uint32_t texel_y = (samples->begin_y / 2 + samples->end_y / 2) / n;
     const double x0 = texel_x, y0 = texel_y;
-    const double step = 1.0 / ((double)n * ((uint32_t)1 << raster->lattice.shift));
+    const double step = 1.0 / ((double)n * ((uint32_t)1 << raster->grid.shift));
     const struct corners c = map_corners(raster, triangle);
     const double area = corner_area(&c);
     struct weight w1 = weight_in_triangle(&c, area, 1), w2 = weight_in_triangle(&c, area, 2);
@@ -109,7 +110,7 @@ void bake_raster_kernel_triangles(const struct bake_raster *raster, const double
         memset(&out[t], 0, sizeof(out[t]));
         if (!raster_snap_triangle(raster, t, &snapped))
             continue;
-        const struct raster_window samples = bake_raster_bounds(&raster->lattice, &snapped);
+        const struct raster_window samples = bake_raster_bounds(&raster->grid, &snapped);
         set_weights(raster, t, &samples, &out[t]);
         for (int i = 0; i < 3; i++) {
             for (int k = 0; k < 3; k++)

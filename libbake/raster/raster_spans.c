@@ -1,43 +1,43 @@
 /* raster_spans.c - exact scan conversion.
  *
- * Each edge crosses a row's centre line at a rational x; the first sample at or right of it is a
- * division that rounds upwards. A span reaches from the left edge's sample to the right edge's,
- * exclusive, and rows are half open in the same way: that is the top-left rule. Two triangles that
- * share an edge compute the same rational from it, so between them each sample is taken exactly
- * once. Going to the next row adds a constant to the numerator, so the quotient is carried along
- * without dividing again (Bresenham's idea; for polygons see Foley et al., "Computer Graphics:
- * Principles and Practice", 1990, section 3.6).
+ * Each edge crosses the centre line of a row at a rational x. A division that rounds upwards gives
+ * the first sample at or right of it. A span reaches from the left edge's sample to the right
+ * edge's, exclusive, and rows are half open in the same way: this is the top-left rule. Two
+ * triangles that share an edge compute the same rational from it, so each sample along the edge
+ * belongs to exactly one of them. The next row adds a constant to the numerator, so the quotient is
+ * carried along without another division (Bresenham's idea; for polygons see Foley et al.,
+ * "Computer Graphics: Principles and Practice", 1990, section 3.6).
  *
- * Numerators are products of two coordinates; with 128 bits none can overflow, also for triangles
- * that reach far out of the map. */
+ * Numerators are products of two coordinates. They do not overflow 128 bits, even for triangles
+ * that extend far beyond the map. */
 #include "libbake/raster/raster_spans.h"
 
 #include <math.h>
 
-/* Corners of a map's own triangles stay below 2^28 steps, and steps are not finer than 2^-16. */
+/* Corners inside the map are below 2^28 steps; a step is at least 2^-16 samples. */
 #define MAP_BITS  28
 #define MAX_SHIFT 16
-/* Largest coordinate in steps: sums and products of differences fit 128 bits with room to spare. */
+/* Largest coordinate in steps: sums and products of differences stay well below 128 bits. */
 #define MAX_COORDINATE 0x1p60
 
-struct raster_lattice bake_raster_lattice_for(uint32_t columns, uint32_t rows)
+struct sample_grid bake_raster_sample_grid(uint32_t columns, uint32_t rows)
 {
     uint32_t longest = columns > rows ? columns : rows;
     unsigned shift = MAX_SHIFT;
 
     while (shift > 0 && ((uint64_t)longest << shift) > (uint64_t)1 << MAP_BITS)
         shift--;
-    return (struct raster_lattice){.columns = columns, .rows = rows, .shift = shift};
+    return (struct sample_grid){.columns = columns, .rows = rows, .shift = shift};
 }
 
-bool bake_raster_snap(const struct raster_lattice *lattice, const float (*texcoords)[2],
+bool bake_raster_snap(const struct sample_grid *grid, const float (*texcoords)[2],
                       struct raster_triangle *out)
 {
-    const double one = (double)((uint32_t)1 << lattice->shift);
+    const double one = (double)((uint32_t)1 << grid->shift);
 
     for (int i = 0; i < 3; i++) {
-        double x = texcoords[i][0] * (lattice->columns * one);
-        double y = (1.0 - texcoords[i][1]) * (lattice->rows * one);
+        double x = texcoords[i][0] * (grid->columns * one);
+        double y = (1.0 - texcoords[i][1]) * (grid->rows * one);
         if (!(fabs(x) < MAX_COORDINATE && fabs(y) < MAX_COORDINATE))
             return false;
         out->x[i] = llrint(x);
@@ -46,7 +46,7 @@ bool bake_raster_snap(const struct raster_lattice *lattice, const float (*texcoo
     return true;
 }
 
-/* Twice the signed area; positive where corners run clockwise on the map, whose y points down. */
+/* Returns twice the signed area; positive if the corners run clockwise on the map (y downwards). */
 static __int128 double_area(const struct raster_triangle *t)
 {
     return (__int128)(t->x[1] - t->x[0]) * (t->y[2] - t->y[0]) -
@@ -69,15 +69,14 @@ static int64_t clamp64(__int128 value, int64_t low, int64_t high)
     return value < low ? low : value > high ? high : (int64_t)value;
 }
 
-/* The first sample whose centre is at or beyond a coordinate, within 0 .. limit. */
-static uint32_t first_sample(const struct raster_lattice *lattice, int64_t coordinate,
-                             uint32_t limit)
+/* Returns the first sample whose centre is at or beyond a coordinate, clamped to 0 .. limit. */
+static uint32_t first_sample(const struct sample_grid *grid, int64_t coordinate, uint32_t limit)
 {
-    const int64_t one = (int64_t)1 << lattice->shift;
+    const int64_t one = (int64_t)1 << grid->shift;
     return (uint32_t)clamp64(-divide_down(one / 2 - coordinate, one), 0, limit);
 }
 
-struct raster_window bake_raster_bounds(const struct raster_lattice *lattice,
+struct raster_window bake_raster_bounds(const struct sample_grid *grid,
                                         const struct raster_triangle *triangle)
 {
     int64_t low_x = triangle->x[0], high_x = low_x, low_y = triangle->y[0], high_y = low_y;
@@ -88,13 +87,13 @@ struct raster_window bake_raster_bounds(const struct raster_lattice *lattice,
         low_y = triangle->y[i] < low_y ? triangle->y[i] : low_y;
         high_y = triangle->y[i] > high_y ? triangle->y[i] : high_y;
     }
-    return (struct raster_window){.begin_x = first_sample(lattice, low_x, lattice->columns),
-                                  .begin_y = first_sample(lattice, low_y, lattice->rows),
-                                  .end_x = first_sample(lattice, high_x, lattice->columns),
-                                  .end_y = first_sample(lattice, high_y, lattice->rows)};
+    return (struct raster_window){.begin_x = first_sample(grid, low_x, grid->columns),
+                                  .begin_y = first_sample(grid, low_y, grid->rows),
+                                  .end_x = first_sample(grid, high_x, grid->columns),
+                                  .end_y = first_sample(grid, high_y, grid->rows)};
 }
 
-/* Puts an edge, from corner a down to corner b, onto a row. */
+/* Sets up the edge from corner a down to corner b for a row. */
 static void edge_begin(struct raster_edge *edge, const struct raster_spans *spans, int a, int b,
                        uint32_t row)
 {
@@ -111,6 +110,7 @@ static void edge_begin(struct raster_edge *edge, const struct raster_spans *span
     edge->step_rest = width * one - edge->step * edge->divisor;
 }
 
+/* Moves an edge to the next row. */
 static void edge_step(struct raster_edge *edge)
 {
     edge->sample += edge->step;
@@ -135,29 +135,28 @@ static uint32_t clamp_row(uint32_t row, const struct raster_window *window)
     return row < window->begin_y ? window->begin_y : row > window->end_y ? window->end_y : row;
 }
 
-void bake_raster_spans_begin(const struct raster_lattice *lattice,
-                             const struct raster_triangle *triangle, struct raster_window window,
-                             struct raster_spans *out)
+void bake_raster_spans_begin(const struct sample_grid *grid, const struct raster_triangle *triangle,
+                             struct raster_window window, struct raster_spans *out)
 {
     struct raster_triangle *t = &out->corners;
 
     out->window = window;
     out->corners = *triangle;
-    out->shift = lattice->shift;
+    out->shift = grid->shift;
     if (t->y[0] > t->y[1])
         swap_corners(t, 0, 1);
     if (t->y[1] > t->y[2])
         swap_corners(t, 1, 2);
     if (t->y[0] > t->y[1])
         swap_corners(t, 0, 1);
-    out->part_is_right = double_area(t) > 0;
-    out->row = clamp_row(first_sample(lattice, t->y[0], lattice->rows), &window);
-    out->middle_row = clamp_row(first_sample(lattice, t->y[1], lattice->rows), &window);
-    out->end_row = clamp_row(first_sample(lattice, t->y[2], lattice->rows), &window);
+    out->short_is_right = double_area(t) > 0;
+    out->row = clamp_row(first_sample(grid, t->y[0], grid->rows), &window);
+    out->middle_row = clamp_row(first_sample(grid, t->y[1], grid->rows), &window);
+    out->end_row = clamp_row(first_sample(grid, t->y[2], grid->rows), &window);
     if (out->row < out->end_row)
-        edge_begin(&out->whole, out, 0, 2, out->row);
+        edge_begin(&out->long_edge, out, 0, 2, out->row);
     if (out->row < out->middle_row)
-        edge_begin(&out->part, out, 0, 1, out->row);
+        edge_begin(&out->short_edge, out, 0, 1, out->row);
 }
 
 bool bake_raster_spans_next(struct raster_spans *spans, uint32_t *row, uint32_t *begin,
@@ -167,17 +166,18 @@ bool bake_raster_spans_next(struct raster_spans *spans, uint32_t *row, uint32_t 
 
     while (spans->row < spans->end_row) {
         if (spans->row == spans->middle_row)
-            edge_begin(&spans->part, spans, 1, 2, spans->row);
-        const int64_t whole = spans->whole.sample, part = spans->part.sample;
-        const int64_t left = spans->part_is_right ? whole : part;
-        const int64_t right = spans->part_is_right ? part : whole;
+            edge_begin(&spans->short_edge, spans, 1, 2, spans->row);
+        const int64_t long_sample = spans->long_edge.sample,
+                      short_sample = spans->short_edge.sample;
+        const int64_t left = spans->short_is_right ? long_sample : short_sample;
+        const int64_t right = spans->short_is_right ? short_sample : long_sample;
         *row = spans->row++;
         *begin = left > window->begin_x ? (uint32_t)(left < window->end_x ? left : window->end_x)
                                         : window->begin_x;
         *end = right < window->end_x ? (uint32_t)(right > window->begin_x ? right : window->begin_x)
                                      : window->end_x;
-        edge_step(&spans->whole);
-        edge_step(&spans->part);
+        edge_step(&spans->long_edge);
+        edge_step(&spans->short_edge);
         if (*begin < *end)
             return true;
     }

@@ -1,8 +1,7 @@
-/* ray_distance.c - measures the distance between low mesh and scan.
+/* ray_distance.c - chooses ray lengths by the distance between the low-poly mesh and the scan.
  *
- * A percentile rather than the largest distance: where the scan has a hole, a ray finds
- * some other surface far away. Such rays are few, and cutting them off keeps them out of the map.
- */
+ * Lengths follow a percentile, not the largest distance: through a hole in the scan, a ray hits
+ * some other surface far away. Such rays are few, and short rays keep these hits out of the map. */
 #include "libbake/surface/surface.h"
 
 #include <math.h>
@@ -45,8 +44,8 @@ static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
     for (int k = 0; k < 3; ++k) {
         double p = 0, n = 0;
         for (int c = 0; c < 3; ++c) {
-            /* Moved first: the weights' sum is 1 but for rounding, which far from the origin is a
-             * long way. */
+            /* Subtracts the translation first: far from the origin, the rounding of the weights'
+             * sum would move the point by a long way. */
             p += (double)probe->weights[c] * (positions[c][k] - surface->translation[k]);
             n += (double)probe->weights[c] * (double)normals[c][k];
         }
@@ -60,8 +59,9 @@ static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
     return ray;
 }
 
-/* Equal steps of area over the triangles; inside them a low-discrepancy sequence (Roberts, 2018).
- */
+/* Spreads the probes over the triangles in equal steps of area, and inside them by a
+ * low-discrepancy sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences",
+ * 2018). */
 static void place_probes(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
                          struct bake_exact_ray *rays)
 {
@@ -91,7 +91,8 @@ static int compare_floats(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Length of the rays on one side; `distances` are sorted, negative ones lie on the other side. */
+/* Returns the length of the rays on one side: sign 1 in front, -1 behind. Distances are sorted;
+ * negative ones lie behind. */
 static double side_length(const float *distances, size_t count, double sign, double detail)
 {
     size_t rank = (size_t)((double)(count - 1) * 0.999);
@@ -109,6 +110,7 @@ static double scan_diagonal(const struct bake_surface *surface)
     return sqrt(square);
 }
 
+/* Copies the distances of the hits and sorts them; returns their number. */
 static size_t take_distances(const struct bake_exact_hit *hits, float *distances)
 {
     size_t count = 0;
@@ -123,7 +125,7 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
                            const struct bake_lowmesh *mesh, double *front, double *back)
 {
     struct bsq_ctx *ctx = surface->ctx;
-    const double diagonal = scan_diagonal(surface), reach = 0.1 * diagonal + 2.0 * surface->detail;
+    const double diagonal = scan_diagonal(surface), limit = 0.1 * diagonal + 2.0 * surface->detail;
     struct bake_exact_ray *rays = NULL;
     struct bake_exact_hit *hits = NULL;
     float *distances = NULL;
@@ -139,8 +141,8 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
     struct bake_surface_rays probes = {.rays = rays,
                                        .hits = hits,
                                        .count = PROBES,
-                                       .t_min = -reach,
-                                       .t_max = reach,
+                                       .t_min = -limit,
+                                       .t_max = limit,
                                        .distances_only = true};
     status = bake_surface_trace(surface, params, &probes);
     if (status)

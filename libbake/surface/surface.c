@@ -1,5 +1,4 @@
-/* surface.c - grids and triangles behind one face, for all but the map's own rays, which go to a
- * device or in batches. */
+/* surface.c - opens grids and chunk files, and traces rays against either. */
 #include "libbake/surface/surface.h"
 
 #include <math.h>
@@ -10,15 +9,15 @@
 
 enum {
     RAYS_A_TASK = 256,
-    DETAILS = 2048, /* along the longest side, the usual resolution of a grid */
-    MOST_GRID_RAYS = 1 << 18
+    DETAILS = 2048, /* along the longest side of a scan: the usual resolution of a grid */
+    MAX_GRID_RAYS = 1 << 18
 };
 
 static int open_grid(struct bake_surface *surface, const struct bake_options *options)
 {
     if (options->scan_normals != BSQ_SCAN_NORMALS_SMOOTH)
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
-                        "%s: normals are chosen for triangles; a grid has its own",
+                        "%s: a grid has its own normals; choose them for triangles only",
                         options->scan_path);
     int status = fmt_nvdb_open(surface->ctx, options->scan_path, &surface->grid);
     if (status < 0)
@@ -41,7 +40,8 @@ static int check_exact(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     const char *device = options->device ? options->device : "auto";
     if (options->sampling == BAKE_NEAREST)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s has triangles, no voxels to take the nearest of",
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "%s has triangles: nearest-voxel sampling needs a voxel grid",
                         options->scan_path);
     if (strcmp(device, "auto") != 0 && strcmp(device, "cpu") != 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: triangles are traced on the cpu, not on %s",
@@ -189,5 +189,5 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface)
     const uint64_t limit = bsq_memory_limit(surface->ctx), used = bsq_memory_used(surface->ctx);
     const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);
     const uint64_t most = used < limit ? (limit - used) / 8 / ray : 0;
-    return most < 1 ? 1 : most > MOST_GRID_RAYS ? MOST_GRID_RAYS : most;
+    return most < 1 ? 1 : most > MAX_GRID_RAYS ? MAX_GRID_RAYS : most;
 }

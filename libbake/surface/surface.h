@@ -1,4 +1,6 @@
-/* surface.h - what rays are cast against: a voxel grid, or the scan's own triangles. */
+/* surface.h - the surface that rays are traced against. Takes a scan file, either a voxel grid or
+ * the triangles of a chunk file; gives hits of rays without the caller knowing which of both it is.
+ * The rays of maps do not come here: they go to a device, or to exact/ in batches. */
 #ifndef BAKE_SURFACE_SURFACE_H
 #define BAKE_SURFACE_SURFACE_H
 
@@ -8,43 +10,44 @@
 
 struct bake_surface {
     struct bsq_ctx *ctx;
-    struct bake_exact *exact;  /* NULL: a grid */
-    struct fmt_nvdb_grid grid; /* open where exact is NULL */
-    bool has_color;            /* the scan has */
-    double scan_min[3], scan_max[3];
-    /* Rays are in index space: (world - translation) / unit; voxels, or the scan's own units. */
+    struct bake_exact *exact;  /* the triangles; NULL: the surface is a grid */
+    struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
+    bool has_color;
+    double scan_min[3], scan_max[3]; /* world */
+    /* Index space, where rays are: (world - translation) / unit. For triangles, unit is 1. */
     double translation[3], unit;
     double
-        detail; /* in world units: a voxel, or where there are none, one of 2048 along the scan */
+        detail; /* world units: a voxel, or for triangles 1/2048 of the longest side of the scan */
 };
 
-/* Opens the scan by what the file holds. options: of the whole job. *out must stay where it is.
- * Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for options
- * that the kind of file does not know. */
+/* Opens options->scan_path; the content of the file decides which kind of surface it is. *out must
+ * not be moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open();
+ * BSQ_EUSAGE for options that do not apply to this kind of surface. */
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out);
-void bake_surface_close(struct bake_surface *surface); /* a zeroed one is allowed */
+void bake_surface_close(struct bake_surface *surface); /* a zeroed surface is allowed */
 
-/* BSQ_EIO where the file of a grid has shrunk or was written to since it was opened, so that what
- * was traced cannot be relied on. Thread-safe. */
+/* Checks the file of a grid: returns BSQ_EIO if it has been truncated or written to since it was
+ * opened, so that hits cannot be trusted. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
 
-/* Hits have colours from now on, if the scan has. Once at most; not from parallel work. */
+/* Makes later hits carry colours, if the scan has any. Call it at most once, not from parallel
+ * work. Errors: those of bake_exact_use_color(). */
 int bake_surface_use_color(struct bake_surface *surface);
 
-/* Traces rays on all threads, in any number. Limits and the hits' t are in world units; hits of a
- * grid have triangle 0. params are for grids. Not from parallel work. */
 struct bake_surface_rays {
     const struct bake_exact_ray *rays; /* index space */
-    struct bake_exact_hit *hits;
+    struct bake_exact_hit *hits;       /* out; `count` entries; a grid's hits have triangle 0 */
     uint64_t count;
-    double t_min, t_max;
+    double t_min, t_max;          /* world units, as the hits' t */
     bool distances_only, against; /* as in struct bake_exact_batch */
 };
+/* Traces any number of rays on all threads. params: used for grids only. Not to be called from
+ * parallel work. Errors: those of bake_exact_trace(). */
 int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
                        const struct bake_surface_rays *rays);
 
-/* Number of rays that can comfortably be held at a time. */
+/* Returns the number of rays, with their hits, that a caller should hold at a time, at least 1. */
 uint64_t bake_surface_capacity(const struct bake_surface *surface);
 
 /* ---- ray lengths ---- */

@@ -131,7 +131,7 @@ code 65
 err_like '^bisque-bake: plain\.nvdb.*colour'
 sed 's,/[0-9]*,,g; /^vt/d' low.obj >bare.obj
 $bake plain.nvdb bare.obj -o a.exr
-refused 65 "$p bare.obj: no texture coordinates: the low mesh has to be unwrapped"
+refused 65 "$p bare.obj: no texture coordinates: the low-poly mesh has to be unwrapped"
 sed '$s,/[0-9]*,,g' low.obj >bare.obj
 $bake plain.nvdb bare.obj -o a.exr
 code 65

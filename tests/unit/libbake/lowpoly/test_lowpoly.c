@@ -1,5 +1,5 @@
-/* Loading of the low mesh: what the file says, what is filled in where it says nothing, and
- * messages. */
+/* test_lowpoly.c - loading of the low-poly mesh: attributes of the file, attributes that are filled
+ * in, and messages. */
 #include <float.h>
 #include <math.h>
 #include <setjmp.h>
@@ -59,7 +59,7 @@ static void load_text(struct fixture *f, const char *text)
     load(f);
 }
 
-/* Expects failure with "PATH" followed by `message`. */
+/* Expects loading to fail with the path followed by `message`. */
 static void fail_text(struct fixture *f, const char *text, const char *message)
 {
     char expected[256];
@@ -79,8 +79,8 @@ static void assert_vector(const float *v, float x, float y, float z)
         fail_msg("(%g %g %g), expected (%g %g %g)", v[0], v[1], v[2], x, y, z);
 }
 
-/* A sphere of quads with triangles at its poles; a seam in the texture where longitude wraps, none
- * in the positions. No normals. */
+/* Writes a unit sphere of quads with triangles at its poles, without normals. The texture has a
+ * seam where longitude wraps, the positions have none. */
 static void write_sphere(FILE *file, const double centre[3], int columns, int rows)
 {
     for (int y = 0; y <= rows; y++) {
@@ -112,7 +112,7 @@ static void write_sphere(FILE *file, const double centre[3], int columns, int ro
     }
 }
 
-/* Radial directions from the sphere's definition; a row of 32 turns 5.6 degrees. */
+/* Normals are held against the radial direction. A row of the sphere spans 5.6 degrees. */
 static void test_missing_normals_are_smooth(void **state)
 {
     struct fixture *f = *state;
@@ -154,7 +154,7 @@ static void test_tangents_of_a_sphere(void **state)
     }
 }
 
-/* Floats step by 0.5 m at 5,000,000 m, half of the sphere's radius. */
+/* At 5,000,000 m, neighbouring floats are 0.5 m apart: half of the sphere's radius. */
 static void test_tangents_far_from_the_origin(void **state)
 {
     struct fixture *f = *state;
@@ -205,7 +205,7 @@ static void test_attributes_of_the_file(void **state)
     }
 }
 
-/* A zero normal is replaced by the face's; a corner without any gets the smooth one. */
+/* A zero normal is replaced by the face's normal; a corner without one gets the smooth normal. */
 static void test_zero_and_partly_missing_normals(void **state)
 {
     struct fixture *f = *state;
@@ -234,7 +234,7 @@ static void test_degenerate_triangle_has_a_unit_normal(void **state)
 static void test_no_texture_coordinates(void **state)
 {
     fail_text(*state, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
-              ": no texture coordinates: the low mesh has to be unwrapped");
+              ": no texture coordinates: the low-poly mesh has to be unwrapped");
 }
 
 static void test_a_face_without_texture_coordinates(void **state)
@@ -253,7 +253,7 @@ static void test_missing_file(void **state)
     assert_null(f->mesh.positions);
 }
 
-/* Became infinite. */
+/* They used to become infinite. */
 static void test_texture_coordinates_beyond_float_are_the_largest_float(void **state)
 {
     struct fixture *f = *state;

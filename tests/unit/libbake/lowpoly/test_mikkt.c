@@ -1,5 +1,5 @@
-/* Tangents against those that Blender computed (tests/golden/mikkt), and properties that hold for
- * any mesh. Run from the top of the source tree. */
+/* test_mikkt.c - tangents against those that Blender computed (tests/golden/mikkt), and properties
+ * that hold for any mesh. Runs from the top of the source tree. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -126,7 +126,8 @@ static void test_golden(void **state)
         golden(golden_names[n]);
 }
 
-/* Copies corner `from` of `a` to corner `to` of `b`; corners are numbered 3 * triangle + i. */
+/* Copies corner `from` of `a` to corner `to` of `b`, with its tangent as the expected one. Corners
+ * are numbered 3 * triangle + i. */
 static void copy_corner(const struct soup *a, uint64_t from, struct soup *b, uint64_t to)
 {
     memcpy(b->positions[to / 3][to % 3], a->positions[from / 3][from % 3], 3 * sizeof(float));
@@ -135,7 +136,8 @@ static void copy_corner(const struct soup *a, uint64_t from, struct soup *b, uin
     memcpy(b->expected[to / 3][to % 3], a->tangents[from / 3][from % 3], 4 * sizeof(float));
 }
 
-/* Triangle order and first corners must not matter on manifold meshes without flat triangles. */
+/* Checks that the order of triangles and their first corners do not matter. This holds for manifold
+ * meshes without flat triangles. */
 static void reorder(const char *name, unsigned seed)
 {
     struct soup s = read_golden(name), shuffled = new_soup(s.count);
@@ -173,7 +175,7 @@ static void test_order_does_not_matter(void **state)
     }
 }
 
-/* Mirroring the texture space in u turns tangents and signs around. */
+/* Mirroring the texture space in u negates tangents and signs. */
 static void test_mirroring_negates(void **state)
 {
     (void)state;
@@ -192,7 +194,7 @@ static void test_mirroring_negates(void **state)
     free_soup(&s);
 }
 
-/* On a plane with texture coordinates that are its own coordinates, tangents are the x axis. */
+/* If the texture coordinates of a plane are its x and y, tangents are the x axis. */
 static void test_plane(void **state)
 {
     (void)state;
@@ -211,7 +213,7 @@ static void test_plane(void **state)
     free_soup(&s);
 }
 
-/* A zero with a minus sign is the same coordinate. */
+/* -0 and 0 are the same coordinate. */
 static void test_negative_zero_welds(void **state)
 {
     (void)state;
@@ -239,7 +241,7 @@ static void test_empty(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* A fan of triangles around one pole, and all of them on one edge: time stays linear. */
+/* All triangles share one edge: time stays linear. */
 static void test_many_triangles_on_one_edge(void **state)
 {
     (void)state;
@@ -260,7 +262,7 @@ static void test_many_triangles_on_one_edge(void **state)
     free_soup(&s);
 }
 
-/* Whatever allocation the budget stops, nothing stays behind. */
+/* Whichever allocation exceeds the budget, all memory is freed. */
 static void test_small_budgets_fail_cleanly(void **state)
 {
     (void)state;

@@ -1,4 +1,4 @@
-/* Rasterisation of UV triangles against a naive reference in double, and against what must hold for
+/* test_raster.c - rasterisation against a naive reference in double, and properties that hold for
  * any mesh. */
 #include <math.h>
 #include <setjmp.h>
@@ -43,7 +43,7 @@ static int tear_down(void **state)
     free(f->mesh.texcoords);
     free(f->mesh.tangents);
     if (used > 0)
-        return -1; /* a failed test leaves its memory behind */
+        return -1; /* a failed test does not free its memory */
     bsq_ctx_destroy(f->ctx);
     free(f);
     return 0;
@@ -110,7 +110,7 @@ static struct bake_raster *create(struct fixture *f, uint32_t width, uint32_t he
     return raster;
 }
 
-/* Fills all tiles and puts them together. */
+/* Rasterises all tiles and assembles the map. Free map.owners. */
 static struct map rasterise(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
                             uint32_t tile_size)
 {
@@ -143,8 +143,8 @@ static uint32_t owner(const struct map *map, uint32_t x, uint32_t y)
 
 /* ---- the naive reference ---- */
 
-/* Distance of a sample's centre from the nearest border line of a triangle, in samples, negative
- * outside. */
+/* Returns the distance in samples of a sample's centre from the nearest edge line of a triangle;
+ * negative outside. */
 static double depth(const struct fixture *f, uint64_t triangle, const struct map *map, uint32_t x,
                     uint32_t y)
 {
@@ -164,7 +164,7 @@ static double depth(const struct fixture *f, uint64_t triangle, const struct map
     return smallest;
 }
 
-/* Checks every sample that is not within 1e-3 of a border. */
+/* Checks every sample that is not within 1e-3 samples of an edge. */
 static void check_against_reference(const struct fixture *f, const struct map *map)
 {
     uint64_t overlaps = 0, unclear = 0;
@@ -210,19 +210,19 @@ static void test_random_triangles(void **state)
     }
 }
 
-/* Corners far outside: coordinates that would not fit 32 bits of the lattice. */
+/* Corners far outside, whose fixed-point coordinates do not fit 32 bits. */
 static void test_far_corners(void **state)
 {
     struct fixture *f = *state;
-    const double reach[] = {10, 3e3, 1e6};
+    const double distances[] = {10, 3e3, 1e6};
     for (int k = 0; k < 3; k++) {
         f->mesh.triangle_count = 0;
         for (int t = 0; t < 4; t++) {
             float uv[3][2];
             for (int i = 0; i < 3; i++) {
                 double angle = random_between(f, 0, 1) + 2 * i + t;
-                uv[i][0] = (float)(0.5 + cos(angle) * reach[k]);
-                uv[i][1] = (float)(0.5 + sin(angle) * random_between(f, 0, reach[k]));
+                uv[i][0] = (float)(0.5 + cos(angle) * distances[k]);
+                uv[i][1] = (float)(0.5 + sin(angle) * random_between(f, 0, distances[k]));
             }
             add_triangle(f, uv[0], uv[1], uv[2]);
         }
@@ -235,9 +235,9 @@ static void test_far_corners(void **state)
 
 /* ---- watertightness ---- */
 
-/* Splits the unit square into cells x cells quads with shaken corners and random diagonals; some
+/* Splits the unit square into cells x cells quads with jittered corners and random diagonals. Some
  * triangles are split again at an inner point. */
-static void add_shaken_grid(struct fixture *f, uint32_t cells)
+static void add_jittered_grid(struct fixture *f, uint32_t cells)
 {
     float(*p)[2] = resized(NULL, (uint64_t)(cells + 1) * (cells + 1), sizeof(*p));
 
@@ -286,7 +286,7 @@ static void test_triangulated_square_is_covered_once(void **state)
     print_message("seed %llu\n", (unsigned long long)SEED);
     for (int k = 0; k < 5; k++) {
         f->mesh.triangle_count = 0;
-        add_shaken_grid(f, cells[k]);
+        add_jittered_grid(f, cells[k]);
         check_each_sample_once(f, 1, 1, 1, 1);
         check_each_sample_once(f, 64, 64, 1, 16);
         check_each_sample_once(f, 33, 100, 3, 32);
@@ -339,7 +339,7 @@ static void test_orientation_of_the_map(void **state)
     free(map.owners);
 }
 
-/* A square from centre (1, 1) to centre (3, 3) has its top and left borders, not the others. */
+/* A square between the centres of samples (1, 1) and (3, 3) owns its top and left edges only. */
 static void test_top_left_rule(void **state)
 {
     struct fixture *f = *state;
@@ -357,7 +357,7 @@ static void test_tile_size_does_not_matter(void **state)
 {
     struct fixture *f = *state;
     const uint32_t sizes[] = {1, 5, 16, 31, 200};
-    add_shaken_grid(f, 9);
+    add_jittered_grid(f, 9);
     add_quad(f, 0.1f, 0.1f, 0.6f, 0.7f);
     struct map expected = rasterise(f, 70, 50, 2, 64);
     for (int k = 0; k < 5; k++) {
@@ -366,7 +366,7 @@ static void test_tile_size_does_not_matter(void **state)
         assert_int_equal(map.overlaps, expected.overlaps);
         free(map.owners);
     }
-    /* 0.5 by 0.6 of the map, which the quad begins and ends on whole samples of. */
+    /* The quad covers 0.5 by 0.6 of the map; its edges lie between samples. */
     assert_int_equal(expected.overlaps, 70 * 60);
     free(expected.owners);
 }
@@ -376,7 +376,7 @@ static void test_first_triangle_wins(void **state)
     struct fixture *f = *state;
     add_quad(f, 0, 0, 0.5f, 1);
     add_quad(f, 0.25f, 0, 1, 1);
-    add_quad(f, 0.25f, 0, 0.5f, 1); /* third layer: its samples are counted already */
+    add_quad(f, 0.25f, 0, 0.5f, 1); /* third layer: its samples already overlap */
     struct map map = rasterise(f, 400, 300, 1, 300);
     assert_int_equal(map.covered, 400 * 300);
     assert_int_equal(map.overlaps, 100 * 300);
@@ -390,7 +390,7 @@ static void test_first_triangle_wins(void **state)
 static void test_mirrored_triangles_cover_the_same(void **state)
 {
     struct fixture *f = *state;
-    add_shaken_grid(f, 5);
+    add_jittered_grid(f, 5);
     struct map expected = rasterise(f, 64, 64, 2, 16);
     for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
         float swapped[2];
@@ -468,13 +468,13 @@ static void test_senseless_options_are_refused(void **state)
     }
 }
 
-/* Whatever allocation the budget stops, nothing stays behind. */
+/* Whichever allocation exceeds the budget, all memory is freed. */
 static void test_small_budgets_fail_cleanly(void **state)
 {
     struct fixture *f = *state;
     const struct bake_raster_options options = {256, 256, 1, 16};
     int rc = BSQ_ENOMEM, failures = 0;
-    add_shaken_grid(f, 8);
+    add_jittered_grid(f, 8);
     for (uint64_t budget = 1; rc != 0; budget += 64) {
         struct bsq_ctx *ctx = NULL;
         struct bake_raster_report report;
@@ -495,7 +495,7 @@ static void test_small_budgets_fail_cleanly(void **state)
 
 /* ---- kernel triangles ---- */
 
-/* At a sample of a triangle, the weights must give back the sample's own map position. */
+/* Checks that the weights at each sample give the position of the sample on the map. */
 static void check_weights(const struct fixture *f, const struct map *map, uint32_t n,
                           const struct bk_triangle *triangles, double tolerance)
 {
@@ -536,7 +536,7 @@ static void check_attributes(const struct fixture *f, const struct bk_triangle *
     }
 }
 
-/* Returns the triangles; free() them. */
+/* Checks the weights of a map and returns its triangles; free() them. */
 static struct bk_triangle *check_kernel_triangles(struct fixture *f, uint32_t width,
                                                   uint32_t height, uint32_t n, double tolerance)
 {
@@ -557,15 +557,15 @@ static struct bk_triangle *check_kernel_triangles(struct fixture *f, uint32_t wi
 static void test_kernel_triangles(void **state)
 {
     struct fixture *f = *state;
-    add_shaken_grid(f, 13);
+    add_jittered_grid(f, 13);
     struct bk_triangle *triangles = check_kernel_triangles(f, 100, 60, 3, 1e-3);
     check_attributes(f, triangles);
     free(triangles);
     free(check_kernel_triangles(f, 16384, 8, 1, 0.1));
 }
 
-/* Slivers around the map's diagonal, some thinner than the lattice: their samples must not be
- * extrapolated. Float weights place them a little off along a sliver of 2000 samples. */
+/* Slivers along the map's diagonal, some thinner than a step of the sample grid: weights must not
+ * extrapolate. Along 2000 samples, float weights are off by a few samples. */
 static void test_kernel_triangles_of_slivers(void **state)
 {
     struct fixture *f = *state;
