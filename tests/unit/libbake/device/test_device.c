@@ -10,7 +10,7 @@
 #include <cmocka.h>
 
 #include "libbake/device/opencl/opencl_api.h"
-#include "tests/unit/libbake/surface/traced_sheet.h"
+#include "tests/unit/libbake/device/traced_sheet.h"
 
 /* OpenCL's division and square root may be 3 ulp off, and positions with them; a ray that grazes a
  * voxel's edge may then take its neighbour's plane. So: nearly all texels agree closely, the others

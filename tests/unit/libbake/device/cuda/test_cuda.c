@@ -16,7 +16,7 @@
 #include "libbake/device/backend.h"
 #include "libbake/device/driver_library.h"
 #include "libbake/device/launch_batches.h"
-#include "tests/unit/libbake/surface/traced_sheet.h"
+#include "tests/unit/libbake/device/traced_sheet.h"
 
 /* The driver's name is looked up among the libraries that are open already. */
 static int open_fake(void)

@@ -1,4 +1,5 @@
-/* test_surface.c - surfaces traced in voxels against the analytic surfaces that made them. */
+/* test_trace_ray.c - single rays against voxel grids of analytic surfaces: hits are held against
+ * the surfaces themselves. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -45,7 +46,7 @@ static double mean(const double *values, size_t count)
     return sum / (double)count;
 }
 
-/* Sorts. */
+/* Returns a percentile; sorts the values. */
 static double percentile(double *values, size_t count, size_t percent)
 {
     qsort(values, count, sizeof *values, by_value);
@@ -84,7 +85,7 @@ static void test_sphere(void **state)
         double direction[3], at[3], dot = 0, square = 0, normal[3];
         float o[3], d[3], facing[3];
         struct bk_hit hit;
-        /* Through a point of a disc a little larger than the sphere. */
+        /* The ray goes through a point of a disc slightly larger than the sphere. */
         analytic_random_unit(&seed, direction);
         analytic_random_unit(&seed, at);
         for (int k = 0; k < 3; k++)
@@ -102,7 +103,7 @@ static void test_sphere(void **state)
         }
         bake_trace_ray(&grid, &params, o, d, 0, 1000, facing, &hit);
         if (offset >= radius) {
-            /* Silhouettes grow by a small part of a voxel at most. */
+            /* The silhouette may grow by 0.1 voxels at most. */
             assert_true(!hit.found || offset < radius + 0.1);
             false_hits += hit.found;
             continue;
@@ -133,10 +134,11 @@ static void test_sphere(void **state)
 
 struct sine_errors {
     double average, p95; /* angles in degrees */
-    double gain;         /* the slopes' regression onto the formula's */
+    double gain;         /* regression of the slopes onto those of the formula */
 };
 
-/* Adds a normal's slopes against the base plane, times the formula's, and the squares of these. */
+/* Adds up, for the regression, the products of a normal's slopes and the formula's, and the squares
+ * of the formula's. Slopes are against the base plane. */
 static void add_slopes(const struct analytic_sine *sine, const double truth[3],
                        const float normal[3], double *products, double *squares)
 {
@@ -152,7 +154,8 @@ static void add_slopes(const struct analytic_sine *sine, const double truth[3],
     }
 }
 
-/* Rays along the base plane's normal from below and above the surface. Every ray has to hit. */
+/* Traces rays along the base plane's normal from below and above the surface. Every ray has to hit.
+ */
 static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t grain)
 {
     enum { RAYS = 150000 };
@@ -194,17 +197,17 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t
                   "formula's, distance within "
                   "%.3f voxels\n",
                   wavelength, grain, errors.average, errors.p95, errors.gain, worst);
-    /* One plane alone errs more where it only cuts its voxel's corner. */
+    /* A single plane errs more if it only cuts a corner of its voxel. */
     assert_true(worst < (flags & BK_NEAREST ? 0.25 : 0.1));
     fmt_nvdb_close(context, &grid);
     free(angles);
     return errors;
 }
 
-/* A plain tent blend of the normals gives 6.4, 1.95, 0.54 and 0.155 degrees on average,
- * and 9.6, 3.0, 0.83 and 0.27 for the 95th percentile; the planes' offsets have to improve on that.
- * Means over voxels alone lower both waves' slopes together by (2 pi / wavelength)^2 / 12: by
- * 0.051, 0.013 and 0.003 from 8 voxels on. Nothing of that may be left but higher terms. */
+/* Trilinear blending of the normals alone errs by 6.4, 1.95, 0.54 and 0.155 degrees on average, and
+ * by 9.6, 3.0, 0.83 and 0.27 at the 95th percentile; the planes' offsets must improve on that.
+ * Means over voxels lower slopes by (2 pi / wavelength)^2 / 12: by 0.051, 0.013 and 0.003 from 8
+ * voxels on. Only higher terms of this loss may remain. */
 static void test_sine_accuracy(void **state)
 {
     (void)state;
@@ -219,7 +222,7 @@ static void test_sine_accuracy(void **state)
     }
 }
 
-/* Grain leaves its share of that in the slopes. */
+/* The facet-noise weight ("grain") determines how much of that loss remains. */
 static void test_grain(void **state)
 {
     (void)state;
@@ -230,7 +233,7 @@ static void test_grain(void **state)
     }
 }
 
-/* The nearest voxel's own normal errs by about the slope's change over half a voxel. */
+/* The normal of the nearest voxel errs by about the change of the slope over half a voxel. */
 static void test_sine_nearest(void **state)
 {
     (void)state;
@@ -238,9 +241,9 @@ static void test_sine_nearest(void **state)
     assert_true(errors.average > 1 && errors.average < 2.1 && errors.p95 < 4.4);
 }
 
-/* A ridge whose sides fall by 40 degrees, turned against the grid. The record of a voxel that the
- * ridge passes through has neither side's normal. Where it counted as others do, normals within two
- * voxels of the ridge erred by 4.7 degrees on average, and 22 % of them by more than 5. */
+/* A ridge whose sides slope by 40 degrees, not aligned with the grid. A voxel on the ridge has the
+ * normal of neither side. With the same weight as other voxels, it would make normals within two
+ * voxels of the ridge err by 4.7 degrees on average, and 22 % of them by more than 5. */
 static void test_crease(void **state)
 {
     (void)state;
@@ -300,8 +303,8 @@ static void add_plane(struct analytic_grid *grid, double z, double up, const flo
         }
 }
 
-/* A plate of 0.4 voxels, red above and blue below: each side takes its own colour and normal, also
- * from a ray that starts on the wrong side or inside. */
+/* A plate 0.4 voxels thick, red above and blue below. A hit has the colour and normal of the side
+ * that the ray faces, even if the ray starts on the other side or inside. */
 static void test_thin_plate(void **state)
 {
     (void)state;
@@ -310,7 +313,7 @@ static void test_thin_plate(void **state)
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
 
-    /* Once within a voxel, once across the face of two. */
+    /* The plate lies inside a layer of voxels, then between two layers. */
     for (int place = 0; place < 2; place++) {
         double z = place ? 3.5 : 3.0;
         struct analytic_grid *source = analytic_grid_create();
@@ -336,7 +339,7 @@ static void test_thin_plate(void **state)
             double expected = (z + 0.2 * up - origin[2]) / direction[2];
             assert_true(fabs(hit.t - expected) < 1e-3);
         }
-        /* Two-sided: the nearer side, whichever it is. */
+        /* A two-sided ray hits the nearer side. */
         struct bk_params both = params;
         both.flags |= BK_TWO_SIDED;
         for (int i = 0; i < 20000; i++) {
@@ -353,7 +356,7 @@ static void test_thin_plate(void **state)
     }
 }
 
-/* Hits outside [t_min, t_max] do not count, and of two sheets the nearer one does. */
+/* Hits outside [t_min, t_max] are ignored; of two sheets the nearer one is hit. */
 static void test_range(void **state)
 {
     (void)state;
@@ -389,8 +392,7 @@ static void test_range(void **state)
     fmt_nvdb_close(context, &grid);
 }
 
-/* Overflowed the kernel's integers before such grids were refused: layers of voxels minus a ray's
- * origin. */
+/* The difference of such an index and a ray's origin would overflow the kernel's integers. */
 static void test_voxels_at_the_ends_of_the_index_range_are_refused(void **state)
 {
     (void)state;

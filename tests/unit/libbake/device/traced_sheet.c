@@ -1,5 +1,5 @@
-/* traced_sheet.c - see traced_sheet.h. */
-#include "tests/unit/libbake/surface/traced_sheet.h"
+/* traced_sheet.c - makes and traces the sheet. */
+#include "tests/unit/libbake/device/traced_sheet.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -20,7 +20,7 @@ void traced_sheet_color(double u, double v, float color[3])
     color[2] = 0.25f;
 }
 
-/* A wavy sheet of colours; the low mesh is a square slightly below it, in the sheet's frame. */
+/* Adds the wavy coloured sheet to a grid. */
 static void add_sheet(struct analytic_grid *grid, const struct analytic_sine *sine)
 {
     const int n = (int)(2 * sine->half * 8);
@@ -46,7 +46,7 @@ static void set_corner(struct bk_triangle *triangle, int corner, const struct an
         triangle->normal[corner][k] = (float)sine->axes[2][k];
         triangle->tangent[corner][k] = (float)sine->axes[0][k];
     }
-    triangle->tangent[corner][3] = -1; /* the map's y runs against v */
+    triangle->tangent[corner][3] = -1; /* the map's y runs opposite to v */
 }
 
 static void make_square(struct fixture *f, const struct analytic_sine *sine, double half)
@@ -75,7 +75,7 @@ int traced_sheet_setup(void **state)
     add_sheet(grid, &sine);
     analytic_grid_open(f->ctx, grid, true, &f->grid);
     analytic_grid_free(grid);
-    /* Larger than the sheet, so that some rays miss. */
+    /* The square is larger than the sheet, so that some rays miss. */
     make_square(f, &sine, 32);
     f->samples = malloc(sizeof *f->samples * row * HEIGHT * SAMPLES);
     for (uint32_t j = 0; j < HEIGHT * SAMPLES; j++)
