@@ -271,7 +271,7 @@ test: tests-build
 
 # Other tests start no threads, or the same ones in the same places.
 threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/test_parallel formats/test_exr \
-    formats/test_nvdb formats/test_obj formats/test_obj_blocks formats/test_png_image formats/test_texture libvoxel/% libbake/%),$(unit_bins))
+    formats/test_nvdb formats/test_obj formats/test_obj_blocks formats/test_png formats/test_texture libvoxel/% libbake/%),$(unit_bins))
 .PHONY: test-threads
 ## test-threads: the tests of parallel work; config=tsan finds races
 test-threads: all $(threaded_bins) $(generator) $(fake_cuda) $(crashing_driver)

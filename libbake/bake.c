@@ -46,7 +46,6 @@ void bake_defaults(struct bake_options *options)
 {
     *options = (struct bake_options){
         .maps = BAKE_MAPS_DEFAULT,
-        .format = BAKE_FORMAT_DEFAULT,
         .width = 2048,
         .height = 2048,
         .samples = 2,
@@ -61,9 +60,8 @@ void bake_defaults(struct bake_options *options)
 
 /* ---- inputs ---- */
 
-static int check_options(struct bsq_ctx *ctx, const struct bake_options *options)
+int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
-    enum bake_format format;
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low mesh and an output are needed");
     if (options->maps & ~(uint32_t)(BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK))
@@ -80,26 +78,25 @@ static int check_options(struct bsq_ctx *ctx, const struct bake_options *options
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
     /* Several maps where none are named, unless the scan has no colour: checked again then. */
-    return bake_map_files_check(ctx, options, options->maps, &format);
+    return bake_map_files_check(ctx, options, options->maps);
 }
 
 /* Which maps to write, now that it is known whether there are colours. */
 static int choose_maps(struct job *job)
 {
     bool has_color = job->surface.has_color;
-    enum bake_format format;
     job->maps = job->options->maps;
     if (job->maps == BAKE_MAPS_DEFAULT)
         job->maps = BAKE_MAP_NORMAL | (has_color ? BAKE_MAP_COLOR : 0);
     if (job->maps & BAKE_MAP_COLOR && !has_color)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave color out of --maps",
                         job->options->scan_path);
-    return bake_map_files_check(job->ctx, job->options, job->maps, &format);
+    return bake_map_files_check(job->ctx, job->options, job->maps);
 }
 
 static int open_inputs(struct job *job)
 {
-    int status = check_options(job->ctx, job->options);
+    int status = bake_check_options(job->ctx, job->options);
     if (status < 0)
         return status;
     status = bake_surface_open(job->ctx, job->options, &job->surface);

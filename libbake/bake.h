@@ -36,13 +36,13 @@ enum bake_sampling {
     BAKE_NEAREST    /**< Those of the voxel that is hit (West 2008). */
 };
 
-/** Formats of map files. */
-enum bake_format {
-    BAKE_FORMAT_DEFAULT, /**< BAKE_PNG16 if the output's name ends in .png, else BAKE_EXR_HALF. */
-    BAKE_EXR_HALF,       /**< OpenEXR with 16-bit floating-point samples. */
-    BAKE_EXR_FLOAT,      /**< OpenEXR with 32-bit floating-point samples. */
-    BAKE_PNG8,           /**< PNG with 8 bits a sample, dithered. */
-    BAKE_PNG16           /**< PNG with 16 bits a sample. */
+/** How a map file stores a sample. */
+enum bake_sample_type {
+    BAKE_SAMPLE_USUAL, /**< BAKE_HALF in OpenEXR, BAKE_UINT16 in PNG. */
+    BAKE_UINT8,        /**< 8 bits, dithered. PNG only. */
+    BAKE_UINT16,       /**< 16 bits. PNG only. */
+    BAKE_HALF,         /**< 16-bit floating point. OpenEXR only. */
+    BAKE_FLOAT         /**< 32-bit floating point. OpenEXR only. */
 };
 
 /** What bake_run() reads and writes. The caller owns all strings. */
@@ -52,16 +52,16 @@ struct bake_options {
     const char *mesh_path; /**< Input: the low-poly mesh, an OBJ file with texture coordinates. */
     uint32_t maps;         /**< Bits of enum bake_map. */
     /** Output path. "<MAP>" in it stands for the map's name: normal, color or mask. It must contain
-     * "<MAP>" if there are several maps. It must end in .png if and only if `format` is PNG. */
+     * "<MAP>" if there are several maps. Its suffix, .exr or .png, chooses the image format. */
     const char *output_path;
-    enum bake_format format; /**< Format of the map files. */
-    uint32_t width;          /**< Width of the maps in texels. */
-    uint32_t height;         /**< Height of the maps in texels. */
-    uint32_t samples;        /**< N: each texel gets N x N pairs of rays. */
-    double front;            /**< Length of rays along the normal; < 0: automatic. */
-    double back;             /**< Length of rays against the normal; < 0: automatic. */
-    uint32_t padding;        /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
-    bool green_down; /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
+    enum bake_sample_type sample_type; /**< One that the image format can store. */
+    uint32_t width;                    /**< Width of the maps in texels. */
+    uint32_t height;                   /**< Height of the maps in texels. */
+    uint32_t samples;                  /**< N: each texel gets N x N pairs of rays. */
+    double front;                      /**< Length of rays along the normal; < 0: automatic. */
+    double back;                       /**< Length of rays against the normal; < 0: automatic. */
+    uint32_t padding; /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
+    bool green_down;  /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
     enum bake_normal_space normal_space; /**< Space of the normal map. */
     enum bake_sampling sampling;         /**< For grids. */
     enum bsq_scan_normals scan_normals;  /**< For chunk files without normals. */
@@ -109,6 +109,10 @@ struct bake_report {
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
     uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
+
+/** Checks everything that can be checked without opening a file; bake_run() does so too. Returns
+ * BSQ_EUSAGE if something is wrong. */
+int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options);
 
 /** Bakes and writes the maps, and fills in *report.
  *

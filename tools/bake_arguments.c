@@ -196,20 +196,23 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     }
 }
 
-/* Options that only affect the kind of file. */
-static int parse_format(struct cli *cli, int option, struct bake_arguments *arguments)
+static int parse_sample_type(struct cli *cli, int option, struct bake_arguments *arguments)
 {
+    uint64_t bits = 0;
     if (option == OPT_PNG_BITS) {
-        int status = cli_parse_count(cli, "--png-bits", optarg, 1, 16, &arguments->png_bits);
-        if (status == 0 && arguments->png_bits != 8 && arguments->png_bits != 16)
+        int status = cli_parse_count(cli, "--png-bits", optarg, 1, 16, &bits);
+        if (status == 0 && bits != 8 && bits != 16)
             status = cli_usage(cli, "--png-bits: \"%s\" is not 8 or 16", optarg);
-        return status;
+        if (status != 0)
+            return status;
     }
-    enum bake_format format = option == OPT_HALF ? BAKE_EXR_HALF : BAKE_EXR_FLOAT;
-    if (arguments->exr_type_given && arguments->bake.format != format)
-        return cli_usage(cli, "--half and --float exclude each other");
-    arguments->bake.format = format;
-    arguments->exr_type_given = true;
+    if (arguments->sample_option && arguments->sample_option != option)
+        return cli_usage(cli, "--half, --float and --png-bits exclude each other");
+    arguments->sample_option = option;
+    arguments->bake.sample_type = option == OPT_HALF    ? BAKE_HALF
+                                  : option == OPT_FLOAT ? BAKE_FLOAT
+                                  : bits == 8           ? BAKE_UINT8
+                                                        : BAKE_UINT16;
     return 0;
 }
 
@@ -244,7 +247,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_HALF:
     case OPT_FLOAT:
     case OPT_PNG_BITS:
-        return parse_format(cli, option, arguments);
+        return parse_sample_type(cli, option, arguments);
     case OPT_PREVIEW:
         bake->preview_path = optarg;
         return 0;
@@ -268,19 +271,6 @@ static int parse_option(struct cli *cli, void *arg, int option)
 
 /* ---- all of them ---- */
 
-static int choose_format(struct cli *cli, struct bake_arguments *arguments)
-{
-    bool png = cli_ends_with(arguments->bake.output_path, ".png");
-    if (png && arguments->exr_type_given)
-        return cli_usage(cli, "--half and --float are for OpenEXR, not for %s",
-                         arguments->bake.output_path);
-    if (!png && arguments->png_bits > 0)
-        return cli_usage(cli, "--png-bits is for PNG, not for %s", arguments->bake.output_path);
-    if (png)
-        arguments->bake.format = arguments->png_bits == 8 ? BAKE_PNG8 : BAKE_PNG16;
-    return 0;
-}
-
 static int check_arguments(struct cli *cli, struct bake_arguments *arguments, int count,
                            char **inputs)
 {
@@ -302,7 +292,7 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
     if (bake->normal_space == BAKE_OBJECT_SPACE && bake->green_down)
         return cli_usage(cli, "--green down is for tangent space");
-    return choose_format(cli, arguments);
+    return 0;
 }
 
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv)

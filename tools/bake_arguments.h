@@ -7,10 +7,10 @@
 
 struct bake_arguments {
     struct bake_options bake;
-    bool exr_type_given, list_devices, verify;
+    bool list_devices, verify;
     char **files; /* to verify */
     int file_count;
-    uint64_t png_bits; /* 0: not given */
+    int sample_option; /* that chose bake.sample_type; 0: none did */
 };
 
 /* Names of maps, in the order of outputs and reports. */

@@ -35,11 +35,6 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
         status = cli_check_output(cli, paths[i], inputs, 2);
     }
-    if (status == 0 && !cli_ends_with(bake->output_path, ".exr") &&
-        !cli_ends_with(bake->output_path, ".png"))
-        status =
-            cli_usage(cli, "%s: maps are OpenEXR or PNG files: let the name end in .exr or .png",
-                      bake->output_path);
     if (status == 0 && bake->preview_path)
         status = cli_check_picture(cli, bake->preview_path, inputs, 2);
     return status;
@@ -63,7 +58,9 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
 {
     char *paths[BAKE_MAP_KINDS] = {NULL};
     struct bake_report report = {0};
-    int status = choose_maps(cli, &arguments->bake);
+    int status = bake_check_options(cli->ctx, &arguments->bake);
+    if (status == 0)
+        status = choose_maps(cli, &arguments->bake);
     if (status == 0)
         status = name_outputs(cli, &arguments->bake, paths);
     if (status == 0)

@@ -3,7 +3,7 @@
  * Sizes in the header are checked against the memory budget before anything of that size is
  * allocated, by OpenEXR too: what its decoders will need follows from the chunk size. Chunks
  * (blocks of lines, or tiles) are decoded on all threads straight into the interleaved image. */
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
 
 #include <half.h>
 #include <stdlib.h>

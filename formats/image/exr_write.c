@@ -2,9 +2,8 @@
  *
  * OpenEXR compresses blocks of 16 lines that do not depend on each other. Each slot of a pipeline
  * owns an encoder; the slots compress at the same time and the pipeline hands their bytes to the
- * file from top to bottom, so the file is the same for any number of threads. Lines that do not
- * fill a block wait in `pending`. */
-#include "formats/image/exr.h"
+ * file from top to bottom, so the file is the same for any number of threads. */
+#include "formats/image/image_writer.h"
 
 #include <string.h>
 
@@ -23,17 +22,17 @@ struct slot {
     uint64_t packed_bytes;
 };
 
-struct fmt_exr_writer {
-    struct fmt_exr_stream stream; /* first: OpenEXR's user data */
-    struct bsq_output *output;
-    char *path;
+enum { MOST_CHANNELS = 4 };
+static const char *const color_names[MOST_CHANNELS] = {"R", "G", "B", "A"};
+static const char *const grey_name[] = {"Y"};
+
+struct exr_writer {
+    struct fmt_image_writer base;
+    struct fmt_exr_stream stream;
     exr_context_t file;
-    uint32_t width, height, channel_count;
-    uint32_t rows_written; /* rows handed to the file */
-    uint32_t chunk_rows;
-    uint32_t pending_rows;
-    float *pending;  /* chunk_rows rows */
-    uint16_t *order; /* sample number of the file's channels */
+    const char *const *channels;   /* names in the order of the samples */
+    uint16_t order[MOST_CHANNELS]; /* sample number of each of the file's channels */
+    uint32_t rows_written;         /* rows handed to encoders */
     struct slot *slots;
     unsigned slot_count;
     uint64_t reserved_bytes;
@@ -46,8 +45,8 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
 {
     (void)file;
     (void)on_error;
-    struct fmt_exr_writer *writer = user;
-    int status = bsq_output_write_at(writer->output, buffer, size, offset);
+    struct exr_writer *writer = user;
+    int status = bsq_output_write_at(writer->base.output, buffer, size, offset);
     fmt_exr_set_status(&writer->stream, status);
     return status < 0 ? -1 : (int64_t)size;
 }
@@ -86,8 +85,7 @@ static exr_result_t set_color_attributes(exr_context_t file, bool data)
     return exr_attr_set_chromaticities(file, 0, "chromaticities", &rec709);
 }
 
-static exr_result_t write_header(struct fmt_exr_writer *writer,
-                                 const struct fmt_exr_options *options)
+static exr_result_t write_header(struct exr_writer *writer, const struct fmt_image_options *options)
 {
     exr_context_t file = writer->file;
     int part;
@@ -95,12 +93,11 @@ static exr_result_t write_header(struct fmt_exr_writer *writer,
     if (r == EXR_ERR_SUCCESS)
         r = exr_initialize_required_attr_simple(file, 0, (int32_t)options->width,
                                                 (int32_t)options->height, EXR_COMPRESSION_ZIP);
-    exr_pixel_type_t type = options->type == FMT_EXR_HALF ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT;
+    exr_pixel_type_t type = options->type == FMT_HALF ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT;
     for (uint32_t c = 0; r == EXR_ERR_SUCCESS && c < options->channel_count; ++c)
-        r = exr_add_channel(file, 0, options->channels[c], type, EXR_PERCEPTUALLY_LOGARITHMIC, 1,
-                            1);
+        r = exr_add_channel(file, 0, writer->channels[c], type, EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     if (r == EXR_ERR_SUCCESS)
-        r = set_color_attributes(file, options->data);
+        r = set_color_attributes(file, !options->color);
     for (uint32_t a = 0; r == EXR_ERR_SUCCESS && a < options->attribute_count; ++a)
         r = exr_attr_set_string(file, 0, options->attributes[a].name, options->attributes[a].value);
     if (r == EXR_ERR_SUCCESS)
@@ -109,13 +106,13 @@ static exr_result_t write_header(struct fmt_exr_writer *writer,
 }
 
 /* OpenEXR sorts channels by name; finds which sample belongs to each. */
-static int map_channels(struct fmt_exr_writer *writer, const struct fmt_exr_options *options)
+static int map_channels(struct exr_writer *writer)
 {
     const exr_attr_chlist_t *list;
     int status = fmt_exr_status(&writer->stream, exr_get_channels(writer->file, 0, &list));
     for (int i = 0; status == 0 && i < list->num_channels; ++i) {
-        for (uint32_t c = 0; c < options->channel_count; ++c)
-            if (strcmp(list->entries[i].name.str, options->channels[c]) == 0)
+        for (uint32_t c = 0; c < writer->base.channel_count; ++c)
+            if (strcmp(list->entries[i].name.str, writer->channels[c]) == 0)
                 writer->order[i] = (uint16_t)c;
     }
     return status;
@@ -124,7 +121,7 @@ static int map_channels(struct fmt_exr_writer *writer, const struct fmt_exr_opti
 /* ---- compression ---- */
 
 struct batch {
-    struct fmt_exr_writer *writer;
+    struct exr_writer *writer;
     const float *samples;
     uint32_t rows, rows_taken;
 };
@@ -134,20 +131,20 @@ static int take_chunk(void *arg, void *slot_memory, uint64_t sequence)
     (void)sequence;
     struct batch *batch = arg;
     struct slot *slot = slot_memory;
-    struct fmt_exr_writer *writer = batch->writer;
+    struct exr_writer *writer = batch->writer;
     if (batch->rows_taken == batch->rows)
         return 0;
     uint32_t left = batch->rows - batch->rows_taken;
     slot->first_row = writer->rows_written;
-    slot->samples =
-        batch->samples + (size_t)batch->rows_taken * writer->width * writer->channel_count;
-    uint32_t rows = left < writer->chunk_rows ? left : writer->chunk_rows;
+    slot->samples = batch->samples +
+                    (size_t)batch->rows_taken * writer->base.width * writer->base.channel_count;
+    uint32_t rows = left < writer->base.block_rows ? left : writer->base.block_rows;
     batch->rows_taken += rows;
     writer->rows_written += rows;
     return 1;
 }
 
-static exr_result_t prepare_encoder(struct fmt_exr_writer *writer, struct slot *slot)
+static exr_result_t prepare_encoder(struct exr_writer *writer, struct slot *slot)
 {
     exr_encode_pipeline_t *encoder = &slot->encoder;
     exr_chunk_info_t chunk;
@@ -162,9 +159,9 @@ static exr_result_t prepare_encoder(struct fmt_exr_writer *writer, struct slot *
         exr_coding_channel_info_t *channel = &encoder->channels[c];
         channel->user_bytes_per_element = sizeof(float);
         channel->user_data_type = EXR_PIXEL_FLOAT;
-        channel->user_pixel_stride = (int32_t)(writer->channel_count * sizeof(float));
+        channel->user_pixel_stride = (int32_t)(writer->base.channel_count * sizeof(float));
         channel->user_line_stride =
-            (int32_t)(writer->width * writer->channel_count * sizeof(float));
+            (int32_t)(writer->base.width * writer->base.channel_count * sizeof(float));
         channel->encode_from_ptr = (const uint8_t *)(slot->samples + writer->order[c]);
     }
     if (r == EXR_ERR_SUCCESS && !slot->ready) {
@@ -181,7 +178,7 @@ static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsig
 {
     (void)sequence;
     (void)worker;
-    struct fmt_exr_writer *writer = ((struct batch *)arg)->writer;
+    struct exr_writer *writer = ((struct batch *)arg)->writer;
     struct slot *slot = slot_memory;
     exr_result_t r = prepare_encoder(writer, slot);
     if (r == EXR_ERR_SUCCESS)
@@ -195,16 +192,16 @@ static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsig
 static int write_chunk(void *arg, void *slot_memory, uint64_t sequence)
 {
     (void)sequence;
-    struct fmt_exr_writer *writer = ((struct batch *)arg)->writer;
+    struct exr_writer *writer = ((struct batch *)arg)->writer;
     const struct slot *slot = slot_memory;
     return fmt_exr_status(&writer->stream,
                           exr_write_scanline_chunk(writer->file, 0, (int)slot->first_row,
                                                    slot->packed, slot->packed_bytes));
 }
 
-/* rows is a multiple of chunk_rows, except at the bottom of the image. */
-static int write_chunks(struct fmt_exr_writer *writer, const float *samples, uint32_t rows)
+static int write_rows(struct fmt_image_writer *base, const float *samples, uint32_t rows)
 {
+    struct exr_writer *writer = (struct exr_writer *)base;
     struct batch batch = {.writer = writer, .samples = samples, .rows = rows};
     struct bsq_pipeline pipeline = {.produce = take_chunk,
                                     .work = compress_chunk,
@@ -213,14 +210,14 @@ static int write_chunks(struct fmt_exr_writer *writer, const float *samples, uin
                                     .slots = writer->slots,
                                     .slot_size = sizeof *writer->slots,
                                     .slot_count = writer->slot_count};
-    return bsq_pipeline_run(writer->stream.ctx, &pipeline);
+    return bsq_pipeline_run(base->ctx, &pipeline);
 }
 
-/* ---- public ---- */
+/* ---- from creating to ending ---- */
 
-static int allocate(struct fmt_exr_writer *writer)
+static int allocate(struct exr_writer *writer)
 {
-    struct bsq_ctx *ctx = writer->stream.ctx;
+    struct bsq_ctx *ctx = writer->base.ctx;
     uint64_t chunk_bytes = 0;
     int32_t chunk_rows = 1;
     exr_result_t r = exr_get_chunk_unpacked_size(writer->file, 0, &chunk_bytes);
@@ -229,17 +226,13 @@ static int allocate(struct fmt_exr_writer *writer)
     int status = fmt_exr_status(&writer->stream, r);
     if (status < 0)
         return status;
-    writer->chunk_rows = (uint32_t)chunk_rows;
-    uint64_t chunks = ((uint64_t)writer->height + writer->chunk_rows - 1) / writer->chunk_rows;
+    writer->base.block_rows = (uint32_t)chunk_rows;
+    uint64_t chunks = ((uint64_t)writer->base.height - 1) / writer->base.block_rows + 1;
     writer->slot_count = 2 * bsq_threads(ctx);
     if (writer->slot_count > chunks)
         writer->slot_count = (unsigned)chunks;
     status =
         bsq_calloc(ctx, "EXR encoders", writer->slot_count, sizeof *writer->slots, &writer->slots);
-    if (status < 0)
-        return status;
-    status = bsq_alloc(ctx, "EXR lines", (uint64_t)writer->width * writer->chunk_rows,
-                       writer->channel_count * sizeof(float), &writer->pending);
     if (status < 0)
         return status;
     uint64_t bytes = writer->slot_count * fmt_exr_coding_bytes(chunk_bytes);
@@ -249,100 +242,33 @@ static int allocate(struct fmt_exr_writer *writer)
     return status;
 }
 
-static int start(struct fmt_exr_writer *writer, const struct fmt_exr_options *options)
+static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
 {
+    struct exr_writer *writer = (struct exr_writer *)base;
+    /* OpenEXR counts in int32_t: bytes from line to line, and rows. */
+    if (options->height > INT32_MAX || options->channel_count > MOST_CHANNELS ||
+        (uint64_t)options->width * options->channel_count > INT32_MAX / sizeof(float))
+        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is no size for an EXR file",
+                        base->path, options->width, options->height);
+    writer->stream.ctx = base->ctx;
+    writer->stream.path = base->path;
+    writer->channels = options->channel_count == 1 ? grey_name : color_names;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
     init.user_data = writer;
     init.write_fn = write_bytes;
-    exr_result_t r = exr_start_write(&writer->file, writer->path, EXR_WRITE_FILE_DIRECTLY, &init);
+    exr_result_t r = exr_start_write(&writer->file, base->path, EXR_WRITE_FILE_DIRECTLY, &init);
     if (r == EXR_ERR_SUCCESS)
         r = write_header(writer, options);
     int status = fmt_exr_status(&writer->stream, r);
     if (status == 0)
         status = allocate(writer);
-    return status < 0 ? status : map_channels(writer, options);
+    return status < 0 ? status : map_channels(writer);
 }
 
-int fmt_exr_create(struct bsq_ctx *ctx, const char *path, const struct fmt_exr_options *options,
-                   struct fmt_exr_writer **out)
-{
-    *out = NULL;
-    /* OpenEXR counts in int32_t: bytes from line to line, and rows. */
-    if (options->width == 0 || options->height == 0 || options->height > INT32_MAX ||
-        (uint64_t)options->width * options->channel_count > INT32_MAX / sizeof(float))
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s: %u x %u texels is no size for an EXR file", path,
-                        options->width, options->height);
-    struct fmt_exr_writer *writer;
-    int status = bsq_calloc(ctx, "EXR writer", 1, sizeof *writer, &writer);
-    if (status < 0)
-        return status;
-    writer->stream.ctx = ctx;
-    writer->width = options->width;
-    writer->height = options->height;
-    writer->channel_count = options->channel_count;
-    size_t path_bytes = strlen(path) + 1;
-    status = bsq_alloc(ctx, "path", path_bytes, 1, &writer->path);
-    if (status < 0)
-        goto done;
-    memcpy(writer->path, path, path_bytes);
-    writer->stream.path = writer->path;
-    status = bsq_alloc(ctx, "EXR channels", options->channel_count, sizeof *writer->order,
-                       &writer->order);
-    if (status < 0)
-        goto done;
-    status = bsq_output_open(ctx, path, &writer->output);
-    if (status < 0)
-        goto done;
-    status = start(writer, options);
-done:
-    if (status < 0)
-        fmt_exr_discard(writer);
-    else
-        *out = writer;
-    return status;
-}
-
-int fmt_exr_write_rows(struct fmt_exr_writer *writer, const float *samples, uint32_t rows)
-{
-    size_t row_samples = (size_t)writer->width * writer->channel_count;
-    uint32_t left = writer->height - writer->rows_written - writer->pending_rows;
-    if (rows > left)
-        return bsq_fail(writer->stream.ctx, BSQ_EBUG, "%s: %u rows too many", writer->path,
-                        rows - left);
-    if (writer->pending_rows > 0) {
-        uint32_t missing = writer->chunk_rows - writer->pending_rows;
-        uint32_t take = rows < missing ? rows : missing;
-        memcpy(writer->pending + writer->pending_rows * row_samples, samples,
-               take * row_samples * sizeof(float));
-        writer->pending_rows += take;
-        samples += take * row_samples;
-        rows -= take;
-        left -= take;
-        if (writer->pending_rows == writer->chunk_rows || left == 0) {
-            int status = write_chunks(writer, writer->pending, writer->pending_rows);
-            if (status < 0)
-                return status;
-            writer->pending_rows = 0;
-        }
-    }
-    uint32_t whole = rows == left ? rows : rows - rows % writer->chunk_rows;
-    if (whole > 0) {
-        int status = write_chunks(writer, samples, whole);
-        if (status < 0)
-            return status;
-        samples += whole * row_samples;
-        rows -= whole;
-    }
-    if (rows > 0) {
-        memcpy(writer->pending, samples, rows * row_samples * sizeof(float));
-        writer->pending_rows = rows;
-    }
-    return 0;
-}
-
-/* Closing a file writes its line table. */
-static exr_result_t close_file(struct fmt_exr_writer *writer)
+/* Closing a file writes its line table. Of an unfinished file OpenEXR complains; then the first
+ * failure is recorded already. */
+static exr_result_t close_file(struct exr_writer *writer)
 {
     for (unsigned i = 0; writer->slots && i < writer->slot_count; ++i) {
         if (writer->slots[i].ready)
@@ -352,44 +278,28 @@ static exr_result_t close_file(struct fmt_exr_writer *writer)
     return writer->file ? exr_finish(&writer->file) : EXR_ERR_SUCCESS;
 }
 
-static void free_writer(struct fmt_exr_writer *writer)
+static int finish_image(struct fmt_image_writer *base)
 {
-    struct bsq_ctx *ctx = writer->stream.ctx;
-    bsq_release(ctx, writer->reserved_bytes);
-    bsq_free(ctx, writer->slots);
-    bsq_free(ctx, writer->pending);
-    bsq_free(ctx, writer->order);
-    bsq_free(ctx, writer->path);
-    bsq_free(ctx, writer);
+    struct exr_writer *writer = (struct exr_writer *)base;
+    return fmt_exr_status(&writer->stream, close_file(writer));
 }
 
-int fmt_exr_finish(struct fmt_exr_writer *writer)
+static void free_image(struct fmt_image_writer *base)
 {
-    if (writer->rows_written != writer->height)
-        return bsq_fail(writer->stream.ctx, BSQ_EBUG, "%s: %u of %u rows were written",
-                        writer->path, writer->rows_written, writer->height);
-    int status = fmt_exr_status(&writer->stream, close_file(writer));
-    return status < 0 ? status : bsq_output_sync(writer->output);
-}
-
-int fmt_exr_commit(struct fmt_exr_writer *writer)
-{
-    int status = fmt_exr_finish(writer);
-    if (status < 0) {
-        fmt_exr_discard(writer);
-        return status;
-    }
-    status = bsq_output_commit(writer->output);
-    free_writer(writer);
-    return status;
-}
-
-void fmt_exr_discard(struct fmt_exr_writer *writer)
-{
-    if (!writer)
-        return;
-    /* Closing an unfinished file makes OpenEXR complain; the first failure is recorded already. */
+    struct exr_writer *writer = (struct exr_writer *)base;
     close_file(writer);
-    bsq_output_discard(writer->output);
-    free_writer(writer);
+    bsq_release(base->ctx, writer->reserved_bytes);
+    bsq_free(base->ctx, writer->slots);
 }
+
+const struct fmt_image_format fmt_exr_format = {
+    .name = "OpenEXR",
+    .suffix = ".exr",
+    .sample_types = FMT_SAMPLE_BIT(FMT_HALF) | FMT_SAMPLE_BIT(FMT_FLOAT),
+    .usual_type = FMT_HALF,
+    .writer_bytes = sizeof(struct exr_writer),
+    .create = create_image,
+    .write_rows = write_rows,
+    .finish = finish_image,
+    .free = free_image,
+};

@@ -38,18 +38,18 @@ static float dither_threshold(uint32_t x, uint32_t y, uint32_t channel)
     return (float)(turn >> 8) * 0x1p-24f;
 }
 
-static void quantise_row(const struct fmt_png_options *options, const float *in, uint32_t y,
+static void quantise_row(const struct fmt_png_layout *layout, const float *in, uint32_t y,
                          uint8_t *out)
 {
-    uint32_t channels = options->channel_count;
+    uint32_t channels = layout->channel_count;
     uint32_t colors = channels == 4 ? 3 : channels; /* alpha is linear */
-    for (uint32_t x = 0; x < options->width; ++x) {
+    for (uint32_t x = 0; x < layout->width; ++x) {
         for (uint32_t c = 0; c < channels; ++c) {
             float v = *in++;
             v = v > 0.0f ? (v < 1.0f ? v : 1.0f) : 0.0f; /* NaN becomes 0 */
-            if (options->srgb && c < colors)
+            if (layout->srgb && c < colors)
                 v = srgb_from_linear(v);
-            if (options->bits == 8) {
+            if (layout->bits == 8) {
                 uint32_t level = (uint32_t)(v * 255.0f + dither_threshold(x, y, c));
                 *out++ = (uint8_t)(level < 255 ? level : 255);
             } else {
@@ -138,9 +138,9 @@ static void write_row(struct fmt_png_encoder *encoder, const uint8_t *row, const
 
 /* ---- bands ---- */
 
-uint64_t fmt_png_row_bytes(const struct fmt_png_options *options)
+uint64_t fmt_png_row_bytes(const struct fmt_png_layout *layout)
 {
-    return (uint64_t)options->width * options->channel_count * (options->bits / 8);
+    return (uint64_t)layout->width * layout->channel_count * (layout->bits / 8);
 }
 
 static int start_deflate(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder)
@@ -157,11 +157,11 @@ static int start_deflate(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder)
     return 0;
 }
 
-int fmt_png_encoder_create(struct bsq_ctx *ctx, const struct fmt_png_options *options,
-                           uint32_t rows, struct fmt_png_encoder *out)
+int fmt_png_encoder_create(struct bsq_ctx *ctx, const struct fmt_png_layout *layout, uint32_t rows,
+                           struct fmt_png_encoder *out)
 {
     *out = (struct fmt_png_encoder){.ready = false};
-    uint64_t row_bytes = fmt_png_row_bytes(options);
+    uint64_t row_bytes = fmt_png_row_bytes(layout);
     int status = start_deflate(ctx, out);
     if (status == 0) {
         /* Room for the flush that ends a band, too. */
@@ -220,18 +220,18 @@ static int deflate_band(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder, bo
 }
 
 int fmt_png_encode(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder,
-                   const struct fmt_png_options *options, const struct fmt_png_band *band)
+                   const struct fmt_png_layout *layout, const struct fmt_png_band *band)
 {
-    size_t row_bytes = fmt_png_row_bytes(options);
-    size_t step = options->channel_count * (options->bits / 8);
-    size_t row_samples = (size_t)options->width * options->channel_count;
+    size_t row_bytes = fmt_png_row_bytes(layout);
+    size_t step = layout->channel_count * (layout->bits / 8);
+    size_t row_samples = (size_t)layout->width * layout->channel_count;
     uint8_t *row = encoder->rows[0], *above = NULL;
     if (band->above) {
         above = encoder->rows[1];
-        quantise_row(options, band->above, band->first_row - 1, above);
+        quantise_row(layout, band->above, band->first_row - 1, above);
     }
     for (uint32_t r = 0; r < band->rows; ++r) {
-        quantise_row(options, band->samples + r * row_samples, band->first_row + r, row);
+        quantise_row(layout, band->samples + r * row_samples, band->first_row + r, row);
         write_row(encoder, row, above, row_bytes, step, encoder->filtered + r * (row_bytes + 1));
         above = row;
         row = encoder->rows[row == encoder->rows[0]];
@@ -239,5 +239,5 @@ int fmt_png_encode(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder,
     encoder->filtered_bytes = band->rows * (row_bytes + 1);
     encoder->checksum =
         (uint32_t)adler32_z(1, encoder->filtered, (z_size_t)encoder->filtered_bytes);
-    return deflate_band(ctx, encoder, band->first_row + band->rows == options->height);
+    return deflate_band(ctx, encoder, band->first_row + band->rows == layout->height);
 }

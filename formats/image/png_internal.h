@@ -4,7 +4,15 @@
 
 #include <zlib.h>
 
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
+
+struct fmt_png_layout {
+    uint32_t width, height;
+    uint32_t channel_count; /* 1 grey, 3 RGB, 4 RGBA */
+    uint32_t bits;          /* 8 or 16 */
+    bool srgb;              /* samples are linear light, to be encoded as sRGB and tagged so; else
+                             * raw, tagged with gamma 1.0 */
+};
 
 /* Encoder of one band of rows; several work at the same time. */
 struct fmt_png_encoder {
@@ -20,12 +28,12 @@ struct fmt_png_encoder {
 };
 
 /* Bytes of a row. */
-uint64_t fmt_png_row_bytes(const struct fmt_png_options *options);
+uint64_t fmt_png_row_bytes(const struct fmt_png_layout *layout);
 
 /* Prepares for bands of up to `rows` rows. Free with fmt_png_encoder_free(), also after a failure.
  */
-int fmt_png_encoder_create(struct bsq_ctx *ctx, const struct fmt_png_options *options,
-                           uint32_t rows, struct fmt_png_encoder *out);
+int fmt_png_encoder_create(struct bsq_ctx *ctx, const struct fmt_png_layout *layout, uint32_t rows,
+                           struct fmt_png_encoder *out);
 void fmt_png_encoder_free(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder);
 
 struct fmt_png_band {
@@ -37,6 +45,6 @@ struct fmt_png_band {
 /* Encodes a band to a piece of a deflate stream; such pieces may be concatenated. The one that
  * holds the image's last row ends the stream. */
 int fmt_png_encode(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder,
-                   const struct fmt_png_options *options, const struct fmt_png_band *band);
+                   const struct fmt_png_layout *layout, const struct fmt_png_band *band);
 
 #endif

@@ -11,7 +11,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
 #include "libbake/compare/comparison.h"
 
 static const float paper[3] = {0.11f, 0.12f, 0.14f}, ink[3] = {0.92f, 0.92f, 0.90f};
@@ -82,15 +82,16 @@ static int canvas_create(struct bsq_ctx *ctx, uint64_t width, uint64_t height, s
 
 static int canvas_write(struct bsq_ctx *ctx, const struct canvas *canvas, const char *path)
 {
-    struct fmt_png_options options = {canvas->width, canvas->height, 3, 8, false};
-    struct fmt_png_writer *writer;
-    int status = fmt_png_create(ctx, path, &options, &writer);
+    const struct fmt_image_options options = {
+        .width = canvas->width, .height = canvas->height, .channel_count = 3, .type = FMT_UINT8};
+    struct fmt_image_writer *writer;
+    int status = fmt_image_create(ctx, &fmt_png_format, path, &options, &writer);
     if (status)
         return status;
-    status = fmt_png_write_rows(writer, canvas->pixels[0], canvas->height);
+    status = fmt_image_write_rows(writer, canvas->pixels[0], canvas->height);
     if (!status)
-        return fmt_png_commit(writer);
-    fmt_png_discard(writer);
+        return fmt_image_commit(writer);
+    fmt_image_discard(writer);
     return status;
 }
 

@@ -3,7 +3,7 @@
 #ifndef BAKE_COMPARE_COMPARISON_H
 #define BAKE_COMPARE_COMPARISON_H
 
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
 #include "libbake/compare.h"
 
 /* Two maps of the same size and the error of each texel. */

@@ -13,8 +13,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "formats/image/exr.h"
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
 #include "base/clock.h"
 #include "libbake/maps/dilation.h"
 
@@ -37,8 +36,7 @@ struct map_file {
     const struct kind *kind;
     uint32_t offset; /* of its values in a texel of the image */
     float background[3];
-    struct fmt_exr_writer *exr; /* one of the two */
-    struct fmt_png_writer *png;
+    struct fmt_image_writer *writer;
     float *rows; /* of the current band, encoded */
 };
 
@@ -54,24 +52,31 @@ struct bake_map_files {
 
 /* ---- names and formats ---- */
 
-static bool is_png_name(const char *path)
-{
-    size_t length = strlen(path);
-    return length >= 4 && strcasecmp(path + length - 4, ".png") == 0;
-}
-
-int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
-                         enum bake_format *format)
+/* Chooses image format and sample type by the output's name and the options. Errors: BSQ_EUSAGE. */
+static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options,
+                         const struct fmt_image_format **format, enum fmt_sample_type *type)
 {
     const char *path = options->output_path;
-    bool png = is_png_name(path);
-    *format = options->format != BAKE_FORMAT_DEFAULT ? options->format
-              : png                                  ? BAKE_PNG16
-                                                     : BAKE_EXR_HALF;
-    bool wants_png = *format == BAKE_PNG8 || *format == BAKE_PNG16;
-    if (png != wants_png)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s: the name asks for %s, the format for %s", path,
-                        png ? "PNG" : "EXR", wants_png ? "PNG" : "EXR");
+    *format = fmt_image_format_of(path);
+    if (!*format)
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "%s: maps are OpenEXR or PNG files: let the name end in .exr or .png",
+                        path);
+    _Static_assert(BAKE_FLOAT - BAKE_UINT8 == (int)FMT_FLOAT, "the types are in one order");
+    *type = options->sample_type == BAKE_SAMPLE_USUAL
+                ? (*format)->usual_type
+                : (enum fmt_sample_type)(options->sample_type - BAKE_UINT8);
+    return fmt_image_check_type(ctx, *format, path, *type);
+}
+
+int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps)
+{
+    const char *path = options->output_path;
+    const struct fmt_image_format *format;
+    enum fmt_sample_type type;
+    int status = choose_format(ctx, options, &format, &type);
+    if (status < 0)
+        return status;
     if ((maps & (maps - 1)) != 0 && !strstr(path, token))
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: several maps need \"%s\" in the output's name", path,
                         token);
@@ -119,14 +124,14 @@ char *bake_map_path(const char *path, enum bake_map map)
 /* ---- opening ---- */
 
 struct attributes {
-    struct fmt_exr_attribute list[ATTRIBUTES];
+    struct fmt_image_attribute list[ATTRIBUTES];
     uint32_t count;
     char front[32], back[32], samples[32];
 };
 
 static void add_attribute(struct attributes *attributes, const char *name, const char *value)
 {
-    attributes->list[attributes->count++] = (struct fmt_exr_attribute){name, value};
+    attributes->list[attributes->count++] = (struct fmt_image_attribute){name, value};
 }
 
 static void describe(const struct bake_options *options, const struct kind *kind,
@@ -152,50 +157,27 @@ static void describe(const struct bake_options *options, const struct kind *kind
     add_attribute(out, "bisque:back", out->back);
 }
 
-static int open_exr(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
-                    enum bake_format format, const struct attributes *attributes,
-                    struct map_file *file)
+static int open_file(struct bsq_ctx *ctx, const struct bake_options *options,
+                     const struct bake_traced *traced, struct map_file *file)
 {
-    static const char *const rgb[] = {"R", "G", "B"}, *const grey[] = {"Y"};
-    struct fmt_exr_options exr = {
+    struct attributes attributes;
+    describe(options, file->kind, traced, &attributes);
+    struct fmt_image_options image = {
         .width = options->width,
         .height = options->height,
         .channel_count = file->kind->channel_count,
-        .channels = file->kind->channel_count == 1 ? grey : rgb,
-        .type = format == BAKE_EXR_FLOAT ? FMT_EXR_FLOAT : FMT_EXR_HALF,
-        .data = file->kind->data,
-        .attributes = attributes->list,
-        .attribute_count = attributes->count,
+        .color = !file->kind->data,
+        .attributes = attributes.list,
+        .attribute_count = attributes.count,
     };
-    return fmt_exr_create(ctx, path, &exr, &file->exr);
-}
-
-static int open_png(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
-                    enum bake_format format, struct map_file *file)
-{
-    struct fmt_png_options png = {.width = options->width,
-                                  .height = options->height,
-                                  .channel_count = file->kind->channel_count,
-                                  .bits = format == BAKE_PNG16 ? 16 : 8,
-                                  .srgb = !file->kind->data};
-    return fmt_png_create(ctx, path, &png, &file->png);
-}
-
-static int open_file(struct bsq_ctx *ctx, const struct bake_options *options,
-                     enum bake_format format, const struct bake_traced *traced,
-                     struct map_file *file)
-{
+    const struct fmt_image_format *format;
+    int status = choose_format(ctx, options, &format, &image.type);
+    if (status < 0)
+        return status;
     char *path = bake_map_path(options->output_path, file->kind->map);
-    int status;
     if (!path)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
-    if (format == BAKE_PNG8 || format == BAKE_PNG16) {
-        status = open_png(ctx, path, options, format, file);
-    } else {
-        struct attributes attributes;
-        describe(options, file->kind, traced, &attributes);
-        status = open_exr(ctx, path, options, format, &attributes, file);
-    }
+    status = fmt_image_create(ctx, format, path, &image, &file->writer);
     free(path);
     return status;
 }
@@ -213,8 +195,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
                         const struct bake_traced *traced, struct bake_map_files **out)
 {
     *out = NULL;
-    enum bake_format format;
-    int status = bake_map_files_check(ctx, options, maps, &format);
+    int status = bake_map_files_check(ctx, options, maps);
     if (status < 0)
         return status;
     struct bake_map_files *files;
@@ -239,7 +220,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
         file->offset = offset;
         offset += file->kind->channel_count;
         set_background(file, options);
-        status = open_file(ctx, options, format, traced, file);
+        status = open_file(ctx, options, traced, file);
     }
     if (status < 0)
         bake_map_files_discard(files);
@@ -311,12 +292,6 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     return 0;
 }
 
-static int write_rows(struct map_file *file, uint32_t rows)
-{
-    return file->exr ? fmt_exr_write_rows(file->exr, file->rows, rows)
-                     : fmt_png_write_rows(file->png, file->rows, rows);
-}
-
 static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t rows,
                       struct bake_thumbnail *normal, struct bake_thumbnail *color)
 {
@@ -329,7 +304,7 @@ static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t
         if (thumbnail)
             status = bake_thumbnail_add(files->ctx, thumbnail, first_row, rows, file->rows);
         if (status == 0)
-            status = write_rows(file, rows);
+            status = fmt_image_write_rows(file->writer, file->rows, rows);
     }
     return status;
 }
@@ -364,8 +339,7 @@ static int finish_files(struct bake_map_files *files)
 {
     int status = 0;
     for (uint32_t i = 0; status == 0 && i < files->count; ++i)
-        status = files->files[i].exr ? fmt_exr_finish(files->files[i].exr)
-                                     : fmt_png_finish(files->files[i].png);
+        status = fmt_image_finish(files->files[i].writer);
     return status;
 }
 
@@ -417,9 +391,8 @@ int bake_map_files_commit(struct bake_map_files *files)
     int status = 0;
     for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
         struct map_file *file = &files->files[i];
-        status = file->exr ? fmt_exr_commit(file->exr) : fmt_png_commit(file->png);
-        file->exr = NULL;
-        file->png = NULL;
+        status = fmt_image_commit(file->writer);
+        file->writer = NULL;
     }
     bake_map_files_discard(files);
     return status;
@@ -429,10 +402,8 @@ void bake_map_files_discard(struct bake_map_files *files)
 {
     if (!files)
         return;
-    for (uint32_t i = 0; i < files->count; ++i) {
-        fmt_exr_discard(files->files[i].exr);
-        fmt_png_discard(files->files[i].png);
-    }
+    for (uint32_t i = 0; i < files->count; ++i)
+        fmt_image_discard(files->files[i].writer);
     free(files->beside);
     bsq_free(files->ctx, files);
 }

@@ -8,10 +8,8 @@
 
 struct bake_map_files;
 
-/* Checks output path, format and size against each other and resolves BAKE_FORMAT_DEFAULT.
- * Errors: BSQ_EUSAGE. */
-int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
-                         enum bake_format *format);
+/* Checks output path, sample type and size against each other. Errors: BSQ_EUSAGE. */
+int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps);
 
 /* Samples that a texel of struct bake_image has for these maps, its share of hits included. */
 uint32_t bake_map_channels(uint32_t maps);

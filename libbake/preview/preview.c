@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
 #include "libbake/preview/preview_view.h"
 
 enum {
@@ -21,7 +21,7 @@ enum { PANEL_PLAIN, PANEL_MAPPED, PANEL_SCAN };
 
 struct bake_preview_file {
     struct bsq_ctx *ctx;
-    struct fmt_png_writer *png;
+    struct fmt_image_writer *writer;
 };
 
 struct rendering {
@@ -36,14 +36,14 @@ struct rendering {
 int bake_preview_open(struct bsq_ctx *ctx, const char *path, struct bake_preview_file **out)
 {
     *out = NULL;
-    struct fmt_png_options options = {
-        .width = WIDTH, .height = HEIGHT, .channel_count = 3, .bits = 8, .srgb = true};
+    const struct fmt_image_options options = {
+        .width = WIDTH, .height = HEIGHT, .channel_count = 3, .type = FMT_UINT8, .color = true};
     struct bake_preview_file *file;
     int status = bsq_calloc(ctx, "preview", 1, sizeof *file, &file);
     if (status < 0)
         return status;
     file->ctx = ctx;
-    status = fmt_png_create(ctx, path, &options, &file->png);
+    status = fmt_image_create(ctx, &fmt_png_format, path, &options, &file->writer);
     if (status < 0)
         bake_preview_discard(file);
     else
@@ -157,16 +157,16 @@ int bake_preview_write(struct bake_preview_file *file, const struct bake_preview
         bsq_progress_end(file->ctx);
     }
     if (status == 0)
-        status = fmt_png_write_rows(file->png, r.pixels, HEIGHT);
+        status = fmt_image_write_rows(file->writer, r.pixels, HEIGHT);
     if (status == 0)
-        status = fmt_png_finish(file->png);
+        status = fmt_image_finish(file->writer);
     release(&r);
     return status;
 }
 
 int bake_preview_commit(struct bake_preview_file *file)
 {
-    int status = fmt_png_commit(file->png);
+    int status = fmt_image_commit(file->writer);
     bsq_free(file->ctx, file);
     return status;
 }
@@ -175,6 +175,6 @@ void bake_preview_discard(struct bake_preview_file *file)
 {
     if (!file)
         return;
-    fmt_png_discard(file->png);
+    fmt_image_discard(file->writer);
     bsq_free(file->ctx, file);
 }

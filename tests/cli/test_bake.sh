@@ -96,11 +96,11 @@ refused 64 "$p --green down is for tangent space"
 $bake $good --sampling cubic
 refused 64 "$p --sampling: \"cubic\" is not trilinear or nearest"
 $bake $good --half --float
-refused 64 "$p --half and --float exclude each other"
+refused 64 "$p --half, --float and --png-bits exclude each other"
 $bake $good --png-bits 8
-refused 64 "$p --png-bits is for PNG, not for a_<MAP>.exr"
+refused 64 "$p a_<MAP>.exr: OpenEXR files have no 8-bit samples"
 $bake plain.nvdb low.obj -o a.png --float
-refused 64 "$p --half and --float are for OpenEXR, not for a.png"
+refused 64 "$p a.png: PNG files have no float samples"
 $bake plain.nvdb low.obj -o a.png --png-bits 12
 refused 64 "$p --png-bits: \"12\" is not 8 or 16"
 $bake colored.nvdb low.obj -o a.exr --maps normal,color
@@ -163,7 +163,7 @@ done
 $bake plain.nvdb low.obj -o a.exr --preview p.jpg
 refused 64 "$p p.jpg: this picture is a PNG file: let its name end in .png"
 $bake plain.nvdb low.obj -o a.PNG --half
-refused 64 "$p --half and --float are for OpenEXR, not for a.PNG"
+refused 64 "$p a.PNG: PNG files have no half-float samples"
 $bake plain.nvdb low.obj -o a.png --preview low.obj
 refused 64 "$p low.obj: this output would overwrite an input"
 $bake plain.nvdb low.obj -o a.png --preview ./a.png

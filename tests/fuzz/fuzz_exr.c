@@ -1,5 +1,5 @@
 /* fuzz_exr.c - fuzz target for the maps that are compared. */
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
 #include "tests/fuzz/fuzz_file.h"
 
 static int use(struct bsq_ctx *ctx, const char *path)

@@ -5,7 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
 
 struct verdict {
     float *angles; /* degrees, one per compared texel */

@@ -10,7 +10,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
 #include "libbake/bake.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
@@ -123,7 +123,7 @@ static struct bake_options options_for(const char *grid, const char *output)
     options.width = options.height = SIZE;
     options.padding = 4;
     options.device = "cpu";
-    options.format = BAKE_EXR_FLOAT;
+    options.sample_type = BAKE_FLOAT;
     return options;
 }
 
@@ -409,7 +409,7 @@ static void test_preview_is_written_with_the_maps(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(color_path, in_directory("<MAP>.png"));
-    options.format = BAKE_FORMAT_DEFAULT;
+    options.sample_type = BAKE_SAMPLE_USUAL;
     options.preview_path = in_directory("preview.png");
     struct bake_report report;
     bake(ctx, &options, &report);
@@ -454,7 +454,7 @@ static void test_errors_name_the_reason(void **state)
     options = options_for(color_path, in_directory("out.exr"));
     expect_failure(&options, BSQ_EUSAGE, "several maps need \"<MAP>\"");
     options = options_for(grey_path, in_directory("out.png"));
-    expect_failure(&options, BSQ_EUSAGE, "asks for PNG");
+    expect_failure(&options, BSQ_EUSAGE, "PNG files have no float samples");
     options = options_for(grey_path, "/nonexistent/out.exr");
     expect_failure(&options, BSQ_ECANTCREAT, "/nonexistent/out.exr");
     options = options_for(grey_path, many);

@@ -14,7 +14,8 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
+#include "formats/image/image_writer.h"
 #include "tests/unit/fixture.h"
 
 static char directory[64];
@@ -62,27 +63,25 @@ static float round_to_half(float v)
 }
 
 static const char *const rgb[3] = {"R", "G", "B"};
-static const struct fmt_exr_attribute attributes[] = {{"bisque:map", "normal"},
-                                                      {"bisque:front", "0.125"}};
+static const struct fmt_image_attribute attributes[] = {{"bisque:map", "normal"},
+                                                        {"bisque:front", "0.125"}};
 
 static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
-                        enum fmt_exr_type type, const float *samples, uint32_t batch)
+                        enum fmt_sample_type type, const float *samples, uint32_t batch)
 {
-    struct fmt_exr_options options = {.width = width,
-                                      .height = height,
-                                      .channel_count = 3,
-                                      .channels = rgb,
-                                      .type = type,
-                                      .data = true,
-                                      .attributes = attributes,
-                                      .attribute_count = 2};
-    struct fmt_exr_writer *writer;
-    assert_int_equal(fmt_exr_create(ctx, path, &options, &writer), 0);
+    struct fmt_image_options options = {.width = width,
+                                        .height = height,
+                                        .channel_count = 3,
+                                        .type = type,
+                                        .attributes = attributes,
+                                        .attribute_count = 2};
+    struct fmt_image_writer *writer;
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
     for (uint32_t y = 0; y < height; y += batch) {
         uint32_t rows = height - y < batch ? height - y : batch;
-        assert_int_equal(fmt_exr_write_rows(writer, samples + (size_t)y * width * 3, rows), 0);
+        assert_int_equal(fmt_image_write_rows(writer, samples + (size_t)y * width * 3, rows), 0);
     }
-    assert_int_equal(fmt_exr_commit(writer), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
 }
 
 static uint8_t *read_bytes(const char *name, size_t *size)
@@ -115,11 +114,11 @@ static void test_round_trip_is_exact(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(4, 0);
     for (size_t s = 0; s < sizeof sizes / sizeof *sizes; ++s)
-        for (int type = FMT_EXR_HALF; type <= FMT_EXR_FLOAT; ++type) {
+        for (int type = FMT_HALF; type <= FMT_FLOAT; ++type) {
             uint32_t width = sizes[s][0], height = sizes[s][1];
             size_t count = (size_t)width * height * 3;
             float *samples = random_samples(count, 7 + (uint32_t)s);
-            write_image(ctx, width, height, (enum fmt_exr_type)type, samples, sizes[s][2]);
+            write_image(ctx, width, height, (enum fmt_sample_type)type, samples, sizes[s][2]);
             struct fmt_exr_image image;
             assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
             assert_int_equal(image.width, width);
@@ -129,7 +128,7 @@ static void test_round_trip_is_exact(void **state)
             assert_string_equal(fmt_exr_image_attribute(&image, "bisque:front"), "0.125");
             assert_null(fmt_exr_image_attribute(&image, "bisque:back"));
             for (size_t i = 0; i < count; ++i) {
-                float expected = type == FMT_EXR_HALF ? round_to_half(samples[i]) : samples[i];
+                float expected = type == FMT_HALF ? round_to_half(samples[i]) : samples[i];
                 uint32_t channel = fmt_exr_channel(&image, rgb[i % 3]);
                 assert_true(image.samples[i / 3 * 3 + channel] == expected);
             }
@@ -145,7 +144,7 @@ static void test_other_reader_agrees(void **state)
     enum { WIDTH = 45, HEIGHT = 39 };
     struct bsq_ctx *ctx = test_context(3, 0);
     float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 99);
-    write_image(ctx, WIDTH, HEIGHT, FMT_EXR_HALF, samples, 11);
+    write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 11);
     ImfInputFile *input = ImfOpenInputFile(path);
     assert_non_null(input);
     const ImfHeader *header = ImfInputHeader(input);
@@ -179,7 +178,7 @@ static void test_bytes_do_not_depend_on_threads(void **state)
     size_t first_size = 0;
     for (unsigned threads = 1; threads <= 5; threads += 2) {
         struct bsq_ctx *ctx = test_context(threads, 0);
-        write_image(ctx, WIDTH, HEIGHT, FMT_EXR_HALF, samples, 10 * threads + 1);
+        write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 10 * threads + 1);
         size_t size;
         uint8_t *bytes = read_bytes(path, &size);
         if (first) {
@@ -265,7 +264,7 @@ static void test_truncated_files_are_refused(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     float *samples = random_samples(20 * 40 * 3, 3);
-    write_image(ctx, 20, 40, FMT_EXR_HALF, samples, 40);
+    write_image(ctx, 20, 40, FMT_HALF, samples, 40);
     size_t size;
     free(read_bytes(path, &size));
     for (size_t length = size; length-- > 0;) {
@@ -285,7 +284,7 @@ static void test_flipped_bytes_do_no_harm(void **state)
     print_message("seed %u\n", seed);
     struct bsq_ctx *ctx = test_context(1, UINT64_C(256) << 20);
     float *samples = random_samples(20 * 40 * 3, 3);
-    write_image(ctx, 20, 40, FMT_EXR_FLOAT, samples, 40);
+    write_image(ctx, 20, 40, FMT_FLOAT, samples, 40);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
     for (int round = 0; round < 1000; ++round) {
@@ -312,7 +311,7 @@ static void test_sizes_are_held_against_the_budget(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     float *samples = random_samples(64 * 64 * 3, 3);
-    write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
+    write_image(ctx, 64, 64, FMT_HALF, samples, 64);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
     /* dataWindow is "dataWindow\0box2i\0", a length, and four int32: xMax comes third. */
@@ -337,7 +336,7 @@ static void test_a_table_of_blocks_is_held_against_the_file(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
     float *samples = random_samples(64 * 64 * 3, 3);
-    write_image(ctx, 64, 64, FMT_EXR_HALF, samples, 64);
+    write_image(ctx, 64, 64, FMT_HALF, samples, 64);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
     static const char name[] = "dataWindow\0box2i";
@@ -362,21 +361,23 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
     struct bsq_ctx *ctx = test_context(2, 0);
     unlink(path);
     float *samples = random_samples(20 * 40 * 3, 3);
-    struct fmt_exr_options options = {
-        .width = 20, .height = 40, .channel_count = 3, .channels = rgb};
-    struct fmt_exr_writer *writer;
-    assert_int_equal(fmt_exr_create(ctx, path, &options, &writer), 0);
-    assert_int_equal(fmt_exr_write_rows(writer, samples, 20), 0);
-    fmt_exr_discard(writer);
+    struct fmt_image_options options = {
+        .width = 20, .height = 40, .channel_count = 3, .type = FMT_HALF};
+    struct fmt_image_writer *writer;
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, 20), 0);
+    fmt_image_discard(writer);
     assert_int_equal(access(path, F_OK), -1);
     assert_string_equal(bsq_error(ctx), "");
-    assert_int_equal(fmt_exr_create(ctx, "/nonexistent/a.exr", &options, &writer), BSQ_ECANTCREAT);
+    assert_int_equal(
+        fmt_image_create(ctx, &fmt_exr_format, "/nonexistent/a.exr", &options, &writer),
+        BSQ_ECANTCREAT);
     assert_null(writer);
     bsq_clear_error(ctx);
     /* Too few rows are a bug of the caller and give no file. */
-    assert_int_equal(fmt_exr_create(ctx, path, &options, &writer), 0);
-    assert_int_equal(fmt_exr_write_rows(writer, samples, 20), 0);
-    assert_int_equal(fmt_exr_commit(writer), BSQ_EBUG);
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, 20), 0);
+    assert_int_equal(fmt_image_commit(writer), BSQ_EBUG);
     assert_int_equal(access(path, F_OK), -1);
     free(samples);
     test_context_end(ctx);

@@ -12,7 +12,7 @@
 
 #include <cmocka.h>
 
-#include "formats/image/exr.h"
+#include "formats/image/image_writer.h"
 #include "libbake/compare/comparison.h"
 
 /* Pairs and differences from table 1 of Sharma, Wu & Dalal 2005. */
@@ -104,24 +104,21 @@ enum { WIDTH = 10, HEIGHT = 10 };
 static char *write_map(struct fixture *f, const char *name, uint32_t channels,
                        void (*value)(unsigned i, float *out), const char *map)
 {
-    static const char *const rgb[] = {"R", "G", "B"}, *const grey[] = {"Y"};
-    struct fmt_exr_attribute attribute = {"bisque:map", map};
-    struct fmt_exr_options options = {.width = WIDTH,
-                                      .height = HEIGHT,
-                                      .channel_count = channels,
-                                      .channels = channels == 3 ? rgb : grey,
-                                      .type = FMT_EXR_FLOAT,
-                                      .data = true,
-                                      .attributes = &attribute,
-                                      .attribute_count = map ? 1 : 0};
-    struct fmt_exr_writer *writer;
+    const struct fmt_image_attribute attribute = {"bisque:map", map};
+    const struct fmt_image_options options = {.width = WIDTH,
+                                              .height = HEIGHT,
+                                              .channel_count = channels,
+                                              .type = FMT_FLOAT,
+                                              .attributes = &attribute,
+                                              .attribute_count = map ? 1 : 0};
+    struct fmt_image_writer *writer;
     float samples[WIDTH * HEIGHT * 3];
     char *path = path_in(f, name);
     for (unsigned i = 0; i < WIDTH * HEIGHT; i++)
         value(i, samples + i * channels);
-    assert_int_equal(fmt_exr_create(f->ctx, path, &options, &writer), 0);
-    assert_int_equal(fmt_exr_write_rows(writer, samples, HEIGHT), 0);
-    assert_int_equal(fmt_exr_commit(writer), 0);
+    assert_int_equal(fmt_image_create(f->ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, HEIGHT), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
     return path;
 }
 

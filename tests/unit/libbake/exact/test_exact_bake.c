@@ -11,7 +11,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/image/exr.h"
+#include "formats/image/exr_read.h"
 #include "libbake/bake.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/triangle_scan.h"
@@ -109,7 +109,7 @@ static struct bake_options options_for(int scan, const char *output)
     options.mesh_path = low_path;
     options.output_path = output;
     options.width = options.height = SIZE;
-    options.format = BAKE_EXR_FLOAT;
+    options.sample_type = BAKE_FLOAT;
     return options;
 }
 

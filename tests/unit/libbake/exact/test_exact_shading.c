@@ -9,7 +9,7 @@
 #include <cmocka.h>
 
 #include "base/octahedral.h"
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
@@ -174,20 +174,20 @@ static void test_vertex_colors_mix_in_linear_light(void **state)
 static void write_picture(uint32_t side)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
-    struct fmt_png_options options = {
-        .width = side, .height = side, .channel_count = 3, .bits = 8, .srgb = true};
-    struct fmt_png_writer *png;
+    const struct fmt_image_options options = {
+        .width = side, .height = side, .channel_count = 3, .type = FMT_UINT8, .color = true};
+    struct fmt_image_writer *png;
     float *row = calloc(3 * side, sizeof *row);
-    assert_int_equal(fmt_png_create(ctx, exact_picture_path, &options, &png), 0);
+    assert_int_equal(fmt_image_create(ctx, &fmt_png_format, exact_picture_path, &options, &png), 0);
     for (uint32_t y = 0; y < side; y++) { /* black and white by columns, v upwards in blue */
         for (uint32_t x = 0; x < side; x++) {
             row[3 * x] = row[3 * x + 1] = x % 2 ? 1.0f : 0.0f;
             row[3 * x + 2] = 2 * y < side ? 1.0f : 0.0f;
         }
-        assert_int_equal(fmt_png_write_rows(png, row, 1), 0);
+        assert_int_equal(fmt_image_write_rows(png, row, 1), 0);
     }
-    assert_int_equal(fmt_png_finish(png), 0);
-    assert_int_equal(fmt_png_commit(png), 0);
+    assert_int_equal(fmt_image_finish(png), 0);
+    assert_int_equal(fmt_image_commit(png), 0);
     free(row);
     bsq_ctx_destroy(ctx);
 }

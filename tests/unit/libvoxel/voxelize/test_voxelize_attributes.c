@@ -1,6 +1,6 @@
 /* Normals, colours, materials and textures of a scan in the records of its grid. */
 #include "base/octahedral.h"
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
 #include "voxelize_fixture.h"
 
 #include <math.h>
@@ -179,18 +179,18 @@ static void write_ramp(const struct vox_fixture *f)
 {
     enum { SIZE = 40 };
     static float texel[SIZE][SIZE][3];
-    struct fmt_png_options options = {
-        .width = SIZE, .height = SIZE, .channel_count = 3, .bits = 16, .srgb = true};
-    struct fmt_png_writer *writer;
+    const struct fmt_image_options options = {
+        .width = SIZE, .height = SIZE, .channel_count = 3, .type = FMT_UINT16, .color = true};
+    struct fmt_image_writer *writer;
     for (int row = 0; row < SIZE; row++)
         for (int column = 0; column < SIZE; column++) {
             texel[row][column][0] = ((float)column + 0.5f) / SIZE;
             texel[row][column][1] = 1.0f - ((float)row + 0.5f) / SIZE;
             texel[row][column][2] = 0.25f;
         }
-    assert_int_equal(fmt_png_create(f->ctx, f->image, &options, &writer), 0);
-    assert_int_equal(fmt_png_write_rows(writer, &texel[0][0][0], SIZE), 0);
-    assert_int_equal(fmt_png_commit(writer), 0);
+    assert_int_equal(fmt_image_create(f->ctx, &fmt_png_format, f->image, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, &texel[0][0][0], SIZE), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
 }
 
 static void test_texture_is_sampled_where_the_piece_lies(void **state)

@@ -1,4 +1,4 @@
-/* test_png_image.c - PNG files against libpng's reader, the sRGB formula and the mean that
+/* test_png.c - PNG files against libpng's reader, the sRGB formula and the mean that
  * dithering has to keep. */
 #include <math.h>
 #include <png.h>
@@ -12,7 +12,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/image/png_image.h"
+#include "formats/image/image_writer.h"
 #include "tests/unit/fixture.h"
 
 static char directory[64];
@@ -35,19 +35,19 @@ static int remove_directory(void **state)
     return rmdir(directory); /* fails where a temporary file was left behind */
 }
 
-static void write_image(struct bsq_ctx *ctx, const struct fmt_png_options *options,
+static void write_image(struct bsq_ctx *ctx, const struct fmt_image_options *options,
                         const float *samples, uint32_t batch)
 {
-    struct fmt_png_writer *writer;
-    assert_int_equal(fmt_png_create(ctx, path, options, &writer), 0);
+    struct fmt_image_writer *writer;
+    assert_int_equal(fmt_image_create(ctx, &fmt_png_format, path, options, &writer), 0);
     for (uint32_t y = 0; y < options->height; y += batch) {
         uint32_t rows = options->height - y < batch ? options->height - y : batch;
         assert_int_equal(
-            fmt_png_write_rows(writer,
-                               samples + (size_t)y * options->width * options->channel_count, rows),
+            fmt_image_write_rows(
+                writer, samples + (size_t)y * options->width * options->channel_count, rows),
             0);
     }
-    assert_int_equal(fmt_png_commit(writer), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
 }
 
 struct image {
@@ -88,8 +88,8 @@ static void test_16_bits_are_rounded(void **state)
     struct bsq_ctx *ctx = test_context(3, 0);
     for (int c = 0; c < 3; ++c) {
         uint32_t channels = channel_counts[c];
-        struct fmt_png_options options = {
-            .width = WIDTH, .height = HEIGHT, .channel_count = channels, .bits = 16};
+        struct fmt_image_options options = {
+            .width = WIDTH, .height = HEIGHT, .channel_count = channels, .type = FMT_UINT16};
         size_t count = (size_t)WIDTH * HEIGHT * channels;
         float *samples = malloc(count * sizeof *samples);
         for (size_t i = 0; i < count; ++i)
@@ -124,8 +124,8 @@ static void test_color_is_encoded_as_srgb_but_alpha_is_not(void **state)
     (void)state;
     enum { WIDTH = 256 };
     struct bsq_ctx *ctx = test_context(1, 0);
-    struct fmt_png_options options = {
-        .width = WIDTH, .height = 1, .channel_count = 4, .bits = 16, .srgb = true};
+    struct fmt_image_options options = {
+        .width = WIDTH, .height = 1, .channel_count = 4, .type = FMT_UINT16, .color = true};
     float samples[WIDTH * 4];
     for (int i = 0; i < WIDTH * 4; ++i)
         samples[i] = (float)(i / 4) / 255.0f;
@@ -159,7 +159,8 @@ static void test_dither_keeps_the_mean(void **state)
     (void)state;
     enum { SIZE = 128, BLOCK = 16 };
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct fmt_png_options options = {.width = SIZE, .height = SIZE, .channel_count = 3, .bits = 8};
+    struct fmt_image_options options = {
+        .width = SIZE, .height = SIZE, .channel_count = 3, .type = FMT_UINT8};
     float *samples = malloc(SIZE * SIZE * 3 * sizeof *samples);
     for (int level = 0; level <= 20; ++level) {
         double value = 100.0 + level / 20.0;
@@ -187,8 +188,8 @@ static void test_black_and_white_do_not_dither(void **state)
     (void)state;
     enum { SIZE = 64 };
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct fmt_png_options options = {
-        .width = SIZE, .height = SIZE, .channel_count = 1, .bits = 8, .srgb = true};
+    struct fmt_image_options options = {
+        .width = SIZE, .height = SIZE, .channel_count = 1, .type = FMT_UINT8, .color = true};
     float *samples = malloc(SIZE * SIZE * sizeof *samples);
     for (uint32_t i = 0; i < SIZE * SIZE; ++i)
         samples[i] = i % SIZE < SIZE / 2 ? 0.0f : 1.0f;
@@ -209,8 +210,8 @@ static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
     float *samples = malloc(WIDTH * HEIGHT * 3 * sizeof *samples);
     for (uint32_t i = 0; i < WIDTH * HEIGHT * 3; ++i)
         samples[i] = (float)(i % 997) / 997.0f;
-    struct fmt_png_options options = {
-        .width = WIDTH, .height = HEIGHT, .channel_count = 3, .bits = 8};
+    struct fmt_image_options options = {
+        .width = WIDTH, .height = HEIGHT, .channel_count = 3, .type = FMT_UINT8};
     uint8_t *bytes[3];
     size_t sizes[3];
     for (unsigned i = 0; i < 3; ++i) {
@@ -236,17 +237,20 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
     struct bsq_ctx *ctx = test_context(1, 0);
     float samples[8 * 3] = {0};
     unlink(path);
-    struct fmt_png_options options = {.width = 8, .height = 4, .channel_count = 3, .bits = 8};
-    struct fmt_png_writer *writer;
-    assert_int_equal(fmt_png_create(ctx, path, &options, &writer), 0);
-    assert_int_equal(fmt_png_write_rows(writer, samples, 1), 0);
-    fmt_png_discard(writer);
+    struct fmt_image_options options = {
+        .width = 8, .height = 4, .channel_count = 3, .type = FMT_UINT8};
+    struct fmt_image_writer *writer;
+    assert_int_equal(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, 1), 0);
+    fmt_image_discard(writer);
     assert_int_equal(access(path, F_OK), -1);
-    assert_int_equal(fmt_png_create(ctx, path, &options, &writer), 0);
-    assert_int_equal(fmt_png_commit(writer), BSQ_EBUG);
+    assert_int_equal(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_commit(writer), BSQ_EBUG);
     assert_int_equal(access(path, F_OK), -1);
     bsq_clear_error(ctx);
-    assert_int_equal(fmt_png_create(ctx, "/nonexistent/a.png", &options, &writer), BSQ_ECANTCREAT);
+    assert_int_equal(
+        fmt_image_create(ctx, &fmt_png_format, "/nonexistent/a.png", &options, &writer),
+        BSQ_ECANTCREAT);
     test_context_end(ctx);
 }
 

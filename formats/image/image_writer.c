@@ -1,0 +1,174 @@
+/* image_writer.c - the table of formats, and what their writers have in common: names, temporary
+ * files, and rows that wait until they fill a block. */
+#include "formats/image/image_writer.h"
+
+#include <string.h>
+
+#include "base/output.h"
+
+const struct fmt_image_format *const fmt_image_formats[] = {&fmt_exr_format, &fmt_png_format, NULL};
+
+const struct fmt_image_format *fmt_image_format_of(const char *path)
+{
+    size_t length = strlen(path);
+    for (int i = 0; fmt_image_formats[i]; ++i) {
+        size_t suffix = strlen(fmt_image_formats[i]->suffix);
+        if (length >= suffix &&
+            strcasecmp(path + length - suffix, fmt_image_formats[i]->suffix) == 0)
+            return fmt_image_formats[i];
+    }
+    return NULL;
+}
+
+int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *format,
+                         const char *path, enum fmt_sample_type type)
+{
+    static const char *const names[] = {"8-bit", "16-bit", "half-float", "float"};
+    return format->sample_types & FMT_SAMPLE_BIT(type)
+               ? 0
+               : bsq_fail(ctx, BSQ_EUSAGE, "%s: %s files have no %s samples", path, format->name,
+                          names[type]);
+}
+
+/* ---- creating ---- */
+
+static int start(struct fmt_image_writer *writer, const char *path,
+                 const struct fmt_image_options *options)
+{
+    struct bsq_ctx *ctx = writer->ctx;
+    size_t path_bytes = strlen(path) + 1;
+    int status = bsq_alloc(ctx, "path", path_bytes, 1, &writer->path);
+    if (status < 0)
+        return status;
+    memcpy(writer->path, path, path_bytes);
+    status = bsq_output_open(ctx, path, &writer->output);
+    if (status == 0)
+        status = writer->format->create(writer, options);
+    if (status == 0)
+        status = bsq_alloc(ctx, "image rows", (uint64_t)writer->block_rows * writer->width,
+                           writer->channel_count * sizeof(float), &writer->pending);
+    return status;
+}
+
+int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format, const char *path,
+                     const struct fmt_image_options *options, struct fmt_image_writer **out)
+{
+    *out = NULL;
+    if (options->width == 0 || options->height == 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: an image of %u x %u texels", path, options->width,
+                        options->height);
+    void *memory;
+    int status = fmt_image_check_type(ctx, format, path, options->type);
+    if (status == 0)
+        status = bsq_calloc(ctx, "image writer", 1, format->writer_bytes, &memory);
+    if (status < 0)
+        return status;
+    struct fmt_image_writer *writer = memory;
+    writer->ctx = ctx;
+    writer->format = format;
+    writer->width = options->width;
+    writer->height = options->height;
+    writer->channel_count = options->channel_count;
+    status = start(writer, path, options);
+    if (status < 0)
+        fmt_image_discard(writer);
+    else
+        *out = writer;
+    return status;
+}
+
+/* ---- rows ---- */
+
+static uint64_t row_samples(const struct fmt_image_writer *writer)
+{
+    return (uint64_t)writer->width * writer->channel_count;
+}
+
+/* Adds rows to the pending block, and writes the block if it is full or the image's last. Returns
+ * the number of rows taken, or a failure. */
+static int64_t fill_block(struct fmt_image_writer *writer, const float *samples, uint32_t rows)
+{
+    uint32_t missing = writer->block_rows - writer->pending_rows;
+    uint32_t taken = rows < missing ? rows : missing;
+    memcpy(writer->pending + writer->pending_rows * row_samples(writer), samples,
+           taken * row_samples(writer) * sizeof *samples);
+    writer->pending_rows += taken;
+    writer->rows_taken += taken;
+    if (taken < missing && writer->rows_taken < writer->height)
+        return taken;
+    uint32_t block = writer->pending_rows;
+    writer->pending_rows = 0;
+    int status = writer->format->write_rows(writer, writer->pending, block);
+    return status < 0 ? status : (int64_t)taken;
+}
+
+int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows)
+{
+    uint32_t left = writer->height - writer->rows_taken;
+    if (rows > left)
+        return bsq_fail(writer->ctx, BSQ_EBUG, "%s: %u rows too many", writer->path, rows - left);
+    int64_t taken = 0;
+    if (writer->pending_rows > 0)
+        taken = fill_block(writer, samples, rows);
+    if (taken < 0)
+        return (int)taken;
+    samples += (uint64_t)taken * row_samples(writer);
+    rows -= (uint32_t)taken;
+    uint32_t whole =
+        writer->rows_taken + rows == writer->height ? rows : rows - rows % writer->block_rows;
+    if (whole > 0) {
+        writer->rows_taken += whole;
+        int status = writer->format->write_rows(writer, samples, whole);
+        if (status < 0)
+            return status;
+    }
+    taken =
+        rows > whole ? fill_block(writer, samples + whole * row_samples(writer), rows - whole) : 0;
+    return taken < 0 ? (int)taken : 0;
+}
+
+/* ---- ending ---- */
+
+int fmt_image_finish(struct fmt_image_writer *writer)
+{
+    if (writer->finished)
+        return 0;
+    if (writer->rows_taken != writer->height)
+        return bsq_fail(writer->ctx, BSQ_EBUG, "%s: %u of %u rows were written", writer->path,
+                        writer->rows_taken, writer->height);
+    int status = writer->format->finish(writer);
+    if (status == 0)
+        status = bsq_output_sync(writer->output);
+    writer->finished = status == 0;
+    return status;
+}
+
+static void free_writer(struct fmt_image_writer *writer)
+{
+    struct bsq_ctx *ctx = writer->ctx;
+    bsq_free(ctx, writer->pending);
+    bsq_free(ctx, writer->path);
+    bsq_free(ctx, writer);
+}
+
+int fmt_image_commit(struct fmt_image_writer *writer)
+{
+    int status = fmt_image_finish(writer);
+    if (status < 0) {
+        fmt_image_discard(writer);
+        return status;
+    }
+    writer->format->free(writer);
+    status = bsq_output_commit(writer->output);
+    free_writer(writer);
+    return status;
+}
+
+void fmt_image_discard(struct fmt_image_writer *writer)
+{
+    if (!writer)
+        return;
+    writer->format->free(writer);
+    bsq_output_discard(writer->output);
+    free_writer(writer);
+}

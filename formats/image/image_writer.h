@@ -1,0 +1,99 @@
+/* image_writer.h - writes images of float samples to files, one row of fmt_image_formats[] a
+ * format.
+ *
+ * In: rows of interleaved float samples from top to bottom, on one thread. Out: a file that appears
+ * whole or not at all. The bytes do not depend on the number of threads, all of which compress, or
+ * on how many rows come at a time.
+ *
+ * A new format is a source file that defines a struct fmt_image_format, and an entry of
+ * fmt_image_formats[] in image_writer.c. */
+#ifndef FMT_IMAGE_IMAGE_WRITER_H
+#define FMT_IMAGE_IMAGE_WRITER_H
+
+#include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* How a file stores a sample. Integers hold 0 to 1; FMT_UINT8 is dithered. */
+enum fmt_sample_type { FMT_UINT8, FMT_UINT16, FMT_HALF, FMT_FLOAT };
+#define FMT_SAMPLE_BIT(type) (1u << (type))
+
+struct fmt_image_attribute { /* a text for the file's header */
+    const char *name, *value;
+};
+
+struct fmt_image_options {
+    uint32_t width, height; /* texels */
+    uint32_t channel_count; /* 1 grey, 3 RGB, 4 RGBA */
+    enum fmt_sample_type type;
+    /* Samples are linear Rec. 709 light, which integer formats encode as sRGB. Otherwise the file
+     * says that they are no colour, so that readers do not transform them. */
+    bool color;
+    const struct fmt_image_attribute *attributes; /* left out by formats without a place for text */
+    uint32_t attribute_count;
+};
+
+struct fmt_image_writer;
+
+struct fmt_image_format {
+    const char *name;      /* for messages: "PNG" */
+    const char *suffix;    /* of its files, with the dot; case does not matter */
+    uint32_t sample_types; /* that it can store: FMT_SAMPLE_BIT() or-ed */
+    enum fmt_sample_type usual_type;
+    uint64_t writer_bytes; /* of the format's own structure, which begins with the writer */
+
+    /* The functions below return 0 or a failure that they have recorded. create() gets a zeroed
+     * structure with an open output; it sets block_rows, and a failure is followed by free(). */
+    int (*create)(struct fmt_image_writer *writer, const struct fmt_image_options *options);
+    /* Writes the next rows. Their number is a multiple of block_rows, except at the bottom. */
+    int (*write_rows)(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
+    /* Completes the output after the last row. */
+    int (*finish)(struct fmt_image_writer *writer);
+    /* Frees what create() made, also for a file that is not complete; records nothing. */
+    void (*free)(struct fmt_image_writer *writer);
+};
+
+/* What all formats' writers have; for formats only. */
+struct fmt_image_writer {
+    struct bsq_ctx *ctx;
+    const struct fmt_image_format *format;
+    struct bsq_output *output;
+    char *path; /* the final name, for messages */
+    uint32_t width, height, channel_count;
+    uint32_t block_rows; /* the format compresses so many rows together */
+    uint32_t rows_taken;
+    uint32_t pending_rows;
+    float *pending; /* rows that do not fill a block yet */
+    bool finished;
+};
+
+extern const struct fmt_image_format fmt_exr_format, fmt_png_format;
+/* All formats; ends with NULL. */
+extern const struct fmt_image_format *const fmt_image_formats[];
+
+/* Returns the format that a file's suffix asks for, or NULL. */
+const struct fmt_image_format *fmt_image_format_of(const char *path);
+
+/* Checks that a format can store samples of this type. Errors: BSQ_EUSAGE. */
+int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *format,
+                         const char *path, enum fmt_sample_type type);
+
+/* Starts the file `path`. Errors: BSQ_EUSAGE for a size, channels or a sample type that the format
+ * cannot store, BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format, const char *path,
+                     const struct fmt_image_options *options, struct fmt_image_writer **out);
+/* Writes the next `rows` rows, any number: rows x width x channel_count samples. */
+int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
+/* Optional: completes the temporary file, so that little is left that can fail in commit. For jobs
+ * that write several files and want all or none. */
+int fmt_image_finish(struct fmt_image_writer *writer);
+/* Gives the file its final name; frees the writer in any case. */
+int fmt_image_commit(struct fmt_image_writer *writer);
+void fmt_image_discard(struct fmt_image_writer *writer); /* NULL is allowed */
+
+#ifdef __cplusplus
+}
+#endif
+#endif
