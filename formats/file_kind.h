@@ -1,4 +1,5 @@
-/* file_kind.h - what a file is, by its first bytes, whatever its name. */
+/* file_kind.h - what a file is, by its first bytes. Some mesh formats have none of their own: there
+ * the suffix of the name decides. */
 #ifndef FMT_FILE_KIND_H
 #define FMT_FILE_KIND_H
 
@@ -8,7 +9,7 @@
 extern "C" {
 #endif
 
-enum fmt_kind { FMT_KIND_OTHER, FMT_KIND_TRIS, FMT_KIND_NVDB, FMT_KIND_VDB };
+enum fmt_kind { FMT_KIND_OTHER, FMT_KIND_MESH, FMT_KIND_TRIS, FMT_KIND_NVDB, FMT_KIND_VDB };
 
 /* Errors: BSQ_ENOINPUT, BSQ_EIO. */
 int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out);

@@ -13,7 +13,7 @@
  * has a sum over the sources. */
 #include "base/file.h"
 #include "base/output.h"
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
 
 #include <errno.h>
@@ -173,8 +173,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
     if (status == 0)
         status = options->texture_path ? absolute(ctx, options->texture_path, &job->texture)
                                        : name_none(ctx, &job->texture);
-    for (uint32_t i = 0; i < options->obj_count && status == 0; i++)
-        status = add_source(job, options->obj_paths[i], false);
+    for (uint32_t i = 0; i < options->scan_count && status == 0; i++)
+        status = add_source(job, options->scan_paths[i], false);
     if (status < 0)
         vox_job_close(job);
     else
@@ -182,11 +182,12 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
     return status;
 }
 
-int vox_job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader)
+int vox_job_add_dependencies(struct vox_job *job, const struct fmt_mesh_reader *reader)
 {
     int status = 0;
-    for (uint32_t i = 0; i < fmt_obj_library_count(reader) && status == 0; i++)
-        status = add_source(job, fmt_obj_library_path(reader, i), true);
+    const char *path;
+    for (uint32_t i = 0; status == 0 && (path = fmt_mesh_dependency(reader, i)) != NULL; i++)
+        status = add_source(job, path, true);
     return status;
 }
 

@@ -4,9 +4,9 @@
 
 #include "libvoxel/voxel.h"
 
-struct fmt_obj_reader;
+struct fmt_mesh_reader;
 
 /* Adds the material libraries that the reader has met. */
-int vox_job_add_libraries(struct vox_job *job, const struct fmt_obj_reader *reader);
+int vox_job_add_dependencies(struct vox_job *job, const struct fmt_mesh_reader *reader);
 
 #endif

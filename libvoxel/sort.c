@@ -1,4 +1,4 @@
-/* sort.c - OBJ files to a chunk file.
+/* sort.c - makes a chunk file from meshes.
  *
  * Reading keeps vertices as columns (scan.h). Faces become triangles, collected by cell of a coarse
  * Morton grid: at once where all vertices are known by then (one_pass.h), else they are kept as
@@ -25,7 +25,7 @@ void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *
 {
     uint64_t least = vox_memory_min(threads);
     uint64_t rest = budget > least ? budget - least : 0;
-    uint64_t reading = fmt_obj_slots_for(budget, threads) * FMT_OBJ_SLOT_BYTES;
+    uint64_t reading = fmt_mesh_slots_for(budget, threads) * FMT_MESH_SLOT_BYTES;
     *limits = (struct sort_limits){
         .column_bytes = 8 * MIB + rest / 4 * 3,
         .column_shift = rest >= 256 * MIB ? COLUMN_LARGE_SHIFT : COLUMN_SMALL_SHIFT,
@@ -59,7 +59,7 @@ static uint64_t total_bytes(const char *const *paths, uint32_t count)
     return bytes;
 }
 
-static void report_totals(struct vox_sort_report *report, const struct fmt_obj_totals *totals)
+static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_totals *totals)
 {
     report->bytes_read = totals->bytes;
     report->vertices = totals->vertices;
@@ -70,35 +70,35 @@ static void report_totals(struct vox_sort_report *report, const struct fmt_obj_t
 
 /* ---- parsing alone ---- */
 
-static int count_block(void *arg, const struct fmt_obj_block *block)
+static int count_block(void *arg, const struct fmt_mesh_block *block)
 {
     bsq_progress_add(arg, block->byte_size);
     return 0;
 }
 
-int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t obj_count,
+int vox_parse_only(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
                    struct vox_sort_report *report)
 {
-    struct fmt_obj_reader *reader;
-    struct fmt_obj_totals totals = {0};
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_totals totals = {0};
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
-    int status = fmt_obj_open(ctx, obj_paths, obj_count, &reader);
+    int status = fmt_mesh_open(ctx, scan_paths, scan_count, &reader);
     if (status < 0)
         return status;
-    bsq_progress_begin(ctx, "reading", "bytes", total_bytes(obj_paths, obj_count));
-    status = fmt_obj_read(reader, count_block, ctx, &totals);
+    bsq_progress_begin(ctx, "reading", "bytes", total_bytes(scan_paths, scan_count));
+    status = fmt_mesh_read(reader, count_block, ctx, &totals);
     bsq_progress_end(ctx);
     report_totals(report, &totals);
     report->triangles = totals.corners - 2 * totals.faces;
     report->seconds_read = bsq_seconds_now() - start;
-    fmt_obj_close(reader);
+    fmt_mesh_close(reader);
     return status;
 }
 
 /* ---- sorting ---- */
 
-static int check_disk(struct bsq_ctx *ctx, const struct fmt_obj_estimate *scan,
+static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
                       const struct sort_limits *limits, const char *tris_path)
 {
     struct space space = vox_disk_estimate(scan, limits);
@@ -106,7 +106,7 @@ static int check_disk(struct bsq_ctx *ctx, const struct fmt_obj_estimate *scan,
 }
 
 /* Reads everything; *scattered: the faces are in `out`, not in the scan's store. */
-static int read_blocks(struct scan *scan, struct fmt_obj_reader *reader,
+static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
                        const struct vox_sort_options *options, bool try_direct,
                        struct scattered *out, bool *scattered, bool *again)
 {
@@ -114,12 +114,12 @@ static int read_blocks(struct scan *scan, struct fmt_obj_reader *reader,
     struct direct *direct = NULL;
     int status = 0;
     bsq_progress_begin(ctx, "reading", "bytes",
-                       total_bytes(options->obj_paths, options->obj_count));
+                       total_bytes(options->scan_paths, options->scan_count));
     if (try_direct)
         status = vox_one_pass_open(scan, reader, options->tris_path, out, &direct);
     if (status == 0)
-        status = direct ? fmt_obj_read_steps(reader, &vox_one_pass_steps, direct, &scan->totals)
-                        : fmt_obj_read(reader, vox_scan_add_block, scan, &scan->totals);
+        status = direct ? fmt_mesh_read_steps(reader, &vox_one_pass_steps, direct, &scan->totals)
+                        : fmt_mesh_read(reader, vox_scan_add_block, scan, &scan->totals);
     bsq_progress_end(ctx);
     *again = vox_one_pass_gave_up(direct);
     *scattered = vox_one_pass_is_active(direct);
@@ -137,15 +137,15 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
                      const struct vox_sort_options *options, struct vox_sort_report *report,
                      struct scattered *out, bool *scattered)
 {
-    struct fmt_obj_reader *reader;
+    struct fmt_mesh_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
     double start = bsq_seconds_now();
     bool again = false;
-    int status = fmt_obj_open(ctx, options->obj_paths, options->obj_count, &reader);
+    int status = fmt_mesh_open(ctx, options->scan_paths, options->scan_count, &reader);
     if (status < 0)
         return status;
-    struct fmt_obj_estimate estimate;
-    status = fmt_obj_estimate(reader, &estimate);
+    struct fmt_mesh_estimate estimate;
+    status = fmt_mesh_estimate(reader, &estimate);
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
     bool direct = estimate.faces_come_last && limits->direct_memory > 0;
@@ -154,12 +154,12 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     if (status < 0 && again) {
         vox_partition_free(scan, out);
         vox_scan_free(scan);
-        vox_scan_init(scan, ctx, limits, options->obj_paths, options->tris_path);
+        vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
         status = read_blocks(scan, reader, options, false, out, scattered, &again);
     }
     if (status == 0 && options->job)
-        status = vox_job_add_libraries(options->job, reader);
-    fmt_obj_close(reader);
+        status = vox_job_add_dependencies(options->job, reader);
+    fmt_mesh_close(reader);
     report_totals(report, &scan->totals);
     memcpy(report->origin, scan->origin, sizeof report->origin);
     report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
@@ -188,9 +188,9 @@ static int fail_without_area(const struct scan *scan, uint64_t triangles)
 {
     if (triangles == 1)
         return bsq_fail(scan->ctx, BSQ_EDATA, "%s: the scan's only triangle has no area",
-                        scan->obj_paths[0]);
+                        scan->paths[0]);
     return bsq_fail(scan->ctx, BSQ_EDATA, "%s: none of the scan's %llu triangles has an area",
-                    scan->obj_paths[0], (unsigned long long)triangles);
+                    scan->paths[0], (unsigned long long)triangles);
 }
 
 static int write_chunks(const struct scan *scan, const struct scattered *scattered,
@@ -249,7 +249,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     bool is_scattered = false;
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
-    vox_scan_init(&scan, ctx, limits, options->obj_paths, options->tris_path);
+    vox_scan_init(&scan, ctx, limits, options->scan_paths, options->tris_path);
     int status = read_scan(&scan, limits, options, report, &scattered, &is_scattered);
     if (status == 0)
         status = sort_scan(&scan, options, &scattered, is_scattered, report);

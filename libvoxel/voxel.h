@@ -3,7 +3,7 @@
  *
  * | function       | reads       | writes                                                   |
  * |----------------|-------------|----------------------------------------------------------|
- * | vox_sort()     | OBJ files   | a chunk file, .tris: triangles in spatially sorted chunks |
+ * | vox_sort()     | mesh files  | a chunk file, .tris: triangles in spatially sorted chunks |
  * | vox_voxelize() | chunk file  | a grid, .nvdb: sparse surface voxels                     |
  *
  * Both stay within the context's memory budget. Output bytes are the same for any budget and any
@@ -36,27 +36,27 @@ void vox_temp_tris_close(struct vox_temp_tris *temp);
 
 /** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
-    const char *const *obj_paths; /**< Input files, read as one scan. */
-    uint32_t obj_count;           /**< Number of input files, at least 1. */
+    const char *const *scan_paths; /**< Mesh files, read as one scan. */
+    uint32_t scan_count;           /**< Number of mesh files, at least 1. */
     const char *texture_path; /**< Image for all faces with texture coordinates. NULL: the images
-                                 that the MTL files name. */
+                                 that the materials name. */
     const char *tris_path;    /**< Output: the chunk file. */
     /** NULL, or the output to use instead of tris_path, which then only names the directory of
      * temporary files. */
     struct vox_temp_tris *temp_tris;
-    struct vox_job *job; /**< NULL, or a job that records the material libraries that are read. */
+    struct vox_job *job; /**< NULL, or a job that records the files that the scan refers to. */
 };
 
 /** What vox_sort() did. */
 struct vox_sort_report {
-    uint64_t bytes_read;           /**< Bytes of OBJ text. */
+    uint64_t bytes_read;           /**< Bytes of the mesh files. */
     uint64_t vertices;             /**< Vertices of the scan. */
     uint64_t faces;                /**< Faces of the scan, polygons included. */
     uint64_t triangles;            /**< Triangles in the chunk file. */
     uint64_t degenerate_triangles; /**< Triangles without area; left out. */
     uint64_t short_faces;          /**< Faces with fewer than three corners; left out. */
     uint64_t unused_vertices;      /**< Vertices that no face refers to. */
-    uint64_t skipped_lines;        /**< Lines with statements that OBJ does not define. */
+    uint64_t skipped_lines;        /**< Lines with statements that the format does not define. */
     uint64_t chunks;               /**< Chunks in the chunk file. */
     uint64_t tris_bytes;           /**< Size of the chunk file. */
     uint64_t temp_bytes;           /**< Bytes written to temporary files. */
@@ -68,7 +68,7 @@ struct vox_sort_report {
     double seconds_sort;           /**< Wall time of sorting and writing. */
 };
 
-/** Fills in the defaults: no inputs, no outputs, textures from the MTL files. */
+/** Fills in the defaults: no inputs, no outputs, textures of the materials. */
 void vox_sort_defaults(struct vox_sort_options *options);
 
 /** Sorts the triangles of a scan in space and writes them as a chunk file (formats/FORMATS.md).
@@ -118,7 +118,7 @@ void vox_job_finish(struct vox_job *job);
 uint64_t vox_memory_min(unsigned threads);
 
 /* Parses without keeping anything; for measuring the reader. */
-int vox_parse_only(struct bsq_ctx *ctx, const char *const *obj_paths, uint32_t obj_count,
+int vox_parse_only(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
                    struct vox_sort_report *report);
 
 /** NanoVDB types of a grid. Both have the same nodes and channels. */

@@ -18,17 +18,17 @@ static int recognise_inputs(struct voxelize_job *job)
         int status = fmt_recognise(job->cli->ctx, arguments->inputs[i], &kind);
         if (status < 0)
             return status;
-        if (kind == FMT_KIND_OTHER)
+        if (kind == FMT_KIND_OTHER || kind == FMT_KIND_MESH)
             continue;
         if (kind != FMT_KIND_TRIS)
             return bsq_fail(job->cli->ctx, BSQ_EDATA,
-                            "%s: a grid already; one is made from OBJ files or a chunk file",
+                            "%s: a grid already; one is made from meshes or a chunk file",
                             arguments->inputs[i]);
         if (arguments->input_count > 1)
             return cli_usage(job->cli, "%s: a chunk file must be the only input",
                              arguments->inputs[i]);
         if (arguments->parse_only)
-            return cli_usage(job->cli, "%s: --parse-only reads OBJ files", arguments->inputs[i]);
+            return cli_usage(job->cli, "%s: --parse-only reads meshes", arguments->inputs[i]);
         if (arguments->texture || arguments->tris || arguments->resume)
             return cli_usage(job->cli, "%s is a chunk file already: leave out %s",
                              arguments->inputs[i],
@@ -118,8 +118,8 @@ static int sort_scan(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     struct vox_sort_options options = {
-        .obj_paths = arguments->inputs,
-        .obj_count = arguments->input_count,
+        .scan_paths = arguments->inputs,
+        .scan_count = arguments->input_count,
         .texture_path = arguments->texture,
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,

@@ -245,13 +245,3 @@ uint32_t fmt_mtl_find(const struct fmt_materials *materials, const char *name)
             return i;
     return UINT32_MAX;
 }
-
-void fmt_mtl_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
-{
-    for (uint32_t i = 0; i < materials->count; i++) {
-        bsq_free(ctx, materials->list[i].name);
-        bsq_free(ctx, materials->list[i].texture_path);
-    }
-    bsq_free(ctx, materials->list);
-    memset(materials, 0, sizeof *materials);
-}

@@ -11,8 +11,6 @@
 
 #include "formats/mesh/obj_line.h"
 
-const char *const fmt_obj_kind_names[OBJ_KIND_COUNT] = {"vertex", "texture coordinate", "normal"};
-
 /* Statements of the OBJ standard (Wavefront, "Advanced Visualizer", appendix B1) that say nothing
  * about points and faces, superseded ones included. */
 static const char *const standard_statements[] = {
@@ -214,7 +212,7 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
 static bool add_color(struct parser *parser, const double *rgb)
 {
     struct obj_block *block = parser->block;
-    uint64_t vertex = block->count[OBJ_VERTEX];
+    uint64_t vertex = block->count[FMT_MESH_VERTEX];
     if (vertex >= block->color_capacity) {
         parser->status = bsq_grow(parser->ctx, "OBJ colours", vertex + 256, sizeof *block->colors,
                                   &block->colors, &block->color_capacity);
@@ -250,7 +248,7 @@ static const char *parse_vertex_rest(struct parser *parser, const char *p)
 static const char *parse_vertex(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
-    uint64_t vertex = block->count[OBJ_VERTEX];
+    uint64_t vertex = block->count[FMT_MESH_VERTEX];
     if (!ROOM(parser, "OBJ vertices", vertex, block->positions, block->position_capacity))
         return NULL;
     double *position = block->positions[vertex];
@@ -268,14 +266,14 @@ static const char *parse_vertex(struct parser *parser, const char *p)
         return NULL;
     if (!(p = finish_line(parser, p)))
         return NULL;
-    block->count[OBJ_VERTEX] = vertex + 1;
+    block->count[FMT_MESH_VERTEX] = vertex + 1;
     return p;
 }
 
 static const char *parse_texcoord(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
-    uint64_t *count = &block->count[OBJ_TEXCOORD];
+    uint64_t *count = &block->count[FMT_MESH_TEXCOORD];
     if (!ROOM(parser, "OBJ texture coordinates", *count, block->texcoords,
               block->texcoord_capacity))
         return NULL;
@@ -295,7 +293,7 @@ static const char *parse_texcoord(struct parser *parser, const char *p)
 static const char *parse_normal(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
-    uint64_t *count = &block->count[OBJ_NORMAL];
+    uint64_t *count = &block->count[FMT_MESH_NORMAL];
     if (!ROOM(parser, "OBJ normals", *count, block->normals, block->normal_capacity))
         return NULL;
     double numbers[3];
@@ -315,7 +313,7 @@ static const char *parse_normal(struct parser *parser, const char *p)
 /* ---- faces ---- */
 
 /* Reads one index into *out, encoded as obj_block.h says. */
-static inline const char *parse_index(struct parser *parser, const char *p, enum obj_kind kind,
+static inline const char *parse_index(struct parser *parser, const char *p, enum fmt_mesh_kind kind,
                                       uint64_t *out)
 {
     struct obj_block *block = parser->block;
@@ -325,7 +323,7 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
     if (__builtin_expect(!after, 0))
         return fail(parser, "\"%s\" is not a face corner", quote_word(parser, p).text);
     if (__builtin_expect(value == 0, 0))
-        return fail(parser, "face refers to %s 0, indices begin with 1", fmt_obj_kind_names[kind]);
+        return fail(parser, "face refers to %s 0, indices begin with 1", fmt_mesh_kind_names[kind]);
     *out = value - 1;
     if (negative) {
         *out = OBJ_RELATIVE_ZERO + block->count[kind] - value;
@@ -335,8 +333,9 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
 }
 
 /* Stores a texture coordinate or normal of corner number `corner`. All corners of the block before
- * the first that has one get FMT_OBJ_NONE. */
-static bool put_corner(struct parser *parser, enum obj_kind kind, uint64_t corner, uint64_t index)
+ * the first that has one get FMT_MESH_NONE. */
+static bool put_corner(struct parser *parser, enum fmt_mesh_kind kind, uint64_t corner,
+                       uint64_t index)
 {
     struct obj_block *block = parser->block;
     if (!ROOM(parser, "OBJ corners", corner, block->corners[kind], block->corner_capacity[kind]))
@@ -352,15 +351,15 @@ static bool put_corner(struct parser *parser, enum obj_kind kind, uint64_t corne
 static const char *parse_attributes(struct parser *parser, const char *p, uint64_t corner)
 {
     struct obj_block *block = parser->block;
-    for (enum obj_kind kind = OBJ_TEXCOORD; kind <= OBJ_NORMAL; kind++) {
-        uint64_t index = FMT_OBJ_NONE;
+    for (enum fmt_mesh_kind kind = FMT_MESH_TEXCOORD; kind <= FMT_MESH_NORMAL; kind++) {
+        uint64_t index = FMT_MESH_NONE;
         if (*p == '/') {
             p++;
             bool given = *p != '/' && !obj_is_delimiter(*p);
             if (given && !(p = parse_index(parser, p, kind, &index)))
                 return NULL;
         }
-        if (index == FMT_OBJ_NONE && !block->has_corners[kind])
+        if (index == FMT_MESH_NONE && !block->has_corners[kind])
             continue;
         if (!put_corner(parser, kind, corner, index))
             return NULL;
@@ -376,14 +375,15 @@ static const char *parse_face(struct parser *parser, const char *p)
         p = skip_blanks(block, p);
         if (at_line_end(*p))
             break;
-        if (!ROOM(parser, "OBJ corners", corner, block->corners[OBJ_VERTEX],
-                  block->corner_capacity[OBJ_VERTEX]))
+        if (!ROOM(parser, "OBJ corners", corner, block->corners[FMT_MESH_VERTEX],
+                  block->corner_capacity[FMT_MESH_VERTEX]))
             return NULL;
         const char *word = p;
-        p = parse_index(parser, p, OBJ_VERTEX, &block->corners[OBJ_VERTEX][corner]);
+        p = parse_index(parser, p, FMT_MESH_VERTEX, &block->corners[FMT_MESH_VERTEX][corner]);
         if (!p)
             return NULL;
-        if (*p == '/' || block->has_corners[OBJ_TEXCOORD] || block->has_corners[OBJ_NORMAL])
+        if (*p == '/' || block->has_corners[FMT_MESH_TEXCOORD] ||
+            block->has_corners[FMT_MESH_NORMAL])
             if (!(p = parse_attributes(parser, p, corner)))
                 return NULL;
         if (__builtin_expect(!obj_is_delimiter(*p), 0))
@@ -503,7 +503,7 @@ static inline const char *parse_line(struct parser *parser, const char *p)
 
 static const char *parse_plain_vertices(struct obj_block *block, const char *p, const char *end)
 {
-    const uint64_t first = block->count[OBJ_VERTEX];
+    const uint64_t first = block->count[FMT_MESH_VERTEX];
     uint64_t vertex = first;
     while (p < end && vertex < block->position_capacity && p[0] == 'v' && p[1] == ' ') {
         const char *after = obj_three_numbers(p + 2, block->positions[vertex]);
@@ -512,7 +512,7 @@ static const char *parse_plain_vertices(struct obj_block *block, const char *p, 
         p = after;
         vertex++;
     }
-    block->count[OBJ_VERTEX] = vertex;
+    block->count[FMT_MESH_VERTEX] = vertex;
     block->lines += vertex - first;
     return p;
 }
@@ -521,7 +521,7 @@ static const char *parse_plain_triangles(struct obj_block *block, const char *p,
                                          uint64_t last_face)
 {
     const uint64_t first = block->face_count;
-    const uint64_t room = (block->corner_capacity[OBJ_VERTEX] - block->corner_count) / 3;
+    const uint64_t room = (block->corner_capacity[FMT_MESH_VERTEX] - block->corner_count) / 3;
     uint64_t limit = first + room;
     if (limit > block->face_capacity)
         limit = block->face_capacity;
@@ -529,7 +529,7 @@ static const char *parse_plain_triangles(struct obj_block *block, const char *p,
         limit = last_face;
     if (limit <= first) /* or there may be no room at all yet */
         return p;
-    uint64_t face = first, *corners = block->corners[OBJ_VERTEX] + block->corner_count;
+    uint64_t face = first, *corners = block->corners[FMT_MESH_VERTEX] + block->corner_count;
     while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {
         const char *after = obj_three_indices(p + 2, corners);
         if (!after)
@@ -549,7 +549,8 @@ static const char *parse_plain_lines(struct obj_block *block, const char *p, con
 {
     if (p[0] == 'v' && !block->has_colors)
         return parse_plain_vertices(block, p, end);
-    if (p[0] == 'f' && !block->has_corners[OBJ_TEXCOORD] && !block->has_corners[OBJ_NORMAL])
+    if (p[0] == 'f' && !block->has_corners[FMT_MESH_TEXCOORD] &&
+        !block->has_corners[FMT_MESH_NORMAL])
         return parse_plain_triangles(block, p, end, last_face);
     return p;
 }
@@ -593,7 +594,7 @@ void fmt_obj_block_free(struct bsq_ctx *ctx, struct obj_block *block)
     bsq_free(ctx, block->texcoords);
     bsq_free(ctx, block->normals);
     bsq_free(ctx, block->face_sizes);
-    for (int kind = 0; kind < OBJ_KIND_COUNT; kind++)
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(ctx, block->corners[kind]);
     bsq_free(ctx, block->statements);
     memset(block, 0, sizeof *block);

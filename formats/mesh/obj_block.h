@@ -6,15 +6,10 @@
 #ifndef FMT_MESH_OBJ_BLOCK_H
 #define FMT_MESH_OBJ_BLOCK_H
 
-#include "formats/mesh/obj.h"
-
-enum obj_kind { OBJ_VERTEX, OBJ_TEXCOORD, OBJ_NORMAL, OBJ_KIND_COUNT };
-
-/* "vertex", "texture coordinate", "normal" */
-extern const char *const fmt_obj_kind_names[OBJ_KIND_COUNT];
+#include "formats/mesh/mesh_reader.h"
 
 /* Corners as parsed: values below OBJ_RELATIVE_LIMIT are 0-based from the file's first element;
- * others but FMT_OBJ_NONE are OBJ_RELATIVE_ZERO plus the signed distance from the block's first
+ * others but FMT_MESH_NONE are OBJ_RELATIVE_ZERO plus the signed distance from the block's first
  * element. Indices have at most 18 digits, so that neither reaches into the other. */
 #define OBJ_RELATIVE_ZERO  ((uint64_t)1 << 62)
 #define OBJ_RELATIVE_LIMIT ((uint64_t)1 << 61)
@@ -39,17 +34,17 @@ struct obj_block {
     float (*colors)[3];
     double (*texcoords)[2];
     float (*normals)[3];
-    uint64_t count[OBJ_KIND_COUNT];
+    uint64_t count[FMT_MESH_KIND_COUNT];
     uint64_t position_capacity, color_capacity, texcoord_capacity, normal_capacity;
     bool has_colors;
     bool has_polypaint; /* a comment has ZBrush's colours, which are not read */
 
     uint32_t *face_sizes;
-    uint64_t *corners[OBJ_KIND_COUNT];
+    uint64_t *corners[FMT_MESH_KIND_COUNT];
     uint64_t face_count, corner_count;
-    uint64_t face_capacity, corner_capacity[OBJ_KIND_COUNT];
-    bool has_corners[OBJ_KIND_COUNT]; /* some corner of the block has an index of this kind */
-    bool relative[OBJ_KIND_COUNT];    /* some index of this kind is relative */
+    uint64_t face_capacity, corner_capacity[FMT_MESH_KIND_COUNT];
+    bool has_corners[FMT_MESH_KIND_COUNT]; /* some corner of the block has an index of this kind */
+    bool relative[FMT_MESH_KIND_COUNT];    /* some index of this kind is relative */
 
     struct obj_statement *statements;
     uint64_t statement_count, statement_capacity;

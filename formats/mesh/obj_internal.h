@@ -3,7 +3,7 @@
 #define FMT_MESH_OBJ_INTERNAL_H
 
 #include "base/file.h"
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_format.h"
 #include "formats/mesh/obj_block.h"
 
 /* Text of one block. The same for any budget and number of threads, as blocks are visible to
@@ -17,7 +17,7 @@ struct obj_source {
     struct bsq_file file; /* open from its first block's produce to its last block's emit */
     uint64_t block_count; /* of OBJ_BLOCK_BYTES, the last one shorter */
     /* Elements in files before this one, and in this one as far as it has been read. */
-    uint64_t base[OBJ_KIND_COUNT], count[OBJ_KIND_COUNT];
+    uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
     uint64_t lines;
 };
 
@@ -41,20 +41,14 @@ struct obj_names {
     uint64_t slot_count;
 };
 
-struct fmt_obj_reader {
-    struct bsq_ctx *ctx;
+struct obj_reader {
+    struct fmt_mesh_reader base;
     struct obj_source *sources;
     uint32_t source_count;
     struct obj_place *places;
     uint64_t place_count, place_capacity;
     struct obj_names materials, libraries;
 };
-
-/* ---- obj_foreign.c ---- */
-
-/* BSQ_EDATA, with what the file is and what to do, where its first bytes say that it is of a
- * well-known other kind. */
-int fmt_obj_refuse_foreign(struct bsq_ctx *ctx, const struct bsq_file *file, const char *path);
 
 /* ---- obj_text.c ---- */
 
@@ -63,15 +57,25 @@ int fmt_obj_refuse_foreign(struct bsq_ctx *ctx, const struct bsq_file *file, con
 int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
                       struct obj_block *block, uint64_t *offset);
 
+/* ---- obj_sample.c ---- */
+
+/* These are functions of struct fmt_mesh_format. */
+int fmt_obj_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
+
 /* ---- obj_locate.c ---- */
+
+int fmt_obj_locate_face(struct fmt_mesh_reader *reader, uint64_t face, struct fmt_mesh_place *out);
 
 /* Reports the first relative index of `block`, parsed from block number `index` of the source,
  * that points before the file's beginning. */
-int fmt_obj_fail_relative(struct fmt_obj_reader *reader, const struct obj_source *source,
-                          const struct obj_block *block, uint64_t index, enum obj_kind kind,
+int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *source,
+                          const struct obj_block *block, uint64_t index, enum fmt_mesh_kind kind,
                           uint64_t corner);
 
 /* ---- obj_material.c ---- */
+
+int fmt_obj_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
+const char *fmt_obj_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
 
 /* Number of `name` as said by `source`, entered where it is new. */
 int fmt_obj_names_enter(struct bsq_ctx *ctx, struct obj_names *names, uint32_t source,
@@ -84,6 +88,6 @@ int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
                            const struct obj_statement *statement, char **out);
 
 /* Enters the files that a mtllib statement names. */
-int fmt_obj_enter_libraries(struct fmt_obj_reader *reader, uint32_t source, const char *text);
+int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const char *text);
 
 #endif

@@ -8,7 +8,7 @@
 #include "formats/mesh/obj_internal.h"
 
 /* The last place whose faces begin at or before `face`; places with none are not in the table. */
-static const struct obj_place *find_place(const struct fmt_obj_reader *reader, uint64_t face)
+static const struct obj_place *find_place(const struct obj_reader *reader, uint64_t face)
 {
     uint64_t low = 0, high = reader->place_count;
     while (high - low > 1) {
@@ -24,7 +24,7 @@ static const struct obj_place *find_place(const struct fmt_obj_reader *reader, u
 /* Parses block `index` of `source` up to face number `face` of it; *line is that face's, counted
  * from the block's first, *count the block's elements before it. */
 static int parse_up_to(struct bsq_ctx *ctx, const struct obj_source *source, uint64_t index,
-                       uint64_t face, uint64_t *line, uint64_t count[OBJ_KIND_COUNT])
+                       uint64_t face, uint64_t *line, uint64_t count[FMT_MESH_KIND_COUNT])
 {
     struct bsq_file file = BSQ_FILE_CLOSED;
     struct obj_block block = {0};
@@ -41,52 +41,35 @@ static int parse_up_to(struct bsq_ctx *ctx, const struct obj_source *source, uin
     return status;
 }
 
-int fmt_obj_locate_face(struct fmt_obj_reader *reader, uint64_t face, const char **path,
-                        uint64_t *line)
+int fmt_obj_locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
 {
+    const struct obj_reader *reader = (const struct obj_reader *)base;
     const struct obj_place *place = find_place(reader, face);
     if (!place)
-        return bsq_fail(reader->ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
+        return bsq_fail(base->ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
     const struct obj_source *source = &reader->sources[place->source];
-    uint64_t count[OBJ_KIND_COUNT];
+    uint64_t line, count[FMT_MESH_KIND_COUNT];
     int status =
-        parse_up_to(reader->ctx, source, place->block, face - place->face_base, line, count);
-    *line += place->first_line;
-    *path = source->path;
+        parse_up_to(base->ctx, source, place->block, face - place->face_base, &line, count);
+    *out = (struct fmt_mesh_place){.path = source->path, .line = place->first_line + line};
+    memcpy(out->base, source->base, sizeof out->base);
+    memcpy(out->count, source->count, sizeof out->count);
     return status;
 }
 
-int fmt_obj_fail_index(struct fmt_obj_reader *reader, uint64_t face, const char *kind,
-                       uint64_t index)
-{
-    const struct obj_place *place = find_place(reader, face);
-    const char *path = NULL;
-    uint64_t line = 0;
-    int status = fmt_obj_locate_face(reader, face, &path, &line);
-    if (status)
-        return status;
-    const struct obj_source *source = &reader->sources[place->source];
-    int k = OBJ_VERTEX;
-    while (k < OBJ_NORMAL && strcmp(kind, fmt_obj_kind_names[k]))
-        k++;
-    return bsq_fail(reader->ctx, BSQ_EDATA,
-                    "%s:%" PRIu64 ": face refers to %s %" PRIu64 ", file has %" PRIu64, path, line,
-                    kind, index - source->base[k] + 1, source->count[k]);
-}
-
-int fmt_obj_fail_relative(struct fmt_obj_reader *reader, const struct obj_source *source,
-                          const struct obj_block *block, uint64_t index, enum obj_kind kind,
+int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *source,
+                          const struct obj_block *block, uint64_t index, enum fmt_mesh_kind kind,
                           uint64_t corner)
 {
-    uint64_t face = 0, line, count[OBJ_KIND_COUNT];
+    uint64_t face = 0, line, count[FMT_MESH_KIND_COUNT];
     for (uint64_t end = block->face_sizes[0]; end <= corner; end += block->face_sizes[face])
         face++;
     int64_t distance = (int64_t)(block->corners[kind][corner] - OBJ_RELATIVE_ZERO);
-    int status = parse_up_to(reader->ctx, source, index, face, &line, count);
+    int status = parse_up_to(reader->base.ctx, source, index, face, &line, count);
     if (status)
         return status;
-    return bsq_fail(reader->ctx, BSQ_EDATA,
+    return bsq_fail(reader->base.ctx, BSQ_EDATA,
                     "%s:%" PRIu64 ": face refers to %s %" PRId64 ", file has %" PRIu64 " so far",
-                    source->path, source->lines + line + 1, fmt_obj_kind_names[kind],
+                    source->path, source->lines + line + 1, fmt_mesh_kind_names[kind],
                     distance - (int64_t)count[kind], source->count[kind] + count[kind]);
 }

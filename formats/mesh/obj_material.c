@@ -106,20 +106,20 @@ int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
 
 /* Enters one library; *exists is false, and nothing entered, where `only_existing` and no such
  * file is there. */
-static int enter_library(struct fmt_obj_reader *reader, uint32_t source, const char *name,
+static int enter_library(struct obj_reader *reader, uint32_t source, const char *name,
                          bool only_existing, bool *exists)
 {
     char *path = NULL;
     uint32_t number;
-    int status = fmt_path_find(reader->ctx, reader->sources[source].path, name, &path, exists);
+    int status = fmt_path_find(reader->base.ctx, reader->sources[source].path, name, &path, exists);
     if (!status && (*exists || !only_existing))
-        status = fmt_obj_names_enter(reader->ctx, &reader->libraries, source, path, &number);
-    bsq_free(reader->ctx, path);
+        status = fmt_obj_names_enter(reader->base.ctx, &reader->libraries, source, path, &number);
+    bsq_free(reader->base.ctx, path);
     return status;
 }
 
 /* The standard allows several names; in the wild one name with blanks is as common. */
-int fmt_obj_enter_libraries(struct fmt_obj_reader *reader, uint32_t source, const char *text)
+int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const char *text)
 {
     bool exists;
     if (!*text)
@@ -128,39 +128,24 @@ int fmt_obj_enter_libraries(struct fmt_obj_reader *reader, uint32_t source, cons
     if (status || exists)
         return status;
     char *names, *rest, *name;
-    if ((status = fmt_string_copy(reader->ctx, text, &names)))
+    if ((status = fmt_string_copy(reader->base.ctx, text, &names)))
         return status;
     for (name = strtok_r(names, " \t", &rest); name && !status; name = strtok_r(NULL, " \t", &rest))
         status = enter_library(reader, source, name, false, &exists);
-    bsq_free(reader->ctx, names);
+    bsq_free(reader->base.ctx, names);
     return status;
 }
 
-uint32_t fmt_obj_material_count(const struct fmt_obj_reader *reader)
+const char *fmt_obj_dependency(const struct fmt_mesh_reader *base, uint32_t index)
 {
-    return (uint32_t)reader->materials.count;
-}
-
-const char *fmt_obj_material_name(const struct fmt_obj_reader *reader, uint32_t material)
-{
-    return reader->materials.list[material].text;
-}
-
-uint32_t fmt_obj_library_count(const struct fmt_obj_reader *reader)
-{
-    return (uint32_t)reader->libraries.count;
-}
-
-const char *fmt_obj_library_path(const struct fmt_obj_reader *reader, uint32_t library)
-{
-    return reader->libraries.list[library].text;
+    const struct obj_reader *reader = (const struct obj_reader *)base;
+    return index < reader->libraries.count ? reader->libraries.list[index].text : NULL;
 }
 
 /* Describes the materials of one file from its own libraries. */
-static int read_materials_of(struct fmt_obj_reader *reader, uint32_t source,
-                             struct fmt_materials *out)
+static int read_materials_of(struct obj_reader *reader, uint32_t source, struct fmt_materials *out)
 {
-    struct bsq_ctx *ctx = reader->ctx;
+    struct bsq_ctx *ctx = reader->base.ctx;
     struct fmt_materials found = {0};
     int status = 0;
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
@@ -181,17 +166,17 @@ static int read_materials_of(struct fmt_obj_reader *reader, uint32_t source,
         if (from->texture_path)
             status = fmt_string_copy(ctx, from->texture_path, &material->texture_path);
     }
-    fmt_mtl_free(ctx, &found);
+    fmt_materials_free(ctx, &found);
     return status;
 }
 
-int fmt_obj_read_materials(struct fmt_obj_reader *reader, struct fmt_materials *out)
+int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
 {
+    struct obj_reader *reader = (struct obj_reader *)base;
     uint64_t count = reader->materials.count;
-    memset(out, 0, sizeof *out);
     if (count == 0)
         return 0;
-    int status = bsq_calloc(reader->ctx, "materials", count, sizeof *out->list, &out->list);
+    int status = bsq_calloc(reader->base.ctx, "materials", count, sizeof *out->list, &out->list);
     if (status)
         return status;
     out->count = (uint32_t)count;
@@ -201,6 +186,6 @@ int fmt_obj_read_materials(struct fmt_obj_reader *reader, struct fmt_materials *
     for (uint32_t source = 0; source < reader->source_count && !status; source++)
         status = read_materials_of(reader, source, out);
     if (status)
-        fmt_mtl_free(reader->ctx, out);
+        fmt_materials_free(reader->base.ctx, out);
     return status;
 }

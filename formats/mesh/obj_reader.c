@@ -13,24 +13,22 @@
 
 /* Unknown statements before anything that is OBJ until a file is taken for something else. */
 enum { patience_lines = 1000 };
-/* What a slot takes as a rule, in multiples of its text. */
-enum { slot_text_multiple = 4 };
 
 struct slot {
     uint32_t source;
     uint64_t index, offset;
     struct obj_block block;
-    struct fmt_obj_material_change *changes;
+    struct fmt_mesh_material_change *changes;
     uint64_t change_count, change_capacity;
-    struct fmt_obj_block view; /* of the block as callers see it, where it has text */
+    struct fmt_mesh_block view; /* of the block as callers see it, where it has text */
 };
 
-/* One fmt_obj_read() call. */
+/* One call of read_all(). */
 struct job {
-    struct fmt_obj_reader *reader;
-    const struct fmt_obj_steps *steps;
+    struct obj_reader *reader;
+    const struct fmt_mesh_steps *steps;
     void *arg;
-    struct fmt_obj_totals *totals;
+    struct fmt_mesh_totals *totals;
     struct slot *slots;
     /* produce's */
     uint32_t next_source;
@@ -39,7 +37,7 @@ struct job {
     uint32_t source; /* file of the last block */
     uint32_t material;
     uint64_t sequence, known_statements, skipped_in_file;
-    uint64_t totals_by_kind[OBJ_KIND_COUNT];
+    uint64_t totals_by_kind[FMT_MESH_KIND_COUNT];
 };
 
 /* ---- opening ---- */
@@ -49,43 +47,16 @@ static int open_source(struct bsq_ctx *ctx, const char *path, struct obj_source 
     int status = fmt_string_copy(ctx, path, &source->path);
     if (!status)
         status = bsq_file_open(ctx, path, &source->file);
-    if (!status)
-        status = fmt_obj_refuse_foreign(ctx, &source->file, path);
     source->size = source->file.size;
     source->block_count = source->size / OBJ_BLOCK_BYTES + (source->size % OBJ_BLOCK_BYTES != 0);
     bsq_file_close(ctx, &source->file);
     return status;
 }
 
-int fmt_obj_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                 struct fmt_obj_reader **out)
+static void close_reader(struct fmt_mesh_reader *base)
 {
-    *out = NULL;
-    struct fmt_obj_reader *reader;
-    int status = bsq_calloc(ctx, "OBJ reader", 1, sizeof *reader, &reader);
-    if (status)
-        return status;
-    reader->ctx = ctx;
-    status = bsq_calloc(ctx, "OBJ files", path_count, sizeof *reader->sources, &reader->sources);
-    if (!status) {
-        reader->source_count = path_count;
-        for (uint32_t i = 0; i < path_count; i++)
-            reader->sources[i].file.fd = -1;
-    }
-    for (uint32_t i = 0; i < path_count && !status; i++)
-        status = open_source(ctx, paths[i], &reader->sources[i]);
-    if (status)
-        fmt_obj_close(reader);
-    else
-        *out = reader;
-    return status;
-}
-
-void fmt_obj_close(struct fmt_obj_reader *reader)
-{
-    if (!reader)
-        return;
-    struct bsq_ctx *ctx = reader->ctx;
+    struct obj_reader *reader = (struct obj_reader *)base;
+    struct bsq_ctx *ctx = base->ctx;
     for (uint32_t i = 0; i < reader->source_count; i++) {
         bsq_file_close(ctx, &reader->sources[i].file);
         bsq_free(ctx, reader->sources[i].path);
@@ -97,13 +68,36 @@ void fmt_obj_close(struct fmt_obj_reader *reader)
     bsq_free(ctx, reader);
 }
 
+static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                       struct fmt_mesh_reader **out)
+{
+    struct obj_reader *reader;
+    int status = bsq_calloc(ctx, "OBJ reader", 1, sizeof *reader, &reader);
+    if (status)
+        return status;
+    reader->base.ctx = ctx;
+    status = bsq_calloc(ctx, "OBJ files", path_count, sizeof *reader->sources, &reader->sources);
+    if (!status) {
+        reader->source_count = path_count;
+        for (uint32_t i = 0; i < path_count; i++)
+            reader->sources[i].file.fd = -1;
+    }
+    for (uint32_t i = 0; i < path_count && !status; i++)
+        status = open_source(ctx, paths[i], &reader->sources[i]);
+    if (status)
+        close_reader(&reader->base);
+    else
+        *out = &reader->base;
+    return status;
+}
+
 /* ---- produce, work ---- */
 
 static int produce(void *arg, void *slot_memory, uint64_t sequence)
 {
     struct job *job = arg;
     struct slot *slot = slot_memory;
-    struct fmt_obj_reader *reader = job->reader;
+    struct obj_reader *reader = job->reader;
     (void)sequence;
     while (job->next_source < reader->source_count &&
            job->next_index == reader->sources[job->next_source].block_count) {
@@ -114,11 +108,11 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
         return 0;
     struct obj_source *source = &reader->sources[job->next_source];
     if (job->next_index == 0) {
-        int status = bsq_file_open(reader->ctx, source->path, &source->file);
+        int status = bsq_file_open(reader->base.ctx, source->path, &source->file);
         if (status)
             return status;
         if (source->file.size != source->size)
-            return bsq_fail(reader->ctx, BSQ_EDATA, "%s: changed while it was being read",
+            return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s: changed while it was being read",
                             source->path);
     }
     slot->source = job->next_source;
@@ -130,7 +124,7 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
 {
     struct job *job = arg;
     struct slot *slot = slot_memory;
-    struct bsq_ctx *ctx = job->reader->ctx;
+    struct bsq_ctx *ctx = job->reader->base.ctx;
     const struct obj_source *source = &job->reader->sources[slot->source];
     (void)sequence, (void)worker;
     int status = fmt_obj_text_load(ctx, &source->file, slot->index, &slot->block, &slot->offset);
@@ -143,23 +137,23 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
 
 /* Turns parsed corners of one kind into numbers over the whole scan. In a first file without
  * relative indices they are that already. */
-static int resolve_corners(struct job *job, struct slot *slot, enum obj_kind kind)
+static int resolve_corners(struct job *job, struct slot *slot, enum fmt_mesh_kind kind)
 {
     const struct obj_source *source = &job->reader->sources[slot->source];
     struct obj_block *block = &slot->block;
     uint64_t *corners = block->corners[kind], count = block->corner_count;
     uint64_t base = source->base[kind], local_base = source->count[kind];
-    bool always = kind == OBJ_VERTEX;
+    bool always = kind == FMT_MESH_VERTEX;
     if (!always && !block->has_corners[kind])
         return 0;
     if (!block->relative[kind]) {
         if (base)
             for (uint64_t i = 0; i < count; i++)
-                corners[i] = corners[i] == FMT_OBJ_NONE ? FMT_OBJ_NONE : corners[i] + base;
+                corners[i] = corners[i] == FMT_MESH_NONE ? FMT_MESH_NONE : corners[i] + base;
         return 0;
     }
     for (uint64_t i = 0; i < count; i++) {
-        if (corners[i] == FMT_OBJ_NONE)
+        if (corners[i] == FMT_MESH_NONE)
             continue;
         if (corners[i] >= OBJ_RELATIVE_LIMIT) {
             uint64_t index = corners[i] - OBJ_RELATIVE_ZERO + local_base;
@@ -176,37 +170,37 @@ static int add_change(struct job *job, struct slot *slot, uint64_t face, uint32_
 {
     int status = 0;
     if (slot->change_count == slot->change_capacity)
-        status = bsq_grow(job->reader->ctx, "OBJ statements", slot->change_count + 16,
+        status = bsq_grow(job->reader->base.ctx, "OBJ statements", slot->change_count + 16,
                           sizeof *slot->changes, &slot->changes, &slot->change_capacity);
     if (!status)
         slot->changes[slot->change_count++] =
-            (struct fmt_obj_material_change){.face = face, .material = material};
+            (struct fmt_mesh_material_change){.face = face, .material = material};
     return status;
 }
 
 /* Enters the names that usemtl and mtllib statements of the block say. */
 static int resolve_statements(struct job *job, struct slot *slot)
 {
-    struct fmt_obj_reader *reader = job->reader;
+    struct obj_reader *reader = job->reader;
     const struct obj_block *block = &slot->block;
     int status = 0;
     slot->change_count = 0;
     for (uint64_t i = 0; i < block->statement_count && !status; i++) {
         const struct obj_statement *statement = &block->statements[i];
         char *text;
-        if ((status = fmt_obj_statement_text(reader->ctx, block, statement, &text)))
+        if ((status = fmt_obj_statement_text(reader->base.ctx, block, statement, &text)))
             break;
         if (statement->kind == OBJ_MTLLIB) {
             status = fmt_obj_enter_libraries(reader, slot->source, text);
         } else {
-            uint32_t material = FMT_OBJ_NO_MATERIAL;
+            uint32_t material = FMT_MESH_NO_MATERIAL;
             if (*text)
-                status = fmt_obj_names_enter(reader->ctx, &reader->materials, slot->source, text,
-                                             &material);
+                status = fmt_obj_names_enter(reader->base.ctx, &reader->materials, slot->source,
+                                             text, &material);
             if (!status)
                 status = add_change(job, slot, statement->face, material);
         }
-        bsq_free(reader->ctx, text);
+        bsq_free(reader->base.ctx, text);
     }
     return status;
 }
@@ -214,12 +208,12 @@ static int resolve_statements(struct job *job, struct slot *slot)
 /* Notes where the block's faces are, for fmt_obj_locate_face(). */
 static int add_place(struct job *job, const struct slot *slot)
 {
-    struct fmt_obj_reader *reader = job->reader;
+    struct obj_reader *reader = job->reader;
     int status = 0;
     if (slot->block.face_count == 0)
         return 0;
     if (reader->place_count == reader->place_capacity)
-        status = bsq_grow(reader->ctx, "OBJ block table", reader->place_count + 16,
+        status = bsq_grow(reader->base.ctx, "OBJ block table", reader->place_count + 16,
                           sizeof *reader->places, &reader->places, &reader->place_capacity);
     if (!status)
         reader->places[reader->place_count++] = (struct obj_place){
@@ -236,7 +230,7 @@ static void enter_source(struct job *job, uint32_t number)
 {
     struct obj_source *source = &job->reader->sources[number];
     job->source = number;
-    job->material = FMT_OBJ_NO_MATERIAL;
+    job->material = FMT_MESH_NO_MATERIAL;
     job->known_statements = job->skipped_in_file = 0;
     memcpy(source->base, job->totals_by_kind, sizeof source->base);
     memset(source->count, 0, sizeof source->count);
@@ -250,12 +244,12 @@ static int check_is_obj(struct job *job, const struct slot *slot)
     const struct obj_source *source = &job->reader->sources[slot->source];
     bool last = slot->index + 1 == source->block_count;
     job->known_statements += block->known_lines + block->short_faces + block->face_count;
-    for (int kind = 0; kind < OBJ_KIND_COUNT; kind++)
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         job->known_statements += block->count[kind];
     job->skipped_in_file += block->skipped_lines;
     if (job->known_statements == 0 && block->skipped_lines > 0 &&
         (last || job->skipped_in_file >= patience_lines))
-        return bsq_fail(job->reader->ctx, BSQ_EDATA,
+        return bsq_fail(job->reader->base.ctx, BSQ_EDATA,
                         "%s:%" PRIu64 ": not an OBJ file: \"%s\" is no statement of that format",
                         source->path, source->lines + block->first_skipped + 1,
                         block->first_skipped_text);
@@ -265,28 +259,30 @@ static int check_is_obj(struct job *job, const struct slot *slot)
 static int call_on_block(struct job *job, struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
-    slot->view = (struct fmt_obj_block){
+    slot->view = (struct fmt_mesh_block){
         .sequence = job->sequence,
         .file = slot->source,
         .byte_offset = slot->offset,
         .byte_size = block->size,
-        .vertex_count = block->count[OBJ_VERTEX],
+        .vertex_count = block->count[FMT_MESH_VERTEX],
         .vertex_base = job->totals->vertices,
         .positions = (const double(*)[3])block->positions,
         .colors = block->has_colors ? (const float(*)[3])block->colors : NULL,
-        .texcoord_count = block->count[OBJ_TEXCOORD],
+        .texcoord_count = block->count[FMT_MESH_TEXCOORD],
         .texcoord_base = job->totals->texcoords,
         .texcoords = (const double(*)[2])block->texcoords,
-        .normal_count = block->count[OBJ_NORMAL],
+        .normal_count = block->count[FMT_MESH_NORMAL],
         .normal_base = job->totals->normals,
         .normals = (const float(*)[3])block->normals,
         .face_count = block->face_count,
         .face_base = job->totals->faces,
         .face_sizes = block->face_sizes,
         .corner_count = block->corner_count,
-        .corner_vertices = block->corners[OBJ_VERTEX],
-        .corner_texcoords = block->has_corners[OBJ_TEXCOORD] ? block->corners[OBJ_TEXCOORD] : NULL,
-        .corner_normals = block->has_corners[OBJ_NORMAL] ? block->corners[OBJ_NORMAL] : NULL,
+        .corner_vertices = block->corners[FMT_MESH_VERTEX],
+        .corner_texcoords =
+            block->has_corners[FMT_MESH_TEXCOORD] ? block->corners[FMT_MESH_TEXCOORD] : NULL,
+        .corner_normals =
+            block->has_corners[FMT_MESH_NORMAL] ? block->corners[FMT_MESH_NORMAL] : NULL,
         .material_change_count = slot->change_count,
         .material_changes = slot->changes,
         .material_at_start = job->material,
@@ -299,21 +295,24 @@ static void pass_block(struct job *job, const struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
     struct obj_source *source = &job->reader->sources[slot->source];
-    struct fmt_obj_totals *totals = job->totals;
-    for (int kind = 0; kind < OBJ_KIND_COUNT; kind++) {
+    struct fmt_mesh_totals *totals = job->totals;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         source->count[kind] += block->count[kind];
         job->totals_by_kind[kind] += block->count[kind];
     }
     source->lines += block->lines;
     totals->bytes += block->size;
-    totals->vertices = job->totals_by_kind[OBJ_VERTEX];
-    totals->texcoords = job->totals_by_kind[OBJ_TEXCOORD];
-    totals->normals = job->totals_by_kind[OBJ_NORMAL];
+    totals->vertices = job->totals_by_kind[FMT_MESH_VERTEX];
+    totals->texcoords = job->totals_by_kind[FMT_MESH_TEXCOORD];
+    totals->normals = job->totals_by_kind[FMT_MESH_NORMAL];
     totals->faces += block->face_count;
     totals->corners += block->corner_count;
     totals->skipped_lines += block->skipped_lines;
     totals->short_faces += block->short_faces;
-    totals->has_polypaint |= block->has_polypaint;
+    totals->materials = (uint32_t)job->reader->materials.count;
+    if (block->has_polypaint)
+        totals->unread_colors =
+            "ZBrush's polypaint is not read: export a texture of it for --texture";
     if (slot->change_count)
         job->material = slot->changes[slot->change_count - 1].material;
     job->sequence += block->size > 0;
@@ -326,10 +325,10 @@ static int emit_text(struct job *job, struct slot *slot)
     const struct obj_source *source = &job->reader->sources[slot->source];
     const struct obj_block *block = &slot->block;
     int status = 0;
-    for (enum obj_kind kind = OBJ_VERTEX; kind < OBJ_KIND_COUNT && !status; kind++)
+    for (enum fmt_mesh_kind kind = FMT_MESH_VERTEX; kind < FMT_MESH_KIND_COUNT && !status; kind++)
         status = resolve_corners(job, slot, kind);
     if (!status && block->failed)
-        status = bsq_fail(job->reader->ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s", source->path,
+        status = bsq_fail(job->reader->base.ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s", source->path,
                           source->lines + block->lines + 1, block->error);
     if (!status)
         status = check_is_obj(job, slot);
@@ -353,7 +352,7 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     if (!status)
         pass_block(job, slot);
     if (slot->index + 1 == source->block_count)
-        bsq_file_close(job->reader->ctx, &source->file);
+        bsq_file_close(job->reader->base.ctx, &source->file);
     return status;
 }
 
@@ -381,29 +380,10 @@ static int finish(void *arg, void *slot_memory, uint64_t sequence)
 
 /* ---- reading ---- */
 
-/* Two slots a thread keep all busy as a rule. Four outlast a serial step that takes long now and
- * then, as where it touches memory for the first time; they may take a small part of the budget. */
-unsigned fmt_obj_slots_for(uint64_t memory_bytes, unsigned threads)
-{
-    uint64_t affordable = memory_bytes / 8 / (slot_text_multiple * OBJ_BLOCK_BYTES);
-    uint64_t count = 2 * (uint64_t)threads, generous = affordable / 4;
-    if (count > affordable)
-        count = affordable > 2 ? affordable : 2;
-    else if (count < generous)
-        count = generous < 2 * count ? generous : 2 * count;
-    return (unsigned)count;
-}
-
-unsigned fmt_obj_max_slots(const struct fmt_obj_reader *reader)
-{
-    const struct bsq_ctx *ctx = reader->ctx;
-    return fmt_obj_slots_for(bsq_memory_limit(ctx), bsq_threads(ctx));
-}
-
 static int run_job(struct job *job, uint64_t blocks)
 {
-    struct bsq_ctx *ctx = job->reader->ctx;
-    unsigned slot_count = fmt_obj_max_slots(job->reader);
+    struct bsq_ctx *ctx = job->reader->base.ctx;
+    unsigned slot_count = fmt_mesh_max_slots(&job->reader->base);
     if (slot_count > blocks)
         slot_count = blocks > 1 ? (unsigned)blocks : 1;
     struct slot *slots;
@@ -431,32 +411,35 @@ static int run_job(struct job *job, uint64_t blocks)
     return status;
 }
 
-int fmt_obj_read_steps(struct fmt_obj_reader *reader, const struct fmt_obj_steps *steps, void *arg,
-                       struct fmt_obj_totals *totals)
+static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
+                    struct fmt_mesh_totals *totals)
 {
-    struct fmt_obj_totals unused = {0};
+    struct obj_reader *reader = (struct obj_reader *)base;
     struct job job = {
         .reader = reader,
         .steps = steps,
         .arg = arg,
-        .totals = totals ? totals : &unused,
-        .material = FMT_OBJ_NO_MATERIAL,
+        .totals = totals,
+        .material = FMT_MESH_NO_MATERIAL,
     };
     uint64_t blocks = 0;
-    memset(job.totals, 0, sizeof *job.totals);
     reader->place_count = 0;
     for (uint32_t i = 0; i < reader->source_count; i++)
         blocks += reader->sources[i].block_count;
     int status = run_job(&job, blocks);
     for (uint32_t i = 0; i < reader->source_count; i++)
-        bsq_file_close(reader->ctx, &reader->sources[i].file);
+        bsq_file_close(base->ctx, &reader->sources[i].file);
     return status;
 }
 
-int fmt_obj_read(struct fmt_obj_reader *reader,
-                 int (*on_block)(void *arg, const struct fmt_obj_block *block), void *arg,
-                 struct fmt_obj_totals *totals)
-{
-    const struct fmt_obj_steps steps = {.on_block = on_block};
-    return fmt_obj_read_steps(reader, &steps, arg, totals);
-}
+const struct fmt_mesh_format fmt_obj_format = {
+    .name = "OBJ",
+    .suffix = ".obj",
+    .open = open_reader,
+    .close = close_reader,
+    .read = read_all,
+    .estimate = fmt_obj_estimate,
+    .locate_face = fmt_obj_locate_face,
+    .read_materials = fmt_obj_read_materials,
+    .dependency = fmt_obj_dependency,
+};

@@ -72,14 +72,15 @@ static int sample_file(struct bsq_ctx *ctx, const char *path, struct counts *cou
     return status;
 }
 
-int fmt_obj_estimate(const struct fmt_obj_reader *reader, struct fmt_obj_estimate *out)
+int fmt_obj_estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
 {
+    const struct obj_reader *reader = (const struct obj_reader *)base;
     int status = 0;
-    *out = (struct fmt_obj_estimate){.faces_come_last = reader->source_count == 1};
+    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
     for (uint32_t i = 0; status == 0 && i < reader->source_count; i++) {
         struct counts counts = {0};
         uint64_t bytes = 0;
-        status = sample_file(reader->ctx, reader->sources[i].path, &counts, &bytes);
+        status = sample_file(reader->base.ctx, reader->sources[i].path, &counts, &bytes);
         double scale = counts.bytes > 0 ? (double)bytes / (double)counts.bytes : 0.0;
         out->vertices += (uint64_t)(scale * (double)counts.vertices);
         out->texcoords += (uint64_t)(scale * (double)counts.texcoords);

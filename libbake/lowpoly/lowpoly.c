@@ -71,26 +71,6 @@ static void copy_positions(const struct fmt_mesh *mesh, struct bake_lowmesh *out
     }
 }
 
-/* Reports the line of a face without texture coordinates. Reads the file again to find it. */
-static int fail_texcoords(struct bsq_ctx *ctx, const char *path, uint64_t face)
-{
-    struct fmt_obj_reader *reader = NULL;
-    struct fmt_obj_totals totals;
-    const char *file = path;
-    uint64_t line = 0;
-
-    int rc = fmt_obj_open(ctx, &path, 1, &reader);
-    if (rc == 0)
-        rc = fmt_obj_read(reader, NULL, NULL, &totals);
-    if (rc == 0)
-        rc = fmt_obj_locate_face(reader, face, &file, &line);
-    if (rc == 0)
-        rc = bsq_fail(ctx, BSQ_EDATA, "%s:%llu: face has no texture coordinates", file,
-                      (unsigned long long)line);
-    fmt_obj_close(reader);
-    return rc;
-}
-
 static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
                           struct bake_lowmesh *out)
 {
@@ -101,7 +81,7 @@ static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fm
         for (int i = 0; i < 3; i++) {
             uint32_t index = mesh->corner_texcoords[t][i];
             if (index == UINT32_MAX)
-                return fail_texcoords(ctx, path, mesh->faces[t]);
+                return fmt_mesh_fail_face(ctx, path, mesh->faces[t], "has no texture coordinates");
             for (int k = 0; k < 2; k++) {
                 double value = mesh->texcoords[index][k];
                 out->texcoords[t][i][k] = (float)fmin(fmax(value, -FLT_MAX), FLT_MAX);

@@ -3,7 +3,7 @@
 #ifndef BAKE_LOWPOLY_LOWPOLY_H
 #define BAKE_LOWPOLY_LOWPOLY_H
 
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 
 struct bake_lowmesh {
     uint64_t triangle_count;

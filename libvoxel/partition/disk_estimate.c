@@ -5,7 +5,7 @@
 /* Bytes of a triangle, coded by the indices of one kind. */
 #define BYTES_BY_INDEX 2
 
-static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
+static uint64_t vertex_bytes(const struct fmt_mesh_estimate *scan)
 {
     return 12 + (scan->has_colors ? 4 : 0) + (scan->texcoords > 0 ? 8 : 0) +
            (scan->normals > 0 ? 4 : 0);
@@ -13,14 +13,14 @@ static uint64_t vertex_bytes(const struct fmt_obj_estimate *scan)
 
 /* Where columns are in a file: what faces take that do not come last, and triangles in their cells.
  * Scans that have to be joined with values need more, which only shows when they are read. */
-static uint64_t faces_and_runs(const struct fmt_obj_estimate *scan,
+static uint64_t faces_and_runs(const struct fmt_mesh_estimate *scan,
                                const struct sort_limits *limits, uint64_t coded)
 {
     return (scan->faces_come_last ? 0 : coded) +
            (coded > limits->page_memory ? coded - limits->page_memory : 0);
 }
 
-struct space vox_disk_estimate(const struct fmt_obj_estimate *scan,
+struct space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
                                const struct sort_limits *limits)
 {
     const uint64_t triangles =

@@ -2,7 +2,7 @@
 #ifndef VOX_PARTITION_DISK_ESTIMATE_H
 #define VOX_PARTITION_DISK_ESTIMATE_H
 
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "libvoxel/sort_limits.h"
 
 struct space {
@@ -12,7 +12,7 @@ struct space {
 
 /* For a scan of this size, as a rule: faces that refer to vertices in their order or nearly so.
  * Others need more, and end when the disk is full; so no scan is refused that has room. */
-struct space vox_disk_estimate(const struct fmt_obj_estimate *scan,
+struct space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
                                const struct sort_limits *limits);
 
 #endif

@@ -62,7 +62,7 @@ static int distribute_group(struct cells *buckets, const struct face_group *grou
     const uint64_t mask = ((uint64_t)1 << shift) - 1;
     int status = 0;
     for (uint32_t c = 0; status == 0 && c < group->corner_count; c++) {
-        if (indices[c] == FMT_OBJ_NONE || repeated_corner(group, indices, c) != NOT_REPEATED)
+        if (indices[c] == FMT_MESH_NONE || repeated_corner(group, indices, c) != NOT_REPEATED)
             continue;
         uint32_t local = (uint32_t)(indices[c] & mask);
         status = vox_buckets_add(buckets, (uint32_t)(indices[c] >> shift), &local, sizeof local, 1);
@@ -284,7 +284,7 @@ static int fetch_file(struct join *join, struct joined *column, const struct fac
     for (uint32_t c = 0; c < group->corner_count; c++) {
         const uint8_t *from;
         int status = 0;
-        if (indices[c] == FMT_OBJ_NONE)
+        if (indices[c] == FMT_MESH_NONE)
             continue;
         uint32_t before = repeated_corner(group, indices, c);
         if (before != NOT_REPEATED)
@@ -305,7 +305,7 @@ static void fetch_memory(const struct column *column, const uint64_t *indices, u
 {
     const uint32_t bytes = column->element_bytes;
     for (uint32_t c = 0; c < count; c++, to += bytes)
-        if (indices[c] != FMT_OBJ_NONE)
+        if (indices[c] != FMT_MESH_NONE)
             memcpy(to, column_at(column, indices[c], bytes), bytes);
 }
 

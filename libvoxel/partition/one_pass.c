@@ -31,7 +31,7 @@ struct direct {
     atomic_bool gave_up;
 };
 
-int vox_one_pass_open(struct scan *scan, const struct fmt_obj_reader *reader, const char *beside,
+int vox_one_pass_open(struct scan *scan, const struct fmt_mesh_reader *reader, const char *beside,
                       struct scattered *out, struct direct **direct)
 {
     struct direct *d;
@@ -42,7 +42,7 @@ int vox_one_pass_open(struct scan *scan, const struct fmt_obj_reader *reader, co
     d->scan = scan;
     d->beside = beside;
     d->out = out;
-    d->slot_count = fmt_obj_max_slots(reader);
+    d->slot_count = fmt_mesh_max_slots(reader);
     status = bsq_calloc(scan->ctx, "faces", d->slot_count, sizeof *d->slots, &d->slots);
     if (status < 0) {
         vox_one_pass_close(d);
@@ -176,12 +176,12 @@ static int decide(struct direct *direct)
 
 /* ---- the steps ---- */
 
-static bool has_elements(const struct fmt_obj_block *block)
+static bool has_elements(const struct fmt_mesh_block *block)
 {
     return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0;
 }
 
-static int on_block(void *arg, const struct fmt_obj_block *block)
+static int on_block(void *arg, const struct fmt_mesh_block *block)
 {
     struct direct *direct = arg;
     int status = bsq_check(direct->scan->ctx);
@@ -211,7 +211,7 @@ static bool any_none(const uint64_t *indices, uint64_t count)
 {
     bool any = false;
     for (uint64_t i = 0; i < count; i++)
-        any |= indices[i] == FMT_OBJ_NONE;
+        any |= indices[i] == FMT_MESH_NONE;
     return any;
 }
 
@@ -219,13 +219,13 @@ static bool any_none(const uint64_t *indices, uint64_t count)
 static bool any_index(const uint64_t *indices, uint64_t count)
 {
     for (uint64_t i = 0; i < count; i++)
-        if (indices[i] != FMT_OBJ_NONE)
+        if (indices[i] != FMT_MESH_NONE)
             return true;
     return false;
 }
 
 /* All indices of the block are those of elements that were read. */
-static bool indices_are_known(const struct scan *scan, const struct fmt_obj_block *block,
+static bool indices_are_known(const struct scan *scan, const struct fmt_mesh_block *block,
                               struct block_slot *slot)
 {
     const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
@@ -237,7 +237,7 @@ static bool indices_are_known(const struct scan *scan, const struct fmt_obj_bloc
            (!texcoords || all_below(texcoords, count, scan_count(scan, SCAN_TEXCOORDS)));
 }
 
-static int copy_changes(struct block_slot *slot, const struct fmt_obj_block *block)
+static int copy_changes(struct block_slot *slot, const struct fmt_mesh_block *block)
 {
     struct bsq_ctx *ctx = slot->splitter.ctx;
     int status = bsq_grow(ctx, "faces", block->material_change_count, sizeof *slot->changes,
@@ -248,7 +248,7 @@ static int copy_changes(struct block_slot *slot, const struct fmt_obj_block *blo
     return status;
 }
 
-static uint32_t largest_face(const struct fmt_obj_block *block)
+static uint32_t largest_face(const struct fmt_mesh_block *block)
 {
     uint32_t largest = 3;
     if (block->corner_count == 3 * block->face_count)
@@ -258,7 +258,7 @@ static uint32_t largest_face(const struct fmt_obj_block *block)
     return largest;
 }
 
-static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
+static int follow(void *arg, const struct fmt_mesh_block *block, unsigned number)
 {
     struct direct *direct = arg;
     if (has_elements(block))
@@ -296,7 +296,7 @@ static int follow(void *arg, const struct fmt_obj_block *block, unsigned number)
     return status < 0 && slot->splitter.gave_up ? give_up(direct) : status;
 }
 
-static int finish(void *arg, const struct fmt_obj_block *block, unsigned number)
+static int finish(void *arg, const struct fmt_mesh_block *block, unsigned number)
 {
     struct direct *direct = arg;
     if (block->face_count == 0 || !direct->active)
@@ -312,4 +312,4 @@ static int finish(void *arg, const struct fmt_obj_block *block, unsigned number)
     return vox_partition_collect(direct->out, &slot->splitter);
 }
 
-const struct fmt_obj_steps vox_one_pass_steps = {on_block, follow, finish};
+const struct fmt_mesh_steps vox_one_pass_steps = {on_block, follow, finish};

@@ -12,12 +12,12 @@
 struct direct;
 
 /* `out` is filled while the scan is read. */
-int vox_one_pass_open(struct scan *scan, const struct fmt_obj_reader *reader, const char *beside,
+int vox_one_pass_open(struct scan *scan, const struct fmt_mesh_reader *reader, const char *beside,
                       struct scattered *out, struct direct **direct);
 void vox_one_pass_close(struct direct *direct);
 
-/* The steps of fmt_obj_read_steps(); struct direct is `arg`. */
-extern const struct fmt_obj_steps vox_one_pass_steps;
+/* The steps of fmt_mesh_read_steps(); struct direct is `arg`. */
+extern const struct fmt_mesh_steps vox_one_pass_steps;
 
 /* Reading failed without an error because the scan is not of that kind. */
 bool vox_one_pass_gave_up(const struct direct *direct);

@@ -91,7 +91,7 @@ static void decode_indices(const struct record_layout *layout, unsigned form, co
     struct corner_code codes[FACE_KIND_COUNT] = {0};
     for (uint32_t t = 0; t < count; t++, to += layout->bytes)
         for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
-            uint64_t index[3] = {FMT_OBJ_NONE, FMT_OBJ_NONE, FMT_OBJ_NONE};
+            uint64_t index[3] = {FMT_MESH_NONE, FMT_MESH_NONE, FMT_MESH_NONE};
             if (form >> kind & 1)
                 from = corner_code_get(&codes[kind], from, index);
             if (layout->index_bytes[kind] == 0)

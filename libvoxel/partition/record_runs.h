@@ -31,7 +31,7 @@ struct run_header {
 /* Names what material_map is asked for, which is made only when all faces are read. */
 static inline uint32_t run_material(uint32_t usemtl, bool lacks_texcoord)
 {
-    return (usemtl + 1) << 1 | lacks_texcoord; /* FMT_OBJ_NO_MATERIAL becomes 0 */
+    return (usemtl + 1) << 1 | lacks_texcoord; /* FMT_MESH_NO_MATERIAL becomes 0 */
 }
 
 /* Bytes of one triangle, at most. */

@@ -115,7 +115,7 @@ static inline bool lacks_texcoord(const struct face_group *group, uint32_t a, ui
                                   uint32_t c)
 {
     const uint64_t *t = group->indices[FACE_TEXCOORD];
-    return !t || t[a] == FMT_OBJ_NONE || t[b] == FMT_OBJ_NONE || t[c] == FMT_OBJ_NONE;
+    return !t || t[a] == FMT_MESH_NONE || t[b] == FMT_MESH_NONE || t[c] == FMT_MESH_NONE;
 }
 
 /* The next `count` triangles are in this cell. */

@@ -46,7 +46,7 @@ struct face_range {
     bool triangles;
 };
 
-static uint64_t encoded_bound(const struct fmt_obj_block *block, const struct face_range *range)
+static uint64_t encoded_bound(const struct fmt_mesh_block *block, const struct face_range *range)
 {
     uint64_t kinds = 1u + !!block->corner_texcoords + !!block->corner_normals;
     uint64_t triangles =
@@ -57,7 +57,7 @@ static uint64_t encoded_bound(const struct fmt_obj_block *block, const struct fa
 }
 
 uint64_t vox_face_store_append_cost(const struct face_store *store,
-                                    const struct fmt_obj_block *block)
+                                    const struct fmt_mesh_block *block)
 {
     (void)store;
     struct face_range all = {.face_count = block->face_count,
@@ -69,7 +69,7 @@ uint64_t vox_face_store_append_cost(const struct face_store *store,
     return encoded_bound(block, &all) + 4 * groups + FACE_SEGMENT_BYTES;
 }
 
-static struct face_range next_range(const struct fmt_obj_block *block,
+static struct face_range next_range(const struct fmt_mesh_block *block,
                                     const struct face_range *before)
 {
     struct face_range r = {
@@ -97,11 +97,11 @@ static struct face_range next_range(const struct fmt_obj_block *block,
     return r;
 }
 
-static uint8_t *encode_changes(const struct fmt_obj_block *block, const struct face_range *range,
+static uint8_t *encode_changes(const struct fmt_mesh_block *block, const struct face_range *range,
                                uint8_t *to)
 {
     for (uint64_t i = 0; i < range->change_count; i++) {
-        const struct fmt_obj_material_change *from =
+        const struct fmt_mesh_material_change *from =
             &block->material_changes[range->first_change + i];
         struct face_change change = {(uint32_t)(from->face - range->first_face), from->material};
         memcpy(to, &change, sizeof change);
@@ -110,7 +110,7 @@ static uint8_t *encode_changes(const struct fmt_obj_block *block, const struct f
     return to;
 }
 
-static void describe(struct face_group_info *info, const struct fmt_obj_block *block,
+static void describe(struct face_group_info *info, const struct fmt_mesh_block *block,
                      const struct face_range *range)
 {
     memset(info, 0, sizeof *info);
@@ -132,7 +132,7 @@ static uint8_t *encode_triangles(const uint64_t *indices, uint64_t count, uint8_
     uint64_t largest = 0, any_none = 0;
     for (uint64_t i = 0; i < count; i += 3) {
         for (uint64_t k = i; k < i + 3; k++) {
-            uint64_t next = indices[k] + 1; /* FMT_OBJ_NONE becomes 0 */
+            uint64_t next = indices[k] + 1; /* FMT_MESH_NONE becomes 0 */
             largest = next > largest ? next : largest;
             any_none |= next == 0;
         }
@@ -152,7 +152,7 @@ static const uint8_t *decode_triangles(const uint8_t *from, uint64_t count, uint
 }
 
 /* Encodes into the scratch buffer, which has room. */
-static uint8_t *encode_group(struct face_store *store, const struct fmt_obj_block *block,
+static uint8_t *encode_group(struct face_store *store, const struct fmt_mesh_block *block,
                              const struct face_range *range, struct face_group_info *info)
 {
     const uint64_t *kinds[FACE_KIND_COUNT] = {block->corner_vertices, block->corner_texcoords,
@@ -203,7 +203,7 @@ static void raise_u32(uint32_t *max, uint64_t value)
         *max = (uint32_t)value;
 }
 
-static int append_group(struct face_store *store, const struct fmt_obj_block *block,
+static int append_group(struct face_store *store, const struct fmt_mesh_block *block,
                         const struct face_range *range)
 {
     int status;
@@ -236,7 +236,7 @@ static int append_group(struct face_store *store, const struct fmt_obj_block *bl
     return 0;
 }
 
-int vox_face_store_append(struct face_store *store, const struct fmt_obj_block *block)
+int vox_face_store_append(struct face_store *store, const struct fmt_mesh_block *block)
 {
     struct face_range range = {0};
     int status = 0;

@@ -9,7 +9,7 @@
 #ifndef VOX_READ_FACE_STORE_H
 #define VOX_READ_FACE_STORE_H
 
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "libvoxel/read/spill_buffer.h"
 
 #define FACE_GROUP_FACES   16384u
@@ -22,7 +22,7 @@ struct face_group_info {
     uint32_t bytes;
     uint32_t face_count, corner_count;
     uint32_t change_count;           /* of the material inside of the group */
-    uint32_t first_material;         /* FMT_OBJ_NO_MATERIAL: none */
+    uint32_t first_material;         /* FMT_MESH_NO_MATERIAL: none */
     bool triangles;                  /* all faces have three corners */
     bool has_kind[FACE_KIND_COUNT];  /* stored */
     bool has_index[FACE_KIND_COUNT]; /* and not "none" for all corners */
@@ -52,7 +52,7 @@ struct face_group {
     uint64_t first_face;
     uint32_t face_count, corner_count, change_count, first_material;
     const uint32_t *sizes;
-    const uint64_t *indices[FACE_KIND_COUNT]; /* FMT_OBJ_NONE: the corner has none */
+    const uint64_t *indices[FACE_KIND_COUNT]; /* FMT_MESH_NONE: the corner has none */
     const struct face_change *changes;
 };
 
@@ -61,8 +61,8 @@ void vox_face_store_free(struct face_store *store);
 
 /* Most bytes of memory that vox_face_store_append() may add to the spool for this block. */
 uint64_t vox_face_store_append_cost(const struct face_store *store,
-                                    const struct fmt_obj_block *block);
-int vox_face_store_append(struct face_store *store, const struct fmt_obj_block *block);
+                                    const struct fmt_mesh_block *block);
+int vox_face_store_append(struct face_store *store, const struct fmt_mesh_block *block);
 /* Call once after the last append. */
 int vox_face_store_finish(struct face_store *store);
 

@@ -45,7 +45,7 @@ uint8_t *vox_index_code_encode(const uint64_t *indices, uint64_t count, uint8_t 
         unsigned bits = 0;
         uint64_t group = count - i < 4 ? count - i : 4;
         for (unsigned k = 0; k < group; k++, i++) {
-            uint64_t index = indices[i] + 1; /* FMT_OBJ_NONE becomes 0 */
+            uint64_t index = indices[i] + 1; /* FMT_MESH_NONE becomes 0 */
             bits |= put(&data, zigzag(index - before)) << 2 * k;
             largest = index > largest ? index : largest;
             any_none |= index == 0;

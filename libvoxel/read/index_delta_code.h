@@ -18,7 +18,7 @@
 uint64_t vox_index_code_bound(uint64_t count);
 
 /* Returns the end of what was written. *end: one more than the largest index, 0 if there
- * is none; *none: FMT_OBJ_NONE is among them. */
+ * is none; *none: FMT_MESH_NONE is among them. */
 uint8_t *vox_index_code_encode(const uint64_t *indices, uint64_t count, uint8_t *to, uint64_t *end,
                                bool *none);
 uint8_t *vox_index_code_encode_sizes(const uint32_t *sizes, uint64_t count, uint8_t *to);

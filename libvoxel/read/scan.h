@@ -2,7 +2,7 @@
 #ifndef VOX_READ_SCAN_H
 #define VOX_READ_SCAN_H
 
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "formats/chunks/tris.h"
 #include "libvoxel/read/attribute_stream.h"
 #include "libvoxel/read/face_store.h"
@@ -25,7 +25,7 @@ enum scan_column {
 struct scan {
     struct bsq_ctx *ctx;
     const struct sort_limits *limits;
-    const char *const *obj_paths;
+    const char *const *paths;
     struct column columns[SCAN_COLUMN_COUNT];
     struct face_store faces;
     double origin[3];
@@ -34,7 +34,7 @@ struct scan {
     float color_scale;        /* file's value to 0..255 */
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
-    struct fmt_obj_totals totals;
+    struct fmt_mesh_totals totals;
 
     /* Filled by vox_scan_find_materials(). */
     uint32_t attributes; /* of enum fmt_tris_attribute */
@@ -47,23 +47,23 @@ struct scan {
 };
 
 void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
-                   const char *const *obj_paths, const char *tris_path);
+                   const char *const *scan_paths, const char *tris_path);
 void vox_scan_free(struct scan *scan);
 
 /* Add what one block says, in the order of the file. */
-int vox_scan_add_elements(struct scan *scan, const struct fmt_obj_block *block);
+int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block);
 /* Touches memory that columns will fill next; from any thread. */
 void vox_scan_touch_ahead(struct scan *scan);
-int vox_scan_add_faces(struct scan *scan, const struct fmt_obj_block *block);
-/* Both, for fmt_obj_read(); struct scan is `arg`. */
-int vox_scan_add_block(void *arg, const struct fmt_obj_block *block);
+int vox_scan_add_faces(struct scan *scan, const struct fmt_mesh_block *block);
+/* Both, for fmt_mesh_read(); struct scan is `arg`. */
+int vox_scan_add_block(void *arg, const struct fmt_mesh_block *block);
 /* Nothing follows in the columns, which can be read from then on; a second call does nothing. */
 int vox_scan_finish_columns(struct scan *scan);
 /* Call after the last block. Checks all indices; the first one out of range is the error. */
-int vox_scan_finish(struct scan *scan, struct fmt_obj_reader *reader);
+int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 
 /* Reads the MTL files and decides on attributes and materials. */
-int vox_scan_find_materials(struct scan *scan, struct fmt_obj_reader *reader,
+int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path);
 
 /* The sorted file has this column's attribute. Known after vox_scan_find_materials(). */

@@ -4,7 +4,6 @@
  * texture or a colour. Texture coordinates are kept where some texture will be looked up with them.
  * A textured material has a second entry without texture for triangles that lack texture
  * coordinates. */
-#include "formats/mesh/mtl.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -62,7 +61,7 @@ static int use_single_texture(struct scan *scan, const char *texture_path)
     return 0;
 }
 
-static int add_from_mtl(struct scan *scan, const struct fmt_material *from, uint32_t usemtl)
+static int add_own_material(struct scan *scan, const struct fmt_material *from, uint32_t usemtl)
 {
     uint32_t *map = &scan->material_map[2 * usemtl];
     bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0;
@@ -85,28 +84,28 @@ static int add_from_mtl(struct scan *scan, const struct fmt_material *from, uint
     return 0;
 }
 
-static int use_mtl_files(struct scan *scan, struct fmt_obj_reader *reader)
+static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     struct fmt_materials found = {0};
-    int status = fmt_obj_read_materials(reader, &found);
+    int status = fmt_mesh_read_materials(reader, &found);
     for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++)
-        status = add_from_mtl(scan, &found.list[i], i);
-    fmt_mtl_free(scan->ctx, &found);
+        status = add_own_material(scan, &found.list[i], i);
+    fmt_materials_free(scan->ctx, &found);
     return status;
 }
 
-int vox_scan_find_materials(struct scan *scan, struct fmt_obj_reader *reader,
+int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path)
 {
-    int status = allocate_tables(scan, fmt_obj_material_count(reader));
+    int status = allocate_tables(scan, scan->totals.materials);
     if (status < 0)
         return status;
     if (!texture_path)
-        status = use_mtl_files(scan, reader);
+        status = use_own_materials(scan, reader);
     else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
         status = use_single_texture(scan, texture_path);
     else
-        bsq_warn(scan->ctx, "%s: no texture coordinates, %s is not used", scan->obj_paths[0],
+        bsq_warn(scan->ctx, "%s: no texture coordinates, %s is not used", scan->paths[0],
                  texture_path);
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |

@@ -15,12 +15,12 @@
 static const float largest_of_one = 2.0f;
 
 void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
-                   const char *const *obj_paths, const char *tris_path)
+                   const char *const *scan_paths, const char *tris_path)
 {
     memset(scan, 0, sizeof *scan);
     scan->ctx = ctx;
     scan->limits = limits;
-    scan->obj_paths = obj_paths;
+    scan->paths = scan_paths;
     const uint32_t shift = limits->column_shift;
     column_init(&scan->columns[SCAN_POSITIONS], ctx, "vertices", tris_path, 12, shift);
     column_init(&scan->columns[SCAN_COLORS], ctx, "colours", tris_path, 4, shift);
@@ -89,7 +89,7 @@ static void column_advance(struct scan *scan, enum scan_column number, uint64_t 
 
 /* A scan far from zero in relation to its size would lose detail as float32. The first block stands
  * for the scan, so that one pass is enough. */
-static void choose_origin(struct scan *scan, const struct fmt_obj_block *block)
+static void choose_origin(struct scan *scan, const struct fmt_mesh_block *block)
 {
     double low[3], high[3];
     for (int axis = 0; axis < 3; axis++) {
@@ -107,21 +107,20 @@ static void choose_origin(struct scan *scan, const struct fmt_obj_block *block)
     scan->origin_known = true;
 }
 
-static int fail_vertex(const struct scan *scan, const struct fmt_obj_block *block)
+static int fail_vertex(const struct scan *scan, const struct fmt_mesh_block *block)
 {
     for (uint64_t v = 0; v < block->vertex_count; v++)
         for (int axis = 0; axis < 3; axis++) {
             double p = block->positions[v][axis];
             if (!(fabs(p - scan->origin[axis]) <= FLT_MAX))
-                return bsq_fail(scan->ctx, BSQ_EDATA,
-                                "%s: vertex %llu of the scan: coordinate %g is too large",
-                                scan->obj_paths[block->file],
-                                (unsigned long long)(block->vertex_base + v + 1), p);
+                return bsq_fail(
+                    scan->ctx, BSQ_EDATA, "%s: vertex %llu of the scan: coordinate %g is too large",
+                    scan->paths[block->file], (unsigned long long)(block->vertex_base + v + 1), p);
         }
     return BSQ_EBUG;
 }
 
-static int add_positions(struct scan *scan, const struct fmt_obj_block *block)
+static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
 {
     const double o[3] = {scan->origin[0], scan->origin[1], scan->origin[2]};
     float low[3], high[3], poison = 0.0f;
@@ -162,7 +161,7 @@ static bool color_given(const float color[3])
 
 /* Of 0..1 or of 0..255, as the first colours say. Light that a tool left a little above 1 must not
  * turn the scan black; of bytes, the largest of thousands is hardly ever that small. */
-static void choose_color_scale(struct scan *scan, const struct fmt_obj_block *block)
+static void choose_color_scale(struct scan *scan, const struct fmt_mesh_block *block)
 {
     float max = 0.0f;
     for (uint64_t v = 0; v < block->vertex_count; v++)
@@ -189,7 +188,7 @@ static uint32_t pack_color(struct scan *scan, const float color[3])
 }
 
 /* Appends colours of the block, or defaults where it has none, until there are as many as `end`. */
-static int add_colors(struct scan *scan, const struct fmt_obj_block *block, uint64_t end)
+static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t end)
 {
     uint64_t begin = scan_count(scan, SCAN_COLORS);
     while (begin < end) {
@@ -210,7 +209,7 @@ static int add_colors(struct scan *scan, const struct fmt_obj_block *block, uint
     return 0;
 }
 
-static int add_texcoords(struct scan *scan, const struct fmt_obj_block *block)
+static int add_texcoords(struct scan *scan, const struct fmt_mesh_block *block)
 {
     for (uint64_t done = 0; done < block->texcoord_count;) {
         float(*to)[2];
@@ -240,7 +239,7 @@ static uint32_t pack_normal(const float n[3])
     return bsq_oct_pack(bsq_unit3(v));
 }
 
-static int add_normals(struct scan *scan, const struct fmt_obj_block *block)
+static int add_normals(struct scan *scan, const struct fmt_mesh_block *block)
 {
     for (uint64_t done = 0; done < block->normal_count;) {
         uint32_t *to;
@@ -259,7 +258,7 @@ static int add_normals(struct scan *scan, const struct fmt_obj_block *block)
 
 /* ---- blocks ---- */
 
-static int add_vertices(struct scan *scan, const struct fmt_obj_block *block)
+static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 {
     if (!scan->origin_known)
         choose_origin(scan, block);
@@ -271,7 +270,7 @@ static int add_vertices(struct scan *scan, const struct fmt_obj_block *block)
     return status;
 }
 
-int vox_scan_add_faces(struct scan *scan, const struct fmt_obj_block *block)
+int vox_scan_add_faces(struct scan *scan, const struct fmt_mesh_block *block)
 {
     int status = 0;
     if (!scan->faces.bytes.spilled &&
@@ -282,7 +281,7 @@ int vox_scan_add_faces(struct scan *scan, const struct fmt_obj_block *block)
     return status;
 }
 
-int vox_scan_add_elements(struct scan *scan, const struct fmt_obj_block *block)
+int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
     int status = 0;
     if (block->vertex_count > 0)
@@ -300,7 +299,7 @@ void vox_scan_touch_ahead(struct scan *scan)
         vox_spill_touch_ahead(&scan->columns[i].spool);
 }
 
-int vox_scan_add_block(void *arg, const struct fmt_obj_block *block)
+int vox_scan_add_block(void *arg, const struct fmt_mesh_block *block)
 {
     struct scan *scan = arg;
     int status = bsq_check(scan->ctx);
@@ -315,10 +314,9 @@ int vox_scan_add_block(void *arg, const struct fmt_obj_block *block)
 /* ---- the end ---- */
 
 /* Describes the first index of the group that is not below its limit. */
-static int fail_group(struct scan *scan, struct fmt_obj_reader *reader, uint64_t number,
+static int fail_group(struct scan *scan, struct fmt_mesh_reader *reader, uint64_t number,
                       const uint64_t limits[FACE_KIND_COUNT])
 {
-    static const char *const names[FACE_KIND_COUNT] = {"vertex", "texture coordinate", "normal"};
     void *room;
     struct face_group group;
     int status = bsq_alloc(scan->ctx, "faces", vox_face_store_decode_bytes(&scan->faces), 1, &room);
@@ -332,15 +330,16 @@ static int fail_group(struct scan *scan, struct fmt_obj_reader *reader, uint64_t
                 if (!group.indices[kind])
                     continue;
                 uint64_t index = group.indices[kind][corner];
-                if (index != FMT_OBJ_NONE && index >= limits[kind])
-                    status = fmt_obj_fail_index(reader, group.first_face + f, names[kind], index);
+                if (index != FMT_MESH_NONE && index >= limits[kind])
+                    status = fmt_mesh_fail_index(reader, group.first_face + f,
+                                                 (enum fmt_mesh_kind)kind, index);
             }
     }
     bsq_free(scan->ctx, room);
     return status < 0 ? status : BSQ_EBUG;
 }
 
-static int check_indices(struct scan *scan, struct fmt_obj_reader *reader)
+static int check_indices(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     const uint64_t limits[FACE_KIND_COUNT] = {scan_count(scan, SCAN_POSITIONS),
                                               scan_count(scan, SCAN_TEXCOORDS),
@@ -363,7 +362,7 @@ int vox_scan_finish_columns(struct scan *scan)
     return status;
 }
 
-int vox_scan_finish(struct scan *scan, struct fmt_obj_reader *reader)
+int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     int status = vox_face_store_finish(&scan->faces);
     if (status == 0)
@@ -371,16 +370,14 @@ int vox_scan_finish(struct scan *scan, struct fmt_obj_reader *reader)
     if (status < 0)
         return status;
     if (scan->clamped_colors > 0)
-        bsq_warn(scan->ctx, "%s: colours out of range were clamped at %llu %s", scan->obj_paths[0],
+        bsq_warn(scan->ctx, "%s: colours out of range were clamped at %llu %s", scan->paths[0],
                  (unsigned long long)scan->clamped_colors,
                  scan->clamped_colors == 1 ? "vertex" : "vertices");
-    if (scan->totals.has_polypaint && !scan->has_colors)
-        bsq_warn(scan->ctx,
-                 "%s: ZBrush's polypaint is not read: export a texture of it for --texture",
-                 scan->obj_paths[0]);
-    vox_precision_warn_merged(scan->ctx, scan->obj_paths[0], scan->merged_vertices,
-                              scan->bounds_min, scan->bounds_max);
+    if (scan->totals.unread_colors && !scan->has_colors)
+        bsq_warn(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors);
+    vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices, scan->bounds_min,
+                              scan->bounds_max);
     if (scan->faces.face_count == 0)
-        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->obj_paths[0]);
+        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->paths[0]);
     return check_indices(scan, reader);
 }

@@ -125,7 +125,7 @@ refused 66 "$p none.nvdb: No such file or directory"
 $bake plain.nvdb none.obj -o a.exr --maps normal
 refused 66 "$p none.obj: No such file or directory"
 $bake low.obj plain.nvdb -o a.exr
-refused 65 "$p low.obj: neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from an OBJ file"
+refused 65 "$p low.obj: neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from a mesh"
 $bake plain.nvdb low.obj -o 'a_<MAP>.exr' --maps normal,color
 code 65
 err_like '^bisque-bake: plain\.nvdb.*colour'

@@ -37,7 +37,7 @@ cat >pipeline.c <<'C'
 int main(int argc, char **argv)
 {
     const char *scan = "box.obj";
-    struct vox_sort_options sort = {.obj_paths = &scan, .obj_count = 1, .tris_path = "box.tris"};
+    struct vox_sort_options sort = {.scan_paths = &scan, .scan_count = 1, .tris_path = "box.tris"};
     struct vox_voxelize_options grid = {
         .tris_path = "box.tris", .grid_path = "box.nvdb", .resolution = 32};
     struct vox_sort_report sorted;

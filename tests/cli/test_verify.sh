@@ -174,7 +174,7 @@ else
     skip "grids of NanoVDB's own tool" "nanovdb_convert is not installed"
 fi
 other full.vdb 'neither a chunk file nor a NanoVDB file, but one of OpenVDB'
-other box.obj 'neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from an OBJ file'
+other box.obj 'neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from a mesh'
 : >empty
 other empty 'neither a chunk file nor a NanoVDB file'
 $verify .

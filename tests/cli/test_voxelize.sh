@@ -206,7 +206,7 @@ refused 64 "$p box.tris is a chunk file already: leave out --tris"
 $vox box.tris -o a.nvdb --texture t.png
 refused 64 "$p box.tris is a chunk file already: leave out --texture"
 $vox box.tris --parse-only
-refused 64 "$p box.tris: --parse-only reads OBJ files"
+refused 64 "$p box.tris: --parse-only reads meshes"
 $vox box.tris -o box.tris
 refused 64 "$p box.tris: this output would overwrite an input"
 head -c 100 box.tris >short.tris

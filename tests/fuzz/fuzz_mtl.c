@@ -15,7 +15,7 @@ static int use(struct bsq_ctx *ctx, const char *path)
             require(isfinite(m->diffuse[k]), "a colour that is not finite");
         require(fmt_mtl_find(&materials, m->name) <= i, "a name that is not found");
     }
-    fmt_mtl_free(ctx, &materials);
+    fmt_materials_free(ctx, &materials);
     return status;
 }
 

@@ -1,6 +1,6 @@
 /* fuzz_obj.c - fuzz target for OBJ: what loads as a mesh has finite positions and indices in range.
  */
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "tests/fuzz/fuzz_file.h"
 
 #include <math.h>

@@ -77,7 +77,7 @@ static int sort(struct bsq_ctx *ctx)
 {
     const char *paths[] = {files.obj};
     const struct vox_sort_options options = {
-        .obj_paths = paths, .obj_count = 1, .tris_path = files.tris};
+        .scan_paths = paths, .scan_count = 1, .tris_path = files.tris};
     struct vox_sort_report report;
     return vox_sort(ctx, &options, &report);
 }
@@ -91,7 +91,7 @@ static int sort_otherwise(struct bsq_ctx *ctx)
 {
     const char *paths[] = {files.obj};
     const struct vox_sort_options options = {
-        .obj_paths = paths, .obj_count = 1, .tris_path = files.other};
+        .scan_paths = paths, .scan_count = 1, .tris_path = files.other};
     struct vox_sort_report report;
     struct sort_limits limits;
     vox_sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);

@@ -5,7 +5,7 @@
  * and compare its face normal and, given a texture, the bilinear texel there with the maps. Slow
  * and simple on purpose; nothing of libbake or libvoxel is used. Scans of some ten thousand
  * triangles. */
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "tests/scan/verdict.h"
 
 #include <getopt.h>

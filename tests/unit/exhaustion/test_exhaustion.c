@@ -13,7 +13,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "formats/verify.h"
 #include "libbake/bake.h"
 #include "libbake/compare.h"
@@ -130,7 +130,8 @@ static int sort_to(struct bsq_ctx *ctx, const char *tris_path)
 {
     const char *path = "scan.obj";
     struct vox_sort_report report;
-    struct vox_sort_options options = {.obj_paths = &path, .obj_count = 1, .tris_path = tris_path};
+    struct vox_sort_options options = {
+        .scan_paths = &path, .scan_count = 1, .tris_path = tris_path};
     int status = vox_sort(ctx, &options, &report);
     if (status == 0)
         assert_int_equal(report.triangles, 2 * SIDE * SIDE);
@@ -147,7 +148,7 @@ static int record(struct bsq_ctx *ctx)
 {
     const char *path = "scan.obj";
     struct vox_sort_options options = {
-        .obj_paths = &path, .obj_count = 1, .tris_path = "scan.tris"};
+        .scan_paths = &path, .scan_count = 1, .tris_path = "scan.tris"};
     struct vox_job *job;
     bool sorted = false;
     int status = vox_job_open(ctx, &options, &job);

@@ -84,7 +84,7 @@ void sort_write_text(const char *path, const char *text)
 int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count)
 {
     struct vox_sort_options options = {
-        .obj_paths = paths, .obj_count = count, .tris_path = f->tris};
+        .scan_paths = paths, .scan_count = count, .tris_path = f->tris};
     bsq_clear_error(f->ctx);
     return vox_sort(f->ctx, &options, &f->report);
 }

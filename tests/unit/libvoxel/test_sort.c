@@ -136,7 +136,7 @@ static void spilling_does_not_change_the_file(void **state)
         for (unsigned variant = 0; variant < 15; variant++) {
             struct sort_limits limits;
             struct vox_sort_options options = {
-                .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+                .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
             vox_sort_limits_for(128 * MIB, 2, &limits);
             /* Faces are kept and scattered later, or else scattered as they are read. */
@@ -197,7 +197,7 @@ static void vertices_behind_faces_are_found_late(void **state)
         fclose(file);
         struct sort_limits limits;
         struct vox_sort_options options = {
-            .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+            .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         if (late == 2)
             limits.direct_memory = 0;
@@ -227,7 +227,7 @@ static void many_triangles_in_one_place_are_sorted(void **state)
     for (int small = 0; small < 2; small++) {
         struct sort_limits limits;
         struct vox_sort_options options = {
-            .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+            .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         if (small)
             limits.batch_triangles = 70000;

@@ -264,7 +264,7 @@ static void one_texture_can_be_given_for_all(void **state)
     char texture[128];
     struct sorted_triangles got = {0};
     struct vox_sort_options options = {
-        .obj_paths = paths, .obj_count = 1, .tris_path = f->tris, .texture_path = texture};
+        .scan_paths = paths, .scan_count = 1, .tris_path = f->tris, .texture_path = texture};
     snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
     write_texture(f);
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
@@ -286,7 +286,7 @@ static void normals_of_faces_left_out_do_not_count(void **state)
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
     const struct vox_sort_options options = {
-        .obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+        .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
     for (int later = 0; later < 2; later++) {
         struct sort_limits limits;

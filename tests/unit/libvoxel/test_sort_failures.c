@@ -72,7 +72,7 @@ static void memory_may_run_out_anywhere(void **state)
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
     struct sort_grid g;
-    struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
     unsigned failures = 0;
     sort_grid_make(&g, 60, 5);
     sort_grid_write(&g, f->obj, GRID_COLORS | GRID_NORMALS, 6);
@@ -101,7 +101,7 @@ static void an_unwritable_place_is_refused(void **state)
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
     struct vox_sort_options options = {
-        .obj_paths = paths, .obj_count = 1, .tris_path = "/nowhere/at/all.tris"};
+        .scan_paths = paths, .scan_count = 1, .tris_path = "/nowhere/at/all.tris"};
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ECANTCREAT);
 }
@@ -110,7 +110,7 @@ static void an_interrupt_stops_and_leaves_nothing(void **state)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
-    struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     bsq_interrupt(f->ctx);
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_EINTR);

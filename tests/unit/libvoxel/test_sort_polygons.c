@@ -138,8 +138,8 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
     char texture[128];
     snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
     sort_write_text(texture, "only its name matters here");
-    const struct vox_sort_options options = {.obj_paths = paths,
-                                             .obj_count = 1,
+    const struct vox_sort_options options = {.scan_paths = paths,
+                                             .scan_count = 1,
                                              .tris_path = f->tris,
                                              .texture_path = flags & TEXCOORDS ? texture : NULL};
     const uint64_t triangles = write_polygons(f->obj, flags, 17 + flags);

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "formats/mesh/mesh_format.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 
 static void *grown(void *memory, uint64_t count, size_t size)
@@ -15,7 +16,7 @@ static void *grown(void *memory, uint64_t count, size_t size)
     return result;
 }
 
-static int keep_elements(struct obj_scan *scan, const struct fmt_obj_block *b)
+static int keep_elements(struct obj_scan *scan, const struct fmt_mesh_block *b)
 {
     uint64_t n = b->vertex_base + b->vertex_count;
     scan->positions = grown(scan->positions, n, sizeof *scan->positions);
@@ -36,7 +37,7 @@ static int keep_elements(struct obj_scan *scan, const struct fmt_obj_block *b)
     return 0;
 }
 
-static int keep_block(void *arg, const struct fmt_obj_block *b)
+static int keep_block(void *arg, const struct fmt_mesh_block *b)
 {
     struct obj_scan *scan = arg;
     const uint64_t *from[3] = {b->corner_vertices, b->corner_texcoords, b->corner_normals};
@@ -61,7 +62,7 @@ static int keep_block(void *arg, const struct fmt_obj_block *b)
         scan->corners[kind] =
             grown(scan->corners[kind], corner_base + corners, sizeof *scan->corners[kind]);
         for (uint64_t i = 0; i < corners; i++)
-            scan->corners[kind][corner_base + i] = from[kind] ? from[kind][i] : FMT_OBJ_NONE;
+            scan->corners[kind][corner_base + i] = from[kind] ? from[kind][i] : FMT_MESH_NONE;
     }
     scan->totals.vertices += b->vertex_count;
     scan->totals.faces += b->face_count;
@@ -86,12 +87,12 @@ void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
                     const char *const *paths)
 {
     struct bsq_ctx_options options = {.threads = threads, .memory_bytes = 64 << 20};
-    struct fmt_obj_totals totals = {0};
+    struct fmt_mesh_totals totals = {0};
     memset(f, 0, sizeof *f);
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
-    f->status = fmt_obj_open(f->ctx, paths, count, &f->reader);
+    f->status = fmt_mesh_open(f->ctx, paths, count, &f->reader);
     if (!f->status)
-        f->status = fmt_obj_read(f->reader, keep_block, &f->scan, &totals);
+        f->status = fmt_mesh_read(f->reader, keep_block, &f->scan, &totals);
     if (!f->status)
         assert_int_equal(totals.corners, f->scan.totals.corners);
     f->scan.totals = totals;
@@ -100,7 +101,7 @@ void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
 void obj_close(struct obj_fixture *f)
 {
     obj_free_scan(&f->scan);
-    fmt_obj_close(f->reader);
+    fmt_mesh_close(f->reader);
     assert_int_equal(bsq_memory_used(f->ctx), 0);
     bsq_ctx_destroy(f->ctx);
 }
@@ -114,6 +115,22 @@ void obj_read_text(struct obj_fixture *f, const char *text)
     assert_int_equal(f->status, 0);
 }
 
+uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face)
+{
+    struct fmt_mesh_place place;
+    assert_int_equal(fmt_obj_format.locate_face(f->reader, face, &place), 0);
+    return place.line;
+}
+
+void obj_assert_material(const struct obj_fixture *f, uint32_t material, const char *name)
+{
+    struct fmt_materials materials;
+    assert_int_equal(fmt_mesh_read_materials(f->reader, &materials), 0);
+    assert_in_range(material, 0, materials.count - 1);
+    assert_string_equal(materials.list[material].name, name);
+    fmt_materials_free(f->ctx, &materials);
+}
+
 void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...)
 {
     va_list expected;
@@ -121,7 +138,7 @@ void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, .
     assert_int_equal(f->scan.totals.corners, count);
     for (uint64_t i = 0; i < count; i++) {
         int value = va_arg(expected, int);
-        assert_int_equal(f->scan.corners[kind][i], value < 0 ? FMT_OBJ_NONE : (uint64_t)value);
+        assert_int_equal(f->scan.corners[kind][i], value < 0 ? FMT_MESH_NONE : (uint64_t)value);
     }
     va_end(expected);
 }

@@ -2,11 +2,11 @@
 #ifndef TEST_OBJ_FIXTURE_H
 #define TEST_OBJ_FIXTURE_H
 
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 #include "tests/unit/formats/scratch.h"
 
 struct obj_scan {
-    struct fmt_obj_totals totals;
+    struct fmt_mesh_totals totals;
     double (*positions)[3];
     float (*colors)[3];
     double (*texcoords)[2];
@@ -20,7 +20,7 @@ struct obj_scan {
 /* A context, a reader over files and the scan that came out of it. */
 struct obj_fixture {
     struct bsq_ctx *ctx;
-    struct fmt_obj_reader *reader;
+    struct fmt_mesh_reader *reader;
     struct obj_scan scan;
     int status;
 };
@@ -32,6 +32,9 @@ void obj_read_text(struct obj_fixture *f, const char *text);
 void obj_close(struct obj_fixture *f);
 void obj_free_scan(struct obj_scan *scan);
 
+/* Line of a face, numbered from 0. */
+uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face);
+void obj_assert_material(const struct obj_fixture *f, uint32_t material, const char *name);
 /* Corners of a kind, numbered from 0; below 0: none given. */
 void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...);
 /* Reads `text`, which must fail with `message` behind the directory. */

@@ -72,7 +72,7 @@ static void open_fixture(struct fixture *f)
 
 static void close_fixture(struct fixture *f)
 {
-    fmt_mtl_free(f->ctx, &f->materials);
+    fmt_materials_free(f->ctx, &f->materials);
     assert_int_equal(bsq_memory_used(f->ctx), 0);
     bsq_ctx_destroy(f->ctx);
 }

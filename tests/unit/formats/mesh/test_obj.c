@@ -93,14 +93,11 @@ static void test_line_ends(void **state)
         "v 1 2 3\r\nusemtl a b\nf 1 2 3 \r# c\ng x\rf 4 5 6 \\\r\n"};
     for (size_t i = 0; i < sizeof texts / sizeof *texts; i++) {
         struct obj_fixture f;
-        const char *path;
-        uint64_t line;
         obj_read_text(&f, texts[i]);
         obj_assert_corners(&f, 0, 6, 0, 1, 2, 3, 4, 5);
-        assert_int_equal(fmt_obj_material_count(f.reader), 1);
-        assert_string_equal(fmt_obj_material_name(f.reader, 0), "a b");
-        assert_int_equal(fmt_obj_locate_face(f.reader, 1, &path, &line), 0);
-        assert_int_equal(line, 6);
+        assert_int_equal(f.scan.totals.materials, 1);
+        obj_assert_material(&f, 0, "a b");
+        assert_int_equal(obj_line_of_face(&f, 1), 6);
         obj_close(&f);
     }
 }
@@ -139,23 +136,23 @@ static void test_several_files(void **state)
     assert_int_equal(f.status, 0);
     obj_assert_corners(&f, 0, 12, 0, 1, 2, 3, 4, 3, 3, 4, 4, 3, 3, 3);
     assert_int_equal(f.scan.materials[0], 0);
-    assert_int_equal(f.scan.materials[1], FMT_OBJ_NO_MATERIAL);
+    assert_int_equal(f.scan.materials[1], FMT_MESH_NO_MATERIAL);
     assert_int_equal(f.scan.materials[2], 1);
-    assert_int_equal(f.scan.materials[3], FMT_OBJ_NO_MATERIAL);
-    assert_int_equal(fmt_obj_library_count(f.reader), 3);
-    assert_string_equal(fmt_obj_library_path(f.reader, 0), scratch_path("a file.mtl"));
-    assert_string_equal(fmt_obj_library_path(f.reader, 2), scratch_path("missing.mtl"));
+    assert_int_equal(f.scan.materials[3], FMT_MESH_NO_MATERIAL);
+    assert_string_equal(fmt_mesh_dependency(f.reader, 0), scratch_path("a file.mtl"));
+    assert_string_equal(fmt_mesh_dependency(f.reader, 2), scratch_path("missing.mtl"));
+    assert_null(fmt_mesh_dependency(f.reader, 3));
     struct fmt_materials materials;
-    assert_int_equal(fmt_obj_read_materials(f.reader, &materials), 0);
+    assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
     assert_int_equal(materials.count, 2);
     assert_true(materials.list[0].diffuse[0] == 1 && materials.list[0].diffuse[2] == 0);
     assert_true(materials.list[1].diffuse[0] == 0 && materials.list[1].diffuse[2] == 1);
-    fmt_mtl_free(f.ctx, &materials);
+    fmt_materials_free(f.ctx, &materials);
     /* A second reading gives the same numbers. */
-    struct fmt_obj_totals again;
-    assert_int_equal(fmt_obj_read(f.reader, NULL, NULL, &again), 0);
+    struct fmt_mesh_totals again;
+    assert_int_equal(fmt_mesh_read(f.reader, NULL, NULL, &again), 0);
     assert_memory_equal(&again, &f.scan.totals, sizeof again);
-    assert_int_equal(fmt_obj_material_count(f.reader), 2);
+    assert_int_equal(again.materials, 2);
     obj_close(&f);
 }
 
@@ -214,18 +211,25 @@ static void test_other_kinds_of_files_are_named(void **state)
         size_t size;
         const char *message;
     } cases[] = {
-        {"\x1f\x8b\x08\0", 4, "bad.obj: not an OBJ file, but one packed by gzip: unpack it first"},
-        {"PK\x03\x04\x14\0", 6, "bad.obj: not an OBJ file, but a ZIP archive: unpack it first"},
-        {"ply\nformat ascii 1.0\n", 21,
-         "bad.obj: not an OBJ file, but a PLY file: export the mesh as OBJ"},
-        {"ply\r\nformat binary", 19,
-         "bad.obj: not an OBJ file, but a PLY file: export the mesh as OBJ"},
-        {"\xff\xfev\0 \0", 6, "bad.obj: not an OBJ file, but text in UTF-16: save it as UTF-8"},
+        {"\x1f\x8b\x08\0", 4, "bad.obj: cannot read a file packed by gzip: unpack it first"},
+        {"PK\x03\x04\x14\0", 6, "bad.obj: cannot read a ZIP archive: unpack it first"},
+        {"ply\nformat ascii 1.0\n", 21, "bad.obj: cannot read a PLY file: export the mesh as OBJ"},
+        {"ply\r\nformat binary", 19, "bad.obj: cannot read a PLY file: export the mesh as OBJ"},
+        {"\xff\xfev\0 \0", 6, "bad.obj: cannot read text in UTF-16: save it as UTF-8"},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
         obj_expect_error(cases[i].bytes, cases[i].size, cases[i].message);
     /* Cut short, the beginning of any of them is text that is no statement, or nothing. */
     obj_expect_error("PK", 2, "bad.obj:1: not an OBJ file: \"PK\" is no statement of that format");
+}
+
+static void test_names_are_recognised(void **state)
+{
+    (void)state;
+    assert_true(fmt_mesh_recognise("a/scan.obj", "v 0 0 0\n", 8));
+    assert_true(fmt_mesh_recognise("SCAN.OBJ", "", 0));
+    assert_false(fmt_mesh_recognise("obj", "", 0));
+    assert_false(fmt_mesh_recognise("scan.obj.gz", "\x1f\x8b", 2));
 }
 
 static void test_missing_file(void **state)
@@ -249,12 +253,12 @@ static void test_fail_index(void **state)
     obj_read_files(&f, 2, 2, paths);
     assert_int_equal(f.status, 0);
     assert_int_equal(f.scan.corners[1][7], 8);
-    assert_int_equal(fmt_obj_fail_index(f.reader, 2, "texture coordinate", 8), BSQ_EDATA);
+    assert_int_equal(fmt_mesh_fail_index(f.reader, 2, FMT_MESH_TEXCOORD, 8), BSQ_EDATA);
     snprintf(expected, sizeof expected,
              "%s/two.obj:5: face refers to texture coordinate 9, file has 1", scratch_directory);
     assert_string_equal(bsq_error(f.ctx), expected);
     bsq_clear_error(f.ctx);
-    assert_int_equal(fmt_obj_fail_index(f.reader, 2, "vertex", 3 + 98), BSQ_EDATA);
+    assert_int_equal(fmt_mesh_fail_index(f.reader, 2, FMT_MESH_VERTEX, 3 + 98), BSQ_EDATA);
     snprintf(expected, sizeof expected, "%s/two.obj:5: face refers to vertex 99, file has 1",
              scratch_directory);
     assert_string_equal(bsq_error(f.ctx), expected);
@@ -274,6 +278,7 @@ int main(void)
         cmocka_unit_test(test_several_files),
         cmocka_unit_test(test_errors),
         cmocka_unit_test(test_other_kinds_of_files_are_named),
+        cmocka_unit_test(test_names_are_recognised),
         cmocka_unit_test(test_missing_file),
         cmocka_unit_test(test_fail_index),
     };

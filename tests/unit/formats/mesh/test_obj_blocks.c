@@ -96,8 +96,8 @@ static void put_face(struct model *m)
         put(m, "%" PRId64,
             relative ? (int64_t)(vertex - scan->totals.vertices) : (int64_t)vertex + 1);
         scan->corners[0][corner] = vertex;
-        scan->corners[1][corner] = attributes ? corner % 1000 : FMT_OBJ_NONE;
-        scan->corners[2][corner] = normal ? 7 : FMT_OBJ_NONE;
+        scan->corners[1][corner] = attributes ? corner % 1000 : FMT_MESH_NONE;
+        scan->corners[2][corner] = normal ? 7 : FMT_MESH_NONE;
         if (attributes)
             put(m, "/%" PRIu64, corner % 1000 + 1);
         if (normal)
@@ -147,10 +147,8 @@ static void check_against_model(const struct obj_fixture *f, const struct model 
     for (int kind = 0; kind < 3; kind++)
         assert_memory_equal(a->corners[kind], b->corners[kind], b->totals.corners * 8);
     for (int i = 0; i < 5; i++) {
-        const char *path;
-        uint64_t line, face = below((unsigned)b->totals.faces);
-        assert_int_equal(fmt_obj_locate_face(f->reader, face, &path, &line), 0);
-        assert_int_equal(line, m->face_lines[face]);
+        uint64_t face = below((unsigned)b->totals.faces);
+        assert_int_equal(obj_line_of_face(f, face), m->face_lines[face]);
     }
 }
 
@@ -207,17 +205,13 @@ static void test_block_borders(void **state)
         memcpy(text + pad, tail, sizeof tail - 1);
         const char *path = scratch_bytes("border.obj", text, pad + sizeof tail - 1);
         struct obj_fixture f;
-        const char *found;
-        uint64_t line;
         obj_read_files(&f, 2, 1, &path);
         assert_int_equal(f.status, 0);
         assert_int_equal(f.scan.totals.vertices, 2);
         obj_assert_corners(&f, 0, 6, 0, 0, 0, 0, 0, 0);
-        assert_string_equal(fmt_obj_material_name(f.reader, 0), "m n");
-        assert_int_equal(fmt_obj_locate_face(f.reader, 0, &found, &line), 0);
-        assert_int_equal(line, 3);
-        assert_int_equal(fmt_obj_locate_face(f.reader, 1, &found, &line), 0);
-        assert_int_equal(line, 9);
+        obj_assert_material(&f, 0, "m n");
+        assert_int_equal(obj_line_of_face(&f, 0), 3);
+        assert_int_equal(obj_line_of_face(&f, 1), 9);
         obj_close(&f);
     }
     free(text);

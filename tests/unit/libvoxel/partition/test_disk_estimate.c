@@ -83,23 +83,23 @@ static int tear_down(void **state)
 static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_sort_report *report)
 {
     const char *paths[1] = {f->obj};
-    struct vox_sort_options options = {.obj_paths = paths, .obj_count = 1, .tris_path = f->tris};
+    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
     struct bsq_ctx_options ctx_options = {.memory_bytes = 128 * MIB, .threads = 2};
     bsq_ctx_destroy(f->ctx);
     assert_int_equal(bsq_ctx_create(&ctx_options, &f->ctx), 0);
     return vox_sort_with_limits(f->ctx, &options, limits, report);
 }
 
-static struct fmt_obj_estimate estimate(struct fixture *f)
+static struct fmt_mesh_estimate estimate(struct fixture *f)
 {
     const char *paths[1] = {f->obj};
-    struct fmt_obj_reader *reader;
-    struct fmt_obj_estimate result;
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_estimate result;
     bsq_ctx_destroy(f->ctx);
     assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
-    assert_int_equal(fmt_obj_open(f->ctx, paths, 1, &reader), 0);
-    assert_int_equal(fmt_obj_estimate(reader, &result), 0);
-    fmt_obj_close(reader);
+    assert_int_equal(fmt_mesh_open(f->ctx, paths, 1, &reader), 0);
+    assert_int_equal(fmt_mesh_estimate(reader, &result), 0);
+    fmt_mesh_close(reader);
     return result;
 }
 
@@ -117,7 +117,7 @@ static void estimates_are_near_the_truth(void **state)
             vox_sort_limits_for(128 * MIB, 2, &limits);
             if (spilled)
                 limits.column_bytes = limits.page_memory = 0;
-            struct fmt_obj_estimate scan = estimate(f);
+            struct fmt_mesh_estimate scan = estimate(f);
             bsq_ctx_destroy(f->ctx);
             f->ctx = NULL;
             struct space space = vox_disk_estimate(&scan, &limits);
@@ -144,7 +144,7 @@ static void a_full_disk_is_found_before_the_work(void **state)
     char needed[60], available[60];
     vox_sort_limits_for(128 * MIB, 2, &limits);
     write_scan(f->obj, 300, 0);
-    struct fmt_obj_estimate scan = estimate(f);
+    struct fmt_mesh_estimate scan = estimate(f);
     uint64_t bytes = vox_disk_estimate(&scan, &limits).output_bytes;
     free_bytes = bytes - 1;
     assert_int_equal(sort(f, &limits, &report), BSQ_EIO);

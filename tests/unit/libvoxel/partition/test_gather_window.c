@@ -77,13 +77,13 @@ static uint64_t random_index(const struct scan *scan, enum face_kind kind, uint6
     const uint64_t count = scan_count(scan, scan_column_of(kind));
     uint32_t choice = sort_random(seed) % 64;
     if (count == 0)
-        return FMT_OBJ_NONE;
+        return FMT_MESH_NONE;
     if (choice == 0)
         return 0;
     if (choice == 1)
         return count - 1;
     if (choice < 4 && kind != FACE_VERTEX)
-        return FMT_OBJ_NONE;
+        return FMT_MESH_NONE;
     return choice < 8 ? sort_random(seed) % count
                       : (choice * 7919 + sort_random(seed) % 300) % count;
 }

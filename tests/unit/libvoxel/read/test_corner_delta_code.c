@@ -1,7 +1,7 @@
 /* Triangles' corners as bytes: what goes in comes out, and ordinary meshes take two bytes a
  * triangle. */
 #include "libvoxel/read/corner_delta_code.h"
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 
 #include <setjmp.h>
 #include <stdlib.h>
@@ -50,7 +50,7 @@ static void any_indices_come_back(void **state)
         for (int t = 0; t < COUNT; t++)
             for (int k = 0; k < 3; k++) {
                 uint64_t kind = next(&random) % 8;
-                triangles[t][k] = kind == 0           ? FMT_OBJ_NONE
+                triangles[t][k] = kind == 0           ? FMT_MESH_NONE
                                   : kind == 1         ? next(&random) % 3
                                   : kind < 5 && t > 0 ? triangles[t - 1][next(&random) % 3]
                                                       : next(&random) >> next(&random) % 64;

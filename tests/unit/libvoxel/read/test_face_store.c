@@ -19,9 +19,9 @@ static uint64_t random_index(uint64_t *seed)
 {
     uint64_t kind = next(seed) % 10;
     if (kind == 0)
-        return FMT_OBJ_NONE;
+        return FMT_MESH_NONE;
     if (kind == 1)
-        return FMT_OBJ_NONE - 1 - next(seed) % 3;
+        return FMT_MESH_NONE - 1 - next(seed) % 3;
     return next(seed) >> next(seed) % 64;
 }
 
@@ -34,8 +34,8 @@ static void indices_of_64_bits_come_back(void **state)
         bool none, has_none = false;
         for (uint64_t i = 0; i < count; i++) {
             indices[i] = random_index(&random);
-            has_none |= indices[i] == FMT_OBJ_NONE;
-            if (indices[i] != FMT_OBJ_NONE && indices[i] + 1 > largest)
+            has_none |= indices[i] == FMT_MESH_NONE;
+            if (indices[i] != FMT_MESH_NONE && indices[i] + 1 > largest)
                 largest = indices[i] + 1;
         }
         assert_true(vox_index_code_bound(count) <= sizeof bytes + 8);
@@ -69,7 +69,7 @@ struct scan {
     uint32_t sizes[FACES];
     uint64_t corner_count;
     uint64_t *indices[FACE_KIND_COUNT];
-    struct fmt_obj_material_change changes[100];
+    struct fmt_mesh_material_change changes[100];
 };
 
 static struct scan *make_scan(uint64_t seed, bool triangles)
@@ -87,7 +87,7 @@ static struct scan *make_scan(uint64_t seed, bool triangles)
             s->indices[kind][c] = kind ? random_index(&seed) : next(&seed) >> 20;
     }
     for (uint32_t i = 0; i < 100; i++)
-        s->changes[i] = (struct fmt_obj_material_change){(uint64_t)i * (FACES / 100), i % 7};
+        s->changes[i] = (struct fmt_mesh_material_change){(uint64_t)i * (FACES / 100), i % 7};
     return s;
 }
 
@@ -126,7 +126,7 @@ static void blocks_come_back_in_groups(void **state)
         struct scan *s = make_scan(5 + (uint64_t)variant, variant % 2 == 0);
         assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
         vox_face_store_init(&store, ctx, "/tmp/none");
-        struct fmt_obj_block block = {
+        struct fmt_mesh_block block = {
             .face_count = FACES,
             .face_sizes = s->sizes,
             .corner_count = s->corner_count,
@@ -135,7 +135,7 @@ static void blocks_come_back_in_groups(void **state)
             .corner_normals = s->indices[FACE_NORMAL],
             .material_change_count = 100,
             .material_changes = s->changes,
-            .material_at_start = FMT_OBJ_NO_MATERIAL,
+            .material_at_start = FMT_MESH_NO_MATERIAL,
         };
         uint64_t cost = vox_face_store_append_cost(&store, &block);
         assert_int_equal(vox_face_store_append(&store, &block), 0);

@@ -1,4 +1,4 @@
-/* obj_mesh.c - a small OBJ read whole: arrays of elements and triangles with checked indices.
+/* mesh_load.c - reads a small mesh whole: arrays of elements and triangles with checked indices.
  *
  * A face may refer to vertices that come after it, so polygons are kept as they are until all is
  * read, and checked and split then. */
@@ -7,12 +7,12 @@
 #include <string.h>
 
 #include "base/polygon.h"
-#include "formats/mesh/obj.h"
+#include "formats/mesh/mesh_reader.h"
 
 /* Growing copies of what the blocks bring. Corners: UINT64_MAX, cut to 32 bits, is UINT32_MAX. */
 struct loader {
     struct bsq_ctx *ctx;
-    struct fmt_obj_reader *reader;
+    struct fmt_mesh_reader *reader;
     struct fmt_mesh *mesh;
     uint64_t position_capacity, texcoord_capacity, normal_capacity;
     uint32_t *face_sizes;
@@ -24,8 +24,6 @@ struct loader {
     double (*polygon)[3];
     uint32_t *triangles, *scratch;
 };
-
-static const char *const kind_names[3] = {"vertex", "texture coordinate", "normal"};
 
 /* ---- collecting ---- */
 
@@ -55,12 +53,12 @@ static int append_corners(struct loader *loader, int kind, const uint64_t *from,
     if (!from)
         memset(to, 0xff, count * sizeof *to);
     for (uint64_t i = 0; from && i < count; i++)
-        to[i] = from[i] < UINT32_MAX - 1 || from[i] == FMT_OBJ_NONE ? (uint32_t)from[i]
-                                                                    : UINT32_MAX - 1;
+        to[i] = from[i] < UINT32_MAX - 1 || from[i] == FMT_MESH_NONE ? (uint32_t)from[i]
+                                                                     : UINT32_MAX - 1;
     return 0;
 }
 
-static int collect(void *arg, const struct fmt_obj_block *block)
+static int collect(void *arg, const struct fmt_mesh_block *block)
 {
     struct loader *loader = arg;
     struct fmt_mesh *mesh = loader->mesh;
@@ -103,7 +101,7 @@ struct offender {
     int kind;
 };
 
-static int find_offender(void *arg, const struct fmt_obj_block *block)
+static int find_offender(void *arg, const struct fmt_mesh_block *block)
 {
     struct offender *offender = arg;
     const uint64_t *corners[3] = {block->corner_vertices, block->corner_texcoords,
@@ -119,12 +117,12 @@ static int fail_corner(struct loader *loader, uint64_t face, uint64_t corner, in
     uint64_t index = loader->corners[kind][corner];
     if (index == UINT32_MAX - 1) {
         struct offender offender = {.corner = corner, .index = index, .kind = kind};
-        int status = fmt_obj_read(loader->reader, find_offender, &offender, NULL);
+        int status = fmt_mesh_read(loader->reader, find_offender, &offender, NULL);
         if (status)
             return status;
         index = offender.index;
     }
-    return fmt_obj_fail_index(loader->reader, face, kind_names[kind], index);
+    return fmt_mesh_fail_index(loader->reader, face, (enum fmt_mesh_kind)kind, index);
 }
 
 /* Checks every index, in the order of the file. */
@@ -222,10 +220,10 @@ static void normalise(struct fmt_mesh *mesh)
 static int load(struct loader *loader, const char *path)
 {
     struct fmt_mesh *mesh = loader->mesh;
-    struct fmt_obj_totals totals;
-    int status = fmt_obj_open(loader->ctx, &path, 1, &loader->reader);
+    struct fmt_mesh_totals totals;
+    int status = fmt_mesh_open(loader->ctx, &path, 1, &loader->reader);
     if (!status)
-        status = fmt_obj_read(loader->reader, collect, loader, &totals);
+        status = fmt_mesh_read(loader->reader, collect, loader, &totals);
     if (status)
         return status;
     mesh->vertex_count = totals.vertices;
@@ -248,7 +246,7 @@ int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
     struct loader loader = {.ctx = ctx, .mesh = out};
     memset(out, 0, sizeof *out);
     int status = load(&loader, path);
-    fmt_obj_close(loader.reader);
+    fmt_mesh_close(loader.reader);
     bsq_free(ctx, loader.face_sizes);
     for (int kind = 0; kind < 3; kind++)
         bsq_free(ctx, loader.corners[kind]);

@@ -1,0 +1,54 @@
+/* mesh_format.h - private to formats/mesh: what a mesh format implements, and the registry.
+ *
+ * A format is one source file that defines a `struct fmt_mesh_format`, and one row below. */
+#ifndef FMT_MESH_FORMAT_H
+#define FMT_MESH_FORMAT_H
+
+#include "formats/mesh/mesh_reader.h"
+
+/* Where a face is, for messages. */
+struct fmt_mesh_place {
+    const char *path; /* owned by the reader */
+    uint64_t line;    /* from 1; 0: the format has none, so messages count faces */
+    /* Elements of the scan in earlier files, and in the face's file. */
+    uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
+};
+
+/* The functions do what those of the same name in mesh_reader.h say. */
+struct fmt_mesh_format {
+    const char *name;   /* for messages: "OBJ" */
+    const char *suffix; /* of file names, with its point, in any case: ".obj" */
+    /* Returns true if the first bytes of a file show this format beyond doubt. May be NULL. */
+    bool (*recognise)(const char *head, size_t size);
+    /* Sets *out to a structure that begins with a struct fmt_mesh_reader, and sets its ctx. */
+    int (*open)(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                struct fmt_mesh_reader **out);
+    void (*close)(struct fmt_mesh_reader *reader);
+    /* Calls steps->on_block for each block, which may be NULL, and then, if steps->follow is not
+     * NULL, steps->follow and steps->finish. A reader without threads calls them one after the
+     * other with slot 0. `totals` is never NULL and zero at first. */
+    int (*read)(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
+                struct fmt_mesh_totals *totals);
+    int (*estimate)(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
+    /* Finds a face that has been read. */
+    int (*locate_face)(struct fmt_mesh_reader *reader, uint64_t face, struct fmt_mesh_place *out);
+    /* NULL: the format has no materials. */
+    int (*read_materials)(struct fmt_mesh_reader *reader, struct fmt_materials *out);
+    /* NULL: the format refers to no other files. */
+    const char *(*dependency)(const struct fmt_mesh_reader *reader, uint32_t index);
+};
+
+/* The start of every reader. */
+struct fmt_mesh_reader {
+    const struct fmt_mesh_format *format; /* set by fmt_mesh_open() */
+    struct bsq_ctx *ctx;
+};
+
+/* The registry. The first row also reads files that no row recognises. */
+#define FMT_MESH_FORMATS(ROW) ROW(fmt_obj_format)
+
+#define FMT_MESH_DECLARE(format) extern const struct fmt_mesh_format format;
+FMT_MESH_FORMATS(FMT_MESH_DECLARE)
+#undef FMT_MESH_DECLARE
+
+#endif

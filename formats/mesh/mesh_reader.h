@@ -1,0 +1,188 @@
+/* mesh_reader.h - reads meshes of any format as a stream of blocks, or whole when they are small.
+ *
+ * Takes paths of mesh files; gives blocks of attribute streams and faces, in file order. Each
+ * format is one row of the registry (mesh_format.h): a file's first bytes choose it, then its
+ * suffix. A file that neither names is read as OBJ. Callers never learn which format a mesh has.
+ *
+ * Several files are read as one scan; they must be of one format. Nothing is kept: memory does not
+ * grow with the files. */
+#ifndef FMT_MESH_READER_H
+#define FMT_MESH_READER_H
+
+#include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define FMT_MESH_NONE        UINT64_MAX /* this corner has no such index */
+#define FMT_MESH_NO_MATERIAL UINT32_MAX
+
+/* What the indices of a face refer to. */
+enum fmt_mesh_kind { FMT_MESH_VERTEX, FMT_MESH_TEXCOORD, FMT_MESH_NORMAL, FMT_MESH_KIND_COUNT };
+
+/* "vertex", "texture coordinate", "normal" */
+extern const char *const fmt_mesh_kind_names[FMT_MESH_KIND_COUNT];
+
+/* From face `face` of the block on, faces have material number `material`. */
+struct fmt_mesh_material_change {
+    uint64_t face;
+    uint32_t material;
+};
+
+/* One block. The arrays belong to the reader and live until the last step for this block returns.
+ * Bases count the elements of all earlier blocks of the scan. */
+struct fmt_mesh_block {
+    uint64_t sequence;
+    uint32_t file;        /* number of the input file */
+    uint64_t byte_offset; /* of the block in its file */
+    uint64_t byte_size;
+
+    uint64_t vertex_count, vertex_base;
+    const double (*positions)[3];
+    const float (*colors)[3]; /* sRGB as written, -1 for a vertex without colour; NULL: no vertex
+                                 of the block has one */
+    uint64_t texcoord_count, texcoord_base;
+    const double (*texcoords)[2];
+    uint64_t normal_count, normal_base;
+    const float (*normals)[3]; /* as written, not normalised */
+
+    uint64_t face_count, face_base;
+    const uint32_t *face_sizes; /* corners of each face, >= 3 */
+    uint64_t corner_count;
+    /* Per corner, 0-based over the whole scan. FMT_MESH_NONE: the corner has no texture coordinate
+     * or normal. NULL: no corner of the block has any. An index may refer to an element of a later
+     * block, or to none at all: check it against the totals at the end. */
+    const uint64_t *corner_vertices;
+    const uint64_t *corner_texcoords;
+    const uint64_t *corner_normals;
+
+    uint64_t material_change_count;
+    const struct fmt_mesh_material_change *material_changes;
+    uint32_t material_at_start; /* before the first change; FMT_MESH_NO_MATERIAL if none */
+};
+
+struct fmt_mesh_totals {
+    uint64_t bytes, vertices, texcoords, normals, faces, corners;
+    uint32_t materials;     /* that faces refer to */
+    uint64_t skipped_lines; /* statements that the format does not define, skipped */
+    uint64_t short_faces;   /* faces with fewer than three corners, skipped */
+    /* Says which colours of the file are not read and what the user can do; NULL if there are none.
+     * Static storage. */
+    const char *unread_colors;
+};
+
+struct fmt_mesh_reader;
+
+/* Opens the files and checks that all can be read. The paths are copied. Errors: BSQ_ENOINPUT;
+ * BSQ_EDATA for a file of a kind that is known but not read, and for files of several formats. */
+int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                  struct fmt_mesh_reader **out);
+void fmt_mesh_close(struct fmt_mesh_reader *reader); /* NULL is allowed */
+
+/* Returns true if the first bytes of a file or its name say that a format of the registry reads it.
+ * `size` may be less than FMT_MESH_HEAD_BYTES only if the file is shorter. */
+bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
+#define FMT_MESH_HEAD_BYTES 512
+
+/* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
+ * status, which stops and is returned. Numbers that are malformed or not finite are BSQ_EDATA with
+ * file, line and the offending text. Memory: see fmt_mesh_slots_for(). on_block may be NULL (parse
+ * only). May be called again: numbers of blocks, faces and materials are the same each time. The
+ * caller reports progress; the blocks' byte_size add up to the files. */
+int fmt_mesh_read(struct fmt_mesh_reader *reader,
+                  int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
+                  struct fmt_mesh_totals *totals);
+
+/* What a caller does with each block while it is in memory. */
+struct fmt_mesh_steps {
+    /* As on_block of fmt_mesh_read(). */
+    int (*on_block)(void *arg, const struct fmt_mesh_block *block);
+    /* Called on all threads, in any order, but after on_block of this block and of all earlier
+     * ones. No two calls at a time share a `slot`, which is below fmt_mesh_max_slots(). May be
+     * NULL, and then finish is not called either. */
+    int (*follow)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
+    /* Called serially in order, after follow of the same block. */
+    int (*finish)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
+};
+/* As fmt_mesh_read(), with all three steps. */
+int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
+                        void *arg, struct fmt_mesh_totals *totals);
+unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader);
+/* Returns how many blocks a reader holds at most, for a budget in bytes and a number of threads. A
+ * block takes up to FMT_MESH_SLOT_BYTES, as a rule. */
+unsigned fmt_mesh_slots_for(uint64_t memory_bytes, unsigned threads);
+#define FMT_MESH_SLOT_BYTES ((uint64_t)4 << 20)
+
+/* Estimated size of a scan, within some percent for ordinary files. */
+struct fmt_mesh_estimate {
+    uint64_t vertices, texcoords, normals, faces, corners;
+    bool has_colors;
+    bool faces_come_last; /* a single file, in which probably no elements follow faces */
+};
+/* Estimates the size from samples of the files, without reading all of them. */
+int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
+
+/* ---- materials ---- */
+
+struct fmt_material {
+    char *name;
+    float diffuse[3]; /* display-referred (sRGB) 0..1; 0.8 if the file gives none */
+    bool has_diffuse;
+    char *texture_path; /* of the diffuse colour, as the file system finds it; or NULL */
+};
+
+struct fmt_materials {
+    uint32_t count;
+    struct fmt_material *list;
+};
+
+/* Describes all materials that the blocks read so far refer to; their index in the list is the
+ * material number. A file of materials that is missing is a warning. Free *out with
+ * fmt_materials_free(). */
+int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
+void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials);
+/* Returns the path of another file that the mesh files refer to and that the result depends on, as
+ * far as the blocks read so far name it; NULL if there are no more than `index`. Images are not
+ * among them. Owned by the reader. */
+const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
+
+/* ---- messages about faces ---- */
+
+/* Describes a corner whose index is out of range, with file, line and value:
+ * "scan.obj:120: face refers to vertex 99, file has 12". Returns BSQ_EDATA. `face` and `index` are
+ * numbers over the whole scan. Reads the face's block again. */
+int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
+                        uint64_t index);
+
+/* ---- a small mesh, whole ---- */
+
+/* Indexed mesh in memory, triangulated; arrays are from the context's budget. */
+struct fmt_mesh {
+    uint64_t vertex_count, texcoord_count, normal_count, triangle_count;
+    double (*positions)[3];
+    double (*texcoords)[2];
+    float (*normals)[3]; /* unit length, or zero if the file's was zero */
+    /* Three corners a triangle, indices into the arrays above. An array is NULL if the file has no
+     * such index at all, an entry UINT32_MAX if this corner has none. */
+    uint32_t (*vertices)[3];
+    uint32_t (*corner_texcoords)[3];
+    uint32_t (*corner_normals)[3];
+    uint64_t *faces; /* number of the polygon that each triangle came from */
+    uint64_t face_count;
+};
+
+/* Loads a mesh whole (at most 2^32 - 2 vertices). Checks all indices. A file without faces is
+ * BSQ_EDATA. Free with fmt_mesh_free(). */
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out);
+void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh);
+
+/* Describes what is wrong with polygon number `face` of a loaded mesh, with file and line, for
+ * which it reads the file again: "low.obj:12: face has no texture coordinates", of which "has no
+ * texture coordinates" is `what`. Returns BSQ_EDATA. */
+int fmt_mesh_fail_face(struct bsq_ctx *ctx, const char *path, uint64_t face, const char *what);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
