@@ -210,6 +210,18 @@ $(crashing_driver): $(BUILD)/obj/tests/fake/crashing_driver.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -o $@ $^
 
+# examples/ and `make doc` see a folder that has the installed headers and no others.
+public_headers := base/version.h base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
+public_copies  := $(public_headers:%=$(BUILD)/include/%)
+$(public_copies): $(BUILD)/include/%: %
+	@install -D -m 644 $< $@
+examples := $(patsubst %.c,$(BUILD)/%,$(wildcard examples/*.c))
+$(examples): $(BUILD)/%: %.c $(public_copies) $(archives)
+	@mkdir -p $(@D)
+	$(CC) -std=c99 -Wall -Wextra -Werror $(opt.$(config)) -I$(BUILD)/include $(LDFLAGS) -o $@ $< \
+	    $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base) \
+	    $(LIBS.formats) $(LIBS.bake) $(LIBS.base) -pthread
+
 # The naive readers of formats/FORMATS.md: no -I, they include nothing of Bisque.
 naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
 $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
@@ -263,7 +275,7 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files) $(fake_cuda) $(crashing_driver)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) $(fake_cuda) $(crashing_driver) $(faults)
+tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) $(fake_cuda) $(crashing_driver) $(faults)
 
 ## test: build and run all tests, with what is installed
 test: tests-build
@@ -290,9 +302,10 @@ packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools po
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)
 packages_lint := cppcheck clang-tidy clang-format
+packages_doc  := doxygen
 jobs ?= $(shell nproc)
 
-.PHONY: deps deps-lint
+.PHONY: deps deps-lint deps-doc
 ## deps: install the Debian packages that are missing (asks sudo where needed)
 deps:
 	@tests/install-packages.sh $(packages)
@@ -300,6 +313,8 @@ deps:
 
 deps-lint:
 	@tests/install-packages.sh $(packages_lint)
+deps-doc:
+	@tests/install-packages.sh $(packages_doc)
 
 # ---- demo ----
 demo_dir ?= demo
@@ -410,6 +425,14 @@ lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk
 format: deps-lint
 	clang-format -i $(formatted)
 
+.PHONY: doc
+## doc: API documentation of the libraries in build/CONFIG/doc/html, with Doxygen
+doc: deps-doc $(public_copies)
+	@mkdir -p $(BUILD)/doc
+	{ cat docs/Doxyfile; echo 'INPUT = docs/api.md $(public_copies)'; \
+	    echo 'STRIP_FROM_PATH = $(BUILD)/include .'; echo 'PROJECT_NUMBER = $(VERSION)'; \
+	    echo 'OUTPUT_DIRECTORY = $(BUILD)/doc'; } | doxygen -
+
 # Takes the lines of `make -n` that compile one source.
 compile_commands := [inputs | select(test(" -c \\S+ -o ")) | \
     {$$directory, command: ., file: capture(" -c (?<file>\\S+) -o ").file}]
@@ -425,7 +448,6 @@ libdir = $(DESTDIR)$(prefix)/lib
 moddir = $(libdir)/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
-public_headers := base/version.h base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 
 .PHONY: install uninstall
 ## install: programs, man pages, libraries, modules, headers and pkg-config files, under prefix=/usr/local

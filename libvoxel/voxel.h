@@ -117,7 +117,7 @@ void vox_job_finish(struct vox_job *job);
  * threads. */
 uint64_t vox_memory_min(unsigned threads);
 
-/* Parses without keeping anything; for measuring the reader. */
+/** Parses scan files without keeping anything and fills in *report. Measures the reader. */
 int vox_parse_only(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
                    struct vox_sort_report *report);
 

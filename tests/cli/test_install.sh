@@ -1,11 +1,11 @@
 #!/bin/sh
-# What is installed works: a program that is made with the installed headers, pkg-config files and
-# libraries; the modules, found from there and from a moved copy; nothing stays behind.
+# test_install.sh - an installation works: programs that are built with its headers, pkg-config files
+# and libraries, its modules, and a moved copy of it. Uninstalling leaves nothing.
 . "$(dirname "$0")/lib.sh"
 build=$(dirname "$BIN")
 prefix=$work/prefix
 
-# make_top TARGET VARIABLE=VALUE...: in the source tree, on the build that is tested.
+# make_top TARGET VARIABLE=VALUE...: runs make in the source tree, on the build that is tested.
 make_top()
 {
     command="make $*" code=0
@@ -13,7 +13,7 @@ make_top()
     check "make $1" "$code"
 }
 
-# is_there FILE...: under the prefix.
+# is_there FILE...: checks that the files are under the prefix and not empty.
 is_there()
 {
     for file; do
@@ -28,44 +28,7 @@ for program in bisque-voxelize bisque-bake bisque-compare; do
 done
 is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so
 
-# ---- a program of somebody else's ----
-cat >pipeline.c <<'C'
-#include <libbake/bake.h>
-#include <libvoxel/voxel.h>
-#include <stdio.h>
-
-int main(int argc, char **argv)
-{
-    const char *scan = "box.obj";
-    struct vox_sort_options sort = {.scan_paths = &scan, .scan_count = 1, .tris_path = "box.tris"};
-    struct vox_voxelize_options grid = {
-        .tris_path = "box.tris", .grid_path = "box.nvdb", .resolution = 32};
-    struct vox_sort_report sorted;
-    struct vox_voxelize_report voxelized;
-    struct bake_options bake;
-    struct bake_report baked;
-    struct bsq_ctx *ctx;
-    bake_defaults(&bake);
-    bake.scan_path = "box.nvdb", bake.mesh_path = scan, bake.output_path = "box_<MAP>.png";
-    bake.width = bake.height = 64, bake.device = "cpu";
-    sort.texture_path = argc > 1 && *argv[1] ? argv[1] : NULL;
-    grid.vdb_path = argc > 2 ? argv[2] : NULL;
-    int status = bsq_ctx_create(NULL, &ctx);
-    if (status == 0)
-        status = vox_sort(ctx, &sort, &sorted);
-    if (status == 0)
-        status = vox_voxelize(ctx, &grid, &voxelized);
-    if (status == 0)
-        status = bake_run(ctx, &bake, &baked);
-    if (status == 0)
-        printf("%d triangles, %s, %s\n", (int)sorted.triangles,
-               voxelized.has_color ? "color" : "no color", baked.hits > 0 ? "hits" : "no hits");
-    else
-        fprintf(stderr, "%s\n", bsq_error(ctx));
-    bsq_ctx_destroy(ctx);
-    return -status;
-}
-C
+# ---- the programs of examples/, built with the installation ----
 PKG_CONFIG_PATH=$prefix/lib/pkgconfig
 export PKG_CONFIG_PATH
 flags=
@@ -78,43 +41,50 @@ for libraries in bisque-voxel bisque-bake "bisque-voxel bisque-bake"; do
     grep -q -- "-L$prefix/lib " "$out" && ! grep -Eiq 'openimageio|openvdb|stdc' "$out"
     check "pkg-config --libs $libraries" $?
 done
-command="cc pipeline.c" code=0
-cc -std=c99 -Wall -Wextra -Werror $flags -o pipeline pipeline.c \
-    $(pkg-config --cflags --libs bisque-voxel bisque-bake) >"$out" 2>"$err" || code=$?
-check "a program is compiled with the installed headers and libraries" "$code"
+for example in voxelize_scan bake_maps compare_maps; do
+    command="cc $example.c" code=0
+    cc -std=c99 -Wall -Wextra -Werror $flags -o $example "$top/examples/$example.c" \
+        $(pkg-config --cflags --libs bisque-voxel bisque-bake) >"$out" 2>"$err" || code=$?
+    check "$example.c is compiled with the installed headers and libraries" "$code"
+done
 
 write_box >box.obj
 printf 'P3\n1 1\n255\n255 0 0\n' >red.ppm
 BIN=$PWD
-run pipeline
+voxelize="voxelize_scan box.obj box.tris box.nvdb 32"
+run $voxelize
 code 0
-out_like '^12 triangles, no color, hits$'
+out_like '^12 triangles, [0-9]* voxels, no color$'
+run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
+code 0
+out_like '^hits on '
 [ -s box_normal.png ] && [ ! -e box_color.png ]
 check "maps of a scan without colours" $?
-run pipeline red.ppm box.vdb
+run $voxelize red.ppm box.vdb
 code 0
-out_like '^12 triangles, color, hits$'
+out_like ', color$'
+run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
 [ -s box_color.png ] && [ -s box.vdb ]
 check "maps of a textured scan, and its OpenVDB file" $?
 
-# Started by a bare name, and the modules beside it: argv[0] does not say where that is.
-mkdir bin && mv pipeline bin && mv "$prefix"/lib/bisque/* bin
-command="pipeline red.ppm, found by PATH" code=0
-(PATH=$PWD/bin:$PATH && pipeline red.ppm) >"$out" 2>"$err" || code=$?
-out_like ', color, hits$'
-mv bin/pipeline . && mv bin/* "$prefix/lib/bisque"
+# Modules beside a program that is started by a bare name: argv[0] does not say where that is.
+mkdir bin && mv voxelize_scan bin && mv "$prefix"/lib/bisque/* bin
+command="voxelize_scan with a texture, found by PATH" code=0
+(PATH=$PWD/bin:$PATH && $voxelize red.ppm) >"$out" 2>"$err" || code=$?
+out_like ', color$'
+mv bin/voxelize_scan . && mv bin/* "$prefix/lib/bisque"
 
 # ---- modules that are not there, broken, or of another build ----
 cp -r "$prefix" moved
 rm "$prefix"/lib/bisque/*
-run pipeline
+run $voxelize
 code 0
-run pipeline red.ppm
+run $voxelize red.ppm
 places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
 refused 66 "textures need the module bisque-texture.so, which is not in $places"
-run pipeline '' box.vdb
+run $voxelize '' box.vdb
 refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
-# It is missed before any work is done.
+# The error comes before any work.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
 command="bisque-voxelize --vdb without its module" code=0
 "$prefix/bin/bisque-voxelize" one.obj -o one.nvdb --vdb one.vdb >"$out" 2>"$err" || code=$?
@@ -124,13 +94,13 @@ err_like '^bisque-voxelize: OpenVDB files need the module bisque-openvdb\.so'
 check "nothing was done before the module was missed" $?
 module=$prefix/lib/bisque/bisque-texture.so
 printf 'no library\n' >"$module"
-run pipeline red.ppm
+run $voxelize red.ppm
 code 66
 err_like "^textures need the module $module, which cannot be opened: "
 stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture.so | head -n 1)
 other=$(echo "$stamp" | tr 0-9 1-90)
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture.so >"$module"
-run pipeline red.ppm
+run $voxelize red.ppm
 refused 66 "textures need the module $module, which is of build $other; this program is of $stamp"
 
 # ---- a moved installation, and programs that open no more than they need ----

@@ -1,0 +1,20 @@
+#!/bin/sh
+# test_examples.sh - the programs of examples/, built against the public headers.
+. "$(dirname "$0")/lib.sh"
+BIN=$(dirname "$BIN")/examples
+
+write_box >box.obj
+run voxelize_scan box.obj box.tris box.nvdb 32
+code 0
+out_like '^12 triangles, [1-9][0-9]* voxels, no color$'
+run bake_maps box.nvdb box.obj 'grid_<MAP>.exr' 64
+code 0
+out_like '^hits on '
+run bake_maps box.tris box.obj 'exact_<MAP>.exr' 64
+code 0
+run compare_maps grid_normal.exr exact_normal.exr
+code 0
+out_like '^mean [0-9.e-]+, max [0-9.e-]+ degrees$'
+run compare_maps grid_normal.exr none.exr
+code 66
+finish
