@@ -68,34 +68,6 @@ static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_
     report->skipped_lines = totals->skipped_lines;
 }
 
-/* ---- parsing alone ---- */
-
-static int count_block(void *arg, const struct fmt_mesh_block *block)
-{
-    bsq_progress_add(arg, block->byte_size);
-    return 0;
-}
-
-int vox_parse_only(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
-                   struct vox_sort_report *report)
-{
-    struct fmt_mesh_reader *reader;
-    struct fmt_mesh_totals totals = {0};
-    double start = bsq_seconds_now();
-    memset(report, 0, sizeof *report);
-    int status = fmt_mesh_open(ctx, scan_paths, scan_count, &reader);
-    if (status < 0)
-        return status;
-    bsq_progress_begin(ctx, "reading", "bytes", total_bytes(scan_paths, scan_count));
-    status = fmt_mesh_read(reader, count_block, ctx, &totals);
-    bsq_progress_end(ctx);
-    report_totals(report, &totals);
-    report->triangles = totals.corners - 2 * totals.faces;
-    report->seconds_read = bsq_seconds_now() - start;
-    fmt_mesh_close(reader);
-    return status;
-}
-
 /* ---- sorting ---- */
 
 static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,

@@ -117,10 +117,6 @@ void vox_job_finish(struct vox_job *job);
  * threads. */
 uint64_t vox_memory_min(unsigned threads);
 
-/** Parses scan files without keeping anything and fills in *report. Measures the reader. */
-int vox_parse_only(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
-                   struct vox_sort_report *report);
-
 /** NanoVDB types of a grid. Both have the same nodes and channels. */
 enum vox_grid_type {
     VOX_GRID_MASK,   /**< Readable by NanoVDB 32.4 and later. */

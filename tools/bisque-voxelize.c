@@ -3,9 +3,12 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
+#include "base/clock.h"
 #include "base/file.h"
 #include "formats/file_kind.h"
+#include "formats/mesh/mesh_reader.h"
 #include "tools/voxelize_report.h"
 
 /* ---- before the work: what would fail only after hours ---- */
@@ -112,6 +115,52 @@ static int check_memory(struct cli *cli)
                      (unsigned long long)least_mib);
 }
 
+/* ---- --parse-only ---- */
+
+static int count_block(void *arg, const struct fmt_mesh_block *block)
+{
+    bsq_progress_add(arg, block->byte_size);
+    return 0;
+}
+
+/* Returns the sum of the inputs' sizes in bytes. The reader reports files that cannot be read. */
+static uint64_t input_bytes(const struct voxelize_arguments *arguments)
+{
+    uint64_t bytes = 0;
+    struct stat info;
+    for (uint32_t i = 0; i < arguments->input_count; i++) {
+        if (stat(arguments->inputs[i], &info) == 0)
+            bytes += (uint64_t)info.st_size;
+    }
+    return bytes;
+}
+
+/* Parses the inputs, keeps nothing, and fills in the report of reading. */
+static int parse_inputs(struct voxelize_job *job)
+{
+    struct bsq_ctx *ctx = job->cli->ctx;
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_totals totals = {0};
+    double start = bsq_seconds_now();
+    int status = fmt_mesh_open(ctx, job->arguments->inputs, job->arguments->input_count, &reader);
+    if (status < 0)
+        return status;
+    bsq_progress_begin(ctx, "reading", "bytes", input_bytes(job->arguments));
+    status = fmt_mesh_read(reader, count_block, ctx, &totals);
+    bsq_progress_end(ctx);
+    fmt_mesh_close(reader);
+    job->sort = (struct vox_sort_report){
+        .bytes_read = totals.bytes,
+        .vertices = totals.vertices,
+        .faces = totals.faces,
+        .triangles = totals.corners - 2 * totals.faces,
+        .short_faces = totals.short_faces,
+        .skipped_lines = totals.skipped_lines,
+        .seconds_read = bsq_seconds_now() - start,
+    };
+    return status;
+}
+
 /* ---- the work ---- */
 
 static int sort_scan(struct voxelize_job *job)
@@ -158,7 +207,7 @@ static int do_work(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     if (arguments->parse_only)
-        return vox_parse_only(job->cli->ctx, arguments->inputs, arguments->input_count, &job->sort);
+        return parse_inputs(job);
     assert(arguments->output); /* see check_arguments() */
     int status = check_memory(job->cli);
     if (status == 0 && arguments->vdb)

@@ -108,10 +108,15 @@ static int count_open(void)
 static int parse(struct bsq_ctx *ctx)
 {
     const char *path = "scan.obj";
-    struct vox_sort_report report;
-    int status = vox_parse_only(ctx, &path, 1, &report);
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_totals totals;
+    int status = fmt_mesh_open(ctx, &path, 1, &reader);
+    if (status < 0)
+        return status;
+    status = fmt_mesh_read(reader, NULL, NULL, &totals);
     if (status == 0)
-        assert_int_equal(report.faces, SIDE * SIDE);
+        assert_int_equal(totals.faces, SIDE * SIDE);
+    fmt_mesh_close(reader);
     return status;
 }
 

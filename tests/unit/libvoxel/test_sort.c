@@ -342,17 +342,6 @@ static void tiny_triangles_are_kept(void **state)
     assert_int_equal(f->report.degenerate_triangles, 0);
 }
 
-static void parsing_alone_counts(void **state)
-{
-    struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
-    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 1 2 4 3\n");
-    assert_int_equal(vox_parse_only(f->ctx, paths, 1, &f->report), 0);
-    assert_int_equal(f->report.vertices, 4);
-    assert_int_equal(f->report.faces, 2);
-    assert_int_equal(f->report.triangles, 3);
-}
-
 int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
@@ -367,7 +356,6 @@ int main(void)
         TEST(ordinary_meshes_take_14_bytes_a_triangle),
         TEST(triangles_without_area_are_counted),
         TEST(tiny_triangles_are_kept),
-        TEST(parsing_alone_counts),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
