@@ -46,7 +46,8 @@ LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 libs := base formats libvoxel libbake
 # Each library is a folder whose subfolders are its rooms.
 $(foreach l,$(libs),$(eval src.$(l) := $(sort $(shell find $(l) -name '*.c'))))
-objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1)))
+objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1))) \
+    $(foreach s,$(simd),$(patsubst %,$(BUILD)/obj/%.$(s).o,$(filter %_lanes.c,$(src.$(1)))))
 archive.base     := $(BUILD)/lib/libbisque-base.a
 archive.formats  := $(BUILD)/lib/libbisque-formats.a
 archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
@@ -82,11 +83,18 @@ $(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(
 # Fused operations would round otherwise. Nobody makes them where -ffp-contract=off says so; but Clang takes AVX-512 away with
 # them.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
-# Chosen at run time where the processor has it.
+# Sources named *_lanes.c are compiled once more for each of these instruction sets; base/simd/simd.h chooses at run time.
 ifneq ($(filter x86_64,$(shell uname -m)),)
-$(BUILD)/obj/libvoxel/voxelize/lane_code_avx2.c.o: CFLAGS += -mavx2 $(no_fma)
-$(BUILD)/obj/libvoxel/voxelize/lane_code_avx512.c.o: CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 -mlzcnt $(no_fma)
+simd := avx2 avx512
 endif
+simd.avx2   := -DBSQ_SIMD_SUFFIX=avx2 -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
+simd.avx512 := -DBSQ_SIMD_SUFFIX=avx512 -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 -mlzcnt $(no_fma)
+define simd_rule
+$(BUILD)/obj/%_lanes.c.$(1).o: %_lanes.c
+	@mkdir -p $$(@D)
+	$$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< -o $$@
+endef
+$(foreach s,$(simd),$(eval $(call simd_rule,$(s))))
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 

@@ -17,13 +17,6 @@ enum fmt_tris_attribute {
     FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */
 };
 
-/* A scan without normals gets smooth ones, the sum of the triangles' area vectors around each
- * vertex, but not over creases: where that sum is shorter than this share of the summed areas, the
- * triangles keep their own normals there. Two sheets of equal area fold by 60 degrees at this limit
- * (its cosine of half the fold). Both stages go by it, so that maps from voxels and exact ones
- * agree. */
-#define FMT_TRIS_CREASE_SHARE 0.866
-
 /* Largest chunk; keeps indices at 16 bits for ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
 

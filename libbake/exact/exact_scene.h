@@ -7,6 +7,7 @@
 #include <pthread.h>
 
 #include "base/positions.h"
+#include "base/smooth_normals.h"
 #include "formats/image/texture.h"
 #include "formats/chunks/tris.h"
 #include "libbake/exact/exact.h"
@@ -40,7 +41,7 @@ struct exact_smooth {
     struct bsq_positions table; /* of positions */
     uint32_t *entry_of;         /* of each vertex of the chunk, + 1; 0: not needed */
     float (*positions)[3];
-    double (*sums)[4]; /* of cross products, and of their lengths */
+    double (*sums)[4]; /* of one-rings (base/smooth_normals.h), by entry_of; 0: not needed */
     uint32_t count;
 };
 

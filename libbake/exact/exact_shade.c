@@ -51,9 +51,9 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
 static void add_smooth(const struct place *place, int corner, double sum[3])
 {
     const struct exact_smooth *smooth = &place->slot->smooth;
-    const double *n = smooth->sums[smooth->entry_of[place->v[corner]] - 1];
+    const double *n = smooth->sums[smooth->entry_of[place->v[corner]]];
     double length = sqrt(dot(n, n));
-    if (!(length >= FMT_TRIS_CREASE_SHARE * n[3]) || !(length > 0)) {
+    if (!bsq_is_smooth(length, n[3])) {
         n = place->cross;
         length = sqrt(dot(n, n));
     }

@@ -1,8 +1,8 @@
 /* exact_smooth.c - smooth vertex normals of a chunk, as if the scan were whole.
  *
- * Vertices are the same where their positions are, in one chunk or in several. A vertex's normal is
- * the sum of the triangles' cross products around it, in the order of the file whatever
- * chunks they are in, so it is the same bit for bit as on the whole scan. Only normals that hits
+ * Vertices are the same where their positions are, in one chunk or in several. A vertex's one-ring
+ * (base/smooth_normals.h) is summed in the order of the file whatever chunks its triangles are in,
+ * so its normal is the same bit for bit as on the whole scan. Only normals that hits
  * ask for are summed, and only chunks that reach to those vertices are read. */
 #include "libbake/exact/exact_scene.h"
 
@@ -16,7 +16,8 @@ uint64_t bake_exact_smooth_bytes(uint32_t vertices)
 {
     const struct exact_smooth *s = NULL;
     return (uint64_t)bsq_positions_slots(vertices) * sizeof *s->table.slots +
-           (uint64_t)vertices * (sizeof *s->sums + sizeof *s->positions + sizeof *s->entry_of);
+           (uint64_t)vertices * (sizeof *s->positions + sizeof *s->entry_of) +
+           ((uint64_t)vertices + 1) * sizeof *s->sums;
 }
 
 void bake_exact_smooth_begin(struct exact_slot *slot)
@@ -24,11 +25,12 @@ void bake_exact_smooth_begin(struct exact_slot *slot)
     struct exact_smooth *s = &slot->smooth;
     const uint32_t vertices = slot->chunk.vertex_count, slots = bsq_positions_slots(vertices);
     s->sums = slot->smooth_memory;
-    s->positions = (float(*)[3])(void *)(s->sums + vertices);
+    s->positions = (float(*)[3])(void *)(s->sums + vertices + 1);
     s->entry_of = (uint32_t *)(void *)(s->positions + vertices);
     s->table =
         (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
     s->count = 0;
+    memset(s->sums[0], 0, sizeof *s->sums);
     memset(s->table.slots, 0, slots * sizeof *s->table.slots);
     memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
 }
@@ -43,8 +45,8 @@ void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex)
     uint32_t *entry = bsq_positions_find(&s->table, slot->chunk.positions[vertex]);
     if (*entry == 0) {
         memcpy(s->positions[s->count], slot->chunk.positions[vertex], sizeof *s->positions);
-        memset(s->sums[s->count], 0, sizeof *s->sums);
         *entry = ++s->count;
+        memset(s->sums[s->count], 0, sizeof *s->sums);
     }
     s->entry_of[vertex] = *entry;
 }
@@ -59,45 +61,13 @@ static bool inside(const struct exact_box *box, const float p[3])
     return in;
 }
 
-/* Twice the triangle's area vector, and its length. */
-static void area_vector(const float a[3], const float b[3], const float c[3], double n[4])
-{
-    double u[3], v[3];
-    for (int k = 0; k < 3; k++) {
-        u[k] = (double)b[k] - (double)a[k];
-        v[k] = (double)c[k] - (double)a[k];
-    }
-    n[0] = u[1] * v[2] - u[2] * v[1];
-    n[1] = u[2] * v[0] - u[0] * v[2];
-    n[2] = u[0] * v[1] - u[1] * v[0];
-    n[3] = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
-}
-
-/* map: of the chunk's vertices, the numbers of their sums + 1, 0 where there are none. */
-static void add_triangles(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
-                          const uint32_t *map)
-{
-    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
-        const uint32_t *v = chunk->triangles[t];
-        if ((map[v[0]] | map[v[1]] | map[v[2]]) == 0)
-            continue;
-        double n[4];
-        area_vector(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]], n);
-        for (int i = 0; i < 3; i++) {
-            if (map[v[i]] == 0)
-                continue;
-            for (int k = 0; k < 4; k++)
-                s->sums[map[v[i]] - 1][k] += n[k];
-        }
-    }
-}
-
 static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
                       const struct exact_box *box, uint32_t *map)
 {
     if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count,
                             map))
-        add_triangles(s, chunk, map);
+        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, chunk->triangle_count, map, 1,
+                          s->sums);
 }
 
 static struct exact_box bounds_of(const struct exact_smooth *s)

@@ -11,20 +11,18 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/smooth_normals.h"
 #include "libbake/lowpoly/mikkt.h"
 
-static void face_cross(const struct bake_lowmesh *mesh, uint64_t triangle, double cross[3])
+/* Returns the area vector and the area of a triangle, both doubled. */
+static struct row face_vector(const struct bake_lowmesh *mesh, uint64_t triangle)
 {
-    const double(*p)[3] = (const double(*)[3])mesh->positions[triangle];
-    double a[3], b[3];
-    for (int k = 0; k < 3; k++) {
-        a[k] = p[1][k] - p[0][k];
-        b[k] = p[2][k] - p[0][k];
+    struct row corner[3];
+    for (int i = 0; i < 3; i++) {
+        const double *p = mesh->positions[triangle][i];
+        corner[i] = row_of(p[0], p[1], p[2], 0.0);
     }
-    for (int k = 0; k < 3; k++) {
-        int k1 = (k + 1) % 3, k2 = (k + 2) % 3;
-        cross[k] = a[k1] * b[k2] - a[k2] * b[k1];
-    }
+    return bsq_area_vector(corner);
 }
 
 /* Writes v scaled to unit length; returns false if v is zero or not finite. */
@@ -104,11 +102,12 @@ static bool lacks_normals(const struct fmt_mesh *mesh)
     return false;
 }
 
-/* Sums of area-weighted face normals by position index; *out stays NULL where none are needed. */
+/* Sums the one-rings (base/smooth_normals.h) by position index. *out stays NULL if none are needed.
+ */
 static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
-                              const struct bake_lowmesh *low, double (**out)[3])
+                              const struct bake_lowmesh *low, double (**out)[4])
 {
-    double(*sums)[3] = NULL;
+    double(*sums)[4] = NULL;
 
     if (!lacks_normals(mesh))
         return 0;
@@ -116,12 +115,9 @@ static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
     if (rc)
         return rc;
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
-        double cross[3];
-        face_cross(low, t, cross);
-        for (int i = 0; i < 3; i++) {
-            for (int k = 0; k < 3; k++)
-                sums[mesh->vertices[t][i]][k] += cross[k];
-        }
+        struct row vector = face_vector(low, t);
+        for (int i = 0; i < 3; i++)
+            row_add(sums[mesh->vertices[t][i]], vector);
     }
     *out = sums;
     return 0;
@@ -129,7 +125,7 @@ static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
 
 /* The corner's own normal, else the face's. A triangle without area that has no normal either gets
  * an arbitrary one: it must be finite, but no direction is better than another. */
-static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[3],
+static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[4],
                           const float face_normal[3], uint64_t t, int i, float out[3])
 {
     uint32_t index = mesh->corner_normals ? mesh->corner_normals[t][i] : UINT32_MAX;
@@ -147,7 +143,7 @@ static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[3]
 
 static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
-    double(*smooth)[3] = NULL;
+    double(*smooth)[4] = NULL;
 
     int rc = sum_vertex_normals(ctx, mesh, out, &smooth);
     if (rc)
@@ -155,11 +151,11 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
     rc = bsq_check(ctx);
     for (uint64_t t = 0; t < mesh->triangle_count && rc == 0; t++) {
         float face_normal[3] = {0, 0, 1};
-        double cross[3];
-        face_cross(out, t, cross);
-        store_unit(cross, face_normal);
+        double vector[4];
+        row_store(face_vector(out, t), vector);
+        store_unit(vector, face_normal);
         for (int i = 0; i < 3; i++)
-            choose_normal(mesh, (const double(*)[3])smooth, face_normal, t, i, out->normals[t][i]);
+            choose_normal(mesh, (const double(*)[4])smooth, face_normal, t, i, out->normals[t][i]);
     }
     bsq_free(ctx, smooth);
     return rc;

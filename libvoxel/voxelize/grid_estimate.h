@@ -3,7 +3,7 @@
 #ifndef VOX_VOXELIZE_GRID_ESTIMATE_H
 #define VOX_VOXELIZE_GRID_ESTIMATE_H
 
-#include "libvoxel/voxelize/plan/voxel_transform.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 /* *voxels: about how many voxels the triangles touch. Right to some percent where triangles are
  * larger than voxels; surfaces that pass through the same voxels count more than once. Reads

@@ -38,7 +38,7 @@ static int add_chunks(const struct vox_scan *scan, const struct vox_unit *unit,
         if ((status = bsq_check(scan->ctx)) < 0 ||
             (status = vox_chunks_acquire(scan->chunks, number, &what.chunk)) < 0)
             break;
-        status = vox_accumulate_chunk(&what, counted);
+        status = BSQ_SIMD_PICK(bsq_simd_best(), vox_accumulate_chunk)(&what, counted);
         vox_chunks_release(scan->chunks, number);
     }
     return status;

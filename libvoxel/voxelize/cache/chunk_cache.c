@@ -5,7 +5,7 @@
  * virtual-storage computer", 1966). Slots are allocated when first used. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 #include "base/octahedral.h"
-#include "libvoxel/voxelize/lanes/lanes.h"
+#include "base/simd/simd.h"
 #include "libvoxel/voxelize/cache/scan_normals_check.h"
 
 #include <pthread.h>

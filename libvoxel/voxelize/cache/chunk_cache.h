@@ -6,7 +6,7 @@
 #define VOX_VOXELIZE_CACHE_CHUNK_CACHE_H
 
 #include "libvoxel/voxelize/cache/chunk_groups.h"
-#include "libvoxel/voxelize/plan/schedule.h"
+#include "libvoxel/voxelize/plan/plan.h"
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 
 struct vox_chunk {

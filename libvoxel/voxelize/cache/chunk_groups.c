@@ -1,6 +1,5 @@
 /* chunk_groups.c - see chunk_groups.h. */
 #include "libvoxel/voxelize/cache/chunk_groups.h"
-#include "libvoxel/voxelize/cache/chunk_cell.h"
 
 struct bounds {
     struct row least, most;

@@ -6,8 +6,8 @@
 #ifndef VOX_VOXELIZE_CACHE_CHUNK_GROUPS_H
 #define VOX_VOXELIZE_CACHE_CHUNK_GROUPS_H
 
-#include "formats/chunks/tris.h"
-#include "libvoxel/voxelize/plan/voxel_transform.h"
+#include "base/simd/simd.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 enum { VOX_GROUP_TRIANGLES = 64, VOX_GROUP_VERTICES = 64 };
 
@@ -21,6 +21,13 @@ static inline uint32_t vox_group_count(uint32_t things, uint32_t group)
 static inline uint32_t vox_group_end(uint32_t begin, uint32_t things, uint32_t group)
 {
     return things - begin < group ? things : begin + group;
+}
+
+/* Returns the voxel of a point, and an arbitrary fourth number. Points are never below the grid;
+ * a point on its upper bounds is counted to the last voxel. */
+LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
+{
+    return four_min(row_floor(point), four_load(last_cell));
 }
 
 /* Voxels of the bounds of each group. last_cell: what lies above belongs to it too, on each axis;

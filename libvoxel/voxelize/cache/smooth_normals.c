@@ -4,7 +4,7 @@
  * every chunk file, though only scans that are coarse for the grid need them; so the neighbours,
  * found by their bounds, are looked at again, and matched by position. */
 #include "libvoxel/voxelize/cache/smooth_normals.h"
-#include "libvoxel/voxelize/lanes/lane_code.h"
+#include "libvoxel/voxelize/cache/one_ring.h"
 
 #include <pthread.h>
 #include <string.h>
@@ -15,10 +15,10 @@
 struct desk {
     bool busy;
     struct bsq_positions table; /* of the chunk's vertices */
-    uint32_t *twins;        /* of each vertex of the chunk: the first vertex at its position + 1 */
-    uint32_t *mates;        /* of each vertex of a neighbour: the same, 0 where there is none */
-    struct vox_ring *rings; /* by these numbers */
-    void *scratch;          /* a neighbour that nobody lends */
+    uint32_t *twins; /* of each vertex of the chunk: the first vertex at its position + 1 */
+    uint32_t *mates; /* of each vertex of a neighbour: the same, 0 where there is none */
+    struct vox_one_ring *rings; /* by these numbers */
+    void *scratch;              /* a neighbour that nobody lends */
 };
 
 struct vox_smooth {
@@ -45,7 +45,7 @@ static uint64_t desk_bytes(const struct fmt_tris_file *file)
     uint32_t vertices = largest_vertex_count(file);
     return sizeof(struct desk) + (uint64_t)bsq_positions_slots(vertices) * sizeof(uint32_t) +
            (uint64_t)vertices * 2 * sizeof(uint32_t) +
-           ((uint64_t)vertices + 1) * sizeof(struct vox_ring) + fmt_tris_load_size_max(file);
+           ((uint64_t)vertices + 1) * sizeof(struct vox_one_ring) + fmt_tris_load_size_max(file);
 }
 
 static int make_desk(struct vox_smooth *s, struct desk *d)
@@ -193,18 +193,17 @@ static bool match(const struct desk *d, const struct neighbour *n)
 
 static void add_neighbour(const struct desk *d, const struct neighbour *n)
 {
-    const struct vox_lane_code *code = vox_lane_code();
+    vox_add_one_rings_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings);
     const struct fmt_tris_chunk *chunk = n->loan.chunk;
     if (!n->loan.triangle_groups) {
-        code->add_rings(chunk, 0, chunk->triangle_count, d->mates, d->rings);
+        add(chunk, 0, chunk->triangle_count, d->mates, d->rings);
         return;
     }
     for (uint32_t begin = 0, g = 0; begin < chunk->triangle_count;
          begin += VOX_GROUP_TRIANGLES, g++)
         if (vox_boxes_meet(&n->loan.triangle_groups[g], &n->box))
-            code->add_rings(chunk, begin,
-                            vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES),
-                            d->mates, d->rings);
+            add(chunk, begin, vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES),
+                d->mates, d->rings);
 }
 
 static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
@@ -239,7 +238,8 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
     enter_vertices(d, chunk);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == index)
-            vox_lane_code()->add_rings(chunk, 0, chunk->triangle_count, d->twins, d->rings);
+            BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings)
+            (chunk, 0, chunk->triangle_count, d->twins, d->rings);
         else if (touch(&infos[i], info))
             status = add_chunk(s, lender, d, &neighbour, i);
     }
@@ -253,8 +253,8 @@ int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *len
     struct desk *desk = sit_down(s);
     int status = sum_normals(s, lender, desk, index, chunk, lattice);
     if (status == 0)
-        vox_lane_code()->finish_rings(desk->rings, desk->twins, chunk->vertex_count, lattice->h,
-                                      normals);
+        BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
+        (desk->rings, desk->twins, chunk->vertex_count, lattice->h, normals);
     stand_up(s, desk);
     return status;
 }

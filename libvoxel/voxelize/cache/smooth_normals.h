@@ -28,7 +28,7 @@ struct vox_smooth_lender {
 
 /* Area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices at the
  * same position are one, whichever chunk they are in. `chunk` is number `index`, decoded; `normals`
- * has one entry a vertex: unit length, or zero at creases (see FMT_TRIS_CREASE_SHARE); and fourth
+ * has one entry a vertex: unit length, or zero at creases (see BSQ_CREASE_SHARE); and fourth
  * how far above the vertex, along its normal and in voxels, the surface lies that these normals,
  * interpolated, belong to; 0 at creases. The sums run in the order of triangles in the file, so the
  * result does not depend on who asks when. Thread-safe; a call waits while there is no room. */

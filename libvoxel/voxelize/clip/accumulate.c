@@ -1,6 +1,5 @@
 /* accumulate.c - see accumulate.h; the work itself is in accumulate_lanes.h. */
 #include "libvoxel/voxelize/clip/fragment_block.h"
-#include "libvoxel/voxelize/lanes/lane_code.h"
 
 uint64_t vox_block_bytes(void)
 {
@@ -15,9 +14,4 @@ int vox_block_create(struct bsq_ctx *ctx, struct vox_block **out)
 void vox_block_destroy(struct bsq_ctx *ctx, struct vox_block *block)
 {
     bsq_free(ctx, block);
-}
-
-int vox_accumulate_chunk(const struct vox_accumulation *what, uint64_t *counted)
-{
-    return vox_lane_code()->accumulate_chunk(what, counted);
 }

@@ -24,6 +24,7 @@ struct vox_accumulation {
 /* Adds what the chunk's triangles have inside the window, in the order of the triangles. *counted:
  * adds the number of triangles that this window is the one to count, so that over all regions each
  * is counted once. Returns 0, VOX_REGION_FULL or a negative status. */
-int vox_accumulate_chunk(const struct vox_accumulation *what, uint64_t *counted);
+typedef int vox_accumulate_chunk_fn(const struct vox_accumulation *what, uint64_t *counted);
+BSQ_SIMD_DECLARE(vox_accumulate_chunk_fn, vox_accumulate_chunk);
 
 #endif

@@ -23,7 +23,7 @@
 
 #include <math.h>
 
-#include "libvoxel/voxelize/plan/voxel_transform.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 #define CLIP_INLINE static inline __attribute__((always_inline))
 

@@ -16,7 +16,7 @@
 #ifndef VOX_VOXELIZE_CLIP_DIVIDE_LANES_H
 #define VOX_VOXELIZE_CLIP_DIVIDE_LANES_H
 
-#include "libvoxel/voxelize/lanes/lanes.h"
+#include "base/simd/simd.h"
 
 /* Planes that cut a triangle, along an axis. */
 enum {

@@ -3,11 +3,9 @@
  * Triangles are in Morton order, so a run of them is mostly in one place; one that is not is
  * halved. A single triangle touches about as many voxels as its bounds have regions, unless there
  * are more than any file could hold. */
-#include "libvoxel/voxelize/plan/chunk_boxes.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 #include <math.h>
-
-#include "libvoxel/voxelize/plan/schedule.h"
 
 /* Reading a chunk takes as long as going through some hundred regions with nothing in them. */
 static const double few_regions = 128.0;

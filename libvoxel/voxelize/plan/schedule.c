@@ -4,7 +4,7 @@
  * sequence can be computed. So a heap with one entry a part, keyed by (next region, part), yields
  * the regions in order and for each its chunks in ascending order: no list of pairs is ever held,
  * and a grid that is huge and sparse costs nothing where there is no scan. */
-#include "libvoxel/voxelize/plan/schedule.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 /* A tile has 32^3 regions. Tile numbers are below 2^18 in magnitude; as 19-bit two's complement
  * they sort like the unsigned keys of the grid's root: first 0 and up, then the negative ones. */

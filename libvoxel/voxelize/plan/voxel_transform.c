@@ -2,7 +2,7 @@
  *
  * The mapping is monotonic on each axis, since every operation in it is, so the voxels of a
  * triangle lie between those of its bounds whatever the rounding. */
-#include "libvoxel/voxelize/plan/voxel_transform.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 #include <float.h>
 #include <math.h>

@@ -4,8 +4,6 @@
  * from the voxel's record opens a second one. Because a record only takes pieces that do not face
  * away from it, its own sum cannot cancel. */
 #include "libvoxel/voxelize/records/region.h"
-#include "libvoxel/voxelize/lanes/lane_code.h"
-#include "libvoxel/voxelize/lanes/lanes.h"
 
 #include <math.h>
 #include <string.h>
@@ -214,7 +212,7 @@ static void choose_records(const struct vox_accumulator *a, uint32_t number,
 static void make_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
                          const struct vox_color_tables *tables, struct fmt_nvdb_record *records)
 {
-    vox_lane_code()->make_records(a->sums, numbers, count, records);
+    BSQ_SIMD_PICK(bsq_simd_best(), vox_make_records)(a->sums, numbers, count, records);
     for (uint32_t i = 0; a->colors && i < count; i++)
         records[i].color = encode_color(&a->colors[numbers[i]], tables);
 }
@@ -225,7 +223,7 @@ static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, 
     for (uint32_t word = 0; word < 8; word++) {
         mask[word] = 0;
         for (uint32_t i = 0; i < 64; i += 16)
-            mask[word] |= (uint64_t)sixteen_bits(slots + 64 * word + i) << i;
+            mask[word] |= (uint64_t)bits_of_sixteen(slots + 64 * word + i) << i;
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
             __builtin_prefetch(&a->sums[slots[64 * word + (uint32_t)__builtin_ctzll(bits)]]);
     }

@@ -10,7 +10,7 @@
 #define VOX_VOXELIZE_RECORDS_REGION_H
 
 #include "formats/grid/nvdb.h"
-#include "libvoxel/voxelize/lanes/lanes.h"
+#include "base/simd/simd.h"
 #include "libvoxel/voxelize/records/voxel_color.h"
 
 enum {
@@ -169,5 +169,11 @@ LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
         row_add(a->colors[number].rgb, piece->color);
     return 0;
 }
+
+/* Makes `count` records from the sums with these numbers, without colours and without
+ * FMT_NVDB_PLANE_SECOND. */
+typedef void vox_make_records_fn(const struct vox_sum *sums, const uint32_t *numbers,
+                                 uint64_t count, struct fmt_nvdb_record *records);
+BSQ_SIMD_DECLARE(vox_make_records_fn, vox_make_records);
 
 #endif

@@ -1,4 +1,5 @@
 /* Normals around vertices as if the scan were whole, whatever the chunks. */
+#include "base/smooth_normals.h"
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 
@@ -136,7 +137,7 @@ static void expected_normal(const struct scan_mesh *mesh, const float at[3], dou
     }
     double length = sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     for (int a = 0; a < 3; a++)
-        normal[a] = length >= FMT_TRIS_CREASE_SHARE * areas && length > 0 ? sum[a] / length : 0.0;
+        normal[a] = length >= BSQ_CREASE_SHARE * areas && length > 0 ? sum[a] / length : 0.0;
 }
 
 /* All chunks' normals, whether neighbours are lent or read. */

@@ -1,7 +1,6 @@
 /* Parts of chunks: every triangle lies in one, none reaches across many regions without need, and
  * grids of scattered scans are made as fast as those of whole ones, with the same bytes. */
-#include "libvoxel/voxelize/plan/chunk_boxes.h"
-#include "libvoxel/voxelize/plan/schedule.h"
+#include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/voxelize/voxelize_fixture.h"
 
 #include <setjmp.h>

@@ -1,6 +1,6 @@
 /* The schedule of regions: held against a list of all pairs, sorted by the definition of the grid
  * file's order. */
-#include "libvoxel/voxelize/plan/schedule.h"
+#include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 
 #include <setjmp.h>

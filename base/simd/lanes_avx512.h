@@ -1,6 +1,6 @@
-/* lanes_avx512.h - lanes.h with eight lanes; each mask is a bit a lane. */
-#ifndef VOX_VOXELIZE_LANES_LANES_AVX512_H
-#define VOX_VOXELIZE_LANES_LANES_AVX512_H
+/* lanes_avx512.h - eight lanes, for AVX-512. A mask has one bit for each lane. */
+#ifndef BSQ_SIMD_LANES_AVX512_H
+#define BSQ_SIMD_LANES_AVX512_H
 
 typedef __mmask8 lane_mask;
 
@@ -64,13 +64,13 @@ LANES_INLINE lanes lanes_sqrt(lanes x)
     return _mm512_sqrt_pd(x);
 }
 
-/* Lane i is that of x with index which[i], of whose bits only the lowest matter. */
+/* Sets lane i to the lane of x whose index is in the low three bits of which[i]. */
 LANES_INLINE lanes lanes_pick(lanes x, lane_ints which)
 {
     return _mm512_permutexvar_pd((__m512i)which, x);
 }
 
-/* The lanes of the mask one after the other, then zeros. */
+/* Returns the lanes of the mask one after the other, then zeros. */
 LANES_INLINE lanes lanes_pack(lane_mask mask, lanes x)
 {
     return _mm512_maskz_compress_pd(mask, x);
@@ -92,7 +92,7 @@ LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], lanes 
     out[3] = _mm512_shuffle_f64x2(b, d, 0xdd);
 }
 
-/* Four words each from places in memory. */
+/* Returns four 32-bit words from each address. */
 LANES_INLINE __m512i lanes_four_rows(const void *const from[4])
 {
     __m512i rows = _mm512_castsi128_si512(_mm_loadu_si128((const __m128i *)from[0]));
@@ -101,12 +101,12 @@ LANES_INLINE __m512i lanes_four_rows(const void *const from[4])
     return _mm512_inserti32x4(rows, _mm_loadu_si128((const __m128i *)from[3]), 3);
 }
 
-/* Columns of eight rows of four words: 0 and 1, or with `skip` 2 those behind. */
-LANES_INLINE __m512i lanes_two_columns(__m512i rows, __m512i more_rows, int skip)
+/* Returns columns `first` and first + 1 of eight rows of four words. */
+LANES_INLINE __m512i lanes_two_columns(__m512i rows, __m512i more_rows, int first)
 {
     const __m512i places =
         _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 1, 5, 9, 13, 17, 21, 25, 29);
-    return _mm512_permutex2var_epi32(rows, _mm512_add_epi32(places, _mm512_set1_epi32(skip)),
+    return _mm512_permutex2var_epi32(rows, _mm512_add_epi32(places, _mm512_set1_epi32(first)),
                                      more_rows);
 }
 

@@ -1,7 +1,7 @@
-/* lanes_masked.h - what of lanes.h needs masks that are lanes themselves: all bits set, or none.
- * For processors without registers for masks. */
-#ifndef VOX_VOXELIZE_LANES_LANES_MASKED_H
-#define VOX_VOXELIZE_LANES_LANES_MASKED_H
+/* lanes_masked.h - masks for processors without mask registers: each lane of a mask has all bits
+ * set, or none. */
+#ifndef BSQ_SIMD_LANES_MASKED_H
+#define BSQ_SIMD_LANES_MASKED_H
 
 typedef lane_ints lane_mask;
 
@@ -15,25 +15,25 @@ LANES_INLINE lane_mask lanes_equal(lanes a, lanes b)
     return a == b;
 }
 
-/* Where the sign is set, that of zero too. */
+/* Returns the lanes whose sign bit is set; -0 has it too. */
 LANES_INLINE lane_mask lanes_signs(lanes x)
 {
     return (lane_ints)x < 0;
 }
 
-/* x where the mask is set, 0 elsewhere */
+/* Returns x where the mask is set, else 0. */
 LANES_INLINE lanes lanes_keep(lane_mask mask, lanes x)
 {
     return (lanes)(mask & (lane_ints)x);
 }
 
-/* x | bits where the mask is set, x elsewhere */
+/* Returns x | bits where the mask is set, else x. */
 LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
 {
     return x | (mask & bits);
 }
 
-/* x + y where the mask is set, x elsewhere */
+/* Returns x + y where the mask is set, else x. */
 LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
 {
     return x + (mask & y);

@@ -1,16 +1,13 @@
-/* accumulate_lanes.h - the loop over triangles; included by a source for each kind of instructions.
+/* accumulate_lanes.c - the loop over triangles.
  *
  * Triangles are taken in blocks. Inside a block they are grouped by the number of planes that cut
  * them along each axis, so that several can be divided and shaded side by side; the pieces are then
  * added in the order of the triangles, so that nothing shows of the grouping. Runs of triangles
  * that miss the window are passed over by their bounds. */
-#ifndef VOX_VOXELIZE_CLIP_ACCUMULATE_LANES_H
-#define VOX_VOXELIZE_CLIP_ACCUMULATE_LANES_H
+#include "libvoxel/voxelize/clip/fragment_block.h"
 
 #include <assert.h>
 
-#include "libvoxel/voxelize/clip/fragment_block.h"
-#include "libvoxel/voxelize/cache/chunk_cell.h"
 #include "libvoxel/voxelize/clip/clip.h"
 #include "libvoxel/voxelize/clip/shade_lanes.h"
 
@@ -585,7 +582,7 @@ static int add_group(const struct vox_accumulation *what, uint32_t begin, uint32
     return status;
 }
 
-static int accumulate_chunk(const struct vox_accumulation *what, uint64_t *counted)
+int BSQ_SIMD_NAME(vox_accumulate_chunk)(const struct vox_accumulation *what, uint64_t *counted)
 {
     const struct vox_chunk *chunk = what->chunk;
     uint32_t count = chunk->source.triangle_count, room = BLOCK_PIECES;
@@ -603,5 +600,3 @@ static int accumulate_chunk(const struct vox_accumulation *what, uint64_t *count
     }
     return status == 0 ? add_block(what) : status;
 }
-
-#endif

@@ -1,18 +1,12 @@
-/* record_lanes.h - turns the sums of voxels into records of the grid, several side by side. */
-#ifndef VOX_VOXELIZE_RECORDS_RECORD_LANES_H
-#define VOX_VOXELIZE_RECORDS_RECORD_LANES_H
-
-#include "libvoxel/voxelize/lanes/lanes.h"
+/* record_lanes.c - turns the sums of voxels into records of the grid, several side by side. */
+#define SIMD_FLOATS LANE_COUNT
 #include "libvoxel/voxelize/records/region.h"
 
-typedef float float_lanes __attribute__((vector_size(4 * LANE_COUNT)));
-typedef int32_t int_lanes __attribute__((vector_size(4 * LANE_COUNT)));
-
 /* Nearest integer, ties to even, of |x| < 2^22. */
-LANES_INLINE int_lanes record_round_floats(float_lanes x)
+LANES_INLINE float_ints record_round_floats(floats x)
 {
     const int32_t bits = 0x4b400000; /* of 1.5 * 2^23 */
-    return (int_lanes)(x + 12582912.0f) - bits;
+    return (float_ints)(x + 12582912.0f) - bits;
 }
 
 /* The same of |x| < 2^51. */
@@ -22,40 +16,30 @@ LANES_INLINE lane_ints record_round(lanes x)
     return (lane_ints)(x + 6755399441055744.0) - bits;
 }
 
-LANES_INLINE float_lanes record_abs(float_lanes x)
-{
-    return (float_lanes)((int_lanes)x & INT32_MAX);
-}
-
 /* 1 - magnitude, with the sign of `like`; +0 and -0 are positive. */
-LANES_INLINE float_lanes record_fold(float_lanes magnitude, float_lanes like)
+LANES_INLINE floats record_fold(floats magnitude, floats like)
 {
-    return (float_lanes)((int_lanes)(1.0f - magnitude) ^ ((like < 0.0f) & INT32_MIN));
-}
-
-LANES_INLINE float_lanes record_select(int_lanes mask, float_lanes yes, float_lanes no)
-{
-    return (float_lanes)((mask & (int_lanes)yes) | (~mask & (int_lanes)no));
+    return (floats)((float_ints)(1.0f - magnitude) ^ ((like < 0.0f) & INT32_MIN));
 }
 
 /* bsq_oct_pack() of unit vectors. */
-LANES_INLINE int_lanes record_pack_normal(const lanes unit[3])
+LANES_INLINE float_ints record_pack_normal(const lanes unit[3])
 {
-    float_lanes x = __builtin_convertvector(unit[0], float_lanes);
-    float_lanes y = __builtin_convertvector(unit[1], float_lanes);
-    float_lanes z = __builtin_convertvector(unit[2], float_lanes);
-    float_lanes sum = record_abs(x) + record_abs(y) + record_abs(z);
+    floats x = __builtin_convertvector(unit[0], floats);
+    floats y = __builtin_convertvector(unit[1], floats);
+    floats z = __builtin_convertvector(unit[2], floats);
+    floats sum = floats_abs(x) + floats_abs(y) + floats_abs(z);
     x /= sum;
     y /= sum;
-    float_lanes folded_x = record_fold(record_abs(y), x);
-    float_lanes folded_y = record_fold(record_abs(x), y);
-    int_lanes below = z < 0.0f;
-    int_lanes u = record_round_floats(record_select(below, folded_x, x) * 32767.0f);
-    int_lanes v = record_round_floats(record_select(below, folded_y, y) * 32767.0f);
+    floats folded_x = record_fold(floats_abs(y), x);
+    floats folded_y = record_fold(floats_abs(x), y);
+    float_ints below = z < 0.0f;
+    float_ints u = record_round_floats(floats_select(below, folded_x, x) * 32767.0f);
+    float_ints v = record_round_floats(floats_select(below, folded_y, y) * 32767.0f);
     return (u & 0xffff) | v << 16;
 }
 
-LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_lanes *normal,
+LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], float_ints *normal,
                               lane_ints *plane)
 {
     lanes sum[8], n[3];
@@ -84,12 +68,12 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], int_
              record_round(grain * FMT_NVDB_GRAIN_MAX) << FMT_NVDB_GRAIN_SHIFT;
 }
 
-static void make_records(const struct vox_sum *sums, const uint32_t *numbers, uint64_t count,
-                         struct fmt_nvdb_record *records)
+void BSQ_SIMD_NAME(vox_make_records)(const struct vox_sum *sums, const uint32_t *numbers,
+                                     uint64_t count, struct fmt_nvdb_record *records)
 {
     for (uint64_t done = 0; done < count; done += LANE_COUNT) {
         const struct vox_sum *from[LANE_COUNT];
-        int_lanes normal;
+        float_ints normal;
         lane_ints plane;
         for (uint64_t l = 0; l < LANE_COUNT; l++)
             from[l] = &sums[numbers[done + l < count ? done + l : done]];
@@ -101,5 +85,3 @@ static void make_records(const struct vox_sum *sums, const uint32_t *numbers, ui
         }
     }
 }
-
-#endif

@@ -1,85 +1,15 @@
-/* lanes.h - private to voxelizing: doubles side by side, on which every operation works alike.
- *
- * As many as the instructions go for which a source is compiled, so that the same source serves
- * several: eight (lanes_avx512.h), four (lanes_avx2.h) or two (lanes_two.h). Lanes never meet in
- * arithmetic: results do not depend on their number. Arithmetic is the compiler's own on vectors;
- * here is what it has no operator for, or, as with comparisons, not the same for all.
- *
- * A mask is what a comparison yields: a bit a lane where the instructions have that, else all bits
- * of a lane or none. The operators ~, & and | serve both. */
-#ifndef VOX_VOXELIZE_LANES_LANES_H
-#define VOX_VOXELIZE_LANES_LANES_H
+/* rows.h - four doubles that belong together, whatever LANE_COUNT is, such as a point and a weight;
+ * and four 32-bit integers. */
+#ifndef BSQ_SIMD_ROWS_H
+#define BSQ_SIMD_ROWS_H
 
-#include <math.h>
 #include <stdbool.h>
-#include <stdint.h>
 #include <string.h>
 
-#if defined __AVX512F__ && defined __AVX512DQ__ && defined __AVX512VL__
-#define LANE_COUNT 8
-#elif defined __AVX2__
-#define LANE_COUNT 4
-#else
-#define LANE_COUNT 2
-#endif
+#include "base/simd/lanes.h"
 
-#ifdef __AVX2__
-#include <immintrin.h>
-#elif defined __SSE4_1__
-#include <smmintrin.h>
-#elif defined __SSE2__
-#include <emmintrin.h>
-#endif
-
-typedef double lanes __attribute__((vector_size(8 * LANE_COUNT)));
-/* Whole numbers, or the bits of doubles. */
-typedef long long lane_ints __attribute__((vector_size(8 * LANE_COUNT)));
-
-/* At any double, or whole number. */
-typedef double lanes_in_memory __attribute__((vector_size(8 * LANE_COUNT), aligned(8), may_alias));
-typedef long long ints_in_memory
-    __attribute__((vector_size(8 * LANE_COUNT), aligned(8), may_alias));
-
-#define LANES_INLINE static inline __attribute__((always_inline))
-
-LANES_INLINE lanes lanes_all(double x)
-{
-    return x - (lanes){0.0};
-}
-
-LANES_INLINE lane_ints lanes_all_bits(uint64_t x)
-{
-    return (long long)x - (lane_ints){0};
-}
-
-LANES_INLINE lanes lanes_load(const double *from)
-{
-    return *(const lanes_in_memory *)from;
-}
-
-LANES_INLINE lane_ints lanes_load_ints(const long long *from)
-{
-    return *(const ints_in_memory *)from;
-}
-
-LANES_INLINE void lanes_store(lanes x, double *to)
-{
-    *(lanes_in_memory *)to = x;
-}
-
-LANES_INLINE void lanes_store_ints(lane_ints x, long long *to)
-{
-    *(ints_in_memory *)to = x;
-}
-
-/* Two's complement of whole numbers in the low 51 bits, others above. */
-LANES_INLINE lane_ints lanes_integer_bits(lanes x)
-{
-    return (lane_ints)(x + 0x1.8p52);
-}
-
-/* Four numbers of one thing, whatever the number of lanes. Not one vector: compilers keep vectors
- * larger than the processor's in memory, where loads wait for smaller stores. */
+/* A row is two vectors if the processor has no vectors of four. Compilers keep vectors larger than
+ * the processor's in memory, where a load has to wait for smaller stores before it. */
 enum { ROW_LANES = LANE_COUNT < 4 ? LANE_COUNT : 4, ROW_PARTS = 4 / ROW_LANES };
 typedef double row_part __attribute__((vector_size(8 * ROW_LANES)));
 typedef double row_in_memory __attribute__((vector_size(8 * ROW_LANES), aligned(8), may_alias));
@@ -158,7 +88,7 @@ LANES_INLINE struct row row_times(double factor, struct row x)
     return x;
 }
 
-/* Adds x to the four numbers. */
+/* Adds x to the four numbers at `to`. */
 LANES_INLINE void row_add(double *to, struct row x)
 {
     row_store(row_sum(row_load(to), x), to);
@@ -173,7 +103,7 @@ LANES_INLINE struct row row_of(double a, double b, double c, double d)
     return x;
 }
 
-/* Three numbers, and 0. */
+/* Returns three numbers and 0. */
 LANES_INLINE struct row row_of_floats(const float from[3])
 {
 #ifdef __AVX2__
@@ -184,20 +114,20 @@ LANES_INLINE struct row row_of_floats(const float from[3])
 #endif
 }
 
-/* x with another last number */
+/* Returns x with its fourth number replaced. */
 LANES_INLINE struct row row_with_last(struct row x, double last)
 {
     x.part[3 / ROW_LANES][3 % ROW_LANES] = last;
     return x;
 }
 
-/* The number with this index. */
+/* Returns number i. */
 LANES_INLINE double row_number(struct row x, int i)
 {
     return x.part[i / ROW_LANES][i % ROW_LANES];
 }
 
-/* Four whole numbers, whatever the number of lanes: a voxel and a number that does not matter. */
+/* Four 32-bit integers. */
 typedef int32_t four_ints __attribute__((vector_size(16)));
 
 LANES_INLINE four_ints four_load(const int32_t from[4])
@@ -207,7 +137,7 @@ LANES_INLINE four_ints four_load(const int32_t from[4])
     return x;
 }
 
-/* Largest whole numbers that are not larger, where these are in the range of int32_t. */
+/* Rounds down. The results must be in the range of int32_t. */
 LANES_INLINE four_ints row_floor(struct row x)
 {
 #ifdef __AVX2__
@@ -259,8 +189,8 @@ LANES_INLINE bool four_any(four_ints mask)
 
 #endif
 
-/* Bit i: number i is not 0. */
-LANES_INLINE uint32_t sixteen_bits(const uint32_t from[16])
+/* Returns a mask: bit i is set if from[i] is not 0. */
+LANES_INLINE uint32_t bits_of_sixteen(const uint32_t from[16])
 {
 #ifdef __SSE2__
     const __m128i zero = _mm_setzero_si128();
@@ -279,7 +209,7 @@ LANES_INLINE uint32_t sixteen_bits(const uint32_t from[16])
 #endif
 }
 
-/* a < b ? a : b, and a > b ? a : b */
+/* Returns a < b ? a : b for each number; row_max(): a > b ? a : b. */
 LANES_INLINE struct row row_min(struct row a, struct row b)
 {
     for (int i = 0; i < ROW_PARTS; i++)
@@ -294,8 +224,8 @@ LANES_INLINE struct row row_max(struct row a, struct row b)
     return a;
 }
 
-/* The numbers with indices 1, 2, 0 and 3. */
-LANES_INLINE struct row row_turn(struct row x)
+/* Returns the numbers 1, 2, 0 and 3 of x. */
+LANES_INLINE struct row row_rotate(struct row x)
 {
 #ifdef __AVX2__
     x.part[0] = _mm256_permute4x64_pd(x.part[0], 0xc9);
@@ -304,19 +234,6 @@ LANES_INLINE struct row row_turn(struct row x)
     return (struct row){{__builtin_shufflevector(x.part[0], x.part[1], 1, 2),
                          __builtin_shufflevector(x.part[0], x.part[1], 0, 3)}};
 #endif
-}
-
-#if LANE_COUNT == 8
-#include "libvoxel/voxelize/lanes/lanes_avx512.h"
-#elif LANE_COUNT == 4
-#include "libvoxel/voxelize/lanes/lanes_avx2.h"
-#else
-#include "libvoxel/voxelize/lanes/lanes_two.h"
-#endif
-
-LANES_INLINE lane_mask lanes_none(void)
-{
-    return lanes_less(lanes_all(0.0), lanes_all(0.0));
 }
 
 #endif

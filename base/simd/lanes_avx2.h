@@ -1,8 +1,8 @@
-/* lanes_avx2.h - lanes.h with four lanes. */
-#ifndef VOX_VOXELIZE_LANES_LANES_AVX2_H
-#define VOX_VOXELIZE_LANES_LANES_AVX2_H
+/* lanes_avx2.h - four lanes, for AVX2. */
+#ifndef BSQ_SIMD_LANES_AVX2_H
+#define BSQ_SIMD_LANES_AVX2_H
 
-#include "libvoxel/voxelize/lanes/lanes_masked.h"
+#include "base/simd/lanes_masked.h"
 
 LANES_INLINE unsigned lanes_bits(lane_mask mask)
 {
@@ -29,7 +29,7 @@ LANES_INLINE lanes lanes_sqrt(lanes x)
     return _mm256_sqrt_pd(x);
 }
 
-/* Rows become columns: lane i of out[k] is lane k of in[i]. */
+/* Transposes: lane i of out[k] is lane k of in[i]. */
 LANES_INLINE void lanes_transpose(const lanes in[4], lanes out[4])
 {
     lanes a = _mm256_unpacklo_pd(in[0], in[1]), b = _mm256_unpackhi_pd(in[0], in[1]);

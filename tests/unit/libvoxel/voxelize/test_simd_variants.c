@@ -1,5 +1,6 @@
-/* What is compiled for several kinds of instructions: the same bits from each, and right ones. */
-#include "libvoxel/voxelize/lanes/lane_code.h"
+/* What is compiled for several instruction sets: all give the same bits, and right ones. */
+#include "libvoxel/voxelize/cache/one_ring.h"
+#include "libvoxel/voxelize/clip/accumulate.h"
 #include "base/octahedral.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 
@@ -10,21 +11,15 @@
 #include <string.h>
 #include <cmocka.h>
 
-enum { KINDS_MAX = 3 };
+enum { LEVELS = BSQ_SIMD_AVX512 + 1 };
 
-/* The kinds that this processor can run; *count of them. */
-static const struct vox_lane_code *const *kinds(size_t *count)
+/* Returns how many levels this processor can run, from BSQ_SIMD_BASE on. */
+static size_t level_count(void)
 {
-    static const struct vox_lane_code *found[KINDS_MAX];
-    *count = 0;
-    for (unsigned width = 2; width <= 8; width *= 2) {
-        const struct vox_lane_code *code = vox_lane_code_of(width);
-        if (code)
-            found[(*count)++] = code;
-        else
-            print_message("this processor has not the instructions for %u lanes\n", width);
-    }
-    return found;
+    size_t count = (size_t)bsq_simd_best() + 1;
+    if (count < LEVELS)
+        print_message("this processor has not the instructions of all levels\n");
+    return count;
 }
 
 enum { SUMS = 5003 };
@@ -82,11 +77,10 @@ static void test_records(void **state)
         sums[1 + k].normal[k] = -0.5;
         sums[1 + k].normal[(k + 1) % 3] = -0.0;
     }
-    size_t count;
-    const struct vox_lane_code *const *code = kinds(&count);
+    const size_t count = level_count();
     for (size_t c = 0; c < count; c++) {
         memset(records, 0xff, SUMS * sizeof *records);
-        code[c]->make_records(sums, numbers, SUMS, records);
+        BSQ_SIMD_PICK(c, vox_make_records)(sums, numbers, SUMS, records);
         for (uint32_t i = 0; i < SUMS; i++) {
             struct fmt_nvdb_record expected = expected_record(&sums[numbers[i]]);
             assert_int_equal(records[i].normal, expected.normal);
@@ -140,10 +134,9 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     struct fmt_tris_header header = {.attributes = FMT_TRIS_COLORS};
     struct vox_shading shading;
     struct vox_box region = {{0, 0, 0}, {127, 127, 127}}, window = {{0, 8, 0}, {127, 119, 127}};
-    struct vox_accumulator *sums[KINDS_MAX];
+    struct vox_accumulator *sums[LEVELS];
     struct vox_block *block;
-    size_t count;
-    const struct vox_lane_code *const *code = kinds(&count);
+    const size_t count = level_count();
     assert_int_equal(vox_shading_init(ctx, &header, 0, &shading), 0);
     assert_int_equal(vox_block_create(ctx, &block), 0);
     for (size_t c = 0; c < count; c++) {
@@ -155,7 +148,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
                                         .window = &window,
                                         .sums = sums[c],
                                         .block = block};
-        assert_int_equal(code[c]->accumulate_chunk(&what, &counted), 0);
+        assert_int_equal(BSQ_SIMD_PICK(c, vox_accumulate_chunk)(&what, &counted), 0);
         assert_true(sums[c]->sum_count > 10000);
         assert_int_equal(sums[c]->sum_count, sums[0]->sum_count);
         assert_memory_equal(sums[c]->sums + 1, sums[0]->sums + 1,
@@ -204,10 +197,10 @@ static void test_sums(void **state)
 
 enum { RING_VERTICES = 100 };
 
-/* As struct vox_ring describes it, from scratch for one vertex. */
-static struct vox_ring expected_ring(const struct fmt_tris_chunk *chunk, uint32_t vertex)
+/* As struct vox_one_ring describes it, from scratch for one vertex. */
+static struct vox_one_ring expected_ring(const struct fmt_tris_chunk *chunk, uint32_t vertex)
 {
-    struct vox_ring ring = {.area = 0.0};
+    struct vox_one_ring ring = {.area = 0.0};
     for (uint32_t t = 0; t < chunk->triangle_count; t++)
         for (int i = 0; i < 3; i++) {
             const uint32_t *v = chunk->triangles[t];
@@ -253,17 +246,16 @@ static void test_rings(void **state)
                                          .triangle_count = 3 * RING_VERTICES,
                                          .positions = (const float(*)[3])positions,
                                          .triangles = (const uint32_t(*)[3])triangles};
-    struct vox_ring rings[KINDS_MAX][RING_VERTICES];
-    float normals[KINDS_MAX][RING_VERTICES][4];
-    size_t count;
-    const struct vox_lane_code *const *code = kinds(&count);
+    struct vox_one_ring rings[LEVELS][RING_VERTICES];
+    float normals[LEVELS][RING_VERTICES][4];
+    const size_t count = level_count();
     for (size_t c = 0; c < count; c++) {
         memset(rings[c], 0, sizeof rings[c]);
-        code[c]->add_rings(&chunk, 0, chunk.triangle_count, ring_of, rings[c]);
+        BSQ_SIMD_PICK(c, vox_add_one_rings)(&chunk, 0, chunk.triangle_count, ring_of, rings[c]);
         assert_memory_equal(rings[c], rings[0], sizeof rings[c]);
     }
     for (uint32_t v = 1; v < RING_VERTICES; v++) {
-        const struct vox_ring expected = expected_ring(&chunk, v), *ring = &rings[0][v];
+        const struct vox_one_ring expected = expected_ring(&chunk, v), *ring = &rings[0][v];
         assert_true(fabs(ring->area - expected.area) < 1e-9);
         for (int a = 0; a < 3; a++) {
             assert_true(fabs(ring->area_vector[a] - expected.area_vector[a]) < 1e-9);
@@ -273,7 +265,7 @@ static void test_rings(void **state)
     const uint32_t empty = 9, finished = RING_VERTICES - 1; /* no multiple of any number of lanes */
     for (size_t c = 0; c < count; c++) {
         memset(&rings[c][empty], 0, sizeof rings[c][empty]);
-        code[c]->finish_rings(rings[c], ring_of, finished, 0.5, normals[c]);
+        BSQ_SIMD_PICK(c, vox_finish_one_rings)(rings[c], ring_of, finished, 0.5, normals[c]);
         assert_memory_equal(normals[c], normals[0], finished * sizeof normals[c][0]);
         for (int k = 0; k < 4; k++)
             assert_true(normals[c][empty][k] == 0.0f);

@@ -1,0 +1,65 @@
+/* one_ring_lanes.c - sums over the one-rings of vertices, and the normals that follow from them. */
+#define SIMD_FLOATS LANE_COUNT
+#include "libvoxel/voxelize/cache/one_ring.h"
+
+#include <math.h>
+
+void BSQ_SIMD_NAME(vox_add_one_rings)(const struct fmt_tris_chunk *chunk, uint32_t begin,
+                                      uint32_t end, const uint32_t *ring_of,
+                                      struct vox_one_ring *rings)
+{
+    bsq_add_one_rings(chunk->positions, chunk->triangles, begin, end, ring_of, 2,
+                      (double(*)[4])(void *)rings);
+}
+
+/* The mean of the facets' normals around a vertex is the normal of a smoother surface: that of the
+ * heights' means over the rings of triangles, each the height of its ring's centroid. In a lattice
+ * of triangles its facets have, up to the surface's third derivatives, the slope of the corners'
+ * normals' mean. Bunny and vase, whose triangles are not so even, come nearest to exact maps with
+ * an eighth more: at voxels of half a texel 0.16 and 0.03 degrees instead of 0.24 and 0.05. */
+#define RING_SHARE (9.0 / 8.0)
+
+/* Rounds to float. */
+LANES_INLINE lanes ring_rounded(lanes x)
+{
+    return __builtin_convertvector(__builtin_convertvector(x, floats), lanes);
+}
+
+/* Normals, and the surface's heights above the vertices. */
+LANES_INLINE void ring_finish(const struct vox_one_ring *const from[LANE_COUNT], double h,
+                              lanes normal[4])
+{
+    const double *half[2][LANE_COUNT];
+    lanes n[4], m[4];
+    for (int l = 0; l < LANE_COUNT; l++) {
+        half[0][l] = from[l]->area_vector;
+        half[1][l] = from[l]->moment;
+    }
+    lanes_gather_four(half[0], n);
+    lanes_gather_four(half[1], m);
+    lanes length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), area = n[3];
+    lane_mask smooth = bsq_are_smooth(length, area);
+    lanes height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * area);
+    for (int k = 0; k < 3; k++)
+        normal[k] = lanes_keep(smooth, n[k] / length);
+    normal[3] = ring_rounded(lanes_keep(smooth, RING_SHARE * height)) / h;
+}
+
+void BSQ_SIMD_NAME(vox_finish_one_rings)(const struct vox_one_ring *rings, const uint32_t *ring_of,
+                                         uint32_t count, double h, float (*normals)[4])
+{
+    for (uint32_t done = 0; done < count; done += LANE_COUNT) {
+        const struct vox_one_ring *from[LANE_COUNT];
+        double rows[LANE_COUNT][4], *to[LANE_COUNT];
+        lanes normal[4];
+        for (uint32_t l = 0; l < LANE_COUNT; l++) {
+            from[l] = &rings[ring_of[done + l < count ? done + l : done]];
+            to[l] = rows[l];
+        }
+        ring_finish(from, h, normal);
+        lanes_scatter(normal, to);
+        for (uint32_t l = 0; l < LANE_COUNT && done + l < count; l++)
+            for (int k = 0; k < 4; k++)
+                normals[done + l][k] = (float)rows[l][k];
+    }
+}
