@@ -70,7 +70,7 @@ static inline bool bsq_is_smooth(double length, double area)
 }
 
 /* Returns the same for several vertices. */
-LANES_INLINE lane_mask bsq_are_smooth(lanes length, lanes area)
+LANES_INLINE lane_mask bsq_are_smooth(doubles length, doubles area)
 {
     return lanes_less(lanes_all(0.0), length) & ~lanes_less(length, BSQ_CREASE_SHARE * area);
 }

@@ -29,7 +29,7 @@
 #include <emmintrin.h>
 #endif
 
-typedef double lanes __attribute__((vector_size(8 * LANE_COUNT)));
+typedef double doubles __attribute__((vector_size(8 * LANE_COUNT)));
 /* 64-bit integers, or the bits of doubles. */
 typedef long long lane_ints __attribute__((vector_size(8 * LANE_COUNT)));
 
@@ -40,9 +40,9 @@ typedef long long ints_in_memory
 
 #define LANES_INLINE static inline __attribute__((always_inline))
 
-LANES_INLINE lanes lanes_all(double x)
+LANES_INLINE doubles lanes_all(double x)
 {
-    return x - (lanes){0.0};
+    return x - (doubles){0.0};
 }
 
 LANES_INLINE lane_ints lanes_all_bits(uint64_t x)
@@ -50,7 +50,7 @@ LANES_INLINE lane_ints lanes_all_bits(uint64_t x)
     return (long long)x - (lane_ints){0};
 }
 
-LANES_INLINE lanes lanes_load(const double *from)
+LANES_INLINE doubles lanes_load(const double *from)
 {
     return *(const lanes_in_memory *)from;
 }
@@ -60,7 +60,7 @@ LANES_INLINE lane_ints lanes_load_ints(const long long *from)
     return *(const ints_in_memory *)from;
 }
 
-LANES_INLINE void lanes_store(lanes x, double *to)
+LANES_INLINE void lanes_store(doubles x, double *to)
 {
     *(lanes_in_memory *)to = x;
 }
@@ -72,7 +72,7 @@ LANES_INLINE void lanes_store_ints(lane_ints x, long long *to)
 
 /* Returns integers whose low 51 bits are those of the integral values of x in two's complement; the
  * bits above are arbitrary. */
-LANES_INLINE lane_ints lanes_integer_bits(lanes x)
+LANES_INLINE lane_ints lanes_integer_bits(doubles x)
 {
     return (lane_ints)(x + 0x1.8p52);
 }

@@ -5,26 +5,26 @@
 
 typedef lane_ints lane_mask;
 
-LANES_INLINE lane_mask lanes_less(lanes a, lanes b)
+LANES_INLINE lane_mask lanes_less(doubles a, doubles b)
 {
     return a < b;
 }
 
-LANES_INLINE lane_mask lanes_equal(lanes a, lanes b)
+LANES_INLINE lane_mask lanes_equal(doubles a, doubles b)
 {
     return a == b;
 }
 
 /* Returns the lanes whose sign bit is set; -0 has it too. */
-LANES_INLINE lane_mask lanes_signs(lanes x)
+LANES_INLINE lane_mask lanes_signs(doubles x)
 {
     return (lane_ints)x < 0;
 }
 
 /* Returns x where the mask is set, else 0. */
-LANES_INLINE lanes lanes_keep(lane_mask mask, lanes x)
+LANES_INLINE doubles lanes_keep(lane_mask mask, doubles x)
 {
-    return (lanes)(mask & (lane_ints)x);
+    return (doubles)(mask & (lane_ints)x);
 }
 
 /* Returns x | bits where the mask is set, else x. */
@@ -39,9 +39,9 @@ LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
     return x + (mask & y);
 }
 
-LANES_INLINE lanes lanes_abs(lanes x)
+LANES_INLINE doubles lanes_abs(doubles x)
 {
-    return (lanes)((lane_ints)x & INT64_MAX);
+    return (doubles)((lane_ints)x & INT64_MAX);
 }
 
 #endif

@@ -11,13 +11,13 @@ LANES_INLINE unsigned lanes_bits(lane_mask mask)
     return (unsigned)(mask[0] & 1) | (unsigned)(mask[1] & 2);
 }
 
-LANES_INLINE lanes lanes_select(lane_mask mask, lanes yes, lanes no)
+LANES_INLINE doubles lanes_select(lane_mask mask, doubles yes, doubles no)
 {
-    return (lanes)((mask & (lane_ints)yes) | (~mask & (lane_ints)no));
+    return (doubles)((mask & (lane_ints)yes) | (~mask & (lane_ints)no));
 }
 
 /* Returns a < b ? a : b. */
-LANES_INLINE lanes lanes_min(lanes a, lanes b)
+LANES_INLINE doubles lanes_min(doubles a, doubles b)
 {
 #ifdef __SSE2__
     return _mm_min_pd(a, b);
@@ -27,7 +27,7 @@ LANES_INLINE lanes lanes_min(lanes a, lanes b)
 }
 
 /* Returns a > b ? a : b. */
-LANES_INLINE lanes lanes_max(lanes a, lanes b)
+LANES_INLINE doubles lanes_max(doubles a, doubles b)
 {
 #ifdef __SSE2__
     return _mm_max_pd(a, b);
@@ -36,34 +36,34 @@ LANES_INLINE lanes lanes_max(lanes a, lanes b)
 #endif
 }
 
-LANES_INLINE lanes lanes_sqrt(lanes x)
+LANES_INLINE doubles lanes_sqrt(doubles x)
 {
-    return (lanes){sqrt(x[0]), sqrt(x[1])};
+    return (doubles){sqrt(x[0]), sqrt(x[1])};
 }
 
 /* Sets lane i of out[k] to from[i][k]. */
-LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], lanes out[4])
+LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], doubles out[4])
 {
     for (int k = 0; k < 4; k++)
-        out[k] = (lanes){from[0][k], from[1][k]};
+        out[k] = (doubles){from[0][k], from[1][k]};
 }
 
 /* Sets lane i of out[k] to from[i][k]. Reads four numbers from each from[i]. */
-LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], lanes out[3])
+LANES_INLINE void lanes_gather_integers(const int32_t *const from[LANE_COUNT], doubles out[3])
 {
     for (int k = 0; k < 3; k++)
-        out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
+        out[k] = (doubles){(double)from[0][k], (double)from[1][k]};
 }
 
 /* Sets lane i of out[k] to from[i][k]. */
-LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], lanes out[4])
+LANES_INLINE void lanes_gather_floats(const float *const from[LANE_COUNT], doubles out[4])
 {
     for (int k = 0; k < 4; k++)
-        out[k] = (lanes){(double)from[0][k], (double)from[1][k]};
+        out[k] = (doubles){(double)from[0][k], (double)from[1][k]};
 }
 
 /* Sets to[i][k] to lane i of in[k]. */
-LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
+LANES_INLINE void lanes_scatter(const doubles in[4], double *const to[LANE_COUNT])
 {
     for (int k = 0; k < 4; k++) {
         to[0][k] = in[k][0];
@@ -73,7 +73,7 @@ LANES_INLINE void lanes_scatter(const lanes in[4], double *const to[LANE_COUNT])
 
 /* Does the same for six numbers. Each to[i] must have space for eight; the last two are arbitrary.
  */
-LANES_INLINE void lanes_scatter_six(const lanes in[6], double *const to[LANE_COUNT])
+LANES_INLINE void lanes_scatter_six(const doubles in[6], double *const to[LANE_COUNT])
 {
     for (int k = 0; k < 6; k++) {
         to[0][k] = in[k][0];

@@ -5,9 +5,9 @@
  * functions are named by BSQ_SIMD_NAME(), declared by BSQ_SIMD_DECLARE() and called through
  * BSQ_SIMD_PICK(). Lanes never meet in arithmetic, so every level yields the same bits.
  *
- * Takes: the instruction set of the compilation. Gives: `lanes` (doubles), `struct row` (four
- * doubles) and `floats`, with their operations. These names have no prefix: they are types and
- * inline functions, and nothing of them reaches the linker. */
+ * Takes: the instruction set of the compilation. Gives: `doubles` and `floats`, which are vectors;
+ * `struct row`, four doubles; and their operations. These names have no prefix because they are
+ * types and inline functions, which never reach the linker. */
 #ifndef BSQ_SIMD_SIMD_H
 #define BSQ_SIMD_SIMD_H
 

@@ -95,12 +95,14 @@ typedef uint64_t bk_ulong;
 
 #if BK_NATIVE_LANES
 
-#if defined(__x86_64__)
-#include <immintrin.h>
+#ifndef SIMD_FLOATS
+#define SIMD_FLOATS BK_WIDTH
 #endif
-typedef float bk_fw __attribute__((vector_size(4 * BK_WIDTH)));
-typedef int32_t bk_iw __attribute__((vector_size(4 * BK_WIDTH)));
-typedef bk_iw bk_mask;
+#include "base/simd/simd.h"
+_Static_assert(SIMD_FLOATS == BK_WIDTH, "vectors have as many floats as the kernel has lanes");
+typedef floats bk_fw;
+typedef float_ints bk_iw;
+typedef float_ints bk_mask;
 #define bk_lane(v, n)            ((v)[n])
 #define bk_set_lane(v, n, value) ((v)[n] = (value))
 #define bk_splat(a)              ((a) - (bk_fw){0})
@@ -111,6 +113,17 @@ typedef bk_iw bk_mask;
 #define bk_not(mask)             (~(mask))
 #define bk_keep(mask, f)         ((bk_fw)((mask) & (bk_iw)(f)))
 #define bk_first(bits)           ((bk_uint)__builtin_ctz(bits))
+#define bk_select(mask, a, b)    floats_select(mask, a, b)
+#define bk_selecti(mask, a, b)   ((bk_iw)floats_select(mask, (bk_fw)(a), (bk_fw)(b)))
+#define bk_minw(a, b)            floats_min(a, b)
+#define bk_maxw(a, b)            floats_max(a, b)
+#define bk_mini(a, b)            floats_min_ints(a, b)
+#define bk_maxi(a, b)            floats_max_ints(a, b)
+#define bk_sqrtw(f)              floats_sqrt(f)
+#define bk_floorw(f)             floats_floor(f)
+/* The lanes that the mask is true for, lane 0 in the lowest bit, and back. */
+#define bk_bits(mask)    floats_bits(mask)
+#define bk_mask_of(bits) floats_mask_of(bits)
 BK_FN bk_iw bk_load_lanes(const bk_int words[BK_WIDTH])
 {
     bk_iw lanes;
@@ -121,101 +134,11 @@ BK_FN void bk_store_lanes(bk_int words[BK_WIDTH], bk_iw lanes)
 {
     __builtin_memcpy(words, &lanes, sizeof lanes);
 }
-/* Compilers do not find the instructions for these by themselves. */
-#if BK_WIDTH == 4 && defined(__SSE4_1__)
-#define bk_select(mask, a, b)  ((bk_fw)_mm_blendv_ps((__m128)(b), (__m128)(a), (__m128)(mask)))
-#define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
-#define bk_minw(a, b)          ((bk_fw)_mm_min_ps((__m128)(a), (__m128)(b)))
-#define bk_maxw(a, b)          ((bk_fw)_mm_max_ps((__m128)(a), (__m128)(b)))
-#define bk_mini(a, b)          ((bk_iw)_mm_min_epi32((__m128i)(a), (__m128i)(b)))
-#define bk_maxi(a, b)          ((bk_iw)_mm_max_epi32((__m128i)(a), (__m128i)(b)))
-#elif BK_WIDTH == 8 && defined(__AVX2__)
-#define bk_select(mask, a, b)  ((bk_fw)_mm256_blendv_ps((__m256)(b), (__m256)(a), (__m256)(mask)))
-#define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
-#define bk_minw(a, b)          ((bk_fw)_mm256_min_ps((__m256)(a), (__m256)(b)))
-#define bk_maxw(a, b)          ((bk_fw)_mm256_max_ps((__m256)(a), (__m256)(b)))
-#define bk_mini(a, b)          ((bk_iw)_mm256_min_epi32((__m256i)(a), (__m256i)(b)))
-#define bk_maxi(a, b)          ((bk_iw)_mm256_max_epi32((__m256i)(a), (__m256i)(b)))
-#elif BK_WIDTH == 16 && defined(__AVX512F__)
-#define bk_select(mask, a, b)                                                                      \
-    ((bk_fw)_mm512_mask_blend_ps(_mm512_movepi32_mask((__m512i)(mask)), (__m512)(b), (__m512)(a)))
-#define bk_selecti(mask, a, b) ((bk_iw)bk_select(mask, (bk_fw)(a), (bk_fw)(b)))
-#define bk_minw(a, b)          ((bk_fw)_mm512_min_ps((__m512)(a), (__m512)(b)))
-#define bk_maxw(a, b)          ((bk_fw)_mm512_max_ps((__m512)(a), (__m512)(b)))
-#define bk_mini(a, b)          ((bk_iw)_mm512_min_epi32((__m512i)(a), (__m512i)(b)))
-#define bk_maxi(a, b)          ((bk_iw)_mm512_max_epi32((__m512i)(a), (__m512i)(b)))
-#else
-#define bk_select(mask, a, b)  ((bk_fw)(((mask) & (bk_iw)(a)) | (~(mask) & (bk_iw)(b))))
-#define bk_selecti(mask, a, b) (((mask) & (a)) | (~(mask) & (b)))
-#define bk_minw(a, b)          bk_select((a) < (b), a, b)
-#define bk_maxw(a, b)          bk_select((a) > (b), a, b)
-#define bk_mini(a, b)          bk_selecti((a) < (b), a, b)
-#define bk_maxi(a, b)          bk_selecti((a) > (b), a, b)
-#endif
 /* 32-bit words at numbers below BK_GATHER_MOST, where there is an instruction for that. */
 #define BK_GATHER_MOST 0x80000000u
-#if BK_WIDTH == 8 && defined(__AVX2__)
-#define bk_gather(words, number)                                                                   \
-    ((bk_iw)_mm256_i32gather_epi32((const int *)(const void *)(words), (__m256i)(number), 4))
-#elif BK_WIDTH == 16 && defined(__AVX512F__)
-#define bk_gather(words, number)                                                                   \
-    ((bk_iw)_mm512_i32gather_epi32((__m512i)(number), (const void *)(words), 4))
+#ifdef floats_gather
+#define bk_gather(words, number) floats_gather(words, number)
 #endif
-BK_FN bk_fw bk_sqrtw(bk_fw f)
-{
-#if BK_WIDTH == 4 && defined(__SSE__)
-    return (bk_fw)_mm_sqrt_ps((__m128)f);
-#elif BK_WIDTH == 8 && defined(__AVX__)
-    return (bk_fw)_mm256_sqrt_ps((__m256)f);
-#elif BK_WIDTH == 16 && defined(__AVX512F__)
-    return (bk_fw)_mm512_sqrt_ps((__m512)f);
-#else
-    for (int i = 0; i < BK_WIDTH; i++)
-        f[i] = sqrtf(f[i]);
-    return f;
-#endif
-}
-BK_FN bk_fw bk_floorw(bk_fw f)
-{
-#if BK_WIDTH == 4 && defined(__SSE4_1__)
-    return (bk_fw)_mm_floor_ps((__m128)f);
-#elif BK_WIDTH == 8 && defined(__AVX__)
-    return (bk_fw)_mm256_floor_ps((__m256)f);
-#elif BK_WIDTH == 16 && defined(__AVX512F__)
-    return (bk_fw)_mm512_roundscale_ps((__m512)f, 9);
-#else
-    for (int i = 0; i < BK_WIDTH; i++)
-        f[i] = floorf(f[i]);
-    return f;
-#endif
-}
-/* The lanes that the mask is true for, lane 0 in the lowest bit, and back. */
-BK_FN bk_uint bk_bits(bk_mask mask)
-{
-#if BK_WIDTH == 4 && defined(__SSE__)
-    return (bk_uint)_mm_movemask_ps((__m128)mask);
-#elif BK_WIDTH == 8 && defined(__AVX__)
-    return (bk_uint)_mm256_movemask_ps((__m256)mask);
-#elif BK_WIDTH == 16 && defined(__AVX512DQ__)
-    return (bk_uint)_mm512_movepi32_mask((__m512i)mask);
-#else
-    bk_uint bits = 0;
-    for (int i = 0; i < BK_WIDTH; i++)
-        bits |= ((bk_uint)mask[i] & 1u) << i;
-    return bits;
-#endif
-}
-BK_FN bk_mask bk_mask_of(bk_uint bits)
-{
-#if BK_WIDTH == 16 && defined(__AVX512DQ__)
-    return (bk_mask)_mm512_movm_epi32((__mmask16)bits);
-#else
-    bk_iw lanes = {0};
-    for (int i = 0; i < BK_WIDTH; i++)
-        lanes[i] = 1 << i;
-    return (lanes & (bk_int)bits) != 0;
-#endif
-}
 
 #else
 

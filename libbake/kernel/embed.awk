@@ -1,10 +1,12 @@
 # Flattens the local #includes of an OpenCL source, each file once, into C string literals.
-# System headers are only for the C build of the kernel and are left to it.
+# System headers and those of base/ are only for the C build of the kernel and are left to it.
 function emit(path, directory,    line, name) {
     if (path in seen)
         return
     seen[path] = 1
     while ((status = (getline line < path)) > 0) {
+        if (line ~ /^#include "base\//)
+            continue
         if (line ~ /^#include "/) {
             name = line
             sub(/^#include "/, "", name)

@@ -20,26 +20,26 @@ void BSQ_SIMD_NAME(vox_add_one_rings)(const struct fmt_tris_chunk *chunk, uint32
 #define RING_SHARE (9.0 / 8.0)
 
 /* Rounds to float. */
-LANES_INLINE lanes ring_rounded(lanes x)
+LANES_INLINE doubles ring_rounded(doubles x)
 {
-    return __builtin_convertvector(__builtin_convertvector(x, floats), lanes);
+    return __builtin_convertvector(__builtin_convertvector(x, floats), doubles);
 }
 
 /* Normals, and the surface's heights above the vertices. */
 LANES_INLINE void ring_finish(const struct vox_one_ring *const from[LANE_COUNT], double h,
-                              lanes normal[4])
+                              doubles normal[4])
 {
     const double *half[2][LANE_COUNT];
-    lanes n[4], m[4];
+    doubles n[4], m[4];
     for (int l = 0; l < LANE_COUNT; l++) {
         half[0][l] = from[l]->area_vector;
         half[1][l] = from[l]->moment;
     }
     lanes_gather_four(half[0], n);
     lanes_gather_four(half[1], m);
-    lanes length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), area = n[3];
+    doubles length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), area = n[3];
     lane_mask smooth = bsq_are_smooth(length, area);
-    lanes height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * area);
+    doubles height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * area);
     for (int k = 0; k < 3; k++)
         normal[k] = lanes_keep(smooth, n[k] / length);
     normal[3] = ring_rounded(lanes_keep(smooth, RING_SHARE * height)) / h;
@@ -51,7 +51,7 @@ void BSQ_SIMD_NAME(vox_finish_one_rings)(const struct vox_one_ring *rings, const
     for (uint32_t done = 0; done < count; done += LANE_COUNT) {
         const struct vox_one_ring *from[LANE_COUNT];
         double rows[LANE_COUNT][4], *to[LANE_COUNT];
-        lanes normal[4];
+        doubles normal[4];
         for (uint32_t l = 0; l < LANE_COUNT; l++) {
             from[l] = &rings[ring_of[done + l < count ? done + l : done]];
             to[l] = rows[l];

@@ -239,9 +239,8 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == index)
             BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings)
-            (chunk, 0, chunk->triangle_count, d->twins, d->rings);
-        else if (touch(&infos[i], info))
-            status = add_chunk(s, lender, d, &neighbour, i);
+        (chunk, 0, chunk->triangle_count, d->twins, d->rings);
+        else if (touch(&infos[i], info)) status = add_chunk(s, lender, d, &neighbour, i);
     }
     return status;
 }
@@ -254,7 +253,7 @@ int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *len
     int status = sum_normals(s, lender, desk, index, chunk, lattice);
     if (status == 0)
         BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
-        (desk->rings, desk->twins, chunk->vertex_count, lattice->h, normals);
+    (desk->rings, desk->twins, chunk->vertex_count, lattice->h, normals);
     stand_up(s, desk);
     return status;
 }

@@ -21,7 +21,7 @@ static_assert(sizeof(struct block_piece) == 64, "a piece begins with a row of fo
 LANES_INLINE lane_mask stray_lanes(const struct vox_chunk *chunk,
                                    const struct block_triangle *const triangle[LANE_COUNT])
 {
-    lanes stray = lanes_all(0.0);
+    doubles stray = lanes_all(0.0);
     if (!chunk->stray)
         return lanes_none();
     for (int l = 0; l < LANE_COUNT; l++)
@@ -33,7 +33,7 @@ LANES_INLINE lane_mask stray_lanes(const struct vox_chunk *chunk,
  * their pieces have in common. lowest: their lowest cells. */
 LANES_INLINE void load_triangles(const struct vox_accumulation *what,
                                  const uint16_t places[LANE_COUNT], struct shade_triangles *t,
-                                 lanes lowest[3])
+                                 doubles lowest[3])
 {
     const struct vox_chunk *chunk = what->chunk;
     const struct block_triangle *triangle[LANE_COUNT];
@@ -60,12 +60,12 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *what,
             points[l] = chunk->points[vertex];
             normals[l] = t->has_normals ? chunk->normals[vertex] : NULL;
         }
-        lanes corner[4];
+        doubles corner[4];
         lanes_gather_four(points, corner);
         for (int k = 0; k < 3; k++)
             t->p[i][k] = corner[k] - lowest[k];
         if (t->has_normals) {
-            lanes in[4];
+            doubles in[4];
             lanes_gather_floats(normals, in);
             memcpy(t->normal[i], in, sizeof t->normal[i]);
             t->weights.rise[i] = in[3];
@@ -115,13 +115,13 @@ struct cell_numbers {
 
 enum { NUMBER_CELL = 32, NUMBER_LANE = 40, NUMBER_PLACE = 48 };
 
-LANES_INLINE void number_cells(const struct vox_accumulation *what, lanes low, int axis, int planes,
-                               struct cell_numbers *numbers)
+LANES_INLINE void number_cells(const struct vox_accumulation *what, doubles low, int axis,
+                               int planes, struct cell_numbers *numbers)
 {
     const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = NUMBER_CELL + 4 - 2 * axis;
-    const lanes lo = lanes_all(what->window->lo[axis]), hi = lanes_all(what->window->hi[axis]);
+    const doubles lo = lanes_all(what->window->lo[axis]), hi = lanes_all(what->window->hi[axis]);
     for (int i = 0; i <= planes; i++) {
-        lanes at = low + (double)i;
+        doubles at = low + (double)i;
         lane_ints bits = lanes_integer_bits(at - (double)what->region->lo[axis]);
         bits = (bits & 0x78) << shift | (bits & 7) << inner | (long long)i << cell;
         numbers->of[i] = lanes_set_bits(lanes_less(at, lo) | lanes_less(hi, at), bits,
@@ -144,15 +144,15 @@ LANES_INLINE lane_ints nowhere(void)
 }
 
 /* Queues the lanes that are taken. */
-LANES_INLINE void queue_lanes(struct queue *queue, lane_mask taken, lanes area,
-                              const lanes moment[2], lane_ints number)
+LANES_INLINE void queue_lanes(struct queue *queue, lane_mask taken, doubles area,
+                              const doubles moment[2], lane_ints number)
 {
     const uint32_t at = queue->count;
 #if LANE_COUNT == 8
     lanes_store(lanes_pack(taken, area), &queue->area[at]);
     for (int k = 0; k < 2; k++)
         lanes_store(lanes_pack(taken, moment[k]), &queue->moment[k][at]);
-    lanes_store_ints((lane_ints)lanes_pack(taken, (lanes)number), &queue->number[at]);
+    lanes_store_ints((lane_ints)lanes_pack(taken, (doubles)number), &queue->number[at]);
     queue->count = at + (uint32_t)__builtin_popcount(lanes_bits(taken));
 #else
     if (lanes_bits(taken) == 0)
@@ -160,7 +160,7 @@ LANES_INLINE void queue_lanes(struct queue *queue, lane_mask taken, lanes area,
     lanes_store(area, &queue->area[at]);
     for (int k = 0; k < 2; k++)
         lanes_store(moment[k], &queue->moment[k][at]);
-    lanes_store_ints((lane_ints)lanes_select(taken, (lanes)number, (lanes)nowhere()),
+    lanes_store_ints((lane_ints)lanes_select(taken, (doubles)number, (doubles)nowhere()),
                      &queue->number[at]);
     queue->count = at + LANE_COUNT;
 #endif
@@ -184,23 +184,23 @@ LANES_INLINE void put_queue(const struct shade_triangles *t, struct queue *queue
     lanes_store_ints(nowhere(), &queue->number[queue->count]);
     for (uint32_t done = 0; done < queue->count; done += LANE_COUNT) {
         double *pieces[LANE_COUNT];
-        const lanes moment[2] = {lanes_load(&queue->moment[0][done]),
-                                 lanes_load(&queue->moment[1][done])};
-        lanes area = lanes_load(&queue->area[done]);
+        const doubles moment[2] = {lanes_load(&queue->moment[0][done]),
+                                   lanes_load(&queue->moment[1][done])};
+        doubles area = lanes_load(&queue->area[done]);
         lane_ints number = lanes_load_ints(&queue->number[done]);
         for (uint32_t l = 0; l < LANE_COUNT; l++)
             pieces[l] = &block->pieces[queue->number[done + l] >> NUMBER_PLACE].area;
         if (t->has_normals) {
             const struct shade_weights of = weights_of(t, number);
-            lanes normal, center = lanes_all(0.0);
+            doubles normal, center = lanes_all(0.0);
             lane_mask cancels;
             shade_weigh(&of, t->curved, area, moment, &normal, &center, &cancels);
             number = lanes_set_bits(cancels, number,
                                     lanes_all_bits((uint64_t)PIECE_FLAT << NUMBER_CELL));
-            const lanes in[6] = {area, moment[0], moment[1], (lanes)number, normal, center};
+            const doubles in[6] = {area, moment[0], moment[1], (doubles)number, normal, center};
             lanes_scatter_six(in, pieces);
         } else {
-            const lanes in[4] = {area, moment[0], moment[1], (lanes)number};
+            const doubles in[4] = {area, moment[0], moment[1], (doubles)number};
             lanes_scatter(in, pieces);
         }
     }
@@ -214,15 +214,15 @@ LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int 
                                      struct queue *queue, lane_mask *doubtful)
 {
     const lane_ints next = lanes_all_bits(UINT64_C(1) << NUMBER_PLACE);
-    lanes part = t->area / 3.0;
+    doubles part = t->area / 3.0;
     queue->count = 0;
     for (int x = 0; x <= planes[0]; x++)
         for (int y = 0; y <= planes[1]; y++) {
             lane_ints row = numbers[0].of[x] | numbers[1].of[y];
             for (int z = 0; z <= planes[2]; z++, piece++) {
                 lane_ints number = row | numbers[2].of[z] | where;
-                lane_mask taken = divide_touching(piece, doubtful) & ~lanes_signs((lanes)number);
-                const lanes moment[2] = {part * piece->moment[0], part * piece->moment[1]};
+                lane_mask taken = divide_touching(piece, doubtful) & ~lanes_signs((doubles)number);
+                const doubles moment[2] = {part * piece->moment[0], part * piece->moment[1]};
                 queue_lanes(queue, taken, t->area * piece->share, moment, number);
                 where = lanes_add_ints(taken, where, next);
             }
@@ -241,7 +241,7 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *what,
     struct cell_numbers numbers[3];
     struct queue queue;
     long long where[LANE_COUNT];
-    lanes lowest[3];
+    doubles lowest[3];
     const uint32_t cells = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
     for (uint32_t l = 0; l < LANE_COUNT; l++) {
         bool used = l < count;
@@ -252,7 +252,7 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *what,
     load_triangles(what, places, &t, lowest);
     for (int a = 0; a < 3; a++)
         number_cells(what, lowest[a], a, planes[a], &numbers[a]);
-    lane_mask doubtful = divide_small((const lanes(*)[3])t.p, planes, pieces);
+    lane_mask doubtful = divide_small((const doubles(*)[3])t.p, planes, pieces);
     lane_ints behind =
         queue_divided(&t, planes, pieces, numbers, lanes_load_ints(where), &queue, &doubtful);
     lanes_store_ints(behind, where);
@@ -463,7 +463,7 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *wh
         .cells = &cells,
     };
     struct single s;
-    lanes lowest[3];
+    doubles lowest[3];
     uint16_t places[LANE_COUNT];
     s.what = what;
     s.from = source_of(what);

@@ -32,22 +32,22 @@ enum {
 
 /* Sums over a piece's border: twice its area, and its moments, in the plane of corner weights. */
 struct divide_piece {
-    lanes share; /* of the triangle's area */
-    lanes
+    doubles share; /* of the triangle's area */
+    doubles
         moment[2]; /* share times weight of the second and third corner at the centroid, times 3 */
 };
 
 /* Where a line, between parameters 0 and 1, is within each cell along an axis. */
 struct divide_spans {
-    lanes from[DIVIDE_MAX_PLANES + 1], to[DIVIDE_MAX_PLANES + 1];
-    lanes crossing[DIVIDE_MAX_PLANES]; /* of the planes */
+    doubles from[DIVIDE_MAX_PLANES + 1], to[DIVIDE_MAX_PLANES + 1];
+    doubles crossing[DIVIDE_MAX_PLANES]; /* of the planes */
 };
 
 /* The line's coordinate is at + slope * parameter; cells are cut by planes 1 to planes. */
-LANES_INLINE void divide_line(lanes at, lanes slope, int planes, struct divide_spans *spans,
+LANES_INLINE void divide_line(doubles at, doubles slope, int planes, struct divide_spans *spans,
                               lane_mask *doubtful)
 {
-    const lanes zero = lanes_all(0.0), one = lanes_all(1.0);
+    const doubles zero = lanes_all(0.0), one = lanes_all(1.0);
     if (planes == 0) {
         spans->from[0] = zero;
         spans->to[0] = one;
@@ -57,9 +57,9 @@ LANES_INLINE void divide_line(lanes at, lanes slope, int planes, struct divide_s
      */
     lane_mask down = lanes_signs(slope);
     lane_mask flat = lanes_less(lanes_abs(slope), lanes_all(DIVIDE_LEAST_SLOPE));
-    lanes inverse = 1.0 / slope, before = lanes_keep(down, one), end = one - before;
+    doubles inverse = 1.0 / slope, before = lanes_keep(down, one), end = one - before;
     for (int i = 0; i < planes; i++) {
-        lanes s = ((double)(i + 1) - at) * inverse;
+        doubles s = ((double)(i + 1) - at) * inverse;
         *doubtful |= lanes_equal(s, zero) | lanes_equal(s, one);
         *doubtful |= flat & ~(lanes_less(s, lanes_all(-0.1)) | lanes_less(lanes_all(1.1), s));
         spans->crossing[i] = s;
@@ -75,15 +75,15 @@ LANES_INLINE void divide_line(lanes at, lanes slope, int planes, struct divide_s
 /* Corner weights of the points where the triangle's border, followed from corner to corner, rises
  * through a plane and where it falls through it. */
 struct divide_cut {
-    lanes rise[2], fall[2];
+    doubles rise[2], fall[2];
 };
 
 /* p: the corners' coordinates across the plane; inverse: of p[i] - p[i + 1]. */
-LANES_INLINE void divide_border(const lanes p[3], const lanes inverse[3], double plane,
+LANES_INLINE void divide_border(const doubles p[3], const doubles inverse[3], double plane,
                                 struct divide_cut *cut, lane_mask *doubtful)
 {
-    const lanes zero = lanes_all(0.0);
-    lanes d[3], t[3];
+    const doubles zero = lanes_all(0.0);
+    doubles d[3], t[3];
     lane_mask below[3], rises[3], falls[3];
     for (int i = 0; i < 3; i++) {
         d[i] = p[i] - plane;
@@ -96,7 +96,7 @@ LANES_INLINE void divide_border(const lanes p[3], const lanes inverse[3], double
         falls[i] = ~below[i] & below[(i + 1) % 3];
     }
     /* Weights (t, 0) on the first edge, (1 - t, t) on the second, (0, 1 - t) on the third. */
-    lanes rest1 = 1.0 - t[1], rest2 = 1.0 - t[2];
+    doubles rest1 = 1.0 - t[1], rest2 = 1.0 - t[2];
     cut->rise[0] = lanes_select(rises[1], rest1, lanes_keep(rises[0], t[0]));
     cut->rise[1] = lanes_select(rises[1], t[1], lanes_keep(rises[2], rest2));
     cut->fall[0] = lanes_select(falls[1], rest1, lanes_keep(falls[0], t[0]));
@@ -109,8 +109,8 @@ LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divi
                                  int q_cells, const struct divide_spans *r, int r_cells,
                                  struct divide_piece *below, const int stride[3])
 {
-    lanes cross = cut->rise[0] * cut->fall[1] - cut->rise[1] * cut->fall[0];
-    lanes twice[2], delta[2];
+    doubles cross = cut->rise[0] * cut->fall[1] - cut->rise[1] * cut->fall[0];
+    doubles twice[2], delta[2];
     for (int k = 0; k < 2; k++) {
         twice[k] = cut->rise[k] + cut->rise[k];
         delta[k] = cut->fall[k] - cut->rise[k];
@@ -119,12 +119,12 @@ LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divi
         for (int k = 0; k < r_cells; k++) {
             struct divide_piece *lower = below + j * stride[1] + k * stride[2];
             struct divide_piece *upper = lower + stride[0];
-            lanes from = lanes_max(q->from[j], r->from[k]), to = lanes_min(q->to[j], r->to[k]);
-            lanes share = lanes_max(to - from, lanes_all(0.0)) * cross, sum = from + to;
+            doubles from = lanes_max(q->from[j], r->from[k]), to = lanes_min(q->to[j], r->to[k]);
+            doubles share = lanes_max(to - from, lanes_all(0.0)) * cross, sum = from + to;
             lower->share += share;
             upper->share -= share;
             for (int c = 0; c < 2; c++) {
-                lanes moment = share * (twice[c] + sum * delta[c]);
+                doubles moment = share * (twice[c] + sum * delta[c]);
                 lower->moment[c] += moment;
                 upper->moment[c] -= moment;
             }
@@ -137,12 +137,12 @@ LANES_INLINE void divide_edge(const struct divide_spans spans[3], const int cell
 {
     for (int i = 0; i < cells[0]; i++)
         for (int j = 0; j < cells[1]; j++) {
-            lanes low = lanes_max(spans[0].from[i], spans[1].from[j]);
-            lanes high = lanes_min(spans[0].to[i], spans[1].to[j]);
+            doubles low = lanes_max(spans[0].from[i], spans[1].from[j]);
+            doubles high = lanes_min(spans[0].to[i], spans[1].to[j]);
             for (int k = 0; k < cells[2]; k++) {
-                lanes from = lanes_max(low, spans[2].from[k]);
-                lanes to = lanes_min(high, spans[2].to[k]);
-                lanes share = lanes_max(to - from, lanes_all(0.0)), sum = from + to;
+                doubles from = lanes_max(low, spans[2].from[k]);
+                doubles to = lanes_min(high, spans[2].to[k]);
+                doubles share = lanes_max(to - from, lanes_all(0.0)), sum = from + to;
                 pieces->share = share;
                 pieces->moment[0] = share * (2.0 - sum);
                 pieces->moment[1] = share * sum;
@@ -163,12 +163,12 @@ LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_plane
 }
 
 /* The lines of all planes across an axis. */
-LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3],
+LANES_INLINE void divide_axis(const doubles p[3][3], int axis, const int planes[3],
                               const int stride[3], struct divide_piece *pieces, lane_mask *doubtful)
 {
     const int q = (axis + 1) % 3, r = (axis + 2) % 3;
     const int strides[3] = {stride[axis], stride[q], stride[r]};
-    lanes across[3], inverse[3];
+    doubles across[3], inverse[3];
     if (planes[axis] == 0)
         return;
     for (int i = 0; i < 3; i++)
@@ -179,10 +179,10 @@ LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3]
         struct divide_cut cut;
         struct divide_spans spans[2];
         divide_border(across, inverse, i + 1, &cut, doubtful);
-        lanes d0 = cut.fall[0] - cut.rise[0], d1 = cut.fall[1] - cut.rise[1];
+        doubles d0 = cut.fall[0] - cut.rise[0], d1 = cut.fall[1] - cut.rise[1];
         for (int k = 0; k < 2; k++) {
             int other = k == 0 ? q : r;
-            lanes e = p[1][other] - p[0][other], f = p[2][other] - p[0][other];
+            doubles e = p[1][other] - p[0][other], f = p[2][other] - p[0][other];
             divide_line(p[0][other] + cut.rise[0] * e + cut.rise[1] * f, d0 * e + d1 * f,
                         planes[other], &spans[k], doubtful);
         }
@@ -197,7 +197,7 @@ LANES_INLINE void divide_axis(const lanes p[3][3], int axis, const int planes[3]
  * lowest that each touches. Cell (x, y, z) becomes pieces[(x * (planes[1] + 1) + y) * (planes[2] +
  * 1) + z]; divide_touching() tells of which triangles. Returns doubtful triangles, about whose
  * pieces nothing can be said, and the cells may tell of more. */
-LANES_INLINE lane_mask divide_small(const lanes p[3][3], const int planes[3],
+LANES_INLINE lane_mask divide_small(const doubles p[3][3], const int planes[3],
                                     struct divide_piece *pieces)
 {
     const int cells[3] = {planes[0] + 1, planes[1] + 1, planes[2] + 1};

@@ -14,38 +14,38 @@
 
 /* What the weights of a triangle's pieces follow from. */
 struct shade_weights {
-    lanes squares[3];    /* of the corners' normals */
-    lanes gaps[3];       /* of corners 01, 12, 20: squares of their normals' distances */
-    lanes agreements[3]; /* of the corners' normals with the plane's */
-    lanes rise[3];       /* of the surface they describe above the corners, in voxels */
+    doubles squares[3];    /* of the corners' normals */
+    doubles gaps[3];       /* of corners 01, 12, 20: squares of their normals' distances */
+    doubles agreements[3]; /* of the corners' normals with the plane's */
+    doubles rise[3];       /* of the surface they describe above the corners, in voxels */
     /* Of corners 01, 12, 20: 4 times the height of the arc over the edge that has the corners'
      * normals. */
-    lanes arc[3];
+    doubles arc[3];
 };
 
 /* Triangles side by side, in voxels from the lower corner of a cell of each. */
 struct shade_triangles {
-    lanes p[3][3];      /* corner, axis */
-    lanes edge[2][3];   /* from the first corner to the others */
-    lanes flat[3];      /* unit normal of the plane, zero where there is no area */
-    lanes area;         /* in voxel faces, VOX_NO_AREA at least */
+    doubles p[3][3];    /* corner, axis */
+    doubles edge[2][3]; /* from the first corner to the others */
+    doubles flat[3];    /* unit normal of the plane, zero where there is no area */
+    doubles area;       /* in voxel faces, VOX_NO_AREA at least */
     double grain_share; /* grain of a triangle with edges of a voxel, were it not 1 at most */
-    lanes grain;
+    doubles grain;
     bool has_normals;
     bool curved;       /* so large that planes differ from the surface that the normals describe */
     double lift_limit; /* highest arc and rise, in voxels */
     bool marked;       /* normals have grain, or planes that do not go with them are to be marked */
-    lanes normal[3][3]; /* corner, axis; unit */
+    doubles normal[3][3]; /* corner, axis; unit */
     struct shade_weights weights;
     lane_mask facet; /* the plane does not go with the normals, or is too far from that surface */
     bool has_color;
-    lanes rgb[3][3]; /* corner, channel; linear light */
-    lanes colored;   /* 1 where the triangle has a colour, else 0 */
+    doubles rgb[3][3]; /* corner, channel; linear light */
+    doubles colored;   /* 1 where the triangle has a colour, else 0 */
 };
 
 /* ---- triangles ---- */
 
-LANES_INLINE lanes shade_dot(const lanes a[3], const lanes b[3])
+LANES_INLINE doubles shade_dot(const doubles a[3], const doubles b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -53,7 +53,7 @@ LANES_INLINE lanes shade_dot(const lanes a[3], const lanes b[3])
 /* Edges, plane, area and grain, from the corners. */
 LANES_INLINE void shade_measure(struct shade_triangles *t)
 {
-    lanes n[3], *e = t->edge[0], *f = t->edge[1];
+    doubles n[3], *e = t->edge[0], *f = t->edge[1];
     for (int k = 0; k < 3; k++) {
         e[k] = t->p[1][k] - t->p[0][k];
         f[k] = t->p[2][k] - t->p[0][k];
@@ -61,11 +61,11 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
     n[0] = e[1] * f[2] - e[2] * f[1];
     n[1] = e[2] * f[0] - e[0] * f[2];
     n[2] = e[0] * f[1] - e[1] * f[0];
-    lanes length = lanes_sqrt(shade_dot(n, n));
-    lanes scale = lanes_keep(lanes_less(lanes_all(0.0), length), 1.0 / length);
+    doubles length = lanes_sqrt(shade_dot(n, n));
+    doubles scale = lanes_keep(lanes_less(lanes_all(0.0), length), 1.0 / length);
     t->area = lanes_max(0.5 * length, lanes_all(VOX_NO_AREA));
     /* The mean square of the edges: the third is f - e. */
-    lanes square = 2.0 / 3.0 * (shade_dot(e, e) + shade_dot(f, f) - shade_dot(e, f));
+    doubles square = 2.0 / 3.0 * (shade_dot(e, e) + shade_dot(f, f) - shade_dot(e, f));
     t->grain = lanes_min(t->grain_share * square, lanes_all(1.0));
     for (int k = 0; k < 3; k++)
         t->flat[k] = n[k] * scale;
@@ -86,8 +86,8 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
 LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
 {
     for (int i = 0; i < 3; i++) {
-        const lanes *n = t->normal[i], *next = t->normal[(i + 1) % 3];
-        const lanes turn[3] = {next[0] - n[0], next[1] - n[1], next[2] - n[2]};
+        const doubles *n = t->normal[i], *next = t->normal[(i + 1) % 3];
+        const doubles turn[3] = {next[0] - n[0], next[1] - n[1], next[2] - n[2]};
         t->weights.squares[i] = shade_dot(n, n);
         t->weights.gaps[i] = shade_dot(turn, turn);
         t->weights.agreements[i] = shade_dot(n, t->flat);
@@ -107,10 +107,10 @@ LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
  */
 LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 {
-    const lanes limit = lanes_all(4.0 * t->lift_limit), highest = lanes_all(t->lift_limit);
+    const doubles limit = lanes_all(4.0 * t->lift_limit), highest = lanes_all(t->lift_limit);
     for (int i = 0; i < 3; i++) {
         const int j = (i + 1) % 3;
-        lanes arc = lanes_all(0.0), rise = t->weights.rise[i];
+        doubles arc = lanes_all(0.0), rise = t->weights.rise[i];
         for (int a = 0; a < 3; a++)
             arc += (t->p[i][a] - t->p[j][a]) * (t->normal[i][a] - t->normal[j][a]);
         arc *= 0.5;
@@ -135,9 +135,9 @@ LANES_INLINE void shade_prepare(struct shade_triangles *t)
 /* ---- facts ---- */
 
 LANES_INLINE void shade_put_row(struct block_facts *const facts[LANE_COUNT], enum block_row row,
-                                const lanes first[3], lanes fourth)
+                                const doubles first[3], doubles fourth)
 {
-    const lanes in[4] = {first[0], first[1], first[2], fourth};
+    const doubles in[4] = {first[0], first[1], first[2], fourth};
     double *to[LANE_COUNT];
     for (int l = 0; l < LANE_COUNT; l++)
         to[l] = facts[l]->row[row];
@@ -145,16 +145,17 @@ LANES_INLINE void shade_put_row(struct block_facts *const facts[LANE_COUNT], enu
 }
 
 LANES_INLINE void shade_put_difference(struct block_facts *const facts[LANE_COUNT],
-                                       enum block_row row, const lanes to[3], const lanes from[3])
+                                       enum block_row row, const doubles to[3],
+                                       const doubles from[3])
 {
-    const lanes difference[3] = {to[0] - from[0], to[1] - from[1], to[2] - from[2]};
+    const doubles difference[3] = {to[0] - from[0], to[1] - from[1], to[2] - from[2]};
     shade_put_row(facts, row, difference, lanes_all(0.0));
 }
 
 LANES_INLINE void shade_put_colors(const struct shade_triangles *t,
                                    struct block_facts *const facts[LANE_COUNT])
 {
-    lanes rgb[3][3];
+    doubles rgb[3][3];
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 3; k++)
             rgb[i][k] = t->colored * t->rgb[i][k];
@@ -167,8 +168,8 @@ LANES_INLINE void shade_put_colors(const struct shade_triangles *t,
 LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
                                   struct block_facts *const facts[LANE_COUNT])
 {
-    const lanes zero = lanes_all(0.0), none[3] = {zero, zero, zero};
-    const lanes corner[3] = {t->p[0][0] - 0.5, t->p[0][1] - 0.5, t->p[0][2] - 0.5};
+    const doubles zero = lanes_all(0.0), none[3] = {zero, zero, zero};
+    const doubles corner[3] = {t->p[0][0] - 0.5, t->p[0][1] - 0.5, t->p[0][2] - 0.5};
     shade_put_row(facts, ROW_CORNER, corner, lanes_all(1.0));
     shade_put_row(facts, ROW_EDGE1, t->edge[0], zero);
     shade_put_row(facts, ROW_EDGE2, t->edge[1], zero);
@@ -216,14 +217,14 @@ LANES_INLINE struct shade_weights shade_pick(const struct shade_weights *from, b
  *
  * The square of the interpolated normal is the sum of w_i n_i^2 less that of w_i w_j (n_i - n_j)^2.
  * All is computed with weights times area. */
-LANES_INLINE void shade_weigh(const struct shade_weights *of, bool curved, lanes area,
-                              const lanes moment[2], lanes *normal, lanes *center,
+LANES_INLINE void shade_weigh(const struct shade_weights *of, bool curved, doubles area,
+                              const doubles moment[2], doubles *normal, doubles *center,
                               lane_mask *cancels)
 {
-    const lanes w[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
-    const lanes pairs[3] = {w[0] * w[1], w[1] * w[2], w[2] * w[0]};
-    lanes square = area * shade_dot(w, of->squares) - shade_dot(pairs, of->gaps);
-    lanes inverse = 1.0 / (area * lanes_sqrt(square)), across = area * inverse;
+    const doubles w[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
+    const doubles pairs[3] = {w[0] * w[1], w[1] * w[2], w[2] * w[0]};
+    doubles square = area * shade_dot(w, of->squares) - shade_dot(pairs, of->gaps);
+    doubles inverse = 1.0 / (area * lanes_sqrt(square)), across = area * inverse;
     *cancels = ~lanes_less(1e-12 * (area * area), square);
     *normal = area * lanes_abs(shade_dot(w, of->agreements)) * (across * across);
     if (curved)

@@ -10,7 +10,7 @@ LANES_INLINE float_ints record_round_floats(floats x)
 }
 
 /* The same of |x| < 2^51. */
-LANES_INLINE lane_ints record_round(lanes x)
+LANES_INLINE lane_ints record_round(doubles x)
 {
     const int64_t bits = INT64_C(0x4338000000000000); /* of 1.5 * 2^52 */
     return (lane_ints)(x + 6755399441055744.0) - bits;
@@ -23,7 +23,7 @@ LANES_INLINE floats record_fold(floats magnitude, floats like)
 }
 
 /* bsq_oct_pack() of unit vectors. */
-LANES_INLINE float_ints record_pack_normal(const lanes unit[3])
+LANES_INLINE float_ints record_pack_normal(const doubles unit[3])
 {
     floats x = __builtin_convertvector(unit[0], floats);
     floats y = __builtin_convertvector(unit[1], floats);
@@ -42,7 +42,7 @@ LANES_INLINE float_ints record_pack_normal(const lanes unit[3])
 LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], float_ints *normal,
                               lane_ints *plane)
 {
-    lanes sum[8], n[3];
+    doubles sum[8], n[3];
     const double *half[2][LANE_COUNT];
     for (int l = 0; l < LANE_COUNT; l++) {
         half[0][l] = from[l]->normal;
@@ -50,18 +50,18 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], floa
     }
     lanes_gather_four(half[0], sum);
     lanes_gather_four(half[1], sum + 4);
-    lanes length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[7];
+    doubles length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[7];
     lane_mask has = lanes_less(lanes_all(0.0), length);
     for (int k = 0; k < 3; k++)
         n[k] = lanes_select(has, sum[k] / length, lanes_all(k == 2));
     *normal = record_pack_normal(n);
 
     /* No plane that meets the voxel is farther from its centre than half a diagonal. */
-    lanes d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
+    doubles d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
     d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
-    lanes coverage = lanes_min(length / area, lanes_all(1.0));
+    doubles coverage = lanes_min(length / area, lanes_all(1.0));
     lane_mask shaded = lanes_less(2.0 * area, sum[3]);
-    lanes grain = lanes_keep(~shaded, lanes_min(sum[3] / area, lanes_all(1.0)));
+    doubles grain = lanes_keep(~shaded, lanes_min(sum[3] / area, lanes_all(1.0)));
     *plane = lanes_set_bits(shaded, record_round(d * 32767.0) & 0xffff,
                             lanes_all_bits(FMT_NVDB_PLANE_SHADED)) |
              record_round(coverage * 255.0) << 16 |

@@ -281,7 +281,7 @@ static void test_regions_share_a_triangle(void **state)
 /* ---- side by side ---- */
 
 /* A triangle's corners from its lowest cell on, put into a lane; false where it is not small. */
-static bool put_in_lane(const double (*c)[3], int lane, lanes p[3][3], int planes[3])
+static bool put_in_lane(const double (*c)[3], int lane, doubles p[3][3], int planes[3])
 {
     struct vox_box cells = cells_of(c);
     for (int a = 0; a < 3; a++) {
@@ -295,7 +295,7 @@ static bool put_in_lane(const double (*c)[3], int lane, lanes p[3][3], int plane
 }
 
 /* Divides, and returns all doubtful triangles. */
-static lane_mask divide(const lanes p[3][3], const int planes[3], struct divide_piece *pieces)
+static lane_mask divide(const doubles p[3][3], const int planes[3], struct divide_piece *pieces)
 {
     lane_mask doubtful = divide_small(p, planes, pieces);
     for (int i = 0; i < (planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1); i++)
@@ -338,7 +338,7 @@ static void test_small_triangles_side_by_side(void **state)
     uint32_t checked = 0, doubtful = 0;
     for (int n = 0; n < 30000; n++) {
         double c[3][3];
-        lanes p[3][3];
+        doubles p[3][3];
         int planes[3];
         random_triangle(&seed, pow(10.0, 1.3 * scan_random(&seed) - 0.7), c);
         if (!put_in_lane((const double(*)[3])c, 0, p, planes))
@@ -352,7 +352,7 @@ static void test_small_triangles_side_by_side(void **state)
         struct divide_piece pieces[DIVIDE_MAX_CELLS];
         for (int l = 0; l < LANE_COUNT; l++)
             put_in_lane((const double(*)[3])batch[l], l, p, planes);
-        lane_mask doubt = divide((const lanes(*)[3])p, planes, pieces);
+        lane_mask doubt = divide((const doubles(*)[3])p, planes, pieces);
         for (int l = 0; l < LANE_COUNT; l++) {
             checked++;
             doubtful += lanes_bits(doubt) >> l & 1;
@@ -377,11 +377,11 @@ static void test_touching_planes_is_doubtful(void **state)
     };
     for (size_t i = 0; i < sizeof table / sizeof table[0]; i++) {
         struct divide_piece pieces[DIVIDE_MAX_CELLS];
-        lanes p[3][3];
+        doubles p[3][3];
         int planes[3];
         for (int l = 0; l < LANE_COUNT; l++)
             assert_true(put_in_lane(table[i], l, p, planes));
-        lane_mask doubt = divide((const lanes(*)[3])p, planes, pieces);
+        lane_mask doubt = divide((const doubles(*)[3])p, planes, pieces);
         for (int l = 0; l < LANE_COUNT; l++)
             assert_true(lanes_bits(doubt) >> l & 1);
     }
