@@ -54,14 +54,15 @@ archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
 archive.libbake  := $(BUILD)/lib/libbisque-bake.a
 archives := $(foreach l,$(libs),$(archive.$(l)))
 
-# Parts of formats that are opened at their first use, see formats/module.c. The stamp says that both
-# sides were compiled with the same headers between them.
+# Shared modules are opened at their first use, see formats/module/module.h. The stamp proves that program and module were
+# compiled with the same headers.
 modules      := texture openvdb
-src.texture  := formats/image/texture_oiio.cc formats/image/texture_pyramid.cc
+src.texture  := formats/texture/texture_oiio.cc formats/texture/texture_pyramid.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
-    $(addprefix formats/,module_internal.h grid/nvdb.h image/texture.h)
+    $(addprefix formats/,module/module.h $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
+    texture/texture.h texture/texture_module.h)
 module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
 
@@ -79,7 +80,7 @@ $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
 # The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
-$(patsubst %,$(BUILD)/obj/%.o,formats/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
+$(patsubst %,$(BUILD)/obj/%.o,formats/module/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
 # Fused operations would round otherwise. Nobody makes them where -ffp-contract=off says so; but Clang takes AVX-512 away with
 # them.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
@@ -115,9 +116,9 @@ $(foreach l,$(libs),$(eval $(call archive_rule,$(l))))
 # A call that is not in the host's table fails here; Clang leaves its sanitizers' own to the program.
 no_undefined := $(if $(filter fuzz,$(config)),,-Wl,-z,defs)
 define module_rule
-$(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module.map
+$(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module/module.map
 	@mkdir -p $$(@D)
-	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) -Wl,--version-script=formats/module.map -o $$@ \
+	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) -Wl,--version-script=formats/module/module.map -o $$@ \
 	    $$(filter %.o,$$^) $$(LIBS.$(1))
 endef
 $(foreach m,$(modules),$(eval $(call module_rule,$(m))))
@@ -465,7 +466,7 @@ install: all
 	install -m 644 $(wildcard man/*.1) $(mandir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 644 $(archives) $(libdir)
-	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module_directory.c -o $(moddir)/module_directory.c.o
+	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c -o $(moddir)/module_directory.c.o
 	$(AR) r $(libdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
 	rm $(moddir)/module_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true

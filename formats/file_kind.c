@@ -1,17 +1,10 @@
-/* file_kind.c - see file_kind.h. */
+/* file_kind.c - asks each format whether a file's first bytes are its own. */
 #include "formats/file_kind.h"
 
-#include <string.h>
-
 #include "base/file.h"
-#include "formats/chunks/tris_internal.h"
+#include "formats/chunks/tris.h"
+#include "formats/grid/nvdb.h"
 #include "formats/mesh/mesh_reader.h"
-
-/* Both kinds, and the file of a machine with the other order of bytes, whose own check names it. */
-static bool is_nanovdb(const char *magic)
-{
-    return memcmp(magic, "NanoVDB", 7) == 0 || memcmp(magic + 1, "BDVonaN", 7) == 0;
-}
 
 int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
 {
@@ -25,11 +18,11 @@ int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
     bsq_file_close(ctx, &file);
     if (status < 0)
         return status;
-    if (memcmp(head, TRIS_MAGIC, 8) == 0)
+    if (fmt_tris_recognise(head))
         *out = FMT_KIND_TRIS;
-    else if (is_nanovdb(head))
+    else if (fmt_nvdb_recognise(head))
         *out = FMT_KIND_NVDB;
-    else if (memcmp(head, " BDV", 4) == 0)
+    else if (fmt_vdb_recognise(head))
         *out = FMT_KIND_VDB;
     else if (fmt_mesh_recognise(path, head, size))
         *out = FMT_KIND_MESH;
@@ -40,7 +33,7 @@ int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
 static const char *advice(enum fmt_kind kind)
 {
     if (kind == FMT_KIND_VDB)
-        return ", but one of OpenVDB";
+        return ", but an OpenVDB file";
     return kind == FMT_KIND_MESH ? "; bisque-voxelize makes both from a mesh" : "";
 }
 

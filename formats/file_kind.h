@@ -1,5 +1,5 @@
-/* file_kind.h - what a file is, by its first bytes. Some mesh formats have none of their own: there
- * the suffix of the name decides. */
+/* file_kind.h - says what a file is, by its first bytes. A mesh format without a magic number is
+ * recognised by the suffix of the file's name. */
 #ifndef FMT_FILE_KIND_H
 #define FMT_FILE_KIND_H
 
@@ -9,13 +9,18 @@
 extern "C" {
 #endif
 
-enum fmt_kind { FMT_KIND_OTHER, FMT_KIND_MESH, FMT_KIND_TRIS, FMT_KIND_NVDB, FMT_KIND_VDB };
+enum fmt_kind {
+    FMT_KIND_OTHER,
+    FMT_KIND_MESH, /* a format of mesh/mesh_reader.h */
+    FMT_KIND_TRIS, /* chunk file, see chunks/tris.h */
+    FMT_KIND_NVDB, /* NanoVDB file, see grid/nvdb.h; not always a grid of Bisque */
+    FMT_KIND_VDB   /* OpenVDB file */
+};
 
-/* Errors: BSQ_ENOINPUT, BSQ_EIO. */
+/* Recognises a file. Errors: BSQ_ENOINPUT, BSQ_EIO. */
 int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out);
 
-/* The same for a file that has to be a chunk file or a NanoVDB grid: BSQ_EDATA where it is neither.
- */
+/* Recognises a file that must be a chunk file or a NanoVDB file; BSQ_EDATA if it is neither. */
 int fmt_recognise_scan(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out);
 
 #ifdef __cplusplus

@@ -1,11 +1,10 @@
-/* verify.c - tells the kind of a file, and runs the checks of that kind over all of it. */
+/* verify.c - recognises a file and passes it to the checks of its format. */
 #include "formats/verify.h"
-#include "base/file.h"
-#include "formats/grid/nvdb_layout_internal.h"
-#include "formats/file_kind.h"
-#include "formats/chunks/tris_internal.h"
 
 #include <string.h>
+
+#include "base/file.h"
+#include "formats/file_kind.h"
 
 static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *report)
 {
@@ -15,7 +14,7 @@ static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
         return status;
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     report->kind = FMT_VERIFY_TRIS;
-    report->version = TRIS_VERSION;
+    report->version = FMT_TRIS_VERSION;
     report->triangles = header->triangle_count;
     report->chunks = header->chunk_count;
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
@@ -31,21 +30,17 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     int status = fmt_nvdb_open(ctx, path, &grid);
     if (status < 0)
         return status;
-    uint32_t version = nvdb_version(grid.info.type);
     report->kind = FMT_VERIFY_NVDB;
-    report->version = NVDB_RECORD_VERSION;
-    report->nanovdb_version[0] = version >> 21;
-    report->nanovdb_version[1] = version >> 10 & 2047;
-    report->nanovdb_version[2] = version & 1023;
+    report->version = FMT_NVDB_RECORD_VERSION;
+    fmt_nvdb_version(grid.info.type, report->nanovdb_version);
     report->type = grid.info.type;
     report->triangles = grid.info.source_triangles;
     report->voxels = grid.voxel_count;
     report->second_records = grid.record_count - 1 - grid.voxel_count;
     report->voxel_size = grid.info.voxel_size;
     report->has_color = grid.info.has_color;
-    fmt_nvdb_forget_pages(grid.map.data, grid.map.size);
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
-    status = fmt_nvdb_verify_grid(ctx, &grid, true);
+    status = fmt_nvdb_verify(ctx, &grid);
     bsq_progress_end(ctx);
     fmt_nvdb_close(ctx, &grid);
     return status;

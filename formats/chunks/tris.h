@@ -1,6 +1,8 @@
-/* tris.h - the chunk file: a scan's triangles in spatially sorted, indexed chunks.
- * FORMATS.md has the bytes. A chunk can be read alone; chunk order and content depend on the
- * scan alone, not on budget or threads. */
+/* tris.h - the chunk file: the triangles of a high-poly mesh in spatially sorted, indexed chunks.
+ *
+ * Takes chunks in order and writes them; gives header, chunk table and single chunks of a file. The
+ * order and content of chunks depend only on the mesh, not on memory budget or threads. The bytes
+ * are in FORMATS.md. */
 #ifndef FMT_CHUNKS_TRIS_H
 #define FMT_CHUNKS_TRIS_H
 
@@ -17,12 +19,14 @@ enum fmt_tris_attribute {
     FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */
 };
 
-/* Largest chunk; keeps indices at 16 bits for ordinary meshes. */
+#define FMT_TRIS_VERSION 1u
+
+/* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
 
 struct fmt_tris_material {
     char *texture_path; /* absolute, or NULL */
-    float diffuse[3];   /* sRGB 0..1; used where there is no texture */
+    float diffuse[3];   /* sRGB 0...1; used if there is no texture */
 };
 
 struct fmt_tris_header {
@@ -30,84 +34,93 @@ struct fmt_tris_header {
     uint64_t triangle_count;
     uint64_t chunk_count;
     uint64_t source_faces;              /* polygons of the input */
-    uint64_t skipped_triangles;         /* degenerate ones that were left out */
+    uint64_t skipped_triangles;         /* degenerate triangles that were left out */
     double origin[3];                   /* world = origin + float32 position */
     float bounds_min[3], bounds_max[3]; /* of all triangles, relative to origin */
     uint32_t material_count;
     struct fmt_tris_material *materials;
 };
 
-/* What the chunk table says of a chunk. */
+/* A chunk's entry in the chunk table. */
 struct fmt_tris_chunk_info {
     uint64_t offset, size_bytes;
-    uint64_t first_triangle; /* number of its first triangle in the file's order */
+    uint64_t first_triangle; /* number of its first triangle in the file */
     uint32_t triangle_count, vertex_count;
     float bounds_min[3], bounds_max[3]; /* of its triangles, relative to origin */
 };
 
-/* One chunk in memory. Unused attributes are NULL. */
+/* A chunk in memory. Attributes that the file does not have are NULL. */
 struct fmt_tris_chunk {
     uint32_t triangle_count, vertex_count;
     const float (*positions)[3];
     const uint32_t *normals;
     const float (*texcoords)[2];
     const uint32_t *colors;
-    const uint32_t (*triangles)[3]; /* vertex numbers in the chunk */
-    const uint32_t *materials;      /* per triangle */
+    const uint32_t (*triangles)[3]; /* numbers of vertices in the chunk */
+    const uint32_t *materials;      /* one a triangle */
 };
+
+/* Recognises a chunk file of any version by its first 8 bytes. */
+bool fmt_tris_recognise(const char first[8]);
 
 /* ---- writing ---- */
 struct fmt_tris_writer;
 
-/* Starts a file; materials are copied. Of the header's counts only source_faces is looked at. */
+/* Starts a file. Copies attributes, origin, materials and source_faces from the header; the chunks
+ * give the other counts and the bounds. Errors: BSQ_EUSAGE for a path of 4 GiB; BSQ_ECANTCREAT,
+ * BSQ_EIO, BSQ_ENOMEM. */
 int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
                     struct fmt_tris_writer **out);
-/* Upper limit of an encoded chunk's size. */
+/* Returns the size of an encoded chunk in bytes. */
 uint64_t fmt_tris_encoded_bound(uint32_t attributes, uint32_t triangle_count,
                                 uint32_t vertex_count);
-/* Encodes into `buffer` and sets *size; thread-safe, so that workers can do it. Computes bounds. */
+/* Encodes a chunk into `buffer`; sets *size and, except for its offset and first triangle, *info.
+ * Thread-safe, so that workers can encode. */
 int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_tris_chunk *chunk,
                     void *buffer, uint64_t *size, struct fmt_tris_chunk_info *info);
-/* Appends an encoded chunk; serial, in order. Sets offset and first_triangle itself. */
+/* Appends an encoded chunk and its entry to the table. One thread at a time, in order. Ignores the
+ * offset and first triangle of *info. */
 int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_t size,
                     const struct fmt_tris_chunk_info *info);
 /* Counts triangles that were left out. */
 void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles);
-/* Writes table and header (counts and bounds from the chunks), syncs, renames. Frees the writer. */
+/* Writes materials, table and header, syncs and renames the file; frees the writer in any case. */
 int fmt_tris_commit(struct fmt_tris_writer *writer);
 void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
-/* The same for chunks that only this process needs: a temporary file, see bsq_file_temp(), that is
- * handed over in *out when it is complete. */
+/* The same for a temporary file (bsq_file_temp()), for chunks that only this process needs. *out
+ * receives the complete file; the caller closes it. */
 int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
                          const struct fmt_tris_header *header, struct fmt_tris_writer **out);
 int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out);
-/* Total bytes written so far. */
+/* Returns the bytes written so far. */
 uint64_t fmt_tris_written(const struct fmt_tris_writer *writer);
 
 /* ---- reading ---- */
 struct fmt_tris_file;
 
-/* Opens and checks header and chunk table (sizes against the file before anything is allocated).
- * Errors: BSQ_ENOINPUT, BSQ_EDATA naming what is wrong, the version where it is unknown. */
+/* Opens a file; checks header, materials and chunk table, and all sizes before memory is allocated.
+ * Errors: BSQ_ENOINPUT; BSQ_EDATA naming what is wrong, and the version if it is unknown. */
 int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out);
-/* From fmt_tris_keep_temp(); *temp may be closed at any time afterwards. */
+/* Opens a file of fmt_tris_keep_temp(); the caller may close *temp at any time after that. */
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
-/* chunk_count entries, owned by the file. */
+/* Returns the chunk table: chunk_count entries, owned by the file. */
 const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *file);
-/* Bytes of scratch that fmt_tris_load needs for chunk `index`, and for the largest chunk. */
+/* Return the bytes of scratch that fmt_tris_load() needs for a chunk, and for the largest chunk. */
 uint64_t fmt_tris_load_size(const struct fmt_tris_file *file, uint64_t index);
 uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file);
-/* Reads and decodes a chunk into `scratch` (8-byte aligned), verifies its checksum and that every
- * index is in range; *out points into scratch. Thread-safe for distinct scratch. */
+/* Reads and decodes a chunk into `scratch` (8-byte aligned); *out points into it. Checks what a
+ * caller relies on: checksum, padding, indices, material numbers, and that positions are inside the
+ * chunk's bounds and texture coordinates finite. Thread-safe for distinct scratch. Errors:
+ * BSQ_EDATA, BSQ_EIO. */
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out);
-/* Checks everything that FORMATS.md says of the file beyond what opening it does: loads every
- * chunk, on all threads where the budget has room for a chunk each, and holds it against its entry
- * in the table. *vertices (may be NULL) is the sum of the chunks' vertices. Errors: BSQ_EDATA
- * naming the chunk and what is wrong with it. */
+/* Checks all of FORMATS.md that fmt_tris_open() does not: loads each chunk and compares it with its
+ * entry in the table. Uses all threads if the budget has space for a chunk for each, else one.
+ * *vertices (may be NULL) is the sum of all chunks' vertex counts. Errors: BSQ_EDATA naming the
+ * chunk and what is wrong. */
 int fmt_tris_verify(const struct fmt_tris_file *file, uint64_t *vertices);
 
 #ifdef __cplusplus

@@ -1,8 +1,8 @@
-/* tris_encode.c - one chunk's arrays to the bytes of the file.
+/* tris_encode.c - turns the arrays of a chunk into the bytes of the file.
  *
- * Attributes are stored as arrays one after the other, so that a reader can use them where they
- * lie; only the indices change, to 16 bits where the vertices allow. Encoding needs no state, so
- * workers encode chunks while a single thread appends them. */
+ * Attributes are stored as successive arrays, so that a reader can use them in place. Only indices
+ * change: they are stored in 16 bits if the vertex count allows it. Encoding needs no state, so
+ * workers encode chunks while one thread appends them. */
 #include "formats/chunks/tris_internal.h"
 
 #include <math.h>

@@ -1,5 +1,4 @@
-/* tris_internal.h - the bytes of a chunk file, shared by its writer and its reader.
- * FORMATS.md is the normative description; these structures are its tables. */
+/* tris_internal.h - the bytes of a chunk file: the tables of FORMATS.md, which is normative. */
 #ifndef FMT_CHUNKS_TRIS_INTERNAL_H
 #define FMT_CHUNKS_TRIS_INTERNAL_H
 
@@ -9,11 +8,10 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
 #define TRIS_MAGIC      "BSQTRIS\n"
-#define TRIS_VERSION    1u
 #define TRIS_ATTRIBUTES 15u /* all that version 1 knows */
-/* Vertices of a chunk whose indices are stored in 16 bits. */
+/* Largest vertex count of a chunk with 16-bit indices. */
 #define TRIS_SHORT_VERTICES 65536u
-/* Length of a path that stands for "no texture". */
+/* The length of a path that means "no texture". */
 #define TRIS_NO_PATH UINT32_MAX
 
 struct tris_file_header {
@@ -27,14 +25,14 @@ struct tris_file_header {
     double origin[3];
     float bounds_min[3];
     float bounds_max[3];
-    uint64_t materials_offset; /* materials and table are the file's last two parts */
+    uint64_t materials_offset; /* materials and table are the last two parts of the file */
     uint64_t table_offset;
     uint64_t file_bytes;
     uint32_t material_count;
     uint32_t reserved;
     uint64_t materials_checksum; /* of [materials_offset, table_offset) */
     uint64_t table_checksum;     /* of [table_offset, file_bytes) */
-    uint64_t header_checksum;    /* of the header's bytes before this one */
+    uint64_t header_checksum;    /* of all bytes of the header before this field */
 };
 _Static_assert(sizeof(struct tris_file_header) == 152, "the header has no padding");
 
@@ -56,13 +54,13 @@ struct tris_table_entry {
 _Static_assert(sizeof(struct tris_table_entry) == 56, "the entry has no padding");
 
 struct tris_chunk_header {
-    uint64_t checksum; /* of the chunk's bytes after this one */
+    uint64_t checksum; /* of all bytes of the chunk after this field */
     uint32_t triangle_count;
     uint32_t vertex_count;
 };
 _Static_assert(sizeof(struct tris_chunk_header) == 16, "the chunk header has no padding");
 
-/* Where the parts of a chunk lie, from its first byte; absent parts have no bytes. */
+/* Offsets of the arrays of a chunk, from its first byte; attributes it lacks take no bytes. */
 struct tris_layout {
     uint64_t positions, normals, texcoords, colors, materials, triangles;
     uint64_t end;   /* of the triangles */
@@ -70,7 +68,7 @@ struct tris_layout {
     bool short_indices;
 };
 
-/* Describe damage of an open file, or of one of its chunks; return BSQ_EDATA. */
+/* Report damage of an open file, or of one of its chunks; return BSQ_EDATA. */
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);
 int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file);
@@ -80,7 +78,7 @@ static inline uint64_t tris_align8(uint64_t bytes)
     return (bytes + 7) & ~(uint64_t)7;
 }
 
-/* Any 32-bit counts are valid; nothing overflows. */
+/* Computes the layout of a chunk; nothing overflows, whatever the counts. */
 static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t triangle_count,
                                                    uint32_t vertex_count)
 {

@@ -1,9 +1,9 @@
 /* tris_read.c - opens a chunk file and loads single chunks.
  *
- * Nothing in the file is believed: lengths are held against the file's size before anything is
- * allocated, parts must follow each other without gaps, every byte is under a checksum, and what a
- * checksum cannot promise (indices, bounds, finite numbers) is checked when a chunk is loaded.
- * Callers may thus use a chunk without checks of their own. */
+ * Nothing in the file is trusted. Lengths are compared with the file's size before memory is
+ * allocated, parts must follow each other without gaps, and a checksum covers each byte. Loading a
+ * chunk checks what a checksum does not prove: indices, bounds, finite numbers. So callers use a
+ * chunk without checks of their own. */
 #include "formats/chunks/tris_internal.h"
 #include "base/file.h"
 
@@ -18,11 +18,16 @@ struct fmt_tris_file {
     struct fmt_tris_header header;
     struct fmt_tris_chunk_info *chunks;
     uint8_t *tail; /* materials and table as in the file; freed after opening */
-    char *paths;   /* text of all texture paths */
+    char *paths;   /* all texture paths, each with a terminator */
     uint64_t load_size_max;
 };
 
 /* ---- opening ---- */
+
+bool fmt_tris_recognise(const char first[8])
+{
+    return memcmp(first, TRIS_MAGIC, 8) == 0;
+}
 
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
 {
@@ -36,15 +41,15 @@ struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file)
 
 static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
 {
-    if (h->version == __builtin_bswap32(TRIS_VERSION))
+    if (h->version == __builtin_bswap32(FMT_TRIS_VERSION))
         return bsq_fail(
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version != TRIS_VERSION)
+    if (h->version != FMT_TRIS_VERSION)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32 ", this program reads version %u",
-                        file->file.path, h->version, TRIS_VERSION);
+                        file->file.path, h->version, FMT_TRIS_VERSION);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
@@ -104,7 +109,7 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
 {
     uint64_t bytes = h->table_offset - h->materials_offset, at = 0;
     int status;
-    /* A path loses its 16-byte record and gains a terminator, so `bytes` holds all of them. */
+    /* Each path loses its 16-byte record and gains a terminator, so all paths fit `bytes`. */
     if ((status = bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
                              sizeof *file->header.materials, &file->header.materials)) < 0 ||
         (status = bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths)) < 0)
@@ -213,7 +218,7 @@ static int open_parts(struct fmt_tris_file *file)
     int status = bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got);
     if (status < 0)
         return status;
-    if (got < sizeof h.magic || memcmp(h.magic, TRIS_MAGIC, sizeof h.magic) != 0)
+    if (got < sizeof h.magic || !fmt_tris_recognise(h.magic))
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got < sizeof h)
         return fmt_tris_damaged(file, "the header is cut off");
@@ -226,7 +231,7 @@ static int open_parts(struct fmt_tris_file *file)
     return check_bounds(file);
 }
 
-/* Takes `input` over, in any case. */
+/* Takes ownership of `input`, also on failure. */
 static int open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
 {
     struct fmt_tris_file *file;
@@ -299,7 +304,7 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
     return file->load_size_max;
 }
 
-/* Indices that are widened at once. */
+/* Indices that are widened in one step. */
 enum { WIDEN_STEP = 8 };
 
 static uint32_t widen_step(uint8_t *stored, uint32_t first, uint32_t count)
@@ -315,8 +320,8 @@ static uint32_t widen_step(uint8_t *stored, uint32_t first, uint32_t count)
     return max;
 }
 
-/* Turns indices of 16 bits into those of 32 where they are, from the last to the first, as there is
- * room behind them. Returns the largest. */
+/* Widens indices from 16 to 32 bits in place, from the last to the first: the scratch memory has
+ * space after them. Returns the largest index. */
 static uint32_t widen_indices(uint8_t *stored, uint32_t count)
 {
     uint32_t first = count - count % WIDEN_STEP;

@@ -1,8 +1,7 @@
-/* tris_verify.c - holds a whole chunk file against its description.
+/* tris_verify.c - checks a whole chunk file.
  *
- * fmt_tris_load() checks what a reader's safety needs; this adds what only a faulty writer would
- * get wrong: bounds that are larger than their content, vertices that nothing uses, bits that must
- * be zero. */
+ * fmt_tris_load() checks what a reader needs to be safe. This adds what only a faulty writer gets
+ * wrong: bounds larger than their content, unused vertices, invalid normals and colours. */
 #include "base/parallel.h"
 #include "formats/chunks/tris_internal.h"
 
@@ -13,7 +12,7 @@
 struct verify {
     const struct fmt_tris_file *file;
     struct bsq_ctx *ctx;
-    uint8_t *scratch; /* one a worker: a chunk, then a byte for each of its vertices */
+    uint8_t *scratch; /* for each worker: a chunk, then a byte for each of its vertices */
     uint64_t chunk_bytes, worker_bytes;
 };
 
@@ -60,6 +59,7 @@ static bool colors_opaque(const struct fmt_tris_chunk *chunk)
     return all >> 24 == 255;
 }
 
+/* Returns what is wrong with a chunk, or NULL. */
 static const char *fault_of(const struct fmt_tris_chunk *chunk,
                             const struct fmt_tris_chunk_info *info, uint8_t *used)
 {
@@ -89,7 +89,7 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     return fault ? fmt_tris_damaged_chunk(v->file, index, fault) : 0;
 }
 
-/* The header's bounds are those of all chunks. */
+/* Checks that the header's bounds are exactly those of all chunks. */
 static int verify_bounds(const struct verify *v)
 {
     const struct fmt_tris_header *h = fmt_tris_get_header(v->file);

@@ -1,8 +1,7 @@
-/* tris_write.c - chunks in order, then materials and table, and last the header that refers to
- * them.
+/* tris_write.c - writes a chunk file: chunks in order, then materials and table, the header last.
  *
- * Counts and bounds of the header come from the chunks, so they are known only at the end; until
- * then the header's place holds zeros, which no reader accepts. */
+ * The chunks determine the header's counts and bounds, so the header is known only at the end.
+ * Until then its place holds zeros, which no reader accepts. */
 #include "formats/chunks/tris_internal.h"
 
 #include <math.h>
@@ -56,7 +55,7 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
     return 0;
 }
 
-/* `beside` where the file is to have no name, else `path`. */
+/* Creates the file `path` or, if `path` is NULL, a temporary file beside the file `beside`. */
 static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
                   const struct fmt_tris_header *header, struct fmt_tris_writer **out)
 {
@@ -68,7 +67,7 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     writer->ctx = ctx;
     struct tris_file_header *h = &writer->header;
     memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
-    h->version = TRIS_VERSION;
+    h->version = FMT_TRIS_VERSION;
     h->attributes = header->attributes;
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;

@@ -1,17 +1,18 @@
-/* nvdb_check_nodes.c - checks everything that a traversal of a mapped grid follows.
+/* nvdb_check_nodes.c - checks everything in a mapped grid that a traversal follows.
  *
- * Nodes are contiguous per level and children are numbered on, so each node can be checked beside
- * its right neighbour alone: its children must be successive, and the neighbour's first child the
- * one after its last. With the ends fixed, every child is then named exactly once. That needs no
- * memory and runs on all threads. The words of second records are checked in the same way. */
+ * The nodes of a level are contiguous, and so are their children. So each node is checked alone
+ * with its right neighbour: its children must be successive, and the neighbour's first child must
+ * follow its last one. With the first and last child of a level fixed, each child then has exactly
+ * one parent. This needs no memory and runs on all threads. Entries of the channel "second" are
+ * checked in the same way. */
 #include <inttypes.h>
 #include <string.h>
 
 #include "base/parallel.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
-/* Words of second records in one piece of work. */
-enum { WORDS_PER_PIECE = 1 << 16 };
+/* Entries of the channel "second" in a task. */
+enum { ENTRIES_PER_TASK = 1 << 16 };
 
 struct check {
     struct bsq_ctx *ctx;
@@ -20,7 +21,7 @@ struct check {
     const struct nvdb_upper *uppers;
     const struct nvdb_lower *lowers;
     const struct nvdb_leaf *leaves;
-    uint64_t word_count;
+    uint64_t entry_count;
 };
 
 static int bad_node(const struct check *c, const char *level, uint64_t number, const char *what)
@@ -29,20 +30,21 @@ static int bad_node(const struct check *c, const char *level, uint64_t number, c
                     c->grid->map.path, level, number, what);
 }
 
-/* A node's children as numbers of the level below: first and the one after the last. */
+/* A node's children [first, end), numbered within the level below. */
 struct children {
     uint64_t first, end;
 };
 
-/* Which numbers do the table entries of set bits name? false where they are not successive nodes of
- * the level below. base: offset from the node to the first node of that level. */
+/* Reads the children that a node's table names for the bits of its mask. Returns false if there are
+ * none, or if they are not successive nodes of the level below. base: offset from the node to the
+ * first node of that level. */
 static bool read_children(const uint64_t *child_mask, int words, const int64_t *table, int64_t base,
                           uint64_t child_bytes, uint64_t child_count, struct children *out)
 {
     uint64_t next = UINT64_MAX, first = 0;
     for (int word = 0; word < words; word++) {
         for (uint64_t bits = child_mask[word]; bits; bits &= bits - 1) {
-            /* Unsigned: a wild offset wraps to a large number and fails the comparisons below. */
+            /* Unsigned: a wrong offset wraps to a large number and fails the comparisons below. */
             uint64_t distance = (uint64_t)table[64 * word + __builtin_ctzll(bits)] - (uint64_t)base;
             if (next == UINT64_MAX) {
                 if (distance % child_bytes != 0 || distance / child_bytes >= child_count)
@@ -84,7 +86,7 @@ static bool lower_children(const struct check *c, uint64_t number, struct childr
                          c->grid->leaf_count, out);
 }
 
-/* First child of a node, for its left neighbour; out of range where there is none. */
+/* Returns a node's first child, UINT64_MAX if there is none or its offset is wrong. */
 static uint64_t first_child(const uint64_t *child_mask, int words, const int64_t *table,
                             int64_t base, uint64_t child_bytes)
 {
@@ -115,14 +117,14 @@ static uint64_t lower_first_child(const struct check *c, uint64_t number)
                        (const char *)c->leaves - (const char *)lower, sizeof(*c->leaves));
 }
 
-/* The region that a node of edge length `dim` covers begins at its bounds, rounded down. */
+/* Sets the origin of a node with `dim` voxels along its edge: its lower bounds, rounded down. */
 static void node_origin(const int32_t bbox_min[3], int32_t dim, int32_t origin[3])
 {
     for (int axis = 0; axis < 3; axis++)
         origin[axis] = (int32_t)((uint32_t)bbox_min[axis] & ~((uint32_t)dim - 1));
 }
 
-/* Origin of the child in `slot` of a node at `origin`. */
+/* Sets the origin of the child in `slot` of a node at `origin`. */
 static void child_origin(const int32_t origin[3], uint32_t slot, int log2_slots, int32_t child_dim,
                          int32_t out[3])
 {
@@ -162,7 +164,7 @@ static int check_upper(const struct check *c, uint64_t number)
             node_origin(lower->bbox_min, NVDB_LOWER_DIM, found);
             if (memcmp(expected, found, sizeof(found)) != 0)
                 return bad_node(c, "lower", child, "place");
-            fmt_nvdb_bbox_join(bbox_min, bbox_max, lower->bbox_min, lower->bbox_max);
+            fmt_nvdb_bbox_extend(bbox_min, bbox_max, lower->bbox_min, lower->bbox_max);
         }
     }
     if (!same_box(bbox_min, bbox_max, upper->bbox_min, upper->bbox_max))
@@ -170,7 +172,7 @@ static int check_upper(const struct check *c, uint64_t number)
     return 0;
 }
 
-/* value: of the first voxel; moved behind the last. */
+/* Checks a leaf and extends the box of its parent. */
 static int check_leaf(const struct check *c, uint64_t number, const int32_t origin[3],
                       int32_t bbox_min[3], int32_t bbox_max[3])
 {
@@ -188,7 +190,7 @@ static int check_leaf(const struct check *c, uint64_t number, const int32_t orig
     if (leaf->prefix_sum != fmt_nvdb_prefix_sum(leaf->mask) || leaf->flags != NVDB_NODE_HAS_BBOX ||
         (number == 0 && leaf->offset != 1) || leaf->offset > end || end - leaf->offset != count)
         return bad_node(c, "leaf", number, "value index");
-    fmt_nvdb_bbox_join(bbox_min, bbox_max, leaf_min, leaf_max);
+    fmt_nvdb_bbox_extend(bbox_min, bbox_max, leaf_min, leaf_max);
     return 0;
 }
 
@@ -218,17 +220,17 @@ static int check_lower(const struct check *c, uint64_t number)
     return 0;
 }
 
-/* Ranks go on from word to word; bits exist for voxels only. */
-static int check_words(const struct check *c, uint64_t piece)
+/* Checks that ranks add up from entry to entry, and that bits are set for voxels only. */
+static int check_seconds(const struct check *c, uint64_t task)
 {
     const struct fmt_nvdb_grid *grid = c->grid;
-    uint64_t begin = piece * WORDS_PER_PIECE, end = begin + WORDS_PER_PIECE;
-    if (end > c->word_count)
-        end = c->word_count;
+    uint64_t begin = task * ENTRIES_PER_TASK, end = begin + ENTRIES_PER_TASK;
+    if (end > c->entry_count)
+        end = c->entry_count;
     uint64_t seconds = grid->record_count - 1 - grid->voxel_count;
     for (uint64_t i = begin; i < end; i++) {
         uint32_t bits = grid->seconds[i][0], beyond = 0;
-        bool last = i + 1 == c->word_count;
+        bool last = i + 1 == c->entry_count;
         if (i == 0)
             beyond |= 1;
         if (last && grid->voxel_count % 32 != 31)
@@ -255,7 +257,7 @@ static int check_root(const struct check *c)
             !all_zero(tile->values, 2))
             return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: root tile %" PRIu32 " is wrong",
                             grid->map.path, i);
-        fmt_nvdb_bbox_join(bbox_min, bbox_max, c->uppers[i].bbox_min, c->uppers[i].bbox_max);
+        fmt_nvdb_bbox_extend(bbox_min, bbox_max, c->uppers[i].bbox_min, c->uppers[i].bbox_max);
         child += sizeof(struct nvdb_upper);
     }
     if (!same_box(bbox_min, bbox_max, grid->index_min, grid->index_max))
@@ -264,7 +266,7 @@ static int check_root(const struct check *c)
     return 0;
 }
 
-static int check_piece(void *arg, uint64_t index, unsigned worker)
+static int check_task(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct check *c = arg;
@@ -273,7 +275,7 @@ static int check_piece(void *arg, uint64_t index, unsigned worker)
     index -= c->grid->lower_count;
     if (index < c->grid->upper_count)
         return check_upper(c, index);
-    return check_words(c, index - c->grid->upper_count);
+    return check_seconds(c, index - c->grid->upper_count);
 }
 
 int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
@@ -285,12 +287,12 @@ int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
         .uppers = (const void *)grid->uppers,
         .lowers = (const void *)grid->lowers,
         .leaves = (const void *)grid->leaves,
-        .word_count = grid->voxel_count / 32 + 1,
+        .entry_count = grid->voxel_count / 32 + 1,
     };
     int status = check_root(&c);
     if (status)
         return status;
-    uint64_t pieces = (c.word_count + WORDS_PER_PIECE - 1) / WORDS_PER_PIECE;
-    return bsq_parallel_for(ctx, (uint64_t)grid->lower_count + grid->upper_count + pieces,
-                            check_piece, &c);
+    uint64_t tasks = (c.entry_count + ENTRIES_PER_TASK - 1) / ENTRIES_PER_TASK;
+    return bsq_parallel_for(ctx, (uint64_t)grid->lower_count + grid->upper_count + tasks,
+                            check_task, &c);
 }

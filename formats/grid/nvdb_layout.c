@@ -1,7 +1,7 @@
-/* nvdb_layout.c - offsets of all sections of a .nvdb file, and small facts about nodes.
+/* nvdb_layout.c - offsets of the sections of a grid file, and small facts about nodes.
  *
- * Sections follow each other in NanoVDB's breadth-first order without gaps up to the blind
- * metadata; each channel then starts at a multiple of 64 bytes of the file, so that a mapped
+ * Sections follow each other in NanoVDB's breadth-first order, without gaps up to the blind
+ * metadata. Each channel then starts at a multiple of 64 bytes in the file, so that a mapped
  * channel is aligned for any access. */
 #include <limits.h>
 #include <string.h>
@@ -21,6 +21,14 @@ const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
     };
     assert(section >= NVDB_NORMALS && section <= NVDB_RECORD);
     return &channels[section - NVDB_NORMALS];
+}
+
+void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])
+{
+    uint32_t packed = nvdb_version(type);
+    version[0] = packed >> 21;
+    version[1] = packed >> 10 & 2047;
+    version[2] = packed & 1023;
 }
 
 static uint64_t align_up(uint64_t offset)
@@ -61,7 +69,7 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
     layout->file_bytes = offset;
 }
 
-/* Bits that are set in a range 0..7: lowest and highest. `bits` is not zero. */
+/* Sets the numbers of the lowest and highest set bit; `bits` is not zero. */
 static void bit_range(uint32_t bits, int32_t *low, int32_t *high)
 {
     *low = __builtin_ctz(bits);
@@ -112,8 +120,8 @@ void fmt_nvdb_bbox_clear(int32_t bbox_min[3], int32_t bbox_max[3])
     }
 }
 
-void fmt_nvdb_bbox_join(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
-                        const int32_t other_max[3])
+void fmt_nvdb_bbox_extend(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
+                          const int32_t other_max[3])
 {
     for (int axis = 0; axis < 3; axis++) {
         if (other_min[axis] < bbox_min[axis])

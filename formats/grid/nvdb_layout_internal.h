@@ -1,9 +1,9 @@
-/* nvdb_layout_internal.h - the bytes of a .nvdb file and where its sections lie.
+/* nvdb_layout_internal.h - the bytes of a grid file, and the offsets of its sections.
  *
  * The structures are those of NanoVDB 32.4.2 for a Mask grid. A grid of type OnIndex (NanoVDB 32.6)
- * differs in the header and in the size of RootData only. Every section's place follows from a few
- * counts (fmt_nvdb_layout_compute), so the writer needs no patching and the reader compares instead
- * of trusting. FORMATS.md has the byte tables. */
+ * differs only in the header and in the size of RootData. A few counts determine the offset of each
+ * section (fmt_nvdb_layout_compute). So the writer can write from front to back, and the reader
+ * compares all offsets in a file with computed ones. The byte tables are in FORMATS.md. */
 #ifndef FMT_GRID_NVDB_LAYOUT_INTERNAL_H
 #define FMT_GRID_NVDB_LAYOUT_INTERNAL_H
 
@@ -29,14 +29,14 @@ extern "C" {
 #define NVDB_GRID_NAME        "surface"
 
 enum {
-    NVDB_NAME_BYTES = 32, /* padded so that the grid starts at FMT_NVDB_GRID_OFFSET */
+    NVDB_NAME_BYTES = 32, /* padded, so that GridData is at FMT_NVDB_GRID_OFFSET */
     NVDB_CLASS_TOPOLOGY = 6,
     NVDB_CLASS_INDEX = 8,
     NVDB_HAS_BBOX = 1 << 1, /* grid flags */
     NVDB_BREADTH_FIRST = 1 << 5,
     NVDB_NODE_HAS_BBOX = 2, /* node flags */
-    NVDB_ALIGNMENT = 64,    /* of blind data in the file */
-    NVDB_LEAF_DIM = 8,      /* voxels along an edge of each node */
+    NVDB_ALIGNMENT = 64,    /* of a channel's offset in the file */
+    NVDB_LEAF_DIM = 8,      /* voxels along the edge of a node */
     NVDB_LOWER_DIM = 128,
     NVDB_UPPER_DIM = 4096
 };
@@ -68,7 +68,7 @@ struct nvdb_map {
 
 struct nvdb_grid_data {
     uint64_t magic;
-    uint32_t checksum[2]; /* CRC-32 of the head; all ones: nodes are not covered */
+    uint32_t checksum[2]; /* CRC-32 of the head; all ones, so nodes are not covered */
     uint32_t version, flags;
     uint32_t grid_index, grid_count;
     uint64_t grid_bytes;
@@ -79,7 +79,7 @@ struct nvdb_grid_data {
     uint32_t grid_class, grid_type;
     int64_t blind_offset; /* from GridData */
     uint32_t blind_count, data0;
-    uint64_t value_count; /* background and voxels */
+    uint64_t value_count; /* the background and all voxels */
     uint64_t data2;
 };
 
@@ -90,7 +90,7 @@ struct nvdb_tree_data {
     uint64_t voxel_count;
 };
 
-/* RootData as far as it is the same for both types; values (all zero) and padding follow. */
+/* The part of RootData that both types share; values (all zero) and padding follow. */
 struct nvdb_root {
     int32_t bbox_min[3], bbox_max[3];
     uint32_t tile_count;
@@ -125,7 +125,7 @@ struct nvdb_leaf {
     uint8_t flags;
     uint64_t mask[8];
     uint64_t offset;     /* value index of the first voxel */
-    uint64_t prefix_sum; /* bits 9 k .. 9 k + 8: voxels in words 0 .. k */
+    uint64_t prefix_sum; /* bits 9 k ... 9 k + 8: voxels in words 0 ... k */
 };
 
 struct nvdb_blind {
@@ -151,7 +151,7 @@ static_assert(sizeof(struct nvdb_lower) == 33856, "InternalData<4>");
 static_assert(sizeof(struct nvdb_leaf) == FMT_NVDB_LEAF_BYTES, "LeafData");
 static_assert(sizeof(struct nvdb_blind) == 288, "GridBlindMetaData");
 
-/* Everything between two offsets of the file that has a checksum, in file order. */
+/* Sections of the file, in its order; each has a checksum. */
 enum nvdb_section {
     NVDB_HEAD, /* file header and metadata, GridData, TreeData, RootData and tiles */
     NVDB_UPPERS,
@@ -160,28 +160,28 @@ enum nvdb_section {
     NVDB_BLIND, /* array of struct nvdb_blind */
     NVDB_NORMALS,
     NVDB_PLANES,
-    NVDB_COLORS, /* size 0 where the grid has none */
+    NVDB_COLORS, /* of size 0 if the grid has no colour */
     NVDB_SECONDS,
     NVDB_RECORD, /* struct nvdb_record; its checksum is its own last member */
     NVDB_SECTION_COUNT
 };
 
 #define NVDB_RECORD_MAGIC "BISQUE\r\n"
-enum { NVDB_RECORD_VERSION = 2, NVDB_RECORD_HAS_COLOR = 1 };
+enum { NVDB_RECORD_HAS_COLOR = 1 };
 
-/* Bisque's own record, the last blind data. */
+/* Bisque's record "bisque", the last blind data. */
 struct nvdb_record {
     char magic[8];
     uint32_t version, flags;
     uint64_t source_triangles, second_count;
     double scan_min[3], scan_max[3];
-    uint64_t checksum[NVDB_RECORD]; /* XXH3-64 of each section before */
+    uint64_t checksum[NVDB_RECORD]; /* XXH3-64 of each other section */
     uint64_t reserved[4];
-    uint64_t record_checksum; /* XXH3-64 of all members before */
+    uint64_t record_checksum; /* XXH3-64 of all members above */
 };
 static_assert(sizeof(struct nvdb_record) == 192, "bisque record");
 
-/* What the layout follows from. */
+/* The counts that determine a layout. */
 struct nvdb_counts {
     enum fmt_nvdb_type type;
     bool has_color;
@@ -201,17 +201,17 @@ struct nvdb_layout {
     uint64_t file_bytes;
 };
 
-/* What every channel looks like in NanoVDB's terms. */
+/* A channel in NanoVDB's terms. */
 struct fmt_nvdb_channel {
     const char *name;
     uint32_t semantic, data_type, value_bytes;
 };
 
-/* The description of one of the sections NVDB_NORMALS .. NVDB_RECORD. */
+/* Returns the description of a section from NVDB_NORMALS to NVDB_RECORD. */
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section);
 
-/* Computes where everything lies. Counts must satisfy voxels <= 512 * leaves and seconds <= voxels;
- * nothing can overflow then. */
+/* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves and seconds <=
+ * voxels. */
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout);
 
 static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
@@ -219,14 +219,15 @@ static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
     return type == FMT_NVDB_ONINDEX ? NVDB_VERSION_ONINDEX : NVDB_VERSION_MASK;
 }
 
-/* Key of the root tile that holds a voxel. */
+/* Returns the key of the root tile that contains a voxel. */
 static inline uint64_t nvdb_root_key(const int32_t ijk[3])
 {
     return (uint64_t)((uint32_t)ijk[0] >> 12) << 42 | (uint64_t)((uint32_t)ijk[1] >> 12) << 21 |
            (uint64_t)((uint32_t)ijk[2] >> 12);
 }
 
-/* Slot of a voxel's lower in its upper, of its leaf in its lower, of itself in its leaf. */
+/* Return the slot of a voxel's lower node in its upper node, of its leaf in its lower node, of the
+ * voxel in its leaf. */
 static inline uint32_t nvdb_upper_slot(const int32_t ijk[3])
 {
     return ((uint32_t)ijk[0] >> 7 & 31) << 10 | ((uint32_t)ijk[1] >> 7 & 31) << 5 |
@@ -247,43 +248,41 @@ static inline uint32_t nvdb_popcount(uint64_t bits)
     return (uint32_t)__builtin_popcountll(bits);
 }
 
-/* Bounds of the voxels of a leaf at `origin`, and its voxel count. */
+/* Returns the voxel count of a leaf at `origin`, and sets the bounds of its voxels unless it is 0.
+ */
 uint32_t fmt_nvdb_leaf_bounds(const int32_t origin[3], const uint64_t mask[8], int32_t bbox_min[3],
                               int32_t bbox_max[3]);
-/* The seven prefix sums of a leaf's mask, packed. */
+/* Returns the seven prefix sums of a leaf's mask, packed. */
 uint64_t fmt_nvdb_prefix_sum(const uint64_t mask[8]);
 
-/* An empty box, and the union with another. */
+/* Make a box empty; extend it to contain another one. */
 void fmt_nvdb_bbox_clear(int32_t bbox_min[3], int32_t bbox_max[3]);
-void fmt_nvdb_bbox_join(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
-                        const int32_t other_max[3]);
+void fmt_nvdb_bbox_extend(int32_t bbox_min[3], int32_t bbox_max[3], const int32_t other_min[3],
+                          const int32_t other_max[3]);
 
 /* Fills the first 224 bytes of the file from its GridData, TreeData and RootData. */
 void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvdb_tree_data *tree,
                              const struct nvdb_root *root, uint8_t head[FMT_NVDB_GRID_OFFSET]);
-/* Fills section NVDB_HEAD, checksum included. keys: of the root tiles. bbox: of all voxels. */
+/* Fills section NVDB_HEAD with its checksum. keys: of the root tiles. bbox: of all voxels. */
 void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
                         const struct nvdb_layout *layout, const uint64_t *keys,
                         const int32_t bbox_min[3], const int32_t bbox_max[3], uint8_t *head);
 /* Fills section NVDB_BLIND. */
 void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *blind);
 
-/* NanoVDB's checksum of a grid's head: GridData behind the checksum, TreeData, RootData, tiles. */
+/* Returns NanoVDB's checksum of a grid's head: GridData after its checksum, TreeData, RootData and
+ * tiles. That is NanoVDB's default mode. Its full mode is not used because it covers other bytes in
+ * 32.6 than in 32.4; the record "bisque" has checksums of all sections instead. */
 uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout);
 uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record);
 
-/* Checks for fmt_nvdb_open(): that the file is one that Bisque wrote and where its sections lie
- * (fills in everything of `grid`), then all nodes. Both describe the failure. */
-int fmt_nvdb_check_head(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
+/* The two steps of fmt_nvdb_open() after mapping the file. The first checks that Bisque wrote the
+ * file and that its sections are in place, and fills in `grid` except for the map; the second
+ * checks all nodes. Errors: BSQ_EDATA. */
+int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
 int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
-/* Checks for fmt_nvdb_verify() that every record is one that a writer may write. */
-int fmt_nvdb_check_records(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget);
-/* fmt_nvdb_verify(); with `forget` the pages of the map are given back to the system as it goes, so
- * that little of the file is resident at a time. The grid must be one that fmt_nvdb_open() mapped,
- * then. */
-int fmt_nvdb_verify_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget);
-void fmt_nvdb_forget_pages(const void *from, uint64_t size);
-/* The layout of a grid that fmt_nvdb_check_head() accepted, and its record. */
+
+/* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its record "bisque". */
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);
 const struct nvdb_record *fmt_nvdb_record_of(const struct fmt_nvdb_grid *grid,
                                              const struct nvdb_layout *layout);

@@ -1,10 +1,20 @@
-/* nvdb_reader.c - opens a .nvdb file for use in place, and the reference lookup in it.
+/* nvdb_reader.c - recognises and opens grid files, and looks up voxels.
  *
- * The lookup is the plain descent through root, upper, lower and leaf; it follows offsets that
- * fmt_nvdb_open() has checked. */
+ * The lookup descends through root, upper node, lower node and leaf. It follows offsets that
+ * fmt_nvdb_open() has checked. It is the reference for the kernel's traversal. */
 #include <string.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
+
+bool fmt_nvdb_recognise(const char first[8])
+{
+    return memcmp(first, "NanoVDB", 7) == 0 || memcmp(first + 1, "BDVonaN", 7) == 0;
+}
+
+bool fmt_vdb_recognise(const char first[8])
+{
+    return memcmp(first, " BDV", 4) == 0;
+}
 
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out)
 {
@@ -12,7 +22,7 @@ int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *o
     int status = bsq_map_open(ctx, path, &out->map);
     if (status)
         return status;
-    status = fmt_nvdb_check_head(ctx, out);
+    status = fmt_nvdb_check_header(ctx, out);
     if (status == 0)
         status = fmt_nvdb_check_nodes(ctx, out);
     if (status == 0)
@@ -28,7 +38,7 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     memset(grid, 0, sizeof(*grid));
 }
 
-/* The tile with this key, or NULL. Tiles are sorted. */
+/* Returns the tile with a key, or NULL; tiles are sorted. */
 static const struct nvdb_tile *find_tile(const struct fmt_nvdb_grid *grid, uint64_t key)
 {
     const struct nvdb_tile *tiles = (const struct nvdb_tile *)grid->tiles;

@@ -1,5 +1,10 @@
-/* nvdb_verify.c - the check of a whole .nvdb file: every section against its checksum, and what
- * only a faulty writer would get wrong. */
+/* nvdb_verify.c - checks a whole grid file: each section against its checksum, and each record.
+ *
+ * Only verifying checks records. The baker is safe with any bits in a record, and reading all
+ * channels would take most of the time of opening a grid. Voxels are checked in tasks of whole
+ * entries of the channel "second"; their ranks, which fmt_nvdb_check_nodes() has checked, give the
+ * numbers of a task's second records. */
+#include <inttypes.h>
 #include <sys/mman.h>
 #include <unistd.h>
 #include <xxhash.h>
@@ -7,36 +12,10 @@
 #include "base/parallel.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
-/* Between two looks at the interrupt flag. */
-#define PIECE_BYTES (UINT64_C(4) << 20)
-
-void fmt_nvdb_forget_pages(const void *from, uint64_t size)
-{
-    uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE), begin = (uintptr_t)from / page * page;
-    madvise((void *)begin, (uintptr_t)from + size - begin, MADV_DONTNEED);
-}
-
-static int hash_range(struct bsq_ctx *ctx, const uint8_t *data, uint64_t size, bool forget,
-                      uint64_t *hash)
-{
-    XXH3_state_t *state = XXH3_createState();
-    if (!state)
-        return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
-    int status = 0;
-    XXH3_64bits_reset(state);
-    for (uint64_t done = 0; done < size && status == 0;) {
-        uint64_t piece = size - done < PIECE_BYTES ? size - done : PIECE_BYTES;
-        XXH3_64bits_update(state, data + done, (size_t)piece);
-        if (forget)
-            fmt_nvdb_forget_pages(data + done, piece);
-        done += piece;
-        bsq_progress_add(ctx, piece);
-        status = bsq_check(ctx);
-    }
-    *hash = XXH3_64bits_digest(state);
-    XXH3_freeState(state);
-    return status;
-}
+/* Bytes that are hashed between two checks for an interrupt. */
+#define HASH_BYTES (UINT64_C(4) << 20)
+/* Voxels of a task: 32 for each entry of the channel "second". */
+#define VOXELS_PER_TASK (UINT64_C(32) << 14)
 
 struct verify {
     struct bsq_ctx *ctx;
@@ -44,8 +23,39 @@ struct verify {
     const uint8_t *file;
     struct nvdb_layout layout;
     const struct nvdb_record *record;
-    bool forget;
 };
+
+/* Returns pages of a mapped file to the system, so that few are resident at a time. Leaves a grid
+ * alone that is in other memory, as in tests: its bytes would be lost. */
+static void forget_pages(const struct fmt_nvdb_grid *grid, const void *from, uint64_t size)
+{
+    uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE), begin = (uintptr_t)from / page * page;
+    if (grid->map.range)
+        madvise((void *)begin, (uintptr_t)from + size - begin, MADV_DONTNEED);
+}
+
+/* ---- sections ---- */
+
+static int hash_section(const struct verify *v, const struct nvdb_range *range, uint64_t *hash)
+{
+    XXH3_state_t *state = XXH3_createState();
+    if (!state)
+        return bsq_fail(v->ctx, BSQ_ENOMEM, "no memory for a checksum");
+    int status = 0;
+    XXH3_64bits_reset(state);
+    const uint8_t *data = v->file + range->offset;
+    for (uint64_t done = 0; done < range->size && status == 0;) {
+        uint64_t left = range->size - done, size = left < HASH_BYTES ? left : HASH_BYTES;
+        XXH3_64bits_update(state, data + done, (size_t)size);
+        forget_pages(v->grid, data + done, size);
+        done += size;
+        bsq_progress_add(v->ctx, size);
+        status = bsq_check(v->ctx);
+    }
+    *hash = XXH3_64bits_digest(state);
+    XXH3_freeState(state);
+    return status;
+}
 
 static int verify_section(void *arg, uint64_t index, unsigned worker)
 {
@@ -55,7 +65,7 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     const struct verify *v = arg;
     const struct nvdb_range *range = &v->layout.section[index];
     uint64_t hash = 0;
-    int status = hash_range(v->ctx, v->file + range->offset, range->size, v->forget, &hash);
+    int status = hash_section(v, range, &hash);
     if (status)
         return status;
     if (hash != v->record->checksum[index])
@@ -66,7 +76,7 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-/* Sections are padded to their alignment with zeros. */
+/* Checks that the bytes between sections are zero. */
 static int verify_padding(const struct verify *v)
 {
     for (int i = 1; i < NVDB_SECTION_COUNT; i++) {
@@ -79,18 +89,75 @@ static int verify_padding(const struct verify *v)
     return 0;
 }
 
-int fmt_nvdb_verify_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, bool forget)
+/* ---- records ---- */
+
+static int bad_record(const struct verify *v, uint64_t number, const char *what)
 {
-    struct verify v = {.ctx = ctx, .grid = grid, .file = grid->map.data, .forget = forget};
+    return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: record %" PRIu64 " has a wrong %s",
+                    v->grid->map.path, number, what);
+}
+
+/* Returns what is wrong with a record, or NULL. second: whether its voxel has a second record. */
+static const char *fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, bool second)
+{
+    uint32_t normal = grid->normals[number], plane = grid->planes[number];
+    if ((normal & 0xffff) == 0x8000 || normal >> 16 == 0x8000)
+        return "normal";
+    uint32_t noise = plane >> FMT_NVDB_FACET_NOISE_SHIFT;
+    if (noise > FMT_NVDB_FACET_NOISE_MAX || (noise > 0 && (plane & FMT_NVDB_PLANE_INCONSISTENT)) ||
+        (plane & 0xffff) == 0x8000)
+        return "plane";
+    if (!(plane & FMT_NVDB_PLANE_SECOND) != !second)
+        return "mark of a second record";
+    uint32_t color = grid->colors ? grid->colors[number] : 0;
+    return color != 0 && color >> 24 != 255 ? "colour" : NULL;
+}
+
+static int verify_voxel(const struct verify *v, uint64_t index)
+{
+    uint64_t second = fmt_nvdb_second(v->grid, index);
+    const char *fault = fault_of(v->grid, index, second != 0);
+    if (fault)
+        return bad_record(v, index, fault);
+    if (second && (fault = fault_of(v->grid, second, false)))
+        return bad_record(v, second, fault);
+    return 0;
+}
+
+static int verify_voxels(void *arg, uint64_t task, unsigned worker)
+{
+    (void)worker;
+    const struct verify *v = arg;
+    const struct fmt_nvdb_grid *grid = v->grid;
+    uint64_t begin = task * VOXELS_PER_TASK, end = begin + VOXELS_PER_TASK;
+    int status = bsq_check(v->ctx);
+    if (end > grid->voxel_count + 1)
+        end = grid->voxel_count + 1;
+    for (uint64_t i = begin > 0 ? begin : 1; i < end && !status; i++)
+        status = verify_voxel(v, i);
+    forget_pages(grid, grid->normals + begin, (end - begin) * 4);
+    forget_pages(grid, grid->planes + begin, (end - begin) * 4);
+    if (grid->colors)
+        forget_pages(grid, grid->colors + begin, (end - begin) * 4);
+    return status;
+}
+
+static int verify_records(struct verify *v)
+{
+    const struct fmt_nvdb_grid *grid = v->grid;
+    if (grid->normals[0] || grid->planes[0] || (grid->colors && grid->colors[0]))
+        return bad_record(v, 0, "value, as it is the background");
+    return bsq_parallel_for(v->ctx, grid->voxel_count / VOXELS_PER_TASK + 1, verify_voxels, v);
+}
+
+int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    struct verify v = {.ctx = ctx, .grid = grid, .file = grid->map.data};
+    forget_pages(grid, grid->map.data, grid->map.size);
     fmt_nvdb_layout_of(grid, &v.layout);
     v.record = fmt_nvdb_record_of(grid, &v.layout);
     int status = bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &v);
     if (status == 0)
         status = verify_padding(&v);
-    return status ? status : fmt_nvdb_check_records(ctx, grid, forget);
-}
-
-int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
-{
-    return fmt_nvdb_verify_grid(ctx, grid, false);
+    return status ? status : verify_records(&v);
 }

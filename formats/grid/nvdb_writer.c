@@ -1,14 +1,81 @@
 /* nvdb_writer.c - takes a grid region by region and keeps its sections in temporary files.
  *
- * Regions come in the order of the file, so every leaf, value index and prefix sum is final when it
- * is appended. Only the tables of internal nodes depend on totals (they hold distances between
- * sections); of these nodes a stub is kept, and nvdb_join.c writes them out in full. Memory holds
- * one stub, a buffer per section, and one key per 4096^3 root tile. */
+ * Regions come in the file's order, so each leaf, value index and prefix sum is final when it is
+ * appended. Only the tables of internal nodes need totals: they hold distances between sections. Of
+ * these nodes a stub is kept, and nvdb_commit.c writes them in full. Memory holds two stubs, a
+ * buffer for each stream, and a key for each root tile of 4096^3 voxels. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
+
+/* ---- streams ---- */
+
+/* beside: path of the output. what: for messages. */
+static int stream_open(struct bsq_ctx *ctx, const char *beside, const char *what, bool hashed,
+                       struct nvdb_stream *stream)
+{
+    *stream = (struct nvdb_stream){.ctx = ctx, .file = BSQ_FILE_CLOSED};
+    int status = bsq_alloc(ctx, "grid section buffer", NVDB_STREAM_BYTES, 1, &stream->buffer);
+    if (status)
+        return status;
+    if (hashed) {
+        stream->hash = XXH3_createState();
+        if (!stream->hash)
+            return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
+        XXH3_64bits_reset(stream->hash);
+    }
+    return bsq_file_temp(ctx, beside, what, &stream->file);
+}
+
+void fmt_nvdb_stream_close(struct nvdb_stream *stream)
+{
+    if (!stream->ctx)
+        return;
+    bsq_file_close(stream->ctx, &stream->file);
+    bsq_free(stream->ctx, stream->buffer);
+    XXH3_freeState(stream->hash);
+    *stream = (struct nvdb_stream){0};
+}
+
+/* Hashes the buffer while it is in the cache, and appends it to the file. */
+static int stream_flush(struct nvdb_stream *stream)
+{
+    if (stream->fill == 0)
+        return 0;
+    if (stream->hash)
+        XXH3_64bits_update(stream->hash, stream->buffer, (size_t)stream->fill);
+    int status = bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
+    stream->fill = 0;
+    return status;
+}
+
+/* Sets *out to space for `size` <= NVDB_STREAM_BYTES bytes. The caller adds what it writes there to
+ * stream->fill. */
+static int stream_reserve(struct nvdb_stream *stream, uint64_t size, void *out)
+{
+    assert(size <= NVDB_STREAM_BYTES);
+    if (stream->fill + size > NVDB_STREAM_BYTES) {
+        int status = stream_flush(stream);
+        if (status)
+            return status;
+    }
+    *(void **)out = stream->buffer + stream->fill;
+    return 0;
+}
+
+/* Flushes and frees the buffer; nothing can be added any more. */
+static int stream_end(struct nvdb_stream *stream)
+{
+    int status = stream_flush(stream);
+    bsq_free(stream->ctx, stream->buffer);
+    stream->buffer = NULL;
+    return status;
+}
+
+/* ---- creation ---- */
 
 static const char *const stream_names[STREAM_COUNT] = {
     "grid upper nodes",    "grid lower nodes",  "grid leaves",         "grid normals",
@@ -22,7 +89,7 @@ static bool stream_used(const struct fmt_nvdb_writer *writer, int stream)
     return writer->info.has_color || !color;
 }
 
-/* What fmt_nvdb_check_head() would refuse later. */
+/* Refuses what fmt_nvdb_check_header() would refuse later. */
 static int check_info(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info)
 {
     if (info->type != FMT_NVDB_MASK && info->type != FMT_NVDB_ONINDEX)
@@ -67,7 +134,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
         bool hashed = i >= STREAM_LEAVES && i <= STREAM_COLORS;
         hashed |= i == STREAM_SECOND_WORDS;
         if (stream_used(writer, i))
-            status = fmt_nvdb_stream_open(ctx, path, stream_names[i], hashed, &writer->stream[i]);
+            status = stream_open(ctx, path, stream_names[i], hashed, &writer->stream[i]);
     }
     if (status)
         goto failed;
@@ -92,6 +159,8 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
     bsq_free(ctx, writer);
 }
 
+/* ---- regions ---- */
+
 static int fail_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region,
                        const char *reason)
 {
@@ -99,7 +168,7 @@ static int fail_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_reg
                     region->origin[0], region->origin[1], region->origin[2], reason);
 }
 
-/* Whether the region is the one that was added to last. */
+/* Returns whether the region at `origin` is the open lower node. */
 static bool is_open(const struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
     uint32_t count = writer->counts.uppers;
@@ -107,7 +176,7 @@ static bool is_open(const struct fmt_nvdb_writer *writer, const int32_t origin[3
            writer->last_slot == nvdb_upper_slot(origin);
 }
 
-/* Order, leaves and counts of a region, before anything of it is kept. */
+/* Checks the order, leaves and counts of a region before anything of it is kept. */
 static int check_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     const int32_t *origin = region->origin;
@@ -133,7 +202,7 @@ static int check_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
         voxels += count;
     }
     if (voxels != region->record_count)
-        return fail_region(writer, region, "as many records as voxels are needed");
+        return fail_region(writer, region, "records and voxels differ in number");
     for (uint64_t i = 0; i < voxels; i++)
         seconds += (region->records[i].plane & FMT_NVDB_PLANE_SECOND) != 0;
     if (seconds != region->second_count)
@@ -141,7 +210,7 @@ static int check_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
     return 0;
 }
 
-/* Node counts and ranks of second records are 32-bit numbers in the file. */
+/* Checks limits of the format: node counts and ranks of second records have 32 bits. */
 static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     const struct nvdb_counts *counts = &writer->counts;
@@ -161,28 +230,28 @@ static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
 
 static int put_stub(struct fmt_nvdb_writer *writer, int stream, const void *stub, uint64_t size)
 {
-    void *room;
-    int status = fmt_nvdb_stream_room(&writer->stream[stream], size, &room);
+    void *space;
+    int status = stream_reserve(&writer->stream[stream], size, &space);
     if (status)
         return status;
-    memcpy(room, stub, size);
+    memcpy(space, stub, size);
     writer->stream[stream].fill += size;
     return 0;
 }
 
-/* Keeps the open lower node's stub. */
+/* Writes the stub of the open lower node, and extends the boxes above it. */
 static int close_lower(struct fmt_nvdb_writer *writer)
 {
     const struct nvdb_lower_stub *lower = &writer->lower;
     struct nvdb_upper_stub *upper = writer->upper;
     if (writer->counts.lowers == 0)
         return 0;
-    fmt_nvdb_bbox_join(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
-    fmt_nvdb_bbox_join(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
+    fmt_nvdb_bbox_extend(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
+    fmt_nvdb_bbox_extend(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
     return put_stub(writer, STREAM_LOWERS, lower, sizeof(*lower));
 }
 
-/* Keeps the open upper node's stub. */
+/* Writes the stub of the open upper node. */
 static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
@@ -190,7 +259,7 @@ static int close_upper(struct fmt_nvdb_writer *writer)
     return put_stub(writer, STREAM_UPPERS, writer->upper, sizeof(*writer->upper));
 }
 
-/* Opens the upper node of a region unless it is open. */
+/* Opens the upper node of a region unless it is open already. */
 static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
     uint32_t count = writer->counts.uppers;
@@ -211,7 +280,7 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
     return 0;
 }
 
-/* Opens the nodes of a region unless they are open. */
+/* Opens the nodes of a region unless they are open already. */
 static int open_region(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
     if (is_open(writer, origin))
@@ -237,7 +306,7 @@ static void leaf_origin(const int32_t region_origin[3], uint32_t id, int32_t ori
     origin[2] = region_origin[2] + (int32_t)(id & 15) * NVDB_LEAF_DIM;
 }
 
-/* Appends leaves to the open region. */
+/* Appends a region's leaves to the open lower node. */
 static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     struct nvdb_lower_stub *lower = &writer->lower;
@@ -245,7 +314,7 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
     struct nvdb_stream *leaves = &writer->stream[STREAM_LEAVES];
     for (uint32_t i = 0; i < region->leaf_count; i++) {
         struct nvdb_leaf *leaf;
-        int status = fmt_nvdb_stream_room(leaves, sizeof(*leaf), &leaf);
+        int status = stream_reserve(leaves, sizeof(*leaf), &leaf);
         if (status)
             return status;
         int32_t origin[3], bbox_max[3];
@@ -259,14 +328,14 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
         leaf->prefix_sum = fmt_nvdb_prefix_sum(leaf->mask);
         leaves->fill += sizeof(*leaf);
         value += count;
-        fmt_nvdb_bbox_join(lower->bbox_min, lower->bbox_max, leaf->bbox_min, bbox_max);
+        fmt_nvdb_bbox_extend(lower->bbox_min, lower->bbox_max, leaf->bbox_min, bbox_max);
         lower->child_mask[region->leaf_ids[i] >> 6] |= UINT64_C(1) << (region->leaf_ids[i] & 63);
     }
     writer->last_leaf = region->leaf_ids[region->leaf_count - 1];
     return 0;
 }
 
-/* Splits records into the channels that begin at stream `first`. */
+/* Splits records into channels: streams `first` (normals), and the next two (planes, colours). */
 static int append_records(struct fmt_nvdb_writer *writer, int first,
                           const struct fmt_nvdb_record *records, uint64_t count)
 {
@@ -278,7 +347,7 @@ static int append_records(struct fmt_nvdb_writer *writer, int first,
         uint32_t *to[3] = {NULL, NULL, NULL};
         for (int c = 0; c < channels; c++) {
             struct nvdb_stream *stream = &writer->stream[first + c];
-            int status = fmt_nvdb_stream_room(stream, n * sizeof(uint32_t), &to[c]);
+            int status = stream_reserve(stream, n * sizeof(uint32_t), &to[c]);
             if (status)
                 return status;
             stream->fill += n * sizeof(uint32_t);
@@ -295,33 +364,34 @@ static int append_records(struct fmt_nvdb_writer *writer, int first,
     return 0;
 }
 
-/* Ends the open word of NVDB_SECONDS. */
-static int end_word(struct fmt_nvdb_writer *writer)
+/* Writes the open entry of section NVDB_SECONDS. */
+static int end_entry(struct fmt_nvdb_writer *writer)
 {
-    uint32_t *word;
+    uint32_t *entry;
     struct nvdb_stream *stream = &writer->stream[STREAM_SECOND_WORDS];
-    int status = fmt_nvdb_stream_room(stream, 8, &word);
+    int status = stream_reserve(stream, 8, &entry);
     if (status)
         return status;
-    word[0] = writer->word_bits;
-    word[1] = writer->word_rank;
+    entry[0] = writer->entry_bits;
+    entry[1] = writer->entry_rank;
     stream->fill += 8;
-    writer->word_rank += nvdb_popcount(writer->word_bits);
-    writer->word_bits = 0;
+    writer->entry_rank += nvdb_popcount(writer->entry_bits);
+    writer->entry_bits = 0;
     return 0;
 }
 
-static int append_words(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
+/* Sets the bits of voxels that have second records. */
+static int append_seconds(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     uint64_t value = 1 + writer->counts.voxels;
     for (uint64_t i = 0; i < region->record_count; i++, value++) {
         if (value % 32 == 0) {
-            int status = end_word(writer);
+            int status = end_entry(writer);
             if (status)
                 return status;
         }
         uint32_t second = (region->records[i].plane & FMT_NVDB_PLANE_SECOND) != 0;
-        writer->word_bits |= second << (value % 32);
+        writer->entry_bits |= second << (value % 32);
     }
     return 0;
 }
@@ -347,7 +417,7 @@ static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *
         status =
             append_records(writer, STREAM_SECOND_NORMALS, region->second, region->second_count);
     if (status == 0)
-        status = append_words(writer, region);
+        status = append_seconds(writer, region);
     writer->counts.leaves += region->leaf_count;
     writer->counts.voxels += region->record_count;
     writer->counts.seconds += region->second_count;
@@ -368,13 +438,13 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
         return status;
     if (writer->counts.voxels == 0)
         return bsq_fail(writer->ctx, BSQ_EDATA, "%s: the grid has no voxels", writer->path);
-    status = end_word(writer);
+    status = end_entry(writer);
     if (status == 0)
         status = close_lower(writer);
     if (status == 0)
         status = close_upper(writer);
     for (int i = 0; i < STREAM_COUNT && status == 0; i++)
         if (stream_used(writer, i))
-            status = fmt_nvdb_stream_end(&writer->stream[i]);
+            status = stream_end(&writer->stream[i]);
     return status;
 }

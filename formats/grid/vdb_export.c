@@ -1,17 +1,16 @@
-/* vdb_export.c - the file around an OpenVDB export; the module that has OpenVDB fills it.
+/* vdb_export.c - exports a grid as an OpenVDB file, whose content the module bisque-openvdb.so
+ * writes.
  *
- * OpenVDB writes an archive from whole grids in memory. What that takes is known from the node
- * counts and is reserved before anything is built. */
-#include "formats/grid/vdb_export.h"
-
+ * OpenVDB writes an archive from whole grids in memory. The memory follows from the node counts and
+ * is reserved before anything is built. */
 #include <stdio.h>
 #include <xxhash.h>
 
-#include "formats/module_internal.h"
 #include "formats/grid/nvdb_layout_internal.h"
+#include "formats/grid/vdb_module.h"
 
-/* OpenVDB stamps each file with a random UUID as text behind magic number, versions and a flag. One
- * that follows from the grid makes equal grids equal files. */
+/* Replaces the random UUID that OpenVDB gives each file by one that follows from the grid, so that
+ * equal grids give equal files. It is text, after the magic number, two versions and a flag. */
 static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *grid)
 {
     struct nvdb_layout layout;

@@ -1,7 +1,7 @@
-/* vdb_export_openvdb.cc - a grid as an OpenVDB file; the module bisque-openvdb.so.
+/* vdb_export_openvdb.cc - the module bisque-openvdb.so: writes a grid as an OpenVDB file.
  *
- * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets some fifty. Its own
- * file class ignores write errors; here an archive is written to a stream that reports them. */
+ * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets about fifty. OpenVDB's
+ * file class ignores write errors, so the archive is written to a stream that reports them. */
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -19,26 +19,26 @@ extern "C" {
 #include "base/octahedral.h"
 #include "base/srgb.h"
 }
-#include "formats/module_internal.h"
 #include "formats/grid/nvdb_layout_internal.h"
+#include "formats/grid/vdb_module.h"
 
 namespace
 {
 
-/* A failure that is already described. */
+/* An exception for a failure that was reported to the context already. */
 struct described {
     int status;
 };
 
-/* What a tree takes its values from. */
+/* The grid that values come from. */
 struct source {
     const fmt_host *host;
     bsq_ctx *ctx;
     const fmt_nvdb_grid *grid;
-    float linear[256]; /* of sRGB bytes */
+    float linear[256]; /* linear light of each sRGB byte */
 };
 
-/* The value of a voxel in each of the grids. */
+/* The three grids: each functor returns the value of the voxel with a value index. */
 struct surface_value {
     using grid_type = openvdb::MaskGrid;
     bool operator()(const source &, uint64_t) const
@@ -66,8 +66,8 @@ struct color_value {
     }
 };
 
-/* Leaf bits are numbered as ours are, and leaves come in ascending order. Indices are bounded, as
- * the file may shrink under the reader and read as zeros. */
+/* Copies all voxels into a tree. OpenVDB numbers the voxels of a leaf as NanoVDB does. Value
+ * indices are bounded because the file may shrink while it is mapped, and then reads as zeros. */
 template <typename ValueT, typename TreeT> void fill_tree(const source &from, TreeT &tree)
 {
     using leaf_type = typename TreeT::LeafNodeType;
@@ -88,11 +88,11 @@ template <typename ValueT, typename TreeT> void fill_tree(const source &from, Tr
             for (uint64_t bits = leaf.mask[word]; bits; bits &= bits - 1, index++)
                 out->setValueOn(64 * word + openvdb::Index(__builtin_ctzll(bits)),
                                 value(from, index < from.grid->record_count ? index : 0));
-        accessor.addLeaf(out); /* the tree owns it now */
+        accessor.addLeaf(out); /* the tree takes ownership */
     }
 }
 
-/* Bytes of a tree's nodes, with malloc's own. */
+/* Returns the bytes of a tree's nodes, with malloc's overhead. */
 template <typename TreeT> uint64_t tree_bytes(const fmt_nvdb_grid &grid)
 {
     using leaf_type = typename TreeT::LeafNodeType;
@@ -124,7 +124,7 @@ typename ValueT::grid_type::Ptr make_grid(const source &from, const char *name)
     return grid;
 }
 
-/* Buffered bytes on their way to the output. Failures are thrown, which the stream passes on. */
+/* Buffers what OpenVDB writes to the output. Throws failures, which the stream passes on. */
 class output_buffer : public std::streambuf
 {
   public:
@@ -168,7 +168,8 @@ class output_buffer : public std::streambuf
         return size;
     }
 
-    /* OpenVDB asks where it is, and goes back to fill in where things came to lie. */
+    /* OpenVDB asks for the position, and goes back to fill in offsets that it did not know before.
+     */
     pos_type seekoff(off_type offset, std::ios_base::seekdir way, std::ios_base::openmode) override
     {
         uint64_t here = start_ + uint64_t(pptr() - pbase());
@@ -193,7 +194,8 @@ class output_buffer : public std::streambuf
   private:
     const source &from_;
     bsq_output *output_;
-    uint64_t start_ = 0, end_ = 0; /* of the buffer in the file; of the file, as far as known */
+    uint64_t start_ = 0; /* offset of the buffer in the file */
+    uint64_t end_ = 0;   /* largest offset seen in seekoff() */
     std::vector<char> bytes_;
 };
 
@@ -223,7 +225,7 @@ void write_archive(const source &from, bsq_output *output)
     buffer.write_out();
 }
 
-/* Nothing may be thrown past here. */
+/* Turns exceptions into status codes; none may reach the program. */
 int export_to(source &from, bsq_output *output, const char *path) noexcept
 {
     try {

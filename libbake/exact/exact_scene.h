@@ -8,7 +8,7 @@
 
 #include "base/positions.h"
 #include "base/smooth_normals.h"
-#include "formats/image/texture.h"
+#include "formats/texture/texture.h"
 #include "formats/chunks/tris.h"
 #include "libbake/exact/exact.h"
 #include "libbake/exact/exact_tree.h"

@@ -13,7 +13,7 @@
 
 #include "base/clock.h"
 #include "base/parallel.h"
-#include "formats/grid/vdb_export.h"
+#include "formats/grid/nvdb.h"
 #include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"

@@ -173,7 +173,7 @@ if command -v nanovdb_convert >/dev/null; then
 else
     skip "grids of NanoVDB's own tool" "nanovdb_convert is not installed"
 fi
-other full.vdb 'neither a chunk file nor a NanoVDB file, but one of OpenVDB'
+other full.vdb 'neither a chunk file nor a NanoVDB file, but an OpenVDB file'
 other box.obj 'neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from a mesh'
 : >empty
 other empty 'neither a chunk file nor a NanoVDB file'

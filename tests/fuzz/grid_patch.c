@@ -146,7 +146,7 @@ static void make_template(int number, struct grid_template *t)
     struct fmt_nvdb_grid grid = {
         .map = {.data = t->bytes, .size = t->size, .path = (char *)"template"}};
     require(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) == 0, "no context");
-    require(fmt_nvdb_check_head(ctx, &grid) == 0, "a template that is not valid");
+    require(fmt_nvdb_check_header(ctx, &grid) == 0, "a template that is not valid");
     fmt_nvdb_layout_of(&grid, &t->layout);
     bsq_ctx_destroy(ctx);
 }
@@ -243,7 +243,7 @@ static void move_grid(struct grid_template *t, uint32_t axis, uint32_t uppers)
         upper[i].bbox_min[axis] = moved(upper[i].bbox_min[axis], by);
         upper[i].bbox_max[axis] = moved(upper[i].bbox_max[axis], by);
         tile[i].key = nvdb_root_key(upper[i].bbox_min);
-        fmt_nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[i].bbox_min, upper[i].bbox_max);
+        fmt_nvdb_bbox_extend(root->bbox_min, root->bbox_max, upper[i].bbox_min, upper[i].bbox_max);
     }
 }
 
@@ -278,12 +278,12 @@ static void join_bounds(const struct grid_template *t)
                         for (int k = 0; k < 3; k++)
                             origin[k] = leaf->bbox_min[k] & ~(NVDB_LEAF_DIM - 1);
                         fmt_nvdb_leaf_bounds(origin, leaf->mask, low, high);
-                        fmt_nvdb_bbox_join(lower->bbox_min, lower->bbox_max, low, high);
+                        fmt_nvdb_bbox_extend(lower->bbox_min, lower->bbox_max, low, high);
                     }
-                fmt_nvdb_bbox_join(upper[u].bbox_min, upper[u].bbox_max, lower->bbox_min,
-                                   lower->bbox_max);
+                fmt_nvdb_bbox_extend(upper[u].bbox_min, upper[u].bbox_max, lower->bbox_min,
+                                     lower->bbox_max);
             }
-        fmt_nvdb_bbox_join(root->bbox_min, root->bbox_max, upper[u].bbox_min, upper[u].bbox_max);
+        fmt_nvdb_bbox_extend(root->bbox_min, root->bbox_max, upper[u].bbox_min, upper[u].bbox_max);
     }
 }
 

@@ -2,7 +2,7 @@
 #ifndef VOX_VOXELIZE_CLIP_SHADE_H
 #define VOX_VOXELIZE_CLIP_SHADE_H
 
-#include "formats/image/texture.h"
+#include "formats/texture/texture.h"
 #include "libvoxel/voxelize/records/region.h"
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 

@@ -63,9 +63,9 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], floa
     lane_mask shaded = lanes_less(2.0 * area, sum[3]);
     doubles grain = lanes_keep(~shaded, lanes_min(sum[3] / area, lanes_all(1.0)));
     *plane = lanes_set_bits(shaded, record_round(d * 32767.0) & 0xffff,
-                            lanes_all_bits(FMT_NVDB_PLANE_SHADED)) |
+                            lanes_all_bits(FMT_NVDB_PLANE_INCONSISTENT)) |
              record_round(coverage * 255.0) << 16 |
-             record_round(grain * FMT_NVDB_GRAIN_MAX) << FMT_NVDB_GRAIN_SHIFT;
+             record_round(grain * FMT_NVDB_FACET_NOISE_MAX) << FMT_NVDB_FACET_NOISE_SHIFT;
 }
 
 void BSQ_SIMD_NAME(vox_make_records)(const struct vox_sum *sums, const uint32_t *numbers,

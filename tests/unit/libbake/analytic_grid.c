@@ -172,7 +172,7 @@ static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *ce
         records[i] = record_of(&cells[i]->sheets[0], has_second, has_color);
         if (has_second)
             second[region.second_count++] = record_of(&cells[i]->sheets[1], false, has_color);
-        records[i].plane |= grain << FMT_NVDB_GRAIN_SHIFT;
+        records[i].plane |= grain << FMT_NVDB_FACET_NOISE_SHIFT;
     }
     if (fmt_nvdb_append(writer, &region) < 0)
         abort();

@@ -9,7 +9,7 @@ struct analytic_grid;
 
 struct analytic_grid *analytic_grid_create(void);
 void analytic_grid_free(struct analytic_grid *grid);
-/* Of all first records, 0 to FMT_NVDB_GRAIN_MAX; 0 before. */
+/* Of all first records, 0 to FMT_NVDB_FACET_NOISE_MAX; 0 before. */
 void analytic_grid_set_grain(struct analytic_grid *grid, uint32_t grain);
 
 /* Adds a small piece of surface: position in index space, unit normal, area in voxels squared,

@@ -25,7 +25,7 @@ static int open_bytes(struct bsq_ctx *ctx, const uint8_t *bytes, uint64_t size,
     bsq_clear_error(ctx);
     memset(grid, 0, sizeof(*grid));
     grid->map = (struct bsq_map){.data = bytes, .size = size, .path = (char *)"x.nvdb"};
-    int status = fmt_nvdb_check_head(ctx, grid);
+    int status = fmt_nvdb_check_header(ctx, grid);
     if (status == 0)
         status = fmt_nvdb_check_nodes(ctx, grid);
     if (status) {
@@ -237,7 +237,7 @@ static void test_messages(void **state)
     struct nvdb_record *record = (void *)(bytes + file.size - sizeof(*record));
     record->version = 9;
     assert_open_fails(bytes, file.size, "version 9");
-    record->version = NVDB_RECORD_VERSION;
+    record->version = FMT_NVDB_RECORD_VERSION;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(ctx, "/nowhere/a.nvdb", &grid), BSQ_ENOINPUT);

@@ -18,7 +18,7 @@
 extern "C" {
 #include "base/octahedral.h"
 }
-#include "formats/grid/vdb_export.h"
+#include "formats/grid/nvdb.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 
 // Last, for its macros (skip, fail) are names of others too.

@@ -226,9 +226,9 @@ static void test_sine_accuracy(void **state)
 static void test_grain(void **state)
 {
     (void)state;
-    for (uint32_t grain = 3; grain <= FMT_NVDB_GRAIN_MAX; grain += 2) {
+    for (uint32_t grain = 3; grain <= FMT_NVDB_FACET_NOISE_MAX; grain += 2) {
         struct sine_errors errors = trace_sine(16, 0, grain);
-        double left = (2 * PI / 16) * (2 * PI / 16) / 12 * grain / FMT_NVDB_GRAIN_MAX;
+        double left = (2 * PI / 16) * (2 * PI / 16) / 12 * grain / FMT_NVDB_FACET_NOISE_MAX;
         assert_true(fabs(errors.gain - (1 - left)) < 0.002);
     }
 }

@@ -53,7 +53,7 @@ static struct fmt_nvdb_record expected_record(const struct vox_sum *sum)
     };
     record.plane |= (uint32_t)lrint(fmin(length / sum->area, 1.0) * 255.0) << 16;
     record.plane |= sum->grain > 2.0 * sum->area
-                        ? FMT_NVDB_PLANE_SHADED
+                        ? FMT_NVDB_PLANE_INCONSISTENT
                         : (uint32_t)lrint(sum->grain / sum->area * 7.0) << 26;
     return record;
 }

@@ -54,7 +54,7 @@ static uint64_t count_shaded(struct vox_fixture *f, float lean)
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     for (int32_t i = 0; i < SIDE * SIDE / 4; i++) {
         uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
-        count += (fmt_nvdb_get(&grid, index).plane & FMT_NVDB_PLANE_SHADED) != 0;
+        count += (fmt_nvdb_get(&grid, index).plane & FMT_NVDB_PLANE_INCONSISTENT) != 0;
     }
     fmt_nvdb_close(f->ctx, &grid);
     return count;
@@ -89,7 +89,7 @@ static uint32_t grain_of_squares(struct vox_fixture *f, double side, bool with_n
     assert_true(index > 0);
     uint32_t plane = fmt_nvdb_get(&grid, index).plane;
     fmt_nvdb_close(f->ctx, &grid);
-    return plane >> FMT_NVDB_GRAIN_SHIFT;
+    return plane >> FMT_NVDB_FACET_NOISE_SHIFT;
 }
 
 /* The squares of a triangle's edges are s^2, s^2 and 2 s^2. Of their mean grain is 2.7 times as

@@ -1,9 +1,9 @@
 // texture_pyramid.cc - averages of an image over squares of 2^n texels.
 //
-// Only the sums of one row of cells are open at a time, so the image streams past row by row.
-// Cells at the far edges cover fewer texels and weigh less, which makes every level's integral over
-// the whole image the image's own, whatever its size.
-#include "formats/image/texture_pyramid.h"
+// The first level is built from the image's rows as they come, with the sums of one row of cells in
+// memory. Cells at the right and lower edges cover fewer texels and weigh less. So the integral
+// over the whole image is the same on every level, for any image size.
+#include "formats/texture/texture_pyramid.h"
 
 #include <cmath>
 #include <cstddef>
@@ -16,7 +16,7 @@ static uint32_t cell_count(uint32_t texels, int level)
     return uint32_t((uint64_t(texels) + (uint64_t(1) << level) - 1) >> level);
 }
 
-// Width in texels of cell i of a level.
+// Returns the width in texels of cell i of a level.
 static uint32_t cell_extent(uint32_t i, int level, uint32_t texels)
 {
     uint64_t start = uint64_t(i) << level;
@@ -50,7 +50,7 @@ Pyramid::Pyramid(uint32_t width, uint32_t height, int first_level)
     sums.assign(3 * size_t(levels[0].width), 0.0);
 }
 
-// Ends the open row of cells, which has got `rows` rows of texels.
+// Completes the current row of cells, which holds the sums of `rows` rows of texels.
 void Pyramid::close_cells(uint32_t rows)
 {
     Level &base = levels[0];
@@ -72,7 +72,7 @@ void Pyramid::add_row(const float *rgb)
         close_cells(next_row - (row << first));
 }
 
-// The level above: averages of up to 2 x 2 cells, weighted by the texels that each covers.
+// Returns the next level: averages of up to 2 x 2 cells, weighted by the texels that each covers.
 Pyramid::Level Pyramid::make_next(const Level &below, int number) const
 {
     Level above = make_level(width, height, number + 1);

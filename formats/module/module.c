@@ -1,17 +1,20 @@
 /* module.c - finds and opens modules.
  *
- * A module gets the functions of base in a table. It could be linked with a copy of base instead,
- * but then two copies would work on one context, and agree on nothing that is told apart by
- * address: a pool's threads would run code of either, and a message of one be freed by the other.
- * It could find them among the program's own symbols, but a program would have to be linked for
- * that, with every function in it, and code in a plug-in of another program cannot. The table works
- * wherever the library ends up, and makes the headers that it is made of the whole contract; the
- * stamp holds both sides to the same ones.
+ * A module gets the functions of base in a table (struct fmt_host). There are two other ways:
  *
- * Modules lie beside the file that this code is in, the program or a shared library that has taken
- * Bisque in; in ../lib/bisque as seen from there, which makes a moved installation and the build
- * tree work; or where they were installed. They are never closed: threads and exit handlers of the
- * libraries that they bring run to the end. */
+ * - Link each module with its own copy of base. Two copies would then work on one context, and both
+ *   rely on addresses: threads of the pool would run code of either copy, and one copy would free
+ *   the messages of the other.
+ * - Let a module use the program's own symbols. Then every program must be linked to export all
+ *   functions of base, and a library inside another program's plug-in cannot do that.
+ *
+ * A table works wherever the library is linked. The headers that declare it are the whole contract,
+ * and the stamp proves that both sides were compiled with the same ones.
+ *
+ * Modules are looked for in three places, in this order: beside the file that contains this code (a
+ * program, or a shared library that was linked with Bisque); in ../lib/bisque relative to that
+ * file's directory, for moved installations and the build tree; in the installation directory.
+ * Modules are never closed, because the libraries behind them own threads and exit handlers. */
 #include <dlfcn.h>
 #include <link.h>
 #include <stdio.h>
@@ -19,7 +22,7 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "formats/module_internal.h"
+#include "formats/module/module.h"
 
 const struct fmt_host fmt_host_functions = {
 #define INITIAL(name) .name = bsq_##name,
@@ -29,7 +32,7 @@ const struct fmt_host fmt_host_functions = {
 
 enum { PLACES = 3 };
 
-/* Directories to look in; NULL: none. */
+/* Directories to look in; an entry may be NULL. */
 struct places {
     char *directories[PLACES];
 };
@@ -48,13 +51,14 @@ static void cut_last_name(char *path)
         *slash = '\0';
 }
 
-/* Path of the file that this code was loaded from, to be freed; NULL where it is gone. */
+/* Returns the path of the file that this code was loaded from; the caller frees it. Returns NULL if
+ * that file no longer exists. */
 static char *own_path(void)
 {
     struct link_map *object = NULL;
     Dl_info info;
 
-    /* The program itself has no name here, and argv[0], which info has, need not be a path. */
+    /* The main program has an empty l_name, and info.dli_fname is argv[0], not always a path. */
     if (!dladdr1(&fmt_host_functions, &info, (void **)&object, RTLD_DL_LINKMAP) || !object ||
         !object->l_name[0])
         return realpath("/proc/self/exe", NULL);
@@ -89,7 +93,7 @@ static int find_places(struct bsq_ctx *ctx, struct places *places)
     return status;
 }
 
-/* Says where the module is not. */
+/* Reports a module that is in none of the places. */
 static int fail_missing(struct bsq_ctx *ctx, const char *name, const char *purpose,
                         const struct places *places)
 {
@@ -105,7 +109,8 @@ static int fail_missing(struct bsq_ctx *ctx, const char *name, const char *purpo
                     count > 1 ? " or " : "", count > 1 ? listed[count - 1] : "");
 }
 
-/* A module that is there must do: an older one elsewhere is not what was installed with this. */
+/* Finds the module's file. The first place that has one decides: a file further down the list was
+ * not installed with this program. */
 static int find(struct bsq_ctx *ctx, const char *name, const char *purpose, char **out)
 {
     struct places places;

@@ -1,7 +1,6 @@
-// texture_pyramid.h - averages of an image over squares of 2^n texels, in linear light; private to
-// the texture reader, C++.
-#ifndef FMT_IMAGE_TEXTURE_PYRAMID_H
-#define FMT_IMAGE_TEXTURE_PYRAMID_H
+// texture_pyramid.h - averages of an image over squares of 2^n texels, in linear light.
+#ifndef FMT_TEXTURE_TEXTURE_PYRAMID_H
+#define FMT_TEXTURE_TEXTURE_PYRAMID_H
 
 #include <algorithm>
 #include <cstdint>
@@ -10,31 +9,31 @@
 namespace fmt
 {
 
-// A rectangle in texels, from the image's upper left corner.
+// A rectangle in texels; the origin is the image's upper left corner.
 struct Rectangle {
     double x0, x1, y0, y1;
 };
 
-// Length of what [first, first + extent) and [a, b), which touch, share.
+// Returns the length that [first, first + extent) and [a, b) share. They must not be disjoint.
 inline double overlap(double first, double extent, double a, double b)
 {
     return std::min(first + extent, b) - std::max(first, a);
 }
 
-// Levels first_level, first_level + 1, ... up to one that has a single cell. Cell (i, j) of level n
-// is the average over texels [i, i + 1) x [j, j + 1) * 2^n, fewer at the right and lower edges.
+// Levels first_level, first_level + 1, ... up to a level of one cell. Cell (i, j) of level n is the
+// average over texels [i, i + 1) x [j, j + 1) * 2^n, cut off at the image's right and lower edges.
 class Pyramid
 {
   public:
     Pyramid() = default;
     Pyramid(uint32_t width, uint32_t height, int first_level);
 
-    // Bytes that a pyramid takes.
+    // Returns the memory that a pyramid takes.
     static uint64_t size_bytes(uint32_t width, uint32_t height, int first_level);
 
-    // Adds the image's next row, from the top: width RGB triples.
+    // Adds the next row of the image, top row first: `width` RGB triples.
     void add_row(const float *rgb);
-    // Makes the upper levels; after the last row.
+    // Builds the levels above the first; to be called after the last row.
     void finish();
 
     int first_level() const
@@ -46,7 +45,7 @@ class Pyramid
         return first + int(levels.size()) - 1;
     }
 
-    // Adds the integral of level `level` over a rectangle inside the image to sum.
+    // Adds to `sum` the integral of a level over a rectangle inside the image.
     void integrate(int level, const Rectangle &rectangle, double sum[3]) const;
 
   private:
@@ -65,7 +64,7 @@ class Pyramid
     uint32_t width = 0, height = 0;
     int first = 0;
     uint32_t next_row = 0;
-    std::vector<double> sums; // of the first level's row of cells that is not complete
+    std::vector<double> sums; // of the first level's current row of cells
     std::vector<Level> levels;
 };
 

@@ -1,12 +1,15 @@
-/* nvdb_head.c - fills in everything of a .nvdb file that is neither node nor channel. */
+/* nvdb_header.c - fills in all of a grid file that is neither node nor channel. */
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
+#include <zlib.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
 
 enum { CLASS_CHANNEL_ARRAY = 4 }; /* NanoVDB's GridBlindDataClass */
 
-/* The key by which NanoVDB finds grids by name: base 67, the top byte's overflow added back. */
+/* Returns the key by which NanoVDB finds grids by name: a hash to base 67 that adds the top byte,
+ * which overflows, back in. */
 static uint64_t name_key(const char *name)
 {
     uint64_t key = 0;
@@ -69,8 +72,8 @@ static void fill_grid(const struct fmt_nvdb_info *info, const struct nvdb_counts
     grid->grid_bytes = layout->file_bytes - FMT_NVDB_GRID_OFFSET;
     strcpy(grid->name, NVDB_GRID_NAME);
     fill_map(info, &grid->map);
-    /* NanoVDB's world box runs from the point of the lowest index to that of the highest plus one,
-     * with one rounding per coordinate. */
+    /* NanoVDB's world box reaches from the lowest index to the highest index plus one, in world
+     * coordinates that are rounded once. */
     for (int axis = 0; axis < 3; axis++) {
         grid->world_min[axis] = fma(bbox_min[axis], info->voxel_size, info->translation[axis]);
         grid->world_max[axis] =
@@ -98,6 +101,18 @@ static void fill_tree(const struct nvdb_counts *counts, const struct nvdb_layout
     tree->node_count[1] = counts->lowers;
     tree->node_count[2] = counts->uppers;
     tree->voxel_count = counts->voxels;
+}
+
+uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout)
+{
+    uint64_t begin = FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, version);
+    uLong crc = crc32(0, NULL, 0);
+    return (uint32_t)crc32_z(crc, head + begin, layout->section[NVDB_HEAD].size - begin);
+}
+
+uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record)
+{
+    return XXH3_64bits(record, offsetof(struct nvdb_record, record_checksum));
 }
 
 void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,

@@ -1,7 +1,7 @@
-/* nvdb_check.c - is this file a grid that Bisque wrote, and where are its sections?
+/* nvdb_check_header.c - checks that Bisque wrote a file, and finds its sections.
  *
- * The layout follows from a few counts. They are read first and bounded by the file's size; then
- * the layout is computed anew, and every offset and count in the file has to agree with it. */
+ * A few counts determine the layout. They are read first and bounded by the file's size. Then the
+ * layout is computed from them, and every offset and count in the file must agree with it. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -34,7 +34,7 @@ static int fail_version(const struct head *h)
                     h->path, v >> 21, v >> 10 & 2047, v & 1023);
 }
 
-/* A grid's name or a channel's, as far as it is text. */
+/* Copies a name for a message; characters that are not printable ASCII become '?'. */
 static void copy_name(const char *from, uint64_t size, char out[64])
 {
     uint64_t n = 0;
@@ -45,7 +45,7 @@ static void copy_name(const char *from, uint64_t size, char out[64])
     out[n] = 0;
 }
 
-/* The file of another NanoVDB program: say what it holds. */
+/* Reports a grid that another NanoVDB program wrote, with its name and type. */
 static int fail_foreign(const struct head *h)
 {
     static const char *const types[] = {
@@ -66,7 +66,7 @@ static int fail_foreign(const struct head *h)
                     h->path, name, types[type]);
 }
 
-/* A surface grid that another program has packed; it cannot be used in place. */
+/* Reports a file that another program compressed: it cannot be used in place. */
 static int fail_compressed(const struct head *h)
 {
     static const char *const codecs[] = {"none", "ZIP", "BLOSC"};
@@ -76,7 +76,8 @@ static int fail_compressed(const struct head *h)
                     h->path, codec < 3 ? codecs[codec] : "unknown");
 }
 
-/* File header: decides whose file it is, so its messages are for files that are merely others. */
+/* Checks magic, version, type and codec. Files that fail here are mostly not damaged: they are of
+ * another kind, and the messages name it. */
 static int check_file_header(struct head *h)
 {
     if (h->size >= sizeof(uint64_t) && (__builtin_bswap64(h->header->magic) == NVDB_MAGIC ||
@@ -112,7 +113,7 @@ static int check_file_header(struct head *h)
     return 0;
 }
 
-/* GridData, TreeData and RootData, except for what the layout says. */
+/* Checks GridData and RootData, except for offsets and counts, which check_layout() compares. */
 static int check_grid_data(const struct head *h)
 {
     const struct nvdb_grid_data *grid = h->grid;
@@ -121,7 +122,7 @@ static int check_grid_data(const struct head *h)
     if (grid->grid_bytes != h->size - FMT_NVDB_GRID_OFFSET)
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: truncated or damaged: the grid has %" PRIu64
-                        " bytes, the file has room for %" PRIu64,
+                        " bytes, the file has %" PRIu64 " for it",
                         h->path, grid->grid_bytes, h->size - FMT_NVDB_GRID_OFFSET);
     if (grid->version != h->header->version || grid->grid_type != h->meta->grid_type)
         return damaged(h, "version or type of the grid");
@@ -143,7 +144,7 @@ static int check_grid_data(const struct head *h)
     return 0;
 }
 
-/* The counts that the layout follows from, each bounded by the file's size. */
+/* Reads the counts that determine the layout; checks each against the file's size. */
 static int read_counts(const struct head *h, struct nvdb_counts *counts)
 {
     counts->type = (enum fmt_nvdb_type)h->grid->grid_type;
@@ -167,10 +168,10 @@ static int read_counts(const struct head *h, struct nvdb_counts *counts)
     memcpy(&record, h->file + h->size - sizeof(record), sizeof(record));
     if (memcmp(record.magic, NVDB_RECORD_MAGIC, sizeof(record.magic)) != 0)
         return fail_foreign(h);
-    if (record.version != NVDB_RECORD_VERSION)
+    if (record.version != FMT_NVDB_RECORD_VERSION)
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: surface grid of version %" PRIu32 ": this Bisque reads version %d",
-                        h->path, record.version, NVDB_RECORD_VERSION);
+                        h->path, record.version, FMT_NVDB_RECORD_VERSION);
     if (record.flags != (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) ||
         record.second_count > counts->voxels || record.second_count > UINT32_MAX ||
         record.record_checksum != fmt_nvdb_record_checksum(&record))
@@ -182,7 +183,7 @@ static int read_counts(const struct head *h, struct nvdb_counts *counts)
     return 0;
 }
 
-/* Every offset and size in the file against the layout. */
+/* Compares every offset and size in the file with the layout. */
 static int check_layout(const struct head *h, const struct nvdb_layout *layout)
 {
     uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(*h->grid);
@@ -248,7 +249,7 @@ static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
     grid->seconds = (const void *)(h->file + layout->section[NVDB_SECONDS].offset);
 }
 
-int fmt_nvdb_check_head(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
+int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 {
     struct head h = {ctx, grid->map.path, grid->map.data, grid->map.size, 0, 0, 0, 0, 0};
     h.header = (const void *)h.file;

@@ -14,7 +14,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "formats/image/texture.h"
+#include "formats/texture/texture.h"
 #include "tests/unit/formats/scratch.h"
 
 /* An image of the test: `channels` bytes a texel, row 0 on top. */

@@ -1,17 +1,16 @@
-// texture_oiio.cc - filtered lookups of linear light in images of any size, over OpenImageIO; the
-// module bisque-texture.so.
+// texture_oiio.cc - the module bisque-texture.so: reads images of any size by OpenImageIO.
 //
-// A lookup is the exact average of the image, taken as one constant square a texel, over a box of
-// at least one texel: with a box of one texel that is bilinear interpolation. Texels come from a
-// private ImageCache in the file's own type and pass through a table to linear light before they
-// are averaged; MIP levels of a texture system would average what the file stores, sRGB values.
+// A lookup returns the exact average of the image, each texel a constant square, over a box of at
+// least one texel. A box of exactly one texel is bilinear interpolation. Texels come from a private
+// ImageCache in the file's own type. A table converts them to linear light before they are
+// averaged: the MIP levels of an OpenImageIO texture system would average sRGB values.
 //
-// Wide boxes are averaged from a pyramid of linear averages that is kept whole in memory, from the
-// lowest level that takes at most a quarter of the cache. It is made when the image is opened, by
-// one pass over its rows; so damaged files are found then. Scanline files that do not fit the cache
-// are written to a temporary tiled file in that pass: a PNG or JPEG read in any order but downwards
-// is decoded from its first row again each time.
-#include "formats/module_internal.h"
+// Wide boxes are averaged from a pyramid of linear averages that stays in memory. Its lowest level
+// is the lowest one that takes at most a quarter of the cache. Opening an image builds the pyramid
+// in one pass over the rows, which also finds damaged files. If scanline files do not fit the
+// cache, that pass copies them to a temporary tiled file: a PNG or JPEG that is not read downwards
+// is decoded from its first row each time.
+#include "formats/texture/texture_module.h"
 
 #include <OpenImageIO/imagecache.h>
 #include <OpenImageIO/imageio.h>
@@ -30,7 +29,7 @@
 #include <unistd.h>
 
 #include "base/srgb.h"
-#include "formats/image/texture_pyramid.h"
+#include "formats/texture/texture_pyramid.h"
 
 extern "C" {
 extern const struct fmt_texture_module bisque_module;
@@ -44,43 +43,42 @@ using OIIO::ImageInput;
 using OIIO::ImageSpec;
 using OIIO::TypeDesc;
 
-constexpr uint64_t smallest_cache = 12 << 20; // OpenImageIO takes 10 MB whatever it is told
+constexpr uint64_t smallest_cache = 12 << 20; // OpenImageIO takes at least 10 MB
 constexpr uint32_t no_image = UINT32_MAX;
 constexpr int tile_size = 64;
 constexpr int first_pyramid_level = 2;
-constexpr double cells_across =
-    4; // a box spans at least so many cells of the level it is read from
+constexpr double cells_across = 4; // least cells along a box in the pyramid level it is read from
 
-// Linear light of every value of an 8 or 16-bit texel.
+// Maps each value of an 8 or 16-bit texel to linear light.
 struct Transfer {
     unsigned bits;
-    double gamma; // 0: the curve of sRGB (IEC 61966-2-1)
+    double gamma; // exponent; 0: the sRGB curve (IEC 61966-2-1)
     std::vector<float> table;
 };
 
 struct Image {
     std::string path, cached_path;
     uint32_t width = 0, height = 0;
-    int x = 0, y = 0;             // of the first texel in the file's coordinates
-    int channels = 0;             // that are read: 1 or 3
+    int x = 0, y = 0;             // the first texel in the file's coordinates
+    int channels = 0;             // channels that are read: 1 or 3
     TypeDesc type;                // of texels in the cache: UINT8, UINT16 or FLOAT
-    const float *table = nullptr; // for integers
+    const float *table = nullptr; // to linear light; for integers only
     bool tiled = false;
     struct bsq_file temporary = BSQ_FILE_CLOSED;
     ImageCache::ImageHandle *handle = nullptr;
     fmt::Pyramid pyramid;
 };
 
-// What the caller's struct fmt_textures is.
+// The module's own part of struct fmt_textures.
 struct Textures : fmt_textures {
     const struct fmt_host *host = nullptr;
     struct bsq_ctx *ctx = nullptr;
     uint64_t reserved = 0, tile_bytes = 0;
     int pyramid_level = first_pyramid_level;
-    bool rewrite = false; // untiled images become temporary tiled files
+    bool rewrite = false; // copy scanline images to temporary tiled files
     ImageCache *cache = nullptr;
     std::vector<Image> images;      // each file once
-    std::vector<uint32_t> image_of; // by the caller's number; no_image where there is none
+    std::vector<uint32_t> image_of; // caller's image number to index in `images`, or no_image
     std::vector<std::unique_ptr<Transfer>> transfers;
 };
 
@@ -104,8 +102,8 @@ const float *find_table(Textures *textures, unsigned bits, double gamma)
     return textures->transfers.back()->table.data();
 }
 
-// Exponent that turns the file's values into linear light; 0 for sRGB. Integers are sRGB unless the
-// file says that they are something else.
+// Returns the exponent that turns the file's integers into linear light, or 0 for sRGB, which is
+// the default if the file does not name a colour space.
 double file_gamma(const ImageSpec &spec)
 {
     std::string space = spec.get_string_attribute("oiio:ColorSpace");
@@ -133,7 +131,7 @@ std::unique_ptr<ImageInput> open_input(Textures *textures, const std::string &pa
     if (!input) {
         int error = errno;
         std::string reason = OIIO::geterror();
-        if (error == EMFILE || error == ENFILE || error == EIO) { // not the image's fault
+        if (error == EMFILE || error == ENFILE || error == EIO) { // not a fault of the image
             *status =
                 textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, error, "%s", path.c_str());
             return nullptr;
@@ -175,15 +173,15 @@ int describe(Textures *textures, const char *path, Image &image)
     return 0;
 }
 
-// Reserves the cache, at most cache_bytes, and divides it between the pyramids, from a level that
-// fits, and tiles.
+// Reserves at most cache_bytes, chooses the pyramids' first level, and leaves the rest to the
+// tiles.
 int share_cache(Textures *textures, uint64_t cache_bytes)
 {
     uint64_t bytes = 0, decoded = 0;
     for (const Image &image : textures->images)
         decoded += decoded_bytes(image);
-    // Small images cannot use a generous cache: a third for pyramids, and tiles stand over at the
-    // edges.
+    // Small images do not need all of a large cache. Three times their texels leave space for the
+    // pyramids (a third of the texels) and for tiles that extend beyond an image's edges.
     uint64_t wanted = std::min(std::max(cache_bytes, smallest_cache), smallest_cache + 3 * decoded);
     int status = textures->host->reserve(textures->ctx, "texture cache", wanted);
     if (status)
@@ -217,7 +215,7 @@ float texel_value(const Image &image, const void *texels, size_t i)
     return static_cast<const float *>(texels)[i];
 }
 
-// A row of the file as RGB triples of linear light.
+// Converts a row of the file to RGB triples of linear light.
 void make_linear(const Image &image, const void *row, float *rgb)
 {
     size_t channels = size_t(image.channels);
@@ -226,7 +224,8 @@ void make_linear(const Image &image, const void *row, float *rgb)
             rgb[3 * x + c] = texel_value(image, row, x * channels + (channels == 3 ? c : 0));
 }
 
-// `error` is errno right after the failure; the library's text has no system's reason in it.
+// Reports a failure of a temporary tiled file. `error` is errno right after the call: OpenImageIO's
+// text does not give the system's reason.
 int fail_tiles(Textures *textures, const Image &image, int error, std::string reason)
 {
     std::replace(reason.begin(), reason.end(), '\n', ' ');
@@ -237,7 +236,7 @@ int fail_tiles(Textures *textures, const Image &image, int error, std::string re
                                       reason.c_str());
 }
 
-// A tile or a row of the image's own file that cannot be read: damaged, unless the disk is.
+// Reports a tile or row of the image that cannot be read: BSQ_EIO if the disk failed, else damage.
 int fail_read(Textures *textures, const Image &image, int error, std::string reason)
 {
     std::replace(reason.begin(), reason.end(), '\n', ' ');
@@ -248,7 +247,7 @@ int fail_read(Textures *textures, const Image &image, int error, std::string rea
                                 image.path.c_str(), reason.c_str());
 }
 
-// A tiled file without a name that rows of tiles are written to; reached as /proc/self/fd/N.
+// Creates an unnamed tiled file for the image's texels. OpenImageIO opens it as /proc/self/fd/N.
 int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOutput> &output)
 {
     int status =
@@ -284,7 +283,7 @@ int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_
     return fail_read(textures, image, errno, input.geterror());
 }
 
-// Makes the pyramid and, where `rewrite`, the tiled copy.
+// Reads the image once: builds its pyramid and, if textures->rewrite is set, its tiled copy.
 int pass_over(Textures *textures, Image &image)
 {
     const struct fmt_host *host = textures->host;
@@ -355,7 +354,7 @@ int open_cache(Textures *textures)
     return 0;
 }
 
-// Finds the different files among the paths; many materials of a scan may share one.
+// Describes each distinct file among the paths once; materials often share a file.
 int describe_all(Textures *textures, const char *const *paths, uint32_t count)
 {
     std::unordered_map<std::string, uint32_t> known;
@@ -388,8 +387,8 @@ int open_all(Textures *textures, const char *const *paths, uint32_t count, uint6
 
 // ---- lookups ----
 
-// Adds the integral over the part of a rectangle that lies in rows [y0, y1) and columns [x0, x1) of
-// texels; get(x, y) is the place of a texel's first channel.
+// Adds to `sum` the integral of the image over the part of rectangle `r` that lies in one tile.
+// `roi` is the tile's region in the file's coordinates, `texels` its first texel.
 template <typename T, typename Decode>
 void add_texels(const Image &image, const fmt::Rectangle &r, const OIIO::ROI &roi, const T *texels,
                 Decode decode, double sum[3])
@@ -414,7 +413,7 @@ void add_texels(const Image &image, const fmt::Rectangle &r, const OIIO::ROI &ro
     }
 }
 
-// Adds the integral of the image itself over a rectangle inside it, tile by tile.
+// Adds to `sum` the integral of the image over a rectangle inside it, tile by tile.
 int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle &r, double sum[3])
 {
     ImageCache *cache = textures->cache;
@@ -455,7 +454,7 @@ int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle 
     return 0;
 }
 
-// An interval on a circle of circumference `period`, as up to two intervals in [0, period].
+// An interval on a circle, as one or two intervals in [0, period].
 struct Wrapped {
     double first[2], last[2];
     int count;
@@ -527,7 +526,8 @@ int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v
     if (number == no_image)
         return textures->host->fail(textures->ctx, BSQ_EBUG, "texture %u has no image", image);
     const Image &i = textures->images[number];
-    // Reduced to one period first, so that far coordinates keep their precision in texels.
+    // Reduce to one period before scaling, so that large coordinates keep their precision in
+    // texels.
     double x = (double(u) - std::floor(double(u))) * i.width;
     double y = (std::ceil(double(v)) - double(v)) * i.height;
     return average(textures, i, x, y, double(du) * i.width, double(dv) * i.height, out);

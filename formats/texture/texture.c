@@ -1,7 +1,5 @@
-/* texture.c - texture.h by way of the module that has OpenImageIO. */
-#include "formats/image/texture.h"
-
-#include "formats/module_internal.h"
+/* texture.c - passes the calls of texture.h on to the module bisque-texture.so. */
+#include "formats/texture/texture_module.h"
 
 int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out)

@@ -1,0 +1,381 @@
+/* nvdb_commit.c - writes the finished grid file from a writer's temporary files.
+ *
+ * All counts are known by now, and they determine all offsets: the file is written once, from front
+ * to back. It is made in blocks. Writing takes longest, so the next blocks are made while one is
+ * written. The tables of internal nodes are filled in here. The children of a level are contiguous:
+ * the set bits of all nodes of the level above, in order, are its nodes 0, 1, 2, ... */
+#include <string.h>
+#include <xxhash.h>
+
+#include "base/parallel.h"
+#include "formats/grid/nvdb_writer_internal.h"
+
+/* Larger blocks cost less per byte to write, as long as they stay in the processor's cache. */
+enum { BLOCK_BYTES = 1 << 20, BLOCK_COUNT = 3 };
+
+struct block {
+    uint8_t *bytes; /* BLOCK_BYTES */
+    uint64_t size;
+};
+
+struct commit {
+    struct fmt_nvdb_writer *writer;
+    struct bsq_ctx *ctx;
+    struct bsq_output *output;
+    struct nvdb_layout layout;
+    int section;        /* the section that is being made */
+    uint64_t done;      /* its bytes made so far */
+    XXH3_state_t *hash; /* of these bytes */
+    uint8_t *head;      /* section NVDB_HEAD */
+    struct nvdb_blind blind[NVDB_SECTION_COUNT];
+    struct nvdb_record record;
+    uint8_t *node;   /* the internal node that is being made */
+    uint64_t child;  /* offset in the file of the next node's first child */
+    uint8_t *buffer; /* of all blocks */
+};
+
+/* ---- the sources of sections ---- */
+
+/* How upper and lower nodes differ. */
+struct node_kind {
+    int stream;
+    enum nvdb_section section, child_section;
+    uint64_t node_bytes, stub_bytes, child_bytes;
+    uint64_t child_mask, table; /* offsets in the node */
+    int words;                  /* of the child mask */
+};
+
+static const struct node_kind upper_kind = {
+    .stream = STREAM_UPPERS,
+    .section = NVDB_UPPERS,
+    .child_section = NVDB_LOWERS,
+    .node_bytes = sizeof(struct nvdb_upper),
+    .stub_bytes = sizeof(struct nvdb_upper_stub),
+    .child_bytes = sizeof(struct nvdb_lower),
+    .child_mask = offsetof(struct nvdb_upper, child_mask),
+    .table = offsetof(struct nvdb_upper, table),
+    .words = 512,
+};
+static const struct node_kind lower_kind = {
+    .stream = STREAM_LOWERS,
+    .section = NVDB_LOWERS,
+    .child_section = NVDB_LEAVES,
+    .node_bytes = sizeof(struct nvdb_lower),
+    .stub_bytes = sizeof(struct nvdb_lower_stub),
+    .child_bytes = sizeof(struct nvdb_leaf),
+    .child_mask = offsetof(struct nvdb_lower, child_mask),
+    .table = offsetof(struct nvdb_lower, table),
+    .words = 64,
+};
+
+/* Nodes and stubs of both kinds begin with their bounds; a stub's mask follows. */
+enum { BOUNDS_BYTES = 24 };
+static_assert(offsetof(struct nvdb_upper_stub, child_mask) == BOUNDS_BYTES, "stub");
+static_assert(offsetof(struct nvdb_lower_stub, child_mask) == BOUNDS_BYTES, "stub");
+
+static const struct node_kind *node_kind(int section)
+{
+    return section == NVDB_UPPERS ? &upper_kind : section == NVDB_LOWERS ? &lower_kind : NULL;
+}
+
+/* The streams of a section: its first part, and second records after it. Either may be NULL. */
+struct section_streams {
+    const struct nvdb_stream *first, *second;
+};
+
+static struct section_streams streams_of(const struct commit *commit)
+{
+    const struct nvdb_stream *stream = commit->writer->stream;
+    switch (commit->section) {
+    case NVDB_LEAVES:
+        return (struct section_streams){.first = &stream[STREAM_LEAVES]};
+    case NVDB_NORMALS:
+        return (struct section_streams){&stream[STREAM_NORMALS], &stream[STREAM_SECOND_NORMALS]};
+    case NVDB_PLANES:
+        return (struct section_streams){&stream[STREAM_PLANES], &stream[STREAM_SECOND_PLANES]};
+    case NVDB_COLORS:
+        if (!commit->writer->info.has_color)
+            break;
+        return (struct section_streams){&stream[STREAM_COLORS], &stream[STREAM_SECOND_COLORS]};
+    case NVDB_SECONDS:
+        return (struct section_streams){.first = &stream[STREAM_SECOND_WORDS]};
+    default:
+        break;
+    }
+    return (struct section_streams){0};
+}
+
+/* Returns the section's size as it follows from its source. */
+static uint64_t source_bytes(const struct commit *commit)
+{
+    const struct node_kind *kind = node_kind(commit->section);
+    const struct section_streams streams = streams_of(commit);
+    if (kind)
+        return commit->writer->stream[kind->stream].file.size / kind->stub_bytes * kind->node_bytes;
+    if (streams.first)
+        return streams.first->file.size + (streams.second ? streams.second->file.size : 0);
+    return commit->layout.section[commit->section].size;
+}
+
+/* ---- the bytes of a section ----
+ *
+ * Each function makes the next bytes of the section: up to *size, which it sets to their number. */
+
+static int make_from_memory(struct commit *commit, const void *section, uint8_t *to, uint64_t *size)
+{
+    memcpy(to, (const uint8_t *)section + commit->done, *size);
+    XXH3_64bits_update(commit->hash, to, *size);
+    return 0;
+}
+
+/* Makes a node from its stub. *child is the offset in the file of the node's first child; it is
+ * moved to the next node's first child. */
+static void expand_node(const struct node_kind *kind, uint64_t node_offset, const uint8_t *stub,
+                        uint8_t *node, uint64_t *child)
+{
+    static const uint64_t flags = NVDB_NODE_HAS_BBOX;
+    memset(node, 0, kind->node_bytes);
+    memcpy(node, stub, BOUNDS_BYTES);
+    memcpy(node + BOUNDS_BYTES, &flags, sizeof(flags));
+    memcpy(node + kind->child_mask, stub + BOUNDS_BYTES, (size_t)kind->words * 8);
+    const uint64_t *mask = (const uint64_t *)(node + kind->child_mask);
+    int64_t *table = (int64_t *)(node + kind->table);
+    for (int word = 0; word < kind->words; word++) {
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1) {
+            table[64 * word + __builtin_ctzll(bits)] = (int64_t)(*child - node_offset);
+            *child += kind->child_bytes;
+        }
+    }
+}
+
+/* Makes the next node in memory. */
+static int make_node(struct commit *commit, const struct node_kind *kind)
+{
+    const struct bsq_file *stubs = &commit->writer->stream[kind->stream].file;
+    uint64_t number = commit->done / kind->node_bytes;
+    uint64_t offset = commit->layout.section[kind->section].offset + commit->done;
+    uint8_t stub[sizeof(struct nvdb_upper_stub)]; /* large enough for a lower node's too */
+    int status =
+        bsq_file_read(commit->ctx, stubs, stub, kind->stub_bytes, number * kind->stub_bytes);
+    if (status == 0)
+        expand_node(kind, offset, stub, commit->node, &commit->child);
+    return status;
+}
+
+static int make_from_nodes(struct commit *commit, const struct node_kind *kind, uint8_t *to,
+                           uint64_t *size)
+{
+    uint64_t begun = commit->done % kind->node_bytes, left = kind->node_bytes - begun;
+    int status = begun == 0 ? make_node(commit, kind) : 0;
+    if (status)
+        return status;
+    *size = *size < left ? *size : left;
+    memcpy(to, commit->node + begun, *size);
+    XXH3_64bits_update(commit->hash, to, *size);
+    return 0;
+}
+
+/* The first stream was hashed when it was written. */
+static int make_from_streams(struct commit *commit, const struct section_streams *streams,
+                             uint8_t *to, uint64_t *size)
+{
+    const struct bsq_file *first = &streams->first->file;
+    if (commit->done < first->size) {
+        uint64_t left = first->size - commit->done;
+        *size = *size < left ? *size : left;
+        return bsq_file_read(commit->ctx, first, to, *size, commit->done);
+    }
+    const struct bsq_file *second = &streams->second->file;
+    int status = bsq_file_read(commit->ctx, second, to, *size, commit->done - first->size);
+    if (status == 0)
+        XXH3_64bits_update(commit->hash, to, *size);
+    return status;
+}
+
+static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
+{
+    const struct node_kind *kind = node_kind(commit->section);
+    const struct section_streams streams = streams_of(commit);
+    if (kind)
+        return make_from_nodes(commit, kind, to, size);
+    if (streams.first)
+        return make_from_streams(commit, &streams, to, size);
+    const void *memory = commit->section == NVDB_HEAD    ? (const void *)commit->head
+                         : commit->section == NVDB_BLIND ? (const void *)commit->blind
+                                                         : (const void *)&commit->record;
+    return make_from_memory(commit, memory, to, size);
+}
+
+/* ---- the file ---- */
+
+static int begin_section(struct commit *commit)
+{
+    const struct node_kind *kind = node_kind(commit->section);
+    const struct nvdb_stream *first = streams_of(commit).first;
+    if (source_bytes(commit) != commit->layout.section[commit->section].size)
+        return bsq_fail(commit->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
+                        commit->writer->path, commit->section);
+    if (first)
+        XXH3_copyState(commit->hash, first->hash);
+    else
+        XXH3_64bits_reset(commit->hash);
+    if (kind)
+        commit->child = commit->layout.section[kind->child_section].offset;
+    if (commit->section == NVDB_RECORD)
+        commit->record.record_checksum = fmt_nvdb_record_checksum(&commit->record);
+    return 0;
+}
+
+static void end_section(struct commit *commit)
+{
+    if (commit->section < NVDB_RECORD)
+        commit->record.checksum[commit->section] = XXH3_64bits_digest(commit->hash);
+    commit->section++;
+    commit->done = 0;
+}
+
+/* Makes up to *size bytes at offset `at` in the file; sets *size to their number. */
+static int make_bytes(struct commit *commit, uint64_t at, uint8_t *to, uint64_t *size)
+{
+    const struct nvdb_range *range = &commit->layout.section[commit->section];
+    uint64_t padding = at < range->offset ? range->offset - at : 0;
+    if (padding > 0) {
+        *size = *size < padding ? *size : padding;
+        memset(to, 0, *size);
+        return 0;
+    }
+    int status = commit->done == 0 ? begin_section(commit) : 0;
+    if (status)
+        return status;
+    uint64_t left = range->size - commit->done;
+    *size = *size < left ? *size : left;
+    if (*size > 0)
+        status = make_from_section(commit, to, size);
+    commit->done += *size;
+    if (commit->done == range->size)
+        end_section(commit);
+    return status;
+}
+
+static int make_block(void *arg, void *slot, uint64_t sequence)
+{
+    struct commit *commit = arg;
+    struct block *block = slot;
+    int status = 0;
+    block->bytes = commit->buffer + sequence % BLOCK_COUNT * BLOCK_BYTES;
+    block->size = 0;
+    while (status == 0 && block->size < BLOCK_BYTES && commit->section < NVDB_SECTION_COUNT) {
+        uint64_t size = BLOCK_BYTES - block->size;
+        status = make_bytes(commit, sequence * BLOCK_BYTES + block->size,
+                            block->bytes + block->size, &size);
+        block->size += size;
+    }
+    return status ? status : block->size > 0;
+}
+
+static int write_block(void *arg, void *slot, uint64_t sequence)
+{
+    struct commit *commit = arg;
+    const struct block *block = slot;
+    (void)sequence;
+    return bsq_output_write(commit->output, block->bytes, block->size);
+}
+
+static int write_blocks(struct commit *commit)
+{
+    struct block blocks[BLOCK_COUNT];
+    struct bsq_pipeline pipeline = {
+        .produce = make_block,
+        .emit = write_block,
+        .arg = commit,
+        .slots = blocks,
+        .slot_size = sizeof(blocks[0]),
+        .slot_count = BLOCK_COUNT,
+    };
+    return bsq_pipeline_run(commit->ctx, &pipeline);
+}
+
+/* Fills in the record "bisque" except for its checksums. */
+static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record *record)
+{
+    const struct fmt_nvdb_info *info = &writer->info;
+    memcpy(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic));
+    record->version = FMT_NVDB_RECORD_VERSION;
+    record->flags = info->has_color ? NVDB_RECORD_HAS_COLOR : 0;
+    record->source_triangles = info->source_triangles;
+    record->second_count = writer->counts.seconds;
+    memcpy(record->scan_min, info->scan_min, sizeof(record->scan_min));
+    memcpy(record->scan_max, info->scan_max, sizeof(record->scan_max));
+}
+
+static int set_up(struct commit *commit)
+{
+    struct fmt_nvdb_writer *writer = commit->writer;
+    fmt_nvdb_layout_compute(&writer->counts, &commit->layout);
+    fmt_nvdb_fill_blind(&commit->layout, commit->blind);
+    fill_record(writer, &commit->record);
+    int status = bsq_alloc(commit->ctx, "grid header", commit->layout.section[NVDB_HEAD].size, 1,
+                           &commit->head);
+    if (status == 0)
+        status = bsq_alloc(commit->ctx, "grid nodes", sizeof(struct nvdb_upper), 1, &commit->node);
+    if (status == 0)
+        status = bsq_alloc(commit->ctx, "grid blocks", BLOCK_COUNT, BLOCK_BYTES, &commit->buffer);
+    if (status)
+        return status;
+    fmt_nvdb_fill_head(&writer->info, &writer->counts, &commit->layout, writer->keys,
+                       writer->bbox_min, writer->bbox_max, commit->head);
+    commit->hash = XXH3_createState();
+    return commit->hash ? 0 : bsq_fail(commit->ctx, BSQ_ENOMEM, "no memory for a checksum");
+}
+
+static int write_file(struct fmt_nvdb_writer *writer)
+{
+    struct commit commit = {.writer = writer, .ctx = writer->ctx, .output = writer->output};
+    int status = set_up(&commit);
+    if (status == 0)
+        status = bsq_output_expect(commit.output, commit.layout.file_bytes);
+    if (status == 0)
+        status = write_blocks(&commit);
+    XXH3_freeState(commit.hash);
+    bsq_free(commit.ctx, commit.buffer);
+    bsq_free(commit.ctx, commit.node);
+    bsq_free(commit.ctx, commit.head);
+    return status;
+}
+
+/* Syncs the output (index 0) or closes a temporary file. Both take long, so they run in parallel.
+ */
+static int sync_or_close(void *arg, uint64_t index, unsigned worker)
+{
+    struct fmt_nvdb_writer *writer = arg;
+    (void)worker;
+    if (index == 0)
+        return bsq_output_sync(writer->output);
+    fmt_nvdb_stream_close(&writer->stream[index - 1]);
+    return 0;
+}
+
+int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
+{
+    int status = fmt_nvdb_writer_finish(writer);
+    if (status == 0)
+        status = write_file(writer);
+    if (status == 0)
+        status = bsq_parallel_for(writer->ctx, 1 + STREAM_COUNT, sync_or_close, writer);
+    if (status == 0) {
+        struct nvdb_layout layout;
+        fmt_nvdb_layout_compute(&writer->counts, &layout);
+        *totals = (struct fmt_nvdb_totals){
+            .voxels = writer->counts.voxels,
+            .second_records = writer->counts.seconds,
+            .leaves = writer->counts.leaves,
+            .lowers = writer->counts.lowers,
+            .uppers = writer->counts.uppers,
+            .file_bytes = layout.file_bytes,
+        };
+        status = bsq_output_commit(writer->output);
+        writer->output = NULL;
+    }
+    fmt_nvdb_discard(writer);
+    return status;
+}

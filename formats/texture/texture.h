@@ -1,0 +1,41 @@
+/* texture.h - filtered lookups in the colour images of a high-poly mesh.
+ *
+ * Takes paths of image files and a share of the memory budget, which holds whatever the size of the
+ * images. Gives colours in linear light: texels are converted (from sRGB unless the file says
+ * otherwise) before they are averaged. Images are read by OpenImageIO, in a module that is opened
+ * at its first use. */
+#ifndef FMT_TEXTURE_TEXTURE_H
+#define FMT_TEXTURE_TEXTURE_H
+
+#include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct fmt_textures;
+
+/* Opens `count` images. An entry of `paths` may be NULL (no image); a path that occurs twice is
+ * opened once. Reads each image through once, on all threads, so it must not be called from
+ * parallel work. Reserves `cache_bytes` (at least 12 MiB) from the budget, or less if the images
+ * are small; files stored in rows that exceed it are copied to temporary tiled files. Errors:
+ * BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no image, or damaged; BSQ_ENOMEM. */
+int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
+                      uint64_t cache_bytes, struct fmt_textures **out);
+void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
+
+/* Sets the size of an image in texels. */
+void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
+                      uint32_t *height);
+
+/* Averages `image` over an axis-aligned box centred at (u, v). Coordinates are OBJ's: v points up,
+ * both wrap. `du` and `dv` are the box's full widths in UV units, raised to one texel (so 0 gives
+ * bilinear interpolation) and limited to the whole image. out: linear RGB, not clamped.
+ * Thread-safe. Errors: BSQ_EDATA if the file can no longer be read, BSQ_EIO. */
+int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
+                       float dv, float out[3]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

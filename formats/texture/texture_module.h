@@ -1,0 +1,33 @@
+/* texture_module.h - the table of the module bisque-texture.so, which reads images by OpenImageIO.
+ */
+#ifndef FMT_TEXTURE_TEXTURE_MODULE_H
+#define FMT_TEXTURE_TEXTURE_MODULE_H
+
+#include "formats/module/module.h"
+#include "formats/texture/texture.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Textures as the host sees them; the module derives its own struct from this one. */
+struct fmt_textures {
+    const struct fmt_texture_module *module;
+};
+
+/* Each function does the work of its namesake in texture.h. */
+struct fmt_texture_module {
+    struct fmt_module module;
+    int (*open)(const struct fmt_host *host, struct bsq_ctx *ctx, const char *const *paths,
+                uint32_t count, uint64_t cache_bytes, struct fmt_textures **out);
+    void (*close)(struct fmt_textures *textures);
+    void (*size)(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
+                 uint32_t *height);
+    int (*sample)(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
+                  float dv, float out[3]);
+};
+
+#ifdef __cplusplus
+}
+#endif
+#endif
