@@ -1,6 +1,7 @@
-# Bisque's only build. `make help` lists the targets; config = release, debug, asan, tsan, fuzz.
+# The only build of Bisque. `make help` lists the targets; config=release, debug, asan, tsan, fuzz.
 # base/version.h has the version's three numbers.
-VERSION := $(shell awk '/define BSQ_VERSION_(MAJOR|MINOR|PATCH)/ { printf "%s%s", dot, $$3; dot = "." }' base/version.h)
+VERSION := $(shell awk '/define BSQ_VERSION_M|define BSQ_VERSION_P/ { v = v d $$3; d = "." } \
+    END { print v }' base/version.h)
 config  ?= release
 BUILD   ?= build/$(config)
 prefix  ?= /usr/local
@@ -11,19 +12,21 @@ CC  := clang
 CXX := clang++
 endif
 
-# x86-64-v2 is every x86 processor since 2009; faster code paths are chosen at run time.
+# All x86 processors since 2009 have x86-64-v2; faster code is chosen at run time.
 ARCH ?= $(if $(filter x86_64,$(shell uname -m)),-march=x86-64-v2)
 WARN := -Wall -Wextra -Wshadow -Wpointer-arith -Wstrict-prototypes -Wmissing-prototypes -Wvla
 opt.release := -O3 -g
 opt.debug   := -O0 -g3
-opt.asan    := -O1 -g -fsanitize=address,undefined,float-cast-overflow -fno-omit-frame-pointer -fno-sanitize-recover=all
+opt.asan    := -O1 -g -fsanitize=address,undefined,float-cast-overflow -fno-omit-frame-pointer \
+    -fno-sanitize-recover=all
 opt.tsan    := -O1 -g -fsanitize=thread
-opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined,float-cast-overflow -fno-sanitize-recover=all
+opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined,float-cast-overflow \
+    -fno-sanitize-recover=all
 ifndef opt.$(config)
 $(error config=$(config) is not one of release, debug, asan, tsan, fuzz)
 endif
 
-# No contraction and no fast math: results are the same on every device and compiler.
+# No contraction and no fast math: results are the same on each device and with each compiler.
 CPPFLAGS += -I. -I$(BUILD)/gen -D_GNU_SOURCE -D_FILE_OFFSET_BITS=64
 common   := $(opt.$(config)) $(ARCH) -ffp-contract=off -fno-math-errno -fPIC -pthread -MMD -MP
 CFLAGS   += -std=c11 $(WARN) $(common)
@@ -34,17 +37,18 @@ LDFLAGS  += -Wl,--as-needed
 pc_formats := OpenEXR libpng libxxhash
 pc_texture := OpenImageIO Imath
 pc_tools   := jansson
-# Only asked where something is compiled, so that help and deps work on a bare machine.
+# Expanded only when something is compiled: `make help` and `make deps` work without the packages.
 formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture)) $(module_cppflags)
 LIBS.base    := -lm
 LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
 LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
 LIBS.openvdb  = -lopenvdb -ltbb $(shell pkg-config --libs Imath)
 LIBS.bake    := -ldl
+LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
 libs := base formats libvoxel libbake
-# Each library is a folder whose subfolders are its rooms.
+# A library is a folder; its subfolders are its rooms.
 $(foreach l,$(libs),$(eval src.$(l) := $(sort $(shell find $(l) -name '*.c'))))
 objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1))) \
     $(foreach s,$(simd),$(patsubst %,$(BUILD)/obj/%.$(s).o,$(filter %_lanes.c,$(src.$(1)))))
@@ -54,8 +58,8 @@ archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
 archive.libbake  := $(BUILD)/lib/libbisque-bake.a
 archives := $(foreach l,$(libs),$(archive.$(l)))
 
-# Shared modules are opened at their first use, see formats/module/module.h. The stamp proves that program and module were
-# compiled with the same headers.
+# Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds the
+# version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb
 src.texture  := formats/texture/texture_oiio.cc formats/texture/texture_pyramid.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
@@ -79,31 +83,35 @@ $(BUILD)/obj/%.c.o: %.c
 $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
-# The stamp covers all headers between a module and its host, so whoever holds it depends on them all.
+# Objects that hold the stamp depend on all headers that it covers.
 $(patsubst %,$(BUILD)/obj/%.o,formats/module/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
-# Fused operations would round otherwise. Nobody makes them where -ffp-contract=off says so; but Clang takes AVX-512 away with
-# them.
+# Fused operations would change results. -ffp-contract=off already prevents them, and with -mno-fma
+# Clang would drop AVX-512, so only GCC gets it.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
-# Sources named *_lanes.c are compiled once more for each of these instruction sets; base/simd/simd.h chooses at run time.
+# Sources named *_lanes.c are also compiled for each of these instruction sets; base/simd/simd.h
+# chooses at run time.
 ifneq ($(filter x86_64,$(shell uname -m)),)
 simd := avx2 avx512
 endif
 simd.avx2   := -DBSQ_SIMD_SUFFIX=avx2 -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
-simd.avx512 := -DBSQ_SIMD_SUFFIX=avx512 -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 -mlzcnt $(no_fma)
+simd.avx512 := -DBSQ_SIMD_SUFFIX=avx512 -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 \
+    -mlzcnt $(no_fma)
 define simd_rule
 $(BUILD)/obj/%_lanes.c.$(1).o: %_lanes.c
 	@mkdir -p $$(@D)
-	$$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< -o $$@
+	$$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< \
+	    -o $$@
 endef
 $(foreach s,$(simd),$(eval $(call simd_rule,$(s))))
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 
-# Sources of the kernel for processors with AVX2 and AVX-512.
+# The kernel for processors with AVX2 and AVX-512, with and without counters.
 ifneq ($(findstring x86-64,$(ARCH)),)
-$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
-$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes16.c.o,obj counted): CFLAGS += -mavx512f -mavx512vl -mavx512dq -mavx512bw \
-    -mprefer-vector-width=512 -mbmi -mbmi2 -mlzcnt $(no_fma)
+$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 \
+    -mbmi -mbmi2 -mlzcnt $(no_fma)
+$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes16.c.o,obj counted): CFLAGS += -mavx512f \
+    -mavx512vl -mavx512dq -mavx512bw -mprefer-vector-width=512 -mbmi -mbmi2 -mlzcnt $(no_fma)
 endif
 
 define archive_rule
@@ -113,59 +121,66 @@ $(archive.$(1)): $$(call objs,$(1))
 endef
 $(foreach l,$(libs),$(eval $(call archive_rule,$(l))))
 
-# A call that is not in the host's table fails here; Clang leaves its sanitizers' own to the program.
+# Linking fails if a module calls a function that its host's table does not have. Clang resolves its
+# sanitizers' functions in the program, so config=fuzz cannot check this.
 no_undefined := $(if $(filter fuzz,$(config)),,-Wl,-z,defs)
 define module_rule
 $(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module/module.map
 	@mkdir -p $$(@D)
-	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) -Wl,--version-script=formats/module/module.map -o $$@ \
-	    $$(filter %.o,$$^) $$(LIBS.$(1))
+	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) -Wl,--version-script=formats/module/module.map \
+	    -o $$@ $$(filter %.o,$$^) $$(LIBS.$(1))
 endef
 $(foreach m,$(modules),$(eval $(call module_rule,$(m))))
 
-# The kernel's source, flattened, as an array in the library: OpenCL compiles it at run time.
+# The kernel's source as an array in the library; OpenCL compiles it at run time.
 kernel_sources := $(wildcard libbake/kernel/*.h libbake/kernel/*.cl)
 $(BUILD)/gen/kernel_source.inc: libbake/kernel/embed.awk $(kernel_sources)
 	@mkdir -p $(@D)
 	awk -f libbake/kernel/embed.awk libbake/kernel/bake.cl > $@
 $(call objs,libbake): | $(BUILD)/gen/kernel_source.inc $(BUILD)/gen/kernel_ptx.inc
 
-# The kernel for NVIDIA GPUs, as PTX: by Clang, or by nvcc. Clang's is preferred: its PTX is older, so that older
-# drivers take it. Without them, or where the PTX would not round as the processor does, the program has no CUDA.
-ptx_clang := $(shell for c in clang clang-21 clang-20 clang-19 clang-18 clang-17 clang-16 clang-15 clang-14; do \
+# The kernel for NVIDIA GPUs, as PTX. Clang is preferred to nvcc: older drivers accept its PTX.
+# Without both, or if the PTX would round differently from the processor, the program has no CUDA.
+ptx_clang := $(shell for c in clang clang-21 clang-20 clang-19 clang-18 clang-17 clang-16 clang-15 \
+    clang-14; do \
     command -v $$c && break; done)
 ptx_nvcc  := $(firstword $(shell command -v nvcc) $(wildcard /usr/local/cuda/bin/nvcc))
 PTX ?= $(if $(ptx_clang),clang,$(if $(ptx_nvcc),nvcc,none))
-ptx.clang = $(ptx_clang) -x cl -cl-std=CL1.2 --target=nvptx64-nvidia-cuda -Xclang -target-cpu -Xclang sm_50 -DBK_PTX \
-    -O3 -mllvm -unroll-threshold=3000 -ffp-contract=off -cl-fp32-correctly-rounded-divide-sqrt -S -o $@.tmp $<
-ptx.nvcc  = $(ptx_nvcc) -x cu -ptx -arch=compute_75 -O3 --fmad=false -prec-div=true -prec-sqrt=true -ftz=false -o $@.tmp $<
+ptx.clang = $(ptx_clang) -x cl -cl-std=CL1.2 --target=nvptx64-nvidia-cuda -Xclang -target-cpu \
+    -Xclang sm_50 -DBK_PTX -O3 -mllvm -unroll-threshold=3000 -ffp-contract=off \
+    -cl-fp32-correctly-rounded-divide-sqrt -S -o $@.tmp $<
+ptx.nvcc  = $(ptx_nvcc) -x cu -ptx -arch=compute_75 -O3 --fmad=false -prec-div=true \
+    -prec-sqrt=true -ftz=false -o $@.tmp $<
 ptx.none  = false
-$(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.awk $(kernel_sources)
+$(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.awk \
+    $(kernel_sources)
 	@mkdir -p $(@D)
 	@{ $(ptx.$(PTX)) && awk -f libbake/kernel/check_ptx.awk $@.tmp && mv $@.tmp $@; } || \
-	    { echo "libbake: no PTX, so that --device cuda will not work (PTX=$(PTX))"; rm -f $@.tmp; : > $@; }
+	    { echo "libbake: no PTX, so --device cuda will not work (PTX=$(PTX))"; rm -f $@.tmp; : > $@; }
 $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
-# A sum over all sources that a chunk file's bytes may depend on, see libvoxel/job_record.c.
-chunk_sources := $(sort $(shell find base formats libvoxel -name '*.c' -o -name '*.cc' -o -name '*.h'))
+# A checksum of all sources that a chunk file may depend on, see libvoxel/job_record.c.
+chunk_sources := $(sort $(shell find base formats libvoxel -name '*.c' -o -name '*.cc' \
+    -o -name '*.h'))
 $(BUILD)/gen/chunk_sources.inc: $(chunk_sources) Makefile
 	@mkdir -p $(@D)
 	cat $(chunk_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
 $(BUILD)/obj/libvoxel/job_record.c.o: $(BUILD)/gen/chunk_sources.inc
 
-# tools/bisque-NAME.c and tools/NAME_*.c are one program, with tools/cli*.c.
+# A program is made of tools/bisque-NAME.c, tools/NAME_*.c and tools/cli*.c.
 define program
-$(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c $(wildcard tools/$(1)_*.c tools/cli*.c)) $(archives)
+$(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
+    $(wildcard tools/$(1)_*.c tools/cli*.c)) $(archives)
 	@mkdir -p $$(@D)
 	$$(CC) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.libvoxel) $(archive.libbake) \
-	    $(archive.formats) $(archive.base) $$(LIBS.tools) $$(LIBS.formats) $$(LIBS.bake) $$(LIBS.base)
+	    $(archive.formats) $(archive.base) $$(LIBS.tools) $$(LIBS.all)
 endef
 $(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p))))
 
 # ---- tests ----
-# tests/unit/LIB/ROOM/test_NAME.c is one cmocka program, $(BUILD)/tests/LIB/test_NAME; it links LIB and what LIB may
-# include. So names of tests are unique within a library.
+# tests/unit/LIB/ROOM/test_NAME.c becomes the cmocka program $(BUILD)/tests/LIB/test_NAME, so NAME
+# is unique within a library. It links LIB and the libraries that LIB may include.
 unit_sources := $(sort $(shell find tests/unit -name 'test_*.c' -o -name 'test_*.cc'))
 unit_lib = $(word 3,$(subst /, ,$(1)))
 unit_bin = $(BUILD)/tests/$(call unit_lib,$(1))/$(basename $(notdir $(1)))
@@ -175,41 +190,46 @@ needs.base     := $(archive.base)
 needs.formats  := $(archive.formats) $(archive.base)
 needs.libvoxel := $(archive.libvoxel) $(archive.formats) $(archive.base)
 needs.libbake  := $(archive.libbake) $(archive.formats) $(archive.base)
-# Whole jobs of both stages with memory and threads that run out.
+# These tests run jobs of both stages and let memory and threads run out.
 needs.exhaustion := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
-sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--wrap=,malloc calloc realloc pthread_create))
+sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--wrap=,malloc calloc \
+    realloc pthread_create))
 $(filter $(BUILD)/tests/exhaustion/%,$(unit_bins)): LDFLAGS += $(sanitizer_wraps)
-# Helpers that several tests of one library share: the sources beside its tests that do not begin with test_.
-$(foreach l,base formats libvoxel libbake exhaustion,$(eval helpers.$(l) := $(patsubst %,$(BUILD)/obj/%.o,$(filter-out \
+# Helpers of a library's tests: the sources beside them whose names do not begin with test_.
+$(foreach l,base formats libvoxel libbake exhaustion,$(eval helpers.$(l) := \
+    $(patsubst %,$(BUILD)/obj/%.o,$(filter-out \
     $(unit_sources),$(shell find tests/unit/$(l) -name '*.c')))))
 define unit_rule
-$(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) $(helpers.$(call unit_lib,$(1))) \
+$(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
+    $(helpers.$(call unit_lib,$(1))) \
     | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(BUILD)/tests/lib)
 	@mkdir -p $$(@D)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(needs.$(call unit_lib,$(1))) -lcmocka \
-	    $(if $(filter base,$(call unit_lib,$(1))),,$$(LIBS.formats) $$(LIBS.bake) $$(LIBS.tests)) $$(LIBS.base)
+	    $(if $(filter base,$(call unit_lib,$(1))),,$$(LIBS.formats) $$(LIBS.bake) $$(LIBS.tests)) \
+	    $$(LIBS.base)
 endef
 $(foreach s,$(unit_sources),$(eval $(call unit_rule,$(s))))
-# Other programs' readers and tracers, which some tests compare with.
+# Libraries that some tests compare results with.
 LIBS.tests = $(LIBS.openvdb) -lembree3
-# Tests find the modules as programs do, in ../lib/bisque.
+# Tests look for modules in ../lib/bisque, as programs do.
 $(BUILD)/tests/lib:
 	@mkdir -p $(@D)
 	ln -sfn ../lib $@
 
-# The scan generator and the checkers of maps.
+# The scan generator and the programs that check maps.
 scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
 generator := $(BUILD)/tests/generate-scan
 checkers  := $(addprefix $(BUILD)/tests/check-,vase mesh tangent)
-$(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generate*.c))) text_writer vase)
+$(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generate*.c))) \
+    text_writer vase)
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lm
-$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.libbake) $(archive.formats) \
-    $(archive.base) | $(module_files)
+$(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.libbake) \
+    $(archive.formats) $(archive.base) | $(module_files)
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
 
-# A CUDA driver without a GPU, which tests open instead of a real one.
+# Drivers for tests: a CUDA driver without a GPU, and an OpenCL driver that crashes.
 fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
 $(fake_cuda): $(patsubst %.c,$(BUILD)/obj/%.c.o,$(wildcard tests/fake/fake_*.c tests/fake/ptx_*.c))
 	@mkdir -p $(@D)
@@ -219,7 +239,7 @@ $(crashing_driver): $(BUILD)/obj/tests/fake/crashing_driver.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -o $@ $^
 
-# examples/ and `make doc` see a folder that has the installed headers and no others.
+# A folder with the installed headers and no others, for examples/ and `make doc`.
 public_headers := base/version.h base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 public_copies  := $(public_headers:%=$(BUILD)/include/%)
 $(public_copies): $(BUILD)/include/%: %
@@ -229,9 +249,9 @@ $(examples): $(BUILD)/%: %.c $(public_copies) $(archives)
 	@mkdir -p $(@D)
 	$(CC) -std=c99 -Wall -Wextra -Werror $(opt.$(config)) -I$(BUILD)/include $(LDFLAGS) -o $@ $< \
 	    $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base) \
-	    $(LIBS.formats) $(LIBS.bake) $(LIBS.base) -pthread
+	    $(LIBS.all) -pthread
 
-# The naive readers of formats/FORMATS.md: no -I, they include nothing of Bisque.
+# Naive readers, written from formats/FORMATS.md. Without -I they cannot include Bisque's headers.
 naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
 $(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
 	@mkdir -p $(@D)
@@ -241,11 +261,12 @@ $(xxh3): tests/naive/xxh3.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash
 
-# Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.OTHER has what they share. Elsewhere than
-# in config=fuzz they become programs that replay files.
+# Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.NAME lists further
+# objects. Without config=fuzz they become programs that replay files.
 fuzz_names := $(patsubst tests/fuzz/fuzz_%.c,%,$(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c)))
 fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
-fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o $(BUILD)/obj/tests/unit/formats/grid/nvdb_scene.c.o
+fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o \
+    $(BUILD)/obj/tests/unit/formats/grid/nvdb_scene.c.o
 fuzz.tris  := $(BUILD)/obj/tests/fuzz/tris_mend.c.o
 fuzz.scan  := $(fuzz.tris)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
@@ -254,13 +275,13 @@ replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
 $(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \
     $(BUILD)/obj/tests/fuzz/replay.c.o $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
 $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.all)
 
-# Lets system calls of a program fail, and looks at what is left; see tests/cli/test_faults.sh. Without sanitizers, as it
-# is loaded into programs that have none.
+# A library that lets a program's system calls fail, and the program that runs it; see
+# tests/cli/test_faults.sh. Built without sanitizers, as it is loaded into programs without them.
 faults := $(BUILD)/tests/faults.so $(BUILD)/tests/torture
 $(BUILD)/tests/faults.so: tests/faults/faults.c
 	@mkdir -p $(@D)
@@ -271,12 +292,12 @@ $(BUILD)/tests/torture: tests/faults/torture.c
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)
-## fuzz-NAME: fuzz a reader (obj, mtl, tris, nvdb, exr, lowmesh) or both stages (scan) for fuzz_seconds=60
+## fuzz-NAME: fuzz obj, mtl, tris, nvdb, exr, lowmesh or both stages (scan) for fuzz_seconds=60
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
 	@mkdir -p build/fuzz/corpus/$*
-	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 -timeout=20 -malloc_limit_mb=256 \
-	    -rss_limit_mb=1500 $(patsubst %,-dict=%,$(wildcard tests/fuzz/dict/$*.dict)) \
+	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 -timeout=20 \
+	    -malloc_limit_mb=256 -rss_limit_mb=1500 $(patsubst %,-dict=%,$(wildcard tests/fuzz/dict/$*.dict)) \
 	    build/fuzz/corpus/$* tests/fuzz/corpus/$*
 
 .PHONY: unit tests-build test check
@@ -284,15 +305,18 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files) $(fake_cuda) $(crashing_driver)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) $(fake_cuda) $(crashing_driver) $(faults)
+tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) \
+    $(fake_cuda) $(crashing_driver) $(faults)
 
-## test: build and run all tests, with what is installed
+## test: build and run all tests, with the packages that are installed
 test: tests-build
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins) $(sort $(wildcard tests/cli/test_*.sh))
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins) \
+	    $(sort $(wildcard tests/cli/test_*.sh))
 
-# Other tests start no threads, or the same ones in the same places.
-threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/test_parallel formats/test_exr \
-    formats/test_nvdb formats/test_obj formats/test_obj_blocks formats/test_png formats/test_texture libvoxel/% libbake/%),$(unit_bins))
+# Other tests start no threads, or only threads that these tests start too.
+threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/test_parallel \
+    formats/test_exr formats/test_nvdb formats/test_obj formats/test_obj_blocks formats/test_png \
+    formats/test_texture libvoxel/% libbake/%),$(unit_bins))
 .PHONY: test-threads
 ## test-threads: the tests of parallel work; config=tsan finds races
 test-threads: all $(threaded_bins) $(generator) $(fake_cuda) $(crashing_driver)
@@ -306,8 +330,9 @@ check: deps
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
     libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
-packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd ocl-icd-libopencl1 jq mandoc
-# Compiles the kernel for NVIDIA GPUs; the build does without, and without CUDA then.
+packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd \
+    ocl-icd-libopencl1 jq mandoc
+# Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)
 packages_lint := cppcheck clang-tidy clang-format
@@ -315,10 +340,11 @@ packages_doc  := doxygen
 jobs ?= $(shell nproc)
 
 .PHONY: deps deps-lint deps-doc
-## deps: install the Debian packages that are missing (asks sudo where needed)
+## deps: install missing Debian packages (with sudo if needed)
 deps:
 	@tests/install-packages.sh $(packages)
-	@tests/install-packages.sh $(packages_cuda) || echo "deps: goes on without clang, so that there will be no CUDA"
+	@tests/install-packages.sh $(packages_cuda) || echo \
+	    "deps: continues without clang; the programs will have no CUDA"
 
 deps-lint:
 	@tests/install-packages.sh $(packages_lint)
@@ -342,7 +368,7 @@ demo-maps: all $(generator)
 	    --maps normal,color,mask --preview $(demo_dir)/preview.png -o '$(demo_dir)/vase_<MAP>.exr'
 	@echo
 	@echo "Maps:    $(demo_dir)/vase_normal.exr $(demo_dir)/vase_color.exr $(demo_dir)/vase_mask.exr"
-	@echo "Preview: $(demo_dir)/preview.png (low mesh plain, low mesh with its maps, scan)"
+	@echo "Preview: $(demo_dir)/preview.png (low-poly mesh without and with its maps, scan)"
 
 # ---- benchmark ----
 BENCH ?= medium
@@ -361,63 +387,70 @@ $(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
 
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
 rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
-$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) | $(module_files) \
+    $(BUILD)/tests/lib
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base) -lembree3
-# The native devices once more, with counters; their objects come before the library's.
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
+# The native device with counters. Its objects come before the library's when linking.
 counted := native native_lanes4 native_lanes8 native_lanes16
 $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
 	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@
 $(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
-$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) \
+    | $(module_files) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
-$(BUILD)/tests/bench-rays-counters: $(call rays_objs) $(BUILD)/counted/tests/bench/rays_counters.c.o \
-    $(counted:%=$(BUILD)/counted/libbake/device/native/%.c.o) $(rays_archives) | $(module_files) $(BUILD)/tests/lib
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
+$(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
+    $(BUILD)/counted/tests/bench/rays_counters.c.o \
+    $(counted:%=$(BUILD)/counted/libbake/device/native/%.c.o) $(rays_archives) | $(module_files) \
+    $(BUILD)/tests/lib
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
 
 .PHONY: bench bench-build
 bench-build: all $(generator) $(bench_bins)
 
-## bench: measure stage 1 beside other programs, BENCH=small, medium (default) or large
+## bench: compare stage 1 with other programs, BENCH=small, medium (default) or large
 bench: deps
-	@tests/install-packages.sh $(packages_bench) || echo "bench: goes on without tinyobjloader"
+	@tests/install-packages.sh $(packages_bench) || echo "bench: continues without tinyobjloader"
 	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/run.sh $(BENCH)
 
 .PHONY: bench-bake
-## bench-bake: rays a second on every device beside Embree, BENCH=small or medium (default); see tests/bench/BAKE.md
+## bench-bake: compare rays a second with Embree on each device, BENCH=small or medium (default)
 bench-bake: deps
-	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays $(BUILD)/tests/bench-rays-counters >&2
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays \
+	    $(BUILD)/tests/bench-rays-counters >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
 
 .PHONY: bench-accuracy
-## bench-accuracy: how far maps from voxels are from exact ones, BENCH=small or medium (default)
+## bench-accuracy: compare maps from voxels with exact maps, BENCH=small or medium (default)
 bench-accuracy: deps
 	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(checkers) >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/accuracy.sh $(BENCH)
 
-# Programs, and the shared libraries that they need besides those of C and C++, for machines without development packages.
+# The programs with their shared libraries, except those of C and C++, for machines that cannot
+# build.
 gpu_bundle := build/gpu
 .PHONY: bench-gpu gpu-bundle
-## bench-gpu: measure bisque-bake on the GPUs of this machine, BENCH=small or full (default); see tests/bench/gpu.sh
+## bench-gpu: measure bisque-bake on this machine's GPUs, BENCH=small or full (default)
 bench-gpu: gpu-bundle
 	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
 
-## gpu-bundle: collect in build/gpu what tests/bench/gpu.sh needs on a machine that cannot build
+## gpu-bundle: collect what bench-gpu needs on a machine that cannot build, in build/gpu
 gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
 	rm -rf $(gpu_bundle)
 	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib
 	cp $^ $(gpu_bundle)/bin
 	strip $(gpu_bundle)/bin/*
-	ldd $(gpu_bundle)/bin/* | awk '/=> \// && $$3 !~ /\/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc\+\+)\.so/ { print $$3 }' | sort -u | \
+	ldd $(gpu_bundle)/bin/* | awk '$$2 == "=>" && $$3 ~ /^\// { print $$3 }' | sort -u | \
+	    grep -Ev '/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc[+][+])[.]so' | \
 	    xargs -I LIB cp LIB $(gpu_bundle)/lib
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
-# All that .clang-format holds for.
+# The sources that .clang-format applies to.
 formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
     -name '*.c' -o -name '*.h' -o -name '*.cc' -o -name '*.cl'))
 .PHONY: lint format
@@ -426,7 +459,8 @@ lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk
 	tests/lint/rooms.sh
 	clang-format --dry-run -Werror $(formatted)
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
-	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen -D__x86_64__ $(filter %.c,$(sources_c))
+	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen \
+	    -D__x86_64__ $(filter %.c,$(sources_c))
 	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
 	    -std=c11 $(CPPFLAGS) $(formats_cppflags) $(module_cppflags)
 
@@ -459,33 +493,35 @@ incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 
 .PHONY: install uninstall
-## install: programs, man pages, libraries, modules, headers and pkg-config files, under prefix=/usr/local
+## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
-	install -d $(bindir) $(libdir)/pkgconfig $(moddir) $(mandir) $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
+	install -d $(bindir) $(libdir)/pkgconfig $(moddir) $(mandir) \
+	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 644 $(archives) $(libdir)
-	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c -o $(moddir)/module_directory.c.o
+	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
+	    -o $(moddir)/module_directory.c.o
 	$(AR) r $(libdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
 	rm $(moddir)/module_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
 	for lib in voxel bake; do sed -e 's|@prefix@|$(prefix)|; s|@version@|$(VERSION)|' \
 	    tools/bisque-$$lib.pc.in > $(libdir)/pkgconfig/bisque-$$lib.pc; done
 
-## uninstall: remove what install put there
+## uninstall: remove the files of install
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(addprefix $(libdir)/,$(notdir $(archives))) $(libdir)/pkgconfig/bisque-*.pc
 	rm -rf $(incdir) $(moddir)
 
 .PHONY: clean
-## clean: remove everything that was built
+## clean: remove the build folder
 clean:
 	rm -rf build
 
 .PHONY: help
-## help: this list
+## help: list the targets
 help:
 	@sed -n 's/^## //p' $(MAKEFILE_LIST)
 

@@ -1,8 +1,8 @@
 #!/bin/sh
-# Installs those of the named Debian packages that are missing.
+# Installs the named Debian packages that are missing.
 set -eu
 command -v dpkg-query >/dev/null || {
-    echo "not a Debian system; needed are the equivalents of: $*" >&2
+    echo "not a Debian system: install the equivalents of these packages yourself: $*" >&2
     exit 0
 }
 missing=

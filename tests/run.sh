@@ -1,14 +1,14 @@
 #!/bin/sh
-# Runs test programs that print TAP lines (cmocka's, and the shell tests'), a line of summary each, and ends with
-# the counts. A program that fails without saying which test did counts as one failure.
+# Runs test programs that print TAP lines, prints a line for each, and the counts at the end. A program
+# that fails without naming a failed test counts as one failure.
 set -u
 export CMOCKA_MESSAGE_OUTPUT=TAP
-# Only programs that were built with config=tsan, or config=asan, read these.
-# Drivers are asked for their devices in a fork.
+# Sanitizer options, for programs built with config=tsan or config=asan. die_after_fork=0 because a
+# forked child enumerates the drivers' devices.
 lint=$(cd "$(dirname "$0")/lint" && pwd) || exit 1
 export TSAN_OPTIONS="suppressions=$lint/tsan.supp die_after_fork=0 ${TSAN_OPTIONS-}"
 export LSAN_OPTIONS="suppressions=$lint/lsan.supp:print_suppressions=0:${LSAN_OPTIONS-}"
-# Compiled kernels are kept beside the tests, not among the user's.
+# Compiled OpenCL kernels go to the tests' cache, not to the user's.
 XDG_CACHE_HOME=$(cd "${TESTS:?}" && pwd)/cache || exit 1
 export XDG_CACHE_HOME
 log=$(mktemp) || exit 1
@@ -17,7 +17,7 @@ passed=0 failed=0 skipped=0
 for program; do
     "$program" >"$log" 2>&1
     status=$?
-    # cmocka says "not ok" of a skipped test, too.
+    # cmocka also prints "not ok" for skipped tests.
     ok=$(grep '^ok ' "$log" | grep -vci '# skip')
     skip=$(grep -Eci '^(not )?ok .*# skip' "$log")
     bad=$(grep '^not ok ' "$log" | grep -vci '# skip')
