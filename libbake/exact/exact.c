@@ -1,4 +1,4 @@
-/* exact.c - opening a chunk file for exact rays: bounds of all chunks, materials, textures. */
+/* exact.c - opens a chunk file: tree of its chunks, materials, textures. */
 #include "base/srgb.h"
 #include "libbake/exact/exact_scene.h"
 
@@ -6,7 +6,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { TEXTURE_CACHE = 64 << 20, LEAST_TEXTURE_CACHE = 12 << 20 };
+enum { MAX_TEXTURE_CACHE = 64 << 20, MIN_TEXTURE_CACHE = 12 << 20 }; /* bytes */
 
 /* ---- opening ---- */
 
@@ -113,8 +113,8 @@ static int open_textures(struct bake_exact *exact)
         any |= paths[m] != NULL;
     }
     uint64_t cache = exact_left_of_budget(exact->ctx) / 4;
-    cache = cache > TEXTURE_CACHE ? TEXTURE_CACHE : cache;
-    cache = cache < LEAST_TEXTURE_CACHE ? LEAST_TEXTURE_CACHE : cache;
+    cache = cache > MAX_TEXTURE_CACHE ? MAX_TEXTURE_CACHE : cache;
+    cache = cache < MIN_TEXTURE_CACHE ? MIN_TEXTURE_CACHE : cache;
     if (any)
         status = fmt_textures_open(exact->ctx, paths, h->material_count, cache, &exact->textures);
     bsq_free(exact->ctx, paths);

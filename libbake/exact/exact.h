@@ -1,10 +1,11 @@
-/* exact.h - rays against the scan's own triangles, out of core.
+/* exact.h - traces rays against the triangles of a scan that need not fit into memory. Takes a
+ * chunk file and batches of rays; gives each ray's nearest hit with normal and colour.
  *
- * Rays are given in batches. They are binned to the chunks that they cross; each of those chunks is
- * loaded, gets a tree of boxes and finds the nearest hit of its rays; a second pass over the chunks
- * that won hits evaluates normals and colours there. Results do not depend on chunks, threads or
- * memory: the hit with the smallest (|t|, t < 0, triangle number) wins, all three computed alike
- * whatever the order. */
+ * A batch's rays are sorted into one bucket for each chunk that they cross. Each of these chunks is
+ * loaded, gets a tree of boxes, and finds the nearest hits of its rays. A second pass over the
+ * chunks that have hits evaluates normals and colours. Results do not depend on chunks, threads or
+ * memory: the hit with the smallest (|t|, t < 0, triangle number) wins, and all three are computed
+ * alike in any order. */
 #ifndef BAKE_EXACT_EXACT_H
 #define BAKE_EXACT_EXACT_H
 
@@ -14,9 +15,9 @@
 struct bake_exact;
 
 struct bake_exact_options {
-    const char *path; /* chunk file */
-    enum bsq_scan_normals normals;
-    bool two_sided;
+    const char *path;              /* chunk file; must live until bake_exact_close() */
+    enum bsq_scan_normals normals; /* if the scan has none of its own */
+    bool two_sided;                /* also hit surfaces that face away */
 };
 
 struct bake_exact_info {
@@ -26,33 +27,35 @@ struct bake_exact_info {
     bool has_color;
 };
 
-/* Opens the scan. Errors: as fmt_tris_open(), BSQ_ENOMEM. */
+/* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM.
+ */
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
                     struct bake_exact **out);
 void bake_exact_close(struct bake_exact *exact); /* NULL is allowed */
+/* Returns what the scan is like; valid until the scan is closed. */
 const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact);
 
-/* Opens the scan's textures, if it has any, and evaluates colours from now on. Not from parallel
- * work. Errors: as fmt_textures_open(). */
+/* Makes later batches evaluate colours, and opens the scan's textures, if it has any. Call it at
+ * most once, not from parallel work. Errors: those of fmt_textures_open(), BSQ_ENOMEM. */
 int bake_exact_use_color(struct bake_exact *exact);
 
 /* ---- rays ---- */
 
-/* Position relative to the scan's origin; unit direction, or zero: no ray. */
 struct bake_exact_ray {
-    float origin[3], direction[3];
+    float origin[3];    /* relative to the scan's origin */
+    float direction[3]; /* unit; zero: the ray hits nothing */
 };
 
 #define BAKE_EXACT_NONE UINT64_MAX
 struct bake_exact_hit {
     double t;          /* signed distance along the direction */
-    uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: nothing was hit */
+    uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: no hit */
     float normal[3];   /* unit, object space */
     float color[3];    /* linear RGB */
 };
 
-/* How far from each other a texture's samples are: steps between neighbouring rays' origins, along
- * the map's rows and columns, in the scan's units. */
+/* The distance between neighbouring rays, by which textures are filtered: the steps of the rays'
+ * origins along the rows and along the columns of the map. */
 struct bake_exact_footprint {
     float step[2][3];
 };
@@ -60,25 +63,32 @@ struct bake_exact_footprint {
 struct bake_exact_batch {
     const struct bake_exact_ray *rays;
     struct bake_exact_hit *hits; /* out */
-    uint64_t count;              /* below 2^32 */
-    double t_min, t_max;         /* hits lie within */
-    bool distances_only;         /* no normals and colours */
-    bool against; /* surfaces face the ray's origin (a camera's rays), not its end (a low mesh's) */
-    /* Filters textures: entry of the table for each ray; NULL: none. */
+    uint64_t count;              /* of rays and hits; below 2^32 */
+    double t_min, t_max;         /* range of the hits' t */
+    bool distances_only;         /* do not evaluate normals and colours */
+    /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
+     * for rays along the low-poly mesh's normals. */
+    bool facing_origin;
+    /* For each ray the index of its footprint in the table. NULL: textures are not filtered. */
     const uint32_t *footprints;
     const struct bake_exact_footprint *footprint_table;
-    uint64_t progress; /* units to add to the context's progress in all */
+    uint64_t progress; /* what the whole batch adds to the context's progress */
 };
 
-/* Number of rays that fit a batch with what is left of the budget, from which the caller takes the
- * rays, hits and footprints themselves. At least 1. */
+/* Returns the number of rays of a batch that fits what is left of the budget, at least 1. Allows
+ * for the rays, hits and footprints that the caller allocates. */
 uint64_t bake_exact_capacity(const struct bake_exact *exact);
 
-/* Traces a batch on all threads; not from parallel work. Errors: BSQ_EDATA for a damaged chunk,
- * BSQ_ENOMEM, BSQ_EINTR. */
+/* Traces a batch on all threads. Not to be called from parallel work. Errors: BSQ_EDATA for a
+ * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch);
 
-/* Whether footprints are used. */
+/* Returns whether footprints have an effect: only if colours come from textures. */
 bool bake_exact_wants_footprints(const struct bake_exact *exact);
+
+/* Returns the place of a point on a Hilbert curve through the cube at `low` with this side; 33
+ * bits. Points outside are clamped into the cube. Batches of rays that follow the curve cross few
+ * chunks. */
+uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side);
 
 #endif

@@ -1,5 +1,5 @@
-/* exact_scene.h - what the parts of the exact tracer share: the opened scan, slots for
- * chunks in memory, and the lists of rays by chunk. */
+/* exact_scene.h - what the files of this room share; private to it: the opened scan, slots for
+ * chunks in memory, and buckets of rays. */
 #ifndef BAKE_EXACT_EXACT_SCENE_H
 #define BAKE_EXACT_EXACT_SCENE_H
 
@@ -23,11 +23,23 @@ struct bake_exact {
     uint32_t chunk_count;
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
-    bool color;
+    bool color; /* hits have colours */
     struct fmt_textures *textures;
-    float (*diffuse)[3]; /* linear light, of each material */
+    float (*diffuse)[3]; /* linear light of each material */
 };
 
+/* Locks over the hits, and bucket entries per ray. If rays cross more chunks than that, the batch
+ * is traced in parts. */
+enum { EXACT_LOCKS = 1024, EXACT_PAIRS_PER_RAY = 4 };
+
+/* Returns whether hits need vertex normals that have to be summed. */
+static inline bool exact_needs_smooth(const struct bake_exact *exact)
+{
+    return !(exact->header->attributes & FMT_TRIS_NORMALS) &&
+           exact->options.normals == BSQ_SCAN_NORMALS_SMOOTH;
+}
+
+/* Returns what is left of the memory budget, in bytes. */
 static inline uint64_t exact_left_of_budget(const struct bsq_ctx *ctx)
 {
     uint64_t limit = bsq_memory_limit(ctx), used = bsq_memory_used(ctx);
@@ -36,7 +48,7 @@ static inline uint64_t exact_left_of_budget(const struct bsq_ctx *ctx)
 
 /* ---- a chunk in memory ---- */
 
-/* Sums of normals by position, see exact_smooth.c. */
+/* Sums of normals by position; see exact_smooth.c. */
 struct exact_smooth {
     struct bsq_positions table; /* of positions */
     uint32_t *entry_of;         /* of each vertex of the chunk, + 1; 0: not needed */
@@ -54,26 +66,40 @@ struct exact_slot {
     void *chunk_memory, *tree_memory, *smooth_memory;
 };
 
-/* Buffers of one worker while it prepares a slot. */
+/* Buffers of a thread while it prepares a slot. */
 struct exact_scratch {
     void *boxes;     /* of a chunk's triangles */
     void *keys;      /* for sorting them */
     void *neighbour; /* another chunk */
     uint32_t *map;   /* of its vertices */
-    uint32_t *near;  /* chunk numbers, chunk_count of them */
+    uint32_t *near;  /* chunk_count chunk numbers */
 };
 
-/* Loads a chunk into the slot, and makes its tree. */
+/* The slots of a wave of chunks. */
+struct exact_slots {
+    uint32_t count, preparers; /* slots; threads that may prepare them at the same time */
+    struct exact_slot *slots;
+    struct exact_scratch *scratches; /* of each preparer */
+    void *memory;                    /* holds the buffers of all slots and scratches */
+};
+
+/* Allocates slots for up to half of what is left of the budget. Free them, also after a failure. */
+int bake_exact_slots_create(const struct bake_exact *exact, struct exact_slots *out);
+void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
+
+/* Loads a chunk into a slot. */
 int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot);
+/* Builds the tree of the loaded chunk. */
 void bake_exact_slot_build(struct exact_slot *slot, const struct exact_scratch *scratch);
 
-/* The nearest hit so far of one ray. */
+/* The nearest hit of a ray so far. */
 struct exact_best {
     double t;
     uint64_t triangle;
-    float w1, w2;
+    float w1, w2; /* barycentric weights of the second and third corner */
 };
-/* a wins over b: nearer, else in front, else of the lower number. */
+/* Returns whether a hit wins over another: the nearer one, then the one in front, then the one with
+ * the lower triangle number. */
 static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint64_t other_triangle)
 {
     if (fabs(t) != fabs(other_t))
@@ -85,31 +111,33 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
 
 struct exact_limits {
     double t_min, t_max;
-    bool against, two_sided;
+    bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */
 };
 
-/* Improves *best by the chunk's triangles; true where it did. first: number of the chunk's first
- * triangle. */
+/* Replaces *best by the nearest hit among the chunk's triangles, if that wins. Returns whether it
+ * did. first: number of the chunk's first triangle. */
 bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
                            const struct bake_exact_ray *ray, const struct exact_limits *limits,
                            struct exact_best *best);
 
 /* ---- rays by chunk ---- */
 
-/* Rays of chunk c: rays[starts[c]] .. rays[starts[c + 1] - 1], ascending. */
-struct exact_bins {
+/* The rays that cross each chunk: those of chunk c are rays[starts[c]] to rays[starts[c + 1] - 1],
+ * ascending. */
+struct exact_buckets {
     uint32_t *rays;
     uint64_t capacity;
     uint64_t *starts; /* chunk_count + 1 */
 };
 
-/* Bins the rays [first, first + *count) of a batch; lowers *count where their pairs do not fit. */
-int bake_exact_bin(const struct bake_exact *exact, const struct bake_exact_batch *batch,
-                   uint64_t first, uint64_t *count, struct exact_bins *bins);
-/* Bytes that binning needs besides the bins. */
-uint64_t bake_exact_bin_bytes(const struct bake_exact *exact);
+/* Sorts rays [first, first + *count) of a batch into the buckets. If they do not fit, lowers *count
+ * until they do. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact_batch *batch,
+                         uint64_t first, uint64_t *count, struct exact_buckets *buckets);
+/* Returns the bytes that sorting needs besides the buckets. */
+uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
 
-/* ---- attributes ---- */
+/* ---- normals and colours ---- */
 
 uint64_t bake_exact_smooth_bytes(uint32_t vertices);
 /* Starts collecting; then each vertex of the chunk whose normal is needed; then the sums. */
@@ -118,7 +146,8 @@ void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
 int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
                           const struct exact_scratch *scratch);
 
-/* Turns hits that hold barycentric weights in normal[0 .. 1] into normals and colours. */
+/* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
+ * its barycentric weights in normal[0] and normal[1]. */
 int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *slot,
                      const struct bake_exact_batch *batch, uint64_t ray);
 

@@ -1,4 +1,4 @@
-/* exact_shade.c - normal and colour at a hit. */
+/* exact_shade.c - evaluates the normal and colour of a hit. */
 #include "libbake/exact/exact_scene.h"
 
 #include <string.h>
@@ -6,14 +6,14 @@
 #include "base/octahedral.h"
 #include "libbake/kernel/bk_srgb.h"
 
-/* A hit's triangle. */
+/* A hit and its triangle. */
 struct place {
     const struct exact_slot *slot;
     uint32_t triangle;
     const uint32_t *v;
-    double w[3];
+    double w[3];       /* barycentric weights */
     double edge[2][3]; /* from the first corner */
-    double cross[3];   /* of the edges: along the normal, twice the area long */
+    double cross[3];   /* product of the edges: twice the area vector */
 };
 
 static double dot(const double a[3], const double b[3])
@@ -47,7 +47,7 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
 
 /* ---- normals ---- */
 
-/* Adds the unit normal of a corner: its vertex's, or the triangle's own at a crease. */
+/* Adds the weighted unit normal of a corner: that of its vertex, or at a crease the triangle's. */
 static void add_smooth(const struct place *place, int corner, double sum[3])
 {
     const struct exact_smooth *smooth = &place->slot->smooth;
@@ -86,13 +86,13 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
 
 /* ---- colours ---- */
 
-/* Width of the samples' footprint in texture space: one step along the map's rows and one along its
- * columns, moved along the ray onto the triangle's plane. */
+/* Computes the width of a ray's footprint in texture space: the steps along the map's rows and
+ * columns are projected along the ray onto the plane of the triangle. */
 static void footprint(const struct place *place, const struct bake_exact_ray *ray,
                       const struct bake_exact_footprint *step, const float (*uv)[2],
                       double width[2])
 {
-    /* A flat ray's steps grow without limit; a texture cannot follow them. */
+    /* At grazing angles the projected steps would grow without limit. */
     const double flattest = 0.25;
     const double square = dot(place->cross, place->cross), length = sqrt(square);
     const double d[3] = {(double)ray->direction[0], (double)ray->direction[1],
@@ -141,8 +141,8 @@ static int shade_texture(const struct bake_exact *exact, const struct place *pla
                               (float)width[0], (float)width[1], out);
 }
 
-/* In order of precedence: texture, vertex colours, the material's colour. Black where there is
- * none. */
+/* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
+ * material. Black if the scan has none of them. */
 static int shade_color(const struct bake_exact *exact, const struct place *place,
                        const struct bake_exact_batch *batch, uint64_t ray, float out[3])
 {

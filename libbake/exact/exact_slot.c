@@ -1,9 +1,9 @@
-/* exact_slot.c - one chunk in memory, and the nearest hit among its triangles.
+/* exact_slot.c - loads a chunk, and finds the nearest hit among its triangles.
  *
- * The boxes of single triangles are in the tree, so that most of the exact tests in double are of
- * triangles that are hit. */
+ * The leaves of the tree are boxes of single triangles, so that most triangles that are tested in
+ * double are hit. */
 #include "libbake/exact/exact_scene.h"
-#include "libbake/exact/exact_triangle.h"
+#include "libbake/exact/exact_line.h"
 
 #include "base/octahedral.h"
 
@@ -48,9 +48,9 @@ struct trace {
     const struct exact_limits *limits;
     const struct bake_exact_ray *ray;
     struct exact_line line;
-    struct exact_shear shear; /* set before the first triangle: many rays meet none */
+    struct exact_shear shear; /* set for the first triangle: many rays meet none */
     bool sheared;
-    struct exact_span span; /* where hits would be taken; shrinks */
+    struct exact_span span; /* where a hit would win; shrinks with each hit */
     struct exact_best *best;
     bool improved;
 };
@@ -67,7 +67,8 @@ static void set_span(struct trace *trace)
     trace->span = exact_span_of(begin, end);
 }
 
-/* A scan whose faces are wound the wrong way tells by its normals which side is outside. */
+/* Checks whether the winding of a triangle disagrees with its vertex normals. The normals then
+ * decide which side is outside. */
 static bool wound_backwards(const struct fmt_tris_chunk *chunk, const uint32_t *v)
 {
     const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
@@ -87,6 +88,7 @@ static bool wound_backwards(const struct fmt_tris_chunk *chunk, const uint32_t *
     return dot < 0;
 }
 
+/* Tests a triangle, and takes its hit if that wins. */
 static void try_triangle(struct trace *trace, uint32_t triangle)
 {
     const struct fmt_tris_chunk *chunk = &trace->slot->chunk;
@@ -109,7 +111,7 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
         bool along = crossing.along;
         if (chunk->normals && wound_backwards(chunk, v))
             along = !along;
-        if (along == limits->against)
+        if (along == limits->facing_origin)
             return;
     }
     *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2};
@@ -122,7 +124,7 @@ struct entry {
     uint32_t level, node;
 };
 
-/* Pushes the children that are crossed so that the nearest is on top. */
+/* Pushes the children that the ray crosses, the nearest one last. Returns the new depth. */
 static uint32_t push_children(struct entry *stack, uint32_t depth, uint32_t level, uint32_t node,
                               unsigned bits, const float distances[4])
 {

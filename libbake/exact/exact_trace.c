@@ -1,11 +1,13 @@
-/* exact_trace.c - batches of rays against a chunk file.
+/* exact_trace.c - traces a batch of rays against a chunk file.
  *
- * Chunks go through memory in waves: as many as there are slots are prepared, one a thread, and
- * then all threads work on blocks of their rays, so that a scan of a single chunk keeps every
- * thread busy too. The first pass finds the nearest hits; chunks may improve a ray's hit in any
- * order and at the same time. The second pass looks attributes up where the chunk at hand won.
+ * Chunks go through memory in waves. A wave first prepares as many chunks as there are slots, one
+ * per thread. Then all threads work on blocks of the chunks' rays, so that even a scan of a single
+ * chunk keeps every thread busy. The first pass finds the nearest hits; chunks may improve the hit
+ * of a ray in any order and at the same time. The second pass evaluates normals and colours of the
+ * hits in each chunk.
  *
- * A chunk's tree is made anew for each batch: it takes a few milliseconds and nothing is kept. */
+ * The tree of a chunk is built again for each batch: that takes a few milliseconds, and keeping
+ * trees would take memory. */
 #include "libbake/exact/exact_scene.h"
 
 #include <math.h>
@@ -13,120 +15,26 @@
 #include "base/parallel.h"
 
 enum {
-    BLOCK = 4096,       /* rays of a chunk that are traced at a time */
-    SLOTS_A_THREAD = 4, /* so that waves end evenly */
-    STRIPES = 1024,     /* locks over the hits */
-    PAIRS_A_RAY = 4 /* room for chunks a ray crosses; where they are more, batches go in parts */
+    BLOCK = 4096 /* rays of a chunk that a thread traces at a time */
 };
-
-/* ---- memory ---- */
-
-static bool needs_smooth(const struct bake_exact *exact)
-{
-    return !(exact->header->attributes & FMT_TRIS_NORMALS) &&
-           exact->options.normals == BSQ_SCAN_NORMALS_SMOOTH;
-}
-
-static uint64_t align64(uint64_t bytes)
-{
-    return (bytes + 63) & ~UINT64_C(63);
-}
-
-/* Largest sizes over all chunks, of the parts of a slot and of a worker's scratch. */
-struct sizes {
-    uint64_t chunk, tree, smooth;
-    uint64_t boxes, keys, neighbour, map, near;
-};
-
-static struct sizes measure(const struct bake_exact *exact)
-{
-    struct sizes sizes = {0};
-    uint32_t triangles = 0, vertices = 0;
-    for (uint32_t c = 0; c < exact->chunk_count; c++) {
-        const struct fmt_tris_chunk_info *chunk = &exact->chunks[c];
-        triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
-        vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
-    }
-    sizes.chunk = align64(fmt_tris_load_size_max(exact->file));
-    sizes.tree = align64(bake_exact_tree_bytes(triangles));
-    sizes.boxes = align64(triangles * sizeof(struct exact_box));
-    sizes.keys = align64(bake_exact_tree_scratch_bytes(triangles));
-    if (needs_smooth(exact)) {
-        sizes.smooth = align64(bake_exact_smooth_bytes(vertices));
-        sizes.neighbour = sizes.chunk;
-        sizes.map = align64(vertices * sizeof(uint32_t));
-        sizes.near = align64(exact->chunk_count * sizeof(uint32_t));
-    }
-    return sizes;
-}
-
-/* A slot does not hold a tree and sums of normals at the same time. */
-static uint64_t slot_bytes(const struct sizes *sizes)
-{
-    return sizes->chunk + (sizes->tree > sizes->smooth ? sizes->tree : sizes->smooth);
-}
-
-static uint64_t scratch_bytes(const struct sizes *sizes)
-{
-    uint64_t building = sizes->boxes + sizes->keys;
-    uint64_t shading = sizes->neighbour + sizes->map + sizes->near;
-    return building > shading ? building : shading;
-}
-
-/* Slots and threads that prepare them: less of both where memory is short. */
-struct plan {
-    uint32_t slots, preparers;
-    uint64_t bytes;
-};
-
-static struct plan plan_slots(const struct bake_exact *exact, uint64_t memory)
-{
-    const struct sizes sizes = measure(exact);
-    const uint64_t slot = slot_bytes(&sizes), scratch = scratch_bytes(&sizes);
-    const uint32_t threads = bsq_threads(exact->ctx);
-    struct plan plan = {.slots = SLOTS_A_THREAD * threads, .preparers = threads};
-    while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
-        plan.slots--;
-        plan.preparers = plan.slots < threads ? plan.slots : threads;
-    }
-    plan.bytes = plan.slots * slot + plan.preparers * scratch;
-    return plan;
-}
-
-uint64_t bake_exact_capacity(const struct bake_exact *exact)
-{
-    const uint64_t left = exact_left_of_budget(exact->ctx);
-    const uint64_t fixed = plan_slots(exact, left / 4).bytes + bake_exact_bin_bytes(exact) +
-                           (exact->chunk_count + 1) * (sizeof(uint64_t) + PAIRS_A_RAY * 4) +
-                           STRIPES * sizeof(pthread_mutex_t);
-    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
-                         (exact->textures ? sizeof(uint32_t) : 0) + PAIRS_A_RAY * sizeof(uint32_t);
-    /* An eighth stays for what others need meanwhile. */
-    const uint64_t room = left / 8 * 7;
-    const uint64_t rays = room > fixed ? (room - fixed) / ray : 0;
-    return rays < 1 ? 1 : rays > UINT32_MAX / 4 ? UINT32_MAX / 4 : rays;
-}
 
 /* ---- waves ---- */
 
 struct block {
     uint32_t slot;
-    uint64_t begin, end; /* in the bins */
+    uint64_t begin, end; /* rays of the buckets */
 };
 
 struct wave {
     struct bake_exact *exact;
     const struct bake_exact_batch *batch;
-    const struct exact_bins *bins;
+    const struct exact_buckets *buckets;
     struct exact_limits limits;
-    pthread_mutex_t *locks;
-    struct plan plan;
-    struct exact_slot *slots;
-    struct exact_scratch *scratches;
-    void *memory;
+    pthread_mutex_t *locks; /* EXACT_LOCKS, each for some of the hits */
+    struct exact_slots memory;
     uint32_t used;      /* slots of this wave */
     bool shading;       /* the second pass */
-    uint64_t ray_count; /* of the part of the batch */
+    uint64_t ray_count; /* rays that were sorted into the buckets */
     struct block *blocks;
     uint64_t block_capacity, block_count;
 };
@@ -138,16 +46,16 @@ static bool in_chunk(const struct bake_exact *exact, uint32_t chunk, uint64_t tr
            triangle - info->first_triangle < info->triangle_count;
 }
 
-/* Loads what the chunk's hits need, if it won any. */
+/* Loads a chunk and sums the vertex normals that its hits need, if it has hits. */
 static int prepare_shading(struct wave *wave, struct exact_slot *slot,
                            const struct exact_scratch *scratch)
 {
     const struct bake_exact *exact = wave->exact;
-    const struct exact_bins *bins = wave->bins;
-    const uint64_t begin = bins->starts[slot->number], end = bins->starts[slot->number + 1];
-    const bool smooth = needs_smooth(exact);
+    const struct exact_buckets *buckets = wave->buckets;
+    const uint64_t begin = buckets->starts[slot->number], end = buckets->starts[slot->number + 1];
+    const bool smooth = exact_needs_smooth(exact);
     for (uint64_t i = begin; i < end; i++) {
-        const uint64_t triangle = wave->batch->hits[bins->rays[i]].triangle;
+        const uint64_t triangle = wave->batch->hits[buckets->rays[i]].triangle;
         if (!in_chunk(exact, slot->number, triangle))
             continue;
         if (!slot->loaded) {
@@ -167,10 +75,10 @@ static int prepare_shading(struct wave *wave, struct exact_slot *slot,
 static int prepare_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct wave *wave = arg;
-    struct exact_slot *slot = &wave->slots[index];
-    /* Fewer than the threads only where there are as few slots. */
-    const bool one_each = wave->plan.preparers < bsq_threads(wave->exact->ctx);
-    const struct exact_scratch *scratch = &wave->scratches[one_each ? index : worker];
+    struct exact_slot *slot = &wave->memory.slots[index];
+    /* If there are fewer scratches than threads, there are as many as slots. */
+    const bool one_each = wave->memory.preparers < bsq_threads(wave->exact->ctx);
+    const struct exact_scratch *scratch = &wave->memory.scratches[one_each ? index : worker];
     slot->loaded = false;
     if (wave->shading)
         return prepare_shading(wave, slot, scratch);
@@ -183,7 +91,7 @@ static int prepare_slot(void *arg, uint64_t index, unsigned worker)
 static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t ray)
 {
     struct bake_exact_hit *hit = &wave->batch->hits[ray];
-    pthread_mutex_t *lock = &wave->locks[ray / 4 % STRIPES];
+    pthread_mutex_t *lock = &wave->locks[ray / 4 % EXACT_LOCKS];
     struct exact_best best;
     pthread_mutex_lock(lock);
     best.t = hit->t;
@@ -203,11 +111,11 @@ static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t
     pthread_mutex_unlock(lock);
 }
 
-/* Spreads the batch's progress evenly over the pairs of the first pass. */
+/* Spreads the progress of the batch evenly over the pairs of ray and chunk of the first pass. */
 static void add_progress(const struct wave *wave, const struct block *block)
 {
     const struct bake_exact_batch *batch = wave->batch;
-    const double pairs = (double)wave->bins->starts[wave->exact->chunk_count];
+    const double pairs = (double)wave->buckets->starts[wave->exact->chunk_count];
     const double units = (double)batch->progress * (double)wave->ray_count / (double)batch->count;
     const uint64_t before = (uint64_t)(units * ((double)block->begin / pairs)),
                    after = (uint64_t)(units * ((double)block->end / pairs));
@@ -219,8 +127,8 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     struct wave *wave = arg;
     const struct block *block = &wave->blocks[index];
-    const struct exact_slot *slot = &wave->slots[block->slot];
-    const uint32_t *rays = wave->bins->rays;
+    const struct exact_slot *slot = &wave->memory.slots[block->slot];
+    const uint32_t *rays = wave->buckets->rays;
     if (!wave->shading) {
         for (uint64_t i = block->begin; i < block->end; i++)
             trace_ray(wave, slot, rays[i]);
@@ -241,8 +149,9 @@ static int list_blocks(struct wave *wave)
 {
     wave->block_count = 0;
     for (uint32_t s = 0; s < wave->used; s++) {
-        const uint64_t end = wave->bins->starts[wave->slots[s].number + 1];
-        for (uint64_t at = wave->bins->starts[wave->slots[s].number]; at < end; at += BLOCK) {
+        const uint64_t end = wave->buckets->starts[wave->memory.slots[s].number + 1];
+        for (uint64_t at = wave->buckets->starts[wave->memory.slots[s].number]; at < end;
+             at += BLOCK) {
             int status = bsq_grow(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
                                   sizeof *wave->blocks, &wave->blocks, &wave->block_capacity);
             if (status < 0)
@@ -268,15 +177,15 @@ static int run_wave(struct wave *wave)
 
 static int run_waves(struct wave *wave, bool shading)
 {
-    const struct exact_bins *bins = wave->bins;
+    const struct exact_buckets *buckets = wave->buckets;
     int status = 0;
     wave->shading = shading;
     wave->used = 0;
     for (uint32_t c = 0; status == 0 && c < wave->exact->chunk_count; c++) {
-        if (bins->starts[c] == bins->starts[c + 1])
+        if (buckets->starts[c] == buckets->starts[c + 1])
             continue;
-        wave->slots[wave->used++].number = c;
-        if (wave->used == wave->plan.slots)
+        wave->memory.slots[wave->used++].number = c;
+        if (wave->used == wave->memory.count)
             status = run_wave(wave);
     }
     return status == 0 && wave->used > 0 ? run_wave(wave) : status;
@@ -284,66 +193,36 @@ static int run_waves(struct wave *wave, bool shading)
 
 /* ---- a batch ---- */
 
-static int allocate_slots(struct wave *wave)
-{
-    struct bsq_ctx *ctx = wave->exact->ctx;
-    const struct sizes sizes = measure(wave->exact);
-    const struct plan *plan = &wave->plan;
-    int status =
-        bsq_calloc(ctx, "chunks in memory", plan->slots, sizeof *wave->slots, &wave->slots);
-    if (status == 0)
-        status = bsq_calloc(ctx, "chunks in memory", plan->preparers, sizeof *wave->scratches,
-                            &wave->scratches);
-    if (status == 0)
-        status = bsq_alloc(ctx, "chunks in memory", plan->bytes, 1, &wave->memory);
-    if (status < 0)
-        return status;
-    char *at = wave->memory;
-    for (uint32_t s = 0; s < plan->slots; s++, at += slot_bytes(&sizes)) {
-        wave->slots[s].chunk_memory = at;
-        wave->slots[s].tree_memory = wave->slots[s].smooth_memory = at + sizes.chunk;
-    }
-    for (uint32_t p = 0; p < plan->preparers; p++, at += scratch_bytes(&sizes)) {
-        struct exact_scratch *scratch = &wave->scratches[p];
-        scratch->boxes = scratch->neighbour = at;
-        scratch->keys = at + sizes.boxes;
-        scratch->map = (uint32_t *)(void *)(at + sizes.neighbour);
-        scratch->near = (uint32_t *)(void *)(at + sizes.neighbour + sizes.map);
-    }
-    return 0;
-}
-
-static int allocate(struct wave *wave, struct exact_bins *bins)
+static int allocate(struct wave *wave, struct exact_buckets *buckets)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
-    bins->capacity = PAIRS_A_RAY * wave->batch->count + chunks;
-    int status = allocate_slots(wave);
+    buckets->capacity = EXACT_PAIRS_PER_RAY * wave->batch->count + chunks;
+    int status = bake_exact_slots_create(wave->exact, &wave->memory);
     if (status == 0)
-        status = bsq_alloc(ctx, "rays by chunk", bins->capacity, sizeof *bins->rays, &bins->rays);
+        status = bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->rays,
+                           &buckets->rays);
     if (status == 0)
-        status = bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *bins->starts,
-                           &bins->starts);
+        status = bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *buckets->starts,
+                           &buckets->starts);
     if (status == 0)
-        status = bsq_alloc(ctx, "locks", STRIPES, sizeof *wave->locks, &wave->locks);
+        status = bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks);
     if (status == 0)
-        for (int i = 0; i < STRIPES; i++)
+        for (int i = 0; i < EXACT_LOCKS; i++)
             pthread_mutex_init(&wave->locks[i], NULL);
     return status;
 }
 
-static void release(struct wave *wave, struct exact_bins *bins)
+static void release(struct wave *wave, struct exact_buckets *buckets)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
-    for (int i = 0; wave->locks && i < STRIPES; i++)
+    for (int i = 0; wave->locks && i < EXACT_LOCKS; i++)
         pthread_mutex_destroy(&wave->locks[i]);
     bsq_free(ctx, wave->locks);
     bsq_free(ctx, wave->blocks);
-    bsq_free(ctx, bins->rays);
-    bsq_free(ctx, bins->starts);
-    bsq_free(ctx, wave->memory);
-    bsq_free(ctx, wave->slots);
-    bsq_free(ctx, wave->scratches);
+    bsq_free(ctx, buckets->rays);
+    bsq_free(ctx, buckets->starts);
+    bake_exact_slots_free(ctx, &wave->memory);
 }
 
 static int clear_hits(void *arg, uint64_t index, unsigned worker)
@@ -356,11 +235,11 @@ static int clear_hits(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-/* A part of the batch: as many rays as have room in the bins. */
-static int trace_part(struct wave *wave, struct exact_bins *bins, uint64_t *done)
+/* Traces the next part of the batch: as many rays as fit the buckets. Adds their count to *done. */
+static int trace_part(struct wave *wave, struct exact_buckets *buckets, uint64_t *done)
 {
     wave->ray_count = wave->batch->count - *done;
-    int status = bake_exact_bin(wave->exact, wave->batch, *done, &wave->ray_count, bins);
+    int status = bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->ray_count, buckets);
     if (status == 0)
         status = run_waves(wave, false);
     if (status == 0 && !wave->batch->distances_only)
@@ -371,23 +250,22 @@ static int trace_part(struct wave *wave, struct exact_bins *bins, uint64_t *done
 
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch)
 {
-    struct exact_bins bins = {0};
+    struct exact_buckets buckets = {0};
     struct wave wave = {.exact = exact,
                         .batch = batch,
-                        .bins = &bins,
+                        .buckets = &buckets,
                         .limits = {.t_min = batch->t_min,
                                    .t_max = batch->t_max,
-                                   .against = batch->against,
-                                   .two_sided = exact->options.two_sided},
-                        .plan = plan_slots(exact, exact_left_of_budget(exact->ctx) / 2)};
+                                   .facing_origin = batch->facing_origin,
+                                   .two_sided = exact->options.two_sided}};
     if (batch->count == 0)
         return 0;
-    int status = allocate(&wave, &bins);
+    int status = allocate(&wave, &buckets);
     if (status == 0)
         status = bsq_parallel_for(exact->ctx, (batch->count - 1) / BLOCK + 1, clear_hits,
                                   (void *)(uintptr_t)batch);
     for (uint64_t done = 0; status == 0 && done < batch->count;)
-        status = trace_part(&wave, &bins, &done);
-    release(&wave, &bins);
+        status = trace_part(&wave, &buckets, &done);
+    release(&wave, &buckets);
     return status;
 }

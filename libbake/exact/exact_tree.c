@@ -1,9 +1,11 @@
-/* exact_tree.c - building and searching trees of boxes. */
+/* exact_tree.c - builds and searches trees of boxes, and computes places on the Hilbert curve. */
 #include "libbake/exact/exact_tree.h"
+#include "libbake/exact/exact.h"
 
+#include <math.h>
 #include <string.h>
 
-/* A sort key: place on the curve above, number of the box below. */
+/* A sort key: the place on the curve in the upper bits, the number of the box in the lower ones. */
 enum { NUMBER_BITS = 31, AXIS_BITS = 11, DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS };
 _Static_assert(NUMBER_BITS + 3 * AXIS_BITS == 64, "keys fill 64 bits");
 
@@ -40,9 +42,9 @@ uint64_t bake_exact_tree_scratch_bytes(uint32_t count)
 
 /* ---- order ---- */
 
-/* Hilbert's curve as an automaton: for a state and an octant (x in bit 0), the octant's place on
- * the curve in the low three bits, and the state inside of it above. Found by following the curve
- * of Skilling ("Programming the Hilbert curve", 2004) through two levels. */
+/* Hilbert's curve as an automaton. For a state and an octant (x in bit 0): the place of the octant
+ * on the curve in the lower three bits, and the state inside of it in the upper ones. The table
+ * follows the curve of Skilling ("Programming the Hilbert curve", 2004) through two levels. */
 static const uint8_t hilbert[24][8] = {
     {8, 55, 27, 36, 17, 46, 2, 5},
     {56, 75, 65, 10, 95, 20, 86, 13},
@@ -91,7 +93,7 @@ uint64_t bake_exact_curve_place(const float point[3], const float low[3], double
     return place;
 }
 
-/* Keys of the boxes' centres, on a lattice that divides the longest side of their bounds. */
+/* Makes the sort keys of boxes, from the places of their centres on the curve. */
 static void make_keys(uint32_t count, const struct exact_box *boxes, uint64_t *keys)
 {
     float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};

@@ -84,7 +84,7 @@ static int render_strip(struct strip *strip)
                                            .count = (uint64_t)strip->rows * ROW_RAYS,
                                            .t_min = 0,
                                            .t_max = strip->view->scan_span,
-                                           .against = true};
+                                           .facing_origin = true};
     int status = bsq_parallel_for(ctx, strip->rows, cast_row, strip);
     if (status == 0)
         status = bake_surface_trace(strip->preview->surface, &params, &rays);

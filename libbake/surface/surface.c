@@ -134,7 +134,7 @@ static void trace_grid_ray(const struct grid_trace *trace, const struct bake_exa
     float facing[3];
     struct bk_hit hit = {0};
     for (int k = 0; k < 3; k++)
-        facing[k] = rays->against ? -d[k] : d[k];
+        facing[k] = rays->facing_origin ? -d[k] : d[k];
     if (d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f)
         bake_trace_ray(&trace->surface->grid, trace->params, ray->origin, d,
                        (float)(rays->t_min / unit), (float)(rays->t_max / unit), facing, &hit);
@@ -165,7 +165,7 @@ static int trace_exact(const struct bake_surface *surface, const struct bake_sur
                                                .t_min = rays->t_min,
                                                .t_max = rays->t_max,
                                                .distances_only = rays->distances_only,
-                                               .against = rays->against};
+                                               .facing_origin = rays->facing_origin};
         status = bake_exact_trace(surface->exact, &batch);
         at += batch.count;
     }

@@ -16,8 +16,8 @@ struct bake_surface {
     double scan_min[3], scan_max[3]; /* world */
     /* Index space, where rays are: (world - translation) / unit. For triangles, unit is 1. */
     double translation[3], unit;
-    double
-        detail; /* world units: a voxel, or for triangles 1/2048 of the longest side of the scan */
+    /* Size of a voxel, or for triangles 1/2048 of the longest side of the scan; world units. */
+    double detail;
 };
 
 /* Opens options->scan_path; the content of the file decides which kind of surface it is. *out must
@@ -40,7 +40,7 @@ struct bake_surface_rays {
     struct bake_exact_hit *hits;       /* out; `count` entries; a grid's hits have triangle 0 */
     uint64_t count;
     double t_min, t_max;          /* world units, as the hits' t */
-    bool distances_only, against; /* as in struct bake_exact_batch */
+    bool distances_only, facing_origin; /* as in struct bake_exact_batch */
 };
 /* Traces any number of rays on all threads. params: used for grids only. Not to be called from
  * parallel work. Errors: those of bake_exact_trace(). */

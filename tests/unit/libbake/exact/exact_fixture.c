@@ -125,7 +125,7 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
                                          .count = count - at < capacity ? count - at : capacity,
                                          .t_min = setup->t_min,
                                          .t_max = setup->t_max,
-                                         .against = setup->against,
+                                         .facing_origin = setup->facing_origin,
                                          .footprints = footprints,
                                          .footprint_table = setup->footprint};
         int status = bake_exact_trace(exact, &batch);

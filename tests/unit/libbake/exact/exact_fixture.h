@@ -33,7 +33,7 @@ void exact_write_scan(const struct triangle_scan *mesh, uint32_t chunk_triangles
 struct exact_setup {
     unsigned threads;
     uint64_t memory;
-    bool two_sided, flat, color, against;
+    bool two_sided, flat, color, facing_origin;
     double t_min, t_max;
     const struct bake_exact_footprint *footprint; /* of all rays */
 };

@@ -100,7 +100,7 @@ static void test_facing(void **state)
     assert_true(hit.t == 0.5 && hit.normal[2] == 1.0f);
     hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
     assert_true(hit.triangle == BAKE_EXACT_NONE);
-    setup.against = true; /* a camera above sees it */
+    setup.facing_origin = true; /* a camera above sees it */
     hit = exact_trace_one(&setup, 0.5f, 1.5f, 0.75f, -1);
     assert_int_equal(hit.triangle, 1);
     assert_true(hit.t == 0.75);

@@ -56,7 +56,7 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         struct candidate c = meet(mesh, t, ray);
         if (c.least > slack && c.t > setup->t_min + slack && c.t < setup->t_max - slack &&
-            (setup->two_sided || c.along != setup->against))
+            (setup->two_sided || c.along != setup->facing_origin))
             nearest = fmin(nearest, fabs(c.t));
     }
     if (hit->triangle == BAKE_EXACT_NONE) {
@@ -68,7 +68,7 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
     assert_true(fabs(hit->t - c.t) < slack);
     assert_true(c.least > -slack);
     assert_true(hit->t >= setup->t_min && hit->t <= setup->t_max);
-    assert_true(setup->two_sided || c.along != setup->against);
+    assert_true(setup->two_sided || c.along != setup->facing_origin);
 }
 
 static void test_soup_agrees_with_brute_force(void **state)
@@ -82,7 +82,7 @@ static void test_soup_agrees_with_brute_force(void **state)
     for (int variant = 0; variant < 4; variant++) {
         struct exact_setup setup = {.threads = 2,
                                     .two_sided = variant == 1,
-                                    .against = variant == 2,
+                                    .facing_origin = variant == 2,
                                     .t_min = variant == 3 ? 0.05 : -0.3,
                                     .t_max = 0.4};
         uint64_t found = 0;

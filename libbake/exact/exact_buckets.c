@@ -1,0 +1,237 @@
+/* exact_buckets.c - sorts rays into buckets, one for each chunk that a ray crosses.
+ *
+ * Neighbouring rays cross the same few chunks, so candidate chunks are looked up once for a group
+ * of rays. This is a counting sort over segments of the batch: each segment counts its pairs of ray
+ * and chunk, and later writes them to places of its own. So the rays of a bucket are in order for
+ * any number of threads. */
+#include "libbake/exact/exact_scene.h"
+#include "libbake/exact/exact_line.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+
+#include "base/parallel.h"
+
+enum { GROUP = 64, SEGMENTS_A_THREAD = 4 };
+
+struct worker {
+    uint32_t *candidates; /* chunks */
+    struct exact_box4 *boxes;
+};
+
+struct sorting {
+    const struct bake_exact *exact;
+    const struct bake_exact_batch *batch;
+    uint64_t first, count; /* rays of the batch */
+    uint64_t segment_rays;
+    uint32_t segments;
+    /* segments x chunk_count: pairs of each segment and chunk; in the second pass the place of the
+     * segment's next ray in the bucket. */
+    uint32_t *counts;
+    struct worker *workers;
+    struct exact_buckets *buckets;
+    bool writing; /* the second pass */
+};
+
+static uint32_t segments_of(const struct bake_exact *exact)
+{
+    return SEGMENTS_A_THREAD * bsq_threads(exact->ctx);
+}
+
+static uint64_t box4_count(const struct bake_exact *exact)
+{
+    return exact->chunk_count / 4 + 1;
+}
+
+uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact)
+{
+    uint64_t worker = exact->chunk_count * sizeof(uint32_t) +
+                      box4_count(exact) * sizeof(struct exact_box4) + sizeof(struct worker);
+    return segments_of(exact) * (uint64_t)exact->chunk_count * sizeof(uint32_t) +
+           bsq_threads(exact->ctx) * worker;
+}
+
+/* ---- groups ---- */
+
+/* Grows the box by the part of a ray where hits count, with a margin for rounding errors. */
+static void add_ray(struct exact_box *box, const struct bake_exact_ray *ray,
+                    const struct bake_exact_batch *batch)
+{
+    for (int k = 0; k < 3; k++) {
+        const double o = (double)ray->origin[k], d = (double)exact_component(ray->direction[k]);
+        const double a = d * batch->t_min, b = d * batch->t_max;
+        const double low = o + (a < b ? a : b), high = o + (a > b ? a : b);
+        const double slack = (fabs(o) + fabs(a) + fabs(b)) * 1e-15;
+        const struct exact_span span = exact_span_of(low - slack, high + slack);
+        box->low[k] = span.begin < box->low[k] ? span.begin : box->low[k];
+        box->high[k] = span.end > box->high[k] ? span.end : box->high[k];
+    }
+}
+
+/* Finds the chunks that rays [begin, end) may cross, and gathers their boxes by fours. Returns
+ * their count. */
+static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
+                                struct worker *worker)
+{
+    struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+    struct exact_line line;
+    for (uint64_t r = begin; r < end; r++)
+        if (exact_line_set(&line, s->batch->rays[r].origin, s->batch->rays[r].direction))
+            add_ray(&box, &s->batch->rays[r], s->batch);
+    uint32_t count = bake_exact_tree_overlapping(&s->exact->tree, &box, worker->candidates);
+    for (uint32_t i = 0; i < count; i++) {
+        const struct fmt_tris_chunk_info *chunk = &s->exact->chunks[worker->candidates[i]];
+        for (int k = 0; k < 3; k++) {
+            worker->boxes[i / 4].planes[0][k][i % 4] = chunk->bounds_min[k];
+            worker->boxes[i / 4].planes[1][k][i % 4] = chunk->bounds_max[k];
+        }
+    }
+    for (uint32_t i = count; i % 4 != 0; i++)
+        for (int k = 0; k < 3; k++) {
+            worker->boxes[i / 4].planes[0][k][i % 4] = INFINITY;
+            worker->boxes[i / 4].planes[1][k][i % 4] = -INFINITY;
+        }
+    return count;
+}
+
+/* Counts the chunks that a ray crosses, and in the second pass adds the ray to their buckets. */
+static void sort_ray(const struct sorting *s, uint64_t ray, uint32_t candidates,
+                     const struct worker *worker, uint32_t *counts)
+{
+    const struct bake_exact_batch *batch = s->batch;
+    const struct exact_span span = exact_span_of(batch->t_min, batch->t_max);
+    struct exact_line line;
+    float distances[4];
+    if (!exact_line_set(&line, batch->rays[ray].origin, batch->rays[ray].direction))
+        return;
+    for (uint32_t i = 0; i < candidates; i += 4) {
+        unsigned bits = exact_line_crosses4(&line, &worker->boxes[i / 4], span, distances);
+        for (; bits; bits &= bits - 1) {
+            const uint32_t chunk = worker->candidates[i + (uint32_t)__builtin_ctz(bits)];
+            const uint32_t place = counts[chunk]++;
+            if (s->writing)
+                s->buckets->rays[s->buckets->starts[chunk] + place] = (uint32_t)ray;
+        }
+    }
+}
+
+static int sort_segment(void *arg, uint64_t segment, unsigned number)
+{
+    const struct sorting *s = arg;
+    struct worker *worker = &s->workers[number];
+    uint64_t begin = segment * s->segment_rays, end = begin + s->segment_rays;
+    end = end < s->count ? end : s->count;
+    uint32_t *counts = s->counts + segment * s->exact->chunk_count;
+    int status = 0;
+    for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += GROUP) {
+        uint64_t stop = begin + GROUP < end ? begin + GROUP : end;
+        uint32_t candidates = find_candidates(s, s->first + begin, s->first + stop, worker);
+        for (uint64_t r = begin; candidates > 0 && r < stop; r++)
+            sort_ray(s, s->first + r, candidates, worker, counts);
+    }
+    return status;
+}
+
+static int run_segments(struct sorting *s)
+{
+    uint64_t segments = (s->count + s->segment_rays - 1) / s->segment_rays;
+    return bsq_parallel_for(s->exact->ctx, segments, sort_segment, s);
+}
+
+/* ---- counting sort ---- */
+
+static int count_pairs(struct sorting *s)
+{
+    const uint64_t groups = (s->count + GROUP - 1) / GROUP;
+    s->segment_rays = (groups + s->segments - 1) / s->segments * GROUP;
+    s->writing = false;
+    memset(s->counts, 0, (uint64_t)s->segments * s->exact->chunk_count * sizeof *s->counts);
+    return run_segments(s);
+}
+
+/* Turns counts into places within the buckets, and sets the buckets' starts. Returns the number of
+ * pairs. */
+static uint64_t sum_counts(struct sorting *s)
+{
+    const uint32_t chunks = s->exact->chunk_count;
+    uint64_t sum = 0;
+    for (uint32_t c = 0; c < chunks; c++) {
+        uint32_t in_chunk = 0;
+        s->buckets->starts[c] = sum;
+        for (uint32_t segment = 0; segment < s->segments; segment++) {
+            uint32_t *count = &s->counts[(uint64_t)segment * chunks + c], here = *count;
+            *count = in_chunk;
+            in_chunk += here;
+        }
+        sum += in_chunk;
+    }
+    s->buckets->starts[chunks] = sum;
+    return sum;
+}
+
+/* Sorts as many rays as fit the buckets: halves their count until they do. */
+static int sort_rays(struct sorting *s)
+{
+    for (;;) {
+        int status = count_pairs(s);
+        if (status < 0)
+            return status;
+        uint64_t pairs = sum_counts(s);
+        if (pairs <= s->buckets->capacity)
+            break;
+        if (s->count == 1)
+            return bsq_fail(s->exact->ctx, BSQ_ENOMEM,
+                            "a ray crosses %" PRIu64 " chunks, the memory budget allows %" PRIu64,
+                            pairs, s->buckets->capacity);
+        s->count = s->count / 2;
+    }
+    s->writing = true;
+    return run_segments(s);
+}
+
+static int allocate(struct sorting *s)
+{
+    const struct bake_exact *exact = s->exact;
+    unsigned threads = bsq_threads(exact->ctx);
+    int status = bsq_alloc(exact->ctx, "counts of rays", s->segments,
+                           exact->chunk_count * sizeof *s->counts, &s->counts);
+    if (status == 0)
+        status = bsq_calloc(exact->ctx, "workers", threads, sizeof *s->workers, &s->workers);
+    for (unsigned w = 0; status == 0 && w < threads; w++) {
+        status = bsq_alloc(exact->ctx, "chunks near rays", exact->chunk_count, sizeof(uint32_t),
+                           &s->workers[w].candidates);
+        if (status == 0)
+            status = bsq_alloc(exact->ctx, "chunks near rays", box4_count(exact),
+                               sizeof *s->workers[w].boxes, &s->workers[w].boxes);
+    }
+    return status;
+}
+
+static void release(struct sorting *s)
+{
+    struct bsq_ctx *ctx = s->exact->ctx;
+    for (unsigned w = 0; s->workers && w < bsq_threads(ctx); w++) {
+        bsq_free(ctx, s->workers[w].candidates);
+        bsq_free(ctx, s->workers[w].boxes);
+    }
+    bsq_free(ctx, s->workers);
+    bsq_free(ctx, s->counts);
+}
+
+int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact_batch *batch,
+                         uint64_t first, uint64_t *count, struct exact_buckets *buckets)
+{
+    struct sorting s = {.exact = exact,
+                        .batch = batch,
+                        .first = first,
+                        .count = *count,
+                        .segments = segments_of(exact),
+                        .buckets = buckets};
+    int status = allocate(&s);
+    if (status == 0)
+        status = sort_rays(&s);
+    release(&s);
+    *count = s.count;
+    return status;
+}

@@ -1,0 +1,123 @@
+/* exact_memory.c - divides the memory budget between chunks, their preparation and rays. */
+#include "libbake/exact/exact_scene.h"
+
+enum { SLOTS_PER_THREAD = 4 }; /* more than one, so that all threads are busy until a wave ends */
+
+static uint64_t align64(uint64_t bytes)
+{
+    return (bytes + 63) & ~UINT64_C(63);
+}
+
+/* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
+struct sizes {
+    uint64_t chunk, tree, smooth;
+    uint64_t boxes, keys, neighbour, map, near;
+};
+
+static struct sizes buffer_sizes(const struct bake_exact *exact)
+{
+    struct sizes sizes = {0};
+    uint32_t triangles = 0, vertices = 0;
+    for (uint32_t c = 0; c < exact->chunk_count; c++) {
+        const struct fmt_tris_chunk_info *chunk = &exact->chunks[c];
+        triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
+        vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
+    }
+    sizes.chunk = align64(fmt_tris_load_size_max(exact->file));
+    sizes.tree = align64(bake_exact_tree_bytes(triangles));
+    sizes.boxes = align64(triangles * sizeof(struct exact_box));
+    sizes.keys = align64(bake_exact_tree_scratch_bytes(triangles));
+    if (exact_needs_smooth(exact)) {
+        sizes.smooth = align64(bake_exact_smooth_bytes(vertices));
+        sizes.neighbour = sizes.chunk;
+        sizes.map = align64(vertices * sizeof(uint32_t));
+        sizes.near = align64(exact->chunk_count * sizeof(uint32_t));
+    }
+    return sizes;
+}
+
+/* A slot never holds a tree and sums of normals at the same time. */
+static uint64_t slot_bytes(const struct sizes *sizes)
+{
+    return sizes->chunk + (sizes->tree > sizes->smooth ? sizes->tree : sizes->smooth);
+}
+
+static uint64_t scratch_bytes(const struct sizes *sizes)
+{
+    uint64_t building = sizes->boxes + sizes->keys;
+    uint64_t shading = sizes->neighbour + sizes->map + sizes->near;
+    return building > shading ? building : shading;
+}
+
+/* How many slots there are, and how many threads may prepare them at the same time. */
+struct plan {
+    uint32_t slots, preparers;
+    uint64_t bytes;
+};
+
+/* Plans as many slots as help, up to SLOTS_PER_THREAD, that fit `memory` bytes; at least one. */
+static struct plan plan_slots(const struct bake_exact *exact, uint64_t memory)
+{
+    const struct sizes sizes = buffer_sizes(exact);
+    const uint64_t slot = slot_bytes(&sizes), scratch = scratch_bytes(&sizes);
+    const uint32_t threads = bsq_threads(exact->ctx);
+    struct plan plan = {.slots = SLOTS_PER_THREAD * threads, .preparers = threads};
+    while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
+        plan.slots--;
+        plan.preparers = plan.slots < threads ? plan.slots : threads;
+    }
+    plan.bytes = plan.slots * slot + plan.preparers * scratch;
+    return plan;
+}
+
+uint64_t bake_exact_capacity(const struct bake_exact *exact)
+{
+    const uint64_t left = exact_left_of_budget(exact->ctx);
+    const uint64_t fixed = plan_slots(exact, left / 4).bytes +
+                           bake_exact_buckets_scratch_bytes(exact) +
+                           (exact->chunk_count + 1) * (sizeof(uint64_t) + EXACT_PAIRS_PER_RAY * 4) +
+                           EXACT_LOCKS * sizeof(pthread_mutex_t);
+    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
+                         (exact->textures ? sizeof(uint32_t) : 0) +
+                         EXACT_PAIRS_PER_RAY * sizeof(uint32_t);
+    /* An eighth is left to other parts of the job. */
+    const uint64_t usable = left / 8 * 7;
+    const uint64_t rays = usable > fixed ? (usable - fixed) / ray : 0;
+    return rays < 1 ? 1 : rays > UINT32_MAX / 4 ? UINT32_MAX / 4 : rays;
+}
+
+int bake_exact_slots_create(const struct bake_exact *exact, struct exact_slots *out)
+{
+    struct bsq_ctx *ctx = exact->ctx;
+    const struct sizes sizes = buffer_sizes(exact);
+    const struct plan plan = plan_slots(exact, exact_left_of_budget(ctx) / 2);
+    *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
+    int status = bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots);
+    if (status == 0)
+        status = bsq_calloc(ctx, "chunks in memory", plan.preparers, sizeof *out->scratches,
+                            &out->scratches);
+    if (status == 0)
+        status = bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory);
+    if (status < 0)
+        return status;
+    char *at = out->memory;
+    for (uint32_t s = 0; s < plan.slots; s++, at += slot_bytes(&sizes)) {
+        out->slots[s].chunk_memory = at;
+        out->slots[s].tree_memory = out->slots[s].smooth_memory = at + sizes.chunk;
+    }
+    for (uint32_t p = 0; p < plan.preparers; p++, at += scratch_bytes(&sizes)) {
+        struct exact_scratch *scratch = &out->scratches[p];
+        scratch->boxes = scratch->neighbour = at;
+        scratch->keys = at + sizes.boxes;
+        scratch->map = (uint32_t *)(void *)(at + sizes.neighbour);
+        scratch->near = (uint32_t *)(void *)(at + sizes.neighbour + sizes.map);
+    }
+    return 0;
+}
+
+void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
+{
+    bsq_free(ctx, slots->memory);
+    bsq_free(ctx, slots->slots);
+    bsq_free(ctx, slots->scratches);
+}
