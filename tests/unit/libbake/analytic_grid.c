@@ -1,4 +1,4 @@
-/* analytic_grid.c - see analytic_grid.h. Memory is malloc's: a test that runs out of it aborts. */
+/* analytic_grid.c - collects samples in a hash table of voxels. Aborts without memory. */
 #include "tests/unit/libbake/analytic_grid.h"
 
 #include <math.h>
@@ -53,7 +53,8 @@ void analytic_grid_set_grain(struct analytic_grid *grid, uint32_t grain)
     grid->grain = grain;
 }
 
-static struct cell *slot(struct cell *cells, uint64_t capacity, const int32_t at[3])
+/* Returns the entry of a voxel, which may still be unused. */
+static struct cell *find(struct cell *cells, uint64_t capacity, const int32_t at[3])
 {
     uint64_t h = (uint32_t)at[0] * UINT64_C(0x9e3779b97f4a7c15);
     h = (h ^ (uint32_t)at[1]) * UINT64_C(0xc2b2ae3d27d4eb4f);
@@ -71,7 +72,7 @@ static void grow(struct analytic_grid *grid)
     struct cell *cells = must(calloc(capacity, sizeof *cells));
     for (uint64_t i = 0; i < grid->capacity; i++)
         if (grid->cells[i].used)
-            *slot(cells, capacity, grid->cells[i].at) = grid->cells[i];
+            *find(cells, capacity, grid->cells[i].at) = grid->cells[i];
     free(grid->cells);
     grid->cells = cells;
     grid->capacity = capacity;
@@ -83,11 +84,11 @@ void analytic_grid_add(struct analytic_grid *grid, const double position[3], con
     int32_t at[3];
     for (int k = 0; k < 3; k++)
         at[k] = (int32_t)floor(position[k] + 0.5);
-    struct cell *cell = slot(grid->cells, grid->capacity, at);
+    struct cell *cell = find(grid->cells, grid->capacity, at);
     if (!cell->used) {
         if (2 * ++grid->count > grid->capacity) {
             grow(grid);
-            cell = slot(grid->cells, grid->capacity, at);
+            cell = find(grid->cells, grid->capacity, at);
         }
         cell->used = true;
         memcpy(cell->at, at, sizeof at);
@@ -127,7 +128,7 @@ static struct fmt_nvdb_record record_of(const struct sheet *sheet, bool has_seco
     return record;
 }
 
-/* The writer's order: root tile, region, leaf, voxel; x before y before z in each. */
+/* Compares by the order of the file: root tile, region, leaf, voxel; in each by x, y, z. */
 static int compare_cells(const void *a, const void *b)
 {
     const int32_t *p = (*(const struct cell *const *)a)->at;
@@ -219,14 +220,14 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
 void analytic_sphere(struct analytic_grid *grid, const double centre[3], double radius,
                      double density)
 {
-    uint64_t rings = (uint64_t)(PI * radius * density) + 1;
-    for (uint64_t r = 0; r < rings; r++) {
-        double latitude = PI * (r + 0.5) / rings, z = cos(latitude), s = sin(latitude);
-        uint64_t pieces = (uint64_t)(2 * PI * radius * s * density) + 1;
-        double ring = cos(PI * r / rings) - cos(PI * (r + 1) / rings);
-        double area = 2 * PI * radius * radius * ring / pieces;
-        for (uint64_t i = 0; i < pieces; i++) {
-            double angle = 2 * PI * (i + 0.5) / pieces;
+    uint64_t bands = (uint64_t)(PI * radius * density) + 1;
+    for (uint64_t r = 0; r < bands; r++) {
+        double latitude = PI * (r + 0.5) / bands, z = cos(latitude), s = sin(latitude);
+        uint64_t steps = (uint64_t)(2 * PI * radius * s * density) + 1;
+        double share = cos(PI * r / bands) - cos(PI * (r + 1) / bands);
+        double area = 2 * PI * radius * radius * share / steps;
+        for (uint64_t i = 0; i < steps; i++) {
+            double angle = 2 * PI * (i + 0.5) / steps;
             double n[3] = {s * cos(angle), s * sin(angle), z}, p[3];
             for (int k = 0; k < 3; k++)
                 p[k] = centre[k] + radius * n[k];

@@ -1,4 +1,4 @@
-/* test_bake.c - whole bakes of a wavy sheet whose normals and colours are known by formula. */
+/* test_bake.c - whole bakes of a wavy sheet whose normals and colours are known from a formula. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -15,8 +15,9 @@
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
-/* The sheet's half width, wavelength and the low square's distance below it, in voxels; the
- * square's texture coordinates run from MARGIN to 1 - MARGIN. */
+/* In voxels: half the width of the sheet, its wavelength, and the distance and half the width of
+ * the low-poly square below it. The square's texture coordinates run from `margin` to 1 - margin.
+ */
 static const double half = 28, wavelength = 32, depth = 3, margin = 0.1, square = 20;
 static const double centre[3] = {70, -31, 45};
 enum { SIZE = 160, SAMPLES_A_VOXEL = 8 };
@@ -25,7 +26,7 @@ static char directory[64];
 static char grey_path[96], color_path[96], low_path[96], far_path[96];
 static struct analytic_sine sine;
 
-/* Linear light. */
+/* Computes the linear colour of the sheet. */
 static void color_at(double u, double v, float color[3])
 {
     color[0] = (float)(0.5 + 0.4 * sin(u / 9));
@@ -101,7 +102,7 @@ static int remove_scene(void **state)
     unlink(color_path);
     unlink(low_path);
     unlink(far_path);
-    return rmdir(directory); /* fails where a bake left something behind */
+    return rmdir(directory); /* fails if a bake left files */
 }
 
 static const char *in_directory(const char *name)
@@ -151,8 +152,8 @@ static void sample_map(const struct fmt_exr_image *image, uint32_t x, uint32_t y
                                         fmt_exr_channel(image, names[k])];
 }
 
-/* Where a texel's centre lies on the sheet; false outside the chart, `inset` texels inside its
- * border. */
+/* Finds where the centre of a texel lies on the sheet. Returns false if it is outside of the chart,
+ * or less than `inset` texels inside. */
 static bool place(uint32_t x, uint32_t y, double inset, double *u, double *v)
 {
     double s = (x + 0.5) / SIZE, t = 1 - (y + 0.5) / SIZE, low = margin + inset / SIZE;
@@ -167,7 +168,7 @@ struct errors {
     double mean, largest;
 };
 
-/* Angles in degrees between the map's normals and the formula's, in object space. */
+/* Measures the angles in degrees between the normals of a map and those of the formula. */
 static struct errors normal_errors(const struct fmt_exr_image *image, bool object, bool green_down)
 {
     struct errors errors = {0, 0};
@@ -182,7 +183,7 @@ static struct errors normal_errors(const struct fmt_exr_image *image, bool objec
                 m[k] = 2 * m[k] - 1;
             if (green_down)
                 m[1] = -m[1];
-            /* The square's tangent, bitangent and normal are the sheet's axes. */
+            /* The tangent, bitangent and normal of the square are the axes of the sheet. */
             for (int k = 0; k < 3; ++k)
                 n[k] = object ? m[k]
                               : m[0] * sine.axes[0][k] + m[1] * sine.axes[1][k] +
@@ -236,15 +237,15 @@ static void test_report_counts_samples(void **state)
     options.samples = 3;
     struct bake_report report;
     bake(ctx, &options, &report);
-    /* The chart covers (1 - 2 margin)^2 of the map; its border passes through texel borders. */
+    /* The chart covers (1 - 2 margin)^2 of the map; its border runs between texels. */
     uint64_t side = (uint64_t)lrint(SIZE * (1 - 2 * margin));
     assert_int_equal(report.covered_texels, side * side);
     assert_int_equal(report.samples, side * side * 9);
     assert_int_equal(report.hits, report.samples);
     assert_int_equal(report.overlapping_samples, 0);
-    /* Distances: the farthest point is depth + amplitude away, in front; nothing behind. */
-    double reach = depth + sine.amplitude;
-    assert_true(report.front > reach && report.front < 1.5 * reach + 2.1);
+    /* The farthest point is depth + amplitude in front of the square; nothing is behind it. */
+    double farthest = depth + sine.amplitude;
+    assert_true(report.front > farthest && report.front < 1.5 * farthest + 2.1);
     assert_true(report.back >= 2 && report.back < 2.1);
     unlink(in_directory("n.exr"));
     test_context_end(ctx);
@@ -271,7 +272,8 @@ static void test_colors_are_those_of_the_formula(void **state)
                 continue;
             sample_map(&image, x, y, rgb);
             color_at(u, v, expected);
-            /* Voxels are 8-bit sRGB (0.004 in this range) and blend over a voxel's width. */
+            /* Colours of voxels are 8-bit sRGB (0.004 in this range) and blend over the width of a
+             * voxel. */
             for (int k = 0; k < 3; ++k)
                 assert_true(fabs(rgb[k] - (double)expected[k]) < 0.015);
         }
@@ -287,14 +289,13 @@ static void test_misses_are_masked_and_filled(void **state)
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
-    options.front = depth; /* crests are out of reach */
+    options.front = depth; /* rays do not reach the crests */
     options.back = 0;
     options.padding = UINT32_MAX;
     struct bake_report report;
     bake(ctx, &options, &report);
     assert_int_equal(report.hits + report.misses, report.samples);
-    /* By symmetry half of the sheet lies below its middle; blending of planes moves that a little.
-     */
+    /* By symmetry half of the sheet lies below its middle; blending changes that slightly. */
     assert_true(fabs((double)report.misses / (double)report.samples - 0.5) < 0.03);
     struct fmt_exr_image mask, normal;
     read_map(ctx, in_directory("mask.exr"), &mask);
@@ -310,7 +311,7 @@ static void test_misses_are_masked_and_filled(void **state)
                 assert_true(share == 0.0f);
             else if (height < -0.4)
                 assert_true(share == 1.0f);
-            sample_map(&normal, x, y, n); /* everywhere a unit vector */
+            sample_map(&normal, x, y, n); /* a unit vector everywhere */
             double length = 0;
             for (int k = 0; k < 3; ++k)
                 length += (2 * n[k] - 1) * (2 * n[k] - 1);
@@ -448,7 +449,7 @@ static void test_errors_name_the_reason(void **state)
     options = options_for(grey_path, many);
     options.mesh_path = far_path;
     expect_failure(&options, BSQ_EDATA, "the scan spans");
-    options.front = options.back = 1; /* as distances are not measured then */
+    options.front = options.back = 1; /* so that distances are not measured */
     expect_failure(&options, BSQ_EDATA, "same place and units");
 
     options = options_for(color_path, in_directory("out.exr"));

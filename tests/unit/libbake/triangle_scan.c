@@ -1,4 +1,4 @@
-/* triangle_scan.c - see triangle_scan.h. */
+/* triangle_scan.c - allocates and writes meshes of tests. */
 #include "tests/unit/libbake/triangle_scan.h"
 
 #include <setjmp.h>
@@ -29,7 +29,7 @@ void triangle_scan_free(struct triangle_scan *scan)
     free(scan->triangles);
 }
 
-/* One chunk of the mesh's triangles [first, first + count), its vertices renumbered. */
+/* Writes a chunk of the triangles [first, first + count), with vertices renumbered. */
 static void append_chunk(struct bsq_ctx *ctx, struct fmt_tris_writer *writer,
                          const struct triangle_scan *scan, uint32_t first, uint32_t count)
 {

@@ -1,4 +1,4 @@
-/* triangle_scan.h - meshes that tests make up, written as chunk files with chunks of any size. */
+/* triangle_scan.h - meshes of tests, written as chunk files with chunks of any size. */
 #ifndef TEST_TRIANGLE_SCAN_H
 #define TEST_TRIANGLE_SCAN_H
 
@@ -13,11 +13,12 @@ struct triangle_scan {
     struct fmt_tris_material material[2];
 };
 
-/* All zeros. */
+/* Returns a mesh that is all zeros, with memory for every attribute. Free it with
+ * triangle_scan_free(). Aborts without memory. */
 struct triangle_scan triangle_scan_new(uint32_t vertices, uint32_t triangles);
 void triangle_scan_free(struct triangle_scan *scan);
 
-/* Writes the triangles in their order, so many a chunk. Failures are the test's. */
+/* Writes the triangles in their order, chunk_triangles to a chunk. The test fails if that fails. */
 void triangle_scan_write(const struct triangle_scan *scan, const double origin[3],
                          uint32_t chunk_triangles, const char *path);
 

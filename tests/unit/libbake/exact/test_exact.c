@@ -1,5 +1,4 @@
-/* test_exact.c - which hit of exact rays wins, whatever the chunks, threads and budgets, and
- * damaged scans. */
+/* test_exact.c - which hit wins, for any chunks, threads and budgets; damaged scans. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -17,8 +16,8 @@
 
 /* ---- the curve ---- */
 
-/* Each cell of a lattice has a place of its own, and neighbours on the curve are neighbours in
- * space. */
+/* Each cell of a cube has a place of its own, and neighbours on the curve are neighbours in space.
+ */
 static void test_curve_goes_from_neighbour_to_neighbour(void **state)
 {
     (void)state;
@@ -64,7 +63,7 @@ static void test_hits_do_not_depend_on_chunks_threads_or_budget(void **state)
         mesh.colors[v] = (uint32_t)(exact_uniform() * 4294967295.0);
     exact_random_rays(rays, RAYS, -1.5, 1.5);
     for (uint32_t r = 0; r < RAYS / 2;
-         r++) { /* half of them through vertices, where triangles tie */
+         r++) { /* half of them through vertices, where several triangles are hit at the same t */
         const float *p = mesh.positions[(uint32_t)(exact_uniform() * mesh.vertex_count)];
         double to[3] = {(double)p[0], (double)p[1], (double)p[2]};
         exact_toward(rays[r].origin, to, rays[r].direction);
@@ -94,13 +93,13 @@ static void test_facing(void **state)
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
     exact_write_scan(&mesh, 1);
-    /* The low mesh below looks up: the square's front is met from its back. */
+    /* Rays of a low-poly mesh below go upwards and hit the square from its back. */
     struct bake_exact_hit hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, 1);
     assert_int_equal(hit.triangle, 0);
     assert_true(hit.t == 0.5 && hit.normal[2] == 1.0f);
     hit = exact_trace_one(&setup, 1.5f, 0.5f, -0.5f, -1);
     assert_true(hit.triangle == BAKE_EXACT_NONE);
-    setup.facing_origin = true; /* a camera above sees it */
+    setup.facing_origin = true; /* as from a camera above */
     hit = exact_trace_one(&setup, 0.5f, 1.5f, 0.75f, -1);
     assert_int_equal(hit.triangle, 1);
     assert_true(hit.t == 0.75);
@@ -131,7 +130,8 @@ static void test_normals_decide_on_the_outside(void **state)
     triangle_scan_free(&mesh);
 }
 
-/* Of two sheets as far away, the one in front wins; of the same place, the first in the file. */
+/* Of two sheets at the same distance, the one in front wins; of two at the same place, the first in
+ * the file. */
 static void test_ties(void **state)
 {
     (void)state;
@@ -152,7 +152,7 @@ static void test_ties(void **state)
     triangle_scan_free(&mesh);
 }
 
-static void test_rays_that_are_none_find_nothing(void **state)
+static void test_rays_without_direction_hit_nothing(void **state)
 {
     (void)state;
     struct triangle_scan mesh = exact_square();
@@ -205,7 +205,7 @@ int main(void)
         cmocka_unit_test(test_facing),
         cmocka_unit_test(test_normals_decide_on_the_outside),
         cmocka_unit_test(test_ties),
-        cmocka_unit_test(test_rays_that_are_none_find_nothing),
+        cmocka_unit_test(test_rays_without_direction_hit_nothing),
         cmocka_unit_test(test_damaged_chunk_is_reported),
     };
     print_message("seed %llu\n", (unsigned long long)exact_seed);

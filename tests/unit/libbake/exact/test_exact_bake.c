@@ -1,5 +1,5 @@
 /* test_exact_bake.c - whole bakes from triangles: a wavy sheet whose normals and colours are known
- * by formula, on a square low mesh below it. */
+ * from a formula, and a square low-poly mesh below it. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -24,7 +24,7 @@ static char directory[64], low_path[96];
 static char scan_paths[3][96]; /* the same sheet in chunks of different sizes */
 static const uint32_t chunk_sizes[3] = {60000, 7001, 500};
 
-/* The low mesh spans 0 .. 1 x 0 .. 1 at height 0, the sheet 0.1 more on each side. */
+/* The low-poly mesh spans 0 .. 1 x 0 .. 1 at height 0, the sheet 0.1 more on each side. */
 static double height(double x, double y)
 {
     return 0.05 + 0.02 * sin(9 * x) * cos(7 * y);
@@ -42,7 +42,7 @@ static void normal_at(double x, double y, double n[3])
 
 /* ---- the scene ---- */
 
-/* Red grows along x: sRGB code 255 x, clamped. */
+/* Returns the sheet. Red grows along x: sRGB code 255 x, clamped. */
 static struct triangle_scan make_sheet(void)
 {
     struct triangle_scan sheet = triangle_scan_new((SIDE + 1) * (SIDE + 1), 2 * SIDE * SIDE);
@@ -89,7 +89,7 @@ static int remove_scene(void **state)
     for (int i = 0; i < 3; i++)
         unlink(scan_paths[i]);
     unlink(low_path);
-    return rmdir(directory); /* fails where a bake left something behind */
+    return rmdir(directory); /* fails if a bake left files */
 }
 
 static const char *in_directory(const char *name)
@@ -130,7 +130,7 @@ static double channel(const struct fmt_exr_image *image, uint32_t x, uint32_t y,
 
 /* ---- tests ---- */
 
-/* Tangent and object space are the same on this low mesh. */
+/* Tangent and object space are the same for this low-poly mesh. */
 static void test_maps_are_those_of_the_formula(void **state)
 {
     (void)state;
@@ -229,7 +229,7 @@ static void test_flat_normals(void **state)
     options.scan_normals = BSQ_SCAN_NORMALS_FLAT;
     bake(ctx, &options, &report);
     assert_int_equal(fmt_exr_read(ctx, in_directory("n.exr"), &image), 0);
-    /* Texel (10, 20) lies in one triangle of one quad, whose corners are on a lattice. */
+    /* Finds the quad and the triangle that texel (10, 20) lies in. */
     double x = 10.5 / SIZE, y = 1 - 20.5 / SIZE, step = 1.2 / SIDE;
     double i = floor((x + 0.1) / step), j = floor((y + 0.1) / step);
     bool below = (x + 0.1) / step - i > (y + 0.1) / step - j;
@@ -271,7 +271,7 @@ static void test_errors_name_the_reason(void **state)
     options = options_for(0, in_directory("<MAP>.exr"));
     options.scan_path = low_path;
     expect_failure(&options, BSQ_EDATA, "low.obj");
-    /* A chart too small to hold a sample. */
+    /* A chart that is too small to contain a sample. */
     FILE *file = fopen(in_directory("tiny.obj"), "w");
     fprintf(file, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0.5\nvt 0.5001 0.5\nvt 0.5 0.5001\n"
                   "f 1/1 2/2 3/3\n");

@@ -1,5 +1,5 @@
-/* test_exact_reference.c - exact rays against brute force and against Embree, and at edges and
- * vertices. */
+/* test_exact_reference.c - hits against brute force and against Embree, and at edges and vertices.
+ */
 #include <embree3/rtcore.h>
 #include <math.h>
 #include <setjmp.h>
@@ -15,11 +15,11 @@
 /* ---- brute force ---- */
 
 struct candidate {
-    double t, least; /* smallest barycentric weight */
+    double t, least; /* least: smallest barycentric weight */
     bool along;
 };
 
-/* Moller & Trumbore 1997. */
+/* Intersects the line of a ray with a triangle (Moller & Trumbore, 1997). */
 static struct candidate meet(const struct triangle_scan *mesh, uint32_t triangle,
                              const struct bake_exact_ray *ray)
 {
@@ -52,7 +52,7 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
                            const struct bake_exact_ray *ray, const struct bake_exact_hit *hit)
 {
     const double slack = 1e-9;
-    double nearest = INFINITY; /* of those that are hit beyond doubt */
+    double nearest = INFINITY; /* of the triangles that are hit for certain */
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         struct candidate c = meet(mesh, t, ray);
         if (c.least > slack && c.t > setup->t_min + slack && c.t < setup->t_max - slack &&
@@ -100,7 +100,7 @@ static void test_soup_agrees_with_brute_force(void **state)
 /* ---- Embree ---- */
 
 static void embree_nearest(RTCScene scene, const struct bake_exact_ray *ray, double sign,
-                           double reach, uint32_t *triangle, double *t)
+                           double limit, uint32_t *triangle, double *t)
 {
     struct RTCIntersectContext context;
     rtcInitIntersectContext(&context);
@@ -110,7 +110,7 @@ static void embree_nearest(RTCScene scene, const struct bake_exact_ray *ray, dou
                                       .dir_x = (float)sign * ray->direction[0],
                                       .dir_y = (float)sign * ray->direction[1],
                                       .dir_z = (float)sign * ray->direction[2],
-                                      .tfar = (float)reach,
+                                      .tfar = (float)limit,
                                       .mask = UINT32_MAX},
                               .hit = {.geomID = RTC_INVALID_GEOMETRY_ID}};
     rtcIntersect1(scene, &context, &query);
@@ -159,7 +159,7 @@ static void test_whole_scan_in_embree_agrees(void **state)
     rtcReleaseGeometry(geometry);
     rtcReleaseScene(scene);
     rtcReleaseDevice(device);
-    /* Embree works in float: at silhouettes and at the ends of rays it may differ. */
+    /* Embree works in float: it may differ at silhouettes and at the ends of rays. */
     print_message("%u hits, %u rays differ from Embree\n", found, RAYS - same);
     assert_true(found > RAYS / 4);
     assert_true(RAYS - same <= 3);
@@ -170,7 +170,7 @@ static void test_whole_scan_in_embree_agrees(void **state)
 
 /* ---- watertightness ---- */
 
-/* From inside the closed torus every ray must hit, wherever it aims: vertices, points of edges. */
+/* From inside the closed torus every ray must hit, also through vertices and points of edges. */
 static void test_no_ray_slips_through_edges_and_vertices(void **state)
 {
     (void)state;
@@ -202,7 +202,7 @@ static void test_no_ray_slips_through_edges_and_vertices(void **state)
     triangle_scan_free(&mesh);
 }
 
-/* Rays straight down on the lattice of a flat grid meet vertices and edges exactly. */
+/* Rays through the vertices and edges of a flat grid, without rounding. */
 static void test_rays_that_meet_edges_exactly_hit(void **state)
 {
     (void)state;

@@ -1,4 +1,4 @@
-/* test_exact_shading.c - normals and colours at the hits of exact rays. */
+/* test_exact_shading.c - normals and colours of hits. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -15,7 +15,7 @@
 
 /* ---- normals ---- */
 
-/* Area-weighted normals of the whole mesh, in the order of its triangles. */
+/* Sums the area-weighted normals of the whole mesh, in the order of its triangles. */
 static double (*smooth_normals(const struct triangle_scan *mesh))[3]
 {
     double(*sums)[3] = calloc(mesh->vertex_count, sizeof *sums);
@@ -35,7 +35,7 @@ static double (*smooth_normals(const struct triangle_scan *mesh))[3]
     return sums;
 }
 
-/* Rays down on a vertex from straight above it get its normal, on whatever border it lies. */
+/* A hit at a vertex has its normal, even if the vertex lies on the border of chunks. */
 static void test_smooth_normals_across_borders(void **state)
 {
     (void)state;
@@ -68,7 +68,7 @@ static void test_smooth_normals_across_borders(void **state)
     triangle_scan_free(&mesh);
 }
 
-/* A roof of this height: two squares that meet in the ridge x = 0, whose vertices differ in their
+/* Returns a roof: two squares that meet in the ridge x = 0, where their vertices have different
  * colours. */
 static struct triangle_scan make_roof(float height)
 {
@@ -84,7 +84,7 @@ static struct triangle_scan make_roof(float height)
     return mesh;
 }
 
-/* A seam in texture space repeats vertices; it must not show in the normals. */
+/* Seams repeat vertices with other attributes; normals must not show them. */
 static void test_smooth_normals_ignore_repeated_vertices(void **state)
 {
     (void)state;
@@ -93,7 +93,8 @@ static void test_smooth_normals_ignore_repeated_vertices(void **state)
     struct exact_setup setup = {.threads = 1, .t_min = -2, .t_max = 2};
     for (uint32_t chunk = 1; chunk <= 4; chunk++) {
         exact_write_scan(&mesh, chunk);
-        /* The ridge's front vertex has one triangle of the left square and two of the right one. */
+        /* One triangle of the left square and two of the right one meet at the ridge's front
+         * vertex. */
         const double left[3] = {-0.5, 0, 2}, right[3] = {0.5, 0, 2};
         double sum[3], length = 0;
         for (int k = 0; k < 3; k++) {
@@ -111,7 +112,7 @@ static void test_smooth_normals_ignore_repeated_vertices(void **state)
     triangle_scan_free(&mesh);
 }
 
-/* Steep roofs keep the normals of their sides up to the ridge. */
+/* The sides of a steep roof keep their normals up to the ridge. */
 static void test_smooth_normals_end_at_creases(void **state)
 {
     (void)state;
@@ -179,7 +180,8 @@ static void write_picture(uint32_t side)
     struct fmt_image_writer *png;
     float *row = calloc(3 * side, sizeof *row);
     assert_int_equal(fmt_image_create(ctx, &fmt_png_format, exact_picture_path, &options, &png), 0);
-    for (uint32_t y = 0; y < side; y++) { /* black and white by columns, v upwards in blue */
+    for (uint32_t y = 0; y < side;
+         y++) { /* columns alternate black and white; blue is 1 in the upper half */
         for (uint32_t x = 0; x < side; x++) {
             row[3 * x] = row[3 * x + 1] = x % 2 ? 1.0f : 0.0f;
             row[3 * x + 2] = 2 * y < side ? 1.0f : 0.0f;
@@ -210,7 +212,7 @@ static void test_textures_and_materials(void **state)
         for (int k = 0; k < 2; k++)
             mesh.texcoords[v][k] = 0.5f * mesh.positions[v][k];
     exact_write_scan(&mesh, 1);
-    /* Texel centres of column 41, which is white, low and high in v. */
+    /* Centres of texels of column 41, which is white, at low and at high v. */
     const float x = 2 * 41.5f / 64;
     struct bake_exact_hit hit = exact_trace_one(&setup, x, 0.25f, 0, 1);
     expect_color(&hit, 1, 1, 0, 1e-3);
@@ -218,7 +220,7 @@ static void test_textures_and_materials(void **state)
     expect_color(&hit, 1, 1, 1, 1e-3);
     hit = exact_trace_one(&setup, x - 2 / 64.0f, 0.25f, 0, 1);
     expect_color(&hit, 0, 0, 0, 1e-3);
-    setup.footprint = &wide; /* eight texels */
+    setup.footprint = &wide; /* eight texels wide */
     hit = exact_trace_one(&setup, x, 0.25f, 0, 1);
     expect_color(&hit, 0.5, 0.5, 0, 0.1);
     hit = exact_trace_one(&setup, 0.25f, 1.75f, 0, 1);
