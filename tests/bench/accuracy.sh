@@ -4,10 +4,10 @@
 #
 #   BIN=DIR TESTS=DIR tests/bench/accuracy.sh small|medium [sine|vase|bunny|waves]...
 #
-#   sine, vase, bunny, waves: these scans only
+#   sine, vase, bunny, waves: measures these scans only
 #   BIN, TESTS     directories with the programs and with generate-scan
-#   BENCH_DIR      where maps and heat maps stay; without it they go to a temporary directory beside
-#                  BIN, which is removed in the end
+#   BENCH_DIR      directory where maps and heat maps are kept; default: a temporary directory beside
+#                  BIN, which is removed at the end
 #   SCANS          directory with bunny.obj and bunny_low.obj (default: ../shared/scans); without them
 #                  the bunny is left out
 set -u
@@ -57,7 +57,7 @@ run()
     exit 70
 }
 
-# number KEY FILE: of a line "KEY": NUMBER in JSON.
+# number KEY FILE: prints NUMBER of a line "KEY": NUMBER in JSON.
 number()
 {
     sed -n "s/^ *\"$1\": *\\([-0-9.e]*\\).*/\\1/p" "$2"
@@ -68,7 +68,7 @@ calc()
     awk "BEGIN { printf \"%.9g\", $* }"
 }
 
-# bake SCAN LOW NAME OPTION...: object-space normals and the mask as floats; the report is NAME.json.
+# bake SCAN LOW NAME OPTION...: bakes object-space normals and the mask as floats, with the report NAME.json.
 bake()
 {
     from=$1 onto=$2 map=$3
@@ -78,7 +78,7 @@ bake()
     mv log "$map.json"
 }
 
-# prepare NAME SCAN.obj LOW.obj SIZE: chunks, their exact maps, texel (world units).
+# prepare NAME SCAN.obj LOW.obj SIZE: makes the chunk file and its exact maps, and sets the size of a texel (world units).
 prepare()
 {
     scan_low=$3 map_size=$4
@@ -90,7 +90,7 @@ prepare()
     reach="--front $(number front "$1-exact.json") --back $(number back "$1-exact.json")"
 }
 
-# compare A B TITLE RATIO DETAIL KIND: records how far map A is from the reference B, and draws it.
+# compare A B TITLE RATIO DETAIL KIND: records how far map A is from the reference B, and draws heat maps.
 compare()
 {
     pictures=$1-against-${2##*-}
@@ -104,13 +104,13 @@ compare()
     printf '%s\n' "$line" >>"$records"
 }
 
-# discard NAME: what is no longer needed, unless it is to stay.
+# discard NAME: removes files that are no longer needed, unless BENCH_DIR keeps them.
 discard()
 {
     [ -n "${BENCH_DIR:-}" ] || rm -f "$1"*
 }
 
-# against_exact NAME RATIO DETAIL SAMPLING TITLE: DETAIL is the wavelength in voxels, or "-".
+# against_exact NAME RATIO DETAIL SAMPLING TITLE: compares voxels with exact maps. DETAIL: wavelength in voxels, or "-".
 against_exact()
 {
     # shellcheck disable=SC2086 # two options with a value each
@@ -120,7 +120,7 @@ against_exact()
     [ ! -f "$1-fine_normal.exr" ] || compare "$1-$2-$4" "$1-fine" "$5$finer" "$2" "$3" "$4"
 }
 
-# both_samplings NAME RATIO DETAIL TITLE: at one ratio of voxel to texel.
+# both_samplings NAME RATIO DETAIL TITLE: compares both samplings at one ratio of voxel to texel.
 both_samplings()
 {
     run bisque-voxelize "$1.tris" -o "$1.nvdb" --voxel-size "$(calc "$2 * $texel")"
@@ -130,8 +130,8 @@ both_samplings()
     rm "$1.nvdb"
 }
 
-# whole_scan NAME TITLE: at all ratios, against all references: triangles with smooth normals, facets, and where
-# prepared a finer scan of the same surface.
+# whole_scan NAME TITLE: compares at all ratios with all references: triangles with smooth normals, facets, and, if it was
+# prepared, a finer scan of the same surface.
 whole_scan()
 {
     # shellcheck disable=SC2086 # two options with a value each
@@ -146,7 +146,7 @@ whole_scan()
     done
 }
 
-# truth NAME TITLE LABEL: a map of the vase against its formula, every 149th texel.
+# truth NAME TITLE LABEL: compares a map of the vase with its formula, every 149th texel.
 truth()
 {
     "$TESTS/check-vase" -s $samples -e 149 "$1_normal.exr" "$1_mask.exr" >log || exit 70
@@ -167,8 +167,8 @@ truths()
     done
 }
 
-# The wavelength is chosen in texels; what it is in voxels follows from the ratio. 64 cells a wave, or a few less
-# where waves are shortest: the triangles' own error is far below that of the voxels.
+# The wavelength is chosen in texels; the ratio determines it in voxels. A wave has 64 cells, and a few less if waves are
+# shortest, so that the error of the triangles is far below that of the voxels.
 sine()
 {
     waves=$1 map_size=128
@@ -221,7 +221,7 @@ bunny()
     "$TESTS/generate-scan" --triangles $bunny_triangles "$SCANS/bunny.obj" -o bunny.obj || exit 73
     prepare bunny bunny.obj "$SCANS/bunny_low.obj" $size
     rm bunny.obj
-    # The displacement is a formula, so more triangles are nearer to the same surface.
+    # The displacement is a formula, so more triangles approximate the same surface better.
     "$TESTS/generate-scan" --triangles $((4 * bunny_triangles)) "$SCANS/bunny.obj" -o fine.obj || exit 73
     run bisque-voxelize fine.obj -o fine.nvdb --voxel-size "$(calc "4 * $texel")"
     rm fine.obj fine.nvdb
@@ -232,9 +232,9 @@ bunny()
     discard bunny
 }
 
-# waves_of NAME TITLE TRIANGLES STRETCH RATIO...: the bunny's waves, STRETCH times as long and as steep as ever, 0: none. The old
-# edges are rounded, though not away. Shortest waves are 6 to 11 texels long in medium and half of that in small, by direction;
-# tables say 8 and 4.
+# waves_of NAME TITLE TRIANGLES STRETCH RATIO...: compares the bunny with waves that are STRETCH times as long and of the same
+# slope; 0: without waves. Edges of the small scan are rounded, but not completely. The shortest waves are 6 to 11 texels long in
+# medium and half of that in small, depending on direction; tables say 8 and 4.
 waves_of()
 {
     surface=$1 title="$2, $(($3 / 1000000))M triangles" triangles=$3 stretch=$4
@@ -251,7 +251,7 @@ waves_of()
     discard "$surface"
 }
 
-# What the waves' own length, the triangles and the small scan beneath have in the bunny's errors.
+# How much the length of the waves, the triangles and the small scan contribute to the bunny's errors.
 waves()
 {
     has_bunny || return

@@ -90,7 +90,7 @@ function print_goals(key,    part, where) {
             3, 0, "%.2f")
 }
 
-# Rows of a scan by falling ratio, then rising detail.
+# Sorts the rows of a scan by falling ratio, then by rising detail.
 function comes_before(a, b,    p, q) {
     split(a, p, SUBSEP)
     split(b, q, SUBSEP)

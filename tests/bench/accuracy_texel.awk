@@ -1,5 +1,5 @@
-# accuracy_texel.awk - prints how many world units one unit of texture space is on a low mesh (OBJ): the root of
-# the surface's area over the charts' area. Divided by the map's size, this is the side of a mean texel.
+# accuracy_texel.awk - prints how many world units a unit of texture space is on a low-poly mesh (OBJ): the square root of
+# the surface's area divided by the charts' area. Divided by the size of the map, this is the side of a mean texel.
 $1 == "v" { vertices++; for (k = 1; k <= 3; k++) position[vertices, k] = $(k + 1) }
 $1 == "vt" { texcoords++; for (k = 1; k <= 2; k++) texcoord[texcoords, k] = $(k + 1) }
 $1 == "f" {

@@ -1,13 +1,13 @@
 #!/bin/sh
-# Measures how fast rays are traced on every device found, beside Embree with the same rays, what work they are, and
-# where the time of a whole bake goes; prints tables in Markdown. tests/bench/BAKE.md says how to read them.
+# Measures how fast every device traces rays, compared with Embree on the same rays, how much work they are, and where a
+# whole bake spends its time. Prints tables in Markdown; tests/bench/BAKE.md says how to read them.
 #
 #   BIN=DIR TESTS=DIR tests/bench/bake.sh small|medium
 #
 #   BIN, TESTS     directories with the programs, and with generate-scan, bench-rays and bench-rays-counters
-#   BENCH_DIR      where scans and maps go, and scans stay for the next run; default: a temporary directory
-#   BENCH_SCAN     an OBJ to be amplified instead of the vase, with BENCH_LOW, its low mesh
-#   BENCH_ROUNDS   rounds, of which tables have the median (default: 1 for medium, 3 for small)
+#   BENCH_DIR      directory for scans and maps, where scans are kept for the next run; default: a temporary directory
+#   BENCH_SCAN     an OBJ file to amplify instead of the vase, and BENCH_LOW, its low-poly mesh
+#   BENCH_ROUNDS   rounds; tables show the median (default: 1 for medium, 3 for small)
 set -eu
 LC_ALL=C
 export LC_ALL
@@ -54,7 +54,7 @@ echo
 say "counters"
 "$TESTS/bench-rays-counters" "$scan.nvdb" "$low" $size 2 | sed 's/^/    /'
 
-# number NAME: of the last report.
+# number NAME: prints a number of the last report.
 number()
 {
     sed -n "s/.*\"$1\": *\\([-0-9.e+]*\\).*/\\1/p" "$work/report" | head -n 1

@@ -1,11 +1,10 @@
-/* baseline_embree.c - a scan the way that bakers in memory hold it: the whole OBJ file is read and
- * parsed by one thread into arrays of positions and indices, and Embree builds its tree over all
- * triangles with all threads. Prints what each phase cost; freeing is not counted.
+/* baseline_embree.c - prepares a scan as bakers do that hold it in memory. One thread reads and
+ * parses the whole OBJ file into arrays of positions and indices. Then Embree builds its tree over
+ * all triangles with all threads. Prints the cost of each phase, without freeing.
  *
- * The parser is meant to be as fast as good ones in memory are, or the comparison would flatter us:
- * no calls per number, text released before the tree is built, arrays that grow by remapping. It
- * understands what it is given here (v and f, polygons as fans, negative indices) and rounds
- * numbers to within an ulp, not exactly. */
+ * To be a fair comparison, the parser is as fast as good parsers in memory: it makes no calls per
+ * number, frees the text before the tree is built, and grows arrays by remapping. It understands v
+ * and f lines, polygons as fans, and negative indices, and rounds numbers to within an ulp. */
 #include <embree3/rtcore.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -103,7 +102,7 @@ static const char *parse_exponent(const char *p, int *exponent)
     return digits;
 }
 
-/* Digits beyond the 18th cannot change a float by more than its rounding. */
+/* Parses a number. Digits after the 18th change a float by its rounding error at most. */
 static inline const char *parse_float(const char *p, float *out)
 {
     static const uint64_t full = 100000000000000000;
@@ -135,9 +134,9 @@ static inline const char *parse_float(const char *p, float *out)
     return p;
 }
 
-/* Makes room for `more` elements. Large blocks are remapped, not copied, and what is not written
- * yet costs nothing. */
-static void *make_room(void *array, uint64_t count, uint64_t more, uint64_t *capacity, size_t size)
+/* Grows an array to hold `more` elements. Large arrays are remapped, not copied, and pages that are
+ * not written take no memory. */
+static void *grow(void *array, uint64_t count, uint64_t more, uint64_t *capacity, size_t size)
 {
     if (count + more <= *capacity)
         return array;
@@ -150,16 +149,16 @@ static void *make_room(void *array, uint64_t count, uint64_t more, uint64_t *cap
 
 static inline const char *parse_vertex(const char *p, struct mesh *mesh)
 {
-    /* One more than is stored: Embree reads 16 bytes at each position. */
-    mesh->positions = make_room(mesh->positions, mesh->vertex_count, 2, &mesh->vertex_capacity,
-                                sizeof *mesh->positions);
+    /* One element is spare: Embree reads 16 bytes at each position. */
+    mesh->positions = grow(mesh->positions, mesh->vertex_count, 2, &mesh->vertex_capacity,
+                           sizeof *mesh->positions);
     float *position = mesh->positions[mesh->vertex_count++];
     for (int axis = 0; axis < 3; axis++)
         p = parse_float(p, position + axis);
     return p;
 }
 
-/* Reads the position's index of one corner and skips the others. */
+/* Parses the position index of a corner and skips its other indices. */
 static inline const char *parse_corner(const char *p, const struct mesh *mesh, uint32_t *index)
 {
     bool negative = *p == '-';
@@ -182,8 +181,8 @@ static inline const char *parse_face(const char *p, struct mesh *mesh)
         if (corner == 0)
             first = index;
         if (corner >= 2) {
-            mesh->triangles = make_room(mesh->triangles, mesh->triangle_count, 1,
-                                        &mesh->triangle_capacity, sizeof *mesh->triangles);
+            mesh->triangles = grow(mesh->triangles, mesh->triangle_count, 1,
+                                   &mesh->triangle_capacity, sizeof *mesh->triangles);
             uint32_t *triangle = mesh->triangles[mesh->triangle_count++];
             triangle[0] = first, triangle[1] = last, triangle[2] = index;
         }

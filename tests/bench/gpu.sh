@@ -1,19 +1,19 @@
 #!/bin/sh
-# Measures bisque-bake on the GPUs of this machine and prints tables in Markdown: whole bakes on cpu, cuda and opencl,
-# their maps held against the processor's, and the kernel, beside what the memory allows and with other registers and
-# blocks than the default.
+# Measures bisque-bake on the GPUs of this machine and prints tables in Markdown: whole bakes on cpu, cuda and opencl, how
+# their maps agree with the processor's, and the kernel, compared with the limit of the GPU's memory and with other
+# registers and blocks than the default.
 #
 #   tests/bench/gpu.sh [small|full] [all|bakes|kernel]
 #
 #   small          1024 x 1024 with 2 x 2 samples from a grid of 512 voxels; to try the script
 #   full           4096 x 4096 with 4 x 4 samples from a grid of 2048 voxels (default)
-#   bakes, kernel  only that part, where a call may not take long; default: all
-#   BENCH_BUNDLE   a directory made by `make gpu-bundle`, with programs and libraries; default: build/gpu where it is,
+#   bakes, kernel  only that part, if a call must be short; default: all
+#   BENCH_BUNDLE   a directory made by `make gpu-bundle`, with programs and libraries; default: build/gpu if it exists,
 #                  else the programs are built
-#   BENCH_DIR      where scans and maps go, and scans stay for the next run; default: a temporary directory
+#   BENCH_DIR      directory for scans and maps, where scans are kept for the next run; default: a temporary directory
 #   BENCH_ROUNDS   runs of each bake, of which the fastest counts (default: 3)
 #
-# It needs a GPU's driver, and nothing else where there is a bundle. A step that fails is a line, and the next goes on.
+# It needs the driver of a GPU, and nothing else with a bundle. If a step fails, it prints a line and continues.
 set -u
 LC_ALL=C
 export LC_ALL
@@ -58,10 +58,10 @@ fi
 
 say() { echo "gpu: $*" >&2; }
 
-# field NAME FILE: a value of a JSON object with one line a value.
+# field NAME FILE: prints a value of a JSON object with one value a line.
 field() { sed -n "s/^ *\"$1\": *\(.*\)/\1/p" "$2" | sed 's/,$//; s/^"\(.*\)"$/\1/' | head -n 1; }
 
-# seconds NAME FILE: the same, to three digits.
+# seconds NAME FILE: prints a value to three digits.
 seconds() { awk -v s="$(field "$1" "$2")" 'BEGIN { printf "%.3f", s }'; }
 
 # ---- the scan ----
@@ -96,7 +96,7 @@ echo
 
 # ---- bakes ----
 
-# bake DEVICE TYPE DESTINATION [OPTION VALUE]: maps of that OpenEXR type; the report goes to a file.
+# bake DEVICE TYPE DESTINATION [OPTION VALUE]: bakes maps of an OpenEXR type; writes the report to a file.
 bake()
 {
     bisque-bake --progress none --json --device "$1" --size $size --samples $samples "--$2" --maps normal,color,mask \
@@ -106,7 +106,7 @@ bake()
     }
 }
 
-# bake_often DEVICE: the fastest of the rounds ends up in DEVICE.json, maps of full precision in files.
+# bake_often DEVICE: bakes in all rounds; keeps the fastest report as DEVICE.json, and maps of full precision.
 bake_often()
 {
     best="" left=$rounds
@@ -123,7 +123,7 @@ bake_often()
     bake "$1" float round.json
 }
 
-# agreement DEVICE: of its maps with the processor's.
+# agreement DEVICE: prints how its maps agree with the processor's.
 agreement()
 {
     same=yes
@@ -138,7 +138,7 @@ agreement()
     fi
 }
 
-# passes: a line of a table for a device's memory that has no room for the grid: tiles and a quarter of it.
+# passes: prints a line of a table for a bake in passes, with memory for the tiles and a quarter of the grid.
 passes()
 {
     ! bake cuda float round.json --gpu-memory 1M 2>/dev/null || return 1
@@ -195,7 +195,7 @@ bakes()
 
 kernel()
 {
-    echo "## The kernel on cuda, beside its limits, and with other registers and blocks"
+    echo "## The kernel on cuda, compared with its limits, and with other registers and blocks"
     echo
     bench-gpu-trace "$scan" low.obj $size $samples 2>&1
 }

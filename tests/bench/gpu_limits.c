@@ -1,4 +1,5 @@
-/* gpu_limits.c - what the memory of a GPU lets the kernel take at least, beside what it takes. */
+/* gpu_limits.c - compares the time that the kernel takes with the least time that the bandwidth of
+ * the GPU's memory allows. */
 #define BK_COUNTERS
 #include "tests/bench/gpu_limits.h"
 
@@ -11,8 +12,7 @@
 
 enum { MEMORY_CLOCK_RATE = 36, GLOBAL_MEMORY_BUS_WIDTH = 37 }; /* attributes: kHz, bits */
 
-/* Rows of texels of which one is counted. */
-enum { COUNTED = 4 };
+enum { COUNTED = 4 }; /* one of this many rows of texels is counted */
 
 static _Thread_local bk_counts counts;
 
@@ -36,7 +36,7 @@ static void add(bk_counts *to, const bk_counts *more)
     to->blends += more->blends;
 }
 
-/* Texel by texel with nothing kept between them, as work items are. */
+/* Counts the work of a tile. Texels share no cache, as work items do not. */
 static int count_tile(void *arg, const struct rays_tile *tile)
 {
     struct counter *counter = arg;
@@ -69,7 +69,8 @@ static int count(struct rays_scene *scene, bk_counts *out)
     return status;
 }
 
-/* Bytes a second between the first GPU and its memory, by its clock and bus; 0: it does not say. */
+/* Returns the bandwidth of the first GPU's memory in bytes a second, computed from its clock and
+ * bus width; 0 if they are not known. */
 static double memory_bandwidth(void)
 {
     struct bake_cuda_api api;
@@ -103,9 +104,9 @@ static void print_line(const char *what, double bytes, double bandwidth, double 
         printf("| - | - |\n");
 }
 
-/* What a pair asks of the grid: two words a node, a word a step, a leaf's words and a record a
- * plane, those of two layers and eight records a blend. */
-static double asked_bytes(const bk_counts *c, bool color)
+/* Returns the bytes of the grid that rays read: two words a node, a word a step, two words of a
+ * leaf and a record a plane, and four words of leaves and eight records a blend. */
+static double bytes_read(const bk_counts *c, bool color)
 {
     const double record = 8, word = 8;
     return (double)c->fetches * 2 * word + (double)c->steps * word +
@@ -122,8 +123,8 @@ int gpu_limits_print(struct rays_scene *scene, double kernel_seconds)
     int status = count(scene, &c);
     if (status < 0)
         return status;
-    const double asked =
-        asked_bytes(&c, scene->job.params.flags & BK_HAS_COLOR) / (double)c.rays * pairs;
+    const double read =
+        bytes_read(&c, scene->job.params.flags & BK_HAS_COLOR) / (double)c.rays * pairs;
     printf("%.1f million ray pairs; each %.2f steps, %.2f nodes looked up, %.2f planes, %.2f "
            "blends. Kernels took %.1f ms. ",
            1e-6 * pairs, (double)c.steps / (double)c.rays, (double)c.fetches / (double)c.rays,
@@ -132,11 +133,11 @@ int gpu_limits_print(struct rays_scene *scene, double kernel_seconds)
     if (bandwidth > 0)
         printf("The GPU's memory moves %.0f GB/s.\n\n", 1e-9 * bandwidth);
     else
-        printf("The GPU does not say what its memory moves.\n\n");
+        printf("The GPU does not tell the bandwidth of its memory.\n\n");
     puts("| bytes | GB | ms at that | times that long |\n|---|---|---|---|");
     print_line("the grid, samples and texels once", grid_bytes(scene) + tiles, bandwidth,
                kernel_seconds);
-    print_line("all that rays ask for, as if there were no caches", asked + tiles, bandwidth,
+    print_line("all that rays read, as if there were no caches", read + tiles, bandwidth,
                kernel_seconds);
     puts("");
     return 0;

@@ -1,6 +1,7 @@
-/* gpu_trace.c - how long the kernel takes on an NVIDIA GPU: beside what its memory allows, and with
- * other numbers of registers and shapes of blocks than the default, as Markdown tables. Each line
- * is the better of two runs over the whole map; the texels' checksums have to be the same. */
+/* gpu_trace.c - measures how long the kernel takes on an NVIDIA GPU: compared with the limit of its
+ * memory, and with other numbers of registers and shapes of blocks than the default. Prints tables
+ * in Markdown. Each line is the better of two runs over the whole map; checksums must be the same.
+ */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,7 +13,7 @@ struct measured {
     uint64_t launches, checksum;
 };
 
-/* Traces the map twice on a device of its own. */
+/* Opens a device, traces the map twice, and keeps the faster run. */
 static int measure(struct rays_scene *scene, const struct bake_cuda_tuning *tuning,
                    struct measured *out)
 {

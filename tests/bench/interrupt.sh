@@ -1,7 +1,7 @@
 #!/bin/bash
-# interrupt.sh RUNS SECONDS PROGRAM ARGUMENT... - sends SIGTERM to a program at RUNS moments of its first SECONDS and prints
-# how long it took to end, the slowest last. For large inputs, by hand; run it in a directory of its own, which must be
-# as it was after every interruption. The moments are spread evenly, as phases of a job take their share of it.
+# interrupt.sh RUNS SECONDS PROGRAM ARGUMENT... - sends SIGTERM to a program at RUNS moments, evenly spread over its first
+# SECONDS, and prints how long it takes to end, the slowest last. For large inputs, by hand. Run it in a directory of its
+# own; each interruption must leave the directory unchanged.
 set -u
 [ $# -ge 3 ] || { sed -n '2,4s/^# //p' "$0" >&2; exit 64; }
 runs=$1 seconds=$2

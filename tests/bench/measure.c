@@ -1,13 +1,13 @@
-/* measure.c - runs a command and writes what it cost, as one line of key=value pairs.
+/* measure.c - runs a command and writes its cost to a file, as one line of key=value pairs.
  *
- * With --at-hand BYTES so much memory is touched and given back before. The host of a virtual
- * machine takes free memory back, and finding it again can take thirty times as long as touching
- * it: what a command costs would depend on what ran before it.
+ * With --at-hand BYTES, it first prefaults this much memory and frees it. The host of a virtual
+ * machine may reclaim free memory, and getting it back can take thirty times as long as touching
+ * it. Without this, the cost of a command would depend on what ran before.
  *
- * The numbers are the kernel's: resource usage of the child as wait4(2) returns it. "written" is
- * what the command dirtied in files (temporary ones included), whether or not it has reached the
- * disk by now; it stays 0 on file systems in memory. Should memory run out, the child is the first
- * that the system stops, not whatever else the machine is doing. */
+ * The figures are the resource usage of the child that wait4(2) returns. "written" counts the bytes
+ * that the command wrote to files, temporary ones included, whether or not they have reached the
+ * disk; it is 0 on file systems in memory. If memory runs out, the system kills the child before
+ * any other process. */
 #include <errno.h>
 #include <stdbool.h>
 #include <stdint.h>
@@ -35,7 +35,7 @@ static double now(void)
     return (double)t.tv_sec + (double)t.tv_nsec * 1e-9;
 }
 
-static void be_first_victim(void)
+static void be_killed_first(void)
 {
     FILE *file = fopen("/proc/self/oom_score_adj", "w");
     if (!file)
@@ -44,7 +44,7 @@ static void be_first_victim(void)
     fclose(file);
 }
 
-/* In a child of its own: should that be more than there is, it is the one that the system stops. */
+/* Prefaults memory in a child process, which the system kills first if there is too little. */
 static void have_at_hand(size_t bytes)
 {
     pid_t child = bytes ? fork() : -1;
@@ -55,7 +55,7 @@ static void have_at_hand(size_t bytes)
             ;
         return;
     }
-    be_first_victim();
+    be_killed_first();
     char *memory = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     if (memory != MAP_FAILED) {
         madvise(memory, bytes, MADV_HUGEPAGE);
@@ -70,13 +70,13 @@ static pid_t start(char **command)
     pid_t child = fork();
     if (child != 0)
         return child;
-    be_first_victim();
+    be_killed_first();
     execvp(command[0], command);
     fprintf(stderr, "measure: %s: %s\n", command[0], strerror(errno));
     _exit(EXIT_NOT_RUN);
 }
 
-/* Exit status as a shell reports it. */
+/* Returns the exit status as a shell reports it. */
 static int shell_status(int status)
 {
     return WIFSIGNALED(status) ? 128 + WTERMSIG(status) : WEXITSTATUS(status);

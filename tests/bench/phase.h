@@ -1,5 +1,5 @@
-/* phase.h - for the baselines: what each of their phases cost, as key=value lines on standard
- * output, e.g. "parse.wall=0.71". The first phase begins when the program does. */
+/* phase.h - prints the cost of each phase of a baseline to standard output, as key=value lines such
+ * as "parse.wall=0.71". The first phase begins with the program. */
 #ifndef BENCH_PHASE_H
 #define BENCH_PHASE_H
 
@@ -25,7 +25,7 @@ static inline struct phase_clock phase_now(void)
     return now;
 }
 
-/* Prints what it cost since *begin, and the peak of resident memory so far; *begin becomes now. */
+/* Prints the cost since *begin and the peak of resident memory so far, and sets *begin to now. */
 static inline void phase_end(const char *name, struct phase_clock *begin)
 {
     struct rusage usage;

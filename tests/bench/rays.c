@@ -1,5 +1,5 @@
-/* rays.c - how many ray pairs a second each device traces, beside Embree on the scan's triangles
- * with the same rays. Prints a table in Markdown.
+/* rays.c - measures how many ray pairs a second each device traces, and Embree with the same rays
+ * on the triangles of the scan. Prints a table in Markdown.
  *
  *   bench-rays SCAN.nvdb SCAN.tris LOW.obj SIZE SAMPLES ROUNDS */
 #include <stdio.h>
@@ -8,11 +8,11 @@
 
 #include "tests/bench/rays.h"
 
-enum { MOST_DEVICES = 16, MOST_ROUNDS = 99 };
+enum { MAX_DEVICES = 16, MAX_ROUNDS = 99 };
 
 struct row {
     char id[32], name[128];
-    double rates[MOST_ROUNDS], per_processor[MOST_ROUNDS], ratios[MOST_ROUNDS];
+    double rates[MAX_ROUNDS], per_processor[MAX_ROUNDS], ratios[MAX_ROUNDS];
     double upload;
     uint64_t hits;
     bool failed;
@@ -23,19 +23,20 @@ struct bench {
     struct rays_scene scene;
     const char *tris;
     unsigned rounds, devices;
-    struct row rows[MOST_DEVICES], embree;
+    struct row rows[MAX_DEVICES], embree;
 };
 
 static void on_device(void *arg, const struct bake_device_info *info)
 {
     struct bench *bench = arg;
-    if (bench->devices == MOST_DEVICES)
+    if (bench->devices == MAX_DEVICES)
         return;
     struct row *row = &bench->rows[bench->devices++];
     snprintf(row->id, sizeof row->id, "%s", info->id);
     snprintf(row->name, sizeof row->name, "%s", info->name);
 }
 
+/* Records the cost of a round. */
 static void note(struct bench *bench, struct row *row, unsigned round, const struct rays_cost *cost)
 {
     const double pairs = 1e-6 * (double)bench->scene.count;
@@ -45,7 +46,7 @@ static void note(struct bench *bench, struct row *row, unsigned round, const str
     row->hits = cost->hits;
 }
 
-/* The texels' checksums of the first round, so that a device that errs differently is seen. */
+/* Measures a device once. A device that fails is left out from then on. */
 static int run_device(struct bench *bench, struct row *row, unsigned round)
 {
     struct bake_device *device;
@@ -75,7 +76,7 @@ static int by_value(const void *a, const void *b)
 
 static double median(const double *values, unsigned count)
 {
-    double sorted[MOST_ROUNDS];
+    double sorted[MAX_ROUNDS];
     memcpy(sorted, values, count * sizeof *sorted);
     qsort(sorted, count, sizeof *sorted, by_value);
     return count % 2 ? sorted[count / 2] : (sorted[count / 2 - 1] + sorted[count / 2]) / 2;
@@ -109,7 +110,7 @@ static int run(struct bench *bench)
     struct rays_cost building = {0}, cost;
     int status = 0;
     for (unsigned round = 0; round < bench->rounds && status == 0; round++) {
-        /* Counts the rays too. */
+        /* The first device also counts the rays. */
         status = run_device(bench, &bench->rows[0], round);
         if (status == 0)
             status = rays_embree(&bench->scene, bench->tris, &building, &cost);
@@ -128,7 +129,7 @@ static int run(struct bench *bench)
 int main(int argc, char **argv)
 {
     static struct bench bench;
-    if (argc != 7 || atoi(argv[6]) < 1 || atoi(argv[6]) > MOST_ROUNDS) {
+    if (argc != 7 || atoi(argv[6]) < 1 || atoi(argv[6]) > MAX_ROUNDS) {
         fputs("usage: bench-rays SCAN.nvdb SCAN.tris LOW.obj SIZE SAMPLES ROUNDS\n", stderr);
         return 64;
     }

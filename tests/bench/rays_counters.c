@@ -1,5 +1,5 @@
-/* rays_counters.c - what the kernel counts when it is built with BK_COUNTERS: how much work the
- * rays of a map are. One thread. */
+/* rays_counters.c - prints how much work the rays of a map are, as counted by a kernel that is
+ * built with BK_COUNTERS, on one thread. */
 #include <stdio.h>
 #include <stdlib.h>
 

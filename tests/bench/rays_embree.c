@@ -1,5 +1,5 @@
-/* rays_embree.c - the rays of a map against the scan's triangles, by Embree: origins, directions
- * and lengths are those of the grid's rays, and triangles are taken to its index space. */
+/* rays_embree.c - traces the rays of a map against the triangles of the scan with Embree. Rays are
+ * the same as for the grid; triangles are transformed to its index space. */
 #include <embree3/rtcore.h>
 #include <string.h>
 
@@ -21,7 +21,7 @@ struct tally {
 struct embree {
     const struct rays_scene *scene;
     RTCScene rtc;
-    struct tally *tallies; /* a worker */
+    struct tally *tallies; /* one per worker */
 };
 
 /* ---- building ---- */
@@ -51,7 +51,7 @@ static int load(const struct rays_scene *scene, struct fmt_tris_file *file, stru
     void *scratch = NULL;
     for (uint64_t i = 0; i < header->chunk_count; i++)
         vertices += chunks[i].vertex_count;
-    /* One more: Embree reads 16 bytes at each position. */
+    /* One position is spare: Embree reads 16 bytes at each. */
     int status = bsq_alloc(ctx, "positions", vertices + 1, sizeof *out->positions, &out->positions);
     if (status == 0)
         status = bsq_alloc(ctx, "triangles", header->triangle_count, sizeof *out->indices,
@@ -68,8 +68,8 @@ static int load(const struct rays_scene *scene, struct fmt_tris_file *file, stru
     return status;
 }
 
-/* Hits count where the surface faces along the low mesh's normal, as in the kernel. The direction
- * is turned for rays against the normal; their id says so. */
+/* Rejects hits of surfaces that face against the low-poly mesh's normal, as the kernel does. Rays
+ * against the normal have id 1. */
 static void only_facing(const struct RTCFilterFunctionNArguments *a)
 {
     const struct RTCRay *ray = (const struct RTCRay *)a->ray;
@@ -118,7 +118,7 @@ static bool intersect(RTCScene scene, bk_vec3w o, bk_vec3w d, float far, bool ag
     return ray.hit.geomID != RTC_INVALID_GEOMETRY_ID;
 }
 
-/* The pair: outwards, and inwards no further than the first hit. */
+/* Traces a ray outwards, and one inwards that is no longer than the distance of the first hit. */
 static bool trace_pair(const struct embree *embree, uint32_t triangle, float x, float y)
 {
     const struct bk_params *params = &embree->scene->job.params;

@@ -1,4 +1,4 @@
-/* rays_scene.c - prepares rays as bisque-bake does, and hands them out tile by tile. */
+/* rays_scene.c - prepares rays as bisque-bake does, and traces them tile by tile. */
 #include <string.h>
 #include <sys/resource.h>
 
@@ -48,7 +48,7 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
     options.scan_path = scan;
     int status = bake_surface_open(ctx, &options, &out->surface);
     if (status == 0 && out->surface.exact)
-        status = bsq_fail(ctx, BSQ_EDATA, "%s is no grid", scan);
+        status = bsq_fail(ctx, BSQ_EDATA, "%s is not a grid", scan);
     if (status == 0)
         status = bake_lowmesh_load(ctx, mesh, &out->mesh);
     if (status < 0)
@@ -77,7 +77,7 @@ void rays_close(struct rays_scene *scene)
 
 struct tile_loop {
     struct rays_scene *scene;
-    uint32_t **sample_triangles; /* a worker */
+    uint32_t **sample_triangles; /* one per worker */
     struct bk_texel **texels;
     int (*fn)(void *arg, const struct rays_tile *tile);
     void *arg;
@@ -134,7 +134,7 @@ struct device_tally {
 
 struct device_loop {
     struct bake_device *device;
-    struct device_tally *tallies; /* a worker */
+    struct device_tally *tallies; /* one per worker */
 };
 
 static uint64_t hash_words(uint64_t hash, const void *data, size_t words)

@@ -1,21 +1,21 @@
 #!/bin/sh
-# Measures bisque-voxelize beside what others need for the same scan in the same run, and prints
-# tables in Markdown. tests/bench/RESULTS.md says how to read them.
+# Measures bisque-voxelize and other programs on the same scans, and prints tables in Markdown.
+# tests/bench/RESULTS.md says how to read them.
 #
 #   BIN=DIR TESTS=DIR tests/bench/run.sh small|medium|large
 #
 #   BIN, TESTS     directories with the programs, and with generate-scan, measure and the baselines
-#   BENCH_DIR      where scans and outputs go, and scans stay for the next run; without it they go
-#                  to a temporary directory beside BIN, which is removed in the end
-#   BENCH_SCAN     a small OBJ file that is amplified to the sizes wanted, instead of the vase
+#   BENCH_DIR      directory for scans and outputs, where scans are kept for the next run; default: a
+#                  temporary directory beside BIN, which is removed at the end
+#   BENCH_SCAN     a small OBJ file to amplify instead of the vase
 #   BENCH_ROUNDS   how often each job runs (default: 3; with 109 million triangles: 2)
 #
-# Each job runs once a round, so that slow drifts of the machine meet all jobs alike. No job shall pay
-# for the one before it, nor gain from it. Before each, its scan is brought into the page cache, what
-# earlier jobs wrote is flushed to disk, and as much memory as the job will take is touched and given
-# back: the host of a virtual machine may take memory that is freed, in some seconds, and whoever needs
-# it next waits for it, two or three seconds a gigabyte. And in each round the jobs that ratios divide
-# by "whole" come right behind it; those that leave most memory behind come last.
+# Each job runs once a round, so that slow drifts of the machine affect all jobs alike. No job may
+# influence the next one. Before each job, its scan is read into the page cache, what earlier jobs wrote
+# is flushed to disk, and as much memory as the job needs is prefaulted and freed. The host of a virtual
+# machine may reclaim freed memory after some seconds; getting it back takes two or three seconds a
+# gigabyte. Jobs whose ratio to "whole" is measured run directly after it; those that free most memory
+# run last.
 set -u
 LC_ALL=C
 export LC_ALL
@@ -55,7 +55,7 @@ say()
     echo "bench: $*" >&2
 }
 
-# record FIELD...: one line of table.awk's input.
+# record FIELD...: writes a line of table.awk's input.
 record()
 {
     line=$1
@@ -66,7 +66,7 @@ record()
     printf '%s\n' "$line" >>"$records"
 }
 
-# value NAME FILE: of a line NAME=VALUE.
+# value NAME FILE: prints VALUE of a line NAME=VALUE.
 value()
 {
     sed -n "s/^$1=//p" "$2"
@@ -83,7 +83,7 @@ bytes_of()
     wc -c <"$1" | tr -d ' '
 }
 
-# ---- what the machine is and has room for ----
+# ---- the machine ----
 
 describe_machine()
 {
@@ -109,7 +109,7 @@ kib_free()
     df -Pk "$work" | awk 'NR == 2 { print $4 }'
 }
 
-# require_disk TRIANGLES LABEL: for both scans, a chunk file and temporary files of shuffled faces.
+# require_disk TRIANGLES LABEL: checks that both scans, a chunk file and temporary files fit the disk.
 require_disk()
 {
     need=$(($1 * 135 / 1024 + 1024 * 1024))
@@ -124,7 +124,7 @@ require_disk()
     exit 74
 }
 
-# has_memory BYTES: whether this much is available without swapping.
+# has_memory BYTES: checks that this much memory is available without swapping.
 has_memory()
 {
     awk -v need="$1" '/^MemAvailable/ { exit !($2 * 1024 >= need) }' /proc/meminfo
@@ -132,7 +132,7 @@ has_memory()
 
 # ---- scans ----
 
-# The small scan: the vase's low mesh, or the one that BENCH_SCAN names.
+# The small scan: the vase's low-poly mesh, or the file that BENCH_SCAN names.
 choose_source()
 {
     source=${BENCH_SCAN:-$work/low.obj}
@@ -150,7 +150,7 @@ scan_path()
     echo "$scans/${scan_name%.obj}-$1.obj"
 }
 
-# make_scan NAME TRIANGLES OPTION...: sets $made; a scan that is there already is used again.
+# make_scan NAME TRIANGLES OPTION...: generates a scan unless it exists; sets $made to its path.
 make_scan()
 {
     made=$(scan_path "$1")
@@ -162,7 +162,7 @@ make_scan()
         mv "$made.part" "$made" || exit 73
 }
 
-# use_scans LABEL TRIANGLES: generates both orders; sets $label, $ordered, $shuffled and so on.
+# use_scans LABEL TRIANGLES: generates the scan in both orders; sets $label, $ordered, $shuffled and so on.
 use_scans()
 {
     label=$1
@@ -178,8 +178,8 @@ use_scans()
 
 # ---- jobs ----
 
-# measure INPUT BYTES COMMAND...: runs it, with so much memory at hand; sets wall, user, system, rss,
-# written, status; output in $work/out and $work/err.
+# measure INPUT BYTES COMMAND...: runs a command after prefaulting BYTES of memory; sets wall, user,
+# system, rss, written, status; its output goes to $work/out and $work/err.
 measure()
 {
     cat "$1" >/dev/null
@@ -191,7 +191,7 @@ measure()
     read -r wall user system rss _ written status <"$work/fields"
 }
 
-# why: what the last command said, or how it ended.
+# why: prints the error of the last command, or how it ended.
 why()
 {
     case $status in
@@ -216,8 +216,8 @@ job_cat()
     output=$work/out
 }
 
-# baseline PROGRAM TITLE BYTES_A_TRIANGLE INPUT: whether it ran; where not, records why. The memory
-# that it takes is known from smaller scans; a quarter more must be available.
+# baseline PROGRAM TITLE BYTES_A_TRIANGLE INPUT: runs a baseline; if it cannot run, records why and
+# fails. Its memory is known from smaller scans; a quarter more must be available.
 baseline()
 {
     if [ ! -x "$TESTS/$1" ]; then
@@ -236,7 +236,7 @@ baseline()
     return 1
 }
 
-# add_phase NAME: adds what a phase of a baseline cost to wall, user and system.
+# add_phase NAME: adds the cost of a phase of a baseline to wall, user and system.
 add_phase()
 {
     wall=$(echo "$wall $(value "$1.wall" "$output")" | awk '{ print $1 + $2 }')
@@ -245,7 +245,7 @@ add_phase()
     rss=$(value "$1.rss_kib" "$output")
 }
 
-# The baselines count their own phases, without start and freeing: that favours them.
+# The baselines measure their own phases, without start and freeing, which favours them.
 job_embree()
 {
     baseline baseline-embree "Embree: parse and build" 120 "$ordered" || return 0
@@ -264,8 +264,8 @@ job_tinyobj()
     keep tinyobj "tinyobjloader: parse" embree-parse "$bytes"
 }
 
-# bisque KEY TITLE AGAINST INPUT BYTES ARGUMENT...: measures bisque-voxelize, with so much memory at
-# hand; whether it succeeded.
+# bisque KEY TITLE AGAINST INPUT BYTES ARGUMENT...: measures bisque-voxelize after prefaulting BYTES of
+# memory; fails if it fails.
 bisque()
 {
     key=$1 name=$2 other=$3 input=$4 bytes_at_hand=$5
@@ -281,7 +281,7 @@ bisque()
     keep "$key" "$name" "$other" "$(bytes_of "$input")"
 }
 
-# grid_facts KEY FACT...: what the report of the last run says about its files.
+# grid_facts KEY FACT...: records facts of the last report about its files.
 grid_facts()
 {
     key=$1
@@ -297,8 +297,8 @@ job_parse()
     bisque "parse" "parse only, all threads" embree-parse "$ordered" 0 --parse-only
 }
 
-# takes MEMORY: bytes that a job with this budget takes, with the page cache of the files it writes:
-# 12 bytes a triangle of chunk file and some more of temporary files, and a grid of up to 300 MiB.
+# takes MEMORY: prints the bytes that a job with this budget takes, including the page cache of its
+# files: 12 bytes a triangle for the chunk file, some more for temporary files, and a grid of 300 MiB.
 takes()
 {
     echo $(($(numfmt --from=iec "$1") + triangles * 32 + 512 * 1024 * 1024))
@@ -312,7 +312,7 @@ job_whole()
     grid_facts whole tris_bytes temp_bytes grid_bytes voxels
 }
 
-# job_grid KEY RESOLUTION AGAINST: from the chunk file that job_whole left.
+# job_grid KEY RESOLUTION AGAINST: makes a grid from the chunk file of job_whole.
 job_grid()
 {
     [ -f "$work/whole.tris" ] || return 0
@@ -321,7 +321,7 @@ job_grid()
     rm -f "$work/other.nvdb"
 }
 
-# same_bytes TITLE: in the first round, compares the last run's outputs with those of job_whole.
+# same_bytes TITLE: in the first round, compares the outputs of the last run with those of job_whole.
 same_bytes()
 {
     [ "$round" -eq 1 ] && [ -f "$work/whole.tris" ] || return 0
@@ -348,7 +348,7 @@ job_shuffled()
     rm -f "$work/other.nvdb" "$work/other.tris"
 }
 
-# one_round BUDGET...: all jobs once; the budgets are those to try besides 1 GiB.
+# one_round BUDGET...: runs all jobs once, with these budgets besides 1 GiB.
 one_round()
 {
     job_cat
@@ -364,8 +364,8 @@ one_round()
     job_embree
 }
 
-# job_fine RESOLUTION: a fine grid, where the disk has room for it and for as much of temporary
-# files. Voxels of a surface grow with the square of the resolution.
+# job_fine RESOLUTION: makes a fine grid, if it and as many bytes of temporary files fit the disk. The
+# voxels of a surface grow with the square of the resolution.
 job_fine()
 {
     [ -f "$work/whole.nvdb" ] || return 0

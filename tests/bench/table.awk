@@ -4,9 +4,9 @@
 #   run   SCAN ROUND KEY TITLE AGAINST TRIANGLES BYTES WALL USER SYSTEM RSS_KIB WRITTEN
 #   fact  SCAN KEY NAME VALUE
 #   skip  SCAN TITLE REASON
-# AGAINST is the key of the job that KEY is compared with, or "-". Every number shown is a median
-# over the rounds, of ratios too: both jobs of a ratio ran in the same round, so a machine that
-# slows down for a while changes neither. Resident memory is the highest of all rounds.
+# AGAINST is the key of the job that KEY is compared with, or "-". All figures are medians over the
+# rounds. A ratio is taken within a round, so that a machine that slows down for a while affects both
+# jobs. Resident memory is the highest of all rounds.
 # Variables: threads (processors), resolution.
 
 function median(values, count,    i, j, t) {
@@ -85,7 +85,7 @@ function print_files(scan,    i, key, n) {
     }
 }
 
-# One line of the list of goals; limit is "at most" where sense is -1, "at least" where it is 1.
+# Prints a line of the list of goals. The limit is "at most" if sense is -1, "at least" if it is 1.
 function goal(scan, text, value, limit, sense, format) {
     if (value < 0)
         return

@@ -1,10 +1,10 @@
-/* check_mesh.c - holds baked maps against exact rays, by brute force.
+/* check_mesh.c - checks baked maps against rays that are traced by brute force.
  *
- * For every few texels: find the low triangle in UV space, build the ray along the interpolated
- * normal, intersect it with all triangles of the scan in double, take the nearest front-facing hit,
- * and compare its face normal and, given a texture, the bilinear texel there with the maps. Slow
- * and simple on purpose; nothing of libbake or libvoxel is used. Scans of some ten thousand
- * triangles. */
+ * For some of the texels it finds the low-poly triangle in texture space and casts the ray along
+ * the interpolated normal. It intersects the ray with all triangles of the scan in double and takes
+ * the nearest front-facing hit. It compares the face normal there, and the texture if there is one,
+ * with the maps. It is slow and simple on purpose and uses nothing of libbake or libvoxel. For
+ * scans of some ten thousand triangles. */
 #include "formats/mesh/mesh_reader.h"
 #include "tests/scan/verdict.h"
 
@@ -20,7 +20,7 @@ struct check {
     struct fmt_exr_image normal, mask, color;
     png_image texture;
     unsigned char *texels; /* RGBA, 8 bit */
-    double reach;          /* longest ray, world units */
+    double length;         /* of a ray at most, world units */
     struct verdict verdict;
 };
 
@@ -55,7 +55,8 @@ static void face_normal(const struct fmt_mesh *m, uint64_t triangle, double n[3]
     cross(a, b, n);
 }
 
-/* Moeller & Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997. */
+/* Intersects a line with a triangle (Moeller & Trumbore, "Fast, Minimum Storage Ray/Triangle
+ * Intersection", 1997). Returns whether they meet. */
 static int intersect(const struct fmt_mesh *m, uint64_t triangle, const double p[3],
                      const double d[3], struct hit *hit)
 {
@@ -77,9 +78,10 @@ static int intersect(const struct fmt_mesh *m, uint64_t triangle, const double p
     return hit->w[0] >= 0 && hit->w[1] >= 0 && hit->w[2] >= 0;
 }
 
+/* Finds the nearest front-facing hit. Returns whether there is one. */
 static int trace(const struct check *c, const double p[3], const double d[3], struct hit *best)
 {
-    best->t = c->reach;
+    best->t = c->length;
     int found = 0;
     for (uint64_t i = 0; i < c->scan.triangle_count; i++) {
         struct hit hit;
@@ -95,7 +97,7 @@ static int trace(const struct check *c, const double p[3], const double d[3], st
     return found;
 }
 
-/* The low triangle around UV (u, v) and the ray there; 0 outside all charts. */
+/* Computes the ray at (u, v) of texture space. Returns 0 outside of all charts. */
 static int low_ray(const struct check *c, double u, double v, double p[3], double d[3])
 {
     for (uint64_t i = 0; i < c->low.triangle_count; i++) {
@@ -122,7 +124,7 @@ static int low_ray(const struct check *c, double u, double v, double p[3], doubl
     return 0;
 }
 
-/* Bilinear, in linear light, of the texture at a hit. */
+/* Samples the texture at a hit, bilinearly in linear light. */
 static void texture_at(const struct check *c, const struct hit *hit, double color[3])
 {
     double uv[2] = {0, 0};
@@ -177,7 +179,7 @@ static void load_texture(struct check *c, const char *path)
     c->texture.version = PNG_IMAGE_VERSION;
     if (!png_image_begin_read_from_file(&c->texture, path))
         exit(66);
-    c->texture.format = PNG_FORMAT_RGBA; /* alpha is not blended in: it is not colour */
+    c->texture.format = PNG_FORMAT_RGBA; /* with alpha, so that libpng does not blend it in */
     c->texels = malloc(PNG_IMAGE_SIZE(c->texture));
     if (!c->texels || !png_image_finish_read(&c->texture, NULL, c->texels, 0, NULL))
         exit(65);
@@ -197,12 +199,12 @@ static void load_meshes(struct check *c, struct bsq_ctx *ctx, char **paths)
             high[k] = fmax(high[k], c->scan.positions[i][k]);
         }
     subtract(high, low, d);
-    c->reach *= sqrt(dot(d, d));
+    c->length *= sqrt(dot(d, d));
 }
 
 int main(int argc, char **argv)
 {
-    struct check c = {.reach = 0.05};
+    struct check c = {.length = 0.05};
     struct verdict_limits limits = VERDICT_NO_LIMITS;
     unsigned step = 97;
     const char *texture = NULL;
@@ -210,7 +212,7 @@ int main(int argc, char **argv)
         if (o == 't')
             texture = optarg;
         else if (o == 'r')
-            c.reach = atof(optarg);
+            c.length = atof(optarg);
         else if (o == 'e')
             step = (unsigned)atoi(optarg);
         else if (!verdict_option(&limits, o, optarg))
@@ -218,7 +220,7 @@ int main(int argc, char **argv)
     }
     if (argc - optind != (texture ? 5 : 4) || step < 1) {
         fputs(
-            "usage: check-mesh [-e EVERY] [-r REACH] [-m MAX_MEAN_DEG] [-p MAX_P95_DEG] [-h MIN_HITS]\n"
+            "usage: check-mesh [-e EVERY] [-r LENGTH] [-m MAX_MEAN_DEG] [-p MAX_P95_DEG] [-h MIN_HITS]\n"
             "                  [-c MAX_COLOR -t texture.png] scan.obj low.obj object_normal.exr mask.exr\n"
             "                  [color.exr]\n",
             stderr);

@@ -1,10 +1,10 @@
-/* check_tangent.c - holds a tangent-space map against the object-space map of the same rays.
+/* check_tangent.c - checks a tangent-space map against the object-space map of the same rays.
  *
- * The tangent-space values go through what a MikkTSpace shader does: at a texel's centre, normal
- * and tangent are interpolated over the low triangle and not normalised, b = sign * cross(n, t),
- * and the result is normalize(m.x t + m.y b + m.z n). The frames at the corners are libbake's,
- * which unit tests hold against Blender's; the rest is written anew. For bakes with one sample a
- * texel and charts that do not overlap. */
+ * It decodes the tangent-space values as a MikkTSpace shader does. At the centre of a texel, normal
+ * and tangent are interpolated over the low-poly triangle and not normalised, b = sign * cross(n,
+ * t), and the result is normalize(m.x t + m.y b + m.z n). The frames at the corners come from
+ * libbake; unit tests hold them against those of Blender. All else is independent of libbake. For
+ * bakes with one sample a texel and charts that do not overlap. */
 #include "libbake/lowpoly/lowpoly.h"
 #include "tests/scan/verdict.h"
 
@@ -13,7 +13,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-/* Weight from which on a texel's centre is surely inside a triangle, whatever the rounding. */
+/* Least weight at which the centre of a texel is inside a triangle despite rounding. */
 #define INSIDE 1e-3
 
 struct check {
@@ -23,7 +23,7 @@ struct check {
     uint64_t mirrored; /* texels with a negative sign */
 };
 
-/* A low triangle in map coordinates: texels from the top left. */
+/* A low-poly triangle on the map, in texels from the top left. */
 struct chart {
     double x[3], y[3];
 };
@@ -38,6 +38,7 @@ static struct chart chart_of(const struct check *c, uint64_t triangle)
     return chart;
 }
 
+/* Computes the barycentric weights of a point. Returns whether it is inside for certain. */
 static int weights(const struct chart *chart, double x, double y, double w[3])
 {
     const double *px = chart->x, *py = chart->y;
@@ -48,7 +49,7 @@ static int weights(const struct chart *chart, double x, double y, double w[3])
     return w[0] > INSIDE && w[1] > INSIDE && w[2] > INSIDE;
 }
 
-/* The shader: encoded map value to object-space normal, not unit. */
+/* Decodes a map value into an object-space normal, not unit, as the shader does. */
 static void decode(const struct check *c, uint64_t triangle, const double w[3],
                    const double encoded[3], double out[3])
 {

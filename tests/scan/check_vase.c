@@ -1,9 +1,9 @@
-/* check_vase.c - holds baked maps of the vase against its analytic normals and colours.
+/* check_vase.c - checks baked maps of the vase against its analytic normals and colours.
  *
- * For every texel the ray from the low mesh is computed anew (the low mesh is a regular grid in UV
- * space), its crossing with the analytic surface is solved for, and the mean over the texel's
- * samples is compared with the object-space normal map and the linear colour map. Nothing of
- * libbake is used. */
+ * For each texel it computes the rays from the low-poly mesh, which is a regular grid in texture
+ * space, and solves for their crossings with the analytic surface. It compares the mean over the
+ * texel's samples with the object-space normal map and the linear colour map. It uses nothing of
+ * libbake. */
 #include "tests/scan/vase.h"
 #include "tests/scan/verdict.h"
 
@@ -13,13 +13,14 @@
 #include <stdlib.h>
 
 struct check {
-    unsigned nu, ns;  /* quads of the low mesh */
-    unsigned samples; /* N x N a texel */
+    unsigned nu, ns;  /* quads of the low-poly mesh */
+    unsigned samples; /* N, for N x N samples a texel */
     struct fmt_exr_image normal, mask, color;
     struct verdict verdict;
 };
 
-/* The low mesh's ray at UV (u, s): its triangles split each quad along the diagonal u = s. */
+/* Computes the ray at (u, s) of texture space. The mesh's quads are split along the diagonal u = s.
+ */
 static void low_ray(const struct check *c, double u, double s, double p[3], double n[3])
 {
     double x = u * c->nu, y = s * c->ns, i = floor(x), j = floor(y), fx = x - i, fy = y - j;
@@ -40,8 +41,8 @@ static void low_ray(const struct check *c, double u, double s, double p[3], doub
         n[k] /= length;
 }
 
-/* Sum of analytic normals and mean linear colour over a texel's samples; 0 where a ray cannot be
- * solved. */
+/* Computes the sum of the analytic normals and the mean linear colour over a texel's samples.
+ * Returns 0 if the crossing of a ray cannot be found. */
 static int expected(const struct check *c, double x, double y, double normal[3], double color[3])
 {
     for (int k = 0; k < 3; k++)

@@ -1,4 +1,4 @@
-/* generate.c - writes scans of any size for tests, demos and benchmarks, streaming. */
+/* generate.c - the scan generator: writes scans of any size for tests, demos and benchmarks. */
 #include "tests/scan/generate_options.h"
 
 #include <getopt.h>
@@ -8,7 +8,7 @@
 
 static const char usage[] =
     "usage: generate-scan [options] vase -o FILE.obj          analytic vase with relief\n"
-    "       generate-scan [options] vase-low -o FILE.obj      its low mesh (40 x 64 quads)\n"
+    "       generate-scan [options] vase-low -o FILE.obj      its low-poly mesh (40 x 64 quads)\n"
     "       generate-scan [options] sine -o FILE.obj          crossed sine waves on a square of side 100\n"
     "       generate-scan [options] sine-low -o FILE.obj      the square\n"
     "       generate-scan [options] SMALL.obj -o FILE.obj     a small scan, amplified\n"
@@ -20,7 +20,7 @@ static const char usage[] =
     "      --shuffle SEED    faces in random order\n"
     "      --offset X,Y,Z    added to every position\n"
     "      --amplitude A     displacement as a share of the diagonal (default 0.002)\n"
-    "      --rounded         the small scan's edges are no creases\n"
+    "      --rounded         round off the edges of the small scan\n"
     "      --wavelength W    of the sine (default 10), the longest of an amplified scan (default 0.03 diagonals)\n";
 
 static int bad_usage(void)

@@ -1,3 +1,8 @@
+/* generate_amplified.c - makes a large scan of a small one: each triangle becomes k x k smaller
+ * ones.
+ *
+ * New vertices are numbered in closed form: corners first, then those on edges, then inner ones. So
+ * neighbours share them, and only the small scan is in memory. */
 #include "tests/scan/generate_options.h"
 #include "tests/scan/permutation.h"
 #include "tests/scan/text_writer.h"
@@ -6,19 +11,16 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Each triangle becomes k x k smaller ones. New vertices are numbered in closed form, corners
- * first, then edges, then inner ones, so that neighbours share them and nothing but the small scan
- * is in memory. */
 struct small {
     double (*position)[3], (*normal)[3];
-    uint64_t (*face)[3], (*edge)[3]; /* edge numbers opposite to corners 2, 0, 1: 01, 12, 20 */
+    uint64_t (*face)[3], (*edge)[3]; /* edges of a face: 01, 12, 20 */
     uint64_t vertices, faces, edges, k;
     double height, wavelength;
     int rounded;
 };
 
 struct half_edge {
-    uint64_t low, high, slot;
+    uint64_t low, high, number; /* vertices; 3 * face + edge of the face */
 };
 
 static void *grow(void *memory, uint64_t count, size_t size)
@@ -78,7 +80,7 @@ static void number_edges(struct small *m)
     qsort(half, 3 * m->faces, sizeof *half, compare_edges);
     for (uint64_t i = 0; i < 3 * m->faces; i++) {
         m->edges += i == 0 || compare_edges(half + i - 1, half + i);
-        m->edge[half[i].slot / 3][half[i].slot % 3] = m->edges - 1;
+        m->edge[half[i].number / 3][half[i].number % 3] = m->edges - 1;
     }
     free(half);
 }
@@ -105,7 +107,8 @@ static void smooth_normals(struct small *m)
     }
 }
 
-/* Displacement as a function of space, so that shared vertices agree: three octaves of sines. */
+/* Returns the displacement: three octaves of sines. It is a function of the position, so that
+ * shared vertices agree. */
 static double bump(const struct small *m, const double p[3])
 {
     double sum = 0, amplitude = 1, frequency = 6.283185307179586 / m->wavelength;
@@ -116,8 +119,8 @@ static double bump(const struct small *m, const double p[3])
     return m->height * sum;
 }
 
-/* Lifts a point of a face from its plane onto a surface that bends as the corners' normals say
- * (Boubekeur & Alexa, "Phong Tessellation", 2008): old edges are no creases then. */
+/* Moves a point of a face onto a surface that is curved by the normals of the corners, so that
+ * edges of the small scan are no creases (Boubekeur & Alexa, "Phong Tessellation", 2008). */
 static void round_point(const struct small *m, uint64_t f, const double w[3], double p[3])
 {
     double lift[3] = {0};
@@ -133,7 +136,7 @@ static void round_point(const struct small *m, uint64_t f, const double w[3], do
         p[i] += lift[i];
 }
 
-/* The point with weights (w0, w1, w2) / k on face f, displaced, as a line of text. */
+/* Writes the displaced point with weights (w0, w1, k - w0 - w1) / k on face f. */
 static void put_point(struct small *m, struct text_writer *text, const double *offset, uint64_t f,
                       uint64_t w0, uint64_t w1)
 {
@@ -154,7 +157,7 @@ static void put_point(struct small *m, struct text_writer *text, const double *o
     text_string(text, "\n");
 }
 
-/* Number (from 1) of the point with weights (w0, w1, k - w0 - w1) of face f. */
+/* Returns the number, from 1, of the point with weights (w0, w1, k - w0 - w1) / k on face f. */
 static uint64_t point_number(const struct small *m, uint64_t f, uint64_t w0, uint64_t w1)
 {
     uint64_t w[3] = {w0, w1, m->k - w0 - w1}, k = m->k;
@@ -167,7 +170,7 @@ static uint64_t point_number(const struct small *m, uint64_t f, uint64_t w0, uin
             uint64_t along = forward ? w[(e + 1) % 3] : w[e];
             return m->vertices + m->edge[f][e] * (k - 1) + along;
         }
-    /* Inner points run by rows of constant w0 from 1 to k - 2, each with w1 from 1 to k - 1 - w0.
+    /* Inner points are in rows of constant w0 from 1 to k - 2, each with w1 from 1 to k - 1 - w0.
      */
     uint64_t inner = (k - 1) * (k - 2) / 2, rows = w0 - 1;
     uint64_t before = rows * (k - 2) - rows * (rows - 1) / 2;
@@ -178,8 +181,7 @@ static uint64_t point_number(const struct small *m, uint64_t f, uint64_t w0, uin
 
 static void put_points(struct small *m, struct text_writer *text, const double *offset)
 {
-    /* Any face that has the corner or edge will do: the last one wins, which one does not matter.
-     */
+    /* A face that has the corner or edge; any of them will do. */
     uint64_t *owner = calloc(m->vertices > m->edges ? m->vertices : m->edges, sizeof *owner);
     if (!owner)
         abort();
@@ -206,8 +208,8 @@ static void put_points(struct small *m, struct text_writer *text, const double *
     free(owner);
 }
 
-/* Small triangle number t of face f: row a holds 2 (k - a) - 1 of them, upright and inverted in
- * turn. */
+/* Writes small triangle t of face f. Row a has 2 (k - a) - 1 of them, upright and inverted in turn.
+ */
 static void put_small_face(struct small *m, struct text_writer *text, uint64_t f, uint64_t t)
 {
     uint64_t a = 0;

@@ -1,6 +1,6 @@
-/* A patch of z = a sin(k x) sin(k y) over a plane that is turned against all axes, so that voxels
- * meet it at every angle. One wavelength everywhere and a steepest slope of 20 degrees: the
- * detail's length in voxels is all that differs between two of them. */
+/* generate_sine.c - a patch of z = a sin(k x) sin(k y) over a plane that is parallel to no axis, so
+ * that voxels meet it at every angle. The steepest slope is 20 degrees for any wavelength: two
+ * patches differ only in the length of a wave in voxels. */
 #include "tests/scan/generate_options.h"
 #include "tests/scan/permutation.h"
 #include "tests/scan/text_writer.h"
@@ -8,8 +8,8 @@
 #include <math.h>
 
 #define SLOPE  (20 / 57.29577951308232)
-#define SIDE   100.0 /* of the low mesh, world units: six decimals are plenty */
-#define MARGIN 4.0   /* the scan goes on beyond the low mesh */
+#define SIDE   100.0 /* of the low-poly mesh, world units; OBJ numbers have six decimals */
+#define MARGIN 4.0   /* by which the scan extends beyond the low-poly mesh */
 
 struct patch {
     struct text_writer text;

@@ -1,3 +1,4 @@
+/* generate_vase.c - the vase as a closed grid of triangles or polygons, and its low-poly mesh. */
 #include "tests/scan/generate_options.h"
 #include "tests/scan/permutation.h"
 #include "tests/scan/text_writer.h"
@@ -5,8 +6,8 @@
 
 #include <math.h>
 
-/* A grid of nu columns around and ns rows along the profile, both closed. Vertex and normal numbers
- * wrap; texture coordinates need a column and a row more. */
+/* A grid of nu columns around the axis and ns rows along the profile, both closed. The numbers of
+ * vertices and normals wrap around; texture coordinates have one more column and row. */
 struct grid {
     struct text_writer text;
     uint64_t nu, ns;
@@ -41,7 +42,7 @@ static void put_triangle(struct grid *g, uint64_t index)
     text_string(&g->text, "\n");
 }
 
-/* A strip of `quads` cells of row j as one polygon. */
+/* Writes a strip of `quads` cells of row j as one polygon. */
 static void put_polygon(struct grid *g, uint64_t i, uint64_t j, uint64_t quads)
 {
     text_string(&g->text, "f");
@@ -105,7 +106,8 @@ static void put_faces(struct grid *g, const struct generate_options *options)
 
 void generate_vase(const struct generate_options *options)
 {
-    /* Around is about twice as long as along at the belly: cells come out roughly square. */
+    /* Cells are roughly square: at the belly the vase is about as long around as along the profile.
+     */
     struct grid g = {.normals = options->normals, .texcoords = options->texcoords};
     double cells = (double)options->triangles / 2;
     g.ns = (uint64_t)fmax(3, round(sqrt(cells)));

@@ -1,6 +1,6 @@
 /* permutation.h - a random order of 0 .. count - 1 in constant memory: a Feistel network over the
- * next power of four, walked until it falls into range (Black & Rogaway, "Ciphers with Arbitrary
- * Finite Domains", 2002). */
+ * next power of four, applied again until the result is in range (Black & Rogaway, "Ciphers with
+ * Arbitrary Finite Domains", 2002). */
 #ifndef SCAN_PERMUTATION_H
 #define SCAN_PERMUTATION_H
 
@@ -15,6 +15,7 @@ static inline uint64_t scan_mix(uint64_t x)
     return x ^ x >> 33;
 }
 
+/* Returns the number at place `index` of the order. */
 static inline uint64_t scan_permute(uint64_t index, uint64_t count, uint64_t seed)
 {
     unsigned half = 1;

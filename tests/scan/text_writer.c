@@ -1,3 +1,4 @@
+/* text_writer.c - formats numbers into a buffer of 1 MiB. */
 #include "tests/scan/text_writer.h"
 
 #include <errno.h>
@@ -40,7 +41,8 @@ void text_close(struct text_writer *writer)
     free(writer->buffer);
 }
 
-static char *room(struct text_writer *writer)
+/* Returns where the next item goes; it may be up to LONGEST_ITEM long. */
+static char *next_item(struct text_writer *writer)
 {
     if (writer->used > BUFFER_BYTES - LONGEST_ITEM)
         flush(writer);
@@ -50,7 +52,7 @@ static char *room(struct text_writer *writer)
 void text_string(struct text_writer *writer, const char *string)
 {
     for (; *string; string++) {
-        *room(writer) = *string;
+        *next_item(writer) = *string;
         writer->used++;
     }
 }
@@ -66,7 +68,7 @@ static char *put_digits(char *end, uint64_t value)
 void text_integer(struct text_writer *writer, uint64_t value)
 {
     char digits[24], *end = digits + sizeof digits, *start = put_digits(end, value);
-    memcpy(room(writer), start, (size_t)(end - start));
+    memcpy(next_item(writer), start, (size_t)(end - start));
     writer->used += (size_t)(end - start);
 }
 
@@ -81,6 +83,6 @@ void text_real(struct text_writer *writer, double value)
     if (value < 0)
         *--p = '-';
     *--p = ' ';
-    memcpy(room(writer), p, (size_t)(end - p));
+    memcpy(next_item(writer), p, (size_t)(end - p));
     writer->used += (size_t)(end - p);
 }

@@ -12,14 +12,14 @@ struct text_writer {
     uint64_t written;
 };
 
-/* Both exit with a message when the disk does not take it: these are tools for tests. */
+/* All functions exit with a message if writing fails: these are tools for tests. */
 void text_open(struct text_writer *writer, const char *path);
 void text_close(struct text_writer *writer);
 
 void text_string(struct text_writer *writer, const char *string);
-/* A blank and the number with six decimals. */
+/* Writes a blank and a number with six decimals. */
 void text_real(struct text_writer *writer, double value);
-/* The number alone. */
+/* Writes a number without a blank. */
 void text_integer(struct text_writer *writer, uint64_t value);
 
 #endif

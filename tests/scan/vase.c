@@ -1,9 +1,10 @@
+/* vase.c - the surface, relief and colours of the vase. */
 #include "tests/scan/vase.h"
 
 #include <math.h>
 
-/* Control polygon (radius, height) of the profile, a closed uniform cubic B-spline,
- * counterclockwise in the (r, z) plane so that dp/du x dp/ds points out of the clay. */
+/* Control points (radius, height) of the profile, a closed uniform cubic B-spline. They run
+ * counterclockwise in the (r, z) plane, so that dp/du x dp/ds points out of the clay. */
 static const double profile[][2] = {
     {0.24, 0.00}, {0.33, 0.00}, {0.40, 0.06}, {0.47, 0.20}, {0.53, 0.38}, {0.52, 0.58},
     {0.42, 0.78}, {0.29, 0.94}, {0.25, 1.06}, {0.28, 1.18}, {0.36, 1.25}, {0.37, 1.28},
@@ -14,7 +15,7 @@ enum { PROFILE_POINTS = sizeof profile / sizeof *profile };
 
 static const double two_pi = 6.283185307179586476925;
 
-/* Value and derivative with respect to s of the profile curve. */
+/* Computes the profile curve and its derivative with respect to s. */
 static void profile_at(double s, double value[2], double slope[2])
 {
     double x = (s - floor(s)) * PROFILE_POINTS;
@@ -33,20 +34,21 @@ static void profile_at(double s, double value[2], double slope[2])
     }
 }
 
-/* 0 below a, 1 above b, smooth (C2) between. */
+/* Returns 0 below a, 1 above b, and a smooth (C2) transition between. */
 static double smooth_step(double a, double b, double x)
 {
     double t = fmin(fmax((x - a) / (b - a), 0), 1);
     return t * t * t * (t * (6 * t - 15) + 10);
 }
 
-/* The carved bands lie on the outer wall only; s of its parts in the profile. */
+/* Returns 1 inside a band of the outer wall and 0 outside, with smooth borders. */
 static double band(double s, double from, double to)
 {
     return smooth_step(from, from + 0.02, s) * (1 - smooth_step(to - 0.02, to, s));
 }
 
-/* Relief height: flutes on the shoulder, a net of diamonds on the belly, tool marks all over. */
+/* Returns the height of the relief: flutes on the shoulder, diamonds on the belly, tool marks all
+ * over. */
 static double relief(double u, double s)
 {
     double a = two_pi * u;
@@ -76,7 +78,7 @@ void vase_position(double u, double s, double position[3])
         position[i] = body.position[i] + h * body.normal[i];
 }
 
-/* Terracotta, a glazed neck, and slip painted into the diamonds. */
+/* Terracotta with a glazed neck and slip painted into the diamonds. */
 void vase_color(double u, double s, double color[3])
 {
     static const double clay[3] = {0.72, 0.38, 0.24}, glaze[3] = {0.13, 0.35, 0.42},
@@ -106,6 +108,7 @@ static double dot(const double a[3], const double b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+/* Computes derivatives of the position by central differences. */
 static void derivatives(double u, double s, double du[3], double ds[3])
 {
     const double h = 1e-5;

@@ -1,3 +1,4 @@
+/* verdict.c - collects the errors of maps and compares them with limits. */
 #include "tests/scan/verdict.h"
 
 #include <math.h>
@@ -62,6 +63,7 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+/* Prints a figure and its limit. Returns 1 if the figure is outside, else 0. */
 static int judge(const char *what, double value, double limit, int at_most)
 {
     int ok = at_most ? value <= limit : value >= limit;

@@ -1,4 +1,4 @@
-/* verdict.h - what the checkers of maps have in common: angles, percentiles, limits. */
+/* verdict.h - shared by the checkers of maps: errors of normals and colours, and their limits. */
 #ifndef SCAN_VERDICT_H
 #define SCAN_VERDICT_H
 
@@ -8,8 +8,10 @@
 #include "formats/image/exr_read.h"
 
 struct verdict {
-    float *angles; /* degrees, one per compared texel */
-    uint64_t compared, unsolved, missed;
+    float *angles;     /* degrees, one per compared texel */
+    uint64_t compared; /* texels */
+    uint64_t unsolved; /* texels without a reference */
+    uint64_t missed;   /* texels where the bake has no hit, but the reference does */
     double angle_sum, color_sum;
     uint64_t color_count;
 };
@@ -22,21 +24,23 @@ struct verdict_limits {
         INFINITY, INFINITY, INFINITY, 0                                                            \
     }
 
-/* Reads one of the limits' options (m, p, c, h of getopt); 0 where it is another. */
+/* Parses one of the limits' options (m, p, c, h of getopt). Returns 0 for any other option. */
 int verdict_option(struct verdict_limits *limits, int option, const char *value);
 
+/* Starts a verdict on at most `most` texels. */
 void verdict_start(struct verdict *verdict, uint64_t most);
-/* Notes an encoded normal n / 2 + 1 / 2 against the expected one (any length). */
+/* Compares an encoded normal n / 2 + 1 / 2 with the expected one (of any length). */
 void verdict_normal(struct verdict *verdict, const double encoded[3], const double expected[3]);
+/* Compares two linear colours. */
 void verdict_color(struct verdict *verdict, const double found[3], const double expected[3]);
-/* Prints figures against limits; the exit status. */
+/* Prints the figures and their limits. Returns the exit status: 0 if all limits hold, else 1. */
 int verdict_finish(struct verdict *verdict, const struct verdict_limits *limits);
 
-/* Loads an image or exits with the reason. */
+/* Loads an image, or prints the error and exits. */
 void verdict_load(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *image);
-/* R, G and B of a texel. */
+/* Gets R, G and B of a texel. */
 void verdict_pixel(const struct fmt_exr_image *image, uint64_t index, double out[3]);
-/* sRGB 0..1 to linear light. */
+/* Converts sRGB 0..1 to linear light. */
 double verdict_linear(double srgb);
 
 #endif
