@@ -39,7 +39,7 @@ struct bake_surface_rays {
     const struct bake_exact_ray *rays; /* index space */
     struct bake_exact_hit *hits;       /* out; `count` entries; a grid's hits have triangle 0 */
     uint64_t count;
-    double t_min, t_max;          /* world units, as the hits' t */
+    double t_min, t_max;                /* world units, as the hits' t */
     bool distances_only, facing_origin; /* as in struct bake_exact_batch */
 };
 /* Traces any number of rays on all threads. params: used for grids only. Not to be called from

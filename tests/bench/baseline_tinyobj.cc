@@ -1,5 +1,5 @@
-/* baseline_tinyobj.cc - parses an OBJ file with tinyobjloader, which many programs embed, and prints the
- * cost of parsing, without freeing. */
+/* baseline_tinyobj.cc - parses an OBJ file with tinyobjloader, which many programs embed, and
+ * prints the cost of parsing, without freeing. */
 #include <cstdio>
 #include <string>
 #include <vector>

@@ -24,7 +24,7 @@ struct cell {
 struct analytic_grid {
     struct cell *cells; /* open addressing */
     uint64_t capacity, count;
-    uint32_t grain;
+    uint32_t facet_noise;
 };
 
 static void *must(void *memory)
@@ -48,9 +48,9 @@ void analytic_grid_free(struct analytic_grid *grid)
     free(grid);
 }
 
-void analytic_grid_set_grain(struct analytic_grid *grid, uint32_t grain)
+void analytic_grid_set_facet_noise(struct analytic_grid *grid, uint32_t facet_noise)
 {
-    grid->grain = grain;
+    grid->facet_noise = facet_noise;
 }
 
 /* Returns the entry of a voxel, which may still be unused. */
@@ -150,7 +150,7 @@ static bool same_node(const struct cell *a, const struct cell *b, int shift)
 }
 
 static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *cells, uint64_t count,
-                          bool has_color, uint32_t grain)
+                          bool has_color, uint32_t facet_noise)
 {
     struct fmt_nvdb_record *records = must(calloc(count, sizeof *records));
     struct fmt_nvdb_record *second = must(calloc(count, sizeof *second));
@@ -173,7 +173,7 @@ static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *ce
         records[i] = record_of(&cells[i]->sheets[0], has_second, has_color);
         if (has_second)
             second[region.second_count++] = record_of(&cells[i]->sheets[1], false, has_color);
-        records[i].plane |= grain << FMT_NVDB_FACET_NOISE_SHIFT;
+        records[i].plane |= facet_noise << FMT_NVDB_FACET_NOISE_SHIFT;
     }
     if (fmt_nvdb_append(writer, &region) < 0)
         abort();
@@ -207,7 +207,7 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
     for (uint64_t begin = 0, end; begin < count; begin = end) {
         for (end = begin; end < count && same_node(cells[begin], cells[end], 7);)
             end++;
-        append_region(writer, cells + begin, end - begin, has_color, grid->grain);
+        append_region(writer, cells + begin, end - begin, has_color, grid->facet_noise);
     }
     if (fmt_nvdb_commit(writer, &totals) < 0 || fmt_nvdb_open(ctx, path, out) < 0) {
         fprintf(stderr, "%s\n", bsq_error(ctx));

@@ -10,7 +10,7 @@ struct analytic_grid;
 struct analytic_grid *analytic_grid_create(void);
 void analytic_grid_free(struct analytic_grid *grid);
 /* Sets the facet-noise weight of all first records, 0 to FMT_NVDB_FACET_NOISE_MAX. Default: 0. */
-void analytic_grid_set_grain(struct analytic_grid *grid, uint32_t grain);
+void analytic_grid_set_facet_noise(struct analytic_grid *grid, uint32_t facet_noise);
 
 /* Adds a small piece of surface: position in index space, unit normal, area in square voxels,
  * linear colour (NULL: white). Pieces whose normal opposes the sum of the voxel's first record go

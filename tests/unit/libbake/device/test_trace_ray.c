@@ -156,7 +156,7 @@ static void add_slopes(const struct analytic_sine *sine, const double truth[3],
 
 /* Traces rays along the base plane's normal from below and above the surface. Every ray has to hit.
  */
-static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t grain)
+static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t facet_noise)
 {
     enum { RAYS = 150000 };
     const double centre[3] = {100.3, -57.2, 33.7};
@@ -169,7 +169,7 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t
     struct fmt_nvdb_grid grid;
 
     analytic_sine_add(source, &sine, 12);
-    analytic_grid_set_grain(source, grain);
+    analytic_grid_set_facet_noise(source, facet_noise);
     analytic_grid_open(context, source, false, &grid);
     analytic_grid_free(source);
     bake_params_from_grid(&grid, &params);
@@ -193,10 +193,11 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t
     errors.average = mean(angles, RAYS);
     errors.p95 = percentile(angles, RAYS, 95);
     errors.gain = products / squares;
-    print_message("wavelength %g voxels, grain %u: normals %.3f / %.3f degrees, slopes %.4f of the "
-                  "formula's, distance within "
-                  "%.3f voxels\n",
-                  wavelength, grain, errors.average, errors.p95, errors.gain, worst);
+    print_message(
+        "wavelength %g voxels, facet noise %u: normals %.3f / %.3f degrees, slopes %.4f of the "
+        "formula's, distance within "
+        "%.3f voxels\n",
+        wavelength, facet_noise, errors.average, errors.p95, errors.gain, worst);
     /* A single plane errs more if it only cuts a corner of its voxel. */
     assert_true(worst < (flags & BK_NEAREST ? 0.25 : 0.1));
     fmt_nvdb_close(context, &grid);
@@ -222,13 +223,13 @@ static void test_sine_accuracy(void **state)
     }
 }
 
-/* The facet-noise weight ("grain") determines how much of that loss remains. */
-static void test_grain(void **state)
+/* The facet-noise weight determines how much of that loss remains. */
+static void test_facet_noise(void **state)
 {
     (void)state;
-    for (uint32_t grain = 3; grain <= FMT_NVDB_FACET_NOISE_MAX; grain += 2) {
-        struct sine_errors errors = trace_sine(16, 0, grain);
-        double left = (2 * PI / 16) * (2 * PI / 16) / 12 * grain / FMT_NVDB_FACET_NOISE_MAX;
+    for (uint32_t facet_noise = 3; facet_noise <= FMT_NVDB_FACET_NOISE_MAX; facet_noise += 2) {
+        struct sine_errors errors = trace_sine(16, 0, facet_noise);
+        double left = (2 * PI / 16) * (2 * PI / 16) / 12 * facet_noise / FMT_NVDB_FACET_NOISE_MAX;
         assert_true(fabs(errors.gain - (1 - left)) < 0.002);
     }
 }
@@ -425,7 +426,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_sphere),
         cmocka_unit_test(test_sine_accuracy),
-        cmocka_unit_test(test_grain),
+        cmocka_unit_test(test_facet_noise),
         cmocka_unit_test(test_sine_nearest),
         cmocka_unit_test(test_crease),
         cmocka_unit_test(test_thin_plate),
