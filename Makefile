@@ -392,7 +392,7 @@ $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) |
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 # The native device with counters. Its objects come before the library's when linking.
-counted := native native_lanes4 native_lanes8 native_lanes16
+counted := native_lanes4 native_lanes8 native_lanes16
 $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
 	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@

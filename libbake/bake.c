@@ -14,7 +14,6 @@
 #include "libbake/maps/map_image.h"
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/maps/map_files.h"
-#include "libbake/device/subgrid/passes.h"
 #include "libbake/preview/preview.h"
 #include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
@@ -262,38 +261,19 @@ static int trace_exact(struct job *job)
     return bake_exact_trace_tiles(job->ctx, &tiles, job->report);
 }
 
-/* Plans passes where the device does not hold the grid: *planned. */
-static int plan_passes(struct job *job, struct bake_plan *plan, bool *planned)
-{
-    struct bake_plan_options options = {.raster = job->raster, .job = &job->traced};
-    job->report->passes = 1;
-    *planned = !bake_device_holds_grid(job->device, &options.part_bytes, &options.buffer_bytes,
-                                       &options.other_bytes);
-    if (!*planned)
-        return 0;
-    int status = bake_plan_passes(job->ctx, &options, plan);
-    if (status == BSQ_ENODEVICE && bake_device_give_up(job->device, bsq_error(job->ctx))) {
-        bsq_clear_error(job->ctx);
-        *planned = false;
-        return 0;
-    }
-    job->report->passes = plan->pass_count;
-    return status;
-}
-
 static int trace_grid(struct job *job)
 {
-    struct bake_plan plan = {0};
-    bool planned;
-    int status = plan_passes(job, &plan, &planned);
+    struct bake_plan plan;
+    int status = bake_device_plan(job->device, job->raster, &plan);
     struct bake_tiles tiles = {.raster = job->raster,
                                .device = job->device,
                                .surface = &job->surface,
-                               .plan = planned ? &plan : NULL,
+                               .plan = plan.pass_count > 0 ? &plan : NULL,
                                .image = job->image,
                                .maps = job->maps,
                                .samples = job->options->samples,
                                .tile_size = job->tile_size};
+    job->report->passes = plan.pass_count > 0 ? plan.pass_count : 1;
     if (status == 0)
         status = bake_trace_tiles(job->ctx, &tiles, job->report);
     bake_plan_free(job->ctx, &plan);

@@ -1,4 +1,4 @@
-/* device.c - chooses a device by name; falls back from a GPU to native threads where it may. */
+/* device.c - chooses a device by name; falls back from a GPU to native threads. */
 #include "libbake/device/device.h"
 
 #include <errno.h>
@@ -7,29 +7,42 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "libbake/device/backend.h"
+#include "libbake/device/cuda/cuda.h"
+#include "libbake/device/native/native.h"
+#include "libbake/device/opencl/opencl.h"
+
+/* All kinds of device, in the order in which "auto" looks for a GPU. A new kind is a folder beside
+ * this file that exports a struct bake_device_kind, and a row here; BAKE_DEVICE_NAMES tells users
+ * its name. */
+static const struct bake_device_kind *const kinds[] = {
+    &bake_native_kind,
+    &bake_cuda_kind,
+    &bake_opencl_kind,
+};
+enum { KINDS = sizeof kinds / sizeof kinds[0] };
 
 struct bake_device {
     struct bsq_ctx *ctx;
+    const struct bake_job *job;
     struct bake_backend *backend;
-    struct bake_backend
-        *fallback;    /* native, where the device was chosen automatically; else NULL */
-    atomic_bool lost; /* backend failed, fallback goes on */
-    unsigned slot;    /* that tiles are traced from */
+    struct bake_backend *fallback; /* native, if the device was chosen automatically; else NULL */
+    atomic_bool lost;              /* the backend failed; the fallback goes on */
+    unsigned slot;                 /* that tiles are traced from */
 };
 
-/* Parses "KIND" (*index stays) or "KIND:N". */
-static bool parse(const char *name, const char *kind, int64_t *index)
+/* Parses "KIND", or "KIND:N" if the kind numbers its devices. */
+static bool parse(const char *name, const struct bake_device_kind *kind, int64_t *index)
 {
-    size_t length = strlen(kind);
+    const size_t length = strlen(kind->name);
     char *end;
     unsigned long number;
 
-    if (strncmp(name, kind, length) != 0)
+    *index = BAKE_ANY_DEVICE;
+    if (strncmp(name, kind->name, length) != 0)
         return false;
     if (name[length] == '\0')
         return true;
-    if (name[length] != ':' || name[length + 1] < '0' || name[length + 1] > '9')
+    if (!kind->next_gpu || name[length] != ':' || name[length + 1] < '0' || name[length + 1] > '9')
         return false;
     errno = 0;
     number = strtoul(name + length + 1, &end, 10);
@@ -39,44 +52,35 @@ static bool parse(const char *name, const char *kind, int64_t *index)
     return true;
 }
 
-/* A kind of devices with GPUs among them. */
-struct kind {
-    const char *name;
-    int (*open)(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
-                struct bake_backend **out);
-    int (*list)(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
-                void *arg);
-    int64_t (*next_gpu)(struct bsq_ctx *ctx, int64_t after);
-    /* Fails where loading the drivers would be of no use, or end the process; NULL: never. */
-    int (*check)(struct bsq_ctx *ctx);
-    int64_t first; /* number that the name alone stands for */
-};
+/* Returns the kind that a device name belongs to, or NULL. */
+static const struct bake_device_kind *find_kind(const char *name, int64_t *index)
+{
+    for (int i = 0; i < KINDS; i++)
+        if (parse(name, kinds[i], index))
+            return kinds[i];
+    return NULL;
+}
 
-/* In the order in which "auto" looks for a GPU. */
-static const struct kind kinds[] = {
-    {"cuda", bake_cuda_open, bake_cuda_list, bake_cuda_next_gpu, NULL, 0},
-    {"opencl", bake_opencl_open, bake_opencl_list, bake_opencl_next_gpu, bake_opencl_check,
-     BAKE_OPENCL_FIRST},
-};
-enum { KINDS = sizeof kinds / sizeof kinds[0] };
+bool bake_is_device_name(const char *name)
+{
+    int64_t index;
 
-/* Loads the whole grid where there is room; else it is traced in passes. */
+    return strcmp(name, "auto") == 0 || find_kind(name, &index);
+}
+
+/* Loads the whole grid if it fits; otherwise it is traced in passes. */
 static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bake_backend *backend)
 {
     char why[BAKE_WHY_BYTES] = "";
-    struct bake_part whole;
-    uint64_t total = 0;
+    struct bake_subgrid whole;
+    uint64_t largest, total;
     int status;
 
     if (!backend->load)
         return 0;
-    bake_part_whole(job->grid, &job->params, &whole);
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
-        total += whole.bytes[i];
-        if (whole.bytes[i] > backend->buffer_bytes)
-            return 0;
-    }
-    if (total > backend->memory_bytes)
+    bake_subgrid_whole(job->grid, &job->params, &whole);
+    total = bake_subgrid_total(whole.bytes, &largest);
+    if (total > backend->memory_bytes || largest > backend->buffer_bytes)
         return 0;
     status = backend->load(backend, 0, &whole, why);
     backend->holds_grid = status == 0;
@@ -85,7 +89,7 @@ static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
 }
 
-static int open_loaded(struct bsq_ctx *ctx, const struct kind *kind, int64_t index,
+static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind, int64_t index,
                        const struct bake_job *job, struct bake_backend **out)
 {
     int status = kind->open(ctx, index, job, out);
@@ -99,12 +103,14 @@ static int open_loaded(struct bsq_ctx *ctx, const struct kind *kind, int64_t ind
     return status;
 }
 
-/* Opens the first GPU of a kind that works; *out stays NULL where there is none. */
-static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct bake_job *job,
-                    struct bake_backend **out)
+/* Opens the first GPU of a kind that works; *out stays NULL if there is none. */
+static int open_gpu(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                    const struct bake_job *job, struct bake_backend **out)
 {
     int64_t number = -1;
 
+    if (!kind->next_gpu)
+        return 0;
     while ((number = kind->next_gpu(ctx, number)) >= 0) {
         int status = open_loaded(ctx, kind, number, job, out);
         if (status == BSQ_OK || status == BSQ_EINTR)
@@ -112,43 +118,35 @@ static int open_gpu(struct bsq_ctx *ctx, const struct kind *kind, const struct b
         bsq_warn(ctx, "%s:%" PRId64 " is not used: %s", kind->name, number, bsq_error(ctx));
         bsq_clear_error(ctx);
     }
-    bsq_clear_error(ctx); /* not even the search worked */
+    bsq_clear_error(ctx); /* the search itself may have failed */
     return 0;
 }
 
-bool bake_is_device_name(const char *name)
+/* Opens the first GPU of any kind that works, and the processor as its fallback; without a GPU, the
+ * processor alone. */
+static int open_any(struct bake_device *device)
 {
-    int64_t index;
-
-    for (int i = 0; i < KINDS; i++)
-        if (parse(name, kinds[i].name, &index))
-            return true;
-    return strcmp(name, "cpu") == 0 || strcmp(name, "auto") == 0;
-}
-
-static int open_backends(struct bake_device *device, const char *name, const struct bake_job *job)
-{
-    struct bsq_ctx *ctx = device->ctx;
-
-    if (!bake_is_device_name(name))
-        return bsq_fail(ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
-    if (strcmp(name, "cpu") == 0)
-        return bake_native_open(ctx, job, &device->backend);
-    for (int i = 0; i < KINDS; i++) {
-        int64_t index = kinds[i].first;
-        int status = 0;
-        if (!parse(name, kinds[i].name, &index))
-            continue;
-        if (kinds[i].check)
-            status = kinds[i].check(ctx);
-        return status < 0 ? status : open_loaded(ctx, &kinds[i], index, job, &device->backend);
-    }
     for (int i = 0; i < KINDS && !device->backend; i++) {
-        int status = open_gpu(ctx, &kinds[i], job, &device->backend);
+        int status = open_gpu(device->ctx, kinds[i], device->job, &device->backend);
         if (status < 0)
             return status;
     }
-    return bake_native_open(ctx, job, device->backend ? &device->fallback : &device->backend);
+    return bake_native_kind.open(device->ctx, BAKE_ANY_DEVICE, device->job,
+                                 device->backend ? &device->fallback : &device->backend);
+}
+
+static int open_named(struct bake_device *device, const char *name)
+{
+    int64_t index;
+    const struct bake_device_kind *kind = find_kind(name, &index);
+    int status = 0;
+
+    if (!kind)
+        return bsq_fail(device->ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
+    if (kind->check)
+        status = kind->check(device->ctx);
+    return status < 0 ? status
+                      : open_loaded(device->ctx, kind, index, device->job, &device->backend);
 }
 
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
@@ -162,8 +160,9 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
     if (status < 0)
         return status;
     device->ctx = ctx;
+    device->job = job;
     atomic_init(&device->lost, false);
-    status = open_backends(device, name, job);
+    status = strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name);
     if (status < 0)
         bake_device_close(device);
     else
@@ -176,18 +175,20 @@ const char *bake_device_name(const struct bake_device *device)
     return device->backend->name;
 }
 
-bool bake_device_holds_grid(const struct bake_device *device, uint64_t *part_bytes,
-                            uint64_t *buffer_bytes, uint64_t *other_bytes)
+const struct bake_backend *bake_device_backend(const struct bake_device *device)
 {
-    const struct bake_backend *backend = device->backend;
-
-    *part_bytes = backend->memory_bytes / BAKE_SLOTS;
-    *buffer_bytes = backend->buffer_bytes;
-    *other_bytes = backend->other_bytes;
-    return !backend->load || backend->holds_grid || atomic_load(&device->lost);
+    return device->backend;
 }
 
-bool bake_device_give_up(struct bake_device *device, const char *why)
+/* ---- passes and tiles ---- */
+
+bool bake_device_holds_grid(const struct bake_device *device)
+{
+    return !device->backend->load || device->backend->holds_grid || atomic_load(&device->lost);
+}
+
+/* Goes on with the fallback from now on, after a warning. Returns false if there is none. */
+static bool fall_back(struct bake_device *device, const char *why)
 {
     if (!device->fallback)
         return false;
@@ -197,7 +198,30 @@ bool bake_device_give_up(struct bake_device *device, const char *why)
     return true;
 }
 
-int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_part *part)
+int bake_device_plan(struct bake_device *device, const struct bake_raster *raster,
+                     struct bake_plan *out)
+{
+    const struct bake_backend *backend = device->backend;
+    const struct bake_plan_options options = {.raster = raster,
+                                              .job = device->job,
+                                              .subgrid_bytes = backend->memory_bytes / BAKE_SLOTS,
+                                              .buffer_bytes = backend->buffer_bytes,
+                                              .other_bytes = backend->other_bytes,
+                                              .slots = BAKE_SLOTS};
+    int status;
+
+    *out = (struct bake_plan){0};
+    if (bake_device_holds_grid(device))
+        return 0;
+    status = bake_plan_passes(device->ctx, &options, out);
+    if (status != BSQ_ENODEVICE || !fall_back(device, bsq_error(device->ctx)))
+        return status;
+    bsq_clear_error(device->ctx);
+    bake_plan_free(device->ctx, out);
+    return 0;
+}
+
+int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_subgrid *subgrid)
 {
     char why[BAKE_WHY_BYTES] = "";
     struct bake_backend *backend = device->backend;
@@ -205,10 +229,10 @@ int bake_device_load(struct bake_device *device, unsigned slot, const struct bak
 
     if (atomic_load(&device->lost))
         return 0;
-    status = backend->load(backend, slot, part, why);
+    status = backend->load(backend, slot, subgrid, why);
     if (status == 0)
         return 0;
-    if (status != BSQ_EINTR && bake_device_give_up(device, why)) {
+    if (status != BSQ_EINTR && fall_back(device, why)) {
         bsq_clear_error(device->ctx);
         return 0;
     }
@@ -232,7 +256,7 @@ int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
     status = backend->trace(backend, device->slot, tile, sample_triangles, texels, worker, why);
     if (status == BSQ_OK)
         return 0;
-    if (status == BSQ_EINTR || backend == device->fallback || !bake_device_give_up(device, why))
+    if (status == BSQ_EINTR || backend == device->fallback || !fall_back(device, why))
         return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
     backend = device->fallback;
     return backend->trace(backend, device->slot, tile, sample_triangles, texels, worker, why);
@@ -259,12 +283,8 @@ void bake_device_close(struct bake_device *device)
 int bake_list_devices(struct bsq_ctx *ctx,
                       void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
 {
-    struct bake_device_info info;
-
-    bake_native_info(ctx, &info);
-    fn(arg, &info);
     for (int i = 0; i < KINDS; i++) {
-        int status = kinds[i].list(ctx, fn, arg);
+        int status = kinds[i]->list(ctx, fn, arg);
         if (status < 0)
             return status;
     }

@@ -88,7 +88,7 @@ static int trace_tile(void *arg, uint64_t index, unsigned number)
 static int load_pass(const struct trace *trace, uint64_t pass)
 {
     return bake_device_load(trace->tiles->device, pass % BAKE_SLOTS,
-                            &trace->tiles->plan->passes[pass].part);
+                            &trace->tiles->plan->passes[pass].subgrid);
 }
 
 /* A step of a pass: the first uploads for the next pass, the others trace; a single thread does one

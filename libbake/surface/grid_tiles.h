@@ -4,7 +4,6 @@
 
 #include "libbake/device/device.h"
 #include "libbake/maps/map_image.h"
-#include "libbake/device/subgrid/passes.h"
 #include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
 
@@ -15,7 +14,7 @@ struct bake_tiles {
     const struct bake_raster *raster;
     struct bake_device *device;
     const struct bake_surface *surface; /* that the device traces; checked after every tile */
-    const struct bake_plan *plan;       /* where the device does not hold the grid, else NULL */
+    const struct bake_plan *plan;       /* if the device does not hold the grid, else NULL */
     struct bake_image *image;           /* channels as bake_map_channels(maps) */
     uint32_t maps;                      /* of enum bake_map */
     uint32_t samples;                   /* N: N x N a texel */

@@ -7,8 +7,6 @@
 
 #include "libbake/device/cuda/cuda_api.h"
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/device/native/native.h"
-#include "libbake/device/subgrid/subgrid.h"
 
 enum { MEMORY_CLOCK_RATE = 36, GLOBAL_MEMORY_BUS_WIDTH = 37 }; /* attributes: kHz, bits */
 
@@ -61,7 +59,7 @@ static int count(struct rays_scene *scene, bk_counts *out)
     *out = (bk_counts){0};
     if (status < 0)
         return status;
-    bake_native_grid(&scene->surface.grid, &scene->job.params, &counter.grid);
+    bake_kernel_grid(&scene->surface.grid, &scene->job.params, &counter.grid);
     status = rays_for_tiles(scene, count_tile, &counter);
     for (unsigned w = 0; w < bsq_threads(scene->ctx); w++)
         add(out, &counter.workers[w]);
@@ -87,10 +85,10 @@ static double memory_bandwidth(void)
 
 static double grid_bytes(const struct rays_scene *scene)
 {
-    struct bake_part whole;
+    struct bake_subgrid whole;
     double bytes = 0;
-    bake_part_whole(scene->job.grid, &scene->job.params, &whole);
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+    bake_subgrid_whole(scene->job.grid, &scene->job.params, &whole);
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         bytes += (double)whole.bytes[i];
     return bytes;
 }

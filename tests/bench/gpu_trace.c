@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
+#include "libbake/device/cuda/cuda.h"
 #include "tests/bench/gpu_limits.h"
 
 struct measured {

@@ -5,8 +5,6 @@ TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-bake:
 fake=$TESTS/fake
-XDG_CACHE_HOME=$work/cache
-export XDG_CACHE_HOME
 
 bake() { run bisque-bake "$@"; }
 cuda() { LD_LIBRARY_PATH=$fake bake "$@"; }
@@ -139,41 +137,5 @@ else
     skip "a driver that crashes" "no OpenCL loader that takes it"
 fi
 unset OCL_ICD_VENDORS
-
-# What was compiled is kept; a damaged entry is made again, a cache that cannot be written to is no error.
-one="--device opencl --size 16 --maps mask vase.nvdb low.obj -o mask.exr"
-bake $one
-if [ "$code" -eq 0 ]; then
-    entry=$(ls "$XDG_CACHE_HOME"/bisque/*.kernel)
-    made=$(stat -c '%i' "$entry")
-    bake $one
-    code 0
-    [ "$(stat -c '%i' "$entry")" = "$made" ]
-    check "the second run takes what the first one compiled" $?
-    truncate -s -1 "$entry"
-    bake $one
-    code 0
-    [ "$(stat -c '%i' "$entry")" != "$made" ]
-    check "a damaged entry is made again" $?
-    rm -r "$XDG_CACHE_HOME/bisque"
-    : >"$XDG_CACHE_HOME/bisque"
-    bake $one
-    code 0
-else
-    skip "the cache of kernels" "no OpenCL device"
-fi
-
-# A driver whose .icd file is missing is named, and what is said works.
-mkdir empty
-OPENCL_VENDOR_PATH=$PWD/empty bake --list-devices
-setting=$(sed -n 's/.*libpocl.*this does it: export //p' "$err")
-if [ -n "$setting" ]; then
-    export "${setting?}"
-    bake --list-devices
-    unset OCL_ICD_VENDORS OCL_ICD_FILENAMES
-    out_like '^opencl:0 .*(Portable Computing Language)'
-else
-    skip "a driver without .icd file" "PoCL or a loader that can hide it is not installed"
-fi
 
 finish

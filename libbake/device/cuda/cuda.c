@@ -1,36 +1,36 @@
-/* cuda.c - the kernel on an NVIDIA GPU, through the driver API.
+/* cuda.c - runs the kernel on an NVIDIA GPU, through the driver API.
  *
- * The kernel comes as PTX that was made when the program was built; the driver turns it into code
- * for the card and keeps that. Each array of the grid is in memory of its own (cuda_memory.c).
- * Every worker has its own stream, tile memory on the device, and page-locked memory on the host,
- * from and to which the device copies by itself; so workers overlap each other's copies and kernels
- * and never wait for a lock. */
+ * The build compiles the kernel to PTX; the driver compiles that for the card and caches the
+ * result. Every worker has its own stream, tile memory on the device, and page-locked memory on the
+ * host, which the device reads and writes by itself. So workers overlap each other's copies and
+ * kernels and never wait for a lock. */
 #include <stdio.h>
 #include <string.h>
 
+#include "libbake/device/compute/compute.h"
+#include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_memory.h"
-#include "libbake/device/compute.h"
 
 enum {
-    STAGE_BYTES = 16 << 20 /* of the grid at a time */
+    STAGING_BYTES = 16 << 20 /* half of the staging buffer */
 };
 
-/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. The compiler likes some 168
- * registers, which leaves room for 12 warps on a multiprocessor; with 128 there are 16, which hide
- * more of the memory's latency. What does not fit 128 is written and read once a ray pair, outside
- * of the loops that walk. */
+/* A warp is 8 x 4 texels: near in the map, so mostly near in the grid. The compiler would take
+ * about 168 registers, which allow 12 warps on a multiprocessor; 128 registers allow 16, which hide
+ * more of the memory's latency. The registers spilled are used once a ray pair, outside the loops.
+ */
 static const struct bake_cuda_tuning default_tuning = {
     .registers = 128, .block_width = 8, .block_height = 16};
 
-/* Marks in a worker's stream. */
+/* Events of a tile, in the order of the stream. */
 enum { BEFORE_SAMPLES, BEFORE_KERNELS, AFTER_KERNELS, AFTER_TEXELS, EVENTS };
 
-/* What one worker uses; made by its first tile. */
+/* A worker's part; its first tile creates it. */
 struct worker {
     CUstream stream;
     CUevent events[EVENTS];
-    CUevent before;     /* the end of its tile before, or when it was made */
-    double before_time; /* on the device's clock */
+    CUevent before;     /* the end of the previous tile, or the worker's creation */
+    double before_time; /* of that event, on the device's clock */
     CUdeviceptr samples, texels;
     void *host_samples, *host_texels; /* page-locked */
 };
@@ -44,9 +44,9 @@ struct cuda {
     CUcontext context;
     CUmodule module;
     CUfunction kernel;
-    CUevent origin; /* of the clock that times are told on */
+    CUevent origin; /* zero of the device's clock */
     CUstream upload;
-    CUevent taken[2]; /* the device has what was in the piece of the stage, which is page-locked */
+    CUevent taken[2]; /* the device has copied this half of the staging buffer */
     struct worker *workers;
 };
 
@@ -79,9 +79,8 @@ static void cuda_allocate(struct bake_compute *compute, uint64_t bytes, bake_mem
     *out = memory;
 }
 
-/* What of the device's memory is free, but for a sixteenth of all: the driver takes some for what
- * does not fit a thread's registers when the first kernel is launched, however much is free, and
- * rounds each array up. */
+/* Returns the device's free memory less a sixteenth of all: at the first launch the driver takes
+ * some for spilled registers, and it rounds each array up. */
 static CUresult free_memory(const struct cuda *cuda, uint64_t *out)
 {
     size_t free_bytes = 0, all_bytes = 0;
@@ -91,7 +90,7 @@ static CUresult free_memory(const struct cuda *cuda, uint64_t *out)
     return code;
 }
 
-static uint64_t cuda_room(struct bake_compute *compute)
+static uint64_t cuda_free_bytes(struct bake_compute *compute)
 {
     uint64_t bytes;
 
@@ -103,24 +102,25 @@ static void cuda_release(struct bake_compute *compute, bake_memory memory)
     bake_cuda_memory_give(&((struct cuda *)compute)->memory, memory);
 }
 
-static void cuda_send(struct bake_compute *compute, unsigned piece, uint64_t bytes, bake_memory to,
-                      uint64_t at, int *code)
+static void cuda_send_half(struct bake_compute *compute, unsigned half, uint64_t bytes,
+                           bake_memory to, uint64_t at, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
 
-    *code = cuda->api.cuMemcpyHtoDAsync(to + at, compute->stage.pieces[piece], bytes, cuda->upload);
+    *code =
+        cuda->api.cuMemcpyHtoDAsync(to + at, compute->staging.halves[half], bytes, cuda->upload);
     if (*code == CUDA_SUCCESS)
-        *code = cuda->api.cuEventRecord(cuda->taken[piece], cuda->upload);
+        *code = cuda->api.cuEventRecord(cuda->taken[half], cuda->upload);
 }
 
-static void cuda_wait_for_piece(struct bake_compute *compute, unsigned piece, int *code)
+static void cuda_wait_for_half(struct bake_compute *compute, unsigned half, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
-    /* An event that was never recorded is over. */
-    *code = cuda->api.cuEventSynchronize(cuda->taken[piece]);
+    /* An event that was never recorded counts as over. */
+    *code = cuda->api.cuEventSynchronize(cuda->taken[half]);
 }
 
-static void cuda_drain(struct bake_compute *compute, int *code)
+static void cuda_finish_uploads(struct bake_compute *compute, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     *code = cuda->api.cuStreamSynchronize(cuda->upload);
@@ -153,8 +153,7 @@ static void cuda_close_worker(struct bake_compute *compute, unsigned number)
     *worker = (struct worker){0};
 }
 
-/* Seconds from one event to another that is over, as float: from one some hours ago they are
- * coarse. */
+/* Computes the seconds between two events that are over. The API has float: hours are coarse. */
 static const char *elapsed(const struct cuda *cuda, CUevent from, CUevent to, double *seconds,
                            int *code)
 {
@@ -206,14 +205,15 @@ static const char *cuda_open_worker(struct bake_compute *compute, unsigned numbe
     return "cuMemAllocHost";
 }
 
-static const char *cuda_write(struct bake_compute *compute, unsigned number,
-                              const struct bake_compute_part *part, const struct bk_tile *tile,
-                              const uint32_t *sample_triangles, uint64_t bytes, int *code)
+static const char *cuda_send_samples(struct bake_compute *compute, unsigned number,
+                                     const struct bake_compute_subgrid *subgrid,
+                                     const struct bk_tile *tile, const uint32_t *sample_triangles,
+                                     uint64_t bytes, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct worker *worker = &cuda->workers[number];
 
-    (void)part;
+    (void)subgrid;
     (void)tile;
     memcpy(worker->host_samples, sample_triangles, bytes);
     *code = cuda->api.cuEventRecord(worker->events[BEFORE_SAMPLES], worker->stream);
@@ -226,17 +226,18 @@ static const char *cuda_write(struct bake_compute *compute, unsigned number,
 }
 
 static const char *cuda_launch(struct bake_compute *compute, unsigned number,
-                               const struct bake_compute_part *part, const struct bk_tile *tile,
-                               const struct bake_slice *slice, int *code)
+                               const struct bake_compute_subgrid *subgrid,
+                               const struct bk_tile *tile, const struct bake_launch_batch *batch,
+                               int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct worker *worker = &cuda->workers[number];
     const struct bake_cuda_tuning *tuning = &cuda->tuning;
-    CUdeviceptr a[BAKE_PART_ARRAYS], triangles = compute->triangles;
-    struct bk_params params = part->params;
+    CUdeviceptr a[BAKE_SUBGRID_ARRAYS], triangles = compute->triangles;
+    struct bk_params params = subgrid->params;
     struct bk_tile whole = *tile;
-    struct bake_slice part_of_it = *slice;
-    const uint32_t rows = slice->end_row - slice->first_row;
+    struct bake_launch_batch rows_and_lines = *batch;
+    const uint32_t rows = batch->end_row - batch->first_row;
     void *arguments[] = {&a[BAKE_TILES],
                          &a[BAKE_UPPERS],
                          &a[BAKE_LOWERS],
@@ -248,15 +249,15 @@ static const char *cuda_launch(struct bake_compute *compute, unsigned number,
                          &triangles,
                          &params,
                          &whole,
-                         &part_of_it.first_row,
-                         &part_of_it.end_row,
-                         &part_of_it.first_line,
-                         &part_of_it.end_line,
+                         &rows_and_lines.first_row,
+                         &rows_and_lines.end_row,
+                         &rows_and_lines.first_line,
+                         &rows_and_lines.end_line,
                          &worker->samples,
                          &worker->texels};
 
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
-        a[i] = part->arrays[i];
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
+        a[i] = subgrid->arrays[i];
     *code = cuda->api.cuLaunchKernel(
         cuda->kernel, (tile->width + tuning->block_width - 1) / tuning->block_width,
         (rows + tuning->block_height - 1) / tuning->block_height, 1, tuning->block_width,
@@ -264,8 +265,8 @@ static const char *cuda_launch(struct bake_compute *compute, unsigned number,
     return "cuLaunchKernel";
 }
 
-static const char *cuda_read(struct bake_compute *compute, unsigned number, struct bk_texel *texels,
-                             uint64_t bytes, int *code)
+static const char *cuda_fetch_texels(struct bake_compute *compute, unsigned number,
+                                     struct bk_texel *texels, uint64_t bytes, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct worker *worker = &cuda->workers[number];
@@ -292,7 +293,7 @@ static const char *cuda_times(struct bake_compute *compute, unsigned number,
     CUevent from = worker->before;
     double at[EVENTS], since = worker->before_time, seconds;
 
-    /* Each from the one before, so that a long job's times are as exact as a short one's. */
+    /* Each from the previous event, so that times are as exact late in a long job. */
     for (int i = 0; i < EVENTS; i++) {
         const char *call = elapsed(cuda, from, worker->events[i], &seconds, code);
         if (*code != CUDA_SUCCESS)
@@ -309,8 +310,8 @@ static const char *cuda_times(struct bake_compute *compute, unsigned number,
     return "";
 }
 
-/* What the device still does is between its memory and the worker's own. */
-static void cuda_leave(struct bake_compute *compute, unsigned number, int code)
+/* Nothing to wait for: the device only uses the worker's page-locked memory. */
+static void cuda_end_tile(struct bake_compute *compute, unsigned number, int code)
 {
     (void)compute;
     (void)number;
@@ -321,22 +322,22 @@ static const struct bake_compute_calls calls = {.describe = cuda_describe,
                                                 .lacks_memory = cuda_lacks_memory,
                                                 .attach = cuda_attach,
                                                 .allocate = cuda_allocate,
-                                                .room = cuda_room,
+                                                .free_bytes = cuda_free_bytes,
                                                 .release = cuda_release,
-                                                .send = cuda_send,
-                                                .wait_for_piece = cuda_wait_for_piece,
-                                                .drain = cuda_drain,
+                                                .send_half = cuda_send_half,
+                                                .wait_for_half = cuda_wait_for_half,
+                                                .finish_uploads = cuda_finish_uploads,
                                                 .open_worker = cuda_open_worker,
                                                 .close_worker = cuda_close_worker,
-                                                .write = cuda_write,
+                                                .send_samples = cuda_send_samples,
                                                 .launch = cuda_launch,
-                                                .read = cuda_read,
+                                                .fetch_texels = cuda_fetch_texels,
                                                 .times = cuda_times,
-                                                .leave = cuda_leave};
+                                                .end_tile = cuda_end_tile};
 
 /* ---- opening and closing ---- */
 
-/* The compiler's messages become one line. */
+/* Records the compiler's messages on one line. */
 static int fail_compile(struct cuda *cuda, CUresult code, char *log)
 {
     char text[BAKE_CUDA_TEXT];
@@ -379,7 +380,7 @@ static int open_context(struct cuda *cuda)
         code = cuda->api.cuEventCreate(&cuda->origin, 0);
     if (code == CUDA_SUCCESS)
         code = cuda->api.cuEventRecord(cuda->origin, NULL);
-    if (code == CUDA_SUCCESS) /* nothing else waits for the default stream */
+    if (code == CUDA_SUCCESS) /* nothing else synchronises with the default stream */
         code = cuda->api.cuEventSynchronize(cuda->origin);
     return code == CUDA_SUCCESS ? 0 : bake_compute_fail(&cuda->compute, "cuEventRecord", code);
 }
@@ -392,7 +393,7 @@ static int ask_memory(struct cuda *cuda, uint64_t *limit)
         return bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
     code = bake_cuda_memory_init(&cuda->memory, &cuda->api, cuda->device.device,
                                  cuda->tuning.piece_bytes ? cuda->tuning.piece_bytes
-                                                          : BAKE_BUFFER_MOST);
+                                                          : BAKE_MAX_BUFFER_BYTES);
     return code == CUDA_SUCCESS
                ? 0
                : bake_compute_fail(&cuda->compute, "cuMemGetAllocationGranularity", code);
@@ -400,12 +401,12 @@ static int ask_memory(struct cuda *cuda, uint64_t *limit)
 
 static int open_upload(struct cuda *cuda)
 {
-    struct bake_stage *stage = &cuda->compute.stage;
+    struct bake_staging_buffer *staging = &cuda->compute.staging;
     CUresult code = cuda->api.cuStreamCreate(&cuda->upload, CU_STREAM_NON_BLOCKING);
 
-    stage->piece_bytes = STAGE_BYTES;
+    staging->half_bytes = STAGING_BYTES;
     for (int i = 0; i < 2 && code == CUDA_SUCCESS; i++) {
-        code = cuda->api.cuMemAllocHost((void **)&stage->pieces[i], STAGE_BYTES);
+        code = cuda->api.cuMemAllocHost((void **)&staging->halves[i], STAGING_BYTES);
         if (code == CUDA_SUCCESS)
             code = cuda->api.cuEventCreate(&cuda->taken[i], CU_EVENT_BLOCKING_SYNC);
     }
@@ -421,19 +422,19 @@ static void close_upload(struct cuda *cuda)
     for (int i = 0; i < 2; i++) {
         if (cuda->taken[i])
             cuda->api.cuEventDestroy(cuda->taken[i]);
-        if (cuda->compute.stage.pieces[i])
-            cuda->api.cuMemFreeHost(cuda->compute.stage.pieces[i]);
+        if (cuda->compute.staging.halves[i])
+            cuda->api.cuMemFreeHost(cuda->compute.staging.halves[i]);
     }
 }
 
-/* Page-locked memory of the workers and the stage. */
+/* Reserves page-locked memory for the workers and the staging buffer. */
 static int reserve_host(struct cuda *cuda)
 {
     struct bake_compute *compute = &cuda->compute;
     const uint64_t tile = bake_compute_sample_bytes(compute) + bake_compute_texel_bytes(compute);
 
     return bake_compute_reserve(compute, "page-locked memory for tiles",
-                                compute->worker_count * tile + 2 * (uint64_t)STAGE_BYTES);
+                                compute->worker_count * tile + 2 * (uint64_t)STAGING_BYTES);
 }
 
 static int prepare(struct cuda *cuda, const struct bake_job *job)

@@ -5,10 +5,10 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "libbake/device/driver_library.h"
+#include "libbake/device/driver/driver.h"
 
-/* The driver opens its compiler of PTX by name alone, so where the linker does not know the
- * directory, it has to be there already. */
+/* Opens the driver. If the linker does not know its directory, opens the PTX compiler beside it
+ * too: the driver later asks for the compiler by name alone. */
 static void *open_driver(void)
 {
     const char *directories[] = {NULL, NULL}, *unused;
@@ -21,7 +21,7 @@ static void *open_driver(void)
     return library;
 }
 
-enum bake_cuda_lack bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code)
+enum bake_cuda_state bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code)
 {
     void *library = open_driver();
 

@@ -1,12 +1,14 @@
-/* cuda_api.h - NVIDIA's driver API, opened at run time, so that one binary serves machines
- * with and without. Its few types and functions are declared here: no toolkit is needed, neither to
- * build nor to run. */
+/* cuda_api.h - NVIDIA's driver API, opened at run time so that one binary serves machines with and
+ * without it. The few types and functions that are used are declared here, so that neither build
+ * nor run needs a toolkit. */
 #ifndef BAKE_DEVICE_CUDA_CUDA_API_H
 #define BAKE_DEVICE_CUDA_CUDA_API_H
 
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
+#include "libbake/device/backend/backend.h"
 
 typedef int CUresult;
 typedef int CUdevice;
@@ -50,17 +52,17 @@ struct bake_cuda_allocation {
     unsigned short usage;
     unsigned char reserved[4];
 };
-_Static_assert(sizeof(struct bake_cuda_allocation) == 32, "as NVIDIA's header has it");
+_Static_assert(sizeof(struct bake_cuda_allocation) == 32, "size in NVIDIA's header");
 
 /* CUmemAccessDesc */
 struct bake_cuda_access {
     int location_type, location_id;
     int flags;
 };
-_Static_assert(sizeof(struct bake_cuda_access) == 12, "as NVIDIA's header has it");
+_Static_assert(sizeof(struct bake_cuda_access) == 12, "size in NVIDIA's header");
 
-/* X(name, symbol in the library, parameters). The symbols with a version are what NVIDIA's own
- * header maps the names to since CUDA 11.0. */
+/* X(name, symbol in the library, parameters). NVIDIA's header maps the names to the same symbols
+ * since CUDA 11.0. */
 #define BAKE_CUDA_FUNCTIONS(X)                                                                     \
     X(cuInit, cuInit, (unsigned flags))                                                            \
     X(cuGetErrorName, cuGetErrorName, (CUresult code, const char **text))                          \
@@ -122,8 +124,8 @@ struct bake_cuda_api {
 #undef BAKE_CUDA_MEMBER
 };
 
-/* Why CUDA cannot be used. */
-enum bake_cuda_lack {
+/* Whether CUDA can be used, or why not. */
+enum bake_cuda_state {
     BAKE_CUDA_WORKS,
     BAKE_CUDA_NOT_INSTALLED, /* no libcuda.so.1 */
     BAKE_CUDA_TOO_OLD,       /* a function is missing: a driver before CUDA 11.0 */
@@ -131,12 +133,13 @@ enum bake_cuda_lack {
     BAKE_CUDA_BROKEN         /* the driver does not start, see *code */
 };
 
-/* Opens libcuda.so.1, where the dynamic linker finds it or else in bake_driver_directories, and
- * starts it; *count: its devices. The library stays loaded. */
-enum bake_cuda_lack bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code);
+/* Opens libcuda.so.1, from the dynamic linker's directories or else from bake_driver_directories,
+ * and starts it. *count: number of devices. The library stays loaded. */
+enum bake_cuda_state bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code);
 
 enum { BAKE_CUDA_TEXT = 192 };
-/* "CUDA_ERROR_OUT_OF_MEMORY (out of memory)". buffer: BAKE_CUDA_TEXT bytes; returns it. */
+/* Returns an error's name and text, "CUDA_ERROR_OUT_OF_MEMORY (out of memory)", in buffer
+ * (BAKE_CUDA_TEXT bytes). */
 const char *bake_cuda_error(const struct bake_cuda_api *api, CUresult code, char *buffer);
 
 /* A device and what the program needs to know about it. */
@@ -150,14 +153,16 @@ struct bake_cuda_device {
 /* Describes device number `index` < count. */
 CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bake_cuda_device *out);
 
-/* The kernel for any device, ended by a zero; "" where the program was built without a compiler for
- * it. */
+/* The kernel for any device, ended by a zero; "" if the build had no compiler for it. */
 extern const char bake_cuda_ptx[];
 
-struct bsq_ctx;
-/* Loads the driver and finds device number `index`; the error lists what is there: BSQ_ENODEVICE.
- */
+/* Loads the driver and finds device number `index`, or the first for BAKE_ANY_DEVICE. Errors:
+ * BSQ_ENODEVICE, with the devices that exist. */
 int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
                      struct bake_cuda_device *out);
+
+/* See struct bake_device_kind. */
+int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                   struct bake_backend **out);
 
 #endif

@@ -1,25 +1,25 @@
-/* cuda_devices.c - which CUDA devices there are, and whether they can run the kernel. */
+/* cuda_devices.c - lists CUDA devices, and checks whether they can run the kernel. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
-#include "libbake/device/backend.h"
-#include "libbake/device/probe.h"
+#include "libbake/device/driver/driver.h"
 
 const char bake_cuda_ptx[] =
 #include "kernel_ptx.inc"
     ;
 
 enum { LINE_BYTES = BAKE_CUDA_TEXT + 96 };
-/* Why there is no CUDA, for a line. buffer: LINE_BYTES bytes. */
-static const char *describe_lack(const struct bake_cuda_api *api, enum bake_cuda_lack lack,
-                                 CUresult code, char *buffer)
+/* Returns why CUDA cannot be used, for messages. buffer: LINE_BYTES bytes. */
+static const char *describe_state(const struct bake_cuda_api *api, enum bake_cuda_state state,
+                                  CUresult code, char *buffer)
 {
     char text[BAKE_CUDA_TEXT];
 
-    switch (lack) {
+    switch (state) {
     case BAKE_CUDA_NOT_INSTALLED:
         return "CUDA is not installed (libcuda.so.1, a part of NVIDIA's driver)";
     case BAKE_CUDA_TOO_OLD:
@@ -32,7 +32,7 @@ static const char *describe_lack(const struct bake_cuda_api *api, enum bake_cuda
     }
 }
 
-/* The device architecture that the kernel was compiled for, as 10 * major + minor. */
+/* Returns the compute capability that the PTX is for, as 10 * major + minor. */
 static int kernel_capability(void)
 {
     const char *target = strstr(bake_cuda_ptx, ".target sm_");
@@ -62,15 +62,17 @@ int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *a
                      struct bake_cuda_device *out)
 {
     char text[LINE_BYTES];
-    enum bake_cuda_lack lack;
+    enum bake_cuda_state state;
     CUresult code;
     int count;
 
     if (!bake_cuda_ptx[0])
         return bsq_fail(ctx, BSQ_ENODEVICE, "%s", no_kernel);
-    lack = bake_cuda_load(api, &count, &code);
-    if (lack != BAKE_CUDA_WORKS)
-        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", describe_lack(api, lack, code, text));
+    state = bake_cuda_load(api, &count, &code);
+    if (state != BAKE_CUDA_WORKS)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", describe_state(api, state, code, text));
+    if (index == BAKE_ANY_DEVICE)
+        index = 0;
     if (index >= count)
         return fail_absent(ctx, api, index, count);
     code = bake_cuda_device(api, (int)index, out);
@@ -86,25 +88,25 @@ int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *a
 
 /* ---- listing ---- */
 
-/* Opens the driver for a list or "auto". A driver that cannot be used is worth a line, none is not.
+/* Opens the driver for a list or "auto". Writes a warning if there is a driver that cannot be used.
  */
 static bool load_quietly(struct bake_cuda_api *api, int *count, char *warning)
 {
     char text[LINE_BYTES];
     CUresult code;
-    enum bake_cuda_lack lack = bake_cuda_load(api, count, &code);
+    enum bake_cuda_state state = bake_cuda_load(api, count, &code);
 
     warning[0] = '\0';
-    if (lack == BAKE_CUDA_NOT_INSTALLED || lack == BAKE_CUDA_NO_GPU)
+    if (state == BAKE_CUDA_NOT_INSTALLED || state == BAKE_CUDA_NO_GPU)
         return false;
-    if (lack != BAKE_CUDA_WORKS)
-        snprintf(warning, LINE_BYTES, "%s", describe_lack(api, lack, code, text));
+    if (state != BAKE_CUDA_WORKS)
+        snprintf(warning, LINE_BYTES, "%s", describe_state(api, state, code, text));
     else if (!bake_cuda_ptx[0])
         snprintf(warning, LINE_BYTES, "NVIDIA's driver is not used: %s", no_kernel);
     return !warning[0];
 }
 
-static void ask(struct bake_answers *answers)
+static void ask(struct bake_probe_pipe *replies)
 {
     struct bake_cuda_api api;
     char warning[LINE_BYTES];
@@ -112,7 +114,7 @@ static void ask(struct bake_answers *answers)
 
     if (!load_quietly(&api, &count, warning)) {
         if (warning[0])
-            bake_answer_warning(answers, warning);
+            bake_probe_send_warning(replies, warning);
         return;
     }
     for (int i = 0; i < count; i++) {
@@ -123,19 +125,19 @@ static void ask(struct bake_answers *answers)
         info.memory_bytes = device.memory_bytes;
         snprintf(info.id, sizeof info.id, "cuda:%d", i);
         snprintf(info.name, sizeof info.name, "%s", device.name);
-        bake_answer_device(answers, &info);
+        bake_probe_send_device(replies, &info);
     }
 }
 
-/* Not in this process: OpenCL's driver of the same maker, asked in a copy of it, would find CUDA
- * started already, which copies cannot use. */
-int bake_cuda_list(struct bsq_ctx *ctx,
-                   void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+/* Asks in a child process: if CUDA were started in this one, a later child that asks NVIDIA's
+ * OpenCL driver would inherit it, and CUDA does not work after fork(). */
+static int list(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
+                void *arg)
 {
     return bake_probe(ctx, "CUDA", ask, fn, arg);
 }
 
-int64_t bake_cuda_next_gpu(struct bsq_ctx *ctx, int64_t after)
+static int64_t next_gpu(struct bsq_ctx *ctx, int64_t after)
 {
     struct bake_cuda_api api;
     char warning[LINE_BYTES];
@@ -147,3 +149,6 @@ int64_t bake_cuda_next_gpu(struct bsq_ctx *ctx, int64_t after)
         bsq_warn(ctx, "%s", warning);
     return -1;
 }
+
+const struct bake_device_kind bake_cuda_kind = {
+    .name = "cuda", .open = bake_cuda_open, .list = list, .next_gpu = next_gpu};

@@ -1,6 +1,5 @@
-/* cuda_memory.c - arrays of several pieces: their addresses are reserved together, and each piece
- * is mapped to its place (CUDA driver API, "Virtual Memory Management", since CUDA 10.2). The
- * kernel sees one array, so it costs no time there. */
+/* cuda_memory.c - reserves the addresses of a long array at once and maps each piece to its place
+ * (CUDA driver API, "Virtual Memory Management", since CUDA 10.2). */
 #include "libbake/device/cuda/cuda_memory.h"
 
 static struct bake_cuda_allocation on_device(const struct bake_cuda_memory *memory)
@@ -42,7 +41,7 @@ static uint64_t piece_at(const struct bake_cuda_memory *memory, uint64_t bytes, 
     return bytes - place < memory->piece_bytes ? bytes - place : memory->piece_bytes;
 }
 
-/* Makes a piece. The mapping alone keeps it. */
+/* Allocates and maps a piece. The mapping keeps it alive after its handle is released. */
 static CUresult map_piece(const struct bake_cuda_memory *memory, CUdeviceptr at, uint64_t bytes)
 {
     const struct bake_cuda_allocation allocation = on_device(memory);
@@ -64,7 +63,7 @@ static CUresult map_piece(const struct bake_cuda_memory *memory, CUdeviceptr at,
     return code;
 }
 
-/* Gives back an array whose first `mapped` bytes have memory. */
+/* Frees an array whose first `mapped` bytes are mapped. */
 static void unmap(const struct bake_cuda_memory *memory, const struct bake_cuda_array *array,
                   uint64_t mapped)
 {

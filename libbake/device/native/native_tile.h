@@ -1,7 +1,7 @@
 /* native_tile.h - traces a tile BK_WIDTH samples at a time. Included by one source for
  * each set of instructions, with BK_WIDTH and NATIVE_TILE defined. */
+#include "libbake/device/native/native_code.h"
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/device/native/native.h"
 
 struct group {
     const struct bk_grid *grid;

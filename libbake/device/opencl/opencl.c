@@ -1,21 +1,22 @@
-/* opencl.c - the kernel on an OpenCL device.
+/* opencl.c - runs the kernel on an OpenCL device.
  *
- * One context a job; each array of the grid is in a buffer of its own. Every
- * worker has its own in-order queue, kernel object (setting arguments is not thread-safe) and tile
- * buffers, so workers overlap each other's transfers and never wait for a lock. */
+ * Each array of the grid is a buffer. Every worker has its own in-order queue, kernel object
+ * (setting arguments is not thread-safe) and tile buffers, so workers overlap each other's copies
+ * and kernels and never wait for a lock. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
 
-#include "libbake/device/compute.h"
+#include "libbake/device/compute/compute.h"
+#include "libbake/device/opencl/opencl.h"
 #include "libbake/device/opencl/opencl_api.h"
 
 enum {
-    STAGE_BYTES = 8 << 20 /* of the grid at a time */
+    STAGING_BYTES = 8 << 20 /* half of the staging buffer */
 };
 
 enum {
-    ARG_TRIANGLES = BAKE_PART_ARRAYS,
+    ARG_TRIANGLES = BAKE_SUBGRID_ARRAYS,
     ARG_PARAMS,
     ARG_TILE,
     ARG_FIRST_ROW,
@@ -29,11 +30,12 @@ enum {
 /* Events of a tile, in the order of the queue. */
 enum { COPIED_SAMPLES, FIRST_KERNEL, LAST_KERNEL, COPIED_TEXELS, EVENTS };
 
-/* What one worker uses; made by its first tile. */
+/* A worker's part; its first tile creates it. */
 struct worker {
     cl_command_queue queue;
     cl_kernel kernel;
-    size_t group[2]; /* the same for all tiles: some drivers compile once for each size */
+    size_t
+        group[2]; /* sides of a work group; one for all tiles, as some drivers compile for each */
     cl_mem samples, texels;
     cl_event events[EVENTS];
 };
@@ -45,8 +47,8 @@ struct opencl {
     cl_context context;
     cl_program program;
     cl_command_queue upload;
-    cl_mem pinned[2];  /* the pieces of the stage, mapped */
-    cl_event taken[2]; /* the device has what was in the piece */
+    cl_mem pinned[2];  /* the halves of the staging buffer, mapped */
+    cl_event taken[2]; /* the device has copied this half */
     struct worker *workers;
 };
 
@@ -61,7 +63,7 @@ static const char *opencl_describe(const struct bake_compute *compute, int code,
     return bake_opencl_error(code, buffer);
 }
 
-/* Memory is often found to be missing only when something is copied there. */
+/* Drivers often notice that memory is exhausted only when something is copied there. */
 static bool opencl_lacks_memory(int code)
 {
     return code == CL_MEM_OBJECT_ALLOCATION_FAILURE || code == CL_OUT_OF_RESOURCES;
@@ -73,7 +75,7 @@ static void opencl_allocate(struct bake_compute *compute, uint64_t bytes, bake_m
                             int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
-    /* Empty arrays are never read, but an argument has to be a buffer. */
+    /* The kernel never reads an empty array, but an argument must be a buffer. */
     *out = (uintptr_t)cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, bytes ? bytes : 8, NULL,
                                              code);
 }
@@ -83,30 +85,30 @@ static void opencl_release(struct bake_compute *compute, bake_memory memory)
     ((struct opencl *)compute)->api.clReleaseMemObject(buffer_of(memory));
 }
 
-static void opencl_send(struct bake_compute *compute, unsigned piece, uint64_t bytes,
-                        bake_memory to, uint64_t at, int *code)
+static void opencl_send_half(struct bake_compute *compute, unsigned half, uint64_t bytes,
+                             bake_memory to, uint64_t at, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
 
     *code = cl->api.clEnqueueWriteBuffer(cl->upload, buffer_of(to), CL_FALSE, at, bytes,
-                                         compute->stage.pieces[piece], 0, NULL, &cl->taken[piece]);
+                                         compute->staging.halves[half], 0, NULL, &cl->taken[half]);
     if (*code == CL_SUCCESS)
         *code = cl->api.clFlush(cl->upload);
 }
 
-static void opencl_wait_for_piece(struct bake_compute *compute, unsigned piece, int *code)
+static void opencl_wait_for_half(struct bake_compute *compute, unsigned half, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
 
     *code = CL_SUCCESS;
-    if (cl->taken[piece]) {
-        *code = cl->api.clWaitForEvents(1, &cl->taken[piece]);
-        cl->api.clReleaseEvent(cl->taken[piece]);
-        cl->taken[piece] = NULL;
+    if (cl->taken[half]) {
+        *code = cl->api.clWaitForEvents(1, &cl->taken[half]);
+        cl->api.clReleaseEvent(cl->taken[half]);
+        cl->taken[half] = NULL;
     }
 }
 
-static void opencl_drain(struct bake_compute *compute, int *code)
+static void opencl_finish_uploads(struct bake_compute *compute, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
     *code = cl->api.clFinish(cl->upload);
@@ -130,7 +132,8 @@ static void opencl_close_worker(struct bake_compute *compute, unsigned number)
     *worker = (struct worker){0};
 }
 
-/* A kernel that needs many registers may allow fewer work items than the device does. */
+/* Chooses the work group; a kernel with many registers may allow fewer work items than the device.
+ */
 static int choose_group(const struct opencl *cl, struct worker *worker)
 {
     size_t most = 0;
@@ -169,20 +172,20 @@ static const char *opencl_open_worker(struct bake_compute *compute, unsigned num
 
 /* Sets the arguments that are the same for all rows of a tile. */
 static int set_arguments(const struct opencl *cl, const struct worker *worker,
-                         const struct bake_compute_part *part, const struct bk_tile *tile)
+                         const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile)
 {
     const cl_mem triangles = buffer_of(cl->compute.triangles);
     cl_int code = CL_SUCCESS;
 
-    for (cl_uint i = 0; i < BAKE_PART_ARRAYS && code == CL_SUCCESS; i++) {
-        const cl_mem array = buffer_of(part->arrays[i]);
+    for (cl_uint i = 0; i < BAKE_SUBGRID_ARRAYS && code == CL_SUCCESS; i++) {
+        const cl_mem array = buffer_of(subgrid->arrays[i]);
         code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &array);
     }
     if (code == CL_SUCCESS)
         code = cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof(cl_mem), &triangles);
     if (code == CL_SUCCESS)
-        code =
-            cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof part->params, &part->params);
+        code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof subgrid->params,
+                                      &subgrid->params);
     if (code == CL_SUCCESS)
         code =
             cl->api.clSetKernelArg(worker->kernel, ARG_SAMPLES, sizeof(cl_mem), &worker->samples);
@@ -193,14 +196,15 @@ static int set_arguments(const struct opencl *cl, const struct worker *worker,
     return code;
 }
 
-static const char *opencl_write(struct bake_compute *compute, unsigned number,
-                                const struct bake_compute_part *part, const struct bk_tile *tile,
-                                const uint32_t *sample_triangles, uint64_t bytes, int *code)
+static const char *opencl_send_samples(struct bake_compute *compute, unsigned number,
+                                       const struct bake_compute_subgrid *subgrid,
+                                       const struct bk_tile *tile, const uint32_t *sample_triangles,
+                                       uint64_t bytes, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
 
-    *code = set_arguments(cl, worker, part, tile);
+    *code = set_arguments(cl, worker, subgrid, tile);
     if (*code != CL_SUCCESS)
         return "clSetKernelArg";
     *code =
@@ -215,17 +219,18 @@ static size_t round_up(size_t count, size_t step)
 }
 
 static const char *opencl_launch(struct bake_compute *compute, unsigned number,
-                                 const struct bake_compute_part *part, const struct bk_tile *tile,
-                                 const struct bake_slice *slice, int *code)
+                                 const struct bake_compute_subgrid *subgrid,
+                                 const struct bk_tile *tile, const struct bake_launch_batch *batch,
+                                 int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
     const size_t size[2] = {round_up(tile->width, worker->group[0]),
-                            round_up(slice->end_row - slice->first_row, worker->group[1])};
-    const uint32_t bounds[] = {slice->first_row, slice->end_row, slice->first_line,
-                               slice->end_line};
-    const bool first = slice->first_row == 0 && slice->first_line == 0;
-    const bool last = slice->end_row == tile->height && slice->end_line == part->params.samples;
+                            round_up(batch->end_row - batch->first_row, worker->group[1])};
+    const uint32_t bounds[] = {batch->first_row, batch->end_row, batch->first_line,
+                               batch->end_line};
+    const bool first = batch->first_row == 0 && batch->first_line == 0;
+    const bool last = batch->end_row == tile->height && batch->end_line == subgrid->params.samples;
     cl_event *event = first  ? &worker->events[FIRST_KERNEL]
                       : last ? &worker->events[LAST_KERNEL]
                              : NULL;
@@ -244,8 +249,8 @@ static const char *opencl_launch(struct bake_compute *compute, unsigned number,
     return "clFlush";
 }
 
-static const char *opencl_read(struct bake_compute *compute, unsigned number,
-                               struct bk_texel *texels, uint64_t bytes, int *code)
+static const char *opencl_fetch_texels(struct bake_compute *compute, unsigned number,
+                                       struct bk_texel *texels, uint64_t bytes, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
@@ -257,7 +262,7 @@ static const char *opencl_read(struct bake_compute *compute, unsigned number,
     return "clEnqueueReadBuffer";
 }
 
-/* From when the first event began to when the last ended. */
+/* Returns the span from the start of the first event to the end of the last. */
 static struct bake_span span_of(const struct opencl *cl, cl_event first, cl_event last, int *code)
 {
     cl_ulong start = 0, end = 0;
@@ -276,7 +281,7 @@ static const char *opencl_times(struct bake_compute *compute, unsigned number,
 {
     struct opencl *cl = (struct opencl *)compute;
     const cl_event *events = cl->workers[number].events;
-    /* A tile of one slice has one kernel. */
+    /* A tile of one launch batch has one kernel. */
     const cl_event last = events[LAST_KERNEL] ? events[LAST_KERNEL] : events[FIRST_KERNEL];
 
     out->samples = span_of(cl, events[COPIED_SAMPLES], events[COPIED_SAMPLES], code);
@@ -285,8 +290,8 @@ static const char *opencl_times(struct bake_compute *compute, unsigned number,
     return "clGetEventProfilingInfo";
 }
 
-/* The caller's buffers are in use until the queue is empty. */
-static void opencl_leave(struct bake_compute *compute, unsigned number, int code)
+/* Waits after a failure: the device may use the caller's memory until the queue is empty. */
+static void opencl_end_tile(struct bake_compute *compute, unsigned number, int code)
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
@@ -304,20 +309,20 @@ static const struct bake_compute_calls calls = {.describe = opencl_describe,
                                                 .lacks_memory = opencl_lacks_memory,
                                                 .allocate = opencl_allocate,
                                                 .release = opencl_release,
-                                                .send = opencl_send,
-                                                .wait_for_piece = opencl_wait_for_piece,
-                                                .drain = opencl_drain,
+                                                .send_half = opencl_send_half,
+                                                .wait_for_half = opencl_wait_for_half,
+                                                .finish_uploads = opencl_finish_uploads,
                                                 .open_worker = opencl_open_worker,
                                                 .close_worker = opencl_close_worker,
-                                                .write = opencl_write,
+                                                .send_samples = opencl_send_samples,
                                                 .launch = opencl_launch,
-                                                .read = opencl_read,
+                                                .fetch_texels = opencl_fetch_texels,
                                                 .times = opencl_times,
-                                                .leave = opencl_leave};
+                                                .end_tile = opencl_end_tile};
 
 /* ---- opening and closing ---- */
 
-/* Finds the device asked for; the error lists what is there. */
+/* Finds the device asked for. The error lists the devices that exist. */
 static int choose(struct opencl *cl, int64_t index)
 {
     struct bake_opencl_device device;
@@ -329,8 +334,8 @@ static int choose(struct opencl *cl, int64_t index)
         return bsq_fail(cl->compute.ctx, BSQ_ENODEVICE, "OpenCL is not installed (libOpenCL.so.1)");
     for (; bake_opencl_device(&cl->api, count, &device); count++) {
         size_t used = strlen(there);
-        bool wanted = index == BAKE_OPENCL_FIRST ? !found || (device.is_gpu && !cl->device.is_gpu)
-                                                 : (int64_t)count == index;
+        bool wanted = index == BAKE_ANY_DEVICE ? !found || (device.is_gpu && !cl->device.is_gpu)
+                                               : (int64_t)count == index;
         if (wanted) {
             cl->device = device;
             found = true;
@@ -347,8 +352,8 @@ static int choose(struct opencl *cl, int64_t index)
     return 0;
 }
 
-/* What the job may use of the device's memory. Drivers and the desktop need some too, and there is
- * no asking how much. */
+/* Returns the device memory that the job may use: not all, since drivers and the desktop need some
+ * and OpenCL cannot tell how much is free. */
 static uint64_t memory_limit(const struct opencl *cl)
 {
     uint64_t limit = cl->device.memory_bytes / 8 * 7;
@@ -362,33 +367,34 @@ static uint64_t memory_limit(const struct opencl *cl)
     return limit;
 }
 
-/* Memory that the device can copy from by itself; drivers first copy other memory into such. */
-static int open_piece(struct opencl *cl, int piece)
+/* Creates a half that the device can copy from by itself; drivers would first copy other memory. */
+static int open_half(struct opencl *cl, int half)
 {
     cl_int code;
 
-    cl->pinned[piece] =
-        cl->api.clCreateBuffer(cl->context, CL_MEM_ALLOC_HOST_PTR, STAGE_BYTES, NULL, &code);
+    cl->pinned[half] =
+        cl->api.clCreateBuffer(cl->context, CL_MEM_ALLOC_HOST_PTR, STAGING_BYTES, NULL, &code);
     if (code != CL_SUCCESS)
         return bake_compute_fail(&cl->compute, "clCreateBuffer", code);
-    cl->compute.stage.pieces[piece] = cl->api.clEnqueueMapBuffer(
-        cl->upload, cl->pinned[piece], CL_TRUE, CL_MAP_WRITE, 0, STAGE_BYTES, 0, NULL, NULL, &code);
+    cl->compute.staging.halves[half] =
+        cl->api.clEnqueueMapBuffer(cl->upload, cl->pinned[half], CL_TRUE, CL_MAP_WRITE, 0,
+                                   STAGING_BYTES, 0, NULL, NULL, &code);
     return code == CL_SUCCESS ? 0 : bake_compute_fail(&cl->compute, "clEnqueueMapBuffer", code);
 }
 
 static int open_upload(struct opencl *cl)
 {
     cl_int code;
-    int status = bake_compute_reserve(&cl->compute, "staging of the grid", 2 * STAGE_BYTES);
+    int status = bake_compute_reserve(&cl->compute, "staging of the grid", 2 * STAGING_BYTES);
 
-    cl->compute.stage.piece_bytes = STAGE_BYTES;
+    cl->compute.staging.half_bytes = STAGING_BYTES;
     if (status < 0)
         return status;
     cl->upload = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
     if (code != CL_SUCCESS)
         return bake_compute_fail(&cl->compute, "clCreateCommandQueue", code);
     for (int i = 0; i < 2 && status == 0; i++)
-        status = open_piece(cl, i);
+        status = open_half(cl, i);
     return status;
 }
 
@@ -399,9 +405,9 @@ static void close_upload(struct opencl *cl)
     for (int i = 0; i < 2; i++) {
         if (cl->taken[i])
             cl->api.clReleaseEvent(cl->taken[i]);
-        if (cl->compute.stage.pieces[i])
-            cl->api.clEnqueueUnmapMemObject(cl->upload, cl->pinned[i], cl->compute.stage.pieces[i],
-                                            0, NULL, NULL);
+        if (cl->compute.staging.halves[i])
+            cl->api.clEnqueueUnmapMemObject(cl->upload, cl->pinned[i],
+                                            cl->compute.staging.halves[i], 0, NULL, NULL);
         if (cl->pinned[i])
             cl->api.clReleaseMemObject(cl->pinned[i]);
     }
@@ -434,8 +440,8 @@ static int prepare(struct opencl *cl, const struct bake_job *job)
                             sizeof *cl->workers, &cl->workers);
     if (status == 0)
         status = bake_compute_share_memory(compute, job, memory_limit(cl), cl->device.buffer_bytes);
-    if (compute->base.buffer_bytes > BAKE_BUFFER_MOST)
-        compute->base.buffer_bytes = BAKE_BUFFER_MOST;
+    if (compute->base.buffer_bytes > BAKE_MAX_BUFFER_BYTES)
+        compute->base.buffer_bytes = BAKE_MAX_BUFFER_BYTES;
     if (status == 0)
         status = open_context(cl);
     if (status == 0)

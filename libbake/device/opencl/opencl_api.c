@@ -1,13 +1,9 @@
-/* opencl_api.c - loads libOpenCL, numbers its devices, names its errors. */
+/* opencl_api.c - loads libOpenCL, describes its devices, names its errors. */
 #include "libbake/device/opencl/opencl_api.h"
 
 #include <dlfcn.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "libbake/device/backend.h"
-#include "libbake/device/probe.h"
-#include "libbake/device/opencl/opencl_drivers.h"
 
 bool bake_opencl_load(struct bake_opencl_api *api)
 {
@@ -72,7 +68,7 @@ const char *bake_opencl_error(cl_int code, char *buffer)
 static cl_ulong device_number(const struct bake_opencl_api *api, cl_device_id id,
                               cl_device_info what, size_t size)
 {
-    /* Values of 4 bytes leave the upper half zero; little-endian hosts only, as the grid is. */
+    /* Values of 4 bytes leave the upper half zero: hosts are little-endian, as grid files are. */
     cl_ulong value = 0;
 
     if (api->clGetDeviceInfo(id, what, size, &value, NULL) != CL_SUCCESS)
@@ -80,7 +76,7 @@ static cl_ulong device_number(const struct bake_opencl_api *api, cl_device_id id
     return value;
 }
 
-/* Collapses the blanks that vendors pad names with. */
+/* Removes the blanks that vendors pad names with. */
 static void tidy(char *text)
 {
     char *to = text;
@@ -93,17 +89,7 @@ static void tidy(char *text)
     *to = '\0';
 }
 
-static void describe_driver(const struct bake_opencl_api *api, struct bake_opencl_device *out)
-{
-    char platform[80] = "", device[80] = "", driver[80] = "";
-
-    api->clGetPlatformInfo(out->platform, CL_PLATFORM_VERSION, sizeof platform - 1, platform, NULL);
-    api->clGetDeviceInfo(out->id, CL_DEVICE_VERSION, sizeof device - 1, device, NULL);
-    api->clGetDeviceInfo(out->id, CL_DRIVER_VERSION, sizeof driver - 1, driver, NULL);
-    snprintf(out->driver, sizeof out->driver, "%s\n%s\n%s", platform, device, driver);
-}
-
-/* Devices have three sides at least. */
+/* Every device has at least three sides. */
 static void describe_groups(const struct bake_opencl_api *api, struct bake_opencl_device *out)
 {
     size_t sides[16] = {0};
@@ -128,7 +114,6 @@ static void describe(const struct bake_opencl_api *api, cl_platform_id platform,
     tidy(name);
     tidy(vendor);
     snprintf(out->name, sizeof out->name, "%.80s (%.40s)", name, vendor);
-    describe_driver(api, out);
     out->is_gpu = device_number(api, id, CL_DEVICE_TYPE, 8) & CL_DEVICE_TYPE_GPU;
     out->host_memory = device_number(api, id, CL_DEVICE_HOST_UNIFIED_MEMORY, 4);
     out->rounds_correctly =
@@ -177,73 +162,4 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
         }
     }
     return false;
-}
-
-static void pass_on(void *arg, const char *line)
-{
-    bake_answer_warning(arg, line);
-}
-
-static void ask(struct bake_answers *answers)
-{
-    struct bake_opencl_api api;
-    struct bake_opencl_device device;
-    bool loaded = bake_opencl_load(&api);
-
-    for (uint32_t i = 0; loaded && bake_opencl_device(&api, i, &device); i++) {
-        struct bake_device_info info = {.memory_bytes = device.memory_bytes,
-                                        .is_gpu = device.is_gpu};
-        snprintf(info.id, sizeof info.id, "opencl:%u", (unsigned)i);
-        snprintf(info.name, sizeof info.name, "%s", device.name);
-        bake_answer_device(answers, &info);
-    }
-    bake_opencl_idle_drivers(loaded ? dlopen("libOpenCL.so.1", RTLD_NOW | RTLD_LOCAL) : NULL,
-                             pass_on, answers);
-}
-
-int bake_opencl_list(struct bsq_ctx *ctx,
-                     void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
-{
-    return bake_probe(ctx, "OpenCL", ask, fn, arg);
-}
-
-static void count_device(void *arg, const struct bake_device_info *info)
-{
-    (void)info;
-    ++*(uint32_t *)arg;
-}
-
-int bake_opencl_check(struct bsq_ctx *ctx)
-{
-    uint32_t count = 0;
-    int status = bake_opencl_list(ctx, count_device, &count);
-
-    if (status < 0 || count > 0)
-        return status;
-    if (!dlopen("libOpenCL.so.1", RTLD_NOW | RTLD_LOCAL))
-        return bsq_fail(ctx, BSQ_ENODEVICE, "OpenCL is not installed (libOpenCL.so.1)");
-    return bsq_fail(ctx, BSQ_ENODEVICE,
-                    "OpenCL has no devices (no driver that works is installed)");
-}
-
-/* Looks for a GPU with a number above `after`. */
-struct gpu_search {
-    int64_t next, after, found;
-};
-
-static void search_gpu(void *arg, const struct bake_device_info *info)
-{
-    struct gpu_search *search = arg;
-
-    if (info->is_gpu && search->found < 0 && search->next > search->after)
-        search->found = search->next;
-    search->next++;
-}
-
-int64_t bake_opencl_next_gpu(struct bsq_ctx *ctx, int64_t after)
-{
-    struct gpu_search search = {.after = after, .found = -1};
-    int status = bake_opencl_list(ctx, search_gpu, &search);
-
-    return status < 0 ? status : search.found;
 }

@@ -1,5 +1,5 @@
-/* opencl_api.h - libOpenCL opened at run time, so that one binary serves machines with and
- * without. */
+/* opencl_api.h - libOpenCL, opened at run time so that one binary serves machines with and without
+ * it. */
 #ifndef BAKE_DEVICE_OPENCL_OPENCL_API_H
 #define BAKE_DEVICE_OPENCL_OPENCL_API_H
 
@@ -7,7 +7,7 @@
 #include <CL/cl.h>
 #include <stdbool.h>
 
-#include "libbake/bake.h"
+#include "libbake/device/backend/backend.h"
 
 #define BAKE_OPENCL_FUNCTIONS(X)                                                                   \
     X(clGetPlatformIDs)                                                                            \
@@ -20,8 +20,6 @@
     X(clReleaseCommandQueue)                                                                       \
     X(clCreateBuffer)                                                                              \
     X(clReleaseMemObject)                                                                          \
-    X(clCreateProgramWithBinary)                                                                   \
-    X(clGetProgramInfo)                                                                            \
     X(clCreateProgramWithSource)                                                                   \
     X(clBuildProgram)                                                                              \
     X(clGetProgramBuildInfo)                                                                       \
@@ -47,11 +45,11 @@ struct bake_opencl_api {
 #undef BAKE_OPENCL_MEMBER
 };
 
-/* Opens libOpenCL.so.1. False where it or one of its functions is missing. The library stays
- * loaded: drivers keep threads that would lose their code. */
+/* Opens libOpenCL.so.1. Returns false if it or one of its functions is missing. The library stays
+ * loaded, since drivers keep threads that run its code. */
 bool bake_opencl_load(struct bake_opencl_api *api);
 
-/* "CL_OUT_OF_RESOURCES" and the like; the number for codes that are not known. buffer: 32 bytes. */
+/* Returns the name of an error, or its number if the code is not known. buffer: 32 bytes. */
 const char *bake_opencl_error(cl_int code, char *buffer);
 
 /* A device and what the program needs to know about it. */
@@ -59,23 +57,27 @@ struct bake_opencl_device {
     cl_platform_id platform;
     cl_device_id id;
     char name[128];
-    char driver[256]; /* versions of platform, device and driver */
     bool is_gpu, host_memory, rounds_correctly;
-    uint64_t memory_bytes, buffer_bytes; /* of the device; of one buffer at most */
-    size_t group_sides[2];               /* of a work group at most */
+    uint64_t memory_bytes, buffer_bytes; /* of the device; limit for one buffer */
+    size_t group_sides[2];               /* limits for a work group */
 };
 
-/* Sides of a work group: powers of two, 8 x 8 where the kernel and the device can have so many. */
+/* Chooses the sides of a work group: powers of two, 8 x 8 unless kernel or device allow less. */
 void bake_opencl_group(size_t most_items, const size_t most_sides[2], size_t sides[2]);
 
-/* Describes device number `index` (platforms in the loader's order, devices in the platform's),
- * skipping devices that are unavailable or have no compiler. False past the last. */
+/* Describes device number `index`: platforms in the loader's order, devices in the platform's.
+ * Skips devices that are unavailable, big-endian or without a compiler. Returns false if there are
+ * no more. */
 bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
                         struct bake_opencl_device *out);
 
-/* Makes the kernel's program; to be released also after a failure, where it is not NULL. Errors:
+/* Compiles the kernel. The caller releases *out if it is not NULL, also after a failure. Errors:
  * BSQ_ENODEVICE with the compiler's messages. */
 int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
                       const struct bake_opencl_device *device, cl_context context, cl_program *out);
+
+/* See struct bake_device_kind. */
+int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                     struct bake_backend **out);
 
 #endif

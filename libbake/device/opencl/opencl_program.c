@@ -1,10 +1,10 @@
-/* opencl_program.c - the kernel compiled for an OpenCL device, or as an earlier run compiled it. */
-#include <inttypes.h>
+/* opencl_program.c - compiles the kernel for an OpenCL device.
+ *
+ * Drivers keep what they compiled from one run to the next; see
+ * docs/decisions/0020-no-kernel-cache-of-our-own.md. */
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
-#include "libbake/device/opencl/kernel_cache.h"
 #include "libbake/device/opencl/opencl_api.h"
 
 /* The flattened kernel source. */
@@ -20,7 +20,7 @@ struct program {
     cl_program program;
 };
 
-/* From the build log's first error on, if a line speaks of one; line breaks become " | ". */
+/* Records the build log from its first line with an error on, with " | " for line breaks. */
 static int fail_build(struct program *p, cl_int code)
 {
     char *log = NULL, line[400] = "", number[32];
@@ -42,70 +42,21 @@ static int fail_build(struct program *p, cl_int code)
                     bake_opencl_error(code, number), line);
 }
 
-/* Makes the program from what an earlier run compiled. */
-static bool build_from_cache(struct program *p, const char *key, const char *options)
-{
-    void *binary;
-    uint64_t bytes;
-    cl_int code, status = CL_SUCCESS;
-
-    if (!bake_kernel_cache_get(key, &binary, &bytes))
-        return false;
-    p->program =
-        p->api->clCreateProgramWithBinary(p->context, 1, &p->device->id, &(size_t){bytes},
-                                          &(const unsigned char *){binary}, &status, &code);
-    free(binary);
-    if (code == CL_SUCCESS)
-        code = status;
-    if (code == CL_SUCCESS)
-        code = p->api->clBuildProgram(p->program, 1, &p->device->id, options, NULL, NULL);
-    if (code == CL_SUCCESS)
-        return true;
-    if (p->program)
-        p->api->clReleaseProgram(p->program);
-    p->program = NULL;
-    return false;
-}
-
-static void keep_binary(struct program *p, const char *key)
-{
-    size_t bytes = 0;
-    unsigned char *binary = NULL;
-
-    if (p->api->clGetProgramInfo(p->program, CL_PROGRAM_BINARY_SIZES, sizeof bytes, &bytes, NULL) !=
-            CL_SUCCESS ||
-        bytes == 0)
-        return;
-    binary = malloc(bytes);
-    if (binary && p->api->clGetProgramInfo(p->program, CL_PROGRAM_BINARIES, sizeof binary, &binary,
-                                           NULL) == CL_SUCCESS)
-        bake_kernel_cache_put(key, binary, bytes);
-    free(binary);
-}
-
 static int build(struct program *p)
 {
     const char *source = kernel_source;
     const char *options = p->device->rounds_correctly
                               ? "-cl-std=CL1.2 -cl-fp32-correctly-rounded-divide-sqrt"
                               : "-cl-std=CL1.2";
-    char key[1024], number[32];
+    char number[32];
     cl_int code;
 
-    snprintf(key, sizeof key, "%016" PRIx64 "\n%s\n%s\n%s",
-             bake_kernel_hash(kernel_source, sizeof kernel_source), options, p->device->name,
-             p->device->driver);
-    if (build_from_cache(p, key, options))
-        return 0;
     p->program = p->api->clCreateProgramWithSource(p->context, 1, &source, NULL, &code);
     if (code != CL_SUCCESS)
         return bsq_fail(p->ctx, BSQ_ENODEVICE, "%s: clCreateProgramWithSource: %s", p->device->name,
                         bake_opencl_error(code, number));
     code = p->api->clBuildProgram(p->program, 1, &p->device->id, options, NULL, NULL);
-    if (code != CL_SUCCESS)
-        return fail_build(p, code);
-    keep_binary(p, key);
-    return 0;
+    return code == CL_SUCCESS ? 0 : fail_build(p, code);
 }
 
 int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,

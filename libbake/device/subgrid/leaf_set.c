@@ -1,5 +1,5 @@
-/* leaf_set.c - one 4096-bit mask for each lower node in the set; boxes are or-ed in rows of 16
- * bits. */
+/* leaf_set.c - one 4096-bit mask for each lower node in the set; a box sets rows of up to 16 bits.
+ */
 #include "libbake/device/subgrid/leaf_set.h"
 
 #include <string.h>
@@ -68,7 +68,7 @@ void bake_leaf_set_free(struct bsq_ctx *ctx, struct bake_leaf_set *set)
     bsq_free(ctx, set->has_upper);
     bsq_free(ctx, set->place_of_lower);
     bsq_free(ctx, set->lowers);
-    bsq_free(ctx, set->marks);
+    bsq_free(ctx, set->leaf_masks);
     *set = (struct bake_leaf_set){0};
 }
 
@@ -89,24 +89,24 @@ static void add_upper(struct bake_leaf_set *set, uint32_t upper)
     set->has_upper[upper] = 1;
 }
 
-/* The marks of a lower node, which is added where it is new. */
+/* Returns the leaf mask of a lower node, and adds the node if it is new. */
 static int find_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t lower,
-                      uint64_t **marks)
+                      uint64_t **mask)
 {
     if (set->place_of_lower[lower] == 0) {
         uint64_t capacity = set->capacity;
         int status = bsq_grow(ctx, "lower nodes of a pass", set->lower_count + 1,
                               sizeof *set->lowers, &set->lowers, &capacity);
         if (status == 0)
-            status = bsq_grow(ctx, "leaves of a pass", set->lower_count + 1, sizeof *set->marks,
-                              &set->marks, &set->capacity);
+            status = bsq_grow(ctx, "leaves of a pass", set->lower_count + 1,
+                              sizeof *set->leaf_masks, &set->leaf_masks, &set->capacity);
         if (status < 0)
             return status;
-        memset(set->marks[set->lower_count], 0, sizeof *set->marks);
+        memset(set->leaf_masks[set->lower_count], 0, sizeof *set->leaf_masks);
         set->lowers[set->lower_count++] = lower;
         set->place_of_lower[lower] = (uint32_t)set->lower_count;
     }
-    *marks = set->marks[set->place_of_lower[lower] - 1];
+    *mask = set->leaf_masks[set->place_of_lower[lower] - 1];
     return 0;
 }
 
@@ -125,7 +125,7 @@ static void count_leaves(struct bake_leaf_set *counts, uint32_t lower, uint32_t 
     }
 }
 
-/* Children of a node along an axis that voxels low .. high lie in. */
+/* Computes which children of a node overlap voxels low .. high along an axis. */
 static void child_range(int32_t origin, int32_t low, int32_t high, uint32_t child_log2,
                         uint32_t children, uint32_t *first, uint32_t *last)
 {
@@ -140,8 +140,8 @@ static int add_in_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
 {
     const uint64_t *children = lower_words(set->grid, lower) + BK_LOWER_CHILD_MASK;
     uint32_t first[3], last[3];
-    uint64_t *marks;
-    int status = find_lower(ctx, set, lower, &marks);
+    uint64_t *mask;
+    int status = find_lower(ctx, set, lower, &mask);
     if (status < 0)
         return status;
     for (int k = 0; k < 3; k++)
@@ -150,8 +150,8 @@ static int add_in_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
     for (uint32_t x = first[0]; x <= last[0]; x++)
         for (uint32_t y = first[1]; y <= last[1]; y++) {
             const uint32_t n = x << 8 | y << 4, word = n >> 6;
-            const uint64_t added = row << (n & 63) & children[word] & ~marks[word];
-            marks[word] |= added;
+            const uint64_t added = row << (n & 63) & children[word] & ~mask[word];
+            mask[word] |= added;
             count_leaves(set, lower, word, added);
         }
     return 0;
@@ -186,7 +186,7 @@ static int add_in_upper(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
     return 0;
 }
 
-/* Lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
+/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
 static int32_t tile_origin(uint64_t key, uint32_t shift)
 {
     const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
@@ -223,13 +223,13 @@ int bake_leaf_set_add(struct bsq_ctx *ctx, struct bake_leaf_set *set,
         if (other->has_upper[i])
             add_upper(set, i);
     for (uint64_t i = 0; i < other->lower_count; i++) {
-        uint64_t *marks;
-        int status = find_lower(ctx, set, other->lowers[i], &marks);
+        uint64_t *mask;
+        int status = find_lower(ctx, set, other->lowers[i], &mask);
         if (status < 0)
             return status;
-        for (uint32_t w = 0; w < BAKE_MARK_WORDS; w++) {
-            const uint64_t added = other->marks[i][w] & ~marks[w];
-            marks[w] |= added;
+        for (uint32_t w = 0; w < BAKE_MASK_WORDS; w++) {
+            const uint64_t added = other->leaf_masks[i][w] & ~mask[w];
+            mask[w] |= added;
             count_leaves(set, other->lowers[i], w, added);
         }
     }
@@ -245,8 +245,8 @@ void bake_leaf_set_preview(const struct bake_leaf_set *set, const struct bake_le
     for (uint64_t i = 0; i < other->lower_count; i++) {
         const uint32_t lower = other->lowers[i], place = set->place_of_lower[lower];
         counts->lower_count += place == 0;
-        for (uint32_t w = 0; w < BAKE_MARK_WORDS; w++)
+        for (uint32_t w = 0; w < BAKE_MASK_WORDS; w++)
             count_leaves(counts, lower, w,
-                         other->marks[i][w] & ~(place ? set->marks[place - 1][w] : 0));
+                         other->leaf_masks[i][w] & ~(place ? set->leaf_masks[place - 1][w] : 0));
     }
 }

@@ -1,16 +1,19 @@
-/* passes.c - what tiles reach is found on all threads; a serial step puts tile after tile into a
- * pass while they fit. Tiles come in the order of where they lie in space (Morton 1966), not in the
- * map, since charts that are neighbours in the map mostly are none on the surface. */
-#include "libbake/device/subgrid/passes.h"
+/* passes.c - fills passes with tiles while the nodes that these need fit the device.
+ *
+ * All threads find the nodes of tiles; a serial step adds tile after tile to a pass. Tiles come in
+ * Z-order (Morton 1966) of their position in space: charts that are neighbours in the map rarely
+ * are neighbours on the surface. */
 
 #include <inttypes.h>
 #include <stdlib.h>
 
 #include "base/parallel.h"
+#include "libbake/device/subgrid/leaf_set.h"
+#include "libbake/raster/raster.h"
 
 enum {
     STACK = 64, /* a tile is halved at most once for each bit of its sides */
-    STRIDE = 61 /* of samples that tell where a tile lies */
+    STRIDE = 61 /* one sample of so many is taken to find a tile's position in space */
 };
 
 struct tile_key {
@@ -19,45 +22,35 @@ struct tile_key {
 
 struct slot {
     uint32_t tile;
-    struct bake_leaf_set reached;
+    struct bake_leaf_set nodes;
 };
 
 struct planner {
     struct bsq_ctx *ctx;
     const struct bake_plan_options *options;
     struct bake_plan *plan;
-    struct bake_leaf_set pass; /* of the pieces of the pass that is being filled */
+    struct bake_leaf_set pass; /* nodes of the pass that is being filled */
     uint64_t first_piece;      /* of that pass */
-    uint32_t **samples;        /* a tile's, for each worker and one more */
+    uint32_t **samples;        /* of a tile, for each worker and for the serial step */
     unsigned workers;
     struct tile_key *order;
     struct slot *slots;
     unsigned slot_count;
-    struct bake_leaf_set split; /* of a piece of a tile */
-    /* As the options have it; once a texel did not fit, what the most demanding one so far takes:
-     * the plan is of no use then, and goes on to find out how much is needed. */
-    uint64_t part_bytes;
+    struct bake_leaf_set split; /* nodes of a piece of a tile */
+    /* Limit of a subgrid. After a texel did not fit, the need of the largest one so far: planning
+     * goes on only to tell how much memory is needed. */
+    uint64_t subgrid_bytes;
 };
 
-static uint64_t total(const uint64_t bytes[BAKE_PART_ARRAYS], uint64_t *largest)
-{
-    uint64_t sum = 0;
-    *largest = 0;
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
-        sum += bytes[i];
-        *largest = bytes[i] > *largest ? bytes[i] : *largest;
-    }
-    return sum;
-}
-
-/* Whether the pass can take what a piece reaches. */
-static bool fits(const struct planner *p, const struct bake_leaf_set *reached)
+/* Returns whether the pass still fits the device with these nodes added. */
+static bool fits(const struct planner *p, const struct bake_leaf_set *nodes)
 {
     struct bake_leaf_set counts;
-    uint64_t bytes[BAKE_PART_ARRAYS], largest;
-    bake_leaf_set_preview(&p->pass, reached, &counts);
-    bake_part_sizes(p->pass.grid, &counts, bytes);
-    return total(bytes, &largest) <= p->part_bytes && largest <= p->options->buffer_bytes;
+    uint64_t bytes[BAKE_SUBGRID_ARRAYS], largest;
+    bake_leaf_set_preview(&p->pass, nodes, &counts);
+    bake_subgrid_sizes(p->pass.grid, &counts, bytes);
+    return bake_subgrid_total(bytes, &largest) <= p->subgrid_bytes &&
+           largest <= p->options->buffer_bytes;
 }
 
 static int end_pass(struct planner *p)
@@ -72,47 +65,47 @@ static int end_pass(struct planner *p)
     struct bake_pass *pass = &plan->passes[plan->pass_count++];
     *pass = (struct bake_pass){.first_piece = p->first_piece,
                                .piece_count = plan->piece_count - p->first_piece};
-    status = bake_part_create(p->ctx, &p->pass, &p->options->job->params, &pass->part);
+    status = bake_subgrid_create(p->ctx, &p->pass, &p->options->job->params, &pass->subgrid);
     p->first_piece = plan->piece_count;
     bake_leaf_set_clear(&p->pass);
     return status;
 }
 
-/* Puts a piece into this pass or the next; *placed is false where it is too much for any. */
+/* Adds a piece to this pass or to a new one. *placed is false if it does not fit any. */
 static int place(struct planner *p, uint32_t tile, const struct bake_rectangle *texels,
-                 const struct bake_leaf_set *reached, bool *placed)
+                 const struct bake_leaf_set *nodes, bool *placed)
 {
     struct bake_plan *plan = p->plan;
     int status = 0;
-    *placed = fits(p, reached);
+    *placed = fits(p, nodes);
     if (!*placed) {
         status = end_pass(p);
-        *placed = status == 0 && fits(p, reached);
+        *placed = status == 0 && fits(p, nodes);
     }
     if (status < 0 || !*placed)
         return status;
     status = bsq_grow(p->ctx, "pieces of the map", plan->piece_count + 1, sizeof *plan->pieces,
                       &plan->pieces, &plan->piece_capacity);
     if (status == 0)
-        status = bake_leaf_set_add(p->ctx, &p->pass, reached);
+        status = bake_leaf_set_add(p->ctx, &p->pass, nodes);
     if (status == 0)
         plan->pieces[plan->piece_count++] = (struct bake_piece){tile, *texels};
     return status;
 }
 
-/* A single texel does not fit. */
+/* Notes what a single texel needs that does not fit. */
 static int note_too_small(struct planner *p)
 {
-    uint64_t bytes[BAKE_PART_ARRAYS], largest, needed;
-    bake_part_sizes(p->pass.grid, &p->split, bytes);
-    needed = total(bytes, &largest);
+    uint64_t bytes[BAKE_SUBGRID_ARRAYS], largest, needed;
+    bake_subgrid_sizes(p->pass.grid, &p->split, bytes);
+    needed = bake_subgrid_total(bytes, &largest);
     if (largest > p->options->buffer_bytes)
         return bsq_fail(
             p->ctx, BSQ_ENODEVICE,
             "a buffer of the device holds %" PRIu64
             " bytes, the part of the grid that a texel's rays reach needs one of %" PRIu64,
             p->options->buffer_bytes, largest);
-    p->part_bytes = needed;
+    p->subgrid_bytes = needed;
     return 0;
 }
 
@@ -122,11 +115,11 @@ static int fail_too_small(const struct planner *p)
                     "the device's memory leaves %" PRIu64
                     " bytes for a part of the grid, a texel's rays reach %" PRIu64
                     ": at least --gpu-memory %" PRIu64 ", or shorter rays",
-                    p->options->part_bytes, p->part_bytes,
-                    p->options->other_bytes + BAKE_SLOTS * p->part_bytes);
+                    p->options->subgrid_bytes, p->subgrid_bytes,
+                    p->options->other_bytes + p->options->slots * p->subgrid_bytes);
 }
 
-/* Halves a tile that is too much for a pass until its pieces are not. */
+/* Halves a tile that does not fit a pass until its pieces do. */
 static int place_split(struct planner *p, uint32_t index)
 {
     const struct bk_tile tile = bake_raster_tile(p->options->raster, index);
@@ -141,7 +134,7 @@ static int place_split(struct planner *p, uint32_t index)
         struct bake_rectangle first = whole, second = whole;
         bool placed = false;
         bake_leaf_set_clear(&p->split);
-        status = bake_reach(p->ctx, p->options->job, &tile, samples, &whole, &p->split);
+        status = bake_leaf_set_add_rays(p->ctx, &p->split, p->options->job, &tile, samples, &whole);
         if (status == 0)
             status = place(p, index, &whole, &p->split, &placed);
         if (status < 0 || placed)
@@ -167,7 +160,7 @@ static int place_split(struct planner *p, uint32_t index)
 
 /* ---- the order of tiles ---- */
 
-/* Ten bits with two zeros between each and the next. */
+/* Spreads ten bits: two zeros between each and the next. */
 static uint32_t spread(uint32_t v)
 {
     v = (v | v << 16) & 0x030000ff;
@@ -192,7 +185,7 @@ static uint32_t morton(const struct bk_params *params, const double at[3])
     return key;
 }
 
-/* Where the triangles of a few of a tile's samples lie. */
+/* Computes the Z-order key of a tile: the mean centre of the triangles of a few samples. */
 static int find_key(void *arg, uint64_t index, unsigned worker)
 {
     struct planner *p = arg;
@@ -247,7 +240,7 @@ static int next_tile(void *arg, void *slot, uint64_t sequence)
     return 1;
 }
 
-static int reach_tile(void *arg, void *data, uint64_t sequence, unsigned worker)
+static int find_nodes(void *arg, void *data, uint64_t sequence, unsigned worker)
 {
     const struct planner *p = arg;
     struct slot *slot = data;
@@ -256,8 +249,9 @@ static int reach_tile(void *arg, void *data, uint64_t sequence, unsigned worker)
     uint64_t overlaps;
     (void)sequence;
     bake_raster_fill(p->options->raster, slot->tile, p->samples[worker], &overlaps);
-    bake_leaf_set_clear(&slot->reached);
-    return bake_reach(p->ctx, p->options->job, &tile, p->samples[worker], &all, &slot->reached);
+    bake_leaf_set_clear(&slot->nodes);
+    return bake_leaf_set_add_rays(p->ctx, &slot->nodes, p->options->job, &tile, p->samples[worker],
+                                  &all);
 }
 
 static int place_tile(void *arg, void *data, uint64_t sequence)
@@ -268,7 +262,7 @@ static int place_tile(void *arg, void *data, uint64_t sequence)
     const struct bake_rectangle all = {0, 0, tile.width, tile.height};
     bool placed;
     (void)sequence;
-    int status = place(p, slot->tile, &all, &slot->reached, &placed);
+    int status = place(p, slot->tile, &all, &slot->nodes, &placed);
     if (status == 0 && !placed)
         status = place_split(p, slot->tile);
     bsq_progress_add(p->ctx, 1);
@@ -288,7 +282,7 @@ static int allocate(struct planner *p)
     if (status == 0)
         status = bsq_calloc(p->ctx, "planning", slots, sizeof *p->slots, &p->slots);
     for (; p->slot_count < slots && status == 0; p->slot_count++)
-        status = bake_leaf_set_create(p->ctx, job->grid, &p->slots[p->slot_count].reached);
+        status = bake_leaf_set_create(p->ctx, job->grid, &p->slots[p->slot_count].nodes);
     if (status == 0)
         status = bake_leaf_set_create(p->ctx, job->grid, &p->pass);
     if (status == 0)
@@ -301,7 +295,7 @@ static void release(struct planner *p)
     for (unsigned i = 0; p->samples && i <= p->workers; i++)
         bsq_free(p->ctx, p->samples[i]);
     for (unsigned i = 0; i < p->slot_count; i++)
-        bake_leaf_set_free(p->ctx, &p->slots[i].reached);
+        bake_leaf_set_free(p->ctx, &p->slots[i].nodes);
     bake_leaf_set_free(p->ctx, &p->pass);
     bake_leaf_set_free(p->ctx, &p->split);
     bsq_free(p->ctx, p->samples);
@@ -313,14 +307,14 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
                      struct bake_plan *out)
 {
     struct planner p = {
-        .ctx = ctx, .options = options, .plan = out, .part_bytes = options->part_bytes};
+        .ctx = ctx, .options = options, .plan = out, .subgrid_bytes = options->subgrid_bytes};
     *out = (struct bake_plan){0};
     int status = allocate(&p);
     if (status == 0)
         status = order_tiles(&p);
     if (status == 0) {
         const struct bsq_pipeline pipeline = {.produce = next_tile,
-                                              .work = reach_tile,
+                                              .work = find_nodes,
                                               .emit = place_tile,
                                               .arg = &p,
                                               .slots = p.slots,
@@ -330,7 +324,7 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
         status = bsq_pipeline_run(ctx, &pipeline);
         bsq_progress_end(ctx);
     }
-    if (status == 0 && p.part_bytes > options->part_bytes)
+    if (status == 0 && p.subgrid_bytes > options->subgrid_bytes)
         status = fail_too_small(&p);
     if (status == 0)
         status = end_pass(&p);
@@ -341,7 +335,7 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
 void bake_plan_free(struct bsq_ctx *ctx, struct bake_plan *plan)
 {
     for (uint64_t i = 0; i < plan->pass_count; i++)
-        bake_part_free(ctx, &plan->passes[i].part);
+        bake_subgrid_free(ctx, &plan->passes[i].subgrid);
     bsq_free(ctx, plan->passes);
     bsq_free(ctx, plan->pieces);
     *plan = (struct bake_plan){0};

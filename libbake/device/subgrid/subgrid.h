@@ -1,15 +1,16 @@
-/* subgrid.h - a grid, or a part of one, as the arrays that a device needs of it.
+/* subgrid.h - a grid, or the part of it that some rays need, as the arrays that a device takes;
+ * and the passes in which a grid that does not fit a device is baked.
  *
- * A part has the layout of a grid file with fewer nodes and records, renumbered: the kernel cannot
- * tell it from a grid. It is not made in memory: bake_part_send() hands out the arrays piece by
- * piece as they go to the device. */
+ * Takes a job (its grid and triangles) and a raster; gives subgrids and the tiles to trace with
+ * each. A subgrid has the layout of a grid file with fewer nodes and records, renumbered: the
+ * kernel cannot tell it from a grid. It never exists in memory as a whole: bake_subgrid_send()
+ * hands out its arrays piece by piece on their way to the device. */
 #ifndef BAKE_DEVICE_SUBGRID_SUBGRID_H
 #define BAKE_DEVICE_SUBGRID_SUBGRID_H
 
-#include "libbake/kernel/bk_types.h"
-#include "libbake/device/subgrid/leaf_set.h"
+#include "libbake/device/job/job.h"
 
-/* In the order of the kernel's arguments. */
+/* Arrays of a grid, in the order of the kernel's arguments. */
 enum {
     BAKE_TILES,
     BAKE_UPPERS,
@@ -19,43 +20,83 @@ enum {
     BAKE_PLANES,
     BAKE_COLORS,
     BAKE_SECONDS,
-    BAKE_PART_ARRAYS
+    BAKE_SUBGRID_ARRAYS
 };
 
-/* A lower node of a part, and what of the part comes before it. */
-struct bake_part_lower {
-    uint32_t number; /* in the grid */
-    uint64_t first_leaf, first_voxel;
+enum { BAKE_MASK_WORDS = 64 }; /* one bit for each child of a lower node, as in its child mask */
+
+/* A lower node of a subgrid. */
+struct bake_subgrid_lower {
+    uint32_t number;                  /* in the grid */
+    uint64_t first_leaf, first_voxel; /* leaves and voxels of the nodes before it */
 };
 
-struct bake_part {
+struct bake_subgrid {
     const struct fmt_nvdb_grid *grid;
-    bool whole; /* the fields from here to params are unused */
-    uint32_t *uppers;
-    struct bake_part_lower *lowers; /* ascending */
-    uint64_t (*marks)[BAKE_MARK_WORDS];
+    bool whole;                              /* the fields from here to params are unused */
+    uint32_t *uppers;                        /* numbers in the grid, ascending */
+    struct bake_subgrid_lower *lowers;       /* ascending numbers */
+    uint64_t (*leaf_masks)[BAKE_MASK_WORDS]; /* for each lower node: its leaves in the subgrid */
     uint64_t upper_count, lower_count, leaf_count, voxel_count, second_count;
-    struct bk_params params;          /* the job's, for this part */
-    uint64_t bytes[BAKE_PART_ARRAYS]; /* 0: the kernel does not read it */
+    struct bk_params params;             /* the job's, for this subgrid */
+    uint64_t bytes[BAKE_SUBGRID_ARRAYS]; /* 0: the kernel does not read the array */
 };
 
-const char *bake_part_array_name(int array);
+/* Makes a subgrid that is the whole grid. Allocates nothing. */
+void bake_subgrid_whole(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                        struct bake_subgrid *out);
 
-/* Bytes of the arrays of a part with these counts. */
-void bake_part_sizes(const struct fmt_nvdb_grid *grid, const struct bake_leaf_set *counts,
-                     uint64_t bytes[BAKE_PART_ARRAYS]);
+/* Returns the bytes of all arrays together. *largest: of the largest one. */
+uint64_t bake_subgrid_total(const uint64_t bytes[BAKE_SUBGRID_ARRAYS], uint64_t *largest);
 
-/* The whole grid. Nothing is allocated. */
-void bake_part_whole(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                     struct bake_part *out);
-/* The nodes of a set; free with bake_part_free(), also after a failure. */
-int bake_part_create(struct bsq_ctx *ctx, const struct bake_leaf_set *set,
-                     const struct bk_params *params, struct bake_part *out);
-void bake_part_free(struct bsq_ctx *ctx, struct bake_part *part);
+/* Returns an array's name for messages. */
+const char *bake_subgrid_array_name(int array);
 
-/* Calls sink with the bytes of an array from its first to its last, in pieces of any size; returns
- * its first result that is not 0. Any number of threads at a time. */
-int bake_part_send(const struct bake_part *part, int array,
-                   int (*sink)(void *arg, const void *data, uint64_t bytes), void *arg);
+/* Calls sink with the bytes of an array from first to last, in pieces of any size. Returns the
+ * first result of sink that is not 0. Thread-safe. */
+int bake_subgrid_send(const struct bake_subgrid *subgrid, int array,
+                      int (*sink)(void *arg, const void *data, uint64_t bytes), void *arg);
+
+/* ---- passes ---- */
+
+struct bake_raster;
+
+/* Texels of a tile, relative to it. */
+struct bake_rectangle {
+    uint32_t x, y, width, height;
+};
+
+/* Texels that are traced together: usually a whole tile, less if a tile needs too many nodes. */
+struct bake_piece {
+    uint32_t tile; /* of the raster */
+    struct bake_rectangle texels;
+};
+
+/* Pieces of the map, and all nodes that their rays look up. */
+struct bake_pass {
+    uint64_t first_piece, piece_count;
+    struct bake_subgrid subgrid;
+};
+
+struct bake_plan {
+    struct bake_piece *pieces;
+    struct bake_pass *passes;
+    uint64_t piece_count, pass_count, piece_capacity, pass_capacity;
+};
+
+struct bake_plan_options {
+    const struct bake_raster *raster;
+    const struct bake_job *job;
+    uint64_t subgrid_bytes, buffer_bytes; /* limits for all arrays of a subgrid, and for each */
+    /* For messages: device memory that the job uses besides, and subgrids held at a time. */
+    uint64_t other_bytes;
+    unsigned slots;
+};
+
+/* Plans passes over all tiles. Free with bake_plan_free(), also after a failure. Errors:
+ * BSQ_ENODEVICE if the nodes of a single texel exceed a limit. */
+int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
+                     struct bake_plan *out);
+void bake_plan_free(struct bsq_ctx *ctx, struct bake_plan *plan);
 
 #endif

@@ -10,9 +10,8 @@
 #include <cmocka.h>
 
 #include "base/octahedral.h"
-#include "libbake/device/device.h"
+#include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/device/native/native.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
@@ -241,7 +240,7 @@ static struct bk_grid kernel_grid(const struct fmt_nvdb_grid *grid, struct bk_pa
 {
     struct bk_grid kernel;
     bake_params_from_grid(grid, params);
-    bake_native_grid(grid, params, &kernel);
+    bake_kernel_grid(grid, params, &kernel);
     return kernel;
 }
 

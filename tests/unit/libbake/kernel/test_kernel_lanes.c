@@ -10,7 +10,7 @@
 #include <cmocka.h>
 
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/device/native/native.h"
+#include "libbake/device/native/native_code.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 /* No multiples of a square or a group; three samples an axis leave groups open at texels' ends. */
@@ -80,7 +80,7 @@ static int setup(void **state)
     f->params.samples = SAMPLES;
     f->params.front = 9;
     f->params.back = 14;
-    bake_native_grid(&f->file, &f->params, &f->grid);
+    bake_kernel_grid(&f->file, &f->params, &f->grid);
     for (int i = 0; i < TRIANGLES; i++)
         make_triangle(&f->triangles[i], &seed);
     /* One without a direction: it covers texels and finds nothing. */

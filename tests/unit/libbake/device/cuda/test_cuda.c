@@ -12,10 +12,10 @@
 
 #include <cmocka.h>
 
+#include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
-#include "libbake/device/backend.h"
-#include "libbake/device/driver_library.h"
-#include "libbake/device/launch_batches.h"
+#include "libbake/device/driver/driver.h"
+#include "libbake/device/compute/launch_batches.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
 /* The driver's name is looked up among the libraries that are open already. */
@@ -80,11 +80,11 @@ static void assert_same(const struct bk_texel *a, const struct bk_texel *b, size
 
 static uint64_t grid_bytes(const struct fixture *f)
 {
-    struct bake_part whole;
+    struct bake_subgrid whole;
     uint64_t sum = 0;
 
-    bake_part_whole(&f->grid, &f->job.params, &whole);
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+    bake_subgrid_whole(&f->grid, &f->job.params, &whole);
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         sum += whole.bytes[i];
     return sum;
 }
@@ -150,11 +150,11 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
     struct bake_backend *backend;
-    struct bake_part whole;
+    struct bake_subgrid whole;
     char why[BAKE_WHY_BYTES];
 
     assert_int_equal(bake_cuda_open(f->ctx, 0, &f->job, &backend), 0);
-    bake_part_whole(&f->grid, &f->job.params, &whole);
+    bake_subgrid_whole(&f->grid, &f->job.params, &whole);
     assert_int_equal(backend->load(backend, 0, &whole, why), 0);
     for (int i = 0; i < tiles; i++)
         assert_int_equal(backend->trace(backend, 0, &tile, f->samples, texels, 0, why), 0);
@@ -163,7 +163,7 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk
     return times;
 }
 
-/* On a slow device tiles are cut into kernel calls that take about BAKE_SLICE_SECONDS. */
+/* On a slow device tiles are cut into kernel calls that take about BAKE_BATCH_SECONDS. */
 static void test_slices(void **state)
 {
     enum { TILES = 3 };
@@ -178,7 +178,7 @@ static void test_slices(void **state)
     setenv("FAKE_CUDA_NS", "2500", 1);
     times = times_of(f, TILES, cuda);
     assert_same(native, cuda, TEXELS);
-    /* The first tile is below BAKE_SLICE_FIRST samples. Then 0.05 s are 20000 samples of 26412: two
+    /* The first tile is below BAKE_BATCH_FIRST samples. Then 0.05 s are 20000 samples of 26412: two
      * calls. */
     assert_int_equal(times.launches, 1 + 2 + 2);
     assert_true(times.kernels > 0.999 * TILES * seconds && times.kernels < 1.001 * TILES * seconds);
@@ -208,16 +208,17 @@ static void test_memory_for_the_driver(void **state)
 {
     struct fixture *f = *state;
     struct bake_device *device;
-    uint64_t part, buffer, other;
+    uint64_t other;
     char bytes[32];
 
     assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-    assert_true(bake_device_holds_grid(device, &part, &buffer, &other));
+    assert_true(bake_device_holds_grid(device));
+    other = bake_device_backend(device)->other_bytes;
     bake_device_close(device);
     snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(other + grid_bytes(f)));
     setenv("FAKE_CUDA_MEMORY", bytes, 1);
     assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    assert_false(bake_device_holds_grid(device));
     bake_device_close(device);
     snprintf(bytes, sizeof bytes, "%llu",
              (unsigned long long)(other + grid_bytes(f)) / 15 * 16 + 32);
@@ -237,11 +238,12 @@ static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const
                                    uint64_t left)
 {
     struct bake_device *device;
-    uint64_t part, buffer, other, all;
+    uint64_t memory, other, all;
     char bytes[32];
 
     assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
-    assert_true(bake_device_holds_grid(device, &part, &buffer, &other));
+    assert_true(bake_device_holds_grid(device));
+    other = bake_device_backend(device)->other_bytes;
     bake_device_close(device);
     all = (other + grid_bytes(f)) / 15 * 16 + 32;
     snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)all);
@@ -250,10 +252,11 @@ static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const
     setenv("FAKE_CUDA_TAKEN", bytes, 1);
     assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
     assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
-    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
+    assert_false(bake_device_holds_grid(device));
+    memory = bake_device_backend(device)->memory_bytes;
     bake_device_close(device);
     restore();
-    return BAKE_SLOTS * part;
+    return memory;
 }
 
 /* A grid that there was room for until another program took some is traced in passes, in what is
@@ -297,7 +300,6 @@ static void test_pieces_of_memory(void **state)
     struct bk_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
     int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
     struct bake_device *device;
-    uint64_t part, buffer, other;
 
     f->job.cuda_tuning = &tuning;
     cuda = traced_sheet_trace(f, "cuda", 0);
@@ -313,8 +315,8 @@ static void test_pieces_of_memory(void **state)
     restore();
     setenv("FAKE_CUDA_MAPS", "0", 1);
     assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-    assert_false(bake_device_holds_grid(device, &part, &buffer, &other));
-    assert_int_equal(buffer, tuning.piece_bytes);
+    assert_false(bake_device_holds_grid(device));
+    assert_int_equal(bake_device_backend(device)->buffer_bytes, tuning.piece_bytes);
     bake_device_close(device);
     f->job.cuda_tuning = NULL;
     free(native);
@@ -330,7 +332,7 @@ static void test_slices_of_texels(void **state)
     struct bk_texel *cuda = traced_sheet_trace_dense(*state, "cuda", N, &launches);
 
     assert_same(native, cuda, DENSE_TEXELS);
-    assert_int_equal(launches, (N + BAKE_SLICE_THREAD / N - 1) / (BAKE_SLICE_THREAD / N));
+    assert_int_equal(launches, (N + BAKE_BATCH_THREAD / N - 1) / (BAKE_BATCH_THREAD / N));
     free(native);
     free(cuda);
 }

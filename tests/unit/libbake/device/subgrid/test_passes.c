@@ -10,9 +10,8 @@
 #include <cmocka.h>
 
 #include "libbake/kernel/bk_grid.h"
-#include "libbake/device/native/native.h"
-#include "libbake/device/subgrid/ray_bounds.h"
-#include "libbake/device/subgrid/subgrid.h"
+#include "libbake/device/native/native_code.h"
+#include "libbake/device/subgrid/leaf_set.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 enum { WIDTH = 64, HEIGHT = 48, SAMPLES = 2, TEXELS = WIDTH * HEIGHT, TRIANGLES = 24 };
@@ -125,16 +124,17 @@ static int put(void *arg, const void *data, uint64_t bytes)
     return 0;
 }
 
-static void load(const struct bake_part *part, struct memory arrays[BAKE_PART_ARRAYS],
+static void load(const struct bake_subgrid *subgrid, struct memory arrays[BAKE_SUBGRID_ARRAYS],
                  struct bk_grid *grid)
 {
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
         /* Its own allocation: tools that watch memory see a step outside. */
-        arrays[i] = (struct memory){malloc(part->bytes[i] + !part->bytes[i]), 0, part->bytes[i]};
-        assert_int_equal(bake_part_send(part, i, put, &arrays[i]), 0);
-        assert_int_equal(arrays[i].used, part->bytes[i]);
+        arrays[i] =
+            (struct memory){malloc(subgrid->bytes[i] + !subgrid->bytes[i]), 0, subgrid->bytes[i]};
+        assert_int_equal(bake_subgrid_send(subgrid, i, put, &arrays[i]), 0);
+        assert_int_equal(arrays[i].used, subgrid->bytes[i]);
     }
-    bk_grid_from_params(grid, &part->params);
+    bk_grid_from_params(grid, &subgrid->params);
     grid->tiles = (const bk_ulong *)(void *)arrays[BAKE_TILES].data;
     grid->uppers = (const bk_ulong *)(void *)arrays[BAKE_UPPERS].data;
     grid->lowers = (const bk_ulong *)(void *)arrays[BAKE_LOWERS].data;
@@ -145,14 +145,14 @@ static void load(const struct bake_part *part, struct memory arrays[BAKE_PART_AR
     grid->seconds = (const bk_uint *)(void *)arrays[BAKE_SECONDS].data;
 }
 
-static void trace(const struct fixture *f, const struct bake_part *part, const struct bk_tile *tile,
-                  const uint32_t *samples, struct bk_texel *texels)
+static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
+                  const struct bk_tile *tile, const uint32_t *samples, struct bk_texel *texels)
 {
-    struct memory arrays[BAKE_PART_ARRAYS];
+    struct memory arrays[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
-    load(part, arrays, &grid);
-    bake_native_tile_4(&grid, &part->params, f->triangles, tile, samples, texels);
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
+    load(subgrid, arrays, &grid);
+    bake_native_tile_4(&grid, &subgrid->params, f->triangles, tile, samples, texels);
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);
 }
 
@@ -165,21 +165,21 @@ static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
     uint32_t *samples = malloc(sizeof *samples * row * r->height * SAMPLES);
     struct bk_texel *texels = malloc(sizeof *texels * r->width * r->height);
     struct bake_leaf_set set;
-    struct bake_part part;
+    struct bake_subgrid subgrid;
     uint64_t leaves;
     assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
-    assert_int_equal(bake_reach(f->ctx, &f->job, &map, f->samples, r, &set), 0);
+    assert_int_equal(bake_leaf_set_add_rays(f->ctx, &set, &f->job, &map, f->samples, r), 0);
     leaves = set.leaf_count;
-    assert_int_equal(bake_part_create(f->ctx, &set, &f->job.params, &part), 0);
+    assert_int_equal(bake_subgrid_create(f->ctx, &set, &f->job.params, &subgrid), 0);
     for (uint32_t j = 0; j < r->height * SAMPLES; j++)
         memcpy(samples + j * row,
                f->samples + (r->y * SAMPLES + j) * WIDTH * SAMPLES + r->x * SAMPLES,
                row * sizeof *samples);
-    trace(f, &part, &tile, samples, texels);
+    trace(f, &subgrid, &tile, samples, texels);
     for (uint32_t y = 0; y < r->height; y++)
         assert_memory_equal(texels + y * r->width, expected + (r->y + y) * WIDTH + r->x,
                             r->width * sizeof *texels);
-    bake_part_free(f->ctx, &part);
+    bake_subgrid_free(f->ctx, &subgrid);
     bake_leaf_set_free(f->ctx, &set);
     free(samples);
     free(texels);
@@ -196,10 +196,10 @@ static void test_same_bits(void **state)
     const struct bk_tile map = {0, 0, WIDTH, HEIGHT};
 
     for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
-        struct bake_part whole;
+        struct bake_subgrid whole;
         uint64_t hits = 0, covered = 0;
         f->job.params.flags |= flags[i];
-        bake_part_whole(&f->grid, &f->job.params, &whole);
+        bake_subgrid_whole(&f->grid, &f->job.params, &whole);
         trace(f, &whole, &map, f->samples, expected);
         for (int t = 0; t < TEXELS; t++) {
             hits += expected[t].hits;
@@ -226,8 +226,8 @@ static void test_whole_set(void **state)
 {
     struct fixture *f = *state;
     struct bake_leaf_set set;
-    struct bake_part part, whole;
-    struct memory a[BAKE_PART_ARRAYS], b[BAKE_PART_ARRAYS];
+    struct bake_subgrid subgrid, whole;
+    struct memory a[BAKE_SUBGRID_ARRAYS], b[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
     assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
     assert_int_equal(bake_leaf_set_add_box(f->ctx, &set, f->grid.index_min, f->grid.index_max), 0);
@@ -235,12 +235,12 @@ static void test_whole_set(void **state)
     assert_int_equal(set.voxel_count, f->grid.voxel_count);
     assert_int_equal(set.second_count, f->grid.record_count - 1 - f->grid.voxel_count);
     assert_true(set.second_count > 1000 && f->grid.upper_count == 8);
-    assert_int_equal(bake_part_create(f->ctx, &set, &f->job.params, &part), 0);
-    bake_part_whole(&f->grid, &f->job.params, &whole);
-    assert_memory_equal(&part.params, &whole.params, sizeof part.params);
-    load(&part, a, &grid);
+    assert_int_equal(bake_subgrid_create(f->ctx, &set, &f->job.params, &subgrid), 0);
+    bake_subgrid_whole(&f->grid, &f->job.params, &whole);
+    assert_memory_equal(&subgrid.params, &whole.params, sizeof subgrid.params);
+    load(&subgrid, a, &grid);
     load(&whole, b, &grid);
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++) {
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
         assert_int_equal(a[i].bytes, b[i].bytes);
         /* Tables keep no values of places without a child. */
         if (i != BAKE_UPPERS && i != BAKE_LOWERS)
@@ -248,7 +248,7 @@ static void test_whole_set(void **state)
         free(a[i].data);
         free(b[i].data);
     }
-    bake_part_free(f->ctx, &part);
+    bake_subgrid_free(f->ctx, &subgrid);
     bake_leaf_set_free(f->ctx, &set);
 }
 

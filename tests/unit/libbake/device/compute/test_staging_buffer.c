@@ -9,12 +9,12 @@
 #include <cmocka.h>
 
 #include "base/context.h"
-#include "libbake/device/staging_buffer.h"
+#include "libbake/device/compute/staging_buffer.h"
 
 enum { PIECE = (5 << 20) + 3, TOTAL = 24 << 20 };
 
 struct sink {
-    struct bake_stage stage;
+    struct bake_staging_buffer staging;
     char *bytes;
     uint64_t count;
     unsigned expected_turn;
@@ -29,28 +29,28 @@ static int take(void *device, unsigned turn, uint64_t bytes)
     sink->expected_turn ^= 1;
     if (sink->left-- == 0)
         return BSQ_ENODEVICE;
-    memcpy(sink->bytes + sink->count, sink->stage.pieces[turn], bytes);
+    memcpy(sink->bytes + sink->count, sink->staging.halves[turn], bytes);
     sink->count += bytes;
     /* The device has it: what is filled next is the other one. */
-    memset(sink->stage.pieces[turn], 0xee, bytes);
+    memset(sink->staging.halves[turn], 0xee, bytes);
     return 0;
 }
 
 static void open_sink(struct sink *sink, struct bsq_ctx *ctx, int left)
 {
     *sink = (struct sink){.bytes = malloc(TOTAL), .left = left};
-    sink->stage = (struct bake_stage){.pieces = {malloc(PIECE), malloc(PIECE)},
-                                      .piece_bytes = PIECE,
-                                      .send = take,
-                                      .device = sink,
-                                      .ctx = ctx};
+    sink->staging = (struct bake_staging_buffer){.halves = {malloc(PIECE), malloc(PIECE)},
+                                                 .half_bytes = PIECE,
+                                                 .send = take,
+                                                 .device = sink,
+                                                 .ctx = ctx};
 }
 
 static void close_sink(struct sink *sink)
 {
     free(sink->bytes);
-    free(sink->stage.pieces[0]);
-    free(sink->stage.pieces[1]);
+    free(sink->staging.halves[0]);
+    free(sink->staging.halves[1]);
 }
 
 static char *numbers(void)
@@ -70,10 +70,10 @@ static void put_in_parts(struct bsq_ctx *ctx)
 
     open_sink(&sink, ctx, 1000);
     for (size_t i = 0; i < sizeof parts / sizeof *parts; at += parts[i++])
-        assert_int_equal(bake_stage_put(&sink.stage, data + at, parts[i]), 0);
-    assert_int_equal(bake_stage_put(&sink.stage, data + at, TOTAL - at), 0);
-    assert_int_equal(bake_stage_flush(&sink.stage), 0);
-    assert_int_equal(bake_stage_flush(&sink.stage), 0); /* nothing is left */
+        assert_int_equal(bake_staging_put(&sink.staging, data + at, parts[i]), 0);
+    assert_int_equal(bake_staging_put(&sink.staging, data + at, TOTAL - at), 0);
+    assert_int_equal(bake_staging_flush(&sink.staging), 0);
+    assert_int_equal(bake_staging_flush(&sink.staging), 0); /* nothing is left */
     assert_int_equal(sink.count, TOTAL);
     assert_memory_equal(sink.bytes, data, TOTAL);
     close_sink(&sink);
@@ -104,7 +104,7 @@ static void test_refusal(void **state)
 
     (void)state;
     open_sink(&sink, NULL, 2);
-    assert_int_equal(bake_stage_put(&sink.stage, data, TOTAL), BSQ_ENODEVICE);
+    assert_int_equal(bake_staging_put(&sink.staging, data, TOTAL), BSQ_ENODEVICE);
     assert_int_equal(sink.count, 2 * PIECE);
     close_sink(&sink);
     free(data);

@@ -1,5 +1,5 @@
-/* driver_library.c - see driver_library.h. */
-#include "libbake/device/driver_library.h"
+/* driver_library.c - opens libraries that the dynamic linker may not find. */
+#include "libbake/device/driver/driver.h"
 
 #include <dlfcn.h>
 #include <limits.h>

@@ -8,31 +8,31 @@
 
 #include <cmocka.h>
 
-#include "libbake/device/time_spans.h"
-#include "libbake/device/device.h"
-#include "libbake/device/launch_batches.h"
+#include "libbake/device/compute/time_spans.h"
+#include "libbake/device/compute/launch_batches.h"
+#include "libbake/device/job/job.h"
 
 static void test_overlaps_count_once(void **state)
 {
-    static struct bake_busy busy;
+    static struct bake_time_spans spans;
     (void)state;
-    assert_true(bake_busy_seconds(&busy) == 0);
-    bake_busy_add(&busy, 4, 6);
-    bake_busy_add(&busy, 1, 2);
-    bake_busy_add(&busy, 5, 7);
-    bake_busy_add(&busy, 1.25, 1.5);
-    bake_busy_add(&busy, 9, 9);
-    bake_busy_add(&busy, 9, 8);
-    assert_true(bake_busy_seconds(&busy) == 4);
-    bake_busy_add(&busy, 2, 4);
-    assert_true(bake_busy_seconds(&busy) == 6);
+    assert_true(bake_time_spans_seconds(&spans) == 0);
+    bake_time_spans_add(&spans, 4, 6);
+    bake_time_spans_add(&spans, 1, 2);
+    bake_time_spans_add(&spans, 5, 7);
+    bake_time_spans_add(&spans, 1.25, 1.5);
+    bake_time_spans_add(&spans, 9, 9);
+    bake_time_spans_add(&spans, 9, 8);
+    assert_true(bake_time_spans_seconds(&spans) == 4);
+    bake_time_spans_add(&spans, 2, 4);
+    assert_true(bake_time_spans_seconds(&spans) == 6);
 }
 
 /* Four queues with spans of random lengths, held against a raster of time. */
 static void test_many(void **state)
 {
     enum { QUEUES = 4, STEPS = 200000 };
-    static struct bake_busy busy;
+    static struct bake_time_spans spans;
     static unsigned char raster[STEPS];
     int at[QUEUES] = {0};
     double expected = 0;
@@ -48,37 +48,37 @@ static void test_many(void **state)
             break;
         for (int i = start; i < end; i++)
             raster[i] = 1;
-        bake_busy_add(&busy, start, end);
+        bake_time_spans_add(&spans, start, end);
         at[q] = end;
     }
     for (int i = 0; i < STEPS; i++)
         expected += raster[i];
     assert_true(expected > STEPS / 2);
-    assert_true(bake_busy_seconds(&busy) == expected);
+    assert_true(bake_time_spans_seconds(&spans) == expected);
 }
 
 static void test_slices_follow(void **state)
 {
-    struct bake_slices slices = {0};
+    struct bake_batch_sizer sizer = {0};
     (void)state;
-    assert_int_equal(bake_slice_rows(&slices, 1024, 256), BAKE_SLICE_FIRST / 1024);
-    assert_int_equal(bake_slice_rows(&slices, 1024, 64), 64);
-    assert_int_equal(bake_slice_rows(&slices, BAKE_SLICE_FIRST * 10, 64), 1);
+    assert_int_equal(bake_batch_rows(&sizer, 1024, 256), BAKE_BATCH_FIRST / 1024);
+    assert_int_equal(bake_batch_rows(&sizer, 1024, 64), 64);
+    assert_int_equal(bake_batch_rows(&sizer, BAKE_BATCH_FIRST * 10, 64), 1);
     /* Fast: fourfold, not more. */
-    bake_slices_learn(&slices, 1 << 17, 1e-4);
-    assert_int_equal(slices.samples, 4 * BAKE_SLICE_FIRST);
+    bake_batch_sizer_learn(&sizer, 1 << 17, 1e-4);
+    assert_int_equal(sizer.samples, 4 * BAKE_BATCH_FIRST);
     /* Slow: at once. 10^6 samples a second. */
-    bake_slices_learn(&slices, 1000000, 1.0);
-    assert_int_equal(slices.samples, 1000000 * BAKE_SLICE_SECONDS);
-    assert_int_equal(bake_slice_rows(&slices, 1000, 256), 50);
+    bake_batch_sizer_learn(&sizer, 1000000, 1.0);
+    assert_int_equal(sizer.samples, 1000000 * BAKE_BATCH_SECONDS);
+    assert_int_equal(bake_batch_rows(&sizer, 1000, 256), 50);
     /* A clock that stands still, and one that is far off. */
-    bake_slices_learn(&slices, 1000000, 0.0);
-    assert_int_equal(slices.samples, 4 * 50000);
-    bake_slices_learn(&slices, 1, 1e9);
-    assert_int_equal(slices.samples, BAKE_SLICE_LEAST);
+    bake_batch_sizer_learn(&sizer, 1000000, 0.0);
+    assert_int_equal(sizer.samples, 4 * 50000);
+    bake_batch_sizer_learn(&sizer, 1, 1e9);
+    assert_int_equal(sizer.samples, BAKE_BATCH_LEAST);
     for (int i = 0; i < 100; i++)
-        bake_slices_learn(&slices, UINT64_MAX, 0.0);
-    assert_int_equal(bake_slice_rows(&slices, 1, UINT32_MAX), UINT32_MAX);
+        bake_batch_sizer_learn(&sizer, UINT64_MAX, 0.0);
+    assert_int_equal(bake_batch_rows(&sizer, 1, UINT32_MAX), UINT32_MAX);
 }
 
 /* A thread of the device never traces more of a texel in one call than it can in time, and calls of
@@ -87,10 +87,10 @@ static void test_slices_of_texels(void **state)
 {
     (void)state;
     for (uint32_t n = 1; n <= BAKE_MOST_SAMPLES; n++) {
-        const uint32_t lines = bake_slice_lines(n);
+        const uint32_t lines = bake_batch_lines(n);
         assert_in_range(lines, 1, n);
-        assert_true(lines * n <= BAKE_SLICE_THREAD);
-        assert_true(lines == n || (lines + 1) * n > BAKE_SLICE_THREAD);
+        assert_true(lines * n <= BAKE_BATCH_THREAD);
+        assert_true(lines == n || (lines + 1) * n > BAKE_BATCH_THREAD);
     }
 }
 

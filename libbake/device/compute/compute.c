@@ -1,5 +1,5 @@
-/* compute.c - uploads, tiles and times of devices with memory and queues of their own. */
-#include "libbake/device/compute.h"
+/* compute.c - uploads, tiles and times of devices with memory and streams of their own. */
+#include "libbake/device/compute/compute.h"
 
 #include <inttypes.h>
 #include <stdio.h>
@@ -82,33 +82,34 @@ int bake_compute_share_memory(struct bake_compute *compute, const struct bake_jo
 
 /* ---- the grid ---- */
 
-static int send_piece(void *device, unsigned turn, uint64_t bytes)
+/* Sends a half of the staging buffer; the sink of bake_staging_flush(). */
+static int send_half(void *device, unsigned half, uint64_t bytes)
 {
     struct bake_compute *compute = device;
 
-    compute->calls->send(compute, turn, bytes, compute->upload_to, compute->upload_at,
-                         &compute->upload_code);
+    compute->calls->send_half(compute, half, bytes, compute->upload_to, compute->upload_at,
+                              &compute->upload_code);
     compute->upload_at += bytes;
     if (compute->upload_code == 0)
-        compute->calls->wait_for_piece(compute, turn ^ 1, &compute->upload_code);
+        compute->calls->wait_for_half(compute, half ^ 1, &compute->upload_code);
     return compute->upload_code == 0 ? bsq_check(compute->ctx) : BSQ_ENODEVICE;
 }
 
-/* Makes memory that what is put into the stage from now on goes to. */
+/* Allocates an array; what is put into the staging buffer from now on goes there. */
 static int begin_upload(struct bake_compute *compute, uint64_t bytes, bake_memory *out)
 {
     compute->calls->allocate(compute, bytes, out, &compute->upload_code);
     compute->upload_to = *out;
-    compute->upload_at = compute->stage.used = 0;
+    compute->upload_at = compute->staging.used = 0;
     return compute->upload_code == 0 ? 0 : BSQ_ENODEVICE;
 }
 
 static int finish_upload(struct bake_compute *compute)
 {
-    int status = bake_stage_flush(&compute->stage);
+    int status = bake_staging_flush(&compute->staging);
 
     if (status == 0) {
-        compute->calls->drain(compute, &compute->upload_code);
+        compute->calls->finish_uploads(compute, &compute->upload_code);
         status = compute->upload_code == 0 ? 0 : BSQ_ENODEVICE;
     }
     return status;
@@ -119,35 +120,27 @@ int bake_compute_send_triangles(struct bake_compute *compute, const struct bake_
     int status = begin_upload(compute, triangle_bytes(job), &compute->triangles);
 
     if (status == 0)
-        status = bake_stage_put(&compute->stage, job->triangles, triangle_bytes(job));
+        status = bake_staging_put(&compute->staging, job->triangles, triangle_bytes(job));
     if (status == 0)
         status = finish_upload(compute);
     return status == BSQ_ENODEVICE ? bake_compute_fail(compute, "triangles", compute->upload_code)
                                    : status;
 }
 
-static void unload_part(struct bake_compute *compute, struct bake_compute_part *part)
+static void unload_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
 {
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
-        if (part->arrays[i])
-            compute->calls->release(compute, part->arrays[i]);
-    bsq_release(compute->ctx, part->reserved_bytes);
-    *part = (struct bake_compute_part){0};
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
+        if (subgrid->arrays[i])
+            compute->calls->release(compute, subgrid->arrays[i]);
+    bsq_release(compute->ctx, subgrid->reserved_bytes);
+    *subgrid = (struct bake_compute_subgrid){0};
 }
 
-static uint64_t part_bytes(const struct bake_part *part)
+static int reserve_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *to,
+                           const struct bake_subgrid *subgrid)
 {
-    uint64_t total = 0;
-
-    for (int i = 0; i < BAKE_PART_ARRAYS; i++)
-        total += part->bytes[i];
-    return total;
-}
-
-static int reserve_part(struct bake_compute *compute, struct bake_compute_part *to,
-                        const struct bake_part *part)
-{
-    const uint64_t total = part_bytes(part);
+    uint64_t largest;
+    const uint64_t total = bake_subgrid_total(subgrid->bytes, &largest);
     int status = bsq_reserve(compute->ctx, "grid on a device that shares host memory", total);
 
     if (status == 0)
@@ -155,8 +148,8 @@ static int reserve_part(struct bake_compute *compute, struct bake_compute_part *
     return status;
 }
 
-static int load_part(struct bake_compute *compute, struct bake_compute_part *to,
-                     const struct bake_part *part, const char **what)
+static int load_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *to,
+                        const struct bake_subgrid *subgrid, const char **what)
 {
     int status = 0;
 
@@ -165,55 +158,56 @@ static int load_part(struct bake_compute *compute, struct bake_compute_part *to,
         *what = compute->calls->attach(compute, &compute->upload_code);
     if (compute->upload_code != 0)
         return BSQ_ENODEVICE;
-    unload_part(compute, to);
+    unload_subgrid(compute, to);
     *what = "memory that the device shares";
     if (compute->shares_memory)
-        status = reserve_part(compute, to, part);
-    to->params = part->params;
-    for (int i = 0; i < BAKE_PART_ARRAYS && status == 0; i++) {
-        *what = bake_part_array_name(i);
-        status = begin_upload(compute, part->bytes[i], &to->arrays[i]);
+        status = reserve_subgrid(compute, to, subgrid);
+    to->params = subgrid->params;
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && status == 0; i++) {
+        *what = bake_subgrid_array_name(i);
+        status = begin_upload(compute, subgrid->bytes[i], &to->arrays[i]);
         if (status == 0)
-            status = bake_part_send(part, i, bake_stage_put, &compute->stage);
+            status = bake_subgrid_send(subgrid, i, bake_staging_put, &compute->staging);
         if (status == 0)
-            status = bake_stage_flush(&compute->stage);
+            status = bake_staging_flush(&compute->staging);
     }
     return status == 0 ? finish_upload(compute) : status;
 }
 
-/* The grid was too much, though there should have been room for it: others use the device too. */
-static void learn_memory(struct bake_compute *compute, const struct bake_part *whole)
+/* Lowers memory_bytes after the whole grid did not fit although it should have: other programs use
+ * the device too. */
+static void learn_memory(struct bake_compute *compute, const struct bake_subgrid *whole)
 {
     struct bake_backend *base = &compute->base;
-    uint64_t left = part_bytes(whole) / 2;
+    uint64_t largest, left = bake_subgrid_total(whole->bytes, &largest) / 2;
 
-    unload_part(compute, &compute->parts[0]);
-    if (compute->calls->room) {
-        const uint64_t room = compute->calls->room(compute), tiles = worker_bytes(compute);
-        const uint64_t asked = room > tiles ? room - tiles : 0;
-        left = asked < left ? asked : left;
+    unload_subgrid(compute, &compute->slots[0]);
+    if (compute->calls->free_bytes) {
+        const uint64_t free_bytes = compute->calls->free_bytes(compute),
+                       tiles = worker_bytes(compute);
+        const uint64_t grid_bytes = free_bytes > tiles ? free_bytes - tiles : 0;
+        left = grid_bytes < left ? grid_bytes : left;
     }
     base->memory_bytes = left;
     base->lacked_memory = true;
 }
 
-static int compute_load(struct bake_backend *backend, unsigned slot, const struct bake_part *part,
-                        char *why)
+static int compute_load(struct bake_backend *backend, unsigned slot,
+                        const struct bake_subgrid *subgrid, char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
     const double started = bsq_seconds_now();
     char text[BAKE_COMPUTE_TEXT];
     const char *what;
-    int status, unused;
+    int status, unused_code;
 
-    /* A whole grid goes up before there is anything to trace; parts while the threads trace others.
-     */
-    compute->stage.ctx = part->whole ? compute->ctx : NULL;
-    status = load_part(compute, &compute->parts[slot], part, &what);
+    /* A whole grid goes up before any tracing; subgrids while the other threads trace. */
+    compute->staging.ctx = subgrid->whole ? compute->ctx : NULL;
+    status = load_subgrid(compute, &compute->slots[slot], subgrid, &what);
     if (status < 0) {
-        compute->calls->drain(compute, &unused);
-        if (part->whole && compute->calls->lacks_memory(compute->upload_code))
-            learn_memory(compute, part);
+        compute->calls->finish_uploads(compute, &unused_code);
+        if (subgrid->whole && compute->calls->lacks_memory(compute->upload_code))
+            learn_memory(compute, subgrid);
         snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
                  compute->upload_code == 0 ? bsq_error(compute->ctx)
                                            : describe(compute, compute->upload_code, text));
@@ -224,28 +218,29 @@ static int compute_load(struct bake_backend *backend, unsigned slot, const struc
 
 /* ---- tiles ---- */
 
-static uint32_t least(uint32_t a, uint32_t b)
+static uint32_t min_u32(uint32_t a, uint32_t b)
 {
     return a < b ? a : b;
 }
 
-static const char *launch_slices(struct bake_compute *compute, unsigned worker,
-                                 const struct bake_compute_part *part, const struct bk_tile *tile,
-                                 int *code)
+static const char *launch_batches(struct bake_compute *compute, unsigned worker,
+                                  const struct bake_compute_subgrid *subgrid,
+                                  const struct bk_tile *tile, int *code)
 {
     struct bake_compute_worker *own = &compute->workers[worker];
-    const uint32_t n = compute->params.samples, lines = bake_slice_lines(n);
+    const uint32_t n = compute->params.samples, lines = bake_batch_lines(n);
     const uint32_t rows =
-        bake_slice_rows(&own->slices, (uint64_t)tile->width * n * lines, tile->height);
+        bake_batch_rows(&own->sizer, (uint64_t)tile->width * n * lines, tile->height);
     const char *call = "";
 
     for (uint32_t line = 0; line < n && *code == 0; line += lines)
         for (uint32_t row = 0; row < tile->height && *code == 0; row += rows) {
-            const struct bake_slice slice = {.first_row = row,
-                                             .end_row = row + least(rows, tile->height - row),
-                                             .first_line = line,
-                                             .end_line = line + least(lines, n - line)};
-            call = compute->calls->launch(compute, worker, part, tile, &slice, code);
+            const struct bake_launch_batch batch = {.first_row = row,
+                                                    .end_row =
+                                                        row + min_u32(rows, tile->height - row),
+                                                    .first_line = line,
+                                                    .end_line = line + min_u32(lines, n - line)};
+            call = compute->calls->launch(compute, worker, subgrid, tile, &batch, code);
             own->launches++;
         }
     return call;
@@ -254,39 +249,42 @@ static const char *launch_slices(struct bake_compute *compute, unsigned worker,
 static void note_times(struct bake_compute *compute, const struct bake_tile_times *times)
 {
     pthread_mutex_lock(&compute->lock);
-    bake_busy_add(&compute->copies, times->samples.start, times->samples.end);
-    bake_busy_add(&compute->kernels, times->kernels.start, times->kernels.end);
-    bake_busy_add(&compute->copies, times->texels.start, times->texels.end);
+    bake_time_spans_add(&compute->copies, times->samples.start, times->samples.end);
+    bake_time_spans_add(&compute->kernels, times->kernels.start, times->kernels.end);
+    bake_time_spans_add(&compute->copies, times->texels.start, times->texels.end);
     pthread_mutex_unlock(&compute->lock);
 }
 
-/* Puts a tile's copies and kernels into the worker's queue and waits for them. */
+/* Enqueues a tile's copies and kernels on the worker's stream and waits for them. */
 static const char *run_tile(struct bake_compute *compute, unsigned worker,
-                            const struct bake_compute_part *part, const struct bk_tile *tile,
+                            const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile,
                             const uint32_t *sample_triangles, struct bk_texel *texels, int *code)
 {
     const uint64_t texel_count = (uint64_t)tile->width * tile->height;
     const uint64_t samples = texel_count * texel_samples(compute);
     struct bake_compute_worker *own = &compute->workers[worker];
-    const char *call = compute->calls->write(compute, worker, part, tile, sample_triangles,
-                                             samples * sizeof *sample_triangles, code);
+    const char *call = compute->calls->send_samples(
+        compute, worker, subgrid, tile, sample_triangles, samples * sizeof *sample_triangles, code);
 
     if (*code == 0)
-        call = launch_slices(compute, worker, part, tile, code);
+        call = launch_batches(compute, worker, subgrid, tile, code);
     if (*code == 0)
-        call = compute->calls->read(compute, worker, texels, texel_count * sizeof *texels, code);
+        call = compute->calls->fetch_texels(compute, worker, texels, texel_count * sizeof *texels,
+                                            code);
     if (*code == 0)
         call = compute->calls->times(compute, worker, &own->times, code);
     if (*code == 0) {
-        bake_slices_learn(&own->slices, samples, own->times.kernels.end - own->times.kernels.start);
+        bake_batch_sizer_learn(&own->sizer, samples,
+                               own->times.kernels.end - own->times.kernels.start);
         note_times(compute, &own->times);
     }
     return call;
 }
 
 static const char *trace_tile(struct bake_compute *compute, unsigned worker,
-                              const struct bake_compute_part *part, const struct bk_tile *tile,
-                              const uint32_t *sample_triangles, struct bk_texel *texels, int *code)
+                              const struct bake_compute_subgrid *subgrid,
+                              const struct bk_tile *tile, const uint32_t *sample_triangles,
+                              struct bk_texel *texels, int *code)
 {
     const char *call = "";
 
@@ -300,8 +298,8 @@ static const char *trace_tile(struct bake_compute *compute, unsigned worker,
     }
     if (*code != 0)
         return call;
-    call = run_tile(compute, worker, part, tile, sample_triangles, texels, code);
-    compute->calls->leave(compute, worker, *code);
+    call = run_tile(compute, worker, subgrid, tile, sample_triangles, texels, code);
+    compute->calls->end_tile(compute, worker, *code);
     return call;
 }
 
@@ -321,7 +319,7 @@ static int compute_trace(struct bake_backend *backend, unsigned slot, const stru
         return BSQ_EBUG;
     }
     call =
-        trace_tile(compute, worker, &compute->parts[slot], tile, sample_triangles, texels, &code);
+        trace_tile(compute, worker, &compute->slots[slot], tile, sample_triangles, texels, &code);
     if (code == 0)
         return 0;
     snprintf(why, BAKE_WHY_BYTES, "%s: %s", call, describe(compute, code, text));
@@ -335,8 +333,8 @@ static void compute_times(struct bake_backend *backend, struct bake_device_times
     struct bake_compute *compute = (struct bake_compute *)backend;
 
     *out = (struct bake_device_times){.upload = compute->upload_seconds,
-                                      .copies = bake_busy_seconds(&compute->copies),
-                                      .kernels = bake_busy_seconds(&compute->kernels)};
+                                      .copies = bake_time_spans_seconds(&compute->copies),
+                                      .kernels = bake_time_spans_seconds(&compute->kernels)};
     for (unsigned i = 0; i < compute->worker_count; i++)
         out->launches += compute->workers[i].launches;
 }
@@ -351,8 +349,8 @@ void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx,
     compute->base.close = close;
     compute->ctx = ctx;
     compute->calls = calls;
-    compute->stage.send = send_piece;
-    compute->stage.device = compute;
+    compute->staging.send = send_half;
+    compute->staging.device = compute;
     pthread_mutex_init(&compute->lock, NULL);
 }
 
@@ -371,7 +369,7 @@ void bake_compute_unload(struct bake_compute *compute)
         if (compute->workers[i].open)
             compute->calls->close_worker(compute, i);
     for (int i = 0; i < BAKE_SLOTS; i++)
-        unload_part(compute, &compute->parts[i]);
+        unload_subgrid(compute, &compute->slots[i]);
     if (compute->triangles)
         compute->calls->release(compute, compute->triangles);
 }

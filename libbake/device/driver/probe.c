@@ -1,5 +1,6 @@
-/* probe.c - a child process asks, and answers through a pipe in records of fixed size. */
-#include "libbake/device/probe.h"
+/* probe.c - a child process asks the driver and replies through a pipe, in records of fixed size.
+ */
+#include "libbake/device/driver/driver.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -15,7 +16,7 @@
 
 #include "base/clock.h"
 
-enum { SECONDS = 30 };
+enum { TIMEOUT_SECONDS = 30 };
 
 enum kind { DEVICE, WARNING, END };
 
@@ -25,17 +26,17 @@ struct record {
     char warning[1024];
 };
 
-struct bake_answers {
+struct bake_probe_pipe {
     int pipe;
 };
 
-static void answer(struct bake_answers *answers, const struct record *record)
+static void send(struct bake_probe_pipe *to, const struct record *record)
 {
     const char *at = (const char *)record;
     size_t left = sizeof *record;
 
     while (left > 0) {
-        ssize_t wrote = write(answers->pipe, at, left);
+        ssize_t wrote = write(to->pipe, at, left);
         if (wrote < 0 && errno == EINTR)
             continue;
         if (wrote <= 0)
@@ -45,27 +46,28 @@ static void answer(struct bake_answers *answers, const struct record *record)
     }
 }
 
-void bake_answer_device(struct bake_answers *answers, const struct bake_device_info *device)
+void bake_probe_send_device(struct bake_probe_pipe *to, const struct bake_device_info *device)
 {
     struct record record;
 
     memset(&record, 0, sizeof record);
     record.kind = DEVICE;
     record.device = *device;
-    answer(answers, &record);
+    send(to, &record);
 }
 
-void bake_answer_warning(struct bake_answers *answers, const char *line)
+void bake_probe_send_warning(struct bake_probe_pipe *to, const char *line)
 {
     struct record record;
 
     memset(&record, 0, sizeof record);
     record.kind = WARNING;
     snprintf(record.warning, sizeof record.warning, "%s", line);
-    answer(answers, &record);
+    send(to, &record);
 }
 
-/* In the child: nothing that a driver does is seen, and it ends with its parent. */
+/* In the child: hides what a driver prints, dumps no core, and lets the child end with its parent.
+ */
 static void isolate(void)
 {
     static const int signals[] = {SIGINT, SIGTERM, SIGHUP, SIGABRT, SIGSEGV, SIGBUS};
@@ -80,20 +82,20 @@ static void isolate(void)
         dup2(null, fd);
 }
 
-static void run_child(int pipe, void (*ask)(struct bake_answers *answers))
+static void run_child(int pipe, void (*ask)(struct bake_probe_pipe *to))
 {
-    struct bake_answers answers = {.pipe = pipe};
+    struct bake_probe_pipe replies = {.pipe = pipe};
     struct record end;
 
     isolate();
-    ask(&answers);
+    ask(&replies);
     memset(&end, 0, sizeof end);
     end.kind = END;
-    answer(&answers, &end);
+    send(&replies, &end);
     _exit(0); /* no driver's destructor */
 }
 
-/* Reads one whole record; 0 at the end of the pipe, or where the time is over. */
+/* Reads one whole record. Returns 0 at the end of the pipe or after the deadline. */
 static int read_record(int pipe, double deadline, struct record *record)
 {
     char *at = (char *)record;
@@ -119,7 +121,7 @@ static int read_record(int pipe, double deadline, struct record *record)
     return 1;
 }
 
-/* Waits for a child that is over, or has to be. */
+/* Waits for the child to end, and kills it first if it is late. Returns its wait status. */
 static int reap(pid_t child, bool late)
 {
     int status = 0;
@@ -131,46 +133,46 @@ static int reap(pid_t child, bool late)
     return status;
 }
 
-struct answered {
+struct replies {
     struct record *records;
     uint64_t count, capacity;
     bool ended;
 };
 
-static int collect(struct bsq_ctx *ctx, int pipe, double deadline, struct answered *answered)
+static int collect(struct bsq_ctx *ctx, int pipe, double deadline, struct replies *replies)
 {
     struct record record;
 
-    while (!answered->ended && read_record(pipe, deadline, &record)) {
+    while (!replies->ended && read_record(pipe, deadline, &record)) {
         int status;
         if (record.kind == END) {
-            answered->ended = true;
+            replies->ended = true;
             continue;
         }
-        status = bsq_grow(ctx, "devices", answered->count + 1, sizeof record, &answered->records,
-                          &answered->capacity);
+        status = bsq_grow(ctx, "devices", replies->count + 1, sizeof record, &replies->records,
+                          &replies->capacity);
         if (status < 0)
             return status;
-        answered->records[answered->count++] = record;
+        replies->records[replies->count++] = record;
     }
     return 0;
 }
 
-static void pass_on(struct bsq_ctx *ctx, const struct answered *answered,
+static void pass_on(struct bsq_ctx *ctx, const struct replies *replies,
                     void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
 {
-    for (uint64_t i = 0; i < answered->count; i++)
-        if (answered->records[i].kind == WARNING)
-            bsq_warn(ctx, "%s", answered->records[i].warning);
+    for (uint64_t i = 0; i < replies->count; i++)
+        if (replies->records[i].kind == WARNING)
+            bsq_warn(ctx, "%s", replies->records[i].warning);
         else if (fn)
-            fn(arg, &answered->records[i].device);
+            fn(arg, &replies->records[i].device);
 }
 
-int bake_probe(struct bsq_ctx *ctx, const char *what, void (*ask)(struct bake_answers *answers),
+int bake_probe(struct bsq_ctx *ctx, const char *what, void (*ask)(struct bake_probe_pipe *to),
                void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
 {
-    struct answered answered = {0};
-    double deadline = bsq_seconds_now() + SECONDS;
+    struct replies replies = {0};
+    double deadline = bsq_seconds_now() + TIMEOUT_SECONDS;
     int ends[2], status, ended;
     bool late;
     pid_t child;
@@ -187,18 +189,18 @@ int bake_probe(struct bsq_ctx *ctx, const char *what, void (*ask)(struct bake_an
         close(ends[0]);
         return bsq_fail_errno(ctx, BSQ_ENODEVICE, errno, "asking for %s devices", what);
     }
-    status = collect(ctx, ends[0], deadline, &answered);
+    status = collect(ctx, ends[0], deadline, &replies);
     late = bsq_seconds_now() >= deadline;
     close(ends[0]);
     ended = reap(child, late || status < 0);
-    if (answered.ended)
-        pass_on(ctx, &answered, fn, arg);
+    if (replies.ended)
+        pass_on(ctx, &replies, fn, arg);
     else if (status == 0 && late)
         bsq_warn(ctx, "%s is not used: its drivers have not named their devices for %d seconds",
-                 what, SECONDS);
+                 what, TIMEOUT_SECONDS);
     else if (status == 0)
         bsq_warn(ctx, "%s is not used: a driver crashed when it was asked for its devices (%s)",
                  what, WIFSIGNALED(ended) ? strsignal(WTERMSIG(ended)) : "it ended the process");
-    bsq_free(ctx, answered.records);
+    bsq_free(ctx, replies.records);
     return status;
 }

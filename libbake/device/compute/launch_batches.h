@@ -1,0 +1,44 @@
+/* launch_batches.h - how much of a tile one kernel launch traces.
+ *
+ * A device does nothing else during a launch, and desktop drivers abort launches that take seconds.
+ * So a launch should take BAKE_BATCH_SECONDS. The cost of a ray depends on the device, the rays'
+ * lengths and the grid. Each worker therefore starts with BAKE_BATCH_FIRST samples, measures each
+ * tile, and grows at most fourfold from one tile to the next. A tile whose rays cost four times as
+ * much as those of the tile before still has launches of at most 0.2 s. A batch has at least one
+ * row of the tile and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
+ *
+ * One thread of the device traces the samples of a texel one after another, about 30 us each on any
+ * device, and a texel has up to 65536. If a texel has more than BAKE_BATCH_THREAD samples, a launch
+ * takes some lines of the samples of many texels, and later launches continue. */
+#ifndef BAKE_DEVICE_COMPUTE_LAUNCH_BATCHES_H
+#define BAKE_DEVICE_COMPUTE_LAUNCH_BATCHES_H
+
+#include <stdint.h>
+
+#define BAKE_BATCH_SECONDS 0.05
+
+enum { BAKE_BATCH_FIRST = 1 << 17, BAKE_BATCH_LEAST = 1 << 14, BAKE_BATCH_THREAD = 1 << 8 };
+
+/* A worker's estimate; zero at first. */
+struct bake_batch_sizer {
+    uint64_t samples; /* in the next launch; 0: BAKE_BATCH_FIRST */
+};
+
+/* What a launch traces: lines first_line to end_line - 1 of the samples of each texel in rows
+ * first_row to end_row - 1. */
+struct bake_launch_batch {
+    uint32_t first_row, end_row, first_line, end_line;
+};
+
+/* Returns how many of a texel's n lines of n samples one launch traces: 1 to n. */
+uint32_t bake_batch_lines(uint32_t n);
+
+/* Returns how many rows one launch traces of a tile with `height` rows of row_samples samples: 1 to
+ * height. */
+uint32_t bake_batch_rows(const struct bake_batch_sizer *sizer, uint64_t row_samples,
+                         uint32_t height);
+
+/* Learns that `samples` took `seconds` on the device. */
+void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t samples, double seconds);
+
+#endif

@@ -1,0 +1,17 @@
+/* cuda.h - NVIDIA GPUs as devices, through the driver API. Takes a job and subgrids; gives texels.
+ */
+#ifndef BAKE_DEVICE_CUDA_CUDA_H
+#define BAKE_DEVICE_CUDA_CUDA_H
+
+#include "libbake/device/backend/backend.h"
+
+extern const struct bake_device_kind bake_cuda_kind;
+
+/* How kernels are run; measurements try others than the default. */
+struct bake_cuda_tuning {
+    unsigned registers;                 /* limit for a thread; 0: the compiler's choice */
+    unsigned block_width, block_height; /* threads; a multiple of 32 together, at most 1024 */
+    uint64_t piece_bytes;               /* longest allocation; 0: BAKE_MAX_BUFFER_BYTES */
+};
+
+#endif

@@ -1,0 +1,88 @@
+/* job.c - prepares a grid file for the kernel, and traces single rays through it. */
+#include "libbake/device/job/job.h"
+
+#include <assert.h>
+
+#include "libbake/kernel/bk_trace.h"
+
+_Static_assert(sizeof(struct bk_triangle) == 152, "layout shared with devices");
+_Static_assert(sizeof(struct bk_texel) == 32, "layout shared with devices");
+_Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 88, "layout shared with devices");
+
+int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    for (int k = 0; k < 3; k++)
+        if (grid->index_min[k] < -BAKE_INDEX_LIMIT || grid->index_max[k] >= BAKE_INDEX_LIMIT)
+            return bsq_fail(
+                ctx, BSQ_EDATA,
+                "%s: voxels from index %d to %d along %c: rays reach those from %d to %d",
+                grid->map.path, grid->index_min[k], grid->index_max[k], "xyz"[k], -BAKE_INDEX_LIMIT,
+                BAKE_INDEX_LIMIT - 1);
+    return 0;
+}
+
+static void split(uint64_t value, bk_uint words[2])
+{
+    words[0] = (bk_uint)value;
+    words[1] = (bk_uint)(value >> 32);
+}
+
+void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params)
+{
+    assert(grid->upper_bytes == BK_UPPER_WORDS * 8 && grid->lower_bytes == BK_LOWER_WORDS * 8);
+    for (int k = 0; k < 3; k++) {
+        params->index_min[k] = grid->index_min[k];
+        params->index_max[k] = grid->index_max[k];
+    }
+    params->tile_count = grid->tile_count;
+    params->upper_count = grid->upper_count;
+    params->lower_count = grid->lower_count;
+    params->leaf_count = grid->leaf_count;
+    params->second_base_low = (bk_uint)(grid->voxel_count + 1);
+    params->second_base_high = (bk_uint)((grid->voxel_count + 1) >> 32);
+    split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
+    split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
+    split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
+    params->flags &= ~(bk_uint)BK_HAS_COLOR;
+    if (grid->colors)
+        params->flags |= BK_HAS_COLOR;
+}
+
+void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                      struct bk_grid *out)
+{
+    bk_grid_from_params(out, params);
+    out->tiles = (const bk_ulong *)(const void *)grid->tiles;
+    out->uppers = (const bk_ulong *)(const void *)grid->uppers;
+    out->lowers = (const bk_ulong *)(const void *)grid->lowers;
+    out->leaves = (const bk_ulong *)(const void *)grid->leaves;
+    out->normals = grid->normals;
+    out->planes = grid->planes;
+    out->colors = grid->colors;
+    out->seconds = &grid->seconds[0][0];
+}
+
+void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                    const float origin[3], const float direction[3], float t_min, float t_max,
+                    const float facing[3], struct bk_hit *hit)
+{
+    struct bk_grid native;
+    struct bk_cache cache = bk_cache_empty();
+
+    const bk_vec3w d = bk_v3w(direction[0], direction[1], direction[2]);
+    const bk_lines line = {.count = 1,
+                           .origin = bk_v3w(origin[0], origin[1], origin[2]),
+                           .direction = d,
+                           .facing = bk_v3w(facing[0], facing[1], facing[2]),
+                           .t_min = t_min,
+                           .t_max = t_max};
+    bk_hits hits;
+
+    bake_kernel_grid(grid, params, &native);
+    bk_trace(&native, params, &cache, &line, &hits);
+    *hit = (struct bk_hit){.found = hits.found,
+                           .t = hits.t,
+                           .normal = {hits.normal.x, hits.normal.y, hits.normal.z},
+                           .color = {hits.color.x, hits.color.y, hits.color.z}};
+}

@@ -1,0 +1,50 @@
+/* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
+ *
+ * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it.
+ * Every other room of device/ stands on this one. */
+#ifndef BAKE_DEVICE_JOB_JOB_H
+#define BAKE_DEVICE_JOB_JOB_H
+
+#include "formats/grid/nvdb.h"
+#include "libbake/kernel/bk_types.h"
+
+enum { BAKE_MOST_SAMPLES = 256 }; /* largest N of N x N samples a texel */
+
+struct bk_grid;
+struct bake_cuda_tuning;
+
+/* Everything that stays the same over a job; pointers stay valid until the device is closed. */
+struct bake_job {
+    const struct fmt_nvdb_grid *grid;
+    const struct bk_triangle *triangles;
+    uint32_t triangle_count;
+    uint32_t tile_texels;   /* largest width * height of a tile */
+    uint64_t device_memory; /* limit for a device's own memory, in bytes; 0: all that is free */
+    struct bk_params params;
+    const struct bake_cuda_tuning *cuda_tuning; /* for measurements; NULL: the default */
+};
+
+/* Voxels that can be traced have indices in -BAKE_INDEX_LIMIT .. BAKE_INDEX_LIMIT - 1, so that
+ * neither neighbours nor distances from a ray's origin overflow 32 bits. Bisque writes no others,
+ * but its format allows them. */
+#define BAKE_INDEX_LIMIT (1 << 30)
+
+/* Checks the index bounds of a grid. Errors: BSQ_EDATA. */
+int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+
+/* Fills the grid part of params (bounds, counts, second_base, BK_HAS_COLOR). */
+void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params);
+
+/* Points the kernel's grid at the arrays of a mapped file; valid while the file is open. */
+void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                      struct bk_grid *out);
+
+/* Traces one ray on the calling thread with the kernel's code, for previews and tests.
+ * origin and unit direction are in index space. Of the hits with t in [t_min, t_max] the one with
+ * the smallest |t| wins. Ignores surfaces whose normal has a negative dot product with the unit
+ * vector `facing`, unless params->flags has BK_TWO_SIDED. */
+void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                    const float origin[3], const float direction[3], float t_min, float t_max,
+                    const float facing[3], struct bk_hit *hit);
+
+#endif

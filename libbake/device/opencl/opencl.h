@@ -1,0 +1,9 @@
+/* opencl.h - OpenCL 1.2 devices. Takes a job and subgrids; gives texels. */
+#ifndef BAKE_DEVICE_OPENCL_OPENCL_H
+#define BAKE_DEVICE_OPENCL_OPENCL_H
+
+#include "libbake/device/backend/backend.h"
+
+extern const struct bake_device_kind bake_opencl_kind;
+
+#endif

@@ -1,0 +1,300 @@
+/* subgrid_send.c - the arrays of a subgrid, made as they are sent.
+ *
+ * Nodes are copied with new child tables, leaves with new value offsets, channels leaf by leaf.
+ * Children keep their order, so a subgrid is in breadth-first order, as a grid is. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "libbake/device/subgrid/leaf_set.h"
+#include "libbake/kernel/bk_grid.h"
+
+enum { ENTRIES = 512 /* of a child table, sent at a time */ };
+
+struct sending {
+    const struct bake_subgrid *subgrid;
+    int (*sink)(void *arg, const void *data, uint64_t bytes);
+    void *arg;
+};
+
+static int put(const struct sending *s, const void *data, uint64_t bytes)
+{
+    return s->sink(s->arg, data, bytes);
+}
+
+/* Calls fn for each leaf of the subgrid in order. `first`: value index of its first voxel in the
+ * subgrid. */
+static int for_leaves(const struct sending *s,
+                      int (*fn)(const struct sending *s, void *state, uint32_t leaf,
+                                uint64_t first),
+                      void *state)
+{
+    const struct bake_subgrid *subgrid = s->subgrid;
+    int status = 0;
+    for (uint64_t i = 0; i < subgrid->lower_count; i++) {
+        uint64_t first = 1 + subgrid->lowers[i].first_voxel;
+        for (uint32_t w = 0; w < BAKE_MASK_WORDS; w++)
+            for (uint64_t bits = subgrid->leaf_masks[i][w]; bits; bits &= bits - 1) {
+                const uint32_t n = w * 64 + (uint32_t)__builtin_ctzll(bits);
+                const uint32_t leaf = bake_lower_leaf(subgrid->grid, subgrid->lowers[i].number, n);
+                status = fn(s, state, leaf, first);
+                if (status != 0)
+                    return status;
+                first += bake_leaf_voxels(subgrid->grid, leaf);
+            }
+    }
+    return status;
+}
+
+static int by_number(const void *a, const void *b)
+{
+    const uint32_t x = *(const uint32_t *)a, y = ((const struct bake_subgrid_lower *)b)->number;
+    return (x > y) - (x < y);
+}
+
+/* Returns the index of a lower node in the subgrid, or -1. */
+static int64_t find_lower(const struct bake_subgrid *subgrid, uint32_t number)
+{
+    const struct bake_subgrid_lower *found =
+        bsearch(&number, subgrid->lowers, subgrid->lower_count, sizeof *subgrid->lowers, by_number);
+    return found ? found - subgrid->lowers : -1;
+}
+
+static int64_t find_upper(const struct bake_subgrid *subgrid, uint32_t number)
+{
+    for (uint64_t i = 0; i < subgrid->upper_count; i++)
+        if (subgrid->uppers[i] == number)
+            return (int64_t)i;
+    return -1;
+}
+
+static int send_tiles(const struct sending *s)
+{
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
+    const uint64_t distance = (uint64_t)(grid->uppers - grid->root);
+    int status = 0;
+    for (uint32_t i = 0; i < grid->tile_count && status == 0; i++) {
+        uint64_t tile[BK_TILE_WORDS];
+        memcpy(tile, grid->tiles + (uint64_t)i * sizeof tile, sizeof tile);
+        if (tile[1] != 0) {
+            const uint64_t upper = (tile[1] - distance) / (BK_UPPER_WORDS * 8);
+            const int64_t place = find_upper(s->subgrid, (uint32_t)upper);
+            tile[1] = place < 0 ? 0 : distance + (uint64_t)place * BK_UPPER_WORDS * 8;
+        }
+        status = put(s, tile, sizeof tile);
+    }
+    return status;
+}
+
+/* Sends a child table; `entry` returns the new entry of child n. */
+static int send_table(const struct sending *s, uint32_t count, const void *node,
+                      uint64_t (*entry)(const struct sending *s, const void *node, uint32_t n))
+{
+    uint64_t entries[ENTRIES];
+    int status = 0;
+    for (uint32_t n = 0; n < count && status == 0; n += ENTRIES) {
+        for (uint32_t i = 0; i < ENTRIES; i++)
+            entries[i] = entry(s, node, n + i);
+        status = put(s, entries, sizeof entries);
+    }
+    return status;
+}
+
+struct upper_node {
+    uint64_t number, place; /* index in the grid and in the subgrid */
+    const uint64_t *words;
+};
+
+/* Returns the index in the subgrid of the lower node that is child n, or -1. */
+static int64_t lower_child(const struct sending *s, const struct upper_node *node, uint32_t n)
+{
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
+    const uint64_t distance = (uint64_t)(grid->lowers - grid->uppers);
+    if (!(node->words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
+        return -1;
+    const uint64_t child =
+        node->number * BK_UPPER_WORDS * 8 + node->words[BK_UPPER_TABLE + n] - distance;
+    return find_lower(s->subgrid, (uint32_t)(child / (BK_LOWER_WORDS * 8)));
+}
+
+static uint64_t upper_entry(const struct sending *s, const void *state, uint32_t n)
+{
+    const struct upper_node *node = state;
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
+    const int64_t place = lower_child(s, node, n);
+    return place < 0
+               ? 0
+               : (uint64_t)place * BK_LOWER_WORDS * 8 + (uint64_t)(grid->lowers - grid->uppers) -
+                     node->place * BK_UPPER_WORDS * 8;
+}
+
+static int send_uppers(const struct sending *s)
+{
+    const struct bake_subgrid *subgrid = s->subgrid;
+    int status = 0;
+    for (uint64_t i = 0; i < subgrid->upper_count && status == 0; i++) {
+        const uint8_t *bytes =
+            subgrid->grid->uppers + (uint64_t)subgrid->uppers[i] * BK_UPPER_WORDS * 8;
+        const struct upper_node node = {subgrid->uppers[i], i,
+                                        (const uint64_t *)(const void *)bytes};
+        uint64_t head[BK_UPPER_TABLE];
+        memcpy(head, bytes, sizeof head);
+        for (uint32_t n = 0; n < 32 * 32 * 32; n++)
+            if (lower_child(s, &node, n) < 0)
+                head[BK_UPPER_CHILD_MASK + (n >> 6)] &= ~(UINT64_C(1) << (n & 63));
+        status = put(s, head, sizeof head);
+        if (status == 0)
+            status = send_table(s, 32 * 32 * 32, &node, upper_entry);
+    }
+    return status;
+}
+
+struct lower_node {
+    uint64_t place, next_leaf; /* indices in the subgrid */
+    const uint64_t *leaf_mask;
+};
+
+/* Must be called for n in ascending order. */
+static uint64_t lower_entry(const struct sending *s, const void *state, uint32_t n)
+{
+    struct lower_node *node = (struct lower_node *)(uintptr_t)state;
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
+    if (!(node->leaf_mask[n >> 6] >> (n & 63) & 1))
+        return 0;
+    return node->next_leaf++ * BK_LEAF_WORDS * 8 + (uint64_t)(grid->leaves - grid->lowers) -
+           node->place * BK_LOWER_WORDS * 8;
+}
+
+static int send_lowers(const struct sending *s)
+{
+    const struct bake_subgrid *subgrid = s->subgrid;
+    int status = 0;
+    for (uint64_t i = 0; i < subgrid->lower_count && status == 0; i++) {
+        const struct bake_subgrid_lower *lower = &subgrid->lowers[i];
+        struct lower_node node = {i, lower->first_leaf, subgrid->leaf_masks[i]};
+        uint64_t head[BK_LOWER_TABLE];
+        memcpy(head, subgrid->grid->lowers + (uint64_t)lower->number * BK_LOWER_WORDS * 8,
+               sizeof head);
+        memcpy(head + BK_LOWER_CHILD_MASK, subgrid->leaf_masks[i], sizeof *subgrid->leaf_masks);
+        status = put(s, head, sizeof head);
+        if (status == 0)
+            status = send_table(s, 16 * 16 * 16, &node, lower_entry);
+    }
+    return status;
+}
+
+static int send_leaf(const struct sending *s, void *state, uint32_t leaf, uint64_t first)
+{
+    uint64_t words[BK_LEAF_WORDS];
+    (void)state;
+    memcpy(words, s->subgrid->grid->leaves + (uint64_t)leaf * sizeof words, sizeof words);
+    words[BK_LEAF_OFFSET] = first;
+    return put(s, words, sizeof words);
+}
+
+static int send_values(const struct sending *s, void *channel, uint32_t leaf, uint64_t first)
+{
+    const uint32_t *values = channel;
+    (void)first;
+    return put(s, values + bake_leaf_first(s->subgrid->grid, leaf),
+               bake_leaf_voxels(s->subgrid->grid, leaf) * sizeof *values);
+}
+
+/* Sends the second records of a leaf, which are contiguous, as its voxels are. */
+static int send_second_values(const struct sending *s, void *channel, uint32_t leaf,
+                              uint64_t first_in_subgrid)
+{
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
+    const uint32_t *seconds = (const uint32_t *)channel + grid->voxel_count + 1;
+    const uint64_t first = bake_leaf_first(grid, leaf);
+    const uint64_t begin = bake_seconds_below(grid, first);
+    const uint64_t end = bake_seconds_below(grid, first + bake_leaf_voxels(grid, leaf));
+    (void)first_in_subgrid;
+    return end > begin ? put(s, seconds + begin, (end - begin) * sizeof *seconds) : 0;
+}
+
+static int send_channel(const struct sending *s, const uint32_t *channel)
+{
+    int status = put(s, channel, sizeof *channel);
+    if (status == 0)
+        status = for_leaves(s, send_values, (void *)(uintptr_t)channel);
+    if (status == 0)
+        status = for_leaves(s, send_second_values, (void *)(uintptr_t)channel);
+    return status;
+}
+
+/* The pair (mask and prefix sum) of 32 value indices that is being filled. */
+struct second_bits {
+    uint64_t index;
+    uint32_t pair[2];
+};
+
+static int send_pairs_until(const struct sending *s, struct second_bits *bits, uint64_t index)
+{
+    int status = 0;
+    for (; bits->index < index && status == 0; bits->index++) {
+        status = put(s, bits->pair, sizeof bits->pair);
+        bits->pair[1] += (uint32_t)__builtin_popcount(bits->pair[0]);
+        bits->pair[0] = 0;
+    }
+    return status;
+}
+
+static int send_second_bits(const struct sending *s, void *state, uint32_t leaf, uint64_t first)
+{
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
+    struct second_bits *bits = state;
+    const uint64_t old = bake_leaf_first(grid, leaf), voxels = bake_leaf_voxels(grid, leaf);
+    int status = 0;
+    if (bake_seconds_below(grid, old) == bake_seconds_below(grid, old + voxels))
+        return 0;
+    for (uint64_t i = 0; i < voxels && status == 0; i++) {
+        if (!(grid->seconds[(old + i) >> 5][0] >> ((old + i) & 31) & 1))
+            continue;
+        status = send_pairs_until(s, bits, (first + i) >> 5);
+        bits->pair[0] |= UINT32_C(1) << ((first + i) & 31);
+    }
+    return status;
+}
+
+static int send_seconds(const struct sending *s)
+{
+    struct second_bits bits = {0};
+    int status = for_leaves(s, send_second_bits, &bits);
+    return status ? status : send_pairs_until(s, &bits, s->subgrid->voxel_count / 32 + 1);
+}
+
+static int send_whole(const struct sending *s, int array)
+{
+    const struct fmt_nvdb_grid *g = s->subgrid->grid;
+    const void *data[BAKE_SUBGRID_ARRAYS] = {g->tiles,   g->uppers, g->lowers, g->leaves,
+                                             g->normals, g->planes, g->colors, g->seconds};
+    return put(s, data[array], s->subgrid->bytes[array]);
+}
+
+int bake_subgrid_send(const struct bake_subgrid *subgrid, int array,
+                      int (*sink)(void *arg, const void *data, uint64_t bytes), void *arg)
+{
+    const struct sending s = {subgrid, sink, arg};
+    if (subgrid->bytes[array] == 0)
+        return 0;
+    if (subgrid->whole)
+        return send_whole(&s, array);
+    switch (array) {
+    case BAKE_TILES:
+        return send_tiles(&s);
+    case BAKE_UPPERS:
+        return send_uppers(&s);
+    case BAKE_LOWERS:
+        return send_lowers(&s);
+    case BAKE_LEAVES:
+        return for_leaves(&s, send_leaf, NULL);
+    case BAKE_NORMALS:
+        return send_channel(&s, subgrid->grid->normals);
+    case BAKE_PLANES:
+        return send_channel(&s, subgrid->grid->planes);
+    case BAKE_COLORS:
+        return send_channel(&s, subgrid->grid->colors);
+    default:
+        return send_seconds(&s);
+    }
+}
