@@ -1,11 +1,11 @@
-/* grid_estimate.c - see grid_estimate.h.
+/* grid_estimate.c - how many voxels triangles touch, and what follows from that.
  *
  * A plane with unit normal n crosses |nx| + |ny| + |nz| unit cubes per unit of its area: each term
- * counts the cubes' faces across one axis that it passes through. So a triangle's share is the sum
- * of its areas seen along the three axes, which is what its cross product holds.
+ * counts the faces across one axis that it passes through. A triangle's share is therefore the sum
+ * of its areas projected along the three axes, which is what its cross product holds.
  *
- * That is too much only where triangles share voxels, so what is refused is more than twice what
- * there is room for. */
+ * The estimate is too high only if triangles share voxels. So a grid is refused only if its
+ * estimate is more than twice what fits. */
 #include "libvoxel/voxelize/grid_estimate.h"
 
 #include <inttypes.h>
@@ -14,22 +14,23 @@
 #include "base/file.h"
 #include "base/parallel.h"
 
-/* From here on a grid is worth a look at the triangles, and a warning where these are few: it takes
- * minutes and 10 GB. */
+/* From this size a grid takes minutes and 10 GB. Then all triangles are read, and few triangles
+ * cause a warning. */
 static const double huge_voxels = 1e9;
-/* Voxels of a triangle where no more detail can come of smaller ones. */
+/* Voxels a triangle above which smaller voxels add no detail. */
 static const double fine_voxels = 16.0;
 
-/* Chunks that tell the size of an ordinary grid: some milliseconds. */
+/* Chunks sampled for an ordinary grid; this takes some milliseconds. */
 enum { SAMPLES = 16 };
 
 /* A surface passes through 8 x 8 of a leaf's 512 voxels. */
 static const double voxels_of_leaf = 64.0;
-/* As measured: a normal and a plane, and a voxel's share of leaves and second records; a colour. */
+/* Measured bytes a voxel: a normal and a plane, with a share of leaves and second records; and a
+ * colour. */
 static const double voxel_bytes = 11.0, color_bytes = 4.0;
-static const double certainty = 0.5; /* the share of the estimate that is there at least */
+static const double certainty = 0.5; /* share of the estimate that the grid has at least */
 
-/* A chunk that is looked at. */
+/* A sampled chunk. */
 struct sample {
     double area;
     uint32_t triangles;
@@ -38,7 +39,7 @@ struct sample {
 struct area_job {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
-    uint8_t *scratch; /* one chunk a worker */
+    uint8_t *scratch; /* one chunk for each worker */
     uint64_t scratch_bytes;
     struct sample *samples; /* their sum does not depend on threads */
     uint64_t count;
@@ -67,7 +68,7 @@ static double projected_areas(const struct fmt_tris_chunk *chunk)
     return sum / 2;
 }
 
-/* Every workers-th sample, from the index on. Samples are spread evenly over the file. */
+/* Measures every workers-th sample from `index` on. Samples are spread evenly over the file. */
 static int sum_areas(void *arg, uint64_t index, unsigned worker)
 {
     struct area_job *job = arg;
@@ -88,13 +89,13 @@ static int sum_areas(void *arg, uint64_t index, unsigned worker)
 static unsigned choose_workers(const struct area_job *job)
 {
     uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
-    uint64_t room = limit > used ? (limit - used) / 2 / job->scratch_bytes : 0;
+    uint64_t fitting = limit > used ? (limit - used) / 2 / job->scratch_bytes : 0;
     unsigned threads = bsq_threads(job->ctx);
-    return room >= threads ? threads : room > 0 ? (unsigned)room : 1;
+    return fitting >= threads ? threads : fitting > 0 ? (unsigned)fitting : 1;
 }
 
 int vox_estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                        const struct vox_lattice *lattice, uint64_t chunks_max, double *voxels)
+                        const struct vox_transform *transform, uint64_t chunks_max, double *voxels)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     struct area_job job = {.ctx = ctx,
@@ -112,18 +113,20 @@ int vox_estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
         area += job.samples[i].area;
         triangles += job.samples[i].triangles;
     }
-    *voxels = triangles > 0.0
-                  ? area * ((double)header->triangle_count / triangles) / lattice->h / lattice->h
-                  : 0.0;
+    *voxels = triangles > 0.0 ? area * ((double)header->triangle_count / triangles) / transform->h /
+                                    transform->h
+                              : 0.0;
     bsq_free(ctx, job.scratch);
     bsq_free(ctx, job.samples);
     return status;
 }
 
-/* ---- what to say of them ---- */
+/* ---- warnings and refusals ---- */
 
-/* As if each chunk were one surface, folded as little as its bounds allow. */
-static double voxels_by_bounds(const struct fmt_tris_file *file, const struct vox_lattice *lattice)
+/* Estimates voxels from the bounds of chunks, as if each chunk were one surface folded as little as
+ * its bounds allow. */
+static double voxels_by_bounds(const struct fmt_tris_file *file,
+                               const struct vox_transform *transform)
 {
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
     double sum = 0.0;
@@ -131,7 +134,7 @@ static double voxels_by_bounds(const struct fmt_tris_file *file, const struct vo
         double side[3];
         for (int a = 0; a < 3; a++)
             side[a] =
-                ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / lattice->h;
+                ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / transform->h;
         sum += side[0] * side[1] + side[1] * side[2] + side[2] * side[0];
     }
     return sum;
@@ -142,9 +145,9 @@ double vox_estimate_bytes(double voxels, bool has_color)
     return voxels * (voxel_bytes + (has_color ? color_bytes : 0.0));
 }
 
-/* Nothing is said of a grid with fewer voxels than triangles: it is about as large as the scan. */
+/* Says nothing of a grid with fewer voxels than triangles: it is about as large as the scan. */
 static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      const struct vox_lattice *lattice, double voxels, double bytes,
+                      const struct vox_transform *transform, double voxels, double bytes,
                       const char *grid_path)
 {
     uint64_t triangles = fmt_tris_get_header(file)->triangle_count;
@@ -155,28 +158,28 @@ static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
             ctx, BSQ_EUSAGE,
             "%s: about %.2g voxels of %g would be in the grid, which has no more than %" PRIu32
             " leaves of 8x8x8; choose larger voxels",
-            grid_path, voxels, lattice->h, UINT32_MAX);
+            grid_path, voxels, transform->h, UINT32_MAX);
     if (voxels > fine_voxels * (double)triangles)
         bsq_warn(
             ctx,
-            "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, and while it is made twice that: voxels are small "
-            "for a scan of %" PRIu64 " triangles",
-            grid_path, voxels, lattice->h, bytes / 0x1p30, triangles);
+            "%s: the grid will have about %.2g voxels of %g and take %.3g GiB, twice that while it is written: the voxels are "
+            "small for a scan of %" PRIu64 " triangles",
+            grid_path, voxels, transform->h, bytes / 0x1p30, triangles);
     return 0;
 }
 
 int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                       const struct vox_lattice *lattice, bool has_color, const char *grid_path)
+                       const struct vox_transform *transform, bool has_color, const char *grid_path)
 {
-    uint64_t chunks_max = voxels_by_bounds(file, lattice) < huge_voxels ? SAMPLES : UINT64_MAX;
+    uint64_t chunks_max = voxels_by_bounds(file, transform) < huge_voxels ? SAMPLES : UINT64_MAX;
     double voxels;
-    int status = vox_estimate_voxels(ctx, file, lattice, chunks_max, &voxels);
+    int status = vox_estimate_voxels(ctx, file, transform, chunks_max, &voxels);
     if (status < 0)
         return status;
     double bytes = vox_estimate_bytes(voxels, has_color);
-    if ((status = judge_huge(ctx, file, lattice, voxels, bytes, grid_path)) < 0)
+    if ((status = judge_huge(ctx, file, transform, voxels, bytes, grid_path)) < 0)
         return status;
-    /* Sections are temporary files until they are joined. */
+    /* Sections of the grid are temporary files until they are joined. */
     uint64_t least = (uint64_t)fmin(certainty * bytes, 0x1p62);
     return bsq_require_space(ctx, grid_path, least, least);
 }

@@ -1,10 +1,10 @@
-/* result_gate.c - see result_gate.h. */
+/* result_gate.c - waiting for memory, in the order of units. */
 #include "libvoxel/voxelize/result_gate.h"
 
 #include <time.h>
 
-/* An interruption does not signal the condition, so waiting looks up now and then. */
-enum { LOOK_UP_NS = 50 * 1000 * 1000 };
+/* An interruption does not signal the condition, so waiting wakes up at this interval. */
+enum { WAKE_UP_NS = 50 * 1000 * 1000 };
 
 void vox_gate_init(struct vox_result_gate *gate, struct bsq_ctx *ctx, uint64_t limit_bytes)
 {
@@ -26,7 +26,7 @@ static void wait_a_little(struct vox_result_gate *gate)
 {
     struct timespec until;
     clock_gettime(CLOCK_REALTIME, &until);
-    until.tv_nsec += LOOK_UP_NS;
+    until.tv_nsec += WAKE_UP_NS;
     if (until.tv_nsec >= 1000000000) {
         until.tv_nsec -= 1000000000;
         until.tv_sec++;

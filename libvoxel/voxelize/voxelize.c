@@ -1,9 +1,9 @@
-/* voxelize.c - from the chunk file to the grid file.
+/* voxelize.c - makes the grid file from the chunk file.
  *
- * Regions of 128^3 voxels, the lower nodes of the grid, go through a pipeline: the schedule
- * produces the next one with the chunks that touch it, a worker sums up the pieces of their
- * triangles, the grid's writer takes the result in sequence. Every voxel belongs to one region and
- * gets its pieces in the order of the file, so that the grid's bytes do not depend on threads or
+ * Regions of 128^3 voxels, the lower nodes of the grid, go through a pipeline. The schedule
+ * produces the next region with the chunks that touch it, a worker sums the fragments of their
+ * triangles, and the grid's writer takes the results in sequence. Every voxel belongs to one region
+ * and gets its fragments in the order of the file, so the grid's bytes do not depend on threads or
  * budget. */
 #include "libvoxel/voxel.h"
 
@@ -19,16 +19,16 @@
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/region_work.h"
 
-/* Sums of a region's voxels beyond this are better done in parts: they would not stay in a
- * processor's cache. */
+/* More bytes of sums than this would not stay in a processor's cache; then regions are made in
+ * parts. */
 #define ACCUMULATOR_BYTES_USEFUL   (UINT64_C(48) << 20)
 #define TEXTURE_CACHE_BYTES_MIN    (UINT64_C(12) << 20)
 #define TEXTURE_CACHE_BYTES_USEFUL (UINT64_C(1) << 30)
-/* What results of regions under way take at least, per worker. */
+/* Least bytes for results of regions under way, for each worker. */
 #define RESULT_BYTES_MIN (UINT64_C(1) << 20)
 
-/* Units under way per worker. Some regions take a hundred times as long as others; while one does,
- * results of those behind it wait in their slots, and nobody has to. */
+/* Units under way for each worker. Some regions take a hundred times as long as others. Meanwhile
+ * results of later regions wait in their slots, and no worker has to. */
 enum { UNITS_PER_WORKER = 8 };
 
 enum { SLABS_MAX = VOX_REGION_SIZE / 8 };
@@ -38,19 +38,19 @@ struct job {
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
-    struct vox_scan scan;
+    struct vox_shared shared;
     struct vox_smooth *smooth; /* NULL: the scan has normals, or is to be flat */
-    struct vox_box *boxes;
-    struct vox_part *parts;
-    uint64_t part_count;
+    struct vox_box *bounds;    /* voxels of each chunk's bounds */
+    struct vox_chunk_box *boxes;
+    uint64_t box_count;
     struct vox_schedule *schedule;
     struct fmt_nvdb_writer *writer;
-    struct vox_worker *own; /* one a worker */
+    struct vox_worker *own; /* one for each worker */
     struct vox_unit *units; /* the pipeline's slots */
     unsigned workers, unit_count;
-    uint32_t slabs;          /* units that a region is cut into */
-    uint32_t next_slab;      /* of the region in production */
-    struct vox_unit current; /* the region in production: origin and chunks */
+    uint32_t slabs;          /* units that each region is cut into */
+    uint32_t next_slab;      /* next slab of the region in production */
+    struct vox_unit current; /* the region in production: its origin and chunks */
     int32_t index_min[3], index_max[3];
     bool gate_open;
 };
@@ -66,8 +66,8 @@ static uint64_t min64(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
-/* Half of what is free for the chunk cache, a quarter for the sums; the rest is left to the results
- * under way and to the writer. Fails early where the least of all that does not fit. */
+/* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
+ * the results under way and to the writer. Fails early if the minimum of all that does not fit. */
 static int make_plan(const struct job *job, struct plan *plan)
 {
     uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
@@ -80,7 +80,8 @@ static int make_plan(const struct job *job, struct plan *plan)
         if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
             plan->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
     }
-    uint64_t sums_min = vox_accumulator_bytes_min(color), blocks = job->workers * vox_block_bytes();
+    uint64_t sums_min = vox_accumulator_bytes_min(color),
+             blocks = job->workers * vox_fragment_block_bytes();
     uint64_t need =
         plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
     if (available < need)
@@ -116,14 +117,14 @@ static int open_input(struct job *job)
     if (job->header->chunk_count >= UINT32_MAX)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         job->header->chunk_count);
-    status = vox_lattice_init(job->ctx, job->header, path, job->options->resolution,
-                              job->options->voxel_size, &job->scan.lattice);
+    status = vox_transform_init(job->ctx, job->header, path, job->options->resolution,
+                                job->options->voxel_size, &job->shared.transform);
     if (status == 0)
-        status = vox_estimate_check(job->ctx, job->file, &job->scan.lattice,
+        status = vox_estimate_check(job->ctx, job->file, &job->shared.transform,
                                     vox_shading_has_color(job->header), job->options->grid_path);
     if (status == 0)
         vox_precision_warn_grid(job->ctx, path, job->header, fmt_tris_chunks(job->file),
-                                job->scan.lattice.h);
+                                job->shared.transform.h);
     return status;
 }
 
@@ -139,17 +140,17 @@ static int make_smooth(struct job *job)
 
 static int open_output(struct job *job)
 {
-    const struct vox_lattice *lattice = &job->scan.lattice;
+    const struct vox_transform *transform = &job->shared.transform;
     struct fmt_nvdb_info info = {
         .type = job->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
-        .voxel_size = lattice->h,
+        .voxel_size = transform->h,
         .has_color = vox_shading_has_color(job->header),
         .source_triangles = job->header->triangle_count,
     };
     for (int a = 0; a < 3; a++) {
-        info.translation[a] = lattice->start[a] + 0.5 * lattice->h;
-        info.scan_min[a] = lattice->origin[a] + (double)job->header->bounds_min[a];
-        info.scan_max[a] = lattice->origin[a] + (double)job->header->bounds_max[a];
+        info.translation[a] = transform->start[a] + 0.5 * transform->h;
+        info.scan_min[a] = transform->origin[a] + (double)job->header->bounds_min[a];
+        info.scan_max[a] = transform->origin[a] + (double)job->header->bounds_max[a];
     }
     return fmt_nvdb_create(job->ctx, job->options->grid_path, &info, &job->writer);
 }
@@ -158,29 +159,30 @@ static int make_schedule(struct job *job)
 {
     uint64_t count = job->header->chunk_count;
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(job->file);
-    int status = bsq_alloc(job->ctx, "chunk bounds", count, sizeof *job->boxes, &job->boxes);
+    int status = bsq_alloc(job->ctx, "chunk bounds", count, sizeof *job->bounds, &job->bounds);
     if (status < 0)
         return status;
     for (uint64_t i = 0; i < count; i++)
-        job->boxes[i] =
-            vox_lattice_box(&job->scan.lattice, infos[i].bounds_min, infos[i].bounds_max);
-    job->scan.boxes = job->boxes;
+        job->bounds[i] =
+            vox_transform_box(&job->shared.transform, infos[i].bounds_min, infos[i].bounds_max);
+    job->shared.bounds = job->bounds;
     uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
-    status =
-        vox_parts_create(job->ctx, job->file, &job->scan.lattice, job->boxes,
-                         limit > used ? (limit - used) / 16 : 0, &job->parts, &job->part_count);
+    status = vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds,
+                                    limit > used ? (limit - used) / 16 : 0, &job->boxes,
+                                    &job->box_count);
     return status < 0 ? status
-                      : vox_schedule_create(job->ctx, job->parts, job->part_count, &job->schedule);
+                      : vox_schedule_create(job->ctx, job->boxes, job->box_count, &job->schedule);
 }
 
-/* A small grid has too few regions to keep all workers busy; slabs of regions make more units. */
-static uint32_t choose_slabs(const struct vox_lattice *lattice, unsigned workers)
+/* Chooses the slabs that regions are cut into. A small grid has too few regions to keep all workers
+ * busy. */
+static uint32_t choose_slabs(const struct vox_transform *transform, unsigned workers)
 {
     double regions = 1.0;
     uint32_t slabs = 1;
     for (int a = 0; a < 3; a++)
-        regions *= (lattice->voxels.hi[a] >> VOX_REGION_LOG2) -
-                   (lattice->voxels.lo[a] >> VOX_REGION_LOG2) + 1;
+        regions *= (transform->voxels.hi[a] >> VOX_REGION_LOG2) -
+                   (transform->voxels.lo[a] >> VOX_REGION_LOG2) + 1;
     if (workers == 1)
         return 1;
     while (slabs < SLABS_MAX && regions * slabs < 16.0 * workers)
@@ -190,13 +192,13 @@ static uint32_t choose_slabs(const struct vox_lattice *lattice, unsigned workers
 
 static int make_workers(struct job *job, const struct plan *plan)
 {
-    bool color = job->scan.shading.has_color;
+    bool color = job->shared.shading.has_color;
     int status = bsq_calloc(job->ctx, "workers", job->workers, sizeof *job->own, &job->own);
     for (unsigned i = 0; i < job->workers && status == 0; i++) {
         struct vox_worker *own = &job->own[i];
         status = vox_accumulator_create(job->ctx, plan->accumulator_bytes, color, &own->sums);
         if (status == 0)
-            status = vox_block_create(job->ctx, &own->block);
+            status = vox_fragment_block_create(job->ctx, &own->block);
     }
     if (status < 0)
         return status;
@@ -216,21 +218,21 @@ static int set_up(struct job *job)
     if ((status = open_input(job)) < 0 || (status = make_schedule(job)) < 0 ||
         (status = open_output(job)) < 0 || (status = make_smooth(job)) < 0 ||
         (status = make_plan(job, &plan)) < 0 ||
-        (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes, &job->scan.shading)) <
-            0 ||
-        (status =
-             vox_chunks_create(job->ctx, job->file, &job->scan.lattice, job->parts, job->part_count,
-                               job->smooth, (uint32_t)plan.cache_slots, &job->scan.chunks)) < 0 ||
+        (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes,
+                                   &job->shared.shading)) < 0 ||
+        (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
+                                    job->box_count, job->smooth, (uint32_t)plan.cache_slots,
+                                    &job->shared.chunks)) < 0 ||
         (status = make_workers(job, &plan)) < 0)
         return status;
-    vox_gate_init(&job->scan.gate, job->ctx, plan.result_bytes);
+    vox_gate_init(&job->shared.gate, job->ctx, plan.result_bytes);
     job->gate_open = true;
-    job->slabs = choose_slabs(&job->scan.lattice, job->workers);
+    job->slabs = choose_slabs(&job->shared.transform, job->workers);
     job->next_slab = job->slabs;
     return 0;
 }
 
-/* Frees what the pipeline needed, all but the writer. */
+/* Frees what the pipeline needed, except the writer. */
 static void end_pipeline(struct job *job)
 {
     for (unsigned i = 0; i < job->unit_count; i++) {
@@ -242,21 +244,21 @@ static void end_pipeline(struct job *job)
     job->units = NULL;
     for (unsigned i = 0; job->own && i < job->workers; i++) {
         vox_accumulator_destroy(job->own[i].sums);
-        vox_block_destroy(job->ctx, job->own[i].block);
+        vox_fragment_block_destroy(job->ctx, job->own[i].block);
     }
     bsq_free(job->ctx, job->own);
     job->own = NULL;
     bsq_free(job->ctx, job->current.chunks);
     job->current.chunks = NULL;
-    vox_chunks_destroy(job->scan.chunks);
-    job->scan.chunks = NULL;
+    vox_chunks_destroy(job->shared.chunks);
+    job->shared.chunks = NULL;
     vox_smooth_destroy(job->smooth);
     job->smooth = NULL;
     vox_schedule_destroy(job->schedule);
     job->schedule = NULL;
-    bsq_free(job->ctx, job->parts);
-    job->parts = NULL;
-    vox_shading_free(job->ctx, &job->scan.shading);
+    bsq_free(job->ctx, job->boxes);
+    job->boxes = NULL;
+    vox_shading_free(job->ctx, &job->shared.shading);
 }
 
 static void tear_down(struct job *job)
@@ -264,14 +266,14 @@ static void tear_down(struct job *job)
     fmt_nvdb_discard(job->writer);
     end_pipeline(job);
     if (job->gate_open)
-        vox_gate_free(&job->scan.gate);
-    bsq_free(job->ctx, job->boxes);
+        vox_gate_free(&job->shared.gate);
+    bsq_free(job->ctx, job->bounds);
     fmt_tris_close(job->file);
 }
 
 /* ---- the pipeline ---- */
 
-/* Begins the next region: collects its chunks. Returns 1, 0 at the end or a negative status. */
+/* Begins the next region and collects its chunks. Returns 1, 0 at the end or a negative status. */
 static int begin_region(struct job *job)
 {
     struct vox_unit *region = &job->current;
@@ -288,7 +290,7 @@ static int begin_region(struct job *job)
             0)
             return status;
         region->chunks[region->chunk_count++] = chunk;
-        vox_chunks_expect(job->scan.chunks, chunk, job->slabs, after);
+        vox_chunks_expect(job->shared.chunks, chunk, job->slabs, after);
     }
     job->next_slab = 0;
     return 1;
@@ -329,14 +331,14 @@ static int produce(void *arg, void *slot, uint64_t sequence)
 {
     struct job *job = arg;
     int status = fill_unit(job, slot, sequence);
-    return status < 0 ? vox_gate_fail(&job->scan.gate, status) : status;
+    return status < 0 ? vox_gate_fail(&job->shared.gate, status) : status;
 }
 
 static int work(void *arg, void *slot, uint64_t sequence, unsigned worker)
 {
     struct job *job = arg;
     (void)sequence;
-    return vox_region_work(&job->scan, slot, &job->own[worker]);
+    return vox_region_work(&job->shared, slot, &job->own[worker]);
 }
 
 static void widen_index(struct job *job, const struct vox_unit *unit)
@@ -369,7 +371,8 @@ static int write_unit(void *arg, const struct vox_unit *unit)
     return fmt_nvdb_append(job->writer, &region);
 }
 
-/* Writes a unit. Memory of ordinary size is kept for the slot's next unit, half of all at most. */
+/* Writes a unit. Its slot keeps memory of ordinary size for the next unit, at most half of the
+ * limit for all slots together. */
 static int emit(void *arg, void *slot, uint64_t sequence)
 {
     struct job *job = arg;
@@ -378,13 +381,13 @@ static int emit(void *arg, void *slot, uint64_t sequence)
     (void)sequence;
     int status = write_unit(job, unit);
     if (status < 0)
-        return vox_gate_fail(&job->scan.gate, status);
-    if (unit->held_bytes > job->scan.gate.limit / 2 / job->unit_count) {
+        return vox_gate_fail(&job->shared.gate, status);
+    if (unit->held_bytes > job->shared.gate.limit / 2 / job->unit_count) {
         vox_leaves_free(&unit->leaves);
         give_back = unit->held_bytes;
         unit->held_bytes = 0;
     }
-    vox_gate_written(&job->scan.gate, give_back);
+    vox_gate_written(&job->shared.gate, give_back);
     return 0;
 }
 
@@ -399,8 +402,8 @@ static int run_pipeline(struct job *job)
         .slot_size = sizeof *job->units,
         .slot_count = job->unit_count,
     };
-    job->scan.write = write_unit;
-    job->scan.write_arg = job;
+    job->shared.write = write_unit;
+    job->shared.write_arg = job;
     bsq_progress_begin(job->ctx, "voxelizing", "triangles", job->header->triangle_count);
     int status = bsq_pipeline_run(job->ctx, &pipeline);
     bsq_progress_end(job->ctx);
@@ -419,8 +422,8 @@ static void fill_report(const struct job *job, const struct fmt_nvdb_totals *tot
     report->lowers = totals->lowers;
     report->uppers = totals->uppers;
     report->grid_bytes = totals->file_bytes;
-    report->voxel_size = job->scan.lattice.h;
-    report->has_color = job->scan.shading.has_color;
+    report->voxel_size = job->shared.transform.h;
+    report->has_color = job->shared.shading.has_color;
     memcpy(report->index_min, job->index_min, sizeof report->index_min);
     memcpy(report->index_max, job->index_max, sizeof report->index_max);
 }
@@ -430,7 +433,7 @@ static int make_grid(struct bsq_ctx *ctx, const struct vox_voxelize_options *opt
 {
     struct job job = {.options = options, .ctx = ctx, .workers = bsq_threads(ctx)};
     struct fmt_nvdb_totals totals;
-    job.scan.ctx = ctx;
+    job.shared.ctx = ctx;
     for (int a = 0; a < 3; a++) {
         job.index_min[a] = INT32_MAX;
         job.index_max[a] = INT32_MIN;

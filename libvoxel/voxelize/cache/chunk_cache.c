@@ -1,8 +1,8 @@
-/* chunk_cache.c - the cache of decoded chunks.
+/* chunk_cache.c - which chunks are kept, and how they are made.
  *
- * The schedule tells which region will need a chunk next, so the cache need not guess: it gives up
- * the chunk that is needed last of all (Belady, "A study of replacement algorithms for a
- * virtual-storage computer", 1966). Slots are allocated when first used. */
+ * The schedule tells which region needs a chunk next, so the cache need not guess: it evicts the
+ * chunk that is needed last (Belady, "A study of replacement algorithms for a virtual-storage
+ * computer", 1966). Slots are allocated at their first use. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 #include "base/octahedral.h"
 #include "base/simd/simd.h"
@@ -14,28 +14,28 @@
 enum { NO_SLOT = -1 };
 #define NO_CHUNK UINT32_MAX
 
-/* What a slot holds is made in two steps, as the normals of one chunk need others as they are in
- * the file. Whoever finds a step to do does it, and others wait. */
+/* A slot's content is made in two steps, because the normals of one chunk need other chunks as they
+ * are in the file. The first worker that finds a step undone does it; others wait. */
 enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
 
-/* Where in a slot's memory; the chunk as it is in the file comes first. */
+/* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */
 struct slot_layout {
-    uint64_t points_at, normals_at, groups_at, vertex_groups_at, stray_at, bytes;
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
 };
 
 struct slot {
     uint32_t chunk; /* NO_CHUNK: empty */
     uint32_t users;
     enum stage stage;
-    int status; /* of the steps */
+    int status; /* of the last step */
     uint8_t *memory;
     struct slot_layout layout;
     struct vox_chunk content;
-    const struct vox_box *vertex_groups; /* for neighbours */
+    const struct vox_box *vertex_groups; /* for chunks that need this one's triangles */
 };
 
 struct use {
-    struct vox_region_key next; /* region that needs the chunk after those under way */
+    struct vox_region_key next; /* next region that needs the chunk after the units under way */
     uint32_t expected;          /* units of work under way that need it */
     int32_t slot;
 };
@@ -43,15 +43,15 @@ struct use {
 struct vox_chunks {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
-    const struct vox_lattice *lattice;
-    struct vox_smooth *smooth; /* NULL: chunks without normals stay so */
+    const struct vox_transform *transform;
+    struct vox_smooth *smooth; /* NULL: chunks without normals stay without */
     pthread_mutex_t lock;
     pthread_cond_t stepped; /* a step was done */
-    pthread_cond_t freed;   /* a slot has no users any more */
+    pthread_cond_t freed;   /* a slot lost its last user */
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
     struct use *uses;    /* one a chunk */
-    uint64_t slot_bytes; /* for any chunk */
+    uint64_t slot_bytes; /* enough for any chunk */
 };
 
 /* ---- layout of a slot ---- */
@@ -61,8 +61,8 @@ static uint64_t align64(uint64_t bytes)
     return (bytes + 63) & ~UINT64_C(63);
 }
 
-/* load_bytes: what loading takes of a chunk, or of the largest, with that many vertices and
- * triangles. */
+/* Returns the layout for a chunk, or for the largest one. load_bytes: what fmt_tris_load()
+ * needs. */
 static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth,
                                   uint64_t load_bytes, uint32_t vertices, uint32_t triangles)
 {
@@ -74,13 +74,13 @@ static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth,
     to.normals_at = to.points_at + align64(vertices * sizeof(double[4]));
     to.groups_at = to.normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
     to.vertex_groups_at = to.groups_at + align64(groups * sizeof(struct vox_box));
-    to.stray_at =
+    to.inconsistent_at =
         to.vertex_groups_at + (smooth ? align64(vertex_groups * sizeof(struct vox_box)) : 0);
-    to.bytes = to.stray_at + align64(groups * sizeof(bool));
+    to.bytes = to.inconsistent_at + align64(groups * sizeof(bool));
     return to;
 }
 
-/* Chunks have no more room in a slot than they need: what is not touched takes no memory. */
+/* Returns a layout as small as the chunk needs: memory that is not touched takes no pages. */
 static struct slot_layout layout_of(const struct vox_chunks *c, uint32_t chunk)
 {
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(c->file)[chunk];
@@ -102,14 +102,15 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- loading ---- */
 
-/* As vox_lattice_coordinate() has it. */
-static void map_points(const struct vox_lattice *lattice, const struct fmt_tris_chunk *source,
+/* Computes vox_transform_coordinate() of all vertices and axes. */
+static void map_points(const struct vox_transform *transform, const struct fmt_tris_chunk *source,
                        double (*points)[4])
 {
-    const double h = lattice->h;
+    const double h = transform->h;
     const struct row origin =
-        row_of(lattice->origin[0], lattice->origin[1], lattice->origin[2], 0.0);
-    const struct row start = row_of(lattice->start[0], lattice->start[1], lattice->start[2], 0.0);
+        row_of(transform->origin[0], transform->origin[1], transform->origin[2], 0.0);
+    const struct row start =
+        row_of(transform->start[0], transform->start[1], transform->start[2], 0.0);
     const struct row size = row_of(h, h, h, h);
     for (uint32_t v = 0; v < source->vertex_count; v++) {
         struct row position = row_of_floats(source->positions[v]);
@@ -128,30 +129,22 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
     }
 }
 
-/* Mean square of an edge, in voxels, above which normals are those around vertices: below, a voxel
- * averages over several triangles. Where triangles are about as large as voxels, that would be
- * nearer to the surface, but farther from what bakers of triangles show: 0.80 degrees instead of
- * 0.29 for the bunny with 10 triangles to its shortest wave (tests/bench/ACCURACY.md). */
+/* Mean square of an edge, in voxels, above which a chunk gets smooth vertex normals
+ * (docs/decisions/0020-when-voxels-need-planes-or-normals.md). */
 #define COARSE_EDGE_SQUARE 0.5
-/* And above which the scan's own normals are to be believed rather than the planes of its facets,
- * whether they contradict each other or not. */
+/* Above this mean square the scan's own normals are trusted more than its facets' planes, even if
+ * the two contradict each other. */
 #define LARGE_EDGE_SQUARE 4.0
-/* And above which normals that Bisque made are blended well without their planes, wherever pieces
- * would have to be lifted far. */
+/* Above this mean square smooth normals blend well without planes where fragments would be lifted
+ * far. */
 #define WIDE_EDGE_SQUARE 6.0
 
-/* Half of what planes say beyond normals is what a mean over a voxel has lost (bk_surface.h). It is
- * not to be restored where an exact map does not have it either, or where it is of single
- * triangles. Records of facets: normals around vertices, as the exact map has them, are means over
- * rings of edges e, and interpolated. In an even lattice of triangles that takes as much from
- * slopes as a mean over a voxel does where e is half a voxel, and less with the square of e; the
- * bunny's waves come nearest with two thirds of that left out. Records of normals around vertices:
- * where rings are not even their planes and normals do not go together. Leaving out 0.3 is best
- * with edges of 0.9 voxels, 0.8 to 1 with 1.6. */
-#define GRAIN_OF_FACETS   2.7
-#define GRAIN_OF_VERTICES 0.4
+/* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0020): of facets
+ * without vertex normals, and of triangles with smooth ones. */
+#define NOISE_OF_FACETS   2.7
+#define NOISE_OF_VERTICES 0.4
 
-/* Mean square of the triangles' first edges, in voxels. */
+/* Returns the mean square of the triangles' first edges, in voxels. */
 static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[4])
 {
     struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
@@ -164,23 +157,23 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, const double
            (double)source->triangle_count;
 }
 
-/* Finds where the scan's own normals do not go with its triangles; large: everywhere. */
-static void find_stray(bool large, struct slot *slot)
+/* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
+static void find_inconsistent(bool large, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
     const struct vox_own_normals own = {content->source.triangles, content->points,
                                         content->normals};
-    bool *stray = (bool *)(slot->memory + slot->layout.stray_at), any = false;
+    bool *inconsistent = (bool *)(slot->memory + slot->layout.inconsistent_at), any = false;
     for (uint32_t g = 0; g < content->group_count; g++) {
         uint32_t begin = g * VOX_GROUP_TRIANGLES;
         uint32_t end = vox_group_end(begin, content->source.triangle_count, VOX_GROUP_TRIANGLES);
-        stray[g] = large || vox_own_normals_stray(&own, begin, end);
-        any |= stray[g];
+        inconsistent[g] = large || vox_own_normals_inconsistent(&own, begin, end);
+        any |= inconsistent[g];
     }
-    content->stray = any ? stray : NULL;
+    content->inconsistent = any ? inconsistent : NULL;
 }
 
-/* Points, and the bounds of groups. */
+/* Computes the points in index space and the bounds of groups. */
 static void place_chunk(const struct vox_chunks *c, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
@@ -189,9 +182,9 @@ static void place_chunk(const struct vox_chunks *c, struct slot *slot)
     struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + slot->layout.groups_at);
     struct vox_box *vertex_groups =
         (struct vox_box *)(void *)(slot->memory + slot->layout.vertex_groups_at);
-    map_points(c->lattice, source, points);
+    map_points(c->transform, source, points);
     content->points = (const double(*)[4])points;
-    memcpy(content->last_cell, c->lattice->voxels.hi, sizeof c->lattice->voxels.hi);
+    memcpy(content->last_cell, c->transform->voxels.hi, sizeof c->transform->voxels.hi);
     vox_triangle_groups(source, content->points, content->last_cell, groups);
     content->groups = groups;
     content->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
@@ -200,7 +193,7 @@ static void place_chunk(const struct vox_chunks *c, struct slot *slot)
     slot->vertex_groups = vertex_groups;
 }
 
-/* The first step: the chunk as it is in the file, and where it lies. */
+/* The first step: loads the chunk as it is in the file, and places it in index space. */
 static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
     int status = 0;
@@ -225,11 +218,11 @@ static int smooth_normals(struct vox_chunks *c, uint32_t chunk, struct slot *slo
                           float (*normals)[4])
 {
     const struct vox_smooth_lender lender = {c, lend, take_back};
-    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->lattice,
+    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->transform,
                               normals);
 }
 
-/* The second step: what voxelizing needs beside. */
+/* The second step: makes normals and what depends on them. */
 static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 {
     struct vox_chunk *content = &slot->content;
@@ -240,13 +233,13 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
     content->coarse = square > COARSE_EDGE_SQUARE;
     content->wide = source->normals || square > WIDE_EDGE_SQUARE;
     content->normals = (const float(*)[4])normals;
-    content->stray = NULL;
-    content->grain_share = 0.0;
+    content->inconsistent = NULL;
+    content->noise_share = 0.0;
     if (c->smooth && !source->normals)
-        content->grain_share = content->coarse ? GRAIN_OF_VERTICES : GRAIN_OF_FACETS;
+        content->noise_share = content->coarse ? NOISE_OF_VERTICES : NOISE_OF_FACETS;
     if (source->normals) {
         unpack_normals(source, normals);
-        find_stray(square > LARGE_EDGE_SQUARE, slot);
+        find_inconsistent(square > LARGE_EDGE_SQUARE, slot);
     } else if (c->smooth && content->coarse) {
         status = smooth_normals(c, chunk, slot, normals);
     } else {
@@ -258,8 +251,8 @@ static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
 /* ---- the cache ---- */
 
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      const struct vox_lattice *lattice, const struct vox_part *parts,
-                      uint64_t part_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      const struct vox_transform *transform, const struct vox_chunk_box *boxes,
+                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
                       struct vox_chunks **out)
 {
     struct vox_chunks *c;
@@ -270,7 +263,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
         return status;
     c->ctx = ctx;
     c->file = file;
-    c->lattice = lattice;
+    c->transform = transform;
     c->smooth = smooth;
     c->chunk_count = chunk_count;
     c->slot_count = slot_count;
@@ -283,9 +276,9 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     }
     for (uint32_t i = 0; i < c->chunk_count; i++)
         c->uses[i] = (struct use){.next = VOX_REGION_KEY_NEVER, .slot = NO_SLOT};
-    for (uint64_t i = 0; i < part_count; i++) {
-        struct vox_region_key first = vox_region_first(&parts[i].box);
-        struct use *use = &c->uses[parts[i].chunk];
+    for (uint64_t i = 0; i < box_count; i++) {
+        struct vox_region_key first = vox_region_first(&boxes[i].box);
+        struct use *use = &c->uses[boxes[i].chunk];
         if (vox_region_before(first, use->next))
             use->next = first;
     }
@@ -326,7 +319,7 @@ void vox_chunks_done(struct vox_chunks *c, uint32_t chunk)
     pthread_mutex_unlock(&c->lock);
 }
 
-/* Whether chunk a is needed before chunk b. */
+/* Returns whether chunk a is needed before chunk b. */
 static bool needed_before(const struct vox_chunks *c, uint32_t a, uint32_t b)
 {
     const struct use *ua = &c->uses[a], *ub = &c->uses[b];
@@ -340,8 +333,8 @@ static bool is_finished(const struct use *use)
     return use->expected == 0 && use->next.tile == UINT64_MAX;
 }
 
-/* A slot that may be filled: one whose chunk is not needed any more, else a new one, else the one
- * whose chunk is needed last; NULL while all are held. */
+/* Returns a slot to fill: one whose chunk is no longer needed, else a new one, else the one whose
+ * chunk is needed last. Returns NULL while all are held. */
 static struct slot *find_slot(struct vox_chunks *c)
 {
     struct slot *best = NULL;
@@ -361,7 +354,7 @@ static struct slot *find_slot(struct vox_chunks *c)
     return best;
 }
 
-/* Makes the slot the chunk's, with the first step to do. */
+/* Assigns the slot to the chunk. The caller has to do the first step. */
 static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
 {
     if (slot->chunk != NO_CHUNK)
@@ -372,7 +365,8 @@ static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
     c->uses[chunk].slot = (int32_t)(slot - c->slots);
 }
 
-/* Called with the lock held, as all below but for the public ones. */
+/* Drops a use of the slot. Called with the lock held, as are all functions below that are not
+ * public. */
 static void leave_slot(struct vox_chunks *c, struct slot *slot)
 {
     if (--slot->users == 0) {
@@ -384,7 +378,8 @@ static void leave_slot(struct vox_chunks *c, struct slot *slot)
     }
 }
 
-/* Brings a slot that is in use to a stage, by doing a step or by waiting until it is done. */
+/* Brings a slot that is in use to a stage: does the step if it is `mine`, else waits until it is
+ * done. */
 static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
                     int (*step)(struct vox_chunks *, uint32_t, struct slot *))
 {
@@ -401,7 +396,7 @@ static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum sta
     return slot->status;
 }
 
-/* Takes both steps; `fresh`: the first one is the caller's to do. */
+/* Does or awaits both steps. fresh: the first step is the caller's. */
 static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
 {
     int status = run_step(c, slot, fresh, STAGE_READ, read_chunk);
@@ -413,8 +408,8 @@ static int make_ready(struct vox_chunks *c, struct slot *slot, bool fresh)
     return run_step(c, slot, finish, STAGE_READY, finish_chunk);
 }
 
-/* Lends a chunk as it is in the file, unless it has no slot and its turn comes after that of all
- * who have one. */
+/* Lends a chunk as it is in the file. Lends nothing if the chunk has no slot and is needed later
+ * than all chunks that have one. */
 static int lend(void *arg, uint32_t chunk, struct vox_loan *out)
 {
     struct vox_chunks *c = arg;
@@ -447,8 +442,8 @@ static bool in_making(const struct slot *slot)
     return slot->status == 0 && slot->stage != STAGE_READ && slot->stage != STAGE_READY;
 }
 
-/* The chunk that is needed first of those that nobody has made ready or is at; NO_CHUNK where there
- * is none. */
+/* Returns the chunk needed first among those that are neither ready nor in the making; NO_CHUNK if
+ * there is none. */
 static uint32_t next_unready(const struct vox_chunks *c)
 {
     uint32_t best = NO_CHUNK;
@@ -473,8 +468,8 @@ static bool give_spare_slot(struct vox_chunks *c, uint32_t chunk)
     return true;
 }
 
-/* Neighbouring regions share chunks, so workers come to need the same one at the same time. While
- * another worker makes it ready, this one does so with those that come next. */
+/* Makes other chunks ready while another worker makes the wanted one. Neighbouring regions share
+ * chunks, so workers often need the same chunk at the same time. */
 static int prepare_others(struct vox_chunks *c, const struct slot *wanted)
 {
     int status = 0;

@@ -1,7 +1,8 @@
 /* chunk_cache.h - a bounded cache of the scan's chunks, decoded and ready to voxelize.
  *
- * A chunk touches a few regions, which come up at different times and on different workers. The
- * cache reads it once for all of them where memory allows. Thread-safe. */
+ * Takes a .tris file, the voxel transform and the chunk boxes. Gives chunks in index space, with
+ * vertex normals. A chunk touches several regions, which are made at different times by different
+ * workers. If memory allows, the cache reads it once for all of them. Thread-safe. */
 #ifndef VOX_VOXELIZE_CACHE_CHUNK_CACHE_H
 #define VOX_VOXELIZE_CACHE_CHUNK_CACHE_H
 
@@ -11,44 +12,46 @@
 
 struct vox_chunk {
     struct fmt_tris_chunk source;
-    const double (*points)[4]; /* positions in lattice coordinates, 0 */
-    int32_t last_cell[4];      /* what lies above belongs to it too, on each axis; and anything */
-    /* Unit, or zero, and how far above the vertex the surface of these normals is, in voxels; NULL:
-     * those of the triangles. */
+    const double (*points)[4]; /* positions in index space, 0 */
+    int32_t last_cell[4]; /* inclusive upper bound; positions beyond it are clamped into the last
+                             voxel. The fourth number is unused */
+    /* Unit normals, or zero; fourth, the height in voxels of the surface with these normals above
+     * the vertex. NULL: triangles have their own normals. */
     const float (*normals)[4];
-    bool wide;          /* pieces are not to be lifted far */
-    bool coarse;        /* triangles are large enough for their facets to show in the grid */
-    double grain_share; /* grain of records per square of an edge in voxels */
-    const struct vox_box *groups; /* of the triangles */
-    /* Whether the normals of such a group do not go with its triangles' planes; NULL: nowhere. */
-    const bool *stray;
+    bool wide;          /* fragments must not be lifted far */
+    bool coarse;        /* triangles are so large that their facets would show in the grid */
+    double noise_share; /* facet-noise weight of records per square of an edge in voxels */
+    const struct vox_box *groups; /* voxels of each triangle group */
+    /* For each group: whether its normals are inconsistent with its triangles' planes. NULL: none
+     * are. */
+    const bool *inconsistent;
     uint32_t group_count;
 };
 
 struct vox_chunks;
 
-/* Bytes that one cached chunk takes, with room for normals if the file has them or `smooth`. */
+/* Returns the bytes of one slot. Includes normals if the file has them or if `smooth`. */
 uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth);
 
-/* A cache of up to slot_count >= 1 chunks. `file`, `lattice` and `smooth` must outlive it. parts:
- * the schedule's, by which the first region that needs a chunk is known; they are not kept. smooth
- * makes the normals of chunks that have none and whose triangles are not small for the grid; NULL:
- * they stay without. */
+/* Creates a cache of up to slot_count >= 1 chunks. `file`, `transform` and `smooth` must outlive
+ * it. boxes: those of the schedule; they tell the first region that needs each chunk, and are not
+ * kept. smooth: makes normals for chunks that have none and whose triangles are large for the grid;
+ * NULL: such chunks stay without normals. */
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                      const struct vox_lattice *lattice, const struct vox_part *parts,
-                      uint64_t part_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      const struct vox_transform *transform, const struct vox_chunk_box *boxes,
+                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
                       struct vox_chunks **out);
 void vox_chunks_destroy(struct vox_chunks *chunks); /* NULL is allowed */
 
-/* Says that `uses` units of work which touch `chunk` are under way, and which region is the next
- * that will; and that one of those units has no more need of it. They only guide what is kept. */
+/* vox_chunks_expect() announces `uses` units of work that need `chunk`, and the region that needs
+ * it next. vox_chunks_done() ends the need of one of these units. Both only guide what is kept. */
 void vox_chunks_expect(struct vox_chunks *chunks, uint32_t chunk, uint32_t uses,
                        struct vox_region_key after);
 void vox_chunks_done(struct vox_chunks *chunks, uint32_t chunk);
 
-/* Loads or finds a chunk; *out is valid until it is released. A worker holds one at a time. Waits
- * while other workers hold all slots. While another worker loads the chunk, this one loads others
- * that will be needed, where there are slots to spare. */
+/* Loads or finds a chunk; *out is valid until it is released. A worker holds one chunk at a time.
+ * Waits while other workers hold all slots. While another worker loads the chunk, this one loads
+ * chunks that will be needed next, if there are spare slots. */
 int vox_chunks_acquire(struct vox_chunks *chunks, uint32_t chunk, const struct vox_chunk **out);
 void vox_chunks_release(struct vox_chunks *chunks, uint32_t chunk);
 

@@ -1,4 +1,4 @@
-/* chunk_groups.c - see chunk_groups.h. */
+/* chunk_groups.c - the bounds of a chunk's groups, in voxels. */
 #include "libvoxel/voxelize/cache/chunk_groups.h"
 
 struct bounds {

@@ -1,8 +1,8 @@
-/* chunk_groups.h - private to voxelizing: where runs of a chunk's triangles lie, and runs of its
- * vertices.
+/* chunk_groups.h - bounds of consecutive triangles and vertices of a chunk.
  *
- * Triangles follow each other in space, and vertices are numbered as triangles need them, so that
- * runs of both share small bounds. Who needs a part of a chunk passes over the others by these. */
+ * Triangles follow each other in space, and vertices are numbered in the order in which triangles
+ * use them, so groups of either have small bounds. Code that needs only part of a chunk skips the
+ * other groups. */
 #ifndef VOX_VOXELIZE_CACHE_CHUNK_GROUPS_H
 #define VOX_VOXELIZE_CACHE_CHUNK_GROUPS_H
 
@@ -11,16 +11,16 @@
 
 enum { VOX_GROUP_TRIANGLES = 64, VOX_GROUP_VERTICES = 64 };
 
-static inline uint32_t vox_group_count(uint32_t things, uint32_t group)
+static inline uint32_t vox_group_count(uint32_t count, uint32_t group)
 {
-    return (things + group - 1) / group;
+    return (count + group - 1) / group;
 }
 
-/* Where the group behind begins: that of so many things which begins at `begin`, of `things` in
- * all. */
-static inline uint32_t vox_group_end(uint32_t begin, uint32_t things, uint32_t group)
+/* Returns the index of the first item of the next group, for a group that starts at `begin` out of
+ * `count` items. */
+static inline uint32_t vox_group_end(uint32_t begin, uint32_t count, uint32_t group)
 {
-    return things - begin < group ? things : begin + group;
+    return count - begin < group ? count : begin + group;
 }
 
 /* Returns the voxel of a point, and an arbitrary fourth number. Points are never below the grid;
@@ -30,8 +30,7 @@ LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
     return four_min(row_floor(point), four_load(last_cell));
 }
 
-/* Voxels of the bounds of each group. last_cell: what lies above belongs to it too, on each axis;
- * and anything. */
+/* Computes the voxels of each group's bounds. last_cell: as in struct vox_chunk. */
 void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
                          const int32_t last_cell[4], struct vox_box *groups);
 void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],

@@ -12,12 +12,9 @@ void BSQ_SIMD_NAME(vox_add_one_rings)(const struct fmt_tris_chunk *chunk, uint32
                       (double(*)[4])(void *)rings);
 }
 
-/* The mean of the facets' normals around a vertex is the normal of a smoother surface: that of the
- * heights' means over the rings of triangles, each the height of its ring's centroid. In a lattice
- * of triangles its facets have, up to the surface's third derivatives, the slope of the corners'
- * normals' mean. Bunny and vase, whose triangles are not so even, come nearest to exact maps with
- * an eighth more: at voxels of half a texel 0.16 and 0.03 degrees instead of 0.24 and 0.05. */
-#define RING_SHARE (9.0 / 8.0)
+/* Share of the height of a one-ring's centroid above its vertex, by which the surface rises
+ * (docs/decisions/0020-when-voxels-need-planes-or-normals.md). */
+#define RISE_SHARE (9.0 / 8.0)
 
 /* Rounds to float. */
 LANES_INLINE doubles ring_rounded(doubles x)
@@ -25,7 +22,7 @@ LANES_INLINE doubles ring_rounded(doubles x)
     return __builtin_convertvector(__builtin_convertvector(x, floats), doubles);
 }
 
-/* Normals, and the surface's heights above the vertices. */
+/* Computes normals, and the surface's heights above the vertices. */
 LANES_INLINE void ring_finish(const struct vox_one_ring *const from[LANE_COUNT], double h,
                               doubles normal[4])
 {
@@ -42,7 +39,7 @@ LANES_INLINE void ring_finish(const struct vox_one_ring *const from[LANE_COUNT],
     doubles height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * area);
     for (int k = 0; k < 3; k++)
         normal[k] = lanes_keep(smooth, n[k] / length);
-    normal[3] = ring_rounded(lanes_keep(smooth, RING_SHARE * height)) / h;
+    normal[3] = ring_rounded(lanes_keep(smooth, RISE_SHARE * height)) / h;
 }
 
 void BSQ_SIMD_NAME(vox_finish_one_rings)(const struct vox_one_ring *rings, const uint32_t *ring_of,

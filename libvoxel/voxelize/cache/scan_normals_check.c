@@ -1,24 +1,24 @@
-/* scan_normals_check.c - holds a scan's normals against its triangles.
+/* scan_normals_check.c - compares a scan's normals with the planes of its triangles.
  *
- * Along an edge whose ends have the normals a and b, a surface with these normals rises by the mean
- * of their slopes, if its curvature is constant: edge . (a + b) / 2 is 0. What it is instead are a
- * triangle's three numbers of a Whitney form of degree 1, which is the part of the normals that the
- * triangle's plane does not have, as a vector in that plane (Whitney, "Geometric Integration
- * Theory", 1957). So neither curvature nor the size of triangles count as a contradiction.
+ * Let an edge have the normals a and b at its ends. If curvature is constant, edge . (a + b) / 2 is
+ * 0: the surface rises by the mean of its slopes. The values found instead on the three edges are
+ * the coefficients of a Whitney form of degree 1 (Whitney, "Geometric Integration Theory", 1957).
+ * As a vector in the triangle's plane, that form is the part of the normals that contradicts the
+ * plane. Neither curvature nor the size of triangles counts as a contradiction.
  *
- * A record is a mean over its voxel, so contradictions that differ from triangle to triangle, as
- * those of rounded normals and of noise do, are averaged over the area of a voxel's face. */
+ * A record is a mean over its voxel, so contradictions are averaged over the area of a voxel's
+ * face. Those that differ from triangle to triangle cancel there, such as rounding and noise. */
 #include "libvoxel/voxelize/cache/scan_normals_check.h"
 
 #include <math.h>
 
-/* Square of a sine: half a degree is never too much. Triangles as large as voxels err by that
- * much where normals are right. */
-#define STRAY_LEAST_SQUARE (0.0087 * 0.0087)
-/* Planes pull the blended normal by 1.3 times what they are contradicted by. Without them it errs
- * by 0.83 times the mean square of the normal's turn over a voxel, in waves with slopes of 20
- * degrees: then this share of that square is where both are as bad. */
-#define STRAY_TURN_SHARE 0.64
+/* Square of the sine of half a degree, which is never too much: triangles as large as voxels err by
+ * that even if their normals are right. */
+#define INCONSISTENT_LEAST_SQUARE (0.0087 * 0.0087)
+/* Share of the normals' mean squared turn over a voxel that may contradict. Planes pull the blended
+ * normal by 1.3 times the contradiction. Without planes it errs by 0.83 times that square, in waves
+ * with slopes of 20 degrees. At this share both errors are equal. */
+#define INCONSISTENT_TURN_SHARE 0.64
 
 /* Sums over triangles: area times contradiction, and area. */
 struct contradiction {
@@ -49,7 +49,7 @@ static void add_triangle(const struct vox_own_normals *of, const uint32_t v[3],
     for (int k = 0; k < 3; k++) {
         int l = (k + 1) % 3, m = (k + 2) % 3;
         across[k] = edge[0][l] * edge[1][m] - edge[0][m] * edge[1][l];
-        /* The form at the centroid, turned by a right angle. */
+        /* The form at the centroid, rotated by a right angle. */
         sum->vector[k] += ((rise[1] - rise[2]) * edge[0][k] + (rise[2] - rise[0]) * edge[1][k] +
                            (rise[0] - rise[1]) * edge[2][k]) /
                           6.0;
@@ -57,14 +57,14 @@ static void add_triangle(const struct vox_own_normals *of, const uint32_t v[3],
     sum->area += 0.5 * sqrt(across[0] * across[0] + across[1] * across[1] + across[2] * across[2]);
 }
 
-/* Area times the square of the mean. */
+/* Returns the area times the square of the mean contradiction. */
 static double square_of(const struct contradiction *sum)
 {
     const double *v = sum->vector;
     return sum->area > 0.0 ? (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) / sum->area : 0.0;
 }
 
-bool vox_own_normals_stray(const struct vox_own_normals *of, uint32_t begin, uint32_t end)
+bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t begin, uint32_t end)
 {
     struct contradiction sum = {.area = 0.0};
     struct turn turn = {.normals = 0.0};
@@ -77,6 +77,6 @@ bool vox_own_normals_stray(const struct vox_own_normals *of, uint32_t begin, uin
         area += sum.area;
         sum = (struct contradiction){.area = 0.0};
     }
-    double limit = STRAY_TURN_SHARE * turn.normals / fmax(turn.lengths, 1e-300);
-    return squares > area * fmax(limit * limit, STRAY_LEAST_SQUARE);
+    double limit = INCONSISTENT_TURN_SHARE * turn.normals / fmax(turn.lengths, 1e-300);
+    return squares > area * fmax(limit * limit, INCONSISTENT_LEAST_SQUARE);
 }

@@ -1,19 +1,19 @@
-/* scan_normals_check.h - whether the normals that a scan brings along go with its triangles. */
+/* scan_normals_check.h - whether the normals of a scan file are consistent with its triangles. */
 #ifndef VOX_VOXELIZE_CACHE_SCAN_NORMALS_CHECK_H
 #define VOX_VOXELIZE_CACHE_SCAN_NORMALS_CHECK_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Vertices of some triangles, by number: points in voxels, and unit normals. */
+/* Triangles, and by vertex number: points in voxels and unit normals. */
 struct vox_own_normals {
     const uint32_t (*triangles)[3];
     const double (*points)[4];
     const float (*normals)[4];
 };
 
-/* Whether the normals of the triangles from begin to end contradict the triangles' planes so much
- * that these, blended with them, would do more harm than good. */
-bool vox_own_normals_stray(const struct vox_own_normals *of, uint32_t begin, uint32_t end);
+/* Returns whether the normals of the triangles from begin to end contradict the triangles' planes
+ * so much that blending with the planes would do more harm than good. */
+bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t begin, uint32_t end);
 
 #endif

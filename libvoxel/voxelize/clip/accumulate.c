@@ -1,17 +1,17 @@
-/* accumulate.c - see accumulate.h; the work itself is in accumulate_lanes.h. */
+/* accumulate.c - the memory of fragments; accumulate_lanes.c does the work. */
 #include "libvoxel/voxelize/clip/fragment_block.h"
 
-uint64_t vox_block_bytes(void)
+uint64_t vox_fragment_block_bytes(void)
 {
-    return sizeof(struct vox_block);
+    return sizeof(struct vox_fragment_block);
 }
 
-int vox_block_create(struct bsq_ctx *ctx, struct vox_block **out)
+int vox_fragment_block_create(struct bsq_ctx *ctx, struct vox_fragment_block **out)
 {
-    return bsq_alloc(ctx, "triangle pieces", sizeof **out, 1, out);
+    return bsq_alloc(ctx, "fragments", sizeof **out, 1, out);
 }
 
-void vox_block_destroy(struct bsq_ctx *ctx, struct vox_block *block)
+void vox_fragment_block_destroy(struct bsq_ctx *ctx, struct vox_fragment_block *block)
 {
     bsq_free(ctx, block);
 }

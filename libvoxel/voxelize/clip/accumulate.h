@@ -1,30 +1,34 @@
-/* accumulate.h - adds the triangles of a chunk to the voxels of a region. */
+/* accumulate.h - adds the triangles of a chunk to the voxels of a region.
+ *
+ * Takes a chunk from the cache, the sources of colour, and the voxels to fill. Gives sums of the
+ * triangles' fragments, one fragment for each voxel that a triangle touches, in an accumulator. */
 #ifndef VOX_VOXELIZE_CLIP_ACCUMULATE_H
 #define VOX_VOXELIZE_CLIP_ACCUMULATE_H
 
 #include "libvoxel/voxelize/clip/shade.h"
 
-/* Room for the pieces of triangles on their way to the sums; one a worker. */
-struct vox_block;
+/* Memory for triangles and their fragments on the way to the sums. Each worker has one. */
+struct vox_fragment_block;
 
-uint64_t vox_block_bytes(void);
-int vox_block_create(struct bsq_ctx *ctx, struct vox_block **out);
-void vox_block_destroy(struct bsq_ctx *ctx, struct vox_block *block); /* NULL is allowed */
+uint64_t vox_fragment_block_bytes(void);
+int vox_fragment_block_create(struct bsq_ctx *ctx, struct vox_fragment_block **out);
+void vox_fragment_block_destroy(struct bsq_ctx *ctx,
+                                struct vox_fragment_block *block); /* NULL is allowed */
 
-/* What is added, and where to. */
+/* What is added, and where. */
 struct vox_accumulation {
     const struct vox_shading *shading;
     const struct vox_chunk *chunk;
     const struct vox_box *region; /* the accumulator's 128^3 voxels */
     const struct vox_box *window; /* the part of the region to fill */
     struct vox_accumulator *sums;
-    struct vox_block *block;
+    struct vox_fragment_block *block;
 };
 
-/* Adds what the chunk's triangles have inside the window, in the order of the triangles. *counted:
- * adds the number of triangles that this window is the one to count, so that over all regions each
- * is counted once. Returns 0, VOX_REGION_FULL or a negative status. */
-typedef int vox_accumulate_chunk_fn(const struct vox_accumulation *what, uint64_t *counted);
+/* Adds the fragments inside the window, in the order of the chunk's triangles. *counted: increased
+ * by the triangles that this window counts; each triangle is counted by one window of the grid.
+ * Returns 0, VOX_REGION_FULL or a negative status. */
+typedef int vox_accumulate_chunk_fn(const struct vox_accumulation *job, uint64_t *counted);
 BSQ_SIMD_DECLARE(vox_accumulate_chunk_fn, vox_accumulate_chunk);
 
 #endif

@@ -1,23 +1,24 @@
-/* clip.h - cuts a triangle into its pieces, one for each voxel that it touches.
+/* clip.h - clips a triangle to each voxel that it touches.
  *
- * This is the box-triangle overlap test and the clipping in one: a voxel is touched exactly where
- * the triangle, a closed set, meets the voxel, a box that is half-open upwards, and the piece is
- * what they share. Seen so, every point of the triangle belongs to one voxel: nothing that a
- * triangle enters is missed, and what lies on the border of two voxels goes to the upper one alone.
+ * This is box-triangle overlap test and clipping in one. The triangle is a closed set and a voxel
+ * is a box that is half-open upwards; the fragment is their intersection. So every point of the
+ * triangle belongs to one voxel: nothing that a triangle enters is missed, and a point on the
+ * border of two voxels belongs to the upper one.
  *
  * The triangle is cut into slabs along x, these into rows along y, these into voxels. Cutting with
  * one plane at a time (Sutherland & Hodgman, "Reentrant Polygon Clipping", CACM 1974, keeping both
- * sides) visits the touched voxels only, and yields with each its clipped polygon, which is needed
- * anyway. A separating-axis test per voxel would decide the same set and cost more.
+ * sides) visits only the touched voxels and yields the clipped polygon of each. A separating-axis
+ * test for each voxel would find the same voxels and cost more.
  *
- * The lower side of a cut is closed in the arithmetic, half-open by definition. Vertices remember
- * the upper faces that they lie on because of a cut ("open" faces: not part of the voxel), so that
- * a further cut does not count a voxel that is met in such points only.
+ * The lower side of a cut is closed in the arithmetic, but half-open by definition. Vertices
+ * remember the upper faces that a cut put them on (their "open" faces, which are not part of the
+ * voxel). A voxel that is met in such points only is not touched.
  *
- * This takes any triangle. Most are small, and divided by divide_lanes.h at a fraction of the cost.
+ * This takes any triangle. Most triangles are small, and divide_lanes.h divides them at a fraction
+ * of the cost.
  *
- * All is in this header for the sake of one caller, into which it melts: a call per piece costs
- * more than what is done with most pieces. */
+ * The code is in this header so that it is inlined into its one caller: a call for each fragment
+ * costs more than the work on most fragments. */
 #ifndef VOX_VOXELIZE_CLIP_CLIP_H
 #define VOX_VOXELIZE_CLIP_CLIP_H
 
@@ -27,32 +28,33 @@
 
 #define CLIP_INLINE static inline __attribute__((always_inline))
 
-/* The part of a triangle inside one voxel. b: weights of the second and third corner at the piece's
- * centroid (the first has 1 - b[0] - b[1]). */
-struct vox_piece {
+/* A fragment: the part of a triangle inside one voxel. b: weights of the second and third corner at
+ * the centroid; the first has 1 - b[0] - b[1]. */
+struct vox_fragment {
     int32_t cell[3];
-    double fraction; /* of the triangle's area; 0 where they share a point or an edge */
+    double fraction; /* of the triangle's area; 0 if they share only a point or an edge */
     double b[2];
-    double uv_extent[2]; /* widths of the piece in texture space, where the triangle has it */
+    double uv_extent[2]; /* size of the fragment in texture space, if the triangle has texture
+                            coordinates */
 };
 
 struct vox_clip_triangle {
-    const double *corner[3];     /* in lattice coordinates */
-    const struct vox_box *cells; /* of its bounds, clamped to the lattice */
+    const double *corner[3];     /* in index space */
+    const struct vox_box *cells; /* voxels of its bounds, clamped to the grid */
     const double (*uv)[2];       /* texture coordinates of the corners, or NULL */
 };
 
-/* Takes pieces; a result other than 0 ends the clipping and is returned by it. */
-typedef int vox_piece_sink(void *arg, const struct vox_piece *piece);
+/* Takes a fragment. A result other than 0 ends the clipping, which returns it. */
+typedef int vox_fragment_sink(void *arg, const struct vox_fragment *fragment);
 
 struct clip_vertex {
     double p[3];
     double b[2];   /* weights of the second and third corner */
-    uint64_t open; /* bit a: on the open upper face across axis a */
+    uint64_t open; /* bit a: on an open upper face across axis a */
 };
 
-/* A plane adds at most one vertex to a convex polygon; six of the region and six of the voxel make
- * 15. Rounding may make one slightly concave, hence the check in clip_split(). */
+/* A plane adds at most one vertex to a convex polygon, so six of the region and six of the voxel
+ * make 15. Rounding may make a polygon slightly concave, hence the check in clip_split(). */
 enum { CLIP_MAX_VERTICES = 20 };
 
 struct clip_polygon {
@@ -63,12 +65,12 @@ struct clip_polygon {
 struct clip_state {
     const struct vox_clip_triangle *triangle;
     const struct vox_box *window;
-    struct vox_box cells; /* of the triangle, inside the region */
+    struct vox_box cells; /* of the triangle's bounds, inside the region */
     int32_t cell[3];
     void *arg; /* of the sink */
 };
 
-/* ---- pieces ---- */
+/* ---- fragments ---- */
 
 static inline void clip_uv_extent(const struct clip_polygon *p, const double (*uv)[2],
                                   double extent[2])
@@ -96,9 +98,9 @@ static inline void clip_mean_of_vertices(const struct clip_polygon *p, double b[
     b[1] /= p->count;
 }
 
-/* Area and centroid in the plane of the corner weights, where the triangle has area 1/2: well
- * conditioned however thin the triangle is. */
-CLIP_INLINE void clip_measure(const struct clip_polygon *p, struct vox_piece *piece)
+/* Computes area and centroid in the plane of the corner weights, where the triangle has area 1/2.
+ * This is well conditioned however thin the triangle is. */
+CLIP_INLINE void clip_measure(const struct clip_polygon *p, struct vox_fragment *fragment)
 {
     const double *b0 = p->v[0].b;
     double area2 = 0.0, absolute = 0.0, m0 = 0.0, m1 = 0.0;
@@ -113,36 +115,37 @@ CLIP_INLINE void clip_measure(const struct clip_polygon *p, struct vox_piece *pi
         d0 = e0;
         d1 = e1;
     }
-    /* Where signs differ, the area is rounding noise and no centroid can be had from it. */
+    /* If signs differ, the area is rounding noise and gives no centroid. */
     if (area2 > 0.5 * absolute) {
         double scale = 1.0 / (3.0 * area2);
-        piece->fraction = area2;
-        piece->b[0] = b0[0] + m0 * scale;
-        piece->b[1] = b0[1] + m1 * scale;
+        fragment->fraction = area2;
+        fragment->b[0] = b0[0] + m0 * scale;
+        fragment->b[1] = b0[1] + m1 * scale;
     } else {
-        piece->fraction = area2 > 0.0 ? area2 : 0.0;
-        clip_mean_of_vertices(p, piece->b);
+        fragment->fraction = area2 > 0.0 ? area2 : 0.0;
+        clip_mean_of_vertices(p, fragment->b);
     }
 }
 
-CLIP_INLINE int clip_emit(struct clip_state *c, const struct clip_polygon *p, vox_piece_sink *sink)
+CLIP_INLINE int clip_emit(struct clip_state *c, const struct clip_polygon *p,
+                          vox_fragment_sink *sink)
 {
-    struct vox_piece piece;
+    struct vox_fragment fragment;
     for (int a = 0; a < 3; a++)
-        piece.cell[a] = c->cell[a];
-    clip_measure(p, &piece);
+        fragment.cell[a] = c->cell[a];
+    clip_measure(p, &fragment);
     if (c->triangle->uv)
-        clip_uv_extent(p, c->triangle->uv, piece.uv_extent);
-    return sink(c->arg, &piece);
+        clip_uv_extent(p, c->triangle->uv, fragment.uv_extent);
+    return sink(c->arg, &fragment);
 }
 
 /* ---- cutting ----
  *
- * Axes are cut in the order x, y, z, so what comes of a cut needs no coordinates of earlier axes,
- * and the side below the plane not even that of its own. */
+ * Axes are cut in the order x, y, z. So the results of a cut need no coordinates of earlier axes,
+ * and the side below the plane does not need its own. */
 
-/* Where the edge from l (below) to r (not below) crosses. Always taken from below, so that
- * triangles that share an edge share the crossing. */
+/* Computes where the edge from l (below) to r (not below) crosses the plane. Always computed from
+ * below, so that triangles that share an edge share the crossing. */
 CLIP_INLINE void clip_cross(const struct clip_vertex *l, const struct clip_vertex *r, int axis,
                             double plane, struct clip_vertex *above, struct clip_vertex *below)
 {
@@ -166,7 +169,7 @@ CLIP_INLINE void clip_copy_vertex(struct clip_vertex *to, const struct clip_vert
     to->open = from->open;
 }
 
-/* Bit i: vertex i is not below the plane. */
+/* Returns a mask: bit i is set if vertex i is not below the plane. */
 CLIP_INLINE uint32_t clip_above_mask(const struct clip_polygon *p, int axis, double plane)
 {
     uint32_t mask = 0;
@@ -175,8 +178,8 @@ CLIP_INLINE uint32_t clip_above_mask(const struct clip_polygon *p, int axis, dou
     return mask;
 }
 
-/* Splits any polygon, also one that rounding has made concave so that it crosses more than twice,
- * and keeps all coordinates on both sides. */
+/* Splits any polygon, even one that rounding made concave so that it crosses more than twice. Keeps
+ * all coordinates on both sides. */
 static inline void clip_split_any(const struct clip_polygon *in, int axis, double plane,
                                   struct clip_polygon *below, struct clip_polygon *above)
 {
@@ -204,7 +207,7 @@ static inline void clip_split_any(const struct clip_polygon *in, int axis, doubl
     above->count = na;
 }
 
-/* Copies `count` vertices of the ring from `first` on. */
+/* Copies `count` consecutive vertices from `first` on, cyclically. */
 CLIP_INLINE void clip_copy_run(struct clip_vertex *to, const struct clip_polygon *from,
                                uint32_t first, uint32_t count, int first_axis)
 {
@@ -215,7 +218,7 @@ CLIP_INLINE void clip_copy_run(struct clip_vertex *to, const struct clip_polygon
 }
 
 /* Cuts a polygon that has vertices on both sides of the plane. The part below loses its coordinates
- * on this axis and those before it, the part above those before it. */
+ * on this axis and on earlier ones, the part above those on earlier ones. */
 CLIP_INLINE void clip_split(const struct clip_polygon *in, int axis, double plane,
                             struct clip_polygon *below, struct clip_polygon *above)
 {
@@ -238,8 +241,8 @@ CLIP_INLINE void clip_split(const struct clip_polygon *in, int axis, double plan
     above->count = na + 2;
 }
 
-/* Whether the points at the polygon's upper end, `max` on this axis, belong to it: not if all of
- * them lie on one open face. */
+/* Returns whether the points at the polygon's upper end, `max` on this axis, belong to it: not if
+ * all of them lie on one open face. */
 static inline bool clip_top_belongs(const struct clip_polygon *p, int axis, double max)
 {
     uint64_t open = ~UINT64_C(0);
@@ -249,7 +252,7 @@ static inline bool clip_top_belongs(const struct clip_polygon *p, int axis, doub
     return open == 0;
 }
 
-/* Narrows lo to hi to the cells that the polygon touches. */
+/* Narrows lo to hi to the voxels that the polygon touches. */
 CLIP_INLINE void clip_cell_range(const struct clip_polygon *p, int axis, int32_t *lo, int32_t *hi)
 {
     double min = p->v[0].p[axis], max = min;
@@ -267,22 +270,22 @@ CLIP_INLINE void clip_cell_range(const struct clip_polygon *p, int axis, int32_t
         --*hi;
 }
 
-typedef int clip_next(struct clip_state *c, const struct clip_polygon *p, vox_piece_sink *sink);
+typedef int clip_next(struct clip_state *c, const struct clip_polygon *p, vox_fragment_sink *sink);
 
 CLIP_INLINE int clip_cut(struct clip_state *c, const struct clip_polygon *p, int axis,
-                         clip_next *next, vox_piece_sink *sink)
+                         clip_next *next, vox_fragment_sink *sink)
 {
     int32_t lo = c->cells.lo[axis], hi = c->cells.hi[axis];
     int32_t from = c->window->lo[axis], to = c->window->hi[axis];
-    struct clip_polygon piece, rest[2];
+    struct clip_polygon fragment, rest[2];
     if (lo < hi)
         clip_cell_range(p, axis, &lo, &hi);
     for (int32_t i = lo; i <= hi && i <= to; i++) {
         const struct clip_polygon *current = p;
         if (i < hi) {
             struct clip_polygon *above = &rest[i & 1];
-            clip_split(p, axis, i + 1, &piece, above);
-            current = &piece;
+            clip_split(p, axis, i + 1, &fragment, above);
+            current = &fragment;
             p = above;
         }
         if (i < from)
@@ -296,19 +299,19 @@ CLIP_INLINE int clip_cut(struct clip_state *c, const struct clip_polygon *p, int
 }
 
 CLIP_INLINE int clip_cut_row(struct clip_state *c, const struct clip_polygon *p,
-                             vox_piece_sink *sink)
+                             vox_fragment_sink *sink)
 {
     return clip_cut(c, p, 2, clip_emit, sink);
 }
 
 CLIP_INLINE int clip_cut_slab(struct clip_state *c, const struct clip_polygon *p,
-                              vox_piece_sink *sink)
+                              vox_fragment_sink *sink)
 {
     return clip_cut(c, p, 1, clip_cut_row, sink);
 }
 
 CLIP_INLINE int clip_cut_triangle(struct clip_state *c, const struct clip_polygon *p,
-                                  vox_piece_sink *sink)
+                                  vox_fragment_sink *sink)
 {
     return clip_cut(c, p, 0, clip_cut_slab, sink);
 }
@@ -331,7 +334,7 @@ static inline bool clip_begins_below(const struct clip_polygon *p, int axis, dou
     return false;
 }
 
-/* Keeps what lies inside the region; false where nothing does. Cutting a large triangle so first
+/* Cuts the polygon to the region. Returns false if nothing is left. Cutting a large triangle first
  * keeps the work in proportion to its share of the region. */
 static inline bool clip_cut_to_region(struct clip_polygon *p, const struct vox_box *cells,
                                       const struct vox_box *region)
@@ -374,11 +377,11 @@ static inline void clip_first_polygon(const struct vox_clip_triangle *triangle,
     }
 }
 
-/* Hands the pieces inside `window` to the sink, in ascending (x, y, z) order. region: a fixed
- * division of the lattice that contains the window; a piece is the same bit for bit whatever window
- * of the region it is asked for. */
+/* Passes the fragments inside `window` to the sink, in ascending (x, y, z) order. region: a fixed
+ * division of the grid that contains the window. A fragment is the same bit for bit for every
+ * window of its region. */
 CLIP_INLINE int vox_clip(const struct vox_clip_triangle *triangle, const struct vox_box *region,
-                         const struct vox_box *window, vox_piece_sink *sink, void *arg)
+                         const struct vox_box *window, vox_fragment_sink *sink, void *arg)
 {
     struct clip_state c = {.triangle = triangle, .window = window, .arg = arg};
     struct clip_polygon p;

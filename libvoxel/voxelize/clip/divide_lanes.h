@@ -1,49 +1,51 @@
 /* divide_lanes.h - divides small triangles among the voxels they touch, several side by side.
  *
- * The triangles of a batch span the same number of cells along each axis, so that all take the same
- * steps. No polygon is built: area and centroid of every piece are sums over its border (Green's
- * theorem), and the border's parts lie on the triangle's edges and on the lines in which planes
- * between cells cut the triangle. A part of a line has its place in closed form: the overlap of the
- * spans in which the line is within a cell along each of the other axes. Each counts for the piece
- * below the plane and, with the other sign, for the one above.
+ * The triangles of a batch span the same number of voxels along each axis, so all take the same
+ * steps. No polygon is built. Area and centroid of a fragment are sums over its border (Green's
+ * theorem). The border lies on the triangle's edges and on the lines where voxel planes cut the
+ * triangle. The part of such a line inside a voxel has a closed form: the overlap of the spans in
+ * which the line is within the voxel along the other axes. Each part counts for the fragment below
+ * the plane and, with the opposite sign, for the fragment above.
  *
  * Everything is measured in the plane of the corner weights with the first corner as origin, where
- * the two edges from there contribute nothing.
+ * the two edges from the origin contribute nothing.
  *
- * Where a corner or a crossing lies exactly on a plane, what is touched is a matter of half-open
- * boxes, and where a piece is tiny or lines are nearly parallel digits are lost; such triangles are
- * told apart as doubtful and left to clip.h, which is slower and has no such limits. */
+ * If a corner or a crossing lies exactly on a plane, half-open boxes decide what is touched. If a
+ * fragment is tiny or lines are nearly parallel, digits are lost. Such triangles are marked
+ * doubtful and left to clip.h, which is slower and has no such limits. */
 #ifndef VOX_VOXELIZE_CLIP_DIVIDE_LANES_H
 #define VOX_VOXELIZE_CLIP_DIVIDE_LANES_H
 
 #include "base/simd/simd.h"
 
-/* Planes that cut a triangle, along an axis. */
+/* Most planes that cut a triangle along an axis, and most voxels that it spans. */
 enum {
     DIVIDE_MAX_PLANES = 3,
     DIVIDE_MAX_CELLS = (DIVIDE_MAX_PLANES + 1) * (DIVIDE_MAX_PLANES + 1) * (DIVIDE_MAX_PLANES + 1)
 };
 
-/* Least share of the triangle's area that a piece has, and least change of a coordinate along a
- * line that crosses a plane, lest digits get lost: where both are at their least, a piece's
- * centroid is still within some millionths of the triangle's size. */
+/* Least share of the triangle's area that a fragment may have, and least change of a coordinate
+ * along a line that crosses a plane. Below, too many digits get lost. With both at these limits, a
+ * fragment's centroid is exact to some millionths of the triangle's size. */
 #define DIVIDE_LEAST_SHARE 1e-7
 #define DIVIDE_LEAST_SLOPE 1e-3
 
-/* Sums over a piece's border: twice its area, and its moments, in the plane of corner weights. */
-struct divide_piece {
+/* Sums over a fragment's border: twice its area, and its moments, in the plane of corner
+ * weights. */
+struct divide_fragment {
     doubles share; /* of the triangle's area */
     doubles
-        moment[2]; /* share times weight of the second and third corner at the centroid, times 3 */
+        moment[2]; /* 3 times share times weight of the second and third corner at the centroid */
 };
 
-/* Where a line, between parameters 0 and 1, is within each cell along an axis. */
+/* The spans of a line's parameter, from 0 to 1, inside each voxel along an axis. */
 struct divide_spans {
     doubles from[DIVIDE_MAX_PLANES + 1], to[DIVIDE_MAX_PLANES + 1];
-    doubles crossing[DIVIDE_MAX_PLANES]; /* of the planes */
+    doubles crossing[DIVIDE_MAX_PLANES]; /* parameters at the planes */
 };
 
-/* The line's coordinate is at + slope * parameter; cells are cut by planes 1 to planes. */
+/* Computes the spans of a line whose coordinate is at + slope * parameter. Planes 1 to `planes`
+ * separate the voxels. */
 LANES_INLINE void divide_line(doubles at, doubles slope, int planes, struct divide_spans *spans,
                               lane_mask *doubtful)
 {
@@ -53,8 +55,8 @@ LANES_INLINE void divide_line(doubles at, doubles slope, int planes, struct divi
         spans->to[0] = one;
         return;
     }
-    /* A coordinate that stays the same crosses nothing; signs of zero tell below from above then.
-     */
+    /* A constant coordinate crosses nothing. Then the signs of zero distinguish below from
+     * above. */
     lane_mask down = lanes_signs(slope);
     lane_mask flat = lanes_less(lanes_abs(slope), lanes_all(DIVIDE_LEAST_SLOPE));
     doubles inverse = 1.0 / slope, before = lanes_keep(down, one), end = one - before;
@@ -72,13 +74,13 @@ LANES_INLINE void divide_line(doubles at, doubles slope, int planes, struct divi
     spans->to[planes] = lanes_max(before, end);
 }
 
-/* Corner weights of the points where the triangle's border, followed from corner to corner, rises
- * through a plane and where it falls through it. */
+/* Corner weights of the points where the border, followed from corner to corner, rises through a
+ * plane and where it falls through it. */
 struct divide_cut {
     doubles rise[2], fall[2];
 };
 
-/* p: the corners' coordinates across the plane; inverse: of p[i] - p[i + 1]. */
+/* Finds these points. p: the corners' coordinates across the plane; inverse: of p[i] - p[i + 1]. */
 LANES_INLINE void divide_border(const doubles p[3], const doubles inverse[3], double plane,
                                 struct divide_cut *cut, lane_mask *doubtful)
 {
@@ -103,11 +105,11 @@ LANES_INLINE void divide_border(const doubles p[3], const doubles inverse[3], do
     cut->fall[1] = lanes_select(falls[1], t[1], lanes_keep(falls[2], rest2));
 }
 
-/* Adds the parts of the line in which one plane cuts the triangle. `below` is the first cell of the
- * layer below the plane; strides lead to the next cell across the plane, along q and along r. */
+/* Adds the line in which one plane cuts the triangle. below: the first voxel of the layer below the
+ * plane. stride: steps to the next voxel across the plane, along q and along r. */
 LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divide_spans *q,
                                  int q_cells, const struct divide_spans *r, int r_cells,
-                                 struct divide_piece *below, const int stride[3])
+                                 struct divide_fragment *below, const int stride[3])
 {
     doubles cross = cut->rise[0] * cut->fall[1] - cut->rise[1] * cut->fall[0];
     doubles twice[2], delta[2];
@@ -117,8 +119,8 @@ LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divi
     }
     for (int j = 0; j < q_cells; j++)
         for (int k = 0; k < r_cells; k++) {
-            struct divide_piece *lower = below + j * stride[1] + k * stride[2];
-            struct divide_piece *upper = lower + stride[0];
+            struct divide_fragment *lower = below + j * stride[1] + k * stride[2];
+            struct divide_fragment *upper = lower + stride[0];
             doubles from = lanes_max(q->from[j], r->from[k]), to = lanes_min(q->to[j], r->to[k]);
             doubles share = lanes_max(to - from, lanes_all(0.0)) * cross, sum = from + to;
             lower->share += share;
@@ -131,9 +133,9 @@ LANES_INLINE void divide_add_cut(const struct divide_cut *cut, const struct divi
         }
 }
 
-/* Begins the sums with the edge that does not begin at the origin: from (1, 0) to (0, 1). */
+/* Starts the sums with the edge that does not touch the origin: from (1, 0) to (0, 1). */
 LANES_INLINE void divide_edge(const struct divide_spans spans[3], const int cells[3],
-                              struct divide_piece *pieces)
+                              struct divide_fragment *fragments)
 {
     for (int i = 0; i < cells[0]; i++)
         for (int j = 0; j < cells[1]; j++) {
@@ -143,16 +145,16 @@ LANES_INLINE void divide_edge(const struct divide_spans spans[3], const int cell
                 doubles from = lanes_max(low, spans[2].from[k]);
                 doubles to = lanes_min(high, spans[2].to[k]);
                 doubles share = lanes_max(to - from, lanes_all(0.0)), sum = from + to;
-                pieces->share = share;
-                pieces->moment[0] = share * (2.0 - sum);
-                pieces->moment[1] = share * sum;
-                pieces++;
+                fragments->share = share;
+                fragments->moment[0] = share * (2.0 - sum);
+                fragments->moment[1] = share * sum;
+                fragments++;
             }
         }
 }
 
-/* Lines of two kinds that meet on a line of the third: a cell may be touched in that point alone.
- */
+/* Marks triangles in which lines of two kinds meet on a line of the third: a voxel may be touched
+ * in that point only. */
 LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_planes,
                                        const struct divide_spans *r, int r_planes,
                                        lane_mask *doubtful)
@@ -162,9 +164,10 @@ LANES_INLINE void divide_check_meeting(const struct divide_spans *q, int q_plane
             *doubtful |= lanes_equal(q->crossing[j], r->crossing[k]);
 }
 
-/* The lines of all planes across an axis. */
+/* Adds the lines of all planes across an axis. */
 LANES_INLINE void divide_axis(const doubles p[3][3], int axis, const int planes[3],
-                              const int stride[3], struct divide_piece *pieces, lane_mask *doubtful)
+                              const int stride[3], struct divide_fragment *fragments,
+                              lane_mask *doubtful)
 {
     const int q = (axis + 1) % 3, r = (axis + 2) % 3;
     const int strides[3] = {stride[axis], stride[q], stride[r]};
@@ -189,16 +192,17 @@ LANES_INLINE void divide_axis(const doubles p[3][3], int axis, const int planes[
         if (axis == 0)
             divide_check_meeting(&spans[0], planes[q], &spans[1], planes[r], doubtful);
         divide_add_cut(&cut, &spans[0], planes[q] + 1, &spans[1], planes[r] + 1,
-                       pieces + i * stride[axis], strides);
+                       fragments + i * stride[axis], strides);
     }
 }
 
-/* Divides triangles whose corners p[corner][axis] lie in cells 0 to planes[axis], counted from the
- * lowest that each touches. Cell (x, y, z) becomes pieces[(x * (planes[1] + 1) + y) * (planes[2] +
- * 1) + z]; divide_touching() tells of which triangles. Returns doubtful triangles, about whose
- * pieces nothing can be said, and the cells may tell of more. */
+/* Divides triangles whose corners p[corner][axis] lie in voxels 0 to planes[axis], relative to the
+ * lowest voxel that each touches. Voxel (x, y, z) becomes fragments[(x * (planes[1] + 1) + y) *
+ * (planes[2] + 1) + z]; divide_touching() returns which triangles touch it. Returns a mask of
+ * triangles that lie too close to a voxel plane for this path; the caller clips them exactly.
+ * divide_touching() may add to it. */
 LANES_INLINE lane_mask divide_small(const doubles p[3][3], const int planes[3],
-                                    struct divide_piece *pieces)
+                                    struct divide_fragment *fragments)
 {
     const int cells[3] = {planes[0] + 1, planes[1] + 1, planes[2] + 1};
     const int stride[3] = {cells[1] * cells[2], cells[2], 1};
@@ -206,19 +210,20 @@ LANES_INLINE lane_mask divide_small(const doubles p[3][3], const int planes[3],
     struct divide_spans edge[3];
     for (int a = 0; a < 3; a++)
         divide_line(p[1][a], p[2][a] - p[1][a], planes[a], &edge[a], &doubtful);
-    divide_edge(edge, cells, pieces);
-    /* Written out, lest the axis becomes a variable. */
-    divide_axis(p, 0, planes, stride, pieces, &doubtful);
-    divide_axis(p, 1, planes, stride, pieces, &doubtful);
-    divide_axis(p, 2, planes, stride, pieces, &doubtful);
+    divide_edge(edge, cells, fragments);
+    /* Written out, so that the axis is a constant. */
+    divide_axis(p, 0, planes, stride, fragments, &doubtful);
+    divide_axis(p, 1, planes, stride, fragments, &doubtful);
+    divide_axis(p, 2, planes, stride, fragments, &doubtful);
     return doubtful;
 }
 
-/* The triangles that touch the cell; with those for which that is not sure, doubtful. */
-LANES_INLINE lane_mask divide_touching(const struct divide_piece *piece, lane_mask *doubtful)
+/* Returns the triangles that touch the voxel. Adds those for which this is uncertain to
+ * `doubtful`. */
+LANES_INLINE lane_mask divide_touching(const struct divide_fragment *fragment, lane_mask *doubtful)
 {
-    lane_mask touching = lanes_less(lanes_all(DIVIDE_LEAST_SHARE), piece->share);
-    *doubtful |= ~(touching | lanes_equal(piece->share, lanes_all(0.0)));
+    lane_mask touching = lanes_less(lanes_all(DIVIDE_LEAST_SHARE), fragment->share);
+    *doubtful |= ~(touching | lanes_equal(fragment->share, lanes_all(0.0)));
     return touching;
 }
 

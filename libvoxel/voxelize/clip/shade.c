@@ -1,6 +1,8 @@
-/* shade.c - where the colour of a triangle comes from. What is linear over a triangle is
- * interpolated at the centroid of a piece, which gives the piece's mean exactly (shade_lanes.h); a
- * texture is averaged over the piece's extent instead. */
+/* shade.c - the colours of a scan.
+ *
+ * What is linear over a triangle is interpolated at a fragment's centroid, which gives the
+ * fragment's mean exactly (shade_lanes.h). A texture is averaged over the fragment's extent
+ * instead. */
 #include "libvoxel/voxelize/clip/shade.h"
 #include "base/srgb.h"
 
@@ -108,7 +110,7 @@ bool vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk
     return true;
 }
 
-/* ---- pieces ---- */
+/* ---- fragments ---- */
 
 int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
                       const double b[2], const double uv_extent[2], double rgb[3])

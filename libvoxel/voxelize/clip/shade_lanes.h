@@ -1,46 +1,48 @@
-/* shade_lanes.h - what the pieces of triangles add to their voxels.
+/* shade_lanes.h - what the fragments of triangles add to their voxels.
  *
- * What takes roots and quotients is found for several triangles, or pieces of several, at once.
- * What a piece adds is then a sum of rows of four, its triangle's, times numbers that are its own.
- * So it comes out in the form of the sums.
+ * Roots and quotients are computed for several triangles, or fragments of several triangles, side
+ * by side. A fragment then adds the triangle's rows of four, each times a number of the fragment,
+ * and comes out in the form of the sums.
  *
- * Where a value is q at the first corner and differs by d and e at the others, a piece's area times
- * the mean of that value over the piece is area * q + moment[0] * d + moment[1] * e. */
+ * If a value is q at the first corner and differs by d and e at the others, its mean over a
+ * fragment times the fragment's area is area * q + moment[0] * d + moment[1] * e. */
 #ifndef VOX_VOXELIZE_CLIP_SHADE_LANES_H
 #define VOX_VOXELIZE_CLIP_SHADE_LANES_H
 
 #include "libvoxel/voxelize/clip/fragment_block.h"
 #include "libvoxel/voxelize/clip/divide_lanes.h"
 
-/* What the weights of a triangle's pieces follow from. */
+/* From what the weights of a triangle's fragments are computed. */
 struct shade_weights {
-    doubles squares[3];    /* of the corners' normals */
-    doubles gaps[3];       /* of corners 01, 12, 20: squares of their normals' distances */
-    doubles agreements[3]; /* of the corners' normals with the plane's */
-    doubles rise[3];       /* of the surface they describe above the corners, in voxels */
-    /* Of corners 01, 12, 20: 4 times the height of the arc over the edge that has the corners'
+    doubles squares[3];    /* squared lengths of the corners' normals */
+    doubles gaps[3];       /* for corners 01, 12, 20: squared distances of their normals */
+    doubles agreements[3]; /* dot products of the corners' normals with the plane's */
+    doubles
+        rise[3]; /* height of the surface that the normals describe above the corners, in voxels */
+    /* For corners 01, 12, 20: 4 times the height of the arc over the edge that has the corners'
      * normals. */
     doubles arc[3];
 };
 
-/* Triangles side by side, in voxels from the lower corner of a cell of each. */
+/* Triangles side by side, in voxels relative to the lower corner of the lowest voxel of each. */
 struct shade_triangles {
     doubles p[3][3];    /* corner, axis */
-    doubles edge[2][3]; /* from the first corner to the others */
-    doubles flat[3];    /* unit normal of the plane, zero where there is no area */
+    doubles edge[2][3]; /* vectors from the first corner to the others */
+    doubles flat[3];    /* unit normal of the plane; zero without an area */
     doubles area;       /* in voxel faces, VOX_NO_AREA at least */
-    double grain_share; /* grain of a triangle with edges of a voxel, were it not 1 at most */
-    doubles grain;
+    double noise_share; /* facet-noise weight of a triangle with edges of one voxel, before the
+                           limit of 1 */
+    doubles noise;
     bool has_normals;
     bool curved;       /* so large that planes differ from the surface that the normals describe */
     double lift_limit; /* highest arc and rise, in voxels */
-    bool marked;       /* normals have grain, or planes that do not go with them are to be marked */
+    bool marked; /* normals have a facet-noise weight, or some planes are inconsistent with them */
     doubles normal[3][3]; /* corner, axis; unit */
     struct shade_weights weights;
-    lane_mask facet; /* the plane does not go with the normals, or is too far from that surface */
+    lane_mask facet; /* the plane is inconsistent with the normals, or too far from their surface */
     bool has_color;
     doubles rgb[3][3]; /* corner, channel; linear light */
-    doubles colored;   /* 1 where the triangle has a colour, else 0 */
+    doubles colored;   /* 1 if the triangle has a colour, else 0 */
 };
 
 /* ---- triangles ---- */
@@ -50,7 +52,7 @@ LANES_INLINE doubles shade_dot(const doubles a[3], const doubles b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Edges, plane, area and grain, from the corners. */
+/* Computes edges, plane, area and facet-noise weight from the corners. */
 LANES_INLINE void shade_measure(struct shade_triangles *t)
 {
     doubles n[3], *e = t->edge[0], *f = t->edge[1];
@@ -64,15 +66,15 @@ LANES_INLINE void shade_measure(struct shade_triangles *t)
     doubles length = lanes_sqrt(shade_dot(n, n));
     doubles scale = lanes_keep(lanes_less(lanes_all(0.0), length), 1.0 / length);
     t->area = lanes_max(0.5 * length, lanes_all(VOX_NO_AREA));
-    /* The mean square of the edges: the third is f - e. */
+    /* The mean square of the edges. The third edge is f - e. */
     doubles square = 2.0 / 3.0 * (shade_dot(e, e) + shade_dot(f, f) - shade_dot(e, f));
-    t->grain = lanes_min(t->grain_share * square, lanes_all(1.0));
+    t->noise = lanes_min(t->noise_share * square, lanes_all(1.0));
     for (int k = 0; k < 3; k++)
         t->flat[k] = n[k] * scale;
 }
 
-/* A corner without a normal has the triangle's own. Normals are believed even where the winding
- * says otherwise. */
+/* Gives corners without a normal the triangle's own. A normal is believed even if the winding
+ * contradicts it. */
 LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
 {
     for (int i = 0; i < 3; i++) {
@@ -82,7 +84,8 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
     }
 }
 
-/* What the lengths of interpolated normals follow from, and their agreement with the plane. */
+/* Computes what the lengths of interpolated normals, and their agreement with the plane, follow
+ * from. */
 LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
 {
     for (int i = 0; i < 3; i++) {
@@ -94,17 +97,15 @@ LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
     }
 }
 
-/* Highest arc over an edge, and highest rise above a corner, onto which pieces are lifted, in
- * voxels: they have to stay with their voxel. Close to the size of a voxel triangles need their
- * planes, as blended normals alone lose detail: waves of 10 triangles, each 1.6 voxels and with
- * slopes of 20 degrees, err by 0.32 degrees with the lower limit and by 0.11 with the higher one.
- */
+/* Limits of the arc over an edge and of the rise above a corner, in voxels, so that lifted
+ * fragments stay with their voxel. The second one holds for triangles close to the size of a voxel
+ * (docs/decisions/0020-when-voxels-need-planes-or-normals.md). */
 #define SHADE_LIFT_LIMIT       0.1
 #define SHADE_LIFT_LIMIT_CLOSE 0.2
 
 /* Measures how far the surface that the corners' normals describe lies from the triangle's plane.
- * Limited edge by edge and corner by corner, as what two triangles share must not depend on either.
- */
+ * The limits hold for single edges and corners, because what two triangles share must not depend on
+ * either of them. */
 LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
 {
     const doubles limit = lanes_all(4.0 * t->lift_limit), highest = lanes_all(t->lift_limit);
@@ -120,7 +121,7 @@ LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
     }
 }
 
-/* What follows from corners and their normals. */
+/* Computes all that follows from corners and their normals. */
 LANES_INLINE void shade_prepare(struct shade_triangles *t)
 {
     shade_measure(t);
@@ -132,7 +133,7 @@ LANES_INLINE void shade_prepare(struct shade_triangles *t)
         shade_measure_arcs(t);
 }
 
-/* ---- facts ---- */
+/* ---- rows ---- */
 
 LANES_INLINE void shade_put_row(struct block_facts *const facts[LANE_COUNT], enum block_row row,
                                 const doubles first[3], doubles fourth)
@@ -164,7 +165,7 @@ LANES_INLINE void shade_put_colors(const struct shade_triangles *t,
     shade_put_difference(facts, ROW_COLOR_CHANGE2, rgb[2], rgb[0]);
 }
 
-/* What the triangles' pieces have in common. */
+/* Writes the rows that each triangle's fragments share. */
 LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
                                   struct block_facts *const facts[LANE_COUNT])
 {
@@ -173,23 +174,23 @@ LANES_INLINE void shade_put_facts(const struct shade_triangles *t,
     shade_put_row(facts, ROW_CORNER, corner, lanes_all(1.0));
     shade_put_row(facts, ROW_EDGE1, t->edge[0], zero);
     shade_put_row(facts, ROW_EDGE2, t->edge[1], zero);
-    shade_put_row(facts, ROW_FLAT, t->flat, t->grain);
+    shade_put_row(facts, ROW_FLAT, t->flat, t->noise);
     if (t->has_normals) {
         shade_put_row(facts, ROW_NORMAL, t->normal[0], zero);
         shade_put_difference(facts, ROW_TURN1, t->normal[1], t->normal[0]);
         shade_put_difference(facts, ROW_TURN2, t->normal[2], t->normal[0]);
     }
     if (t->marked)
-        shade_put_row(facts, ROW_GRAIN, none,
-                      lanes_select(t->facet, lanes_all(VOX_SHADED), t->grain));
+        shade_put_row(facts, ROW_NOISE, none,
+                      lanes_select(t->facet, lanes_all(VOX_INCONSISTENT), t->noise));
     if (t->has_color)
         shade_put_colors(t, facts);
 }
 
-/* ---- pieces ---- */
+/* ---- fragments ---- */
 
 #if LANE_COUNT == 8
-/* Those of the triangles with these indices, of whose bits only the lowest matter. */
+/* Returns the weights of the triangles whose indices are in the low three bits of `which`. */
 LANES_INLINE struct shade_weights shade_pick(const struct shade_weights *from, bool curved,
                                              lane_ints which)
 {
@@ -205,18 +206,20 @@ LANES_INLINE struct shade_weights shade_pick(const struct shade_weights *from, b
 }
 #endif
 
-/* Directions count as far as they agree with the triangle's: then coverage tells how well a voxel's
- * plane stands for its surface.
+/* Computes the weights of fragments in the sums of normals and of centroids.
  *
- * Centres are moved from the triangle's plane onto the curved surface, so that the plane of a voxel
- * goes with its normal. At weights w the tangent plane of corner i is (p_i - p) . n_i away, and
- * half the mean of these is the height of a surface of constant curvature (Boubekeur & Alexa,
- * "Phong Tessellation", 2008, blend the same planes). With p = sum of w_i p_i that is half the sum
- * of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. Corners that are not on that surface take
- * their neighbourhood along.
+ * A direction counts as far as it agrees with the triangle's plane. So coverage says how well a
+ * voxel's plane stands for its surface.
  *
- * The square of the interpolated normal is the sum of w_i n_i^2 less that of w_i w_j (n_i - n_j)^2.
- * All is computed with weights times area. */
+ * Centroids are moved from the triangle's plane onto the curved surface, so that the plane of a
+ * voxel agrees with its normal. At corner weights w, the tangent plane of corner i is (p_i - p) .
+ * n_i away. Half the mean of these is the height of a surface of constant curvature; Boubekeur &
+ * Alexa, "Phong Tessellation", 2008, blend the same planes. With p = sum of w_i p_i it equals half
+ * the sum of w_i w_j (p_i - p_j) . (n_i - n_j) over the edges. The rise of the corners above their
+ * vertices is added.
+ *
+ * The squared length of the interpolated normal is the sum of w_i n_i^2 less the sum of w_i w_j
+ * (n_i - n_j)^2. All weights here are multiplied by the area. */
 LANES_INLINE void shade_weigh(const struct shade_weights *of, bool curved, doubles area,
                               const doubles moment[2], doubles *normal, doubles *center,
                               lane_mask *cancels)
@@ -231,7 +234,7 @@ LANES_INLINE void shade_weigh(const struct shade_weights *of, bool curved, doubl
         *center = (shade_dot(pairs, of->arc) + area * shade_dot(w, of->rise)) * inverse;
 }
 
-/* A row, and the two that follow it. */
+/* Three consecutive rows: a value at the first corner and its changes. */
 struct shade_rows {
     struct row row[3];
 };
@@ -247,16 +250,16 @@ LANES_INLINE struct shade_rows shade_rows(const struct block_facts *facts, enum 
         {shade_row(facts, row), shade_row(facts, row + 1), shade_row(facts, row + 2)}};
 }
 
-/* Area times mean over the piece of what is the first row at the first corner, and differs by the
- * others at the others. */
-LANES_INLINE struct row shade_mean(struct shade_rows rows, const struct block_piece *piece)
+/* Returns the area times the mean over the fragment of a value: the first row at the first corner,
+ * changed by the others at the others. */
+LANES_INLINE struct row shade_mean(struct shade_rows rows, const struct block_fragment *fragment)
 {
-    return row_sum(
-        row_sum(row_times(piece->area, rows.row[0]), row_times(piece->moment[0], rows.row[1])),
-        row_times(piece->moment[1], rows.row[2]));
+    return row_sum(row_sum(row_times(fragment->area, rows.row[0]),
+                           row_times(fragment->moment[0], rows.row[1])),
+                   row_times(fragment->moment[1], rows.row[2]));
 }
 
-/* Corners of cells from that of the lowest, by block_piece's number. */
+/* Lower corners of voxels relative to the lowest voxel, by the number in block_fragment.cell. */
 #define SHADE_CELLS_Z(x, y)                                                                        \
     {x, y, 0, 0}, {x, y, 1, 0}, {x, y, 2, 0},                                                      \
     {                                                                                              \
@@ -267,35 +270,36 @@ LANES_INLINE struct row shade_mean(struct shade_rows rows, const struct block_pi
 static const double shade_cells[64][4] = {SHADE_CELLS_Y(0), SHADE_CELLS_Y(1), SHADE_CELLS_Y(2),
                                           SHADE_CELLS_Y(3)};
 
-/* Area times centroid, from the centre of the cell, whose lower corner is `cell`. */
+/* Returns the area times the centroid, relative to the centre of the voxel with the lower corner
+ * `cell`. */
 LANES_INLINE struct row shade_center(const struct block_facts *facts,
-                                     const struct block_piece *piece, const double cell[4])
+                                     const struct block_fragment *fragment, const double cell[4])
 {
     struct shade_rows rows = shade_rows(facts, ROW_CORNER);
     rows.row[0] = row_difference(rows.row[0], row_load(cell));
-    return shade_mean(rows, piece);
+    return shade_mean(rows, fragment);
 }
 
-/* The sums for a piece that has the triangle's own normal. */
-LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block_piece *piece,
-                             const double cell[4], struct vox_piece_sum *sum)
+/* Computes the sums of a fragment that has the triangle's own normal. */
+LANES_INLINE void shade_flat(const struct block_facts *facts, const struct block_fragment *fragment,
+                             const double cell[4], struct vox_fragment_sum *sum)
 {
-    sum->normal = row_times(piece->area, shade_row(facts, ROW_FLAT));
-    sum->center = shade_center(facts, piece, cell);
+    sum->normal = row_times(fragment->area, shade_row(facts, ROW_FLAT));
+    sum->center = shade_center(facts, fragment, cell);
 }
 
-/* And for one with a normal that is interpolated. */
-LANES_INLINE void shade_smooth(const struct block_facts *facts, const struct block_piece *piece,
-                               const double cell[4], bool marked, bool curved,
-                               struct vox_piece_sum *sum)
+/* Computes the sums of a fragment with an interpolated normal. */
+LANES_INLINE void shade_smooth(const struct block_facts *facts,
+                               const struct block_fragment *fragment, const double cell[4],
+                               bool marked, bool curved, struct vox_fragment_sum *sum)
 {
-    struct row normal = shade_mean(shade_rows(facts, ROW_NORMAL), piece);
-    sum->normal = row_times(piece->normal_weight, normal);
-    sum->center = shade_center(facts, piece, cell);
+    struct row normal = shade_mean(shade_rows(facts, ROW_NORMAL), fragment);
+    sum->normal = row_times(fragment->normal_weight, normal);
+    sum->center = shade_center(facts, fragment, cell);
     if (marked)
-        sum->normal = row_sum(sum->normal, row_times(piece->area, shade_row(facts, ROW_GRAIN)));
+        sum->normal = row_sum(sum->normal, row_times(fragment->area, shade_row(facts, ROW_NOISE)));
     if (curved)
-        sum->center = row_sum(sum->center, row_times(piece->center_weight, normal));
+        sum->center = row_sum(sum->center, row_times(fragment->center_weight, normal));
 }
 
 #endif

@@ -19,12 +19,12 @@
  * size the transform is aligned to multiples of the size and nothing is clamped: a triangle on an
  * uppermost plane that is a multiple of the size belongs to the voxel above. */
 
-/* Voxels lo to hi, inclusive. */
+/* A box of voxels from lo to hi, inclusive. */
 struct vox_box {
     int32_t lo[3], hi[3];
 };
 
-/* Whether any voxel is in both. */
+/* Returns whether the boxes share a voxel. */
 static inline bool vox_boxes_meet(const struct vox_box *a, const struct vox_box *b)
 {
     bool apart = false;
@@ -33,44 +33,51 @@ static inline bool vox_boxes_meet(const struct vox_box *a, const struct vox_box 
     return !apart;
 }
 
-struct vox_lattice {
+struct vox_transform {
     double origin[3];      /* world position of the file's float positions */
     double start[3];       /* world position of the lower corner of voxel (0, 0, 0) */
     double h;              /* edge of a voxel in world units */
-    struct vox_box voxels; /* all that the scan may touch */
+    struct vox_box voxels; /* every voxel that the scan may touch */
 };
 
-/* Lattice of a scan for a resolution (voxels along the longest side) or, where that is 0, a voxel
- * size. Errors: BSQ_EUSAGE with the values where the size is no positive number or an index would
- * leave +-2^30; BSQ_EDATA where the scan has no extent to divide, or one too small or large for
- * voxels whose size and its inverse are float32. */
-int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
-                     uint32_t resolution, double voxel_size, struct vox_lattice *out);
+/* Places the voxels over a scan: by resolution (voxels along the longest side), or by voxel size if
+ * the resolution is 0. Errors: BSQ_EUSAGE with the values if the size is not a positive number or
+ * an index would leave +-2^30; BSQ_EDATA if the scan has no extent to divide, or needs voxels whose
+ * size or its inverse is not a normal float32. */
+int vox_transform_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
+                       uint32_t resolution, double voxel_size, struct vox_transform *out);
 
-/* Lattice coordinate of a file position on one axis; its floor, clamped to voxels, is the voxel. */
-static inline double vox_lattice_coordinate(const struct vox_lattice *lattice, float p, int axis)
+/* Returns the index-space coordinate of a file position on one axis. Its floor, clamped to the
+ * voxels of the transform, is the voxel. */
+static inline double vox_transform_coordinate(const struct vox_transform *transform, float p,
+                                              int axis)
 {
-    return ((lattice->origin[axis] + (double)p) - lattice->start[axis]) / lattice->h;
+    return ((transform->origin[axis] + (double)p) - transform->start[axis]) / transform->h;
 }
 
-/* Voxels that the positions between two corners may touch. */
-struct vox_box vox_lattice_box(const struct vox_lattice *lattice, const float min[3],
-                               const float max[3]);
+/* Returns the voxels that positions between two corners may touch. */
+struct vox_box vox_transform_box(const struct vox_transform *transform, const float min[3],
+                                 const float max[3]);
 
-/* ---- chunk boxes ---- */
+/* ---- chunk boxes ----
+ *
+ * The bounds of a chunk can reach across much empty space: around an outlier, or in a scan of few
+ * triangles. Visiting every region inside such bounds would take too long. Chunk boxes hold the
+ * triangles of a chunk more closely. */
 
-/* A run of a chunk's triangles. */
-struct vox_part {
+/* Bounds of consecutive triangles of a chunk, in voxels. */
+struct vox_chunk_box {
     struct vox_box box;
     uint32_t chunk;
 };
 
-/* *parts: of all chunks, whose bounds are in boxes, in ascending order; to be freed with
- * bsq_free(). Chunks that reach across many regions are read and cut into runs that do not, or that
- * are one triangle, while all takes no more than `bytes`. */
-int vox_parts_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                     const struct vox_lattice *lattice, const struct vox_box *boxes, uint64_t bytes,
-                     struct vox_part **parts, uint64_t *count);
+/* Creates the boxes of all chunks in ascending order of chunks; free them with bsq_free(). bounds:
+ * the voxels of each chunk's bounds. Chunks that reach across many regions are read and cut into
+ * boxes that do not, or that hold one triangle. The boxes and their schedule take at most `bytes`,
+ * unless one box a chunk needs more. */
+int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                           const struct vox_transform *transform, const struct vox_box *bounds,
+                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count);
 
 /* ---- the schedule ----
  *
@@ -78,7 +85,8 @@ int vox_parts_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
 
 enum { VOX_REGION_LOG2 = 7, VOX_REGION_SIZE = 1 << VOX_REGION_LOG2 };
 
-/* A region's place in the order of fmt_nvdb_append(): by 4096^3 tile, then inside the tile. */
+/* A region's place in the order of fmt_nvdb_append(): by tile of 4096^3 voxels, then inside the
+ * tile. */
 struct vox_region_key {
     uint64_t tile;
     uint32_t region;
@@ -90,26 +98,27 @@ static inline bool vox_region_before(struct vox_region_key a, struct vox_region_
     return a.tile != b.tile ? a.tile < b.tile : a.region < b.region;
 }
 
-/* Index of the region's first voxel. */
+/* Sets the index of the region's first voxel. */
 void vox_region_origin(struct vox_region_key key, int32_t origin[3]);
 
-/* The first region that a box of voxels touches. */
+/* Returns the first region that a box of voxels touches. */
 struct vox_region_key vox_region_first(const struct vox_box *box);
 
 struct vox_schedule;
 
-/* parts: in ascending order of chunks; stays the caller's and must outlive the schedule. */
-int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint64_t part_count,
+/* Creates a schedule. boxes: in ascending order of chunks; the caller keeps them until the schedule
+ * is destroyed. */
+int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
                         struct vox_schedule **out);
 void vox_schedule_destroy(struct vox_schedule *schedule); /* NULL is allowed */
 
-/* Bytes that a part takes in a schedule. */
+/* Returns the bytes that a schedule takes for each chunk box. */
 uint64_t vox_schedule_entry_bytes(void);
 
-/* The next region, false at the end. */
+/* Starts the next region. Returns false at the end. */
 bool vox_schedule_next(struct vox_schedule *schedule, struct vox_region_key *key);
-/* The next chunk of that region, in ascending order, false after the last one. after: the region
- * that those of its parts which touch this one touch next, VOX_REGION_KEY_NEVER where there is
+/* Gives the next chunk of that region, in ascending order. Returns false after the last one. after:
+ * the next region that the chunk's boxes in this region touch, VOX_REGION_KEY_NEVER if there is
  * none. */
 bool vox_schedule_chunk(struct vox_schedule *schedule, uint32_t *chunk,
                         struct vox_region_key *after);

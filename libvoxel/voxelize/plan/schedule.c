@@ -1,23 +1,23 @@
-/* schedule.c - merges the sequences of regions of all parts of chunks.
+/* schedule.c - merges the sequences of regions of all chunk boxes.
  *
- * A part touches the regions that its bounds overlap, and the successor of a region in that
- * sequence can be computed. So a heap with one entry a part, keyed by (next region, part), yields
- * the regions in order and for each its chunks in ascending order: no list of pairs is ever held,
- * and a grid that is huge and sparse costs nothing where there is no scan. */
+ * A box touches the regions that it overlaps, and the successor of a region in that sequence can be
+ * computed. A heap with one entry for each box, keyed by (next region, box), yields the regions in
+ * order and the chunks of each in ascending order. No list of pairs exists, and empty space costs
+ * nothing however large the grid is. */
 #include "libvoxel/voxelize/plan/plan.h"
 
-/* A tile has 32^3 regions. Tile numbers are below 2^18 in magnitude; as 19-bit two's complement
+/* A tile has 32^3 regions. Tile numbers are below 2^18 in magnitude. As 19-bit two's complement
  * they sort like the unsigned keys of the grid's root: first 0 and up, then the negative ones. */
 enum { TILE_LOG2 = 5, TILE_BITS = 19 };
 
 struct entry {
     struct vox_region_key key;
-    uint64_t part;
+    uint64_t box;
 };
 
 struct vox_schedule {
     struct bsq_ctx *ctx;
-    const struct vox_part *parts;
+    const struct vox_chunk_box *boxes;
     struct entry *heap;
     uint64_t count;
     struct vox_region_key current;
@@ -76,7 +76,8 @@ static int32_t first_tile(int32_t lo, int32_t hi)
     return lo < 0 && hi >= 0 ? 0 : lo;
 }
 
-/* Tile after `tile` among lo to hi in the order of the keys; false after the last. */
+/* Advances to the tile after `tile` among lo to hi, in the order of the keys. Returns false after
+ * the last one. */
 static bool next_tile(int32_t lo, int32_t hi, int32_t *tile)
 {
     if (*tile == hi && hi >= 0 && lo < 0) {
@@ -89,7 +90,7 @@ static bool next_tile(int32_t lo, int32_t hi, int32_t *tile)
     return true;
 }
 
-/* First region of the box in a tile, on one axis. */
+/* Returns the first region of the box in a tile, on one axis. */
 static int32_t enter_tile(const struct vox_box *box, int axis, int32_t tile)
 {
     return max32(region_of(box->lo[axis]), tile * (1 << TILE_LOG2));
@@ -134,10 +135,10 @@ static bool entry_before(const struct entry *a, const struct entry *b)
 {
     if (vox_region_before(a->key, b->key))
         return true;
-    return !vox_region_before(b->key, a->key) && a->part < b->part;
+    return !vox_region_before(b->key, a->key) && a->box < b->box;
 }
 
-/* Puts `entry` into the hole at `at`, moving smaller children up. */
+/* Puts `entry` into the hole at `at` and moves smaller children up. */
 static void sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
 {
     for (uint64_t child; (child = 2 * at + 1) < s->count; at = child) {
@@ -155,7 +156,7 @@ uint64_t vox_schedule_entry_bytes(void)
     return sizeof(struct entry);
 }
 
-int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint64_t part_count,
+int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
                         struct vox_schedule **out)
 {
     struct vox_schedule *s;
@@ -163,17 +164,17 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_part *parts, uint6
     int status = bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s);
     if (status < 0)
         return status;
-    if ((status = bsq_alloc(ctx, "region schedule", part_count + 1, sizeof *s->heap, &s->heap)) <
+    if ((status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap)) <
         0) {
         bsq_free(ctx, s);
         return status;
     }
     s->ctx = ctx;
-    s->parts = parts;
-    s->count = part_count;
-    for (uint64_t i = 0; i < part_count; i++)
-        s->heap[i] = (struct entry){vox_region_first(&parts[i].box), i};
-    for (uint64_t i = part_count / 2; i-- > 0;)
+    s->boxes = boxes;
+    s->count = box_count;
+    for (uint64_t i = 0; i < box_count; i++)
+        s->heap[i] = (struct entry){vox_region_first(&boxes[i].box), i};
+    for (uint64_t i = box_count / 2; i-- > 0;)
         sift_down(s, i, s->heap[i]);
     *out = s;
     return 0;
@@ -195,11 +196,11 @@ bool vox_schedule_next(struct vox_schedule *s, struct vox_region_key *key)
     return true;
 }
 
-/* Moves the first part of the heap to the next region of its own, and returns that. */
+/* Moves the first box of the heap to its next region, and returns that region. */
 static struct vox_region_key advance(struct vox_schedule *s)
 {
     struct entry entry = s->heap[0];
-    struct vox_region_key after = region_after(&s->parts[entry.part].box, entry.key);
+    struct vox_region_key after = region_after(&s->boxes[entry.box].box, entry.key);
     entry.key = after;
     if (after.tile == UINT64_MAX)
         entry = s->heap[--s->count];
@@ -212,10 +213,10 @@ bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, struct vox_regi
 {
     if (s->count == 0 || vox_region_before(s->current, s->heap[0].key))
         return false;
-    *chunk = s->parts[s->heap[0].part].chunk;
+    *chunk = s->boxes[s->heap[0].box].chunk;
     *after = VOX_REGION_KEY_NEVER;
     while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) &&
-           s->parts[s->heap[0].part].chunk == *chunk) {
+           s->boxes[s->heap[0].box].chunk == *chunk) {
         struct vox_region_key next = advance(s);
         if (vox_region_before(next, *after))
             *after = next;

@@ -1,18 +1,18 @@
-/* voxel_transform.c - places the voxel lattice over a scan.
+/* voxel_transform.c - places the voxels over a scan.
  *
- * The mapping is monotonic on each axis, since every operation in it is, so the voxels of a
- * triangle lie between those of its bounds whatever the rounding. */
+ * Every operation of the mapping is monotonic on each axis, so the voxels of a triangle lie between
+ * those of its bounds, whatever the rounding. */
 #include "libvoxel/voxelize/plan/plan.h"
 
 #include <float.h>
 #include <math.h>
 
-/* Indices keep clear of the ends of int32_t, so that neighbours and region origins do not
+/* Keeps indices clear of the ends of int32_t, so that neighbours and region origins do not
  * overflow. */
 static const double index_limit = 1073741824.0; /* 2^30 */
 
-/* An extent that is a whole number of voxels may come out as a little more; the plane that ends it
- * belongs to the last voxel, not to one of its own. */
+/* An extent of a whole number of voxels may come out a little larger by rounding. The plane at its
+ * end belongs to the last voxel. */
 static const double whole_tolerance = 1e-9;
 
 static int32_t clamp_index(double value, int32_t lo, int32_t hi)
@@ -21,7 +21,7 @@ static int32_t clamp_index(double value, int32_t lo, int32_t hi)
 }
 
 static int init_by_resolution(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
-                              const char *path, uint32_t resolution, struct vox_lattice *out)
+                              const char *path, uint32_t resolution, struct vox_transform *out)
 {
     double extent[3], longest = 0.0;
     for (int a = 0; a < 3; a++) {
@@ -50,15 +50,15 @@ static int init_by_resolution(struct bsq_ctx *ctx, const struct fmt_tris_header 
 }
 
 static int init_by_size(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
-                        double voxel_size, struct vox_lattice *out)
+                        double voxel_size, struct vox_transform *out)
 {
     if (!(voxel_size > 0.0) || !isfinite(voxel_size))
         return bsq_fail(ctx, BSQ_EUSAGE, "a voxel size of %g is not a positive number", voxel_size);
     out->h = voxel_size;
     for (int a = 0; a < 3; a++) {
         out->start[a] = 0.0;
-        double lo = floor(vox_lattice_coordinate(out, header->bounds_min[a], a));
-        double hi = floor(vox_lattice_coordinate(out, header->bounds_max[a], a));
+        double lo = floor(vox_transform_coordinate(out, header->bounds_min[a], a));
+        double hi = floor(vox_transform_coordinate(out, header->bounds_max[a], a));
         if (!(lo >= -index_limit) || !(hi < index_limit))
             return bsq_fail(
                 ctx, BSQ_EUSAGE,
@@ -71,8 +71,8 @@ static int init_by_size(struct bsq_ctx *ctx, const struct fmt_tris_header *heade
     return 0;
 }
 
-int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
-                     uint32_t resolution, double voxel_size, struct vox_lattice *out)
+int vox_transform_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, const char *path,
+                       uint32_t resolution, double voxel_size, struct vox_transform *out)
 {
     for (int a = 0; a < 3; a++)
         out->origin[a] = header->origin[a];
@@ -86,14 +86,14 @@ int vox_lattice_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header, 
     return status;
 }
 
-struct vox_box vox_lattice_box(const struct vox_lattice *lattice, const float min[3],
-                               const float max[3])
+struct vox_box vox_transform_box(const struct vox_transform *transform, const float min[3],
+                                 const float max[3])
 {
     struct vox_box box;
     for (int a = 0; a < 3; a++) {
-        int32_t lo = lattice->voxels.lo[a], hi = lattice->voxels.hi[a];
-        box.lo[a] = clamp_index(floor(vox_lattice_coordinate(lattice, min[a], a)), lo, hi);
-        box.hi[a] = clamp_index(floor(vox_lattice_coordinate(lattice, max[a], a)), lo, hi);
+        int32_t lo = transform->voxels.lo[a], hi = transform->voxels.hi[a];
+        box.lo[a] = clamp_index(floor(vox_transform_coordinate(transform, min[a], a)), lo, hi);
+        box.hi[a] = clamp_index(floor(vox_transform_coordinate(transform, max[a], a)), lo, hi);
     }
     return box;
 }

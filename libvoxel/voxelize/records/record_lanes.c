@@ -2,27 +2,27 @@
 #define SIMD_FLOATS LANE_COUNT
 #include "libvoxel/voxelize/records/region.h"
 
-/* Nearest integer, ties to even, of |x| < 2^22. */
+/* Rounds to the nearest integer, ties to even, for |x| < 2^22. */
 LANES_INLINE float_ints record_round_floats(floats x)
 {
     const int32_t bits = 0x4b400000; /* of 1.5 * 2^23 */
     return (float_ints)(x + 12582912.0f) - bits;
 }
 
-/* The same of |x| < 2^51. */
+/* The same for |x| < 2^51. */
 LANES_INLINE lane_ints record_round(doubles x)
 {
     const int64_t bits = INT64_C(0x4338000000000000); /* of 1.5 * 2^52 */
     return (lane_ints)(x + 6755399441055744.0) - bits;
 }
 
-/* 1 - magnitude, with the sign of `like`; +0 and -0 are positive. */
+/* Returns 1 - magnitude with the sign of `like`; both zeros count as positive. */
 LANES_INLINE floats record_fold(floats magnitude, floats like)
 {
     return (floats)((float_ints)(1.0f - magnitude) ^ ((like < 0.0f) & INT32_MIN));
 }
 
-/* bsq_oct_pack() of unit vectors. */
+/* Computes bsq_oct_pack() of unit vectors. */
 LANES_INLINE float_ints record_pack_normal(const doubles unit[3])
 {
     floats x = __builtin_convertvector(unit[0], floats);
@@ -60,12 +60,12 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], floa
     doubles d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
     d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
     doubles coverage = lanes_min(length / area, lanes_all(1.0));
-    lane_mask shaded = lanes_less(2.0 * area, sum[3]);
-    doubles grain = lanes_keep(~shaded, lanes_min(sum[3] / area, lanes_all(1.0)));
-    *plane = lanes_set_bits(shaded, record_round(d * 32767.0) & 0xffff,
+    lane_mask inconsistent = lanes_less(2.0 * area, sum[3]);
+    doubles noise = lanes_keep(~inconsistent, lanes_min(sum[3] / area, lanes_all(1.0)));
+    *plane = lanes_set_bits(inconsistent, record_round(d * 32767.0) & 0xffff,
                             lanes_all_bits(FMT_NVDB_PLANE_INCONSISTENT)) |
              record_round(coverage * 255.0) << 16 |
-             record_round(grain * FMT_NVDB_FACET_NOISE_MAX) << FMT_NVDB_FACET_NOISE_SHIFT;
+             record_round(noise * FMT_NVDB_FACET_NOISE_MAX) << FMT_NVDB_FACET_NOISE_SHIFT;
 }
 
 void BSQ_SIMD_NAME(vox_make_records)(const struct vox_sum *sums, const uint32_t *numbers,

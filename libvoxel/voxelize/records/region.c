@@ -1,8 +1,8 @@
-/* region.c - sums of the pieces in each voxel, and what becomes of them.
+/* region.c - the memory of a region's sums, and the records made from them.
  *
- * A wall thinner than a voxel has two sides whose normals would cancel. So a piece that faces away
- * from the voxel's record opens a second one. Because a record only takes pieces that do not face
- * away from it, its own sum cannot cancel. */
+ * A wall thinner than a voxel has two sides whose normals would cancel. So a fragment that faces
+ * away from the voxel's record opens a second one. A record only takes fragments that do not face
+ * away from it, so its own sum cannot cancel. */
 #include "libvoxel/voxelize/records/region.h"
 
 #include <math.h>
@@ -11,10 +11,10 @@
 /* A second record below this share of the first one's area is noise. */
 static const double second_share = 0.01;
 
-/* What all voxels of a brick, or of the region, take, and what is kept ready beyond. */
+/* Records for all voxels of a brick, or of the region, and those that are cleared ahead. */
 enum {
-    SUMS_MIN = 2 * VOX_BRICK_VOXELS + VOX_PIECES_AT_ONCE,
-    SUMS_MAX = 2 * VOX_BRICKS * VOX_BRICK_VOXELS + VOX_PIECES_AT_ONCE
+    SUMS_MIN = 2 * VOX_BRICK_VOXELS + VOX_FRAGMENTS_AT_ONCE,
+    SUMS_MAX = 2 * VOX_BRICKS * VOX_BRICK_VOXELS + VOX_FRAGMENTS_AT_ONCE
 };
 
 /* ---- memory ---- */
@@ -41,7 +41,7 @@ uint64_t vox_accumulator_bytes_max(bool has_color)
     return capacity_bytes(VOX_BRICKS, SUMS_MAX, has_color);
 }
 
-/* A surface leaves about 80 records in a brick, so most of the memory is theirs. */
+/* A surface leaves about 80 records in a brick, so records get most of the memory. */
 static void set_capacities(struct vox_accumulator *a, uint64_t bytes, bool has_color)
 {
     uint64_t bricks = bytes / 5 / sizeof(vox_brick);
@@ -99,10 +99,10 @@ void vox_accumulator_clear(struct vox_accumulator *a)
 
 /* ---- adding ---- */
 
-/* Records that are made ready together. */
-enum { READY_STEP = 2 * VOX_PIECES_AT_ONCE };
+/* Records that are cleared together. */
+enum { READY_STEP = 2 * VOX_FRAGMENTS_AT_ONCE };
 
-bool vox_accumulator_make_ready(struct vox_accumulator *a)
+bool vox_accumulator_clear_next(struct vox_accumulator *a)
 {
     uint32_t first = a->ready_count + 1, count = a->sum_capacity - a->ready_count;
     count = count < READY_STEP ? count : READY_STEP;
@@ -111,7 +111,7 @@ bool vox_accumulator_make_ready(struct vox_accumulator *a)
     if (a->colors)
         memset(&a->colors[first], 0, count * sizeof *a->colors);
     a->ready_count += count;
-    return a->ready_count - a->sum_count >= VOX_PIECES_AT_ONCE;
+    return a->ready_count - a->sum_count >= VOX_FRAGMENTS_AT_ONCE;
 }
 
 bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
@@ -123,22 +123,22 @@ bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
     return true;
 }
 
-/* Length of a normal times the cosine of its angle to a record's. */
-static double along(const struct vox_sum *piece, const struct vox_sum *sum)
+/* Returns the length of a normal times the cosine of its angle to a record's. */
+static double along(const struct vox_sum *fragment, const struct vox_sum *sum)
 {
     double length = sqrt(vox_dot(sum->normal, sum->normal));
-    return length > 0.0 ? vox_dot(piece->normal, sum->normal) / length : 0.0;
+    return length > 0.0 ? vox_dot(fragment->normal, sum->normal) / length : 0.0;
 }
 
 uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
-                                const struct vox_sum *piece)
+                                const struct vox_sum *fragment)
 {
     uint32_t second = a->others[first];
     if (second == 0)
         return a->others[first] = ++a->sum_count;
-    if (!vox_faces_away(row_load(piece->normal), piece->area, &a->sums[second]))
+    if (!vox_faces_away(row_load(fragment->normal), fragment->area, &a->sums[second]))
         return second;
-    return along(piece, &a->sums[second]) > along(piece, &a->sums[first]) ? second : first;
+    return along(fragment, &a->sums[second]) > along(fragment, &a->sums[first]) ? second : first;
 }
 
 /* ---- records ---- */
@@ -184,15 +184,14 @@ static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask
     }
 }
 
-/* The records of a brick's voxels: numbers of their sums. */
+/* The records of a brick's voxels, as numbers of their sums. */
 struct brick_records {
     uint32_t first_count, second_count;
     uint32_t first[VOX_BRICK_VOXELS], second[VOX_BRICK_VOXELS];
     bool has_second[VOX_BRICK_VOXELS];
 };
 
-/* The larger of a voxel's sums is its record, the other its second one where that is worth keeping.
- */
+/* Chooses a voxel's records: the larger of its sums, then the other one if it is worth keeping. */
 static void choose_records(const struct vox_accumulator *a, uint32_t number,
                            struct brick_records *chosen)
 {
@@ -217,7 +216,8 @@ static void make_records(const struct vox_accumulator *a, const uint32_t *number
         records[i].color = encode_color(&a->colors[numbers[i]], tables);
 }
 
-/* Sums are in the order in which voxels were first touched; they are asked for ahead of time. */
+/* Finds the touched voxels of a brick, and prefetches their sums, which lie in the order in which
+ * voxels were first touched. */
 static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, uint64_t mask[8])
 {
     for (uint32_t word = 0; word < 8; word++) {
@@ -262,7 +262,7 @@ static uint64_t count_seconds(const struct vox_accumulator *a)
     return count;
 }
 
-/* Makes room for so many more leaves and records. */
+/* Ensures capacity for this many more leaves and records. */
 static int grow_leaves(struct vox_leaves *l, uint64_t leaves, uint64_t records, uint64_t second)
 {
     int status;

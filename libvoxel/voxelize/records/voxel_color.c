@@ -1,5 +1,5 @@
-/* voxel_color.c - encoding by search instead of pow(): a coarse table gives a code that is not too
- * high, the exact boundaries do the rest. */
+/* voxel_color.c - tables that replace pow() by a search. A coarse table gives a code that is not
+ * too high; the exact boundaries do the rest. */
 #include "libvoxel/voxelize/records/voxel_color.h"
 #include "base/srgb.h"
 

@@ -1,4 +1,4 @@
-/* voxel_color.h - between 8-bit sRGB and linear light (IEC 61966-2-1). */
+/* voxel_color.h - converts between 8-bit sRGB and linear light (IEC 61966-2-1). */
 #ifndef VOX_VOXELIZE_RECORDS_VOXEL_COLOR_H
 #define VOX_VOXELIZE_RECORDS_VOXEL_COLOR_H
 
@@ -8,13 +8,14 @@ enum { VOX_COLOR_STEPS = 4096 };
 
 struct vox_color_tables {
     double to_linear[256];
-    double boundary[255]; /* linear value halfway, in sRGB, between code i and i + 1 */
+    double boundary[255]; /* linear value of the sRGB value halfway between codes i and i + 1 */
     uint8_t start[VOX_COLOR_STEPS + 1]; /* code of the linear value i / VOX_COLOR_STEPS */
 };
 
 void vox_color_tables_init(struct vox_color_tables *tables);
 
-/* Nearest 8-bit sRGB code of a linear value; values outside of [0, 1] are clamped, NaN gives 0. */
+/* Returns the nearest 8-bit sRGB code of a linear value. Values outside of [0, 1] are clamped; NaN
+ * gives 0. */
 static inline uint32_t vox_color_encode(const struct vox_color_tables *t, double linear)
 {
     if (!(linear > 0.0))

@@ -69,12 +69,13 @@ static int tear_down(void **state)
 static double estimate(const struct fixture *f, double voxel_size, uint64_t chunks_max)
 {
     struct fmt_tris_file *file;
-    struct vox_lattice lattice;
+    struct vox_transform transform;
     double voxels;
     assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
     assert_int_equal(
-        vox_lattice_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &lattice), 0);
-    assert_int_equal(vox_estimate_voxels(f->ctx, file, &lattice, chunks_max, &voxels), 0);
+        vox_transform_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &transform),
+        0);
+    assert_int_equal(vox_estimate_voxels(f->ctx, file, &transform, chunks_max, &voxels), 0);
     fmt_tris_close(file);
     return voxels;
 }
@@ -82,13 +83,14 @@ static double estimate(const struct fixture *f, double voxel_size, uint64_t chun
 static int check(struct fixture *f, double voxel_size)
 {
     struct fmt_tris_file *file;
-    struct vox_lattice lattice;
+    struct vox_transform transform;
     f->warnings = 0;
     bsq_clear_error(f->ctx);
     assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
     assert_int_equal(
-        vox_lattice_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &lattice), 0);
-    int status = vox_estimate_check(f->ctx, file, &lattice, false, f->grid);
+        vox_transform_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &transform),
+        0);
+    int status = vox_estimate_check(f->ctx, file, &transform, false, f->grid);
     fmt_tris_close(file);
     return status;
 }

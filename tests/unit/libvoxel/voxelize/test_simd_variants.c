@@ -34,8 +34,8 @@ static void random_sum(uint64_t *seed, struct vox_sum *sum)
     sum->area = sqrt(length) * (1.0 + scan_random(seed));
     for (int k = 0; k < 3; k++)
         sum->center[k] = sum->area * (2.0 * scan_random(seed) - 1.0);
-    sum->grain =
-        sum->area * (scan_random(seed) < 0.1 ? VOX_SHADED * VOX_NO_AREA : scan_random(seed));
+    sum->noise =
+        sum->area * (scan_random(seed) < 0.1 ? VOX_INCONSISTENT * VOX_NO_AREA : scan_random(seed));
 }
 
 /* As struct fmt_nvdb_record describes them, one at a time. */
@@ -52,9 +52,9 @@ static struct fmt_nvdb_record expected_record(const struct vox_sum *sum)
         .plane = (uint32_t)lrint(fmin(fmax(d, -0.87), 0.87) * 32767.0) & 0xffff,
     };
     record.plane |= (uint32_t)lrint(fmin(length / sum->area, 1.0) * 255.0) << 16;
-    record.plane |= sum->grain > 2.0 * sum->area
+    record.plane |= sum->noise > 2.0 * sum->area
                         ? FMT_NVDB_PLANE_INCONSISTENT
-                        : (uint32_t)lrint(sum->grain / sum->area * 7.0) << 26;
+                        : (uint32_t)lrint(sum->noise / sum->area * 7.0) << 26;
     return record;
 }
 
@@ -102,7 +102,7 @@ struct soup {
     uint32_t colors[3 * TRIANGLES];
     uint32_t triangles[TRIANGLES][3];
     struct vox_box groups[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
-    bool stray[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
+    bool inconsistent[TRIANGLES / VOX_GROUP_TRIANGLES + 1];
 };
 
 static void make_soup(struct soup *soup)
@@ -125,7 +125,7 @@ static void make_soup(struct soup *soup)
     }
     for (uint32_t g = 0; g * VOX_GROUP_TRIANGLES < TRIANGLES; g++) {
         soup->groups[g] = (struct vox_box){{-99, -99, -99}, {999, 999, 999}};
-        soup->stray[g] = g % 3 == 0;
+        soup->inconsistent[g] = g % 3 == 0;
     }
 }
 
@@ -135,10 +135,10 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     struct vox_shading shading;
     struct vox_box region = {{0, 0, 0}, {127, 127, 127}}, window = {{0, 8, 0}, {127, 119, 127}};
     struct vox_accumulator *sums[LEVELS];
-    struct vox_block *block;
+    struct vox_fragment_block *block;
     const size_t count = level_count();
     assert_int_equal(vox_shading_init(ctx, &header, 0, &shading), 0);
-    assert_int_equal(vox_block_create(ctx, &block), 0);
+    assert_int_equal(vox_fragment_block_create(ctx, &block), 0);
     for (size_t c = 0; c < count; c++) {
         uint64_t counted = 0;
         assert_int_equal(vox_accumulator_create(ctx, 64 << 20, true, &sums[c]), 0);
@@ -159,7 +159,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     }
     for (size_t c = 0; c < count; c++)
         vox_accumulator_destroy(sums[c]);
-    vox_block_destroy(ctx, block);
+    vox_fragment_block_destroy(ctx, block);
     vox_shading_free(ctx, &shading);
 }
 
@@ -185,11 +185,11 @@ static void test_sums(void **state)
     check_sums(ctx, &chunk);
     chunk.normals = (const float(*)[4])soup->normals;
     check_sums(ctx, &chunk);
-    chunk.stray = soup->stray;
+    chunk.inconsistent = soup->inconsistent;
     check_sums(ctx, &chunk);
     chunk.coarse = true;
     check_sums(ctx, &chunk);
-    chunk.stray = NULL;
+    chunk.inconsistent = NULL;
     check_sums(ctx, &chunk);
     free(soup);
     bsq_ctx_destroy(ctx);

@@ -101,9 +101,9 @@ static void test_grain_follows_the_triangles(void **state)
         double side, share;
     } cases[] = {{0.125, 2.7}, {0.25, 2.7}, {0.5, 2.7}, {1.0, 0.4}, {1.25, 0.4}, {2.0, 0.4}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        double grain = cases[i].share * 4.0 / 3.0 * cases[i].side * cases[i].side;
+        double noise = cases[i].share * 4.0 / 3.0 * cases[i].side * cases[i].side;
         assert_int_equal(grain_of_squares(*state, cases[i].side, false),
-                         lrint(7.0 * fmin(grain, 1.0)));
+                         lrint(7.0 * fmin(noise, 1.0)));
         assert_int_equal(grain_of_squares(*state, cases[i].side, true), 0);
     }
 }
@@ -193,7 +193,7 @@ static void write_ramp(const struct vox_fixture *f)
     assert_int_equal(fmt_image_commit(writer), 0);
 }
 
-static void test_texture_is_sampled_where_the_piece_lies(void **state)
+static void test_texture_is_sampled_where_the_fragment_lies(void **state)
 {
     struct vox_fixture *f = *state;
     write_ramp(f);
@@ -250,7 +250,7 @@ int main(void)
         TEST(test_grain_follows_the_triangles),
         TEST(test_vertex_colors_are_mixed_in_linear_light),
         TEST(test_materials_color_what_has_no_other),
-        TEST(test_texture_is_sampled_where_the_piece_lies),
+        TEST(test_texture_is_sampled_where_the_fragment_lies),
         TEST(test_missing_texture),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

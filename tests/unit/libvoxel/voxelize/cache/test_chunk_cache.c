@@ -17,9 +17,9 @@ struct fixture {
     char directory[64], tris[96];
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
-    struct vox_lattice lattice;
+    struct vox_transform transform;
     struct vox_smooth *smooth;
-    struct vox_part parts[CHUNKS];
+    struct vox_chunk_box boxes[CHUNKS];
     struct vox_chunks *chunks;
 };
 
@@ -57,14 +57,14 @@ static int set_up(void **state)
     assert_int_equal(fmt_tris_open(f->ctx, f->tris, &f->file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(f->file);
     assert_int_equal(header->chunk_count, CHUNKS);
-    assert_int_equal(vox_lattice_init(f->ctx, header, f->tris, 0, 0.1, &f->lattice), 0);
+    assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 0, 0.1, &f->transform), 0);
     assert_int_equal(vox_smooth_create(f->ctx, f->file, 1, 1 << 20, &f->smooth), 0);
     for (uint32_t i = 0; i < CHUNKS; i++)
-        f->parts[i].chunk = i;
-    f->parts[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};
-    assert_int_equal(
-        vox_chunks_create(f->ctx, f->file, &f->lattice, f->parts, CHUNKS, f->smooth, 2, &f->chunks),
-        0);
+        f->boxes[i].chunk = i;
+    f->boxes[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};
+    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, f->smooth,
+                                       2, &f->chunks),
+                     0);
     *state = f;
     return 0;
 }

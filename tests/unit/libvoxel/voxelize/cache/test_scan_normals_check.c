@@ -38,11 +38,11 @@ static void make_waves(double edge, double height, double turn, double extra, do
     }
 }
 
-static bool stray(void)
+static bool inconsistent(void)
 {
     const struct vox_own_normals of = {(const uint32_t(*)[3])triangles, (const double(*)[4])points,
                                        (const float(*)[4])normals};
-    return vox_own_normals_stray(&of, 0, TRIANGLES);
+    return vox_own_normals_inconsistent(&of, 0, TRIANGLES);
 }
 
 /* Triangles from a quarter of a voxel to two, waves of 16 of them or more with slopes up to 20
@@ -54,7 +54,7 @@ static void test_normals_of_the_surface_go_with_its_triangles(void **state)
         for (double wave = 16.0; wave <= 64.0; wave *= 2.0) {
             const double turn = 6.283185307 / (wave * edge);
             make_waves(edge, 0.36 / turn, turn, 0.0, 0.0);
-            assert_false(stray());
+            assert_false(inconsistent());
         }
 }
 
@@ -65,7 +65,7 @@ static void test_normals_that_lean_do_not(void **state)
     for (double edge = 0.25; edge <= 2.0; edge *= 2.0)
         for (double height = 0.0; height < 1.0; height += 0.9) {
             make_waves(edge, height, 6.283185307 / 16.0, 0.035, 0.0);
-            assert_true(stray());
+            assert_true(inconsistent());
         }
 }
 
@@ -74,7 +74,7 @@ static void test_rounding_is_no_contradiction(void **state)
 {
     (void)state;
     make_waves(0.25, 0.9, 6.283185307 / 16.0, 0.0, 0.01);
-    assert_false(stray());
+    assert_false(inconsistent());
 }
 
 /* Where waves are as short as 4 voxels the planes are worth more than 2 degrees. */
@@ -82,14 +82,14 @@ static void test_planes_of_short_waves_are_kept(void **state)
 {
     (void)state;
     make_waves(0.25, 0.23, 6.283185307 / 4.0, 0.035, 0.0);
-    assert_false(stray());
+    assert_false(inconsistent());
 }
 
 static void test_no_area_is_no_contradiction(void **state)
 {
     (void)state;
     make_waves(0.0, 0.0, 1.0, 0.5, 0.0);
-    assert_false(stray());
+    assert_false(inconsistent());
 }
 
 int main(void)

@@ -25,7 +25,7 @@ struct fixture {
     char directory[64], tris[96];
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
-    struct vox_lattice lattice;
+    struct vox_transform transform;
     struct vox_smooth *smooth;
     struct scan_mesh mesh;
     uint32_t chunk_count, lent;
@@ -43,9 +43,9 @@ static void decode(struct fixture *f, uint32_t index)
     double(*points)[4] = calloc(d->chunk.vertex_count, sizeof *points);
     for (uint32_t v = 0; v < d->chunk.vertex_count; v++)
         for (int a = 0; a < 3; a++)
-            points[v][a] = vox_lattice_coordinate(&f->lattice, d->chunk.positions[v][a], a);
-    int32_t last[4] = {f->lattice.voxels.hi[0], f->lattice.voxels.hi[1], f->lattice.voxels.hi[2],
-                       0};
+            points[v][a] = vox_transform_coordinate(&f->transform, d->chunk.positions[v][a], a);
+    int32_t last[4] = {f->transform.voxels.hi[0], f->transform.voxels.hi[1],
+                       f->transform.voxels.hi[2], 0};
     d->triangle_groups = calloc(vox_group_count(d->chunk.triangle_count, VOX_GROUP_TRIANGLES),
                                 sizeof *d->triangle_groups);
     d->vertex_groups = calloc(vox_group_count(d->chunk.vertex_count, VOX_GROUP_VERTICES),
@@ -85,7 +85,7 @@ static void begin(struct fixture *f, uint32_t chunk_triangles)
     const struct fmt_tris_header *header = fmt_tris_get_header(f->file);
     f->chunk_count = (uint32_t)header->chunk_count;
     assert_true(f->chunk_count > 1 && f->chunk_count <= CHUNKS_MAX);
-    assert_int_equal(vox_lattice_init(f->ctx, header, f->tris, 100, 0.0, &f->lattice), 0);
+    assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 100, 0.0, &f->transform), 0);
     assert_int_equal(vox_smooth_create(f->ctx, f->file, 1, 1 << 20, &f->smooth), 0);
     for (uint32_t i = 0; i < f->chunk_count; i++)
         decode(f, i);
@@ -149,10 +149,11 @@ static void check(struct fixture *f)
         const size_t bytes = chunk->vertex_count * sizeof(float[4]);
         float(*normals)[4] = malloc(bytes), (*read)[4] = malloc(bytes);
         f->lends = true;
-        assert_int_equal(vox_smooth_normals(f->smooth, &lender, i, chunk, &f->lattice, normals), 0);
+        assert_int_equal(vox_smooth_normals(f->smooth, &lender, i, chunk, &f->transform, normals),
+                         0);
         assert_int_equal(f->lent, 0);
         f->lends = false;
-        assert_int_equal(vox_smooth_normals(f->smooth, &lender, i, chunk, &f->lattice, read), 0);
+        assert_int_equal(vox_smooth_normals(f->smooth, &lender, i, chunk, &f->transform, read), 0);
         assert_memory_equal(normals, read, bytes);
         for (uint32_t v = 0; v < chunk->vertex_count; v++) {
             double expected[3];

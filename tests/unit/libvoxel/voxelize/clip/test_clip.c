@@ -12,14 +12,14 @@
 #include <string.h>
 #include <cmocka.h>
 
-enum { MAX_PIECES = 20000 };
+enum { MAX_FRAGMENTS = 20000 };
 
-struct pieces {
+struct fragments {
     uint32_t count;
-    struct vox_piece piece[MAX_PIECES];
+    struct vox_fragment fragment[MAX_FRAGMENTS];
 };
 
-static struct pieces *results[2];
+static struct fragments *results[2];
 
 static int set_up(void **state)
 {
@@ -37,14 +37,14 @@ static int tear_down(void **state)
     return 0;
 }
 
-static int collect(void *arg, const struct vox_piece *piece)
+static int collect(void *arg, const struct vox_fragment *fragment)
 {
-    struct pieces *pieces = arg;
-    assert_true(pieces->count < MAX_PIECES);
-    struct vox_piece *to = &pieces->piece[pieces->count++];
-    memcpy(to->cell, piece->cell, sizeof to->cell);
-    to->fraction = piece->fraction;
-    memcpy(to->b, piece->b, sizeof to->b);
+    struct fragments *fragments = arg;
+    assert_true(fragments->count < MAX_FRAGMENTS);
+    struct vox_fragment *to = &fragments->fragment[fragments->count++];
+    memcpy(to->cell, fragment->cell, sizeof to->cell);
+    to->fraction = fragment->fraction;
+    memcpy(to->b, fragment->b, sizeof to->b);
     return 0;
 }
 
@@ -61,26 +61,27 @@ static struct vox_box cells_of(const double (*c)[3])
 }
 
 static void clip(const double (*c)[3], const struct vox_box *region, const struct vox_box *window,
-                 struct pieces *out)
+                 struct fragments *out)
 {
     struct vox_box cells = cells_of(c);
     struct vox_clip_triangle triangle = {.corner = {c[0], c[1], c[2]}, .cells = &cells};
     assert_int_equal(vox_clip(&triangle, region, window, collect, out), 0);
 }
 
-static struct pieces *clip_all(const double (*c)[3])
+static struct fragments *clip_all(const double (*c)[3])
 {
     results[0]->count = 0;
     clip(c, &everywhere, &everywhere, results[0]);
     return results[0];
 }
 
-static const struct vox_piece *find(const struct pieces *pieces, int32_t x, int32_t y, int32_t z)
+static const struct vox_fragment *find(const struct fragments *fragments, int32_t x, int32_t y,
+                                       int32_t z)
 {
-    for (uint32_t i = 0; i < pieces->count; i++)
-        if (pieces->piece[i].cell[0] == x && pieces->piece[i].cell[1] == y &&
-            pieces->piece[i].cell[2] == z)
-            return &pieces->piece[i];
+    for (uint32_t i = 0; i < fragments->count; i++)
+        if (fragments->fragment[i].cell[0] == x && fragments->fragment[i].cell[1] == y &&
+            fragments->fragment[i].cell[2] == z)
+            return &fragments->fragment[i];
     return NULL;
 }
 
@@ -140,13 +141,13 @@ static double separation(const double (*c)[3], const int32_t cell[3])
 static void check_against_axes(const double (*c)[3])
 {
     const double tolerance = 1e-9;
-    const struct pieces *pieces = clip_all(c);
+    const struct fragments *fragments = clip_all(c);
     struct vox_box cells = cells_of(c);
     for (int32_t x = cells.lo[0] - 1; x <= cells.hi[0] + 1; x++)
         for (int32_t y = cells.lo[1] - 1; y <= cells.hi[1] + 1; y++)
             for (int32_t z = cells.lo[2] - 1; z <= cells.hi[2] + 1; z++) {
                 double gap = separation(c, (int32_t[3]){x, y, z});
-                bool set = find(pieces, x, y, z) != NULL;
+                bool set = find(fragments, x, y, z) != NULL;
                 if (gap < -tolerance)
                     assert_true(set);
                 else if (gap > tolerance)
@@ -170,11 +171,11 @@ static void test_same_voxels_as_separating_axes(void **state)
 
 /* ---- what holds of any division ---- */
 
-static void check_division(const double (*c)[3], const struct pieces *pieces)
+static void check_division(const double (*c)[3], const struct fragments *fragments)
 {
     double area = 0.0, moment[2] = {0.0, 0.0};
-    for (uint32_t i = 0; i < pieces->count; i++) {
-        const struct vox_piece *p = &pieces->piece[i];
+    for (uint32_t i = 0; i < fragments->count; i++) {
+        const struct vox_fragment *p = &fragments->fragment[i];
         area += p->fraction;
         for (int k = 0; k < 2; k++)
             moment[k] += p->fraction * p->b[k];
@@ -187,7 +188,7 @@ static void check_division(const double (*c)[3], const struct pieces *pieces)
     assert_true(fabs(moment[0] - 1.0 / 3.0) < 1e-12 && fabs(moment[1] - 1.0 / 3.0) < 1e-12);
 }
 
-static void test_pieces_add_up(void **state)
+static void test_fragments_add_up(void **state)
 {
     (void)state;
     uint64_t seed = 77;
@@ -216,7 +217,7 @@ static void test_needles_add_up(void **state)
 
 /* ---- regions and windows ---- */
 
-static void test_window_does_not_change_pieces(void **state)
+static void test_window_does_not_change_fragments(void **state)
 {
     (void)state;
     uint64_t seed = 99;
@@ -236,14 +237,14 @@ static void test_window_does_not_change_pieces(void **state)
         clip((const double(*)[3])c, &region, &window, results[1]);
         uint32_t found = 0;
         for (uint32_t k = 0; k < results[0]->count; k++) {
-            const struct vox_piece *p = &results[0]->piece[k];
+            const struct vox_fragment *p = &results[0]->fragment[k];
             bool inside = true;
             for (int a = 0; a < 3; a++)
                 inside = inside && p->cell[a] >= window.lo[a] && p->cell[a] <= window.hi[a];
             if (!inside)
                 continue;
             assert_true(found < results[1]->count);
-            const struct vox_piece *q = &results[1]->piece[found++];
+            const struct vox_fragment *q = &results[1]->fragment[found++];
             assert_memory_equal(p->cell, q->cell, sizeof p->cell);
             assert_memory_equal(&p->fraction, &q->fraction, sizeof p->fraction);
             assert_memory_equal(p->b, q->b, sizeof p->b);
@@ -269,9 +270,9 @@ static void test_regions_share_a_triangle(void **state)
                 }
         check_division((const double(*)[3])c, results[0]);
         for (uint32_t k = 0; k < results[0]->count; k++)
-            assert_ptr_equal(find(results[0], results[0]->piece[k].cell[0],
-                                  results[0]->piece[k].cell[1], results[0]->piece[k].cell[2]),
-                             &results[0]->piece[k]);
+            assert_ptr_equal(find(results[0], results[0]->fragment[k].cell[0],
+                                  results[0]->fragment[k].cell[1], results[0]->fragment[k].cell[2]),
+                             &results[0]->fragment[k]);
         results[1]->count = 0;
         clip((const double(*)[3])c, &everywhere, &everywhere, results[1]);
         assert_int_equal(results[0]->count, results[1]->count);
@@ -295,36 +296,37 @@ static bool put_in_lane(const double (*c)[3], int lane, doubles p[3][3], int pla
 }
 
 /* Divides, and returns all doubtful triangles. */
-static lane_mask divide(const doubles p[3][3], const int planes[3], struct divide_piece *pieces)
+static lane_mask divide(const doubles p[3][3], const int planes[3],
+                        struct divide_fragment *fragments)
 {
-    lane_mask doubtful = divide_small(p, planes, pieces);
+    lane_mask doubtful = divide_small(p, planes, fragments);
     for (int i = 0; i < (planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1); i++)
-        divide_touching(&pieces[i], &doubtful);
+        divide_touching(&fragments[i], &doubtful);
     return doubtful;
 }
 
 /* The pieces of one lane against those that cutting polygons yields. */
 static void check_lane(const double (*c)[3], int lane, const int planes[3],
-                       const struct divide_piece *piece)
+                       const struct divide_fragment *fragment)
 {
-    const struct pieces *pieces = clip_all(c);
+    const struct fragments *fragments = clip_all(c);
     struct vox_box cells = cells_of(c);
     uint32_t count = 0;
     for (int x = 0; x <= planes[0]; x++)
         for (int y = 0; y <= planes[1]; y++)
-            for (int z = 0; z <= planes[2]; z++, piece++) {
-                const struct vox_piece *expected =
-                    find(pieces, cells.lo[0] + x, cells.lo[1] + y, cells.lo[2] + z);
-                assert_true((piece->share[lane] != 0.0) == (expected != NULL));
+            for (int z = 0; z <= planes[2]; z++, fragment++) {
+                const struct vox_fragment *expected =
+                    find(fragments, cells.lo[0] + x, cells.lo[1] + y, cells.lo[2] + z);
+                assert_true((fragment->share[lane] != 0.0) == (expected != NULL));
                 if (!expected)
                     continue;
                 count++;
-                assert_true(fabs(piece->share[lane] - expected->fraction) < 1e-11);
+                assert_true(fabs(fragment->share[lane] - expected->fraction) < 1e-11);
                 for (int k = 0; k < 2; k++)
-                    assert_true(fabs(piece->moment[k][lane] / (3.0 * piece->share[lane]) -
+                    assert_true(fabs(fragment->moment[k][lane] / (3.0 * fragment->share[lane]) -
                                      expected->b[k]) < 1e-7);
             }
-    assert_int_equal(count, pieces->count);
+    assert_int_equal(count, fragments->count);
 }
 
 /* Different triangles in the lanes, of one kind. Few may be doubtful. */
@@ -349,15 +351,15 @@ static void test_small_triangles_side_by_side(void **state)
         if (*count < LANE_COUNT)
             continue;
         *count = 0;
-        struct divide_piece pieces[DIVIDE_MAX_CELLS];
+        struct divide_fragment fragments[DIVIDE_MAX_CELLS];
         for (int l = 0; l < LANE_COUNT; l++)
             put_in_lane((const double(*)[3])batch[l], l, p, planes);
-        lane_mask doubt = divide((const doubles(*)[3])p, planes, pieces);
+        lane_mask doubt = divide((const doubles(*)[3])p, planes, fragments);
         for (int l = 0; l < LANE_COUNT; l++) {
             checked++;
             doubtful += lanes_bits(doubt) >> l & 1;
             if (!(lanes_bits(doubt) >> l & 1))
-                check_lane((const double(*)[3])batch[l], l, planes, pieces);
+                check_lane((const double(*)[3])batch[l], l, planes, fragments);
         }
     }
     assert_true(checked > 20000);
@@ -376,12 +378,12 @@ static void test_touching_planes_is_doubtful(void **state)
         {{0.5, 0.5, 2.0}, {0.5, 2.0, 0.5}, {2.0, 0.5, 0.5}},
     };
     for (size_t i = 0; i < sizeof table / sizeof table[0]; i++) {
-        struct divide_piece pieces[DIVIDE_MAX_CELLS];
+        struct divide_fragment fragments[DIVIDE_MAX_CELLS];
         doubles p[3][3];
         int planes[3];
         for (int l = 0; l < LANE_COUNT; l++)
             assert_true(put_in_lane(table[i], l, p, planes));
-        lane_mask doubt = divide((const doubles(*)[3])p, planes, pieces);
+        lane_mask doubt = divide((const doubles(*)[3])p, planes, fragments);
         for (int l = 0; l < LANE_COUNT; l++)
             assert_true(lanes_bits(doubt) >> l & 1);
     }
@@ -398,12 +400,12 @@ static void test_plane_on_a_border_fills_the_upper_layer(void **state)
         for (int i = 0; i < 3; i++)
             for (int a = 0; a < 3; a++)
                 turned[i][(a + axis) % 3] = c[i][a];
-        const struct pieces *pieces = clip_all((const double(*)[3])turned);
+        const struct fragments *fragments = clip_all((const double(*)[3])turned);
         /* 15 voxels of the layer share area with it; its longest side, u + v = 5, runs through the
          * lower corners of four more. */
-        assert_int_equal(pieces->count, 15 + 4);
-        for (uint32_t i = 0; i < pieces->count; i++)
-            assert_int_equal(pieces->piece[i].cell[axis], 3);
+        assert_int_equal(fragments->count, 15 + 4);
+        for (uint32_t i = 0; i < fragments->count; i++)
+            assert_int_equal(fragments->fragment[i].cell[axis], 3);
     }
 }
 
@@ -412,12 +414,12 @@ static void test_diagonal_plane_fills_the_diagonal(void **state)
 {
     (void)state;
     static const double c[3][3] = {{0.0, 0.0, 0.25}, {8.0, 8.0, 0.25}, {8.0, 8.0, 0.75}};
-    const struct pieces *pieces = clip_all(c);
-    for (uint32_t i = 0; i < pieces->count; i++)
-        assert_int_equal(pieces->piece[i].cell[0], pieces->piece[i].cell[1]);
+    const struct fragments *fragments = clip_all(c);
+    for (uint32_t i = 0; i < fragments->count; i++)
+        assert_int_equal(fragments->fragment[i].cell[0], fragments->fragment[i].cell[1]);
     /* Voxel 8 holds the last edge: half-open boxes give it nothing but that. */
-    assert_int_equal(pieces->count, 9);
-    assert_true(find(pieces, 8, 8, 0)->fraction == 0.0);
+    assert_int_equal(fragments->count, 9);
+    assert_true(find(fragments, 8, 8, 0)->fraction == 0.0);
 }
 
 static void test_corner_that_touches(void **state)
@@ -425,10 +427,10 @@ static void test_corner_that_touches(void **state)
     (void)state;
     /* The corner (2, 2, 2) belongs to voxel (2, 2, 2), the rest to (1, 1, 1). */
     static const double c[3][3] = {{2.0, 2.0, 2.0}, {1.5, 1.25, 1.5}, {1.25, 1.5, 1.5}};
-    const struct pieces *pieces = clip_all(c);
-    assert_int_equal(pieces->count, 2);
-    assert_true(find(pieces, 1, 1, 1)->fraction == 1.0);
-    assert_true(find(pieces, 2, 2, 2)->fraction == 0.0);
+    const struct fragments *fragments = clip_all(c);
+    assert_int_equal(fragments->count, 2);
+    assert_true(find(fragments, 1, 1, 1)->fraction == 1.0);
+    assert_true(find(fragments, 2, 2, 2)->fraction == 0.0);
 }
 
 /* Corners at quarters of a voxel and weights in 64ths: every sum below is exact. */
@@ -442,7 +444,7 @@ static void test_every_point_has_its_voxel(void **state)
         for (int i = 0; i < 3; i++)
             for (int a = 0; a < 3; a++)
                 c[i][a] = floor(scan_random(&seed) * 16.0) / 4.0;
-        const struct pieces *pieces = clip_all((const double(*)[3])c);
+        const struct fragments *fragments = clip_all((const double(*)[3])c);
         for (int i = 0; i <= 64; i++)
             for (int j = 0; i + j <= 64; j++) {
                 double p[3];
@@ -454,7 +456,7 @@ static void test_every_point_has_its_voxel(void **state)
                     on_border = on_border || p[a] == floor(p[a]);
                 bool corner = i == 64 || j == 64 || i + j == 0;
                 if (!on_border || corner)
-                    assert_non_null(find(pieces, (int32_t)floor(p[0]), (int32_t)floor(p[1]),
+                    assert_non_null(find(fragments, (int32_t)floor(p[0]), (int32_t)floor(p[1]),
                                          (int32_t)floor(p[2])));
             }
     }
@@ -464,9 +466,9 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_same_voxels_as_separating_axes),
-        cmocka_unit_test(test_pieces_add_up),
+        cmocka_unit_test(test_fragments_add_up),
         cmocka_unit_test(test_needles_add_up),
-        cmocka_unit_test(test_window_does_not_change_pieces),
+        cmocka_unit_test(test_window_does_not_change_fragments),
         cmocka_unit_test(test_regions_share_a_triangle),
         cmocka_unit_test(test_small_triangles_side_by_side),
         cmocka_unit_test(test_touching_planes_is_doubtful),

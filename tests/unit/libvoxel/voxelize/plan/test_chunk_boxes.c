@@ -1,5 +1,6 @@
-/* Parts of chunks: every triangle lies in one, none reaches across many regions without need, and
- * grids of scattered scans are made as fast as those of whole ones, with the same bytes. */
+/* Chunk boxes: every triangle lies in one box of its chunk, and no box reaches across many regions
+ * without need. Grids of scattered scans are made as fast as those of compact ones, with the same
+ * bytes. */
 #include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/voxelize/voxelize_fixture.h"
 
@@ -8,8 +9,8 @@
 #include <stdlib.h>
 #include <cmocka.h>
 
-/* Clusters of small triangles anywhere in a cube of `size`, each with as many as the one before and
- * one more. */
+/* Makes clusters of small triangles anywhere in a cube of `size`. Each cluster has one triangle
+ * more than the one before. */
 static struct scan_mesh make_clusters(uint32_t clusters, double size, uint64_t seed)
 {
     uint32_t count = clusters * (clusters + 1) / 2, t = 0;
@@ -46,8 +47,8 @@ static bool contains(const struct vox_box *outer, const struct vox_box *inner)
     return true;
 }
 
-/* The box of a chunk's triangle. */
-static struct vox_box triangle_box(const struct vox_lattice *lattice,
+/* Returns the voxels of a triangle's bounds. */
+static struct vox_box triangle_box(const struct vox_transform *transform,
                                    const struct fmt_tris_chunk *chunk, uint32_t t)
 {
     float min[3], max[3];
@@ -59,40 +60,42 @@ static struct vox_box triangle_box(const struct vox_lattice *lattice,
             max[a] = p > max[a] ? p : max[a];
         }
     }
-    return vox_lattice_box(lattice, min, max);
+    return vox_transform_box(transform, min, max);
 }
 
 struct made {
     struct fmt_tris_file *file;
-    struct vox_lattice lattice;
-    struct vox_box *boxes;
-    struct vox_part *parts;
+    struct vox_transform transform;
+    struct vox_box *bounds;
+    struct vox_chunk_box *boxes;
     uint64_t count;
 };
 
-static void make_parts(const struct vox_fixture *f, double voxel_size, uint64_t bytes,
+static void make_boxes(const struct vox_fixture *f, double voxel_size, uint64_t bytes,
                        struct made *made)
 {
     assert_int_equal(fmt_tris_open(f->ctx, f->tris, &made->file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(made->file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(made->file);
-    assert_int_equal(vox_lattice_init(f->ctx, header, f->tris, 0, voxel_size, &made->lattice), 0);
-    made->boxes = calloc(header->chunk_count, sizeof *made->boxes);
+    assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 0, voxel_size, &made->transform),
+                     0);
+    made->bounds = calloc(header->chunk_count, sizeof *made->bounds);
     for (uint64_t i = 0; i < header->chunk_count; i++)
-        made->boxes[i] = vox_lattice_box(&made->lattice, infos[i].bounds_min, infos[i].bounds_max);
-    assert_int_equal(vox_parts_create(f->ctx, made->file, &made->lattice, made->boxes, bytes,
-                                      &made->parts, &made->count),
+        made->bounds[i] =
+            vox_transform_box(&made->transform, infos[i].bounds_min, infos[i].bounds_max);
+    assert_int_equal(vox_chunk_boxes_create(f->ctx, made->file, &made->transform, made->bounds,
+                                            bytes, &made->boxes, &made->count),
                      0);
 }
 
-static void free_parts(const struct vox_fixture *f, struct made *made)
+static void free_boxes(const struct vox_fixture *f, struct made *made)
 {
-    bsq_free(f->ctx, made->parts);
+    bsq_free(f->ctx, made->boxes);
     fmt_tris_close(made->file);
-    free(made->boxes);
+    free(made->bounds);
 }
 
-/* Chunk after chunk, each triangle in one of the chunk's parts. */
+/* Checks, chunk by chunk, that each triangle lies in one of the chunk's boxes. */
 static void check_cover(const struct made *made)
 {
     void *scratch = malloc(fmt_tris_load_size_max(made->file));
@@ -101,13 +104,13 @@ static void check_cover(const struct made *made)
         struct fmt_tris_chunk chunk;
         uint64_t end = first;
         assert_int_equal(fmt_tris_load(made->file, i, scratch, &chunk), 0);
-        for (; end < made->count && made->parts[end].chunk == i; end++)
-            assert_true(contains(&made->boxes[i], &made->parts[end].box));
+        for (; end < made->count && made->boxes[end].chunk == i; end++)
+            assert_true(contains(&made->bounds[i], &made->boxes[end].box));
         for (uint32_t t = 0; t < chunk.triangle_count; t++) {
-            struct vox_box box = triangle_box(&made->lattice, &chunk, t);
+            struct vox_box box = triangle_box(&made->transform, &chunk, t);
             bool found = false;
             for (uint64_t p = first; p < end && !found; p++)
-                found = contains(&made->parts[p].box, &box);
+                found = contains(&made->boxes[p].box, &box);
             assert_true(found);
         }
         first = end;
@@ -116,42 +119,42 @@ static void check_cover(const struct made *made)
     free(scratch);
 }
 
-static void test_parts_hold_every_triangle(void **state)
+static void test_boxes_hold_every_triangle(void **state)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 31);
     scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 700);
-    /* A triangle of one is less than 3 regions wide where voxels are 1/256. */
+    /* A triangle of size 1 is less than 3 regions wide with voxels of 1/256. */
     static const double sizes[] = {1e6, 1000.0, 1.0, 1.0 / 256};
     for (int i = 0; i < 4; i++) {
         struct made made;
-        make_parts(f, sizes[i], UINT64_C(1) << 20, &made);
+        make_boxes(f, sizes[i], UINT64_C(1) << 20, &made);
         check_cover(&made);
         for (uint64_t p = 0; p < made.count; p++)
-            assert_true(regions_of(&made.parts[p].box) <= 64.0);
+            assert_true(regions_of(&made.boxes[p].box) <= 64.0);
         if (i == 0)
             assert_int_equal(made.count, fmt_tris_get_header(made.file)->chunk_count);
-        free_parts(f, &made);
+        free_boxes(f, &made);
     }
     scan_mesh_free(&mesh);
 }
 
-static void test_little_memory_makes_larger_parts(void **state)
+static void test_little_memory_makes_larger_boxes(void **state)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 32);
     scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 700);
     struct made made;
     for (uint64_t bytes = 0; bytes <= 2000; bytes += 500) {
-        make_parts(f, 1.0, bytes, &made);
+        make_boxes(f, 1.0, bytes, &made);
         check_cover(&made);
-        /* What was begun is still covered: one part for each halving of a chunk. */
+        /* What was begun is still covered: one box for each halving of a chunk. */
         uint64_t chunks = fmt_tris_get_header(made.file)->chunk_count;
-        uint64_t most = bytes / (sizeof *made.parts + vox_schedule_entry_bytes());
+        uint64_t most = bytes / (sizeof *made.boxes + vox_schedule_entry_bytes());
         assert_true(made.count <= (chunks > most ? chunks : most) + 10);
         if (bytes == 0)
             assert_int_equal(made.count, chunks);
-        free_parts(f, &made);
+        free_boxes(f, &made);
     }
     scan_mesh_free(&mesh);
 }
@@ -183,8 +186,8 @@ int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
     const struct CMUnitTest tests[] = {
-        TEST(test_parts_hold_every_triangle),
-        TEST(test_little_memory_makes_larger_parts),
+        TEST(test_boxes_hold_every_triangle),
+        TEST(test_little_memory_makes_larger_boxes),
         TEST(test_scattered_triangles_of_one_chunk),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

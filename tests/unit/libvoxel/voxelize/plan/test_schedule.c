@@ -36,17 +36,17 @@ static int32_t down_to_region(int32_t voxel)
     return voxel - (rest < 0 ? rest + 128 : rest);
 }
 
-static uint64_t list_pairs(const struct vox_part *parts, uint32_t count, struct pair *pairs,
+static uint64_t list_pairs(const struct vox_chunk_box *boxes, uint32_t count, struct pair *pairs,
                            uint64_t room)
 {
     uint64_t n = 0, distinct = 0;
     for (uint32_t i = 0; i < count; i++) {
-        const struct vox_box *b = &parts[i].box;
+        const struct vox_box *b = &boxes[i].box;
         for (int32_t x = down_to_region(b->lo[0]); x <= b->hi[0]; x += 128)
             for (int32_t y = down_to_region(b->lo[1]); y <= b->hi[1]; y += 128)
                 for (int32_t z = down_to_region(b->lo[2]); z <= b->hi[2]; z += 128, n++) {
                     assert_true(n < room);
-                    pairs[n] = (struct pair){{x, y, z}, parts[i].chunk};
+                    pairs[n] = (struct pair){{x, y, z}, boxes[i].chunk};
                 }
     }
     qsort(pairs, n, sizeof *pairs, compare_pairs);
@@ -62,29 +62,29 @@ static bool same_region(struct vox_region_key a, struct vox_region_key b)
 }
 
 /* The schedule's pairs are those listed, and each chunk comes when it was announced,
- * or before, for another of its parts. */
-static void check_schedule(const struct vox_part *parts, uint32_t count)
+ * or before, for another of its boxes. */
+static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
 {
     const uint64_t room = 2000000;
     struct pair *pairs = calloc(room, sizeof *pairs);
     assert_non_null(pairs);
-    uint64_t n = list_pairs(parts, count, pairs, room), at = 0;
+    uint64_t n = list_pairs(boxes, count, pairs, room), at = 0;
 
     struct bsq_ctx *ctx;
     struct vox_schedule *schedule;
     struct bsq_ctx_options options = {.memory_bytes = 1 << 20, .threads = 1};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    assert_int_equal(vox_schedule_create(ctx, parts, count, &schedule), 0);
+    assert_int_equal(vox_schedule_create(ctx, boxes, count, &schedule), 0);
     struct vox_region_key key, after, due[20];
     uint32_t chunk;
     assert_true(count <= 20);
-    bool in_parts = count > 0 && parts[count - 1].chunk < count - 1;
+    bool in_parts = count > 0 && boxes[count - 1].chunk < count - 1;
     for (uint32_t i = 0; i < count; i++)
         due[i] = VOX_REGION_KEY_NEVER;
     for (uint32_t i = 0; i < count; i++) {
-        struct vox_region_key first = vox_region_first(&parts[i].box);
-        if (vox_region_before(first, due[parts[i].chunk]))
-            due[parts[i].chunk] = first;
+        struct vox_region_key first = vox_region_first(&boxes[i].box);
+        if (vox_region_before(first, due[boxes[i].chunk]))
+            due[boxes[i].chunk] = first;
     }
     while (vox_schedule_next(schedule, &key)) {
         int32_t origin[3];
@@ -110,7 +110,7 @@ static void check_schedule(const struct vox_part *parts, uint32_t count)
     free(pairs);
 }
 
-/* parts_of_chunk: how many parts each chunk has. */
+/* parts_of_chunk: how many boxes each chunk has. */
 static void check_random_parts(uint32_t parts_of_chunk)
 {
     uint64_t seed = 4711;
@@ -119,16 +119,16 @@ static void check_random_parts(uint32_t parts_of_chunk)
     static const double sizes[] = {300.0, 1500.0, 6000.0, 4000.0};
     for (int k = 0; k < 4; k++)
         for (int round = 0; round < 10; round++) {
-            struct vox_part parts[20];
+            struct vox_chunk_box boxes[20];
             for (uint32_t i = 0; i < 20; i++) {
-                parts[i].chunk = i / parts_of_chunk;
+                boxes[i].chunk = i / parts_of_chunk;
                 for (int a = 0; a < 3; a++) {
                     double at = spreads[k] * (2.0 * scan_random(&seed) - 1.0);
-                    parts[i].box.lo[a] = (int32_t)at;
-                    parts[i].box.hi[a] = (int32_t)(at + sizes[k] * scan_random(&seed)) + 1;
+                    boxes[i].box.lo[a] = (int32_t)at;
+                    boxes[i].box.hi[a] = (int32_t)(at + sizes[k] * scan_random(&seed)) + 1;
                 }
             }
-            check_schedule(parts, 20);
+            check_schedule(boxes, 20);
         }
 }
 
@@ -138,7 +138,7 @@ static void test_random_boxes(void **state)
     check_random_parts(1);
 }
 
-/* A region gets a chunk once, however many of its parts touch it. */
+/* A region gets a chunk once, however many of its boxes touch it. */
 static void test_parts_of_one_chunk(void **state)
 {
     (void)state;
@@ -150,17 +150,17 @@ static void test_ends_of_the_index(void **state)
 {
     (void)state;
     const int32_t end = 1 << 30;
-    struct vox_part parts[2] = {
+    struct vox_chunk_box boxes[2] = {
         {{{-end, -end, -end}, {-end + 200, -end, -end}}, 0},
         {{{end - 200, end - 1, end - 1}, {end - 1, end - 1, end - 1}}, 1},
     };
-    check_schedule(parts, 2);
+    check_schedule(boxes, 2);
 }
 
 static void test_no_chunks(void **state)
 {
     (void)state;
-    struct vox_part none = {{{0, 0, 0}, {0, 0, 0}}, 0};
+    struct vox_chunk_box none = {{{0, 0, 0}, {0, 0, 0}}, 0};
     check_schedule(&none, 0);
 }
 
