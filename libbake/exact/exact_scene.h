@@ -50,13 +50,14 @@ static inline uint64_t exact_left_of_budget(const struct bsq_ctx *ctx)
 
 /* Sums of normals by position; see exact_smooth.c. */
 struct exact_smooth {
-    struct bsq_positions table; /* of positions */
-    uint32_t *entry_of;         /* of each vertex of the chunk, + 1; 0: not needed */
+    struct bsq_positions table;
+    uint32_t *entry_of; /* of each vertex of the chunk: index into sums[]; 0: not needed */
     float (*positions)[3];
-    double (*sums)[4]; /* of one-rings (base/smooth_normals.h), by entry_of; 0: not needed */
+    double (*sums)[4]; /* of one-rings (base/smooth_normals.h), from index 1 */
     uint32_t count;
 };
 
+/* Memory for a chunk, and what is computed from it. */
 struct exact_slot {
     uint32_t number; /* of the chunk */
     bool loaded;
@@ -109,6 +110,7 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
     return triangle < other_triangle;
 }
 
+/* Which hits count. */
 struct exact_limits {
     double t_min, t_max;
     bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */
@@ -139,8 +141,10 @@ uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
 
 /* ---- normals and colours ---- */
 
+/* Returns the bytes of smooth_memory for a chunk with this many vertices. */
 uint64_t bake_exact_smooth_bytes(uint32_t vertices);
-/* Starts collecting; then each vertex of the chunk whose normal is needed; then the sums. */
+/* Prepares the slot; then adds each vertex whose normal is needed; then sums their normals. Summing
+ * fails as fmt_tris_load() does. */
 void bake_exact_smooth_begin(struct exact_slot *slot);
 void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
 int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,

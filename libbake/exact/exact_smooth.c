@@ -1,9 +1,9 @@
-/* exact_smooth.c - smooth vertex normals of a chunk, as if the scan were whole.
+/* exact_smooth.c - smooth vertex normals of a chunk, with the bits that the whole scan would give.
  *
- * Vertices are the same where their positions are, in one chunk or in several. A vertex's one-ring
- * (base/smooth_normals.h) is summed in the order of the file whatever chunks its triangles are in,
- * so its normal is the same bit for bit as on the whole scan. Only normals that hits
- * ask for are summed, and only chunks that reach to those vertices are read. */
+ * Vertices at the same position are one vertex, in one chunk or in several. The one-ring of a
+ * vertex (base/smooth_normals.h) is summed in the order of the file, whichever chunks its triangles
+ * are in. Only normals that hits need are summed, and only chunks whose bounds contain such a
+ * vertex are read. */
 #include "libbake/exact/exact_scene.h"
 
 #include <math.h>
@@ -61,6 +61,7 @@ static bool inside(const struct exact_box *box, const float p[3])
     return in;
 }
 
+/* Adds the triangles of a chunk to the sums. map: scratch, one entry per vertex. */
 static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
                       const struct exact_box *box, uint32_t *map)
 {
@@ -82,8 +83,8 @@ static struct exact_box bounds_of(const struct exact_smooth *s)
     return box;
 }
 
-/* Whether any needed vertex lies within the chunk's bounds. */
-static bool reaches(const struct exact_smooth *s, const struct fmt_tris_chunk_info *chunk)
+/* Checks whether a needed vertex lies within the bounds of a chunk. */
+static bool touches_chunk(const struct exact_smooth *s, const struct fmt_tris_chunk_info *chunk)
 {
     struct exact_box box;
     memcpy(box.low, chunk->bounds_min, sizeof box.low);
@@ -110,11 +111,11 @@ int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slo
     for (uint32_t i = 0; i < near; i++) {
         const uint32_t number = scratch->near[i];
         if (number == slot->number) {
-            /* Vertices that share a needed one's position count as well. */
+            /* Also matches vertices that are not needed but share the position of one that is. */
             add_chunk(s, &slot->chunk, &box, s->entry_of);
             continue;
         }
-        if (!reaches(s, &exact->chunks[number]))
+        if (!touches_chunk(s, &exact->chunks[number]))
             continue;
         struct fmt_tris_chunk neighbour;
         int status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);

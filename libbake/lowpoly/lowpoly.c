@@ -89,6 +89,7 @@ static int copy_texcoords(struct bsq_ctx *ctx, const char *path, const struct fm
     return 0;
 }
 
+/* Checks whether any corner has no normal. */
 static bool lacks_normals(const struct fmt_mesh *mesh)
 {
     if (mesh->corner_normals == NULL)
@@ -123,8 +124,8 @@ static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
     return 0;
 }
 
-/* The corner's own normal, else the face's. A triangle without area that has no normal either gets
- * an arbitrary one: it must be finite, but no direction is better than another. */
+/* Chooses the normal of a corner: its own or the smooth one, or that of the face if it has no
+ * length. A triangle without area has an arbitrary face normal, as normals must be finite. */
 static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[4],
                           const float face_normal[3], uint64_t t, int i, float out[3])
 {
