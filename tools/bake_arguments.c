@@ -31,8 +31,7 @@ static const char help[] =
     "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
     "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
     "      --gpu-memory SIZE   most memory to use of a GPU, e.g. 2G (default: what is free)\n"
-    "      --list-devices      print the devices and end\n"
-    "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
+    "      --list-devices      print the devices and end\n" CLI_VERIFY_HELP CLI_COMMON_HELP;
 
 enum {
     OPT_MAPS = CLI_OWN,
@@ -52,8 +51,7 @@ enum {
     OPT_PREVIEW,
     OPT_DEVICE,
     OPT_GPU_MEMORY,
-    OPT_LIST_DEVICES,
-    OPT_VERIFY
+    OPT_LIST_DEVICES
 };
 
 static const struct option long_options[] = {
@@ -76,7 +74,7 @@ static const struct option long_options[] = {
     {"device", required_argument, NULL, OPT_DEVICE},
     {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
-    {"verify", no_argument, NULL, OPT_VERIFY},
+    CLI_VERIFY_OPTION,
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
 };
@@ -173,7 +171,6 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     static const char *const greens[] = {"up", "down", NULL};
     static const char *const spaces[] = {"tangent", "object", NULL};
     static const char *const samplings[] = {"trilinear", "nearest", NULL};
-    static const char *const normals[] = {"smooth", "flat", NULL};
     unsigned choice = 0;
     int status;
     switch (option) {
@@ -182,9 +179,7 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
             bake->green_down = choice == 1;
         return status;
     case OPT_SCAN_NORMALS:
-        if ((status = cli_parse_word(cli, "--scan-normals", optarg, normals, &choice)) == 0)
-            bake->scan_normals = choice == 0 ? BSQ_SCAN_NORMALS_SMOOTH : BSQ_SCAN_NORMALS_FLAT;
-        return status;
+        return cli_parse_scan_normals(cli, optarg, &bake->scan_normals);
     case OPT_NORMAL_SPACE:
         if ((status = cli_parse_word(cli, "--normal-space", optarg, spaces, &choice)) == 0)
             bake->normal_space = choice == 0 ? BAKE_TANGENT_SPACE : BAKE_OBJECT_SPACE;
@@ -261,9 +256,6 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_LIST_DEVICES:
         arguments->list_devices = true;
         return 0;
-    case OPT_VERIFY:
-        arguments->verify = true;
-        return 0;
     default:
         return cli_common_option(cli, option, help);
     }
@@ -277,10 +269,8 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
     struct bake_options *bake = &arguments->bake;
     arguments->files = inputs;
     arguments->file_count = count;
-    if (arguments->verify && cli->job_option)
-        return cli_usage(cli, "--verify only checks files: leave out --%s", cli->job_option);
-    if (arguments->verify)
-        return count > 0 ? 0 : cli_usage(cli, "no input file given (see --help)");
+    if (cli->verify)
+        return 0;
     if (arguments->list_devices)
         return count == 0 ? 0 : cli_usage(cli, "--list-devices takes no files");
     if (count != 2)

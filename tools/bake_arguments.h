@@ -7,7 +7,7 @@
 
 struct bake_arguments {
     struct bake_options bake;
-    bool list_devices, verify;
+    bool list_devices;
     char **files; /* to verify */
     int file_count;
     int sample_option; /* that chose bake.sample_type; 0: none did */

@@ -78,7 +78,7 @@ static void hint_at_outside(struct cli *cli, const struct bake_report *report)
             cli->ctx,
             "texture coordinates of %s reach out of 0..1: what lies outside, in another UDIM tile say, is not "
             "baked",
-            cli_things_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
+            cli_counted_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
 }
 
 static void print_report(const struct cli *cli, const struct bake_arguments *arguments,
@@ -87,7 +87,7 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
     const struct bake_options *bake = &arguments->bake;
     char triangles[CLI_TEXT], texels[CLI_TEXT], samples[CLI_TEXT], misses[CLI_TEXT];
     printf("%s: %s, %s of %ux%u texels covered\n", bake->mesh_path,
-           cli_things_text(report->low_triangles, "triangle", "triangles", triangles),
+           cli_counted_text(report->low_triangles, "triangle", "triangles", triangles),
            cli_count_text(report->covered_texels, texels), bake->width, bake->height);
     const char *first = "left out: ";
     const char *next =
@@ -101,7 +101,7 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
     if (next != first)
         putchar('\n');
     printf("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n", bake->scan_path,
-           cli_things_text(report->samples, "sample", "samples", samples),
+           cli_counted_text(report->samples, "sample", "samples", samples),
            cli_count_text(report->misses, misses), percent(report->misses, report->samples),
            report->front, report->back, report->device);
     for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
@@ -116,7 +116,7 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
     if (report->kernel_calls > 0)
         printf("device: upload %.2f, kernels %.3f in %s, copies %.3f\n", report->seconds_upload,
                report->seconds_kernels,
-               cli_things_text(report->kernel_calls, "call", "calls", samples),
+               cli_counted_text(report->kernel_calls, "call", "calls", samples),
                report->seconds_copies);
     if (report->passes > 1)
         printf("passes: %s, the grid is larger than what may be used of the device's memory\n",

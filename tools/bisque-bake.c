@@ -82,7 +82,7 @@ int main(int argc, char **argv)
     int status = bake_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
         status = cli_create_context(&cli);
-    if (status == 0 && arguments.verify)
+    if (status == 0 && cli.verify)
         status = cli_verify(&cli, arguments.files, arguments.file_count);
     else if (status == 0)
         status = arguments.list_devices ? bake_report_devices(&cli) : bake_maps(&cli, &arguments);

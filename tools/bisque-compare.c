@@ -212,7 +212,7 @@ static void print_report(const struct arguments *arguments,
     char compared[CLI_TEXT];
     printf("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
            arguments->compare.b_path,
-           cli_things_text(report->compared, "texel", "texels", compared), report->width,
+           cli_counted_text(report->compared, "texel", "texels", compared), report->width,
            report->height, kind_names[report->kind]);
     printf("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
            report->mean, report->rms, report->median, report->p95, report->p99, report->max,

@@ -1,4 +1,4 @@
-/* bisque-voxelize.c - a scan becomes a chunk file and a voxel grid. */
+/* bisque-voxelize.c - turns a scan into a chunk file and a voxel grid. */
 #include <assert.h>
 #include <errno.h>
 #include <stdlib.h>
@@ -11,7 +11,7 @@
 #include "formats/mesh/mesh_reader.h"
 #include "tools/voxelize_report.h"
 
-/* ---- before the work: what would fail only after hours ---- */
+/* ---- checks before the work: what would otherwise fail after hours ---- */
 
 static int recognise_inputs(struct voxelize_job *job)
 {
@@ -25,7 +25,7 @@ static int recognise_inputs(struct voxelize_job *job)
             continue;
         if (kind != FMT_KIND_TRIS)
             return bsq_fail(job->cli->ctx, BSQ_EDATA,
-                            "%s: a grid already; one is made from meshes or a chunk file",
+                            "%s: already a grid; grids are made from meshes or a chunk file",
                             arguments->inputs[i]);
         if (arguments->input_count > 1)
             return cli_usage(job->cli, "%s: a chunk file must be the only input",
@@ -33,7 +33,7 @@ static int recognise_inputs(struct voxelize_job *job)
         if (arguments->parse_only)
             return cli_usage(job->cli, "%s: --parse-only reads meshes", arguments->inputs[i]);
         if (arguments->texture || arguments->tris || arguments->resume)
-            return cli_usage(job->cli, "%s is a chunk file already: leave out %s",
+            return cli_usage(job->cli, "%s is already a chunk file: leave out %s",
                              arguments->inputs[i],
                              arguments->tris      ? "--tris"
                              : arguments->texture ? "--texture"
@@ -175,7 +175,7 @@ static int sort_scan(struct voxelize_job *job)
     };
     struct bsq_ctx *ctx = job->cli->ctx;
     int status = 0;
-    /* A temporary chunk file is removed whatever happens, so there is nothing to go on with. */
+    /* A temporary chunk file is always removed, so such a job cannot be resumed. */
     if (!job->temporary_tris && (status = vox_job_open(ctx, &options, &job->record)) < 0)
         return status;
     if (arguments->resume)
@@ -235,7 +235,7 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
         .cli = cli,
         .arguments = arguments,
     };
-    if (arguments->verify)
+    if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
     int status = recognise_inputs(&job);
     if (status == 0)

@@ -1,4 +1,4 @@
-/* cli.c - common options, parsing of values, signals, exit codes. */
+/* cli.c - common options, parsing of values, checks of files, signals, exit codes. */
 #include "tools/cli.h"
 
 #include <errno.h>
@@ -15,7 +15,7 @@
 
 /* ---- signals ---- */
 
-/* A signal handler has no argument of its own: the one piece of global state in a program. */
+/* The context to interrupt. Global, because a signal handler has no argument for it. */
 static struct bsq_ctx *volatile signalled_ctx;
 
 static void on_signal(int number)
@@ -29,20 +29,20 @@ static void catch_signal(int number)
 {
     struct sigaction action = {.sa_handler = on_signal, .sa_flags = SA_RESTART}, before;
     sigemptyset(&action.sa_mask);
-    /* What the parent has had ignored (nohup, a background job) stays ignored. */
+    /* A signal that the parent ignores (nohup, a background job) stays ignored. */
     if (sigaction(number, NULL, &before) == 0 && before.sa_handler != SIG_IGN)
         sigaction(number, &action, NULL);
 }
 
-/* ---- the way in and out ---- */
+/* ---- start and end of a program ---- */
 
 void cli_begin(struct cli *cli, const char *program, char **argv)
 {
     *cli = (struct cli){.program = program};
     clock_gettime(CLOCK_MONOTONIC, &cli->started);
     argv[0] = (char *)program;
-    /* A reader that goes away or a file size limit is an error of write(2), not a silent death with
-     * temporary files left behind. */
+    /* A closed pipe or a file size limit becomes an error of write(2). As a signal it would end the
+     * program without a message and leave temporary files. */
     signal(SIGPIPE, SIG_IGN);
     signal(SIGXFSZ, SIG_IGN);
 }
@@ -77,6 +77,9 @@ int cli_common_option(struct cli *cli, int option, const char *help)
     case CLI_TMPDIR:
         cli->tmpdir = optarg;
         return 0;
+    case CLI_VERIFY:
+        cli->verify = true;
+        return 0;
     case CLI_PROGRESS:
         return parse_progress(cli);
     case CLI_JSON:
@@ -88,7 +91,7 @@ int cli_common_option(struct cli *cli, int option, const char *help)
     case CLI_VERSION:
         printf("%s %s\n", cli->program, BSQ_VERSION);
         return 2;
-    case '?': /* getopt_long has said what is wrong */
+    case '?': /* getopt_long() has reported it */
         cli->reported = true;
         return BSQ_EUSAGE;
     default:
@@ -107,6 +110,7 @@ int cli_parse_options(struct cli *cli, int argc, char **argv, const struct optio
                       int (*take)(struct cli *cli, void *arguments, int option), void *arguments)
 {
     const char *letters = find_option(options, 'o') ? "o:" : "";
+    const char *own_name = NULL;
     int option;
     while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1) {
         int status = take(cli, arguments, option);
@@ -114,9 +118,13 @@ int cli_parse_options(struct cli *cli, int argc, char **argv, const struct optio
             return status;
         const struct option *own =
             option >= CLI_OWN || option == 'o' ? find_option(options, option) : NULL;
-        if (own && strcmp(own->name, "verify") != 0)
-            cli->job_option = own->name;
+        if (own)
+            own_name = own->name;
     }
+    if (cli->verify && own_name)
+        return cli_usage(cli, "--verify only checks files: leave out --%s", own_name);
+    if (cli->verify && optind == argc)
+        return cli_usage(cli, "no input file given (see --help)");
     return 0;
 }
 
@@ -182,14 +190,14 @@ int cli_end(struct cli *cli, int status)
 
 /* ---- values ---- */
 
-/* strtod() also takes "inf", "0x1p3" and leading space; these are no numbers here. */
+/* Refuses what strtod() also takes but an option does not: "inf", "0x1p3" and leading space. */
 static bool is_decimal(const char *text)
 {
     return (text[0] >= '0' && text[0] <= '9') ||
            (text[0] == '.' && text[1] >= '0' && text[1] <= '9');
 }
 
-/* Factor of a unit such as "", "k", "MiB", "gb"; 0: unknown. */
+/* Returns the factor of a unit such as "", "k", "MiB", "gb", or 0 if it is unknown. */
 static uint64_t unit_factor(const char *unit)
 {
     static const char prefixes[] = "kmgt";
@@ -272,6 +280,16 @@ int cli_parse_word(struct cli *cli, const char *option, const char *text, const 
     return status;
 }
 
+int cli_parse_scan_normals(struct cli *cli, const char *text, enum bsq_scan_normals *out)
+{
+    static const char *const words[] = {"smooth", "flat", NULL};
+    unsigned word = 0;
+    int status = cli_parse_word(cli, "--scan-normals", text, words, &word);
+    if (status == 0)
+        *out = word == 0 ? BSQ_SCAN_NORMALS_SMOOTH : BSQ_SCAN_NORMALS_FLAT;
+    return status;
+}
+
 /* ---- files ---- */
 
 bool cli_ends_with(const char *text, const char *ending)
@@ -280,7 +298,7 @@ bool cli_ends_with(const char *text, const char *ending)
     return length >= ending_length && strcasecmp(text + length - ending_length, ending) == 0;
 }
 
-/* Absolute name of a file that need not exist; NULL where its directory does not. */
+/* Returns the absolute path of a file that need not exist; NULL if its directory does not exist. */
 static char *absolute_name(const char *path)
 {
     const char *slash = strrchr(path, '/');
@@ -328,6 +346,6 @@ int cli_check_picture(struct cli *cli, const char *path, const char *const *inpu
 {
     int status = cli_check_output(cli, path, inputs, input_count);
     if (status == 0 && !cli_ends_with(path, ".png"))
-        status = cli_usage(cli, "%s: this picture is a PNG file: let its name end in .png", path);
+        status = cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png", path);
     return status;
 }

@@ -1,5 +1,5 @@
-/* cli.h - what Bisque's programs share: common options, parsing of values, progress, reports and
- * the way out.
+/* cli.h - what Bisque's programs share: common options, parsing of values, checks of files,
+ * progress and reports.
  *
  * A program calls cli_begin(), cli_parse_options() and cli_create_context(), does its work through
  * the libraries and returns cli_end() from main. Every failure becomes one line "PROGRAM: MESSAGE"
@@ -21,16 +21,15 @@ struct cli {
     struct bsq_ctx *ctx; /* NULL before cli_create_context() */
 
     uint64_t memory_bytes;   /* 0: not given */
-    const char *memory_text; /* as given, NULL: not given */
+    const char *memory_text; /* as given; NULL: not given */
     unsigned threads;        /* 0: not given */
     const char *tmpdir;
-    const char *job_option; /* name of an own option but --verify, which has no use for it; NULL:
-                               none given */
     enum cli_progress progress;
-    bool json; /* results as JSON */
+    bool json;   /* print results as JSON */
+    bool verify; /* only check files */
 
     bool reported;  /* the failure has been printed */
-    bool bar_drawn; /* the cursor stands behind a progress bar */
+    bool bar_drawn; /* the terminal's last line is a progress bar */
     const char *bar_stage;
     struct timespec started, stage_started;
 };
@@ -40,6 +39,7 @@ enum {
     CLI_MEMORY = 256,
     CLI_THREADS,
     CLI_TMPDIR,
+    CLI_VERIFY,
     CLI_PROGRESS,
     CLI_JSON,
     CLI_HELP,
@@ -60,7 +60,15 @@ enum {
         "tmpdir", required_argument, NULL, CLI_TMPDIR                                              \
     }
 
-/* Text on the common options for --help. */
+#define CLI_VERIFY_OPTION                                                                          \
+    {                                                                                              \
+        "verify", no_argument, NULL, CLI_VERIFY                                                    \
+    }
+
+/* Texts of --help. */
+#define CLI_VERIFY_HELP                                                                            \
+    "      --verify            check FILES (.tris, .nvdb), print a line on each, do nothing "      \
+    "else\n"
 #define CLI_COMMON_HELP                                                                            \
     "      --memory SIZE       memory budget, e.g. 4G, 512MiB (default: half of the machine's)\n"  \
     "      --threads N         worker threads (default: one per processor)\n"                      \
@@ -69,64 +77,69 @@ enum {
     "      --help              print this help\n"                                                  \
     "      --version           print the version\n"
 
-/* ---- the way in and out ---- */
+/* ---- start and end of a program ---- */
 
-/* Starts the clock and makes getopt's messages begin with the program's name. `argv` is main's. */
+/* Starts the clock, ignores SIGPIPE and SIGXFSZ, and makes getopt's messages begin with the
+ * program's name. `argv` is main's. */
 void cli_begin(struct cli *cli, const char *program, char **argv);
 
-/* Handles a common option with its value in optarg: 0 done, 1 not a common option, 2 done and the
- * program is to end (--help, --version), < 0 failure. */
+/* Handles a common option, whose value is in optarg. Returns 0; 1 if it is not a common option; 2
+ * if the program is to end (--help, --version); a negative status on failure. */
 int cli_common_option(struct cli *cli, int option, const char *help);
 
-/* Goes through all options; `take` gets each with its value in optarg and returns as
- * cli_common_option(), to which it hands what it does not know, does. 0 at the end, else what
- * `take` returned first. optind is that of the first file then. */
+/* Parses all options. Calls `take` for each, with its value in optarg; options that `take` does not
+ * know go to cli_common_option(), and `take` returns what that returns. --verify excludes options
+ * of the program's own. Returns 0, or the first result of `take` that is not 0. After success
+ * optind is the index of the first file in argv. */
 int cli_parse_options(struct cli *cli, int argc, char **argv, const struct option *options,
                       int (*take)(struct cli *cli, void *arguments, int option), void *arguments);
 
 /* Creates the context and lets SIGINT, SIGTERM and SIGHUP interrupt it. */
 int cli_create_context(struct cli *cli);
 
-/* Prints a usage error, returns BSQ_EUSAGE. */
+/* Prints a usage error; returns BSQ_EUSAGE. */
 int cli_usage(struct cli *cli, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
-/* Prints the failure if `status` is one, frees the context, checks that standard output could be
- * written; returns the exit code. */
+/* Prints the failure if `status` is negative, frees the context, and checks that standard output
+ * was written. Returns the exit code. */
 int cli_end(struct cli *cli, int status);
 
-/* ---- values; `option` names the option in messages ---- */
+/* ---- values of options; messages name `option` ---- */
 
-/* SIZE: a number with an optional unit; K, M, G, T and KiB ... are powers of 1024, kB ... of 1000.
- */
+/* Parses a size in bytes: a number with an optional unit. K, M, G, T and KiB ... are powers of
+ * 1024, kB ... are powers of 1000. */
 int cli_parse_size(struct cli *cli, const char *option, const char *text, uint64_t *out);
+/* Parses a whole number from min to max. */
 int cli_parse_count(struct cli *cli, const char *option, const char *text, uint64_t min,
                     uint64_t max, uint64_t *out);
-/* A finite decimal number >= 0, or > 0 where `positive`. */
+/* Parses a finite decimal number >= 0, or > 0 if `positive`. */
 int cli_parse_length(struct cli *cli, const char *option, const char *text, bool positive,
                      double *out);
-/* One of `words` (NULL-terminated); *out is its number. */
+/* Parses one of `words` (NULL-terminated); sets *out to its index. */
 int cli_parse_word(struct cli *cli, const char *option, const char *text, const char *const *words,
                    unsigned *out);
+/* Parses the value of --scan-normals: smooth or flat. */
+int cli_parse_scan_normals(struct cli *cli, const char *text, enum bsq_scan_normals *out);
 
 /* ---- files ---- */
 
-/* Case does not matter. */
+/* Returns whether `text` ends with `ending`, ignoring case. */
 bool cli_ends_with(const char *text, const char *ending);
 
-/* Do both names mean one file, existing or not? */
+/* Returns whether both paths name one file, which need not exist. */
 bool cli_same_file(const char *a, const char *b);
 
-/* Finds out now whether an output can be created, and refuses one that is an input. */
+/* Checks before the work that an output can be created and that it is none of the inputs. */
 int cli_check_output(struct cli *cli, const char *path, const char *const *inputs,
                      uint32_t input_count);
 
-/* The same for a picture, which also has to be called .png. */
+/* The same for a picture, whose name must also end in .png. */
 int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs,
                       uint32_t input_count);
 
-/* Checks whole files, .tris or .nvdb, each alone, and prints a line on each: what a sound one is on
- * standard output, what is wrong with another on standard error. All are checked; returns the
- * status of the first that is not sound. */
+/* Checks whole files (.tris, .nvdb) and prints a line on each: its content on standard output, or
+ * what is wrong on standard error. Checks all of them; returns the status of the first that failed.
+ */
 int cli_verify(struct cli *cli, char *const *paths, int count);
 
 /* ---- reports ---- */
@@ -134,29 +147,32 @@ int cli_verify(struct cli *cli, char *const *paths, int count);
 /* Callbacks of the context; `user` is the struct cli. */
 void cli_on_progress(void *user, const struct bsq_progress *progress);
 void cli_on_warning(void *user, const char *line);
-/* Takes a progress bar off the terminal, so that a line can be printed. */
+/* Removes the progress bar from the terminal, so that a line can be printed. */
 void cli_clear_bar(struct cli *cli);
 
 double cli_seconds(const struct timespec *since);
 uint64_t cli_max_rss_bytes(void);
 
-/* Texts such as "12.3 MiB", "1,234,567" and "1 vertex" or "12 vertices"; `buffer` has CLI_TEXT
- * bytes and is returned. */
+/* Write "12.3 MiB", "1,234,567", and "1 vertex" or "12 vertices" to `buffer` of CLI_TEXT bytes, and
+ * return it. */
 enum { CLI_TEXT = 64 };
 const char *cli_size_text(uint64_t bytes, char *buffer);
 const char *cli_count_text(uint64_t count, char *buffer);
-const char *cli_things_text(uint64_t count, const char *singular, const char *plural, char *buffer);
+const char *cli_counted_text(uint64_t count, const char *singular, const char *plural,
+                             char *buffer);
 
-/* Prints "12 unused vertices" after `separator` where count > 0; returns the next separator. */
+/* Prints `separator` and, for example, "12 unused vertices" if count > 0. Returns the separator for
+ * the next count. */
 const char *cli_print_count(const char *separator, uint64_t count, const char *singular,
                             const char *plural);
-/* The last line of a report: memory and time. */
+/* Prints the last lines of a report: memory and time. */
 void cli_print_cost(const struct cli *cli);
 
-/* A JSON string, with bytes that are not UTF-8 replaced. NULL gives null. */
+/* Returns a JSON string, with '?' for each byte that is not ASCII if the text is not UTF-8. NULL
+ * gives null. */
 json_t *cli_json_text(const char *text);
-/* Adds program, version and cost to `root` (a reference is taken over; NULL: no memory) and prints
- * it. */
+/* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
+ * that there was no memory for it. */
 int cli_print_json(struct cli *cli, json_t *root);
 
 #endif

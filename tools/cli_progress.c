@@ -1,7 +1,7 @@
-/* cli_progress.c - progress on standard error, as a bar or as JSON lines, and warnings.
+/* cli_progress.c - prints progress, as a bar or as JSON lines, and warnings to standard error.
  *
- * The bar is one line that is drawn over itself; whoever prints something else takes it away first,
- * and the next report draws it again. */
+ * The bar is one line that is redrawn in place. Code that prints another line removes it first, and
+ * the next progress report draws it again. */
 #include <string.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
@@ -26,7 +26,7 @@ static int terminal_columns(void)
     return DEFAULT_COLUMNS;
 }
 
-/* "12.3 MiB" or "12.3 M". */
+/* Writes "12.3 MiB" for bytes, "12.3 M" for other units. */
 static void format_amount(const char *unit, uint64_t amount, char *buffer)
 {
     if (strcmp(unit, "bytes") == 0) {
@@ -83,7 +83,7 @@ static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
 
 static void print_json_line(const struct bsq_progress *progress)
 {
-    /* Names of stages and units are plain words: nothing to escape. */
+    /* Names of stages and units are plain words and need no escapes. */
     fprintf(stderr,
             "{\"stage\": \"%s\", \"unit\": \"%s\", \"done\": %llu, \"total\": %llu, "
             "\"finished\": %s}\n",

@@ -1,4 +1,4 @@
-/* cli_report.c - numbers for people and results for programs. */
+/* cli_report.c - numbers as text for people, and results as JSON for programs. */
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -43,7 +43,7 @@ const char *cli_count_text(uint64_t count, char *buffer)
     return buffer;
 }
 
-const char *cli_things_text(uint64_t count, const char *singular, const char *plural, char *buffer)
+const char *cli_counted_text(uint64_t count, const char *singular, const char *plural, char *buffer)
 {
     char digits[CLI_TEXT];
     snprintf(buffer, CLI_TEXT, "%s %s", cli_count_text(count, digits),

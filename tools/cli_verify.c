@@ -1,26 +1,26 @@
-/* cli_verify.c - --verify: are these files whole? */
+/* cli_verify.c - the option --verify: checks files and reports on each. */
 #include "formats/verify.h"
 #include "tools/cli.h"
 
-static void print_sound(const char *path, const struct fmt_verify_report *r)
+static void print_content(const char *path, const struct fmt_verify_report *r)
 {
     char triangles[CLI_TEXT], parts[CLI_TEXT], more[CLI_TEXT], size[CLI_TEXT];
-    cli_things_text(r->triangles, "triangle", "triangles", triangles);
+    cli_counted_text(r->triangles, "triangle", "triangles", triangles);
     cli_size_text(r->file_bytes, size);
     if (r->kind == FMT_VERIFY_TRIS)
         printf("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version,
-               triangles, cli_things_text(r->vertices, "vertex", "vertices", more),
-               cli_things_text(r->chunks, "chunk", "chunks", parts), size);
+               triangles, cli_counted_text(r->vertices, "vertex", "vertices", more),
+               cli_counted_text(r->chunks, "chunk", "chunks", parts), size);
     else
         printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
                path, r->version, r->nanovdb_version[0], r->nanovdb_version[1],
                r->nanovdb_version[2], r->type == FMT_NVDB_MASK ? "mask" : "onindex",
-               cli_things_text(r->voxels, "voxel", "voxels", parts),
-               cli_things_text(r->second_records, "second record", "second records", more),
+               cli_counted_text(r->voxels, "voxel", "voxels", parts),
+               cli_counted_text(r->second_records, "second record", "second records", more),
                triangles, r->has_color ? ", with colour" : "", size);
 }
 
-static json_t *sound_json(const char *path, const struct fmt_verify_report *r)
+static json_t *content_json(const char *path, const struct fmt_verify_report *r)
 {
     if (r->kind == FMT_VERIFY_TRIS)
         return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I}", "path", cli_json_text(path),
@@ -37,7 +37,7 @@ static json_t *sound_json(const char *path, const struct fmt_verify_report *r)
                      "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
 }
 
-/* Checks one file. The entry for the list, NULL where there is no list or no memory. */
+/* Checks one file. *entry is its JSON object; NULL without --json or without memory. */
 static int verify_file(struct cli *cli, const char *path, json_t **entry)
 {
     struct fmt_verify_report report;
@@ -47,9 +47,9 @@ static int verify_file(struct cli *cli, const char *path, json_t **entry)
     if (status < 0)
         fprintf(stderr, "%s: %s\n", cli->program, bsq_error(cli->ctx));
     else if (!cli->json)
-        print_sound(path, &report);
+        print_content(path, &report);
     if (cli->json && status == 0)
-        *entry = sound_json(path, &report);
+        *entry = content_json(path, &report);
     else if (cli->json)
         *entry = json_pack("{s:o, s:b, s:i, s:o}", "path", cli_json_text(path), "ok", 0, "status",
                            -status, "error", cli_json_text(bsq_error(cli->ctx)));

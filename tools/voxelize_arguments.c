@@ -5,10 +5,9 @@ static const char help[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris -o SCAN.nvdb\n"
     "       bisque-voxelize --verify FILE...\n"
-    "Turns a scan of any size into a sparse grid of surface voxels with normals and colours.\n"
-    "Several OBJ files are read as one scan. The scan's sorted triangles are kept in a chunk file\n"
-    "(SCAN.tris), from which grids of other resolutions can be made without reading the OBJ "
-    "again.\n"
+    "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
+    "and colours. Several OBJ files are read as one scan. The sorted triangles are kept in a chunk\n"
+    "file (SCAN.tris), which makes grids of other resolutions without reading the OBJ again.\n"
     "\n"
     "  -o, --output FILE       the grid, a NanoVDB file\n"
     "      --resolution N      voxels along the scan's longest side (default: 2048)\n"
@@ -19,11 +18,10 @@ static const char help[] =
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
     "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
     "      --no-tris           do not keep the chunk file\n"
-    "      --parse-only        read the OBJ files and keep nothing, to measure the reader\n"
-    "      --resume            go on with the chunk file of the same job, interrupted after sorting\n"
-    "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the "
-    "output's)\n"
-    "      --verify            check FILES (.tris, .nvdb) and print a line on each, nothing else\n" CLI_COMMON_HELP;
+    "      --parse-only        only read the OBJ files, to measure the reader\n"
+    "      --resume            continue the same job from its chunk file, if that is complete\n"
+    "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the output's)\n" CLI_VERIFY_HELP
+        CLI_COMMON_HELP;
 
 enum {
     OPT_RESOLUTION = CLI_OWN,
@@ -35,8 +33,7 @@ enum {
     OPT_TRIS,
     OPT_NO_TRIS,
     OPT_PARSE_ONLY,
-    OPT_RESUME,
-    OPT_VERIFY
+    OPT_RESUME
 };
 
 static const struct option long_options[] = {
@@ -52,7 +49,7 @@ static const struct option long_options[] = {
     {"parse-only", no_argument, NULL, OPT_PARSE_ONLY},
     CLI_TMPDIR_OPTION,
     {"resume", no_argument, NULL, OPT_RESUME},
-    {"verify", no_argument, NULL, OPT_VERIFY},
+    CLI_VERIFY_OPTION,
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
 };
@@ -64,16 +61,6 @@ static int parse_grid_type(struct cli *cli, struct voxelize_arguments *arguments
     int status = cli_parse_word(cli, "--grid-type", optarg, words, &type);
     if (status == 0)
         arguments->grid_type = type == 0 ? VOX_GRID_MASK : VOX_GRID_ONINDEX;
-    return status;
-}
-
-static int parse_scan_normals(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    static const char *const words[] = {"smooth", "flat", NULL};
-    unsigned mode = 0;
-    int status = cli_parse_word(cli, "--scan-normals", optarg, words, &mode);
-    if (status == 0)
-        arguments->scan_normals = mode == 0 ? BSQ_SCAN_NORMALS_SMOOTH : BSQ_SCAN_NORMALS_FLAT;
     return status;
 }
 
@@ -92,7 +79,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_GRID_TYPE:
         return parse_grid_type(cli, arguments);
     case OPT_SCAN_NORMALS:
-        return parse_scan_normals(cli, arguments);
+        return cli_parse_scan_normals(cli, optarg, &arguments->scan_normals);
     case OPT_VDB:
         arguments->vdb = optarg;
         return 0;
@@ -111,9 +98,6 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_RESUME:
         arguments->resume = true;
         return 0;
-    case OPT_VERIFY:
-        arguments->verify = true;
-        return 0;
     default:
         return cli_common_option(cli, option, help);
     }
@@ -123,9 +107,7 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
 {
     if (arguments->input_count == 0)
         return cli_usage(cli, "no input file given (see --help)");
-    if (arguments->verify && cli->job_option)
-        return cli_usage(cli, "--verify only checks files: leave out --%s", cli->job_option);
-    if (arguments->verify)
+    if (cli->verify)
         return 0;
     if (arguments->parse_only && arguments->output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
@@ -136,7 +118,7 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
     if (arguments->resume && (arguments->no_tris || arguments->parse_only))
-        return cli_usage(cli, "--resume goes on with a chunk file: leave out %s",
+        return cli_usage(cli, "--resume continues from a chunk file: leave out %s",
                          arguments->no_tris ? "--no-tris" : "--parse-only");
     return 0;
 }

@@ -1,4 +1,4 @@
-/* voxelize_arguments.h - what the command line of bisque-voxelize says. */
+/* voxelize_arguments.h - the command line of bisque-voxelize. */
 #ifndef VOXELIZE_ARGUMENTS_H
 #define VOXELIZE_ARGUMENTS_H
 
@@ -14,10 +14,11 @@ struct voxelize_arguments {
     enum vox_grid_type grid_type;
     enum bsq_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
-    bool no_tris, parse_only, resume, verify;
+    bool no_tris, parse_only, resume;
 };
 
-/* All that can be checked without looking at a file. Returns as cli_parse_options() does. */
+/* Parses the command line, and checks what can be checked without opening a file. Returns what
+ * cli_parse_options() returns. */
 int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
                              char **argv);
 

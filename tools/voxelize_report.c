@@ -1,4 +1,4 @@
-/* voxelize_report.c - see voxelize_report.h. */
+/* voxelize_report.c - prints what bisque-voxelize did, as lines or as JSON. */
 #include "tools/voxelize_report.h"
 
 static void print_inputs(const struct voxelize_arguments *arguments)
@@ -15,9 +15,9 @@ static void print_read(const struct voxelize_job *job)
     char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
     print_inputs(job->arguments);
     printf("%s, %s, %s, %s, %.2f s\n",
-           cli_things_text(sort->vertices, "vertex", "vertices", vertices),
-           cli_things_text(sort->faces, "face", "faces", faces),
-           cli_things_text(sort->triangles, "triangle", "triangles", triangles),
+           cli_counted_text(sort->vertices, "vertex", "vertices", vertices),
+           cli_counted_text(sort->faces, "face", "faces", faces),
+           cli_counted_text(sort->triangles, "triangle", "triangles", triangles),
            cli_size_text(sort->bytes_read, size), sort->seconds_read);
     const char *first = "left out: ";
     const char *next = cli_print_count(first, sort->degenerate_triangles, "degenerate triangle",
@@ -37,10 +37,10 @@ static void print_grid(const struct voxelize_job *job)
     char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
     if (!job->sorted_input && !job->resumed && !job->temporary_tris)
         printf("%s: %s, %s, %.2f s\n", job->tris_path,
-               cli_things_text(job->sort.chunks, "chunk", "chunks", chunks),
+               cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
     printf("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
-           cli_things_text(grid->voxels, "voxel", "voxels", voxels),
+           cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
            (long long)grid->index_max[0] - grid->index_min[0] + 1,
            (long long)grid->index_max[1] - grid->index_min[1] + 1,
            (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
@@ -105,9 +105,9 @@ static int print_json(const struct voxelize_job *job)
     return cli_print_json(job->cli, root);
 }
 
-/* A surface that reaches across all of the grid touches as many voxels as there are along it, at
- * least. Where there are fewer it is in pieces, and what lies between them has taken the voxels. */
-static void hint_at_stray_pieces(const struct voxelize_job *job)
+/* Warns of a scan in parts that are far from each other. A connected surface that spans the grid
+ * touches at least as many voxels as the longest side has; with fewer voxels there is a gap. */
+static void warn_of_stray_parts(const struct voxelize_job *job)
 {
     const struct vox_voxelize_report *grid = &job->grid;
     char voxels[CLI_TEXT];
@@ -120,13 +120,13 @@ static void hint_at_stray_pieces(const struct voxelize_job *job)
         bsq_warn(job->cli->ctx,
                  "%s: only %s in a grid of %lld along the longest side: is there something far "
                  "away from the scan, or are its files in different units?",
-                 job->arguments->output, cli_things_text(grid->voxels, "voxel", "voxels", voxels),
+                 job->arguments->output, cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
                  (long long)side);
 }
 
 int voxelize_report_print(const struct voxelize_job *job)
 {
-    hint_at_stray_pieces(job);
+    warn_of_stray_parts(job);
     if (job->cli->json)
         return print_json(job);
     if (job->resumed)

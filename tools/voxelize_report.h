@@ -1,4 +1,4 @@
-/* voxelize_report.h - what bisque-voxelize did, and how it says so. */
+/* voxelize_report.h - the state and results of a job of bisque-voxelize, and their report. */
 #ifndef VOXELIZE_REPORT_H
 #define VOXELIZE_REPORT_H
 
@@ -8,16 +8,16 @@ struct voxelize_job {
     struct cli *cli;
     const struct voxelize_arguments *arguments;
     bool sorted_input;               /* the input is a chunk file */
-    bool resumed;                    /* the chunk file was there already, see --resume */
-    struct vox_job *record;          /* of a job that can be resumed, or NULL */
-    char *tris_path;                 /* owned; of the chunk file that is read in the end */
-    bool temporary_tris;             /* the chunk file has no name: tris_path is that of none */
-    struct vox_temp_tris *temp_tris; /* that chunk file, or NULL; owned */
+    bool resumed;                    /* an earlier run wrote the chunk file, see --resume */
+    struct vox_job *record;          /* for --resume; NULL if the job cannot be resumed */
+    char *tris_path;                 /* of the chunk file; owned */
+    bool temporary_tris;             /* the chunk file is temporary: there is no file tris_path */
+    struct vox_temp_tris *temp_tris; /* the temporary chunk file, or NULL; owned */
     struct vox_sort_report sort;
     struct vox_voxelize_report grid;
 };
 
-/* As lines or as JSON. */
+/* Prints the results, as lines or as JSON. */
 int voxelize_report_print(const struct voxelize_job *job);
 
 #endif

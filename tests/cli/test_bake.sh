@@ -161,7 +161,7 @@ for name in a.jpg a 'a_<MAP>.tif' exr; do
     refused 64 "$p $name: maps are OpenEXR or PNG files: let the name end in .exr or .png"
 done
 $bake plain.nvdb low.obj -o a.exr --preview p.jpg
-refused 64 "$p p.jpg: this picture is a PNG file: let its name end in .png"
+refused 64 "$p p.jpg: the picture is a PNG file: its name must end in .png"
 $bake plain.nvdb low.obj -o a.PNG --half
 refused 64 "$p a.PNG: PNG files have no half-float samples"
 $bake plain.nvdb low.obj -o a.png --preview low.obj

@@ -92,7 +92,7 @@ code 64
 $compare a_normal.exr a_normal.exr --heatmap h.png --histogram ./h.png
 refused 64 "$p ./h.png: two outputs have this name"
 $compare a_normal.exr a_normal.exr --histogram h.exr
-refused 64 "$p h.exr: this picture is a PNG file: let its name end in .png"
+refused 64 "$p h.exr: the picture is a PNG file: its name must end in .png"
 $compare a_normal.exr a_normal.exr --heatmap nowhere/h.png
 code 73
 files $start

@@ -179,10 +179,10 @@ check "the record is gone" $?
 # ---- usage ----
 
 $voxelize vase.obj -o x.nvdb --resume --no-tris
-refused 64 "$p --resume goes on with a chunk file: leave out --no-tris"
+refused 64 "$p --resume continues from a chunk file: leave out --no-tris"
 $voxelize vase.obj --parse-only --resume
-refused 64 "$p --resume goes on with a chunk file: leave out --parse-only"
+refused 64 "$p --resume continues from a chunk file: leave out --parse-only"
 $voxelize vase.tris -o x.nvdb --resume
-refused 64 "$p vase.tris is a chunk file already: leave out --resume"
+refused 64 "$p vase.tris is already a chunk file: leave out --resume"
 man_page bisque-voxelize resume
 finish

@@ -202,9 +202,9 @@ rm a.*
 $vox box.tris box.obj -o a.nvdb
 refused 64 "$p box.tris: a chunk file must be the only input"
 $vox box.tris -o a.nvdb --tris b.tris
-refused 64 "$p box.tris is a chunk file already: leave out --tris"
+refused 64 "$p box.tris is already a chunk file: leave out --tris"
 $vox box.tris -o a.nvdb --texture t.png
-refused 64 "$p box.tris is a chunk file already: leave out --texture"
+refused 64 "$p box.tris is already a chunk file: leave out --texture"
 $vox box.tris --parse-only
 refused 64 "$p box.tris: --parse-only reads meshes"
 $vox box.tris -o box.tris
