@@ -96,23 +96,19 @@ endif
 simd.avx2   := -DBSQ_SIMD_SUFFIX=avx2 -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
 simd.avx512 := -DBSQ_SIMD_SUFFIX=avx512 -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 \
     -mlzcnt $(no_fma)
+# counted/ holds objects with the kernel's counters.
 define simd_rule
-$(BUILD)/obj/%_lanes.c.$(1).o: %_lanes.c
+$(BUILD)/$(2)/%_lanes.c.$(1).o: %_lanes.c
 	@mkdir -p $$(@D)
 	$$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< \
 	    -o $$@
 endef
-$(foreach s,$(simd),$(eval $(call simd_rule,$(s))))
+$(foreach s,$(simd),$(foreach d,obj counted,$(eval $(call simd_rule,$(s),$(d)))))
+$(BUILD)/counted/%.o: CPPFLAGS += -DBK_COUNTERS
+$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes.c.avx512.o,obj counted): CFLAGS += \
+    -mprefer-vector-width=512
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
-
-# The kernel for processors with AVX2 and AVX-512, with and without counters.
-ifneq ($(findstring x86-64,$(ARCH)),)
-$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes8.c.o,obj counted): CFLAGS += -mavx2 \
-    -mbmi -mbmi2 -mlzcnt $(no_fma)
-$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes16.c.o,obj counted): CFLAGS += -mavx512f \
-    -mavx512vl -mavx512dq -mavx512bw -mprefer-vector-width=512 -mbmi -mbmi2 -mlzcnt $(no_fma)
-endif
 
 define archive_rule
 $(archive.$(1)): $$(call objs,$(1))
@@ -392,10 +388,10 @@ $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) |
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 # The native device with counters. Its objects come before the library's when linking.
-counted := native_lanes4 native_lanes8 native_lanes16
+counted := native_lanes.c $(simd:%=native_lanes.c.%)
 $(BUILD)/counted/%.c.o: %.c
 	@mkdir -p $(@D)
-	$(CC) $(CPPFLAGS) -DBK_COUNTERS $(CFLAGS) -c $< -o $@
+	$(CC) $(CPPFLAGS) $(CFLAGS) -c $< -o $@
 $(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
 $(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) \
     | $(module_files) $(BUILD)/tests/lib
@@ -403,7 +399,7 @@ $(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_ar
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
 $(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
     $(BUILD)/counted/tests/bench/rays_counters.c.o \
-    $(counted:%=$(BUILD)/counted/libbake/device/native/%.c.o) $(rays_archives) | $(module_files) \
+    $(counted:%=$(BUILD)/counted/libbake/device/native/%.o) $(rays_archives) | $(module_files) \
     $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)

@@ -15,34 +15,8 @@ struct native {
     struct bk_grid grid;
     struct bk_params params;
     const struct bk_triangle *triangles;
-    bake_native_tile *tile;
+    bake_native_tile_fn *tile;
 };
-
-/* Takes AVX-512 only with VBMI2: the first processors with AVX-512, which lower their clocks much
- * for it, lack VBMI2. */
-bake_native_tile *bake_native_code(unsigned lanes)
-{
-#if defined(__x86_64__)
-    if (lanes == 16)
-        return __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512bw") &&
-                       __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vbmi2")
-                   ? bake_native_tile_16
-                   : NULL;
-    if (lanes == 8)
-        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") ? bake_native_tile_8
-                                                                                : NULL;
-#endif
-    return lanes == 4 ? bake_native_tile_4 : NULL;
-}
-
-static bake_native_tile *widest_code(void)
-{
-    unsigned lanes = 16;
-
-    while (!bake_native_code(lanes))
-        lanes /= 2;
-    return bake_native_code(lanes);
-}
 
 /* Returns the rows of a band. A tile can have many millions of samples, so native_trace() checks
  * for an interruption after each band. A band has whole squares of texels, or is a single row. */
@@ -121,7 +95,7 @@ static int native_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job
     bake_kernel_grid(job->grid, &job->params, &native->grid);
     native->params = job->params;
     native->triangles = job->triangles;
-    native->tile = widest_code();
+    native->tile = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_tile);
     *out = &native->base;
     return 0;
 }

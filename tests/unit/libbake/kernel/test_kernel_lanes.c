@@ -134,12 +134,10 @@ static void compare(const struct fixture *f, uint32_t flags)
     print_message("flags %u: %u of %u rays hit\n", (unsigned)params.flags, (unsigned)hits,
                   (unsigned)covered);
     assert_true(hits > covered / 4 && hits < covered);
-    for (unsigned lanes = 4; lanes <= 16; lanes *= 2) {
-        bake_native_tile *code = bake_native_code(lanes);
-        if (!code) {
-            print_message("this processor has not the instructions for %u lanes\n", lanes);
-            continue;
-        }
+    if (bsq_simd_best() < BSQ_SIMD_AVX512)
+        print_message("this processor cannot run all levels of instructions\n");
+    for (unsigned level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
+        bake_native_tile_fn *code = BSQ_SIMD_PICK(level, bake_native_tile);
         memset(found, 0xff, sizeof found);
         code(&f->grid, &params, f->triangles, &tile, f->samples, found);
         assert_memory_equal(found, expected, sizeof found);

@@ -18,7 +18,7 @@ static size_t level_count(void)
 {
     size_t count = (size_t)bsq_simd_best() + 1;
     if (count < LEVELS)
-        print_message("this processor has not the instructions of all levels\n");
+        print_message("this processor cannot run all levels of instructions\n");
     return count;
 }
 

@@ -151,7 +151,7 @@ static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
     struct memory arrays[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
     load(subgrid, arrays, &grid);
-    bake_native_tile_4(&grid, &subgrid->params, f->triangles, tile, samples, texels);
+    bake_native_tile_base(&grid, &subgrid->params, f->triangles, tile, samples, texels);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);
 }

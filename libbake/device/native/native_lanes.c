@@ -1,5 +1,6 @@
-/* native_tile.h - traces a tile BK_WIDTH samples at a time. Included by one source for
- * each set of instructions, with BK_WIDTH and NATIVE_TILE defined. */
+/* native_lanes.c - traces a tile BK_WIDTH samples at a time. */
+#include "base/simd/simd.h"
+#define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/native_code.h"
 #include "libbake/kernel/bk_sample.h"
 
@@ -71,9 +72,10 @@ static void add_square(struct group *group, const struct bk_tile *tile,
     }
 }
 
-void NATIVE_TILE(const struct bk_grid *grid, const struct bk_params *params,
-                 const struct bk_triangle *triangles, const struct bk_tile *tile,
-                 const uint32_t *sample_triangles, struct bk_texel *texels)
+void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk_params *params,
+                                     const struct bk_triangle *triangles,
+                                     const struct bk_tile *tile, const uint32_t *sample_triangles,
+                                     struct bk_texel *texels)
 {
     struct group group = {
         .grid = grid, .params = params, .triangles = triangles, .cache = bk_cache_empty()};
