@@ -154,6 +154,18 @@ uint64_t bsq_memory_used(const struct bsq_ctx *ctx);
 /** Returns the largest number of bytes that was reserved at any time. */
 uint64_t bsq_memory_high(const struct bsq_ctx *ctx);
 
+/** Returns the bytes of the budget that are not reserved now. */
+uint64_t bsq_memory_left(const struct bsq_ctx *ctx);
+
+/** Alignment in bytes of all memory from bsq_alloc(), bsq_calloc() and bsq_grow(). */
+#define BSQ_ALIGNMENT 64
+
+/** Rounds up to a multiple of `step`, which is not 0. The result must not exceed UINT64_MAX. */
+static inline uint64_t bsq_align_up(uint64_t value, uint64_t step)
+{
+    return (value + step - 1) / step * step;
+}
+
 /* ---- progress ---- */
 
 /** Starts a stage with `total` units; 0 if unknown. `stage` and `unit` must be string literals. A

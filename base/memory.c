@@ -17,7 +17,7 @@
 
 #include "base/context_internal.h"
 
-enum { ALIGNMENT = 64, HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + ALIGNMENT };
+enum { HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + BSQ_ALIGNMENT };
 
 /* Of a huge page; where the system has others this is only an alignment. A header has a page of the
  * smallest size before the payload; systems with larger pages use the C library's blocks alone. */
@@ -73,6 +73,12 @@ uint64_t bsq_memory_limit(const struct bsq_ctx *ctx)
     return ctx->options.memory_bytes;
 }
 
+uint64_t bsq_memory_left(const struct bsq_ctx *ctx)
+{
+    uint64_t limit = bsq_memory_limit(ctx), used = bsq_memory_used(ctx);
+    return limit > used ? limit - used : 0;
+}
+
 uint64_t bsq_memory_used(const struct bsq_ctx *ctx)
 {
     return atomic_load(&ctx->memory_used);
@@ -98,7 +104,7 @@ static struct header *header_of(void *payload)
 static size_t payload_offset(const void *base)
 {
     uintptr_t start = (uintptr_t)base + HEADER_BYTES;
-    uintptr_t aligned = (start + ALIGNMENT - 1) & ~(uintptr_t)(ALIGNMENT - 1);
+    uintptr_t aligned = (start + BSQ_ALIGNMENT - 1) & ~(uintptr_t)(BSQ_ALIGNMENT - 1);
     return aligned - (uintptr_t)base;
 }
 

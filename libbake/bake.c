@@ -199,11 +199,10 @@ static int open_device(struct job *job)
 /* In memory where the map takes no more than half of what is left; the rest is for writing. */
 static int create_image(struct job *job)
 {
-    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
     struct bake_image_options image = {.width = job->options->width,
                                        .height = job->options->height,
                                        .channels = bake_map_channels(job->maps),
-                                       .memory_bytes = used < limit ? (limit - used) / 2 : 0,
+                                       .memory_bytes = bsq_memory_left(job->ctx) / 2,
                                        .beside = job->options->output_path};
     return bake_image_create(job->ctx, &image, &job->image);
 }
@@ -330,8 +329,7 @@ static int create_thumbnails(struct job *job)
     const struct bake_options *options = job->options;
     struct bake_preview *preview = &job->preview;
     uint32_t side = PREVIEW_TEXTURE;
-    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
-    uint64_t share = used < limit ? (limit - used) / 8 : 0;
+    uint64_t share = bsq_memory_left(job->ctx) / 8;
     while (side > 64 && (uint64_t)side * side * sizeof *preview->normal.texels > share)
         side /= 2;
     int status = 0;

@@ -73,11 +73,6 @@ int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);
 int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file);
 
-static inline uint64_t tris_align8(uint64_t bytes)
-{
-    return (bytes + 7) & ~(uint64_t)7;
-}
-
 /* Computes the layout of a chunk; nothing overflows, whatever the counts. */
 static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t triangle_count,
                                                    uint32_t vertex_count)
@@ -92,7 +87,7 @@ static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t
     l.materials = l.colors + (attributes & FMT_TRIS_COLORS ? 4 * nv : 0);
     l.triangles = l.materials + (attributes & FMT_TRIS_MATERIALS ? 4 * nt : 0);
     l.end = l.triangles + (l.short_indices ? 6 : 12) * nt;
-    l.bytes = tris_align8(l.end);
+    l.bytes = bsq_align_up(l.end, 8);
     return l;
 }
 

@@ -135,7 +135,7 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         text += record.path_bytes + 1;
         at += record.path_bytes;
     }
-    if (tris_align8(at) != bytes)
+    if (bsq_align_up(at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
     return 0;
 }
@@ -151,7 +151,7 @@ static bool bounds_valid(const float min[3], const float max[3])
 static uint64_t load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
 {
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    return l.short_indices ? tris_align8(l.triangles + 12 * (uint64_t)info->triangle_count)
+    return l.short_indices ? bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8)
                            : l.bytes;
 }
 

@@ -109,8 +109,7 @@ static int verify_bounds(const struct verify *v)
 
 static int verify_chunks(struct verify *v, uint64_t count)
 {
-    uint64_t limit = bsq_memory_limit(v->ctx), used = bsq_memory_used(v->ctx);
-    bool parallel = (limit > used ? limit - used : 0) / bsq_threads(v->ctx) >= v->worker_bytes;
+    bool parallel = bsq_memory_left(v->ctx) / bsq_threads(v->ctx) >= v->worker_bytes;
     int status = bsq_alloc(v->ctx, "chunks", parallel ? bsq_threads(v->ctx) : 1, v->worker_bytes,
                            &v->scratch);
     if (status == 0 && parallel)
@@ -131,8 +130,8 @@ int fmt_tris_verify(const struct fmt_tris_file *file, uint64_t *vertices)
         most = infos[i].vertex_count > most ? infos[i].vertex_count : most;
     }
     struct verify v = {.file = file, .ctx = fmt_tris_context(file)};
-    v.chunk_bytes = tris_align8(fmt_tris_load_size_max(file));
-    v.worker_bytes = v.chunk_bytes + tris_align8(most);
+    v.chunk_bytes = bsq_align_up(fmt_tris_load_size_max(file), 8);
+    v.worker_bytes = v.chunk_bytes + bsq_align_up(most, 8);
     int status = verify_bounds(&v);
     if (status == 0 && header->chunk_count > 0)
         status = verify_chunks(&v, header->chunk_count);

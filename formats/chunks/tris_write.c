@@ -36,7 +36,7 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
             return bsq_fail(writer->ctx, BSQ_EUSAGE, "a texture's path has %zu bytes", length);
         bytes += sizeof(struct tris_material_record) + length;
     }
-    writer->materials_bytes = tris_align8(bytes);
+    writer->materials_bytes = bsq_align_up(bytes, 8);
     int status =
         bsq_calloc(writer->ctx, "materials", writer->materials_bytes + 1, 1, &writer->materials);
     if (status < 0)

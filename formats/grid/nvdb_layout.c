@@ -31,11 +31,6 @@ void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])
     version[2] = packed & 1023;
 }
 
-static uint64_t align_up(uint64_t offset)
-{
-    return (offset + NVDB_ALIGNMENT - 1) / NVDB_ALIGNMENT * NVDB_ALIGNMENT;
-}
-
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout)
 {
     uint64_t root_bytes =
@@ -62,7 +57,7 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
     uint64_t offset = 0;
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
         if (i >= NVDB_NORMALS)
-            offset = align_up(offset);
+            offset = bsq_align_up(offset, NVDB_ALIGNMENT);
         layout->section[i] = (struct nvdb_range){offset, size[i]};
         offset += size[i];
     }

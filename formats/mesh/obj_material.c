@@ -3,24 +3,16 @@
  * A name belongs to the file that says it: scans are often delivered as tiles, each with its own
  * library and a material of the same name. */
 #include <string.h>
+#include <xxhash.h>
 
 #include "formats/mesh/mtl.h"
 #include "formats/mesh/obj_internal.h"
 #include "formats/mesh/obj_path.h"
 
-/* FNV-1a (Fowler, Noll, Vo). */
-static uint64_t hash_name(uint32_t source, const char *name)
-{
-    uint64_t hash = 0xcbf29ce484222325u ^ source;
-    for (; *name; name++)
-        hash = (hash ^ (unsigned char)*name) * 0x100000001b3u;
-    return hash ^ hash >> 29;
-}
-
 /* The slot that holds the name, or the empty one where it belongs. */
 static uint32_t *find_slot(const struct obj_names *names, uint32_t source, const char *name)
 {
-    uint64_t i = hash_name(source, name) & (names->slot_count - 1);
+    uint64_t i = XXH3_64bits_withSeed(name, strlen(name), source) & (names->slot_count - 1);
     for (;; i = (i + 1) & (names->slot_count - 1)) {
         uint32_t *slot = &names->slots[i];
         if (*slot == 0)

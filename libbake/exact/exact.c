@@ -112,7 +112,7 @@ static int open_textures(struct bake_exact *exact)
         paths[m] = h->materials[m].texture_path;
         any |= paths[m] != NULL;
     }
-    uint64_t cache = exact_left_of_budget(exact->ctx) / 4;
+    uint64_t cache = bsq_memory_left(exact->ctx) / 4;
     cache = cache > MAX_TEXTURE_CACHE ? MAX_TEXTURE_CACHE : cache;
     cache = cache < MIN_TEXTURE_CACHE ? MIN_TEXTURE_CACHE : cache;
     if (any)

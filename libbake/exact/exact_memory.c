@@ -3,11 +3,6 @@
 
 enum { SLOTS_PER_THREAD = 4 }; /* more than one, so that all threads are busy until a wave ends */
 
-static uint64_t align64(uint64_t bytes)
-{
-    return (bytes + 63) & ~UINT64_C(63);
-}
-
 /* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
 struct sizes {
     uint64_t chunk, tree, smooth;
@@ -23,15 +18,15 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
         triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
         vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
     }
-    sizes.chunk = align64(fmt_tris_load_size_max(exact->file));
-    sizes.tree = align64(bake_exact_tree_bytes(triangles));
-    sizes.boxes = align64(triangles * sizeof(struct exact_box));
-    sizes.keys = align64(bake_exact_tree_scratch_bytes(triangles));
+    sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
+    sizes.tree = bsq_align_up(bake_exact_tree_bytes(triangles), BSQ_ALIGNMENT);
+    sizes.boxes = bsq_align_up(triangles * sizeof(struct exact_box), BSQ_ALIGNMENT);
+    sizes.keys = bsq_align_up(bake_exact_tree_scratch_bytes(triangles), BSQ_ALIGNMENT);
     if (exact_needs_smooth(exact)) {
-        sizes.smooth = align64(bake_exact_smooth_bytes(vertices));
+        sizes.smooth = bsq_align_up(bake_exact_smooth_bytes(vertices), BSQ_ALIGNMENT);
         sizes.neighbour = sizes.chunk;
-        sizes.map = align64(vertices * sizeof(uint32_t));
-        sizes.near = align64(exact->chunk_count * sizeof(uint32_t));
+        sizes.map = bsq_align_up(vertices * sizeof(uint32_t), BSQ_ALIGNMENT);
+        sizes.near = bsq_align_up(exact->chunk_count * sizeof(uint32_t), BSQ_ALIGNMENT);
     }
     return sizes;
 }
@@ -72,7 +67,7 @@ static struct plan plan_slots(const struct bake_exact *exact, uint64_t memory)
 
 uint64_t bake_exact_capacity(const struct bake_exact *exact)
 {
-    const uint64_t left = exact_left_of_budget(exact->ctx);
+    const uint64_t left = bsq_memory_left(exact->ctx);
     const uint64_t fixed = plan_slots(exact, left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +
                            (exact->chunk_count + 1) * (sizeof(uint64_t) + EXACT_PAIRS_PER_RAY * 4) +
@@ -90,7 +85,7 @@ int bake_exact_slots_create(const struct bake_exact *exact, struct exact_slots *
 {
     struct bsq_ctx *ctx = exact->ctx;
     const struct sizes sizes = buffer_sizes(exact);
-    const struct plan plan = plan_slots(exact, exact_left_of_budget(ctx) / 2);
+    const struct plan plan = plan_slots(exact, bsq_memory_left(ctx) / 2);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots);
     if (status == 0)

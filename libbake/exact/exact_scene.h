@@ -39,13 +39,6 @@ static inline bool exact_needs_smooth(const struct bake_exact *exact)
            exact->options.normals == BSQ_SCAN_NORMALS_SMOOTH;
 }
 
-/* Returns what is left of the memory budget, in bytes. */
-static inline uint64_t exact_left_of_budget(const struct bsq_ctx *ctx)
-{
-    uint64_t limit = bsq_memory_limit(ctx), used = bsq_memory_used(ctx);
-    return used < limit ? limit - used : 0;
-}
-
 /* ---- a chunk in memory ---- */
 
 /* Sums of normals by position; see exact_smooth.c. */

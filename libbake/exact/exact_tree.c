@@ -5,14 +5,11 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/space_curve.h"
+
 /* A sort key: the place on the curve in the upper bits, the number of the box in the lower ones. */
 enum { NUMBER_BITS = 31, AXIS_BITS = 11, DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS };
 _Static_assert(NUMBER_BITS + 3 * AXIS_BITS == 64, "keys fill 64 bits");
-
-static uint64_t align64(uint64_t bytes)
-{
-    return (bytes + 63) & ~UINT64_C(63);
-}
 
 static uint32_t parents(uint32_t count)
 {
@@ -31,8 +28,8 @@ static uint64_t node_count(uint32_t count)
 
 uint64_t bake_exact_tree_bytes(uint32_t count)
 {
-    return align64(node_count(count) * sizeof(struct exact_box4)) +
-           align64((uint64_t)count * sizeof(uint32_t));
+    return bsq_align_up(node_count(count) * sizeof(struct exact_box4), BSQ_ALIGNMENT) +
+           bsq_align_up((uint64_t)count * sizeof(uint32_t), BSQ_ALIGNMENT);
 }
 
 uint64_t bake_exact_tree_scratch_bytes(uint32_t count)
@@ -42,55 +39,17 @@ uint64_t bake_exact_tree_scratch_bytes(uint32_t count)
 
 /* ---- order ---- */
 
-/* Hilbert's curve as an automaton. For a state and an octant (x in bit 0): the place of the octant
- * on the curve in the lower three bits, and the state inside of it in the upper ones. The table
- * follows the curve of Skilling ("Programming the Hilbert curve", 2004) through two levels. */
-static const uint8_t hilbert[24][8] = {
-    {8, 55, 27, 36, 17, 46, 2, 5},
-    {56, 75, 65, 10, 95, 20, 86, 13},
-    {32, 99, 119, 12, 1, 18, 110, 21},
-    {142, 71, 29, 132, 121, 80, 26, 3},
-    {64, 57, 131, 34, 87, 94, 4, 37},
-    {156, 31, 51, 144, 45, 6, 42, 105},
-    {164, 143, 53, 70, 43, 120, 50, 81},
-    {0, 33, 111, 118, 171, 58, 68, 61},
-    {16, 47, 9, 54, 139, 60, 66, 69},
-    {134, 77, 177, 74, 39, 100, 112, 11},
-    {124, 91, 85, 82, 79, 160, 14, 49},
-    {188, 93, 83, 90, 135, 38, 176, 113},
-    {174, 101, 63, 76, 185, 98, 88, 19},
-    {148, 115, 103, 152, 109, 106, 22, 41},
-    {180, 117, 175, 62, 107, 114, 184, 89},
-    {122, 187, 125, 84, 25, 128, 150, 183},
-    {78, 161, 133, 130, 15, 48, 28, 35},
-    {30, 7, 145, 104, 141, 172, 138, 67},
-    {146, 179, 137, 168, 149, 108, 126, 191},
-    {154, 169, 163, 136, 157, 190, 44, 127},
-    {162, 129, 165, 182, 155, 24, 52, 151},
-    {102, 153, 23, 40, 173, 170, 140, 59},
-    {178, 181, 73, 166, 147, 116, 96, 159},
-    {186, 189, 123, 92, 97, 158, 72, 167},
-};
-
 uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side)
 {
     const float most = (1 << AXIS_BITS) - 1;
     const float scale = side > 0 ? (float)fmin((double)most / side, 1e30) : 0.0f;
     uint32_t cells[3];
-    uint64_t place = 0;
     for (int k = 0; k < 3; k++) {
         float cell = (point[k] - low[k]) * scale;
         cell = cell < most ? cell : most;
         cells[k] = cell > 0.0f ? (uint32_t)cell : 0;
     }
-    for (unsigned bit = AXIS_BITS, state = 0; bit-- > 0;) {
-        const unsigned octant =
-            (cells[0] >> bit & 1) | (cells[1] >> bit & 1) << 1 | (cells[2] >> bit & 1) << 2;
-        const unsigned entry = hilbert[state][octant];
-        place = place << 3 | (entry & 7);
-        state = entry >> 3;
-    }
-    return place;
+    return bsq_hilbert_place(cells, AXIS_BITS);
 }
 
 /* Makes the sort keys of boxes, from the places of their centres on the curve. */
@@ -197,7 +156,8 @@ void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct
     tree->count = count;
     tree->nodes = memory;
     tree->order =
-        (uint32_t *)(void *)((char *)memory + align64(node_count(count) * sizeof *tree->nodes));
+        (uint32_t *)(void *)((char *)memory +
+                             bsq_align_up(node_count(count) * sizeof *tree->nodes, BSQ_ALIGNMENT));
     make_keys(count, boxes, keys);
     const uint64_t *sorted = sort_keys(count, keys, keys + count);
     for (uint32_t i = 0; i < count; i++)

@@ -312,8 +312,7 @@ static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t
 /* A quarter of what is left of the budget, and whole blocks of the writers. */
 static uint32_t choose_band_rows(const struct bake_map_files *files, const struct bake_image *image)
 {
-    uint64_t limit = bsq_memory_limit(files->ctx), used = bsq_memory_used(files->ctx);
-    uint64_t bytes = used < limit ? (limit - used) / 4 : 0;
+    uint64_t bytes = bsq_memory_left(files->ctx) / 4;
     uint64_t row_bytes = bake_padding_row_bytes(image);
     for (uint32_t i = 0; i < files->count; ++i)
         row_bytes += (uint64_t)files->width * files->files[i].kind->channel_count * sizeof(float);

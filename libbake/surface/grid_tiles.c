@@ -30,8 +30,7 @@ static uint64_t tile_bytes(uint64_t side, uint64_t samples)
 uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples)
 {
     uint64_t threads = bsq_threads(ctx);
-    uint64_t limit = bsq_memory_limit(ctx), used = bsq_memory_used(ctx);
-    uint64_t share = used < limit ? (limit - used) / 8 / threads : 0;
+    uint64_t share = bsq_memory_left(ctx) / 8 / threads;
     uint64_t texels = (uint64_t)width * height;
     uint32_t side = LARGEST_TILE;
     while (side > USUAL_TILE && texels / side / side < TILES_A_THREAD * threads)

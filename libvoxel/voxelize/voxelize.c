@@ -70,8 +70,7 @@ static uint64_t min64(uint64_t a, uint64_t b)
  * the results under way and to the writer. Fails early if the minimum of all that does not fit. */
 static int make_plan(const struct job *job, struct plan *plan)
 {
-    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
-    uint64_t available = limit > used ? limit - used : 0;
+    uint64_t available = bsq_memory_left(job->ctx);
     uint64_t slot = vox_chunks_slot_bytes(job->file, job->smooth != NULL);
     bool color = vox_shading_has_color(job->header);
     plan->texture_bytes = 0;
@@ -88,7 +87,8 @@ static int make_plan(const struct job *job, struct plan *plan)
         return bsq_fail(job->ctx, BSQ_EUSAGE,
                         "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
                         "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
-                        job->options->tris_path, limit, job->workers, need, used);
+                        job->options->tris_path, bsq_memory_limit(job->ctx), job->workers, need,
+                        bsq_memory_used(job->ctx));
     available -= plan->texture_bytes + blocks;
     uint64_t slots = available / 2 / slot;
     plan->cache_slots = slots < 1 ? 1 : min64(min64(slots, job->header->chunk_count), INT32_MAX);
@@ -133,8 +133,7 @@ static int make_smooth(struct job *job)
     if ((job->header->attributes & FMT_TRIS_NORMALS) ||
         job->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
         return 0;
-    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
-    uint64_t available = limit > used ? limit - used : 0;
+    uint64_t available = bsq_memory_left(job->ctx);
     return vox_smooth_create(job->ctx, job->file, job->workers, available / 8, &job->smooth);
 }
 
@@ -166,10 +165,8 @@ static int make_schedule(struct job *job)
         job->bounds[i] =
             vox_transform_box(&job->shared.transform, infos[i].bounds_min, infos[i].bounds_max);
     job->shared.bounds = job->bounds;
-    uint64_t limit = bsq_memory_limit(job->ctx), used = bsq_memory_used(job->ctx);
     status = vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds,
-                                    limit > used ? (limit - used) / 16 : 0, &job->boxes,
-                                    &job->box_count);
+                                    bsq_memory_left(job->ctx) / 16, &job->boxes, &job->box_count);
     return status < 0 ? status
                       : vox_schedule_create(job->ctx, job->boxes, job->box_count, &job->schedule);
 }

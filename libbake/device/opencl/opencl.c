@@ -213,11 +213,6 @@ static const char *opencl_send_samples(struct bake_compute *compute, unsigned nu
     return "clEnqueueWriteBuffer";
 }
 
-static size_t round_up(size_t count, size_t step)
-{
-    return (count + step - 1) / step * step;
-}
-
 static const char *opencl_launch(struct bake_compute *compute, unsigned number,
                                  const struct bake_compute_subgrid *subgrid,
                                  const struct bk_tile *tile, const struct bake_launch_batch *batch,
@@ -225,8 +220,8 @@ static const char *opencl_launch(struct bake_compute *compute, unsigned number,
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];
-    const size_t size[2] = {round_up(tile->width, worker->group[0]),
-                            round_up(batch->end_row - batch->first_row, worker->group[1])};
+    const size_t size[2] = {bsq_align_up(tile->width, worker->group[0]),
+                            bsq_align_up(batch->end_row - batch->first_row, worker->group[1])};
     const uint32_t bounds[] = {batch->first_row, batch->end_row, batch->first_line,
                                batch->end_line};
     const bool first = batch->first_row == 0 && batch->first_line == 0;
@@ -359,9 +354,7 @@ static uint64_t memory_limit(const struct opencl *cl)
     uint64_t limit = cl->device.memory_bytes / 8 * 7;
 
     if (cl->device.host_memory) {
-        const uint64_t budget = bsq_memory_limit(cl->compute.ctx),
-                       used = bsq_memory_used(cl->compute.ctx);
-        const uint64_t left = used < budget ? (budget - used) / 4 * 3 : 0;
+        const uint64_t left = bsq_memory_left(cl->compute.ctx) / 4 * 3;
         limit = left < limit ? left : limit;
     }
     return limit;

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 
 #include "base/parallel.h"
+#include "base/space_curve.h"
 #include "libbake/device/subgrid/leaf_set.h"
 #include "libbake/raster/raster.h"
 
@@ -160,18 +161,9 @@ static int place_split(struct planner *p, uint32_t index)
 
 /* ---- the order of tiles ---- */
 
-/* Spreads ten bits: two zeros between each and the next. */
-static uint32_t spread(uint32_t v)
-{
-    v = (v | v << 16) & 0x030000ff;
-    v = (v | v << 8) & 0x0300f00f;
-    v = (v | v << 4) & 0x030c30c3;
-    return (v | v << 2) & 0x09249249;
-}
-
 static uint32_t morton(const struct bk_params *params, const double at[3])
 {
-    uint32_t key = 0;
+    uint32_t cell[3];
     double side = 1;
     for (int k = 0; k < 3; k++) {
         const double length = (double)params->index_max[k] - (double)params->index_min[k] + 1;
@@ -179,10 +171,9 @@ static uint32_t morton(const struct bk_params *params, const double at[3])
     }
     for (int k = 0; k < 3; k++) {
         const double place = (at[k] - (double)params->index_min[k]) / side * 1024;
-        const uint32_t bits = place > 0 ? place < 1023 ? (uint32_t)place : 1023 : 0;
-        key |= spread(bits) << k;
+        cell[2 - k] = place > 0 ? place < 1023 ? (uint32_t)place : 1023 : 0;
     }
-    return key;
+    return (uint32_t)bsq_morton_key(cell);
 }
 
 /* Computes the Z-order key of a tile: the mean centre of the triangles of a few samples. */

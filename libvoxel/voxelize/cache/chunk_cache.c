@@ -56,11 +56,6 @@ struct vox_chunks {
 
 /* ---- layout of a slot ---- */
 
-static uint64_t align64(uint64_t bytes)
-{
-    return (bytes + 63) & ~UINT64_C(63);
-}
-
 /* Returns the layout for a chunk, or for the largest one. load_bytes: what fmt_tris_load()
  * needs. */
 static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth,
@@ -70,13 +65,16 @@ static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth,
     uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
     uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
     struct slot_layout to;
-    to.points_at = align64(load_bytes);
-    to.normals_at = to.points_at + align64(vertices * sizeof(double[4]));
-    to.groups_at = to.normals_at + (normals ? align64(vertices * sizeof(float[4])) : 0);
-    to.vertex_groups_at = to.groups_at + align64(groups * sizeof(struct vox_box));
+    to.points_at = bsq_align_up(load_bytes, BSQ_ALIGNMENT);
+    to.normals_at = to.points_at + bsq_align_up(vertices * sizeof(double[4]), BSQ_ALIGNMENT);
+    to.groups_at =
+        to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
+    to.vertex_groups_at =
+        to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
     to.inconsistent_at =
-        to.vertex_groups_at + (smooth ? align64(vertex_groups * sizeof(struct vox_box)) : 0);
-    to.bytes = to.inconsistent_at + align64(groups * sizeof(bool));
+        to.vertex_groups_at +
+        (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
+    to.bytes = to.inconsistent_at + bsq_align_up(groups * sizeof(bool), BSQ_ALIGNMENT);
     return to;
 }
 
