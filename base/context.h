@@ -136,7 +136,7 @@ void bsq_free(struct bsq_ctx *ctx, void *memory);
 
 /** Prefaults the whole pages in [at, at + bytes): the system assigns them now, not at their first
  * use. The content stays. Does nothing on systems that cannot do this. */
-void bsq_touch(void *at, uint64_t bytes);
+void bsq_prefault(void *at, uint64_t bytes);
 
 /** Counts `bytes` that other code allocates, such as a library's cache, against the budget.
  * Errors: BSQ_ENOMEM. */

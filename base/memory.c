@@ -260,7 +260,7 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
     bsq_release(ctx, size);
 }
 
-void bsq_touch(void *at, uint64_t bytes)
+void bsq_prefault(void *at, uint64_t bytes)
 {
 #ifdef MADV_POPULATE_WRITE
     uintptr_t page = (uintptr_t)sysconf(_SC_PAGE_SIZE),

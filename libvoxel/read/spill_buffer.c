@@ -45,7 +45,7 @@ void vox_spill_touch_ahead(struct spool *spool)
     }
     pthread_mutex_unlock(&spool->lock);
     if (at)
-        bsq_touch(at, size); /* a spill may have freed it by now, then this has no effect */
+        bsq_prefault(at, size); /* a spill may have freed it by now, then this has no effect */
 }
 
 /* ---- segments ---- */

@@ -1,4 +1,4 @@
-/* fixture.h - what tests of all libraries begin and end with. */
+/* fixture.h - contexts and random seeds for the tests of all libraries. */
 #ifndef TEST_FIXTURE_H
 #define TEST_FIXTURE_H
 
@@ -11,7 +11,7 @@
 
 #include "base/context.h"
 
-/* memory: the budget in bytes, 0: the default. */
+/* Creates a context with a memory budget in bytes; 0: the default. */
 static inline struct bsq_ctx *test_context(unsigned threads, uint64_t memory)
 {
     struct bsq_ctx_options options = {.threads = threads, .memory_bytes = memory};
@@ -20,14 +20,14 @@ static inline struct bsq_ctx *test_context(unsigned threads, uint64_t memory)
     return ctx;
 }
 
-/* Everything must have been given back. */
+/* Checks that all memory was freed, and destroys the context. */
 static inline void test_context_end(struct bsq_ctx *ctx)
 {
     assert_int_equal(bsq_memory_used(ctx), 0);
     bsq_ctx_destroy(ctx);
 }
 
-/* Of random numbers; printed, so that a failure can be repeated with BSQ_TEST_SEED. */
+/* Returns a seed for random numbers and prints it. BSQ_TEST_SEED sets it, to repeat a failure. */
 static inline uint64_t test_seed(void)
 {
     const char *text = getenv("BSQ_TEST_SEED");

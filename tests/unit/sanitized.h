@@ -1,6 +1,5 @@
-/* sanitized.h - is this built with a sanitizer that takes ten times as long? Tests whose long part
- * repeats what a short one does already then do the short one; what they prove by numbers they
- * prove without sanitizers. */
+/* sanitized.h - tells whether a sanitizer is built in, which makes tests about ten times slower.
+ * Long tests that repeat a short part many times then run the short part only. */
 #ifndef TEST_SANITIZED_H
 #define TEST_SANITIZED_H
 

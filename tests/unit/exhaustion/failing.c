@@ -1,5 +1,5 @@
-/* failing.c - see failing.h. Blocks that are allocated while a job runs stand in a hash table with
- * open addressing. */
+/* failing.c - see failing.h. A hash table with open addressing holds the blocks that are allocated
+ * while a job runs. */
 #include "tests/unit/exhaustion/failing.h"
 
 #include <dlfcn.h>
@@ -121,7 +121,7 @@ static int64_t forget_blocks(void)
 }
 #endif
 
-/* ---- what takes the C library's place ---- */
+/* ---- replacements of the C library's functions ---- */
 
 void *OWN(malloc)(size_t size)
 {

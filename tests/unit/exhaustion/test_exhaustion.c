@@ -1,6 +1,6 @@
-/* test_exhaustion.c - every allocation of every job fails once, then every allocation from each on;
- * every thread that is started fails to. Nothing crashes, leaks, stays open or stays behind, and
- * the failure is BSQ_ENOMEM with a text; where a job can do without, its result is right. */
+/* test_exhaustion.c - lets every allocation of every job fail once, then every allocation from each
+ * one on, and every start of a thread. Nothing may crash, leak, stay open or stay behind. The
+ * failure is BSQ_ENOMEM with a text; if a job can do without, its result is right. */
 #include <dirent.h>
 #include <math.h>
 #include <setjmp.h>
@@ -85,7 +85,7 @@ static bool expected_name(const char *name)
     return false;
 }
 
-/* Number of open descriptors; fails the test where a job left a file behind. */
+/* Returns the number of open descriptors. Fails the test if a job left a file behind. */
 static int count_open(void)
 {
     int count = 0;
@@ -148,7 +148,7 @@ static int sort(struct bsq_ctx *ctx)
     return sort_to(ctx, "out.tris");
 }
 
-/* Records a job, and goes on with it. */
+/* Records a job and resumes it. */
 static int record(struct bsq_ctx *ctx)
 {
     const char *path = "scan.obj";
@@ -250,7 +250,7 @@ static int compare(struct bsq_ctx *ctx)
 
 /* ---- running them ---- */
 
-/* Runs a job in a context of its own. */
+/* Runs a job in its own context. */
 static int run(int (*job)(struct bsq_ctx *))
 {
     struct bsq_ctx_options options = {.memory_bytes = UINT64_C(256) << 20, .threads = THREADS};
@@ -270,7 +270,7 @@ static int run(int (*job)(struct bsq_ctx *))
     return status;
 }
 
-/* One run with call number `first` failing; false where there was no such call. */
+/* Runs a job with call number `first` failing. Returns false if there was no such call. */
 static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_t first,
                         bool all_after)
 {
@@ -288,10 +288,10 @@ static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_
     return result.failed > 0;
 }
 
-/* Tries each of `stride` calls. */
+/* Lets every `stride`-th call fail, each in its own run. */
 static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
 {
-    /* What libraries and the C library keep from their first use is no leak. */
+    /* Blocks that libraries keep from their first use are no leaks. */
     for (int i = 0; i < 2; i++)
         assert_int_equal(run(job), 0);
     uint64_t calls = 0;
