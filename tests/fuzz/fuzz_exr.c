@@ -1,4 +1,4 @@
-/* fuzz_exr.c - fuzz target for the maps that are compared. */
+/* fuzz_exr.c - fuzz target for OpenEXR maps, as bisque-compare reads them. */
 #include "formats/image/exr_read.h"
 #include "tests/fuzz/fuzz_file.h"
 

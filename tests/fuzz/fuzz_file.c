@@ -8,8 +8,8 @@
 
 const char *__asan_default_options(void);
 
-/* Inputs are small and many: AddressSanitizer need not remember much between them. A finding's
- * history is seen by running it again with ASAN_OPTIONS=malloc_context_size=30. */
+/* Options that make AddressSanitizer fast for many small inputs. To see a finding's full history,
+ * run it again with ASAN_OPTIONS=malloc_context_size=30. */
 const char *__asan_default_options(void)
 {
     return "quarantine_size_mb=8:malloc_context_size=2:max_malloc_fill_size=0";

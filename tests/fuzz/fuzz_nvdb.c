@@ -1,4 +1,4 @@
-/* fuzz_nvdb.c - fuzz target for grids: whatever opens can be looked up and traced, in bounds. */
+/* fuzz_nvdb.c - fuzz target for grids: lookups and rays in an accepted grid stay in bounds. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/grid_patch.h"
 
@@ -11,7 +11,7 @@ enum { SIDE = 6 }; /* texels of the tile that is traced */
 
 static struct patched_grid patched;
 
-/* Stand for those of base/map.c: the file is in memory already. */
+/* Replace the functions of base/map.c: the file is in memory already. */
 int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
 {
     (void)ctx;
@@ -33,7 +33,7 @@ void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map)
     memset(map, 0, sizeof *map);
 }
 
-/* Voxels on the diagonal of the bounds and around them, with all that they refer to. */
+/* Looks up voxels on and around the diagonal of the bounds, with their records. */
 static void look_up(const struct fmt_nvdb_grid *grid)
 {
     for (int step = -2; step <= 34; step++) {
@@ -70,7 +70,7 @@ static void trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *
     require(fabsf(length - 1.0f) < 0.01f, "a normal that is not a unit vector");
 }
 
-/* Rays through the grid's ends and between them, along the axes and not. */
+/* Traces rays through the ends of the grid and between them, along axes and askew. */
 static void trace(const struct fmt_nvdb_grid *grid)
 {
     static const float directions[][3] = {
@@ -90,8 +90,8 @@ static void trace(const struct fmt_nvdb_grid *grid)
     }
 }
 
-/* A skew square through the middle of the grid, a little larger; corner 0 of each triangle at its
- * lower or upper end. */
+/* Makes a skew square through the middle of the grid, a little larger than it. Corner 0 of its two
+ * triangles is at the lower or upper end. */
 static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle triangles[2])
 {
     static const float u[3] = {0.8f, 0, 0.6f}, v[3] = {-0.36f, 0.8f, 0.48f},
@@ -116,7 +116,7 @@ static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle tri
     }
 }
 
-/* The code for several rays at a time. */
+/* Traces a tile, to run the code for several rays at a time. */
 static int trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     const struct bk_tile tile = {.width = SIDE, .height = SIDE};

@@ -1,6 +1,6 @@
-/* fuzz_scan.c - fuzz target for both stages: a scan, as a chunk file or as OBJ text, is sorted,
- * voxelized and baked, from the grid and from its triangles. What one stage writes, the next must
- * accept; and sorting must write the same where vertices have no room in memory. */
+/* fuzz_scan.c - fuzz target for both stages. A scan, a chunk file or OBJ text, is sorted,
+ * voxelized, and baked from the grid and from its triangles. Each stage must accept what the stage
+ * before wrote. Sorting must write the same bytes if vertices do not fit in memory. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/tris_mend.h"
 
@@ -17,12 +17,13 @@
 
 enum { MAGIC_BYTES = 8, RESOLUTION = 7 };
 
-/* Of a chart for each side of the unit cube's diagonal plane, one mirrored. */
+/* Two triangles on a diagonal plane of the unit cube, one for each side; one UV chart is mirrored.
+ */
 static const char low_mesh[] = "v 0 0 0\nv 1 0 .5\nv 1 1 1\nv 0 1 .5\n"
                                "vt .1 .1\nvt .9 .1\nvt .9 .9\nvt .1 .9\n"
                                "f 1/1 2/2 3/3\nf 4/4 3/3 1/1\n";
 
-/* Files of one run, in a folder that all share. */
+/* Files of a run, in one folder for all runs. */
 static struct {
     char folder[64], obj[96], tris[96], other[96], grid[96], low[96], map[96];
 } files;
@@ -82,8 +83,8 @@ static int sort(struct bsq_ctx *ctx)
     return vox_sort(ctx, &options, &report);
 }
 
-/* Vertices are in a file; faces are scattered as they are read, or later, or joined with their
- * vertices. */
+/* How to sort with vertices in a file: partition triangles while reading, partition them later, or
+ * join them with their vertices before. */
 enum way { AT_ONCE, LATER, JOINED, WAY_COUNT };
 static enum way way;
 
@@ -126,7 +127,7 @@ static int voxelize(struct bsq_ctx *ctx)
     return status;
 }
 
-/* Colours may need textures, which are other files. */
+/* Bakes no colours: they may need textures, which are other files. */
 static int bake(struct bsq_ctx *ctx, const char *scan)
 {
     struct bake_options options;
@@ -155,7 +156,7 @@ static int bake_triangles(struct bsq_ctx *ctx)
     return bake(ctx, files.tris);
 }
 
-/* What a stage wrote is whole. */
+/* Check that the files that a stage wrote are valid. */
 static int check_tris(struct bsq_ctx *ctx)
 {
     struct fmt_tris_file *file;

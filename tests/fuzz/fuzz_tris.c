@@ -1,5 +1,5 @@
-/* fuzz_tris.c - fuzz target for chunk files: every chunk of whatever opens is read. Most mutated
- * files get right sums, so that what lies behind them is reached. */
+/* fuzz_tris.c - fuzz target for chunk files: loads each chunk of an accepted file. Most mutated
+ * files get correct checksums, so that mutations reach the checks after them. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/tris_mend.h"
 
@@ -23,7 +23,7 @@ static int use(struct bsq_ctx *ctx, const char *path)
         struct fmt_tris_chunk chunk;
         uint64_t bytes = fmt_tris_load_size(file, i);
         require(bytes <= fmt_tris_load_size_max(file), "a chunk larger than the largest");
-        /* Exactly as large, so that the sanitizer sees a byte more. */
+        /* Of the exact size, so that the sanitizer sees an access one byte beyond it. */
         status = bsq_alloc(ctx, "chunk", bytes, 1, &scratch);
         if (!status)
             status = fmt_tris_load(file, i, scratch, &chunk);

@@ -1,9 +1,9 @@
-/* grid_patch.c - see grid_patch.h.
+/* grid_patch.c - applies the changes of a small input to a grid file in memory.
  *
- * An input: u8 flags (bits 0-1: template, bit 2: leave the sums wrong, bit 3: verify), then
- * changes: u8 kind, and what it takes. Places count the bytes of the file that are in or beside
- * words that are not zero, so that few bits say where, or all of its bytes. Some changes keep the
- * tree valid: they move the grid, scale it or move a voxel. */
+ * An input is u8 flags (bits 0-1: template, bit 2: leave the checksums wrong, bit 3: verify), then
+ * changes: u8 kind and its operands. A place is a number among the bytes that are in or beside
+ * words that are not zero, so that 16 bits are enough; SET_FAR counts all bytes of the file. Some
+ * changes keep the tree valid: they move or scale the grid, or move a voxel. */
 #include "tests/fuzz/grid_patch.h"
 
 #include <sanitizer/asan_interface.h>
@@ -21,16 +21,16 @@
 enum { TEMPLATES = 4, CHANGES = 32, RANGES = 256, SLACK = 1 << 15 };
 
 enum change {
-    SET,      /* u16 place, u8 n - 1 in 0 .. 7, n bytes */
-    SET_FAR,  /* u32 place in the file, same */
+    SET,      /* u16 place, u8 n - 1 in 0 ... 7, n bytes */
+    SET_FAR,  /* u32 offset in the file, then as SET */
     ADD,      /* u16 place, i8 to add to the aligned u64 there */
     MOVE,     /* u8 axis, i32 number of upper nodes */
     SCALE,    /* f64 edge of a voxel */
     SHIFT,    /* u8 axis, f64 translation */
-    MOVE_BIT, /* u16 leaf, u16 from, u16 to: a voxel's place in its leaf */
-    CUT       /* i16 bytes fewer */
+    MOVE_BIT, /* u16 leaf, u16 old and u16 new bit of a voxel in the leaf */
+    CUT       /* i16 bytes to remove from the end */
 };
-/* How often each is chosen. */
+/* Maps the low bits of an input's kind to changes, frequent ones several times. */
 static const uint8_t kinds[16] = {SET, SET,  SET,  SET,   SET,   SET_FAR,  ADD,      ADD,
                                   CUT, MOVE, MOVE, SCALE, SHIFT, MOVE_BIT, MOVE_BIT, MOVE_BIT};
 
@@ -38,7 +38,7 @@ struct grid_template {
     uint8_t *bytes, *original;
     uint64_t size;
     struct nvdb_layout layout;
-    uint32_t *places, place_count; /* offsets of bytes that count */
+    uint32_t *places, place_count; /* offset of each place */
     struct nvdb_range changed[RANGES];
     int changed_count;
 };
@@ -59,7 +59,7 @@ static uint64_t take(struct cursor *from, size_t bytes)
 
 /* ---- templates ---- */
 
-/* A clump of voxels around a point; type and colour by the template's number. */
+/* Writes a clump of voxels around a point; the template's number decides type and colour. */
 static void make_scene(int number, struct scene *scene)
 {
     static const int32_t centre[TEMPLATES][3] = {
@@ -102,7 +102,7 @@ static uint8_t *allocate(uint64_t size)
     return memory;
 }
 
-/* The file ends at `size`, for the sanitizer, too. */
+/* Makes the file end at `size`, also for the sanitizer. */
 static void set_end(const struct grid_template *t, uint64_t size)
 {
     ASAN_UNPOISON_MEMORY_REGION(t->bytes, t->size + SLACK);
@@ -159,7 +159,8 @@ static struct grid_template *template_at(int number)
     return &templates[number];
 }
 
-/* Says that `size` bytes at p are about to be changed. Where that is too often, all are. */
+/* Notes that `size` bytes at p will change. If there are too many notes, all bytes count as
+ * changed. */
 static void touch(struct grid_template *t, const void *p, uint64_t size)
 {
     if (t->changed_count == RANGES)
@@ -255,7 +256,7 @@ static void scale_grid(const struct grid_template *t, uint64_t bits)
         grid_data(t)->map.matrix[i] = size;
 }
 
-/* Bounds of the nodes above the leaves, from the leaves up. */
+/* Computes the bounds of all nodes above the leaves. */
 static void join_bounds(const struct grid_template *t)
 {
     struct nvdb_upper *upper = nodes(t, NVDB_UPPERS);
@@ -373,7 +374,7 @@ static void change(struct grid_template *t, struct cursor *from, uint64_t *size)
     }
 }
 
-/* The copy of what the head says at the file's begin, and all sums. */
+/* Corrects the file header, which repeats parts of GridData, and all checksums. */
 static void mend(struct grid_template *t)
 {
     const struct nvdb_layout *layout = &t->layout;

@@ -1,24 +1,24 @@
-/* grid_patch.h - small inputs that change a large file: patches of grids that are built in.
+/* grid_patch.h - turns small fuzz inputs into grid files: changes to built-in templates.
  *
- * The smallest grid file has 300 KB, most of them zeros that must stay zero. So an input is a
- * template's number, flags, and a list of changes; sums are made right again in most cases, so that
- * what lies behind them is reached, too. */
+ * The smallest grid file has 300 KB, most of them zeros that must stay zero. So an input is the
+ * number of a template, flags, and a list of changes. Most inputs get correct checksums, so that
+ * changes reach the checks after them. */
 #ifndef FUZZ_GRID_PATCH_H
 #define FUZZ_GRID_PATCH_H
 
 #include "formats/grid/nvdb.h"
 
-/* A file in memory. The sanitizer sees an access behind its last byte. */
+/* A file in memory. The sanitizer sees an access beyond its last byte. */
 struct patched_grid {
     uint8_t *bytes;
     uint64_t size;
-    struct grid_template *of; /* NULL: a copy */
-    bool verify;              /* goes through the whole file, which takes long */
+    struct grid_template *of; /* NULL: a copy of the input */
+    bool verify;              /* also verify the whole file, which takes long */
 };
 
-/* Makes the file that an input says. An input that begins as a grid file does is one. */
+/* Makes the file of an input. An input with the magic number of a grid file is used as it is. */
 void grid_patch_apply(const uint8_t *data, size_t size, struct patched_grid *out);
-/* Takes the changes back. */
+/* Reverts the changes. */
 void grid_patch_revert(struct patched_grid *grid);
 
 #endif

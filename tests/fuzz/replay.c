@@ -1,4 +1,4 @@
-/* replay.c - runs a fuzz target over files, without the fuzzer. */
+/* replay.c - runs a fuzz target on files, without the fuzzer. */
 #include "tests/fuzz/fuzz_file.h"
 
 #include <stdio.h>

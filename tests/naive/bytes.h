@@ -1,8 +1,8 @@
-/* bytes.h - what both naive readers need: a file's bytes, numbers in them, an end with a message.
+/* bytes.h - shared by the naive readers: loads a file, reads numbers from it, ends with a message.
  *
- * The readers are written from formats/FORMATS.md alone and share nothing with Bisque, so that a
- * mistake in the page, the writer or Bisque's reader makes them disagree. They are simple and slow:
- * the whole file is in memory, and every access is checked. */
+ * The readers are written from formats/FORMATS.md alone and share no code with Bisque. So a mistake
+ * in the page, in the writer or in Bisque's reader makes them disagree. They are simple and slow:
+ * the whole file is in memory, and each access is checked. */
 #ifndef NAIVE_BYTES_H
 #define NAIVE_BYTES_H
 
@@ -46,18 +46,18 @@ static inline struct bytes read_bytes(const char *path)
     FILE *stream = fopen(path, "rb");
     if (!stream)
         refuse(&file, "cannot be opened");
-    for (uint64_t room = 0, got = 1; got > 0; file.size += got) {
-        if (file.size == room)
-            file.data = realloc(file.data, room = 2 * room + 4096);
+    for (uint64_t capacity = 0, got = 1; got > 0; file.size += got) {
+        if (file.size == capacity)
+            file.data = realloc(file.data, capacity = 2 * capacity + 4096);
         if (!file.data)
             refuse(&file, "no memory");
-        got = fread(file.data + file.size, 1, room - file.size, stream);
+        got = fread(file.data + file.size, 1, capacity - file.size, stream);
     }
     fclose(stream);
     return file;
 }
 
-/* The bytes [at, at + size), which must be in the file. */
+/* Returns the bytes [at, at + size), which must be in the file. */
 static inline const uint8_t *bytes_at(const struct bytes *file, uint64_t at, uint64_t size)
 {
     if (at > file->size || size > file->size - at)
@@ -130,7 +130,7 @@ static inline void require_text(const struct bytes *file, uint64_t at, const cha
     require(file, memcmp(bytes_at(file, at, strlen(text)), text, strlen(text)) == 0, what);
 }
 
-/* A name of `size` bytes, padded with zeros. */
+/* Checks a name of `size` bytes that is padded with zeros. */
 static inline void require_name(const struct bytes *file, uint64_t at, const char *name,
                                 uint64_t size)
 {

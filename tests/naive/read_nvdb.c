@@ -1,9 +1,10 @@
-/* read_nvdb.c - a second reader of Bisque's .nvdb files, from formats/FORMATS.md alone.
+/* read_nvdb.c - a second reader of grid files, written from formats/FORMATS.md alone.
  *
- *   naive-read-nvdb FILE          checks every byte, prints counts and sums over the voxels
- *   naive-read-nvdb FILE POINTS   also looks up the points of a text file, "x y z" or
- *                                 "x y z red green blue" a line, in world space and 0 to 1: how
- * many lie in a voxel, and how far they are from its plane and colour
+ *   naive-read-nvdb FILE          checks each byte; prints counts and sums over the voxels
+ *   naive-read-nvdb FILE POINTS   also looks up points of a text file, one a line: "x y z" in world
+ *                                 space or "x y z red green blue" with colours from 0 to 1. Prints
+ *                                 how many are in a voxel, and how far they are from its plane and
+ *                                 colour.
  */
 #include "bytes.h"
 
@@ -29,12 +30,12 @@ struct grid {
     uint64_t at[SECTIONS], size[SECTIONS];
     double h, translation[3];
     struct box box;
-    /* While walking: the next of each kind. */
+    /* During the walk: the next node and voxel of each kind. */
     uint64_t next_upper, next_lower, next_leaf, next_value;
     struct sums sums;
 };
 
-/* An inner node's kind: 32^3 lower nodes in an upper one, 16^3 leaves in a lower one. */
+/* A kind of internal node: an upper node has 32^3 lower nodes, a lower node has 16^3 leaves. */
 struct kind {
     uint64_t children, child_edge;
     unsigned bits;
@@ -169,7 +170,7 @@ static void check_file_header(const struct grid *g)
     require_name(file, 192, "surface", 32);
 }
 
-/* One of the two matrices with its inverse, translation and taper, of f32 or f64. */
+/* Checks a matrix with its inverse, translation and taper, of f64 if `wide`, else of f32. */
 static void check_map(const struct grid *g, uint64_t at, int wide)
 {
     const struct bytes *file = &g->file;
@@ -266,7 +267,7 @@ static double plane_offset(uint32_t plane)
     return (double)(int16_t)(uint16_t)plane / 32767.0;
 }
 
-/* Number of the second record of a value index, 0 where it has none. */
+/* Returns the number of a value index's second record, 0 if it has none. */
 static uint64_t second_of(const struct grid *g, uint64_t value)
 {
     uint64_t word = g->at[SECOND] + value / 32 * 8, below = 0;
@@ -321,7 +322,7 @@ static void take_voxel(struct grid *g, uint64_t value)
     sums->shaded += (plane & SHADED_BIT) != 0;
 }
 
-/* Ranks are sums of the bits before, also in words of which no bit is asked. */
+/* Checks that each rank is the sum of the bits before, also in entries without set bits. */
 static void check_second_words(const struct grid *g)
 {
     uint64_t rank = 0;
@@ -356,7 +357,7 @@ static int mask_bit(const struct bytes *file, uint64_t mask, uint64_t bit)
     return (int)(u64(file, mask + bit / 64 * 8) >> bit % 64 & 1);
 }
 
-/* Where child or voxel number `bit` of a node begins, with 2^bits of them along an edge. */
+/* Sets the origin of child or voxel `bit` of a node that has 2^bits of them along its edge. */
 static void place(const int64_t origin[3], uint64_t bit, unsigned bits, uint64_t edge,
                   int64_t out[3])
 {
@@ -458,7 +459,8 @@ static void walk(struct grid *g)
 
 /* ---- looking up points ---- */
 
-/* Value index of a voxel, 0 where there is none: the descent that the page describes. */
+/* Returns the value index of a voxel, 0 if there is none, by the descent that the page describes.
+ */
 static uint64_t find_voxel(const struct grid *g, const int64_t ijk[3])
 {
     const struct bytes *file = &g->file;
@@ -487,7 +489,7 @@ static uint64_t find_voxel(const struct grid *g, const int64_t ijk[3])
     return mask_bit(file, at + 16, bit) ? u64(file, at + 80) + sum + (uint64_t)popcount(below) : 0;
 }
 
-/* The voxel of a point. On the border of voxels rounding decides which one; any of them will do. */
+/* Finds the voxel of a point. On a border, rounding decides between voxels; any of them will do. */
 static uint64_t voxel_of_point(const struct grid *g, const double point[3], double from_center[3])
 {
     for (int corner = 0; corner < 8; corner++) {
@@ -512,7 +514,7 @@ static double distance_to(const struct grid *g, uint64_t entry, const double fro
                 plane_offset(channel(g, PLANE, entry)));
 }
 
-/* Mean difference of the channels, in steps of 1 / 255. */
+/* Returns the mean difference of the channels, in units of 1 / 255. */
 static double difference(uint32_t color, const double rgb[3])
 {
     double sum = 0.0;

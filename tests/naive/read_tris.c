@@ -1,8 +1,8 @@
-/* read_tris.c - a second reader of .tris files, from formats/FORMATS.md alone.
+/* read_tris.c - a second reader of chunk files, written from formats/FORMATS.md alone.
  *
- *   naive-read-tris FILE              checks everything, prints what the file says and sums
- *   naive-read-tris --triangles FILE  the triangles, one a line: corners with all attributes,
- *                                     normals last; the least corner comes first
+ *   naive-read-tris FILE              checks everything; prints the header and sums over triangles
+ *   naive-read-tris --triangles FILE  prints the triangles, one a line: corners with all
+ *                                     attributes, normals last; the least corner comes first
  */
 #include "bytes.h"
 
@@ -17,7 +17,7 @@ struct header {
     float low[3], high[3];
 };
 
-/* A chunk and where its arrays begin. */
+/* A chunk, and the offsets of its arrays. */
 struct chunk {
     uint64_t at, size, first;
     uint32_t triangles, vertices;
@@ -143,7 +143,7 @@ static struct chunk read_entry(const struct bytes *file, const struct header *h,
 
 /* ---- chunks ---- */
 
-/* The bounds in the table are those of the vertices, no more and no less. */
+/* Checks that the bounds in the table are exactly those of the vertices. */
 static void check_positions(const struct bytes *file, const struct chunk *c)
 {
     for (uint64_t k = 0; k < 3; k++) {
@@ -219,7 +219,7 @@ static int before(const struct corner *a, const struct corner *b)
     return 0;
 }
 
-/* The least corner first; the winding stays. */
+/* Rotates the corners so that the least comes first, which keeps the winding. */
 static void read_triangle(const struct bytes *file, const struct header *h, const struct chunk *c,
                           uint64_t t, struct corner out[3])
 {

@@ -1,5 +1,5 @@
-/* xxh3.c - prints the XXH3 of standard input, 64 bits as 16 hexadecimal digits, for tests that mend
- * a checksum by hand. */
+/* xxh3.c - prints the XXH3-64 of standard input as 16 hexadecimal digits, for tests that correct a
+ * checksum by hand. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <xxhash.h>

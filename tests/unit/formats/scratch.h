@@ -1,4 +1,4 @@
-/* scratch.h - a directory for a test program's files, for cmocka's group set-up and tear-down. */
+/* scratch.h - a temporary directory for the files of a test program, for cmocka. */
 #ifndef TEST_SCRATCH_H
 #define TEST_SCRATCH_H
 
@@ -6,12 +6,12 @@
 
 extern char scratch_directory[64];
 int scratch_make(void **state);
-/* With all that is in it. */
+/* Removes the directory with all its files. */
 int scratch_remove(void **state);
 
-/* Path of a file in the directory; the last eight stay valid. */
+/* Returns the path of a file in the directory; the last eight paths stay valid. */
 const char *scratch_path(const char *name);
-/* Write a file there, and give its path. */
+/* Write a file there; return its path. */
 const char *scratch_bytes(const char *name, const void *bytes, size_t size);
 const char *scratch_text(const char *name, const char *text);
 

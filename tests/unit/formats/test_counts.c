@@ -1,6 +1,6 @@
-/* test_counts.c - counts and offsets around 2^32 and far above, set in writers that have seen few
- * triangles: nobody waits for four billion in a test. The chunk file's writer keeps its state to
- * itself, so its source is part of this program. */
+/* test_counts.c - counts and offsets near and far above 2^32. Writing billions of triangles takes
+ * too long for a test, so counts are set in the state of writers. The chunk writer's state is
+ * private, so its source is included here. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -36,7 +36,7 @@ static int tear_down(void **state)
 
 /* ---- .tris ---- */
 
-/* A chunk of 20 triangles over a strip. */
+/* Encodes a chunk: a strip of 20 triangles. */
 static uint64_t encode_strip(uint8_t *buffer, struct fmt_tris_chunk_info *info)
 {
     float positions[22][3];
@@ -83,7 +83,7 @@ static void triangles_are_numbered_past_2_32(void **state)
     assert_int_equal(written.skipped_triangles, UINT64_C(0x100000001));
 }
 
-/* Lengths of the arrays as FORMATS.md lists them, for counts that no chunk has. */
+/* Array lengths as in FORMATS.md, for counts larger than any chunk has. */
 static void sizes_of_chunks_do_not_wrap(void **state)
 {
     (void)state;
@@ -94,7 +94,7 @@ static void sizes_of_chunks_do_not_wrap(void **state)
 
 /* ---- .nvdb ---- */
 
-/* A region with one leaf of 40 voxels, all of which have second records. */
+/* Appends a region with one leaf of 40 voxels, which all have second records. */
 static int append_leaf(struct fmt_nvdb_writer *writer, int32_t x)
 {
     static const uint16_t id = 0;
@@ -170,7 +170,7 @@ static void counts_that_the_format_cannot_hold_are_refused(void **state)
     fmt_nvdb_discard(writer);
 }
 
-/* The largest grid of FORMATS.md's limits, section by section. */
+/* Checks each section of the largest grid that FORMATS.md allows. */
 static void sections_of_the_largest_grid_do_not_wrap(void **state)
 {
     (void)state;

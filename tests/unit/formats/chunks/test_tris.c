@@ -1,4 +1,4 @@
-/* Chunk files: what is written comes back, the bytes are those of FORMATS.md, damage is found. */
+/* test_tris.c - chunk files: round trips, the bytes of FORMATS.md, damage. */
 #include "formats/file_kind.h"
 #include "formats/chunks/tris.h"
 
@@ -230,7 +230,7 @@ static void every_set_of_attributes_comes_back(void **state)
     }
 }
 
-/* 65536 vertices are the most that 16 bits can number. */
+/* 16 bits can number at most 65536 vertices. */
 static void large_chunks_come_back(void **state)
 {
     struct fixture *f = *state;
@@ -254,7 +254,7 @@ static void a_file_without_chunks_is_valid(void **state)
     expect_file(f, 0);
 }
 
-/* ---- the bytes, read by nothing but FORMATS.md ---- */
+/* ---- bytes at the offsets of FORMATS.md ---- */
 
 static uint64_t u64_at(const uint8_t *bytes, size_t at)
 {
@@ -338,7 +338,7 @@ static void bytes_are_those_of_the_specification(void **state)
 
 /* ---- damage ---- */
 
-/* Opens the file and loads every chunk; 0 where nothing is found wrong. */
+/* Opens the file and loads each chunk; returns the first failure, or 0. */
 static int read_all(struct fixture *f)
 {
     struct fmt_tris_file *file;
@@ -395,7 +395,7 @@ static void every_flipped_bit_is_found(void **state)
     free(bytes);
 }
 
-/* Puts right checksums on changed bytes, as a careless or hostile writer would. */
+/* Corrects the checksums of changed bytes, as a faulty or hostile writer would. */
 static void sign(uint8_t *bytes, size_t size)
 {
     size_t materials = u64_at(bytes, 96), table = u64_at(bytes, 104);
@@ -409,9 +409,9 @@ static void sign(uint8_t *bytes, size_t size)
     memcpy(bytes + 144, &header, 8);
 }
 
-/* Whatever a header and a table say, with right checksums, no more is allocated than a few times
- * the file. */
-static void sizes_are_held_against_the_file(void **state)
+/* With wrong sizes in header or table but correct checksums, a reader must not allocate more than a
+ * few times the size of the file. */
+static void sizes_are_compared_with_the_file(void **state)
 {
     static const uint32_t values[] = {UINT32_MAX, INT32_MAX, 1u << 31, 65536, 4096};
     struct fixture *f = *state;
@@ -438,7 +438,7 @@ static void sizes_are_held_against_the_file(void **state)
     free(good);
 }
 
-/* Three triangles of indices of two bytes end six bytes before the chunk does. */
+/* Three triangles with 16-bit indices end six bytes before the end of the chunk. */
 static void padding_is_zero(void **state)
 {
     struct fixture *f = *state;
@@ -540,7 +540,7 @@ int main(void)
         TEST(every_set_of_attributes_comes_back),  TEST(large_chunks_come_back),
         TEST(a_file_without_chunks_is_valid),      TEST(bytes_are_those_of_the_specification),
         TEST(every_truncated_length_is_found),     TEST(every_flipped_bit_is_found),
-        TEST(sizes_are_held_against_the_file),     TEST(padding_is_zero),
+        TEST(sizes_are_compared_with_the_file),    TEST(padding_is_zero),
         TEST(values_out_of_range_are_found),       TEST(other_files_are_refused),
         TEST(nothing_remains_of_a_discarded_file),
     };

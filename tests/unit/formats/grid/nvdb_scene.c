@@ -1,7 +1,7 @@
-/* nvdb_scene.c - random sparse voxels, kept as a plain sorted list.
+/* nvdb_scene.c - random sparse voxels in a plain sorted list.
  *
- * Order and grouping are derived by division from the coordinates, not with the bit fields that
- * the library uses, so that both can be held against each other. */
+ * Order and grouping follow from the coordinates by division, not by the bit fields that the
+ * library uses, so that tests compare two independent computations. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -20,7 +20,8 @@ static int64_t floor_div(int64_t a, int64_t b)
     return (a - ((a % b + b) % b)) / b;
 }
 
-/* Position among the nodes of edge `dim`; root tiles are ordered as unsigned numbers. */
+/* Returns a node's coordinate among nodes of edge `dim`; root tiles are ordered as unsigned
+ * numbers. */
 static int64_t node_rank(int32_t x, int32_t dim)
 {
     int64_t node = floor_div(x, dim);
@@ -45,7 +46,7 @@ static int compare_voxels(const void *a, const void *b)
     return compare(((const struct scene_voxel *)a)->ijk, ((const struct scene_voxel *)b)->ijk);
 }
 
-/* Any record that a writer may write: no half of a normal and no offset is -32768, and colours are
+/* Returns a random valid record: no half of a normal and no plane offset is -32768, and colours are
  * opaque. */
 static struct fmt_nvdb_record random_record(uint64_t *state)
 {
@@ -146,7 +147,7 @@ uint64_t scene_nodes(const struct scene *scene, int32_t dim)
     return nodes;
 }
 
-/* Appends the voxels [begin, end), which share one region. */
+/* Appends the voxels [begin, end), which are in one region. */
 static int append_region(struct fmt_nvdb_writer *writer, const struct scene *scene, uint64_t begin,
                          uint64_t end)
 {

@@ -1,4 +1,4 @@
-/* nvdb_scene.h - random sparse voxels for the tests of .nvdb files. */
+/* nvdb_scene.h - random sparse voxels for tests of grid files. */
 #ifndef TEST_NVDB_SCENE_H
 #define TEST_NVDB_SCENE_H
 
@@ -10,7 +10,7 @@ extern "C" {
 
 struct scene_voxel {
     int32_t ijk[3];
-    struct fmt_nvdb_record first, second; /* second only where first.plane has the flag */
+    struct fmt_nvdb_record first, second; /* `second` is valid if first.plane has the flag */
 };
 
 struct scene {
@@ -19,24 +19,24 @@ struct scene {
     struct scene_voxel *voxels; /* in the order of the file */
 };
 
-/* About `per_cluster` voxels around each of several points: several root tiles, both signs, borders
- * of nodes, and (with `extremes`) the ends of the coordinate range. */
+/* Makes about `per_cluster` voxels around each of several points: in several root tiles, with both
+ * signs, at borders of nodes and, with `extremes`, at the ends of the coordinate range. */
 void scene_random(struct scene *scene, uint64_t seed, unsigned per_cluster, bool extremes);
-/* Puts voxels into the order of the file; of several in one place the first stays. */
+/* Sorts voxels into the order of the file, and keeps the first of several at one position. */
 void scene_sort(struct scene *scene);
 void scene_free(struct scene *scene);
 
-/* Number of the voxel in scene->voxels, or UINT64_MAX. */
+/* Returns the index of a voxel in scene->voxels, or UINT64_MAX. */
 uint64_t scene_find(const struct scene *scene, const int32_t ijk[3]);
 
-/* Number of distinct nodes with this edge length. */
+/* Returns the number of nodes with this edge length. */
 uint64_t scene_nodes(const struct scene *scene, int32_t dim);
 
 /* Writes the scene as a grid of this type. */
 int scene_write(struct bsq_ctx *ctx, const char *path, const struct scene *scene,
                 struct fmt_nvdb_totals *totals);
 
-/* A deterministic random number; *state must not be zero. */
+/* Returns a pseudo-random number; *state must not be zero. */
 uint64_t scene_next(uint64_t *state);
 
 #ifdef __cplusplus

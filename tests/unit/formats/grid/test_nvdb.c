@@ -1,5 +1,6 @@
-/* test_nvdb.c - written grids against a plain list of voxels, and in the eyes of NanoVDB's own
- * tools. */
+/* test_nvdb.c - compares written grids with a plain list of voxels, and runs NanoVDB's tools on
+ * them.
+ */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -14,7 +15,7 @@
 #include "tests/unit/formats/grid/nvdb_files.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 
-/* ---- what was written is found again ---- */
+/* ---- round trips ---- */
 
 static void assert_record(const struct fmt_nvdb_grid *grid, uint64_t index,
                           const struct fmt_nvdb_record *expected)
@@ -128,7 +129,7 @@ static void test_round_trip(void **state)
                        variant & 2);
 }
 
-/* Every voxel of two regions set: full masks, words of second records at their limits. */
+/* All voxels of two regions are set: full masks, entries of second records with all bits. */
 static void test_full_leaves(void **state)
 {
     (void)state;
@@ -185,7 +186,7 @@ static void test_same_bytes(void **state)
 
 /* ---- NanoVDB's own tools ---- */
 
-/* Runs a command; false where it is not installed. */
+/* Runs a command; returns false if it is not installed. */
 static bool run(const char *command, char *output, size_t size, int *status)
 {
     char line[256];

@@ -1,4 +1,4 @@
-/* test_nvdb_damage.c - .nvdb files that are cut, flipped, forged or of another kind. */
+/* test_nvdb_damage.c - grid files that are truncated, changed, forged or of another kind. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -17,8 +17,8 @@
 
 /* ---- damaged files ---- */
 
-/* Opens a copy of `size` bytes that ends where it ends, so that the sanitizer sees any access
- * behind it. */
+/* Opens `size` bytes in memory of that size, so that the sanitizer sees an access beyond the end.
+ */
 static int open_bytes(struct bsq_ctx *ctx, const uint8_t *bytes, uint64_t size,
                       struct fmt_nvdb_grid *grid)
 {
@@ -35,7 +35,7 @@ static int open_bytes(struct bsq_ctx *ctx, const uint8_t *bytes, uint64_t size,
     return status;
 }
 
-/* Looks up everything; where `right`, the answers have to be those of the scene. */
+/* Looks up all voxels of the scene; if `right`, the results must be those of the scene. */
 static void look_up(const struct fmt_nvdb_grid *grid, const struct scene *scene, bool right)
 {
     for (uint64_t i = 0; i < scene->count; i++) {
@@ -51,7 +51,7 @@ static void look_up(const struct fmt_nvdb_grid *grid, const struct scene *scene,
     }
 }
 
-/* Makes the checksums that fmt_nvdb_open() looks at fit the bytes, as a forger would. */
+/* Corrects the checksums that fmt_nvdb_open() checks, as a forger would. */
 static void forge(uint8_t *bytes, uint64_t size, const struct nvdb_layout *layout)
 {
     uint32_t crc = fmt_nvdb_head_crc(bytes, layout);
@@ -74,7 +74,7 @@ static void small_file_open(struct small_file *file, enum fmt_nvdb_type type)
 {
     file->ctx = test_context(1, 0);
     scene_random(&file->scene, 7, 12, false);
-    /* One root tile is enough, and every byte of it is tried. */
+    /* One root tile is enough; each of its bytes is changed. */
     uint64_t kept = 0;
     for (uint64_t i = 0; i < file->scene.count; i++) {
         struct scene_voxel *v = &file->scene.voxels[i];
@@ -123,8 +123,8 @@ static void test_truncated(void **state)
     small_file_close(&file);
 }
 
-/* With `stride`, only each of so many bytes is tried in the table of the upper node, which is
- * 256 KiB of entries that are alike. */
+/* Changes each byte of a file in turn. In the table of the upper node, 256 KiB of similar entries,
+ * changes only every `stride`-th byte. */
 static void flip_bytes(enum fmt_nvdb_type type, bool forged, uint64_t stride)
 {
     struct small_file file;
@@ -167,7 +167,7 @@ static void test_flipped(void **state)
     flip_bytes(FMT_NVDB_MASK, false, TEST_SANITIZED ? 61 : 1);
 }
 
-/* The head, where forging has an effect, and many words at a time anywhere. */
+/* Changes several words at a time in any section, and corrects the checksums. */
 static void test_forged(void **state)
 {
     (void)state;

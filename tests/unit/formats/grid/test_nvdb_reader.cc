@@ -1,5 +1,5 @@
-// test_nvdb_reader.cc - NanoVDB's own C++ reader on files that fmt_nvdb_commit() wrote, and our
-// reader on files that NanoVDB wrote.
+// test_nvdb_reader.cc - NanoVDB's C++ reader reads files of fmt_nvdb_commit(), and fmt_nvdb_open()
+// reads files of NanoVDB.
 #include <cstdarg>
 #include <cstddef>
 #include <csetjmp>
@@ -19,7 +19,7 @@
 #include <nanovdb/util/OpenToNanoVDB.h>
 #include <openvdb/openvdb.h>
 
-// Last, for its macros (skip, fail) are names of NanoVDB's too.
+// Last, because its macros (skip, fail) are names in NanoVDB too.
 extern "C" {
 #include <cmocka.h>
 }
@@ -27,7 +27,7 @@ extern "C" {
 #include "formats/grid/nvdb_layout_internal.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 
-// The structures in C against NanoVDB's own.
+// Compares the structures in C with NanoVDB's.
 using MaskGrid = nanovdb::NanoGrid<nanovdb::ValueMask>;
 using MaskRoot = nanovdb::NanoRoot<nanovdb::ValueMask>::DataType;
 using MaskUpper = nanovdb::NanoUpper<nanovdb::ValueMask>::DataType;
@@ -116,7 +116,7 @@ const nanovdb::GridBlindMetaData *find_channel(const nanovdb::GridData &grid, co
     return nullptr;
 }
 
-// The value index of a voxel from the leaf that NanoVDB finds.
+// Computes the value index of a voxel from the leaf that NanoVDB finds.
 template <typename AccessorT> uint64_t value_index(AccessorT &accessor, const nanovdb::Coord &ijk)
 {
     const auto *leaf = accessor.probeLeaf(ijk);
@@ -207,7 +207,7 @@ void test_mask_grid(void **)
     scene_free(&scene);
 }
 
-// NanoVDB computes bounding boxes of all nodes anew: not a byte may change.
+// NanoVDB computes the bounding boxes of all nodes again: no byte may change.
 void test_bounds(void **)
 {
     scene scene;
@@ -255,8 +255,8 @@ openvdb::MaskGrid::Ptr to_openvdb(const scene &scene)
     return grid;
 }
 
-// NanoVDB's converter makes the same nodes at the same places from the same voxels. It orders root
-// tiles by signed coordinates and not by their keys, which is the same where none is negative.
+// NanoVDB's converter makes the same nodes at the same offsets from the same voxels. It orders root
+// tiles by signed coordinates and not by keys, which is the same order if none is negative.
 void test_same_nodes_as_converter(void **)
 {
     scene scene;
@@ -306,7 +306,7 @@ void test_other_grids(void **)
     assert_refused(builder.getHandle<>(1.0, nanovdb::Vec3d(0), "density"),
                    "a.nvdb: grid \"density\" of type float is not a Bisque surface grid");
 
-    // A mask grid, but without our channels; the second name takes as many bytes as ours.
+    // A mask grid without Bisque's channels; the second name is as long as Bisque's.
     scene scene;
     scene_random(&scene, 25, 50, false);
     for (const char *name : {"surface", "exactly_31_characters_long_name"}) {

@@ -1,5 +1,5 @@
-/* test_nvdb_writer.c - regions in parts, wrong regions, too many of them, and places that cannot be
- * written to. */
+/* test_nvdb_writer.c - regions in parts, wrong regions, too many regions, and outputs that cannot
+ * be written. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -37,7 +37,7 @@ static struct fmt_nvdb_writer *new_writer(struct bsq_ctx *ctx)
     return writer;
 }
 
-/* Appends `first` (which is right) and `second`, which has to be refused as `expected`. */
+/* Appends `first`, which is valid, and `second`, which must be refused with the text `expected`. */
 static void assert_refused(const struct fmt_nvdb_region *first,
                            const struct fmt_nvdb_region *second, const char *expected)
 {
@@ -55,7 +55,7 @@ static void assert_refused(const struct fmt_nvdb_region *first,
     bsq_ctx_destroy(ctx);
 }
 
-/* A region in one call and in two: the same file. */
+/* A region appended in one call and in two calls gives the same file. */
 static void test_region_in_parts(void **state)
 {
     (void)state;
@@ -114,7 +114,7 @@ static void test_region_in_parts(void **state)
 static void test_order_of_regions(void **state)
 {
     (void)state;
-    /* Left comes before right; negative root tiles come after positive ones. */
+    /* Regions ascend by x; negative root tiles come after positive ones. */
     static const int32_t ordered[][2][3] = {
         {{0, 0, 0}, {0, 0, 128}},       {{0, 0, 128}, {0, 128, 0}},
         {{0, 128, 0}, {128, 0, 0}},     {{3968, 0, 0}, {0, 0, 4096}},

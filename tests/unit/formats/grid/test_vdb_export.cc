@@ -21,7 +21,7 @@ extern "C" {
 #include "formats/grid/nvdb.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 
-// Last, for its macros (skip, fail) are names of others too.
+// Last, because its macros (skip, fail) are names in other headers too.
 extern "C" {
 #include <cmocka.h>
 }
@@ -163,7 +163,7 @@ void test_same_bytes(void **)
     assert_int_equal(bytes[0].compare(21, 36, file.getUniqueTag()), 0);
 }
 
-// No partial file stays behind, and the message says what is missing.
+// No partial file is left, and the message says what is missing.
 void test_no_memory(void **)
 {
     unlink(vdb_path.c_str());

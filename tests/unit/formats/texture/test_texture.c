@@ -1,4 +1,4 @@
-/* test_texture.c - texture lookups against averages computed by hand or by the plain definition. */
+/* test_texture.c - compares texture lookups with averages computed by hand or by definition. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -17,7 +17,7 @@
 #include "formats/texture/texture.h"
 #include "tests/unit/formats/scratch.h"
 
-/* An image of the test: `channels` bytes a texel, row 0 on top. */
+/* A test image: `channels` bytes a texel, row 0 at the top. */
 struct picture {
     int width, height, channels;
     uint8_t *texels;
@@ -33,8 +33,8 @@ static double random_unit(void)
     return (double)(random_state * UINT64_C(0x2545f4914f6cdd1d) >> 11) * 0x1p-53;
 }
 
-/* A wave over the whole image, another for each channel, under noise: wide averages differ from
- * place to place, neighbouring texels differ, and all of it is periodic. */
+/* Makes a periodic image: for each channel a wave over the whole image, with noise. So wide
+ * averages differ between positions, and neighbouring texels differ. */
 static struct picture make_picture(int width, int height, int channels)
 {
     const double turn = 6.283185307179586;
@@ -63,7 +63,7 @@ static const char *write_png(const char *name, const struct picture *p)
     return path;
 }
 
-/* IEC 61966-2-1. */
+/* Decodes sRGB by IEC 61966-2-1. */
 static double linear(uint8_t value)
 {
     double s = value / 255.0;
@@ -77,7 +77,8 @@ static double texel(const struct picture *p, int64_t x, int64_t y, int channel)
     return linear(p->texels[(y * p->width + x) * p->channels + (p->channels < 3 ? 0 : channel)]);
 }
 
-/* Average over the box by its definition: every texel weighted with the area that it shares. */
+/* Computes the average over a box by definition: each texel weighs as much as the area it shares.
+ */
 static void reference(const struct picture *p, double u, double v, double du, double dv,
                       double out[3])
 {
@@ -139,7 +140,7 @@ static void assert_sample(struct fixture *f, double u, double v, double du, doub
 static void test_orientation(void **state)
 {
     (void)state;
-    /* Red above, green below; blue grows to the right. */
+    /* Red at the top, green at the bottom; blue grows to the right. */
     static uint8_t texels[2][2][3] = {{{255, 0, 0}, {255, 0, 255}}, {{0, 255, 0}, {0, 255, 255}}};
     struct picture p = {2, 2, 3, &texels[0][0][0]};
     struct fixture f;
@@ -153,7 +154,7 @@ static void test_orientation(void **state)
     assert_sample(&f, 0.25, 0.25, 0, 0, 0, 1, 0, 1e-6);
     /* Bilinear: a quarter of the way from one texel's centre to the next. */
     assert_sample(&f, 0.375, 0.25, 0, 0, 0, 1, 0.25, 1e-6);
-    /* Wrapping: at u = 0 both columns meet, at v = 1 both rows; whole periods change nothing. */
+    /* Wrapping: both columns meet at u = 0, both rows at v = 1; whole periods change nothing. */
     assert_sample(&f, 0, 0.75, 0, 0, 1, 0, 0.5, 1e-6);
     assert_sample(&f, 0.75, 1, 0, 0, 0.5, 0.5, 1, 1e-6);
     assert_sample(&f, 0.75, 0, 0, 0, 0.5, 0.5, 1, 1e-6);
@@ -173,7 +174,7 @@ static void test_checker_averages_in_linear_light(void **state)
     for (double size = 2; size <= 64; size *= 2)
         assert_sample(&f, 0.5, 0.5, size / 256, size / 128, 0.5, 0.5, 0.5, 1e-6);
     assert_sample(&f, 0.1, 0.2, 1, 1, 0.5, 0.5, 0.5, 1e-6);
-    /* Grey 188 is what half the light looks like in sRGB; its own light is 0.503. */
+    /* Half the light is about grey 188 in sRGB, whose exact light is 0.503. */
     memset(p.texels, 188, 256 * 128);
     close_fixture(&f);
     open_one(&f, write_png("grey.png", &p));
@@ -182,7 +183,8 @@ static void test_checker_averages_in_linear_light(void **state)
     free(p.texels);
 }
 
-/* Random boxes; those so wide that averages are used err at their borders. */
+/* Samples random boxes. Boxes that are wide enough to use averages have an error at their borders.
+ */
 static void compare_random_boxes(struct fixture *f, const struct picture *p, int count)
 {
     for (int i = 0; i < count; i++) {
@@ -192,8 +194,8 @@ static void compare_random_boxes(struct fixture *f, const struct picture *p, int
         float dv = (float)(texels * (0.5 + random_unit()) / p->height);
         double expected[3], least = fmin((double)du * p->width, (double)dv * p->height);
         reference(p, (double)u, (double)v, (double)du, (double)dv, expected);
-        /* What a wide box takes of cells at its border is their average, not its own part; the
-         * wave moves its colour by up to 0.2. */
+        /* A wide box uses the average of a border cell, not the part inside the box; the wave
+         * changes that colour by up to 0.2. */
         double tolerance = least < 16 ? 2e-4 : 0.01;
         assert_sample(f, (double)u, (double)v, (double)du, (double)dv, expected[0], expected[1],
                       expected[2], tolerance);
@@ -215,7 +217,7 @@ static void test_random_boxes(void **state)
     }
 }
 
-/* Images larger than the cache go through a tiled copy; lookups must not notice. */
+/* Images larger than the cache are copied to tiled files; lookups must give the same. */
 static void test_image_larger_than_cache(void **state)
 {
     (void)state;
@@ -262,7 +264,7 @@ static void test_threads_see_the_same(void **state)
     free(p.texels);
 }
 
-/* A PFM holds linear floats, from the lowest row up. */
+/* A PFM file stores linear floats, lowest row first. */
 static void test_float_image_is_linear(void **state)
 {
     (void)state;
