@@ -1,9 +1,9 @@
-# lib.sh - for the tests of the programs: each test_*.sh sources this, runs in an empty directory
-# of its own, and prints a line "ok" or "not ok" for each check. BIN names the directory with the
-# programs.
+# lib.sh - shared by the tests of the programs. Each test_*.sh sources it, runs in an empty
+# directory of its own, and prints a line "ok" or "not ok" for each check. BIN is the directory of
+# the programs.
 #
-#   run PROGRAM ARGUMENT...   runs it; afterwards: $code, files $out and $err, $command
-#   code N, err LINE, ...     checks of the last run, see below
+#   run PROGRAM ARGUMENT...   runs it; sets $code, $command, and the files $out and $err
+#   code N, err LINE, ...     check the last run, see below
 #   finish                    prints the counts; the exit status is 1 after a failed check
 
 set -u
@@ -20,7 +20,7 @@ trap 'exit 1' INT TERM HUP
 
 passed=0 failed=0
 
-# check NAME STATUS: a passed check where STATUS is 0.
+# check NAME STATUS: the check passes if STATUS is 0.
 check()
 {
     if [ "$2" -eq 0 ]; then
@@ -73,35 +73,35 @@ out_like()
     check "output like: $1" $?
 }
 
-# refused CODE LINE: both, and nothing was left behind.
+# refused CODE LINE: both, and no file is left.
 refused()
 {
     code "$1"
     err "$2"
 }
 
-# json EXPRESSION: standard output is JSON for which jq's expression is true.
+# json EXPRESSION: standard output is JSON, and jq finds the expression true.
 json()
 {
     jq -e "$1" "$out" >/dev/null 2>&1
     check "JSON: $1" $?
 }
 
-# files NAME...: exactly these files are here, hidden ones included.
+# files NAME...: the directory has exactly these files, hidden ones included.
 files()
 {
     [ "$(ls -A)" = "$(printf '%s\n' "$@" | sort)" ]
     check "files after $command: $*" $?
 }
 
-# same A B: the files have the same bytes.
+# same A B: the files have equal bytes.
 same()
 {
     cmp -s "$1" "$2"
     check "$1 and $2 are the same" $?
 }
 
-# man_page PROGRAM OPTION...: its page is well-formed and describes these long options.
+# man_page PROGRAM OPTION...: its man page is well-formed and describes these long options.
 man_page()
 {
     page=$top/man/$1.1
@@ -119,8 +119,8 @@ man_page()
     done
 }
 
-# interrupted SIGNAL STAGE PROGRAM ARGUMENT...: sends the signal while the stage runs; the program ends within two
-# seconds with exit code 75 and says so.
+# interrupted SIGNAL STAGE PROGRAM ARGUMENT...: sends the signal while the stage runs; the program
+# ends within two seconds with exit code 75 and says that it was interrupted.
 interrupted()
 {
     signal=$1 stage=$2
@@ -129,7 +129,7 @@ interrupted()
     program=$1
     shift
     : >"$err" # what it holds may name the stage
-    # Whatever started the test may ignore signals, which programs inherit.
+    # The parent of the test may ignore signals, and programs inherit that.
     env --default-signal="$signal" "$BIN/$program" "$@" --progress json >"$out" 2>"$err" &
     while [ $tries -lt 1000 ] && ! grep -q "\"stage\": *\"$stage\"" "$err"; do
         tries=$((tries + 1))
@@ -152,14 +152,14 @@ skip()
     echo "ok $((passed + failed)) - $1 # skip $2"
 }
 
-# sanitized: the programs are built with a sanitizer, which takes ten times as long. Large scans are then smaller ones, and what
-# depends on their detail is left to builds without.
+# sanitized: true if the programs are built with a sanitizer, which makes them ten times slower.
+# Tests then use smaller scans and leave out checks that need their detail.
 sanitized()
 {
     ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'
 }
 
-# A box [0, 1] x [0, 2] x [0, 3] of quads with texture coordinates, one chart a face.
+# A box [0, 1] x [0, 2] x [0, 3] of quads with texture coordinates, one UV chart for each face.
 write_box()
 {
     cat <<'OBJ'

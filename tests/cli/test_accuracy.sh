@@ -1,10 +1,10 @@
 #!/bin/sh
-# test_accuracy.sh - how near maps come to the truth: thin plates, exact maps against a formula and against voxels,
-# tangent space against object space.
+# test_accuracy.sh - errors of maps: thin plates, exact maps compared with a formula and with
+# voxels, tangent space compared with object space.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
-# holds NAME CHECKER ARGUMENT...: the checker's limits hold.
+# holds NAME CHECKER ARGUMENT...: the results are within the checker's limits.
 holds()
 {
     name=$1 checker=$2
@@ -19,7 +19,7 @@ holds()
     sed 's/^/# /' "$out"
 }
 
-# within NAME ARGUMENT...: bisque-compare's limits hold.
+# within NAME ARGUMENT...: the results are within bisque-compare's limits.
 within()
 {
     name=$1
@@ -29,9 +29,10 @@ within()
     sed 's/^/# /' "$out"
 }
 
-# ---- a plate thinner than a voxel: red above, blue below ----
+# ---- a plate thinner than a voxel: red at the top, blue at the bottom ----
 
-# place TILT HEIGHT: an AWK function that turns (x, y, z) by TILT degrees about the y axis and lifts it by HEIGHT.
+# place TILT HEIGHT: prints an AWK function that turns (x, y, z) by TILT degrees about the y axis
+# and raises it by HEIGHT.
 place()
 {
     echo "function place(x, y, z,    a) {
@@ -39,7 +40,7 @@ place()
         return sprintf(\"%.6f %.6f %.6f\", x * cos(a) - z * sin(a), y, x * sin(a) + z * cos(a) + $2) }"
 }
 
-# plate TILT HEIGHT THICKNESS: both faces as squares of side 40, without a rim.
+# plate TILT HEIGHT THICKNESS: both faces of a plate, squares of side 40, without a rim.
 plate()
 {
     awk "$(place "$1" "$2")
@@ -49,7 +50,8 @@ plate()
         BEGIN { face($3 / 2, \"1 0 0\"); face(-$3 / 2, \"0 0 1\"); print \"f 1 2 3 4\"; print \"f 5 8 7 6\" }"
 }
 
-# plate_low TILT HEIGHT: two squares of side 30 in the middle plane, one faces up, one down, in charts side by side.
+# plate_low TILT HEIGHT: two squares of side 30 in the plate's middle plane, which face up and down;
+# their UV charts are side by side.
 plate_low()
 {
     awk "$(place "$1" "$2")
@@ -68,11 +70,12 @@ bake_plate()
         --float --size 64x32 --samples 2 --front 6 --back 6 --device cpu
 }
 
-# Along the grid between two layers of voxels, within one and anywhere; across it.
+# Parallel to the grid, between two layers of voxels, inside one and elsewhere; and tilted.
 for pose in "0 0" "0 0.25" "0 0.5" "33 0.25"; do
     tilt=${pose% *} height=${pose#* }
     plate_low "$tilt" "$height" >plate_low.obj
-    # The reference: the same sides, four voxels from the low mesh, where nothing can be mistaken.
+    # The reference: the same sides, four voxels from the low-poly mesh, so that they cannot be
+    # mixed up.
     plate "$tilt" "$height" 8 >thick.obj
     run bisque-voxelize thick.obj -o thick.nvdb --voxel-size 1
     bake_plate thick.tris thick
@@ -89,14 +92,15 @@ for pose in "0 0" "0 0.25" "0 0.5" "33 0.25"; do
         done
     done
 done
-# The comparison above would notice sides that are swapped.
+# The comparison above finds swapped sides.
 sed 's/1 0 0$/x/; s/0 0 1$/1 0 0/; s/x$/0 0 1/' plate.obj >swapped.obj
 run bisque-voxelize swapped.obj -o swapped.nvdb --voxel-size 1
 bake_plate swapped.nvdb swapped
 run bisque-compare swapped_color.exr thick_color.exr --mask thick_mask.exr --json
 json '.mean > 30'
 
-# ---- the vase, 13 triangles to the finest wave of its relief: exact maps against the formula, voxels against exact maps ----
+# ---- the vase: exact maps and the formula, voxels and exact maps ----
+# The finest wave of its relief is 13 triangles long.
 
 triangles=3000000 resolution=1024
 if sanitized; then
@@ -119,20 +123,21 @@ for setting in "--threads 1 --memory 96M" "--threads 3 --memory 1G"; do
 done
 run bisque-bake vase.nvdb low.obj $options -o 'voxel_<MAP>.exr'
 code 0
-# A texel is 6 voxels wide: the goal for voxels of half a texel or less.
+# A texel is 6 voxels wide; the limit is the goal for voxels of at most half a texel.
 sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
     --mask-b exact_mask.exr --max-mean 0.4 --max-p95 1 --max-p99 1.5 --min-agreement 0.999
 
-# ---- voxels of half a texel: the goal is 0.4 degrees, and a third of what the nearest voxel's normal errs ----
+# ---- voxels of half a texel: 0.4 degrees, and a third of the nearest voxel's error ----
 
-# mean_error MAP: against the exact map, in degrees.
+# mean_error MAP: prints the mean difference from the exact map, in degrees.
 mean_error()
 {
     run bisque-compare "$1_normal.exr" exact_normal.exr --mask-a "$1_mask.exr" --mask-b exact_mask.exr --json
     sed -n 's/^ *"mean": *\([-0-9.e]*\).*/\1/p' "$out"
 }
 
-# half_texels WHAT LIMIT TIMES WAVELENGTH OPTION...: a sine surface of these options, with 64 x 64 texels of 1.5625.
+# half_texels WHAT LIMIT TIMES WAVELENGTH OPTION...: bakes a sine surface with these options to 64 x
+# 64 texels of size 1.5625.
 half_texels()
 {
     what=$1 limit=$2 times=$3 wavelength=$4
@@ -152,23 +157,24 @@ half_texels()
 }
 
 "$TESTS/generate-scan" sine-low -o sine_low.obj
-# Exact normals of small triangles with the formula's normals are the formula's.
+# Exact maps of small triangles that have the formula's normals give the formula's normals.
 half_texels "waves of 8 voxels, the formula's normals" 0.2 3 6.25 --triangles 611618 --normals
-# Voxels smaller than triangles without normals: planes have to go with normals that are interpolated.
+# Voxels smaller than triangles without normals: planes must agree with interpolated normals.
 half_texels "triangles of 0.8 voxels, 10 to a wave" 0.15 3 6.25 --triangles 59858
 half_texels "triangles of 1.3 voxels, 10 to a wave" 0.4 2 10 --triangles 23328
 half_texels "triangles of 1.6 voxels, 10 to a wave" 0.15 3 12.9 --triangles 14112
 half_texels "triangles of 2.6 voxels, 10 to a wave" 0.2 1.2 20 --triangles 5832
 half_texels "triangles of 2.6 voxels with the formula's normals" 0.4 1 20 --triangles 5832 --normals
 
-# ---- tangent space through a shader's arithmetic against object space ----
+# ---- tangent space, decoded as a shader does, compared with object space ----
 
 write_box >box.obj
 run bisque-voxelize box.obj -o box.nvdb --resolution 96
 code 0
 awk '$1 == "vt" { $2 = 1 - $2 } { print }' low.obj >low_mirrored.obj
-# Without normals in the file, those of the box's corners are smooth: far apart over each face, and frames are far
-# from right angles. In a frame at right angles rounding to halves turns a normal by at most 0.0485 degrees.
+# The box has no normals in its file, so smooth normals at its corners differ much over each face,
+# and frames are far from orthogonal. In an orthogonal frame, rounding to half precision turns a
+# normal by at most 0.0485 degrees.
 for mesh in low low_mirrored box; do
     case $mesh in
     box) scan=box limit=0.15 ;;

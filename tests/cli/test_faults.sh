@@ -1,6 +1,6 @@
 #!/bin/sh
-# test_faults.sh - jobs that are killed, and system calls that fail: nothing half-done is left, every failure is told.
-# tests/faults/ has the library that lets calls fail, and the program that does so again and again.
+# test_faults.sh - killed jobs and failing system calls: no partial file is left, each failure is
+# reported. tests/faults/ has the library that makes calls fail, and the program that repeats runs.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 export FAULTS="$TESTS/faults.so"
@@ -12,11 +12,11 @@ fi
 SEED=${SEED:-$(date +%s)}
 echo "# SEED=$SEED"
 
-# torture OPTION...: see tests/faults/torture.c; the job is in $job_outputs and $job_command.
+# torture OPTION...: runs tests/faults/torture.c on the job in $job_outputs and $job_command.
 torture()
 {
     command="torture $* $job_outputs -- $job_command" code=0
-    # The words of both are split on purpose: no name in them has a space.
+    # Both are split into words on purpose: no name in them has a space.
     "$TESTS/torture" -s "$SEED" ${job_record:+-r "$job_record"} "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
     check "$(sed -n '$s/^\(not \)*ok - //p' "$out")" "$code"
     SEED=$((SEED + 1))
@@ -34,7 +34,7 @@ job()
     job_command="$BIN/$*"
 }
 
-# Every call that writes, every way to fail.
+# Makes each call that writes fail in each way.
 writes_fail()
 {
     torture ENOSPC
@@ -55,7 +55,7 @@ reads_fail()
     torture -c open -x 66 -x 73 -x 74 EMFILE
 }
 
-# At random moments, and where it matters most: before each call that changes a file or a name.
+# Kills the job at random moments, and before each call that changes a file or a name.
 killed()
 {
     torture -n 200 kill
@@ -65,7 +65,7 @@ killed()
     torture -m 40 -x 75 -c "open read write sync size name" interrupt
 }
 
-# Setting room aside for a grid is one call among many, so that the others may leave it out.
+# Reserving disk space for a grid is one call among many: it fails alone, the other runs skip it.
 room_fails()
 {
     torture -c size ENOSPC
@@ -76,7 +76,7 @@ room_fails()
     torture -c size -x 75 interrupt
 }
 
-# In memory, as the disk would take most of the time; what it says is the interposer's part anyway.
+# In memory, because the disk would take most of the time; the library simulates its failures.
 if [ -d /dev/shm ] && [ -w /dev/shm ] && memory=$(mktemp -d /dev/shm/bisque-cli.XXXXXX); then
     trap 'cd / && rm -rf "$memory" "$work"' EXIT
     cd "$memory" || exit 1
@@ -100,7 +100,7 @@ room_fails
 reads_fail
 killed
 
-# Without its chunk file, which is a temporary one then.
+# Without chunk file, so that chunks go to a temporary file.
 job a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --no-tris --threads 2
 torture ENOSPC
 torture -c read EIO
@@ -112,7 +112,7 @@ reads_fail
 torture -c map -x 71 ENOMEM
 killed
 
-# OpenEXR writes by a stream of ours.
+# OpenEXR writes through a stream of Bisque's.
 job a.exr -- bisque-bake scan.tris low.obj $small --maps normal -o a.exr
 writes_fail
 reads_fail
@@ -126,7 +126,7 @@ writes_fail
 reads_fail
 killed
 
-# ---- large scans: what is spilled to temporary files ----
+# ---- large scans: data in temporary files ----
 
 "$TESTS/generate-scan" --triangles 1600000 --colors --shuffle 7 vase -o large.obj
 job a.tris a.nvdb -- bisque-voxelize large.obj -o a.nvdb --resolution 64 --threads 1 --memory 52M
@@ -147,7 +147,7 @@ torture -m 10 short
 torture -m 10 EINTR
 torture -m 5 -n 20 kill
 
-# Too large for its cache, so it is written to a temporary file of tiles.
+# The image is too large for its cache, so it is copied to a temporary tiled file.
 run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --png-bits 8 --padding 0 -o wood.png
 code 0
 cat >square.obj <<'OBJ'
@@ -168,7 +168,8 @@ torture -c open -x 66 -x 73 -x 74 -m 8 EMFILE
 
 # ---- two jobs at a time ----
 
-# together OPTION...: a job that stands still before it renames its output, and a whole one with the same output.
+# together OPTION...: one job pauses before it renames its output; another one with the same output
+# runs meanwhile.
 together()
 {
     rm -f flag a.nvdb
@@ -198,7 +199,8 @@ together 1 yes # all the time with a name
 
 # ---- a grid that shrinks while it is read ----
 
-# shrink BYTES PATH: the grid is cut while the bake opens the file named PATH, after it has opened and checked the grid.
+# shrink BYTES PATH: truncates the grid when the bake opens the file PATH, which it does after it
+# has opened and checked the grid.
 shrink()
 {
     rm -f flag

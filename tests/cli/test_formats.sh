@@ -1,10 +1,10 @@
 #!/bin/sh
-# test_formats.sh - what formats/FORMATS.md says is what is in the files: two naive readers, written from that page
-# alone, find in them what the programs report, what the OBJ file says, and what is known of a box.
+# test_formats.sh - files are as formats/FORMATS.md says. Two naive readers, written from that page
+# alone, find in them what the programs report, what the OBJ file has, and what is known of a box.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
-# naive KIND ARGUMENT...: runs a naive reader; afterwards as after run().
+# naive KIND ARGUMENT...: runs a naive reader; sets what run() sets.
 naive()
 {
     command="naive-read-$*" code=0 reader=naive-read-$1
@@ -12,13 +12,13 @@ naive()
     "$TESTS/$reader" "$@" >"$out" 2>"$err" || code=$?
 }
 
-# value NAME: what a naive reader printed last, all numbers of it.
+# value NAME: prints the numbers that the last naive reader printed for NAME.
 value()
 {
     sed -n "s/^$1 //p" "$out"
 }
 
-# is NAME "NUMBER..." TOLERANCE: these are the numbers, within a tolerance relative to them or to 1.
+# is NAME "NUMBER..." TOLERANCE: the values are these, within a tolerance relative to them or to 1.
 is()
 {
     echo "$(value "$1") | $2" | awk -v tolerance="$3" '
@@ -31,7 +31,7 @@ is()
     check "$1 is $2, found $(value "$1")" $?
 }
 
-# reports NAME EXPRESSION: this is what bisque-voxelize reported.
+# reports NAME EXPRESSION: the value is what bisque-voxelize reported.
 reports()
 {
     is "$1" "$(jq -r "[$2] | flatten | map(tostring) | join(\" \")" "$work/report.json")" 1e-12
@@ -44,8 +44,8 @@ voxelize()
     cp "$out" "$work/report.json"
 }
 
-# Triangles of an OBJ file as naive-read-tris prints them: the least corner first, normals last.
-# Variables: uv, rgb, n are 1 where these are to be printed, m is the material.
+# Prints the triangles of an OBJ file as naive-read-tris does: the least corner first, normals last.
+# Variables: uv, rgb, n are 1 to print these attributes; m is the material.
 cat >"$work/triangles.awk" <<'AWK'
 { gsub(/-0[.]000000/, "0.000000") }
 $1 == "v" {
@@ -71,8 +71,8 @@ $1 == "f" {
 }
 AWK
 
-# same_triangles OBJ TRIS [VARIABLE...]: both hold the same triangles with the same attributes; normals up to the
-# error of their 16 bits and of the six digits in the OBJ file.
+# same_triangles OBJ TRIS [VARIABLE...]: both have the same triangles and attributes. Normals may
+# differ by the error of 16 bits and of six digits in the OBJ file.
 same_triangles()
 {
     obj=$1 tris=$2
@@ -91,7 +91,7 @@ same_triangles()
     check "$tris has the normals of $obj" $?
 }
 
-# Triangles, bounds, area and volume of an OBJ file of triangles.
+# Prints the triangle count, bounds, area and volume of an OBJ file of triangles.
 measure()
 {
     awk '
@@ -108,7 +108,7 @@ measure()
               faces, area, volume, lo[1], lo[2], lo[3], hi[1], hi[2], hi[3] }' "$1"
 }
 
-# ---- a box of 1 x 2 x 3, of which everything is known ----
+# ---- a box of 1 x 2 x 3, whose values are all known ----
 
 write_box >box.obj
 voxelize box.obj -o box.nvdb --resolution 24 --scan-normals flat
@@ -123,8 +123,9 @@ is min "0 0 0" 0
 is max "1 2 3" 0
 is area 22 1e-12
 is volume 6 1e-12
-# 8 x 16 x 24 voxels. 1048 have one face of the box: it lies half a voxel from the centre and covers all. 168 have an
-# edge: the mean of two faces is (1, 1) / sqrt 2 at a distance of sqrt 2 / 4. 8 have a corner of three faces.
+# 8 x 16 x 24 voxels. 1048 have one face of the box, half a voxel from the centre, coverage 1. 168
+# have an edge: the mean of two faces is (1, 1) / sqrt 2 at a distance of sqrt 2 / 4. 8 have a
+# corner of three faces.
 naive nvdb box.nvdb
 code 0
 is voxels 1224 0
@@ -172,7 +173,7 @@ voxelize lean.obj -o lean.nvdb --resolution 8
 naive nvdb lean.nvdb
 code 0
 is voxels 64 0
-# Normals that the scan brought, on triangles of eight voxels: none goes with its plane.
+# Normals of the scan's own on triangles of eight voxels: all are inconsistent with their planes.
 is shaded 64 0
 lean=$(awk 'BEGIN { print 64 * sqrt(2) / 2 }')
 is sum_normal "$lean 0 $lean" 1e-4
@@ -201,7 +202,8 @@ reports skipped .scan.degenerate_triangles
 check "several chunks" $?
 hash=$(value hash)
 
-# Every vertex of the scan lies in a voxel, on its plane, and has its colour. Triangles are about two voxels wide.
+# Each vertex of the scan is in a voxel, near its plane, and has its colour. Triangles are about two
+# voxels wide.
 sed -n 's/^v //p' vase.obj >points
 naive nvdb vase.nvdb points
 code 0
@@ -221,7 +223,7 @@ naive tris shuffled.tris
 [ "$(value hash)" = "$hash" ]
 check "shuffled faces are the same triangles" $?
 
-# ---- a textured vase: red grows with u, green with v, which is 0 at the lower edge of the image ----
+# ---- a textured vase: red grows with u, green with v (0 at the lower edge of the image) ----
 
 awk 'BEGIN { print "P3 256 256 255"
      for (y = 0; y < 256; y++) for (x = 0; x < 256; x++) print x, 255 - y, 128 }' >ramp.ppm
@@ -238,7 +240,7 @@ code 0
 is attributes 10 0
 [ "$(sed -n 's/^material //p' "$out")" = "0.2 0.4 0.6 $PWD/ramp.ppm" ]
 check "the material is that of the MTL file: $(value material)" $?
-# Without the borders of the image, where colours of the other side shine in.
+# Without the image's borders, where filtering mixes in colours of the opposite side.
 awk '$1 == "v" { p[++v] = $2 " " $3 " " $4 }
      $1 == "vt" { u[++t] = $2; w[t] = $3 }
      $1 == "f" { split($2, k, "/"); i = k[2]
@@ -270,15 +272,15 @@ is points_found 120000 0
 is index_min "2000000 20000000 400" 0
 reports index_min .grid.index_min
 
-# ---- damage: no byte can change unseen ----
+# ---- damage: each changed byte is found ----
 
-# put FILE OFFSET BYTE
+# put FILE OFFSET BYTE: writes a byte.
 put()
 {
     printf "\\$(printf %o "$3")" | dd of="$1" bs=1 seek="$2" conv=notrunc status=none
 }
 
-# damage KIND FILE OFFSET...: the naive reader refuses the file with any of these bytes changed.
+# damage KIND FILE OFFSET...: the naive reader refuses the file after any of these bytes is changed.
 damage()
 {
     kind=$1 file=$2 unseen= count=0
@@ -296,7 +298,7 @@ damage()
     check "each of $count damaged bytes of $file is found${unseen:+, not$unseen}" $?
 }
 
-# cut_off KIND FILE: any shorter or longer file is refused.
+# cut_off KIND FILE: the naive reader refuses shorter and longer files.
 cut_off()
 {
     size=$(wc -c <"$2") unseen=
@@ -317,7 +319,7 @@ end=$(wc -c <box.nvdb)
 damage nvdb box.nvdb $(seq 0 11 1100) $(seq 1101 3001 $((end - 2200))) $(seq $((end - 2199)) 17 $((end - 1)))
 cut_off nvdb box.nvdb
 
-# An unknown version is refused by name, by Bisque as well.
+# An unknown version is refused by name, also by Bisque.
 cp box.tris new.tris
 put new.tris 8 2
 naive tris new.tris
@@ -340,9 +342,9 @@ for version in 1 3; do
     err_like "^bisque-bake: new\\.nvdb: surface grid of version $version: "
 done
 
-# ---- maps: what their headers say ----
+# ---- headers of maps ----
 
-# header FILE "ATTRIBUTE=VALUE"...: string attributes of an EXR file, in this order.
+# header FILE "ATTRIBUTE=VALUE"...: the EXR file has these string attributes, in this order.
 header()
 {
     file=$1 command="header of $1" code=0

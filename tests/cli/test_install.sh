@@ -1,6 +1,6 @@
 #!/bin/sh
-# test_install.sh - an installation works: programs that are built with its headers, pkg-config files
-# and libraries, its modules, and a moved copy of it. Uninstalling leaves nothing.
+# test_install.sh - an installation works: programs built with its headers, pkg-config files and
+# libraries; its modules; a moved copy of it. Uninstalling leaves no file.
 . "$(dirname "$0")/lib.sh"
 build=$(dirname "$BIN")
 prefix=$work/prefix
@@ -67,14 +67,14 @@ run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
 [ -s box_color.png ] && [ -s box.vdb ]
 check "maps of a textured scan, and its OpenVDB file" $?
 
-# Modules beside a program that is started by a bare name: argv[0] does not say where that is.
+# Modules beside a program that is started by its bare name, so that argv[0] has no directory.
 mkdir bin && mv voxelize_scan bin && mv "$prefix"/lib/bisque/* bin
 command="voxelize_scan with a texture, found by PATH" code=0
 (PATH=$PWD/bin:$PATH && $voxelize red.ppm) >"$out" 2>"$err" || code=$?
 out_like ', color$'
 mv bin/voxelize_scan . && mv bin/* "$prefix/lib/bisque"
 
-# ---- modules that are not there, broken, or of another build ----
+# ---- modules that are missing, broken, or of another build ----
 cp -r "$prefix" moved
 rm "$prefix"/lib/bisque/*
 run $voxelize

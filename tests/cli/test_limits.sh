@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_limits.sh - bisque-voxelize where the system gives it no more than it asked for: a hard limit on memory, and a disk
+# test_limits.sh - bisque-voxelize under limits of the system: a hard limit on memory, and a disk
 # that is too small.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
@@ -10,7 +10,7 @@ code 0
 
 # ---- memory ----
 
-# What a process may use beside its budget, its program and its threads' stacks included.
+# Memory that a process may use beside its budget, with its program and stacks of threads.
 limited()
 {
     kind=$1 kib=$2
@@ -23,7 +23,7 @@ limited()
 if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
     skip "two million triangles within a hard limit of 96 MiB" "sanitizers need memory of their own"
 else
-    # Of data: anonymous memory, heap and stacks of threads.
+    # RLIMIT_DATA counts anonymous memory, the heap and stacks of threads.
     limited -d 98304 bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory 72M --threads 2 --json
     code 0
     json '.cost.memory_high_bytes <= .cost.memory_budget_bytes and .cost.memory_budget_bytes == 75497472'
@@ -32,7 +32,7 @@ else
     same vase.tris small.tris
     rm -f small.nvdb small.tris
 
-    # A budget above the limit fails with one line, and leaves nothing.
+    # A budget above the limit fails with one line and leaves no file.
     limited -d 40960 bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory 1G --threads 2
     code 71
     err_like '^bisque-voxelize: the system has no memory left: '
@@ -68,21 +68,21 @@ small_disk()
 
 mkdir disk
 if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/null; then
-    # Its 2 million triangles take 12 bytes each and their million vertices four more for colours.
+    # 2 million triangles take 12 bytes each, and a million vertices four more for colours.
     small_disk 8 vase.obj -o disk/a.nvdb --resolution 512
     code 74
     err_like '^bisque-voxelize: disk: 2[0-9]{7} bytes are needed for outputs, 8388608 are free$'
     [ ! -s here.txt ]
     check "nothing was written" $?
 
-    # The grid's need is known when the chunk file is complete, which stays, for --resume.
+    # The grid's size is estimated when the chunk file is complete; that file stays, for --resume.
     small_disk 50 vase.obj -o disk/a.nvdb --resolution 512
     code 74
     err_like '^bisque-voxelize: disk: [0-9]* bytes are needed for outputs and temporary files, [0-9]* are free$'
     [ "$(tr '\n' ' ' <here.txt)" = "a.tris a.tris.job " ]
     check "the chunk file and its record are left" $?
 
-    # Temporary files count where they go.
+    # Temporary files need space in their own directory.
     small_disk 8 vase.obj -o a.nvdb --tmpdir disk --resolution 512 --memory "${least}M" --threads 2
     code 74
     err_like '^bisque-voxelize: disk: [0-9]* bytes are needed for temporary files, 8388608 are free$'

@@ -1,11 +1,12 @@
 #!/bin/sh
-# test_numbers.sh - coordinates of any size, and shapes at their limits: the right result or one clear line.
+# test_numbers.sh - coordinates of any size and extreme shapes give the right result or one clear
+# line.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 p=bisque-voxelize:
 
-# voxelize NAME ARGUMENT...: NAME.obj, and both files are sound.
+# voxelize NAME ARGUMENT...: voxelizes NAME.obj and verifies both files.
 voxelize()
 {
     name=$1
@@ -17,14 +18,15 @@ voxelize()
     code 0
 }
 
-# moved SCALE X Y FILE: the vertices of an OBJ file, scaled, then moved.
+# moved SCALE X Y FILE: prints an OBJ file with vertices scaled, then moved.
 moved()
 {
     awk -v s="$1" -v x="$2" -v y="$3" '$1 == "v" { printf "v %.17g %.17g %.17g\n", s * $2 + x, s * $3 + y, s * $4; next }
         { print }' "$4"
 }
 
-# maps NAME: normals of NAME.nvdb and exact ones of NAME.tris, on NAME_low.obj, and the lengths of their rays.
+# maps NAME: bakes normals of NAME.nvdb, and exact ones of NAME.tris, for NAME_low.obj; keeps the
+# lengths of the rays.
 maps()
 {
     for kind in nvdb tris; do
@@ -35,7 +37,7 @@ maps()
     done
 }
 
-# alike A B LIMIT...: maps of both kinds, and their hits.
+# alike A B LIMIT...: maps of both kinds are similar, and so are their hits.
 alike()
 {
     a=$1 b=$2
@@ -47,7 +49,7 @@ alike()
     done
 }
 
-# ---- the unit of the scan does not matter: 2^100 and 2^-100 are about 1e30 and 1e-30, and scale without rounding ----
+# ---- the unit of the scan does not matter: scaling by 2^100 and 2^-100 does not round ----
 
 "$TESTS/generate-scan" --triangles 5000 vase -o plain.obj
 "$TESTS/generate-scan" vase-low -o plain_low.obj
@@ -75,13 +77,13 @@ for kind in nvdb tris; do
         awk '{ exit !($1 > 0 && $2 > 0 && ($1 / $3 - 1)^2 < 1e-4 && ($2 / $4 - 1)^2 < 1e-4) }'
     check "rays are as long as at the origin ($kind)" $?
 done
-# A detail of a thousandth, far away: two triangles that differ by it are both there.
+# A detail of a thousandth, far away: two triangles that differ by it are both kept.
 printf 'v 500000.123 5000000.456 0\nv 500000.124 5000000.456 0\nv 500000.123 5000000.457 0
 v 500001.123 5000001.456 0\nf 1 2 3\nf 1 2 4\n' >fine.obj
 voxelize fine --resolution 16
 json '.files[0].triangles == 2 and .files[0].vertices == 4'
 
-# ---- what 32-bit positions cannot hold is said, in the scan's units: near 1000 they are 2^-14 apart ----
+# ---- a warning names the detail that 32-bit positions lose: 2^-14 units near 1000 ----
 
 awk 'BEGIN { print "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3"; n = 4
     for (i = 0; i < 20; i++) for (j = 0; j < 20; j++) { x = 999 + i * 1e-6; y = 999 + j * 1e-6
@@ -97,9 +99,9 @@ code 0
 grep -qx "$p warning: tiny\.tris: positions are kept to 6\.1e-05 of the scan's units, which is coarse for voxels of 0\.0005" "$err"
 check "voxels that are too fine for the scan's precision are named" $?
 
-# ---- numbers that are none, or too large ----
+# ---- malformed numbers, and numbers that are too large ----
 
-# refuses "COORDINATE" LINE
+# refuses "COORDINATE" LINE: an OBJ file with this coordinate is refused with this line.
 refuses()
 {
     printf 'v 0 0 0\nv 1 0 0\nv 0 %s 0\nf 1 2 3\n' "$1" >bad.obj
@@ -144,7 +146,8 @@ for points in '1 2 3|1 2 3|1 2 3' '0 0 0|1 1 1|2 2 2' '5 5 5|5 5 5|7 7 7'; do
     run bisque-voxelize flat.obj -o flat.nvdb
     refused 65 "$p flat.obj: the scan's only triangle has no area"
 done
-# Voxels of a right triangle over 8 x 8: those with i + j < 8, and the corners of the longest side, but for its ends.
+# A right triangle over 8 x 8 voxels touches those with i + j < 8, and those at whose corner the
+# longest side passes, except at its ends.
 right=$((36 + 7))
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 1 2\nf 1 2 2\nf 3 3 3\n' >some.obj
 voxelize some --resolution 8
@@ -155,9 +158,9 @@ for resolution in 1 8; do
     json ".files[1].voxels == $([ $resolution = 1 ] && echo 1 || echo $right)"
 done
 
-# ---- many in few, few in many ----
+# ---- many triangles in few voxels, few triangles in many voxels ----
 
-# A million triangles in one voxel: as if there were one, and flat: the normal's sum is one a voxel.
+# A million triangles in one plane inside one voxel give the record of one flat triangle.
 {
     printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv .5 .5 0\nv .51 .5 0\nv .5 .51 0\nf 1 2 3\n'
     yes 'f 4 5 6' | head -n 1000000
@@ -172,7 +175,8 @@ check "all normals are +z" $?
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n' >sheet.obj
 voxelize sheet --resolution 512
 json '.files[1].voxels == 512 * 512'
-# A sliver along the diagonal of 16384^3: at least a voxel a step, at most about 10 for its width of 16 voxels in one axis.
+# A sliver along the diagonal of 16384^3, 16 voxels wide in one axis: each step along it touches at
+# least one voxel and at most about 10.
 printf 'v 0 0 0\nv 1 1 1\nv 1 1 .999\nf 1 2 3\n' >diagonal.obj
 voxelize diagonal --resolution 16384
 json '.files[1].voxels >= 16384 and .files[1].voxels < 10 * 16384'

@@ -1,11 +1,12 @@
 #!/bin/sh
-# test_pipeline.sh - both stages on whole scans, held against the truth: the generated vase against its analytic
-# normals and colours, and, where a folder with them is given in SCANS, the bunny and Spot against exact rays.
+# test_pipeline.sh - both stages on whole scans, compared with the truth: the generated vase with
+# its analytic normals and colours; the bunny and Spot, if SCANS is a folder with them, with exact
+# rays.
 SCANS=$(cd "${SCANS:-../shared/scans}" 2>/dev/null && pwd) || SCANS=
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
-# truth NAME CHECKER ARGUMENT...: the checker's limits hold.
+# truth NAME CHECKER ARGUMENT...: the results are within the checker's limits.
 truth()
 {
     name=$1 command="$*"
@@ -34,12 +35,13 @@ code 0
 run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal-space object --float --size 512 \
     --samples 1 -o 'object_<MAP>.exr'
 code 0
-# The finest relief is 14 voxels and 11 triangles long. Normals around a vertex are means over its triangles, which
-# lowers a wave of n triangles by about (2 pi / n)^2 / 6 of its slope: 5 % there. Facets would be off by 1.8 degrees.
+# The finest relief is 14 voxels and 11 triangles long. The normal at a vertex is a mean over its
+# triangles, which flattens a wave of n triangles by about (2 pi / n)^2 / 6 of its slope: 5 % here.
+# Facets would be off by 1.8 degrees.
 truth "vase: normals and colours are the analytic ones" check-vase -m 0.9 -p 1.8 -h 0.9999 -c 0.01 \
     object_normal.exr object_mask.exr object_color.exr
 
-# What voxels add to the error of the triangles' own normals is little.
+# Voxels add little to the error of the triangles' own normals.
 mean() { "$TESTS/check-vase" "$1" object_mask.exr | sed -n 's/.*mean angle: \([0-9.e-]*\).*/\1/p'; }
 run bisque-bake vase.tris low.obj --maps normal --normal-space object --float --size 512 --samples 1 -o exact.exr
 code 0
@@ -50,7 +52,7 @@ else
     check "vase: normals from voxels are as good as those from triangles" $?
 fi
 
-# Nearest voxel is the older, blockier lookup: the option must change something, and for the worse.
+# Lookup of the nearest voxel is blockier: the option must make the result worse.
 run bisque-bake vase.nvdb low.obj --maps normal,mask --normal-space object --float --size 512 \
     --samples 1 --sampling nearest -o 'nearest_<MAP>.exr'
 code 0
@@ -61,7 +63,7 @@ else
     check "vase: blending over neighbours beats the nearest voxel" $?
 fi
 
-# The same scan in other words gives the same voxels: shuffled faces, geo-referenced, from the chunks.
+# The same scan in other forms gives the same voxels: shuffled, geo-referenced, from the chunk file.
 "$TESTS/generate-scan" --triangles $triangles --colors --offset 500000,5000000,100 vase -o far.obj
 run bisque-voxelize far.obj -o far.nvdb --resolution $resolution --no-tris
 code 0
@@ -75,7 +77,7 @@ run bisque-voxelize vase.tris -o again.nvdb --resolution $resolution
 code 0
 same vase.nvdb again.nvdb
 
-# The budget and the number of threads leave no trace in the files.
+# The files do not depend on the budget or the number of threads.
 run bisque-voxelize vase.obj -o small.nvdb --resolution $resolution --memory 96M --threads 3 --json
 code 0
 json '.cost.memory_high_bytes <= .cost.memory_budget_bytes'

@@ -1,13 +1,14 @@
 #!/bin/sh
-# test_threads.sh - all that the programs write has the same bytes on one thread and on eight: a textured scan of
-# several chunks and regions through both stages, previews, comparisons. Built with config=tsan it shows races.
+# test_threads.sh - the programs write the same bytes on one thread and on eight: both stages of a
+# textured scan with several chunks and regions, previews, comparisons. With config=tsan it finds
+# races.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 "$TESTS/generate-scan" --triangles 100000 --uvs vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
 
-# Any image is a texture: here a map.
+# Any image can be a texture; here it is a map.
 run bisque-voxelize vase.obj -o plain.nvdb --resolution 64 --no-tris
 code 0
 run bisque-bake plain.nvdb low.obj -o texture.png --maps normal --size 128 --device cpu
@@ -42,7 +43,7 @@ for name in $(cat names); do
 done
 [ "$(wc -l <names)" -eq 18 ]
 check "all files were compared: $(tr '\n' ' ' <names)" $?
-# They are files of something: a share of texels was hit, and the texture is in the colours.
+# The files are not empty: a share of texels was hit, and the colours are those of the texture.
 cmp -s 1/nvdb_normal.exr 1/tris_normal.exr
 [ $? -eq 1 ]
 check "the grid's map is not that of the triangles" $?

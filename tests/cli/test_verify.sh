@@ -1,13 +1,13 @@
 #!/bin/sh
-# test_verify.sh - --verify of both programs: sound files, damage anywhere, other versions, other machines' and other
-# programs' files.
+# test_verify.sh - --verify of both programs: valid files, damage anywhere, other versions, and
+# files of other machines and programs.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 p=bisque-voxelize:
 verify="run bisque-voxelize --verify"
 
-# put FILE OFFSET BYTE...: bytes as numbers.
+# put FILE OFFSET BYTE...: writes bytes, given as numbers.
 put()
 {
     file=$1 at=$2
@@ -17,7 +17,7 @@ put()
     done | dd of="$file" bs=1 seek="$at" conv=notrunc status=none
 }
 
-# byte FILE OFFSET
+# byte FILE OFFSET: prints a byte as a number.
 byte()
 {
     od -An -tu1 -j "$2" -N 1 "$1" | tr -d ' '
@@ -28,7 +28,7 @@ run bisque-voxelize box.obj -o box.nvdb --resolution 24 --scan-normals flat
 run bisque-voxelize box.tris -o on.nvdb --resolution 24 --grid-type onindex
 code 0
 
-# ---- sound files, alone and together, by both programs ----
+# ---- valid files, alone and together, by both programs ----
 
 tris_line="box.tris: ok (chunk file of version 1: 12 triangles and 8 vertices in 1 chunk, $(wc -c <box.tris) B)"
 for program in bisque-voxelize bisque-bake; do
@@ -49,7 +49,7 @@ json '.files[0] | .kind == "tris" and .version == 1 and .triangles == 12 and .ve
 json '.files[1] | .kind == "nvdb" and .nanovdb_version == [32, 4, 2] and .voxels == 1224 and .voxel_size == 0.125'
 files box.obj box.nvdb box.tris on.nvdb
 
-# Attributes, several chunks, second records; the memory of one chunk is enough.
+# Attributes, several chunks, second records; memory for one chunk is enough.
 "$TESTS/generate-scan" --triangles 150000 --colors --normals --uvs vase -o vase.obj
 printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
 printf 'P3 1 1 255 9 9 9\n' >dot.ppm
@@ -65,7 +65,7 @@ $verify sheet.nvdb
 code 0
 out_like ' and [1-9][0-9]* second records of 2 triangles, '
 
-# ---- one damaged file does not hide another; the first one's code counts ----
+# ---- all damaged files are reported; the exit code is that of the first ----
 
 cp box.tris bad.tris
 put bad.tris 200 $((255 - $(byte bad.tris 200)))
@@ -82,9 +82,9 @@ $verify bad.tris --json
 code 65
 json '.files == [{path: "bad.tris", ok: false, status: 65, error: "bad.tris: damaged chunk file: chunk 0: the checksum does not match"}]'
 
-# ---- no byte can change unseen ----
+# ---- each changed byte is found ----
 
-# damage FILE OFFSET...
+# damage FILE OFFSET...: the file is refused after any of these bytes is changed.
 damage()
 {
     file=$1 unseen= count=0
@@ -117,7 +117,7 @@ for file in box.tris box.nvdb; do
     check "$file of any other length is refused${unseen:+, not$unseen}" $?
 done
 
-# ---- what it is instead ----
+# ---- files of other kinds: messages say what they are ----
 
 # other FILE LINE: refused with this line.
 other()
@@ -162,7 +162,7 @@ cp on.nvdb y.nvdb # another program's OnIndex grid: the name has no padding
 put y.nvdb 152 8
 other y.nvdb 'grid "surface" of type OnIndex is not a Bisque surface grid'
 
-# Grids that NanoVDB's own tool wrote: of another type, of the same type, compressed, several.
+# Grids of NanoVDB's own tool: of another type, of the same type, compressed, several.
 if command -v nanovdb_convert >/dev/null; then
     nanovdb_convert -f -g N full.vdb n.nvdb >/dev/null 2>&1
     other n.nvdb 'grid "N" of type Vec3f is not a Bisque surface grid'
@@ -180,7 +180,7 @@ other empty 'neither a chunk file nor a NanoVDB file'
 $verify .
 code 66
 
-# The baker says the same of such a file.
+# The baker gives the same message.
 run bisque-bake y.nvdb box.obj -o map.exr
 refused 65 'bisque-bake: y.nvdb: grid "surface" of type OnIndex is not a Bisque surface grid'
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_voxelize.sh - bisque-voxelize from the outside: messages, exit codes, files.
+# test_voxelize.sh - messages, exit codes and files of bisque-voxelize.
 . "$(dirname "$0")/lib.sh"
 
 vox="run bisque-voxelize"
@@ -219,7 +219,7 @@ err_like '^bisque-voxelize: box\.nvdb'
 rm short.tris
 files box.nvdb box.obj box.tris
 
-# ---- OBJ as it occurs ----
+# ---- variants of OBJ files ----
 
 $vox --parse-only box.obj
 code 0
@@ -239,7 +239,7 @@ code 0
 same odd.nvdb box.nvdb
 rm crlf.* odd.*
 
-# Two files, each with indices of its own, negative ones in the second.
+# Two files, each with its own indices, negative ones in the second.
 head -n 8 box.obj >first.obj
 cp first.obj second.obj
 printf 'f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\n' >>first.obj
@@ -250,7 +250,7 @@ json '.inputs == ["first.obj", "second.obj"]'
 json '.scan.triangles == 12 and .grid.voxels == 1224'
 rm first.obj second.obj two.*
 
-# What is left out is counted.
+# Parts that are left out are counted.
 {
     cat box.obj
     printf 'v 0.5 0.5 0.5\nv 0.6 0.6 0.6\nf 1 1 2\nf 1 2 3 3\nf 1 2\nnonsense\ng group\n# end\n'
@@ -263,7 +263,7 @@ $vox extra.obj -o extra.nvdb --resolution 24
 out_like '^left out: 2 degenerate triangles, 1 face with fewer than three corners, 2 unused vertices'
 rm extra.*
 
-# A name that needs care.
+# A file name with special characters.
 cp box.obj "a box.obj"
 $vox "a box.obj" -o "a box.nvdb" --resolution 24
 code 0
@@ -292,7 +292,7 @@ grep -q "$(printf '\033')\\[K\$" "$err"
 check "the bar is taken away in the end" $?
 rm a.*
 
-# ---- colours in comments, as ZBrush writes them, are not read, which is said ----
+# ---- a warning says that colours in comments (ZBrush) are not read ----
 
 { cat box.obj; echo '#MRGB ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000'; } >zbrush.obj
 $vox zbrush.obj -o zbrush.nvdb --resolution 8
@@ -306,7 +306,7 @@ code 0
 check "no hint where there are colours" $?
 rm zbrush.* both.*
 
-# ---- one of a thing is not many ----
+# ---- singular and plural ----
 
 printf 'v 0 0 0 1 1 300\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
 $vox one.obj -o one.nvdb --resolution 1
@@ -317,13 +317,13 @@ grep -Eq '^one\.obj: 3 vertices, 1 face, 1 triangle, 40 B, ' "$out" && grep -Eq 
 check "counts of one" $?
 rm one.*
 
-# ---- failures on the way: no partial output is left behind ----
+# ---- failures during the work leave no partial output ----
 
 $vox box.obj -o a.nvdb --no-tris --voxel-size 1e-12
 code 64
 err_like '^bisque-voxelize: .*voxel size of 1e-12'
 files box.nvdb box.obj box.tris
-# A grid that would take years is no surprise after years.
+# A grid that would take years is refused at once.
 $vox box.obj -o a.nvdb --no-tris --voxel-size 1e-8
 code 64
 err "$p a.nvdb: about 2.2e+17 voxels of 1e-08 would be in the grid, which has no more than 4294967295 leaves of 8x8x8; \

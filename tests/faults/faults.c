@@ -1,20 +1,20 @@
-/* faults.c - a library for LD_PRELOAD that lets one call to the system fail, or the process die
- * there. It takes these settings from the environment:
+/* faults.c - a library for LD_PRELOAD that makes chosen system calls of a program fail, or ends the
+ * program at one of them. Settings in the environment:
  *
- * FAULT_UNDER   only files under this directory (absolute, no links) count; required
+ * FAULT_UNDER   only files under this directory count (absolute path without links); required
  * FAULT_CALLS   which calls count: words of open, read, map, write, sync, size, name, remove, close
- * FAULT_PATH    only files whose path contains this text
- * FAULT_AT      number of the call that fails, from 1; 0 or not given: none
- * FAULT_STICKY  1: all calls from that one on fail
+ * FAULT_PATH    only files whose path contains this text count
+ * FAULT_AT      number of the call that fails, from 1; 0 or not set: none
+ * FAULT_STICKY  1: all calls from that number on fail
  * FAULT_DO      an errno (ENOSPC ...): the call fails;
- *               short: a transfer does half;
+ *               short: a read or write transfers half;
  *               kill: SIGKILL before the call;
  *               interrupt: SIGTERM before the call;
- *               pause: makes the file FAULT_FLAG and goes on when it is gone
- * FAULT_LOG     file to which a line is appended for every call that counts
+ *               pause: creates the file FAULT_FLAG and continues when that file is gone
+ * FAULT_LOG     file that gets a line for each call that counts
  * FAULT_PLAIN   1: opening a file without a name (O_TMPFILE) fails with EOPNOTSUPP
  *
- * Works by symbol: calls that libc makes to itself, those of stdio for example, are not seen. */
+ * It replaces symbols. It does not see calls inside libc, for example by stdio. */
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -39,7 +39,7 @@ static const struct {
 } errors[] = {{"ENOSPC", ENOSPC}, {"EIO", EIO},     {"EINTR", EINTR},   {"EDQUOT", EDQUOT},
               {"EMFILE", EMFILE}, {"EPERM", EPERM}, {"ENOMEM", ENOMEM}, {"EOPNOTSUPP", EOPNOTSUPP}};
 
-/* ---- what is to be done ---- */
+/* ---- settings ---- */
 
 static const char *setting(const char *name)
 {
@@ -69,7 +69,7 @@ static void pause_here(void)
 
 enum { GO_ON, SHORT, FAIL };
 
-/* Counts a call; what is to become of it. Sets errno for FAIL. */
+/* Counts a call and returns what to do with it. Sets errno for FAIL. */
 static int fault(const char *kind, const char *call, const char *path)
 {
     const char *under = setting("FAULT_UNDER");
@@ -250,7 +250,7 @@ int ftruncate64(int fd, off64_t size)
     return ftruncate(fd, size);
 }
 
-/* A descriptor is gone even where closing it fails. */
+/* A descriptor is closed even if close() fails. */
 int close(int fd)
 {
     int what = fault_fd("close", "close", fd), error = errno;

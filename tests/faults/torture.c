@@ -1,12 +1,11 @@
-/* torture.c - runs a program many times, kills it or lets calls fail in it, and looks at what is
- * left.
+/* torture.c - runs a program many times, kills it or makes system calls in it fail, and checks the
+ * files that it leaves.
  *
  *   torture [-p] [-c CALLS] [-m MOST] [-n RUNS] [-r RECORD] [-s SEED] [-x CODE]...
  *           MODE OUTPUT... -- PROGRAM ARGUMENT...
  *
- * Runs in the current directory, which holds the inputs; OUTPUTs are the files that the program
- * makes there. First it runs undisturbed; what it makes then is what a whole output is, byte by
- * byte. MODE:
+ * Runs in the current directory, which holds the inputs. OUTPUTs are the files that the program
+ * writes there. The first run is undisturbed, and its outputs are the expected bytes. MODE:
  *
  *   kill        SIGKILL at RUNS random moments
  *   kill-at     SIGKILL before each call of the kinds CALLS (see faults.c)
@@ -15,17 +14,20 @@
  *   ERRNO       each call of these kinds fails once
  *   short       each transfer of these kinds does half, once
  *
- * In every other run the outputs exist before, with other content. Afterwards each output must be
- * as it was before, or whole; after success all must be whole; and nothing else may be there, but
- * where it was killed a temporary file that one more run removes. A failure must be one line on
- * standard error that begins with the program's name, names a file and ends with the reason, and
- * one of the exit codes CODE, 74 where none is given. Half transfers and EINTR must do no harm, nor
- * EOPNOTSUPP: give it to calls that a file system need not have. An interruption must be told as
- * such within two seconds.
+ * In every second run the outputs exist before, with other content. What must hold after a run:
  *
- * -p takes away files without a name (O_TMPFILE); -m takes about MOST of the calls, evenly spread,
- * with the first and the last; -r names a file that runs without success may leave, as a later one
- * goes on from it, and that success removes. */
+ * - Each output is as it was before, or as expected; after success all are as expected.
+ * - There are no other files. Only a killed program may leave a temporary file, which the next run
+ *   removes.
+ * - A failure prints one line on standard error, which begins with the program's name, names a file
+ *   and ends with the reason. The exit code is one of CODE, by default 74.
+ * - Half transfers, EINTR and EOPNOTSUPP change nothing. Use EOPNOTSUPP only with calls that a file
+ *   system may lack.
+ * - An interrupted program ends within two seconds and says that it was interrupted.
+ *
+ * -p takes away files without a name (O_TMPFILE). -m limits the runs to about MOST calls, evenly
+ * spread, with the first and the last. -r names a file that failed runs may leave, because a later
+ * run continues from it, and that success removes. */
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -60,7 +62,7 @@ static struct {
     char **command;
     char directory[4096], log[64];
     struct content whole[MOST_OUTPUTS];
-    char *inputs[MOST_NAMES]; /* names in the directory before the first run */
+    char *inputs[MOST_NAMES]; /* names of files in the directory before the first run */
     int input_count;
     double seconds; /* of the undisturbed run */
 } job;
@@ -96,7 +98,7 @@ static double random_share(void)
 
 /* ---- files ---- */
 
-/* bytes is NULL where there is no file. */
+/* The content of a file; `bytes` is NULL if there is no file. */
 static struct content read_file(const char *path)
 {
     struct content content = {NULL, 0};
@@ -142,7 +144,7 @@ static bool is_among(const char *name, char *const *names, int count)
     return false;
 }
 
-/* ".NAME.XXXXXX.tmp" */
+/* Returns whether a name has the form ".NAME.XXXXXX.tmp". */
 static bool is_temporary(const char *name)
 {
     size_t length = strlen(name);
@@ -157,7 +159,7 @@ struct run {
     int wait_status;
     double seconds;
     char *message;     /* standard error */
-    const char *wrong; /* NULL: all is as it should be */
+    const char *wrong; /* what must not be; NULL: nothing */
 };
 
 static void set_environment(const char *what, unsigned long at, bool sticky)
@@ -179,7 +181,7 @@ static void set_environment(const char *what, unsigned long at, bool sticky)
     setenv("LD_PRELOAD", getenv("FAULTS"), 1);
 }
 
-/* kill_after < 0: let it run. */
+/* Runs the program; kills it after `kill_after` seconds unless that is negative. */
 static void run_program(struct run *run, const char *what, unsigned long at, bool sticky,
                         double kill_after)
 {
@@ -219,7 +221,7 @@ static void run_program(struct run *run, const char *what, unsigned long at, boo
     fclose(message);
 }
 
-/* ---- what is left ---- */
+/* ---- files that are left ---- */
 
 static void check_output(struct run *run, int i, bool success)
 {
@@ -253,7 +255,7 @@ static void check_directory(struct run *run, bool success, bool may_leave)
         run->wrong = "a temporary file was left";
 }
 
-/* One line: the program, a file or where temporary files are, the reason. */
+/* Checks for one line: the program, a file or the directory of temporary files, the reason. */
 static void check_message(struct run *run, const char *reason)
 {
     const char *slash = strrchr(job.command[0], '/'), *program = slash ? slash + 1 : job.command[0];
@@ -328,7 +330,7 @@ static void report_wrong(const struct run *run, unsigned long number)
 
 /* ---- modes ---- */
 
-/* Runs undisturbed; returns the number of calls. */
+/* Runs the program undisturbed; returns the number of calls. */
 static unsigned long run_whole(void)
 {
     struct run run = {0};
@@ -384,7 +386,7 @@ static bool torture_once(unsigned long number)
     return !run.wrong;
 }
 
-/* One more run of a killed program makes everything good. */
+/* Checks that a run after a killed one gives the expected files and removes temporary ones. */
 static bool run_again(void)
 {
     struct run run = {.had_old = true};
