@@ -58,8 +58,8 @@ archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
 archive.libbake  := $(BUILD)/lib/libbisque-bake.a
 archives := $(foreach l,$(libs),$(archive.$(l)))
 
-# Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds the
-# version and a checksum of the headers that a module shares with its host.
+# Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
+# the version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb
 src.texture  := formats/texture/texture_oiio.cc formats/texture/texture_pyramid.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
@@ -84,7 +84,8 @@ $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
 	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
 # Objects that hold the stamp depend on all headers that it covers.
-$(patsubst %,$(BUILD)/obj/%.o,formats/module/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))): $(module_headers)
+stamped := formats/module/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))
+$(stamped:%=$(BUILD)/obj/%.o): $(module_headers)
 # Fused operations would change results. -ffp-contract=off already prevents them, and with -mno-fma
 # Clang would drop AVX-512, so only GCC gets it.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
@@ -123,8 +124,8 @@ no_undefined := $(if $(filter fuzz,$(config)),,-Wl,-z,defs)
 define module_rule
 $(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module/module.map
 	@mkdir -p $$(@D)
-	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) -Wl,--version-script=formats/module/module.map \
-	    -o $$@ $$(filter %.o,$$^) $$(LIBS.$(1))
+	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) \
+	    -Wl,--version-script=formats/module/module.map -o $$@ $$(filter %.o,$$^) $$(LIBS.$(1))
 endef
 $(foreach m,$(modules),$(eval $(call module_rule,$(m))))
 
@@ -259,7 +260,8 @@ $(xxh3): tests/naive/xxh3.c
 
 # Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.NAME lists further
 # objects. Without config=fuzz they become programs that replay files.
-fuzz_names := $(patsubst tests/fuzz/fuzz_%.c,%,$(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c)))
+fuzz_sources := $(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c))
+fuzz_names   := $(fuzz_sources:tests/fuzz/fuzz_%.c=%)
 fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
 fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o \
     $(BUILD)/obj/tests/unit/formats/grid/nvdb_scene.c.o
@@ -293,7 +295,8 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
 	@mkdir -p build/fuzz/corpus/$*
 	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 -timeout=20 \
-	    -malloc_limit_mb=256 -rss_limit_mb=1500 $(patsubst %,-dict=%,$(wildcard tests/fuzz/dict/$*.dict)) \
+	    -malloc_limit_mb=256 -rss_limit_mb=1500 \
+	    $(patsubst %,-dict=%,$(wildcard tests/fuzz/dict/$*.dict)) \
 	    build/fuzz/corpus/$* tests/fuzz/corpus/$*
 
 .PHONY: unit tests-build test check
@@ -450,9 +453,10 @@ sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
 formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
     -name '*.c' -o -name '*.h' -o -name '*.cc' -o -name '*.cl'))
 .PHONY: lint format
-## lint: check includes, formatting, cppcheck and clang-tidy (installs the tools that are missing)
+## lint: check rooms, documents, formatting, cppcheck, clang-tidy (installs missing tools)
 lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc)
 	tests/lint/rooms.sh
+	tests/lint/documents.sh
 	clang-format --dry-run -Werror $(formatted)
 	cppcheck --quiet --std=c11 --enable=warning,performance,portability --inline-suppr \
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen \

@@ -128,7 +128,7 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 }
 
 /* Mean square of an edge, in voxels, above which a chunk gets smooth vertex normals
- * (docs/decisions/0020-when-voxels-need-planes-or-normals.md). */
+ * (docs/decisions/0021-when-voxels-need-planes-or-normals.md). */
 #define COARSE_EDGE_SQUARE 0.5
 /* Above this mean square the scan's own normals are trusted more than its facets' planes, even if
  * the two contradict each other. */

@@ -1,0 +1,20 @@
+#!/bin/sh
+# Checks that links between documents and names of decisions in sources lead to files, and that
+# each decision has its own number.
+cd "$(dirname "$0")/../.." || exit 1
+bad=0
+complain() { echo "documents: $*"; bad=1; }
+for page in *.md docs/*.md docs/decisions/*.md formats/*.md tests/*/*.md; do
+    for link in $(grep -oE '\]\([^)#]+' "$page" | sed 's/^](//' | grep -v '^http'); do
+        [ -e "$(dirname "$page")/$link" ] || complain "$page: $link does not exist"
+    done
+done
+for page in $(grep -rohE 'docs/decisions/[0-9]{4}[a-z0-9-]*\.md' base formats libvoxel libbake \
+    tools tests man *.md | sort -u); do
+    [ -e "$page" ] || complain "$page does not exist"
+done
+for number in $(ls docs/decisions | cut -c1-4 | uniq -d); do
+    complain "several decisions have the number $number"
+done
+[ $bad -eq 0 ] && echo "documents: ok"
+exit $bad
