@@ -1,9 +1,10 @@
-/* bake.cl - the kernel's entry on devices, as OpenCL C or CUDA: one work item a texel of a tile. */
+/* bake.cl - the kernel's entry on devices, as OpenCL C or CUDA. A work item is a texel of a tile.
+ */
 #include "bk_sample.h"
 
-/* Work items are (column, row - first_row), rows up to end_row - 1. Of each texel lines first_line
- * to end_line - 1 of its samples are traced; the first call starts at 0, later ones go on with its
- * sums. `texels` holds the whole tile. */
+/* Traces rows first_row to end_row - 1 of a tile; work item (x, y) is texel (x, first_row + y). Of
+ * each texel it traces lines first_line to end_line - 1 of the samples. The launch with line 0
+ * starts the texel's sums, later launches add to them. `texels` holds the whole tile. */
 BK_KERNEL bake_tile(
     const BK_GLOBAL bk_ulong *BK_RESTRICT tiles, const BK_GLOBAL bk_ulong *BK_RESTRICT uppers,
     const BK_GLOBAL bk_ulong *BK_RESTRICT lowers, const BK_GLOBAL bk_ulong *BK_RESTRICT leaves,

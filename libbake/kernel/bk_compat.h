@@ -1,12 +1,12 @@
 /* bk_compat.h - the one place where the kernel's three languages differ: C, OpenCL C 1.2 and CUDA.
  *
- * Results have to agree between devices, bit for bit where a device rounds as IEEE 754 asks: the
- * kernel uses only + - * / sqrt floor and comparisons in float, and contraction is off.
+ * Devices that round as IEEE 754 asks must give the same bits. So the kernel uses only + - * / sqrt
+ * floor and comparisons in float, and contraction is off.
  *
- * bk_fw and bk_iw are BK_WIDTH floats and 32-bit integers with element-wise operators. A processor
- * has instructions for several; on GPUs, and where BK_WIDTH is 1, they are plain scalars. What is
- * true of a lane is told by a mask of bk_less(); it is only for bk_select() and its kin. Each lane
- * gets the same bits for any width. */
+ * bk_fw and bk_iw are BK_WIDTH floats and 32-bit integers with element-wise operators: vectors on
+ * processors, plain scalars on GPUs and if BK_WIDTH is 1. A bk_mask, as bk_less() returns it, is
+ * true or false in each lane; only bk_select() and similar functions take it. A lane gets the same
+ * bits for any width. */
 #ifndef BAKE_KERNEL_BK_COMPAT_H
 #define BAKE_KERNEL_BK_COMPAT_H
 
@@ -21,8 +21,7 @@ typedef ulong bk_ulong;
 #define BK_KERNEL   __kernel void
 
 #ifdef BK_PTX
-/* Compiled to PTX when the program is built, with Clang's own functions: a library of OpenCL's is
- * not needed. */
+/* Compiled to PTX by the build, with Clang's built-in functions instead of an OpenCL library. */
 #define BK_FN            static inline __attribute__((always_inline))
 #define BK_RESTRICT      restrict
 #define bk_sqrt(x)       __nvvm_sqrt_rn_f(x)
@@ -121,7 +120,7 @@ typedef float_ints bk_mask;
 #define bk_maxi(a, b)            floats_max_ints(a, b)
 #define bk_sqrtw(f)              floats_sqrt(f)
 #define bk_floorw(f)             floats_floor(f)
-/* The lanes that the mask is true for, lane 0 in the lowest bit, and back. */
+/* Convert a mask to bits, lane 0 in the lowest, and back. */
 #define bk_bits(mask)    floats_bits(mask)
 #define bk_mask_of(bits) floats_mask_of(bits)
 BK_FN bk_iw bk_load_lanes(const bk_int words[BK_WIDTH])
@@ -134,7 +133,7 @@ BK_FN void bk_store_lanes(bk_int words[BK_WIDTH], bk_iw lanes)
 {
     __builtin_memcpy(words, &lanes, sizeof lanes);
 }
-/* 32-bit words at numbers below BK_GATHER_MOST, where there is an instruction for that. */
+/* Gathers 32-bit words with indices below BK_GATHER_MOST, if the processor has an instruction. */
 #define BK_GATHER_MOST 0x80000000u
 #ifdef floats_gather
 #define bk_gather(words, number) floats_gather(words, number)

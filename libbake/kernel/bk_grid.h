@@ -1,12 +1,12 @@
 /* bk_grid.h - finds voxels in a NanoVDB Mask or OnIndex grid (32.4.2), used in place as 64-bit
  * words.
  *
- * The arrays of nodes and the channels may be separate buffers, so a child's byte offset is turned
- * into its number in the array. A lookup keeps the nodes that the last one went through:
- * neighbouring voxels mostly share the leaf, as in NanoVDB's ReadAccessor.
+ * Node arrays and channels may be separate buffers, so a child's byte offset is converted to its
+ * index in the array. A cache keeps the nodes of the last lookup, as NanoVDB's ReadAccessor does:
+ * neighbouring voxels usually share the leaf.
  *
- * Whatever a word that is followed may hold, nothing outside of the arrays is read: a mapped file
- * that shrinks turns into zeros under the reader. */
+ * Nothing outside of the arrays is read, whatever the words that are followed hold: a mapped file
+ * that shrinks turns into zeros while it is read. */
 #ifndef BAKE_KERNEL_BK_GRID_H
 #define BAKE_KERNEL_BK_GRID_H
 
@@ -41,30 +41,30 @@ typedef struct bk_grid {
     bk_ulong second_base;
 } bk_grid;
 
-/* With BK_COUNTERS defined, the kernel counts what it does in its cache. */
+/* With BK_COUNTERS defined, the kernel counts its work. */
 #ifdef BK_COUNTERS
 typedef struct bk_counts {
     bk_ulong rays;    /* pairs */
-    bk_ulong steps;   /* voxels gone through */
-    bk_ulong skips;   /* empty nodes gone through */
-    bk_ulong fetches; /* of nodes other than those of the lookup before */
+    bk_ulong steps;   /* voxels walked through */
+    bk_ulong skips;   /* empty nodes walked through */
+    bk_ulong fetches; /* nodes read that the cache did not have */
     bk_ulong planes;  /* records tested against a ray */
-    bk_ulong blends;  /* gathers of 2x2x2 records */
+    bk_ulong blends;  /* cells of 2x2x2 records loaded */
     bk_ulong packets; /* groups of up to BK_WIDTH pairs */
-    bk_ulong rounds;  /* of a group: a step of all lanes that are not done */
+    bk_ulong rounds;  /* steps of a group: all its active lanes at once */
 } bk_counts;
 #define BK_COUNT(cache, what, n) ((cache)->counts->what += (n))
-bk_counts *bk_counts_of_thread(void); /* where this thread counts */
+bk_counts *bk_counts_of_thread(void); /* the calling thread's counters */
 #else
 #define BK_COUNT(cache, what, n) ((void)0)
 #endif
 
-/* Nodes around voxel (x, y, z), BK_NONE where there is none. */
+/* Nodes that contain voxel (x, y, z); BK_NONE: no such node. */
 typedef struct bk_cache {
     bk_int x, y, z;
     bk_uint upper, lower, leaf;
-    bk_uint level, side; /* of the last lookup: its result, log2 of the side of what it found */
-    bk_uint inward;      /* the last ray's hit was behind its origin */
+    bk_uint level, side; /* result of the last lookup; log2 of the side of the node it ended in */
+    bk_uint inward;      /* the last ray's hit was against its direction */
 #ifdef BK_COUNTERS
     bk_counts *counts;
 #endif
@@ -75,7 +75,7 @@ BK_FN bk_ulong bk_join(const bk_uint words[2])
     return (bk_ulong)words[1] << 32 | words[0];
 }
 
-/* Sets what params know; the caller sets the pointers. */
+/* Sets counts and offsets; the caller sets the pointers. */
 BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
 {
     grid->tile_count = params->tile_count;
@@ -91,7 +91,7 @@ BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
 BK_FN bk_cache bk_cache_empty(void)
 {
     bk_cache cache;
-    cache.x = cache.y = cache.z = 0x7fffffff; /* no ray comes here */
+    cache.x = cache.y = cache.z = 0x7fffffff; /* outside of every grid */
     cache.level = cache.side = cache.inward = 0;
     cache.upper = cache.lower = cache.leaf = BK_NONE;
 #ifdef BK_COUNTERS
@@ -100,8 +100,8 @@ BK_FN bk_cache bk_cache_empty(void)
     return cache;
 }
 
-/* Number of the upper node at a voxel: binary search over the root's tiles, which are in key order.
- */
+/* Returns the number of the upper node at a voxel, or BK_NONE. Searches the root's tiles, which are
+ * in key order. */
 BK_FN bk_uint bk_find_upper(const bk_grid *grid, bk_int x, bk_int y, bk_int z)
 {
     bk_ulong key = (bk_ulong)((bk_uint)x >> BK_UPPER_LOG2) << 42 |
@@ -127,8 +127,8 @@ BK_FN bk_uint bk_find_upper(const bk_grid *grid, bk_int x, bk_int y, bk_int z)
     return upper < grid->upper_count ? upper : BK_NONE;
 }
 
-/* Brings the cache to voxel (x, y, z). Returns 0 where a leaf holds it, else log2 of the side of
- * the largest aligned empty cube around it that the tree knows. */
+/* Moves the cache to voxel (x, y, z). Returns 0 if a leaf contains it, else log2 of the side of the
+ * empty node around it. */
 BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z)
 {
     bk_uint differ = (bk_uint)((x ^ cache->x) | (y ^ cache->y) | (z ^ cache->z));
@@ -177,7 +177,7 @@ BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
     return cache->level = 0;
 }
 
-/* Value index that the first active voxel at or after a place of a leaf has. */
+/* Returns the value index of the first active voxel of a leaf at or after (layer, bit). */
 BK_FN bk_ulong bk_leaf_rank(const bk_grid *grid, const BK_GLOBAL bk_ulong *words, bk_uint layer,
                             bk_uint bit)
 {
@@ -191,7 +191,7 @@ BK_FN bk_ulong bk_leaf_rank(const bk_grid *grid, const BK_GLOBAL bk_ulong *words
     return rank < grid->second_base ? rank : 0;
 }
 
-/* Value index of a voxel of a leaf, 0 where it is not active. */
+/* Returns the value index of a voxel of a leaf, 0 if it is not active. */
 BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int y, bk_int z)
 {
     const BK_GLOBAL bk_ulong *words = grid->leaves + (bk_ulong)leaf * BK_LEAF_WORDS;
@@ -202,8 +202,8 @@ BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int
     return bk_leaf_rank(grid, words, layer, bit);
 }
 
-/* Number of the second record of the voxel with value index v; 0 where there is none, whatever the
- * flag in a damaged plane says. */
+/* Returns the number of the second record of the voxel with value index v, or 0. Does not trust the
+ * flag in the plane, which may be damaged. */
 BK_FN bk_ulong bk_second(const bk_grid *grid, bk_ulong v)
 {
     const BK_GLOBAL bk_uint *pair = grid->seconds + (v >> 5) * 2u;

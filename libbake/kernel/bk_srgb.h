@@ -1,5 +1,5 @@
-/* bk_srgb.h - linear value of each 8-bit sRGB code (IEC 61966-2-1), rounded to float: a table,
- * because pow() differs between devices. */
+/* bk_srgb.h - the linear value of each 8-bit sRGB code (IEC 61966-2-1), rounded to float. It is a
+ * table because pow() differs between devices. */
 #ifndef BAKE_KERNEL_BK_SRGB_H
 #define BAKE_KERNEL_BK_SRGB_H
 

@@ -1,10 +1,10 @@
-/* bk_surface.h - the surface around a hit: planes, normals and colours of the voxels near it.
+/* bk_surface.h - the surface around a hit, from the planes, normals and colours of nearby voxels.
  *
- * A record says: in this voxel the surface is the plane n . (x - centre) = d. Where planes of
- * neighbouring voxels disagree, their blend decides, with weights over the 2x2x2 voxels whose
+ * A record says that the surface in its voxel is the plane n . (x - centre) = d. Planes of
+ * neighbouring voxels disagree, so they are blended with weights over the 2x2x2 voxels whose
  * centres surround the point: a partition of unity (Ohtake, Belyaev, Alexa, Turk, Seidel,
- * "Multi-level Partition of Unity Implicits", SIGGRAPH 2003). BK_WIDTH points are
- * blended at a time. */
+ * "Multi-level Partition of Unity Implicits", SIGGRAPH 2003). BK_WIDTH points are blended at a
+ * time. */
 #ifndef BAKE_KERNEL_BK_SURFACE_H
 #define BAKE_KERNEL_BK_SURFACE_H
 
@@ -12,34 +12,34 @@
 #include "bk_srgb.h"
 #include "bk_vec.h"
 
-#define BK_PLANE_SECOND (1u << 24)
-#define BK_PLANE_SHADED (1 << 25)
-#define BK_GRAIN_SHIFT  26
-#define BK_GRAIN_MAX    7
+#define BK_PLANE_SECOND       (1u << 24)
+#define BK_PLANE_INCONSISTENT (1 << 25)
+#define BK_FACET_NOISE_SHIFT  26
+#define BK_FACET_NOISE_MAX    7
 
 #define BK_MARGIN_SMOOTH 0.2f
 #define BK_MARGIN_FOLD   0.4f
 
-/* A record whose plane passes this far from the hit belongs to another sheet of the same
- * orientation, or to the other side of a crease: weights fall smoothly to 0. */
+/* A record whose plane is this far from the hit, in voxels, belongs to another sheet of the same
+ * orientation or to the other side of a crease. Weights fall smoothly to 0 at this distance. */
 #define BK_SHEET_DISTANCE 0.75f
 /* Records are means over their voxels, which lowers slopes by 1/24 of their second derivatives.
- * Along a line the cubic p whose means are two records' heights and slopes g has p' = (1 - u) g0 +
- * u g1 + (6 u (1 - u) + 1/2) r, with r what the heights' difference exceeds the slopes' mean by;
- * 1/2 is what the cubic through points has not. Across the line, as u (1 - u) is 1/6 on average,
- * the same share restores what means over the other axes lower. Records' grain tells how much of it
- * is to be left out. */
+ * Take a line and the cubic p whose means are the heights and slopes g of two records. Then p' =
+ * (1 - u) g0 + u g1 + (6 u (1 - u) + 1/2) r, where r is the difference of the heights minus the
+ * mean of the slopes. The cubic through points lacks the 1/2. Across the line u (1 - u) is 1/6 on
+ * average, so the same share restores the loss from means over the other axes. A record's
+ * facet-noise weight says how much of that to leave out. */
 #define BK_MEAN_SLOPE 0.5f
-/* Longest correction that the offsets make to a unit normal. */
+/* Longest correction of a unit normal by the planes' offsets. */
 #define BK_CORRECTION_MAX 0.5f
 
-/* Signed 16-bit normalised integer in the low half of a word. */
+/* Decodes the signed normalised 16-bit integer in the low half of a word. */
 BK_FN float bk_snorm16(bk_uint word)
 {
     return (float)((bk_int)((word & 0xffffu) ^ 0x8000u) - 0x8000) * (1.0f / 32767.0f);
 }
 
-/* Octahedral unit vector (Meyer et al. 2010; Cigolle et al. 2014). */
+/* Decodes an octahedral unit vector (Meyer et al. 2010; Cigolle et al. 2014). */
 BK_FN bk_vec3 bk_decode_normal(bk_uint packed)
 {
     float x = bk_snorm16(packed), y = bk_snorm16(packed >> 16);
@@ -54,14 +54,14 @@ BK_FN bk_vec3 bk_decode_color(bk_uint rgba)
     return bk_v3(bk_srgb[rgba & 255u], bk_srgb[rgba >> 8 & 255u], bk_srgb[rgba >> 16 & 255u]);
 }
 
-/* ---- BK_WIDTH at a time ---- */
+/* ---- BK_WIDTH records at a time ---- */
 
 BK_FN bk_fw bk_snorm16w(bk_iw words)
 {
     return bk_to_fw(((words & 0xffff) ^ 0x8000) - 0x8000) * (1.0f / 32767.0f);
 }
 
-/* bk_decode_normal() of each lane. */
+/* Returns bk_decode_normal() of each lane. */
 BK_FN bk_vec3w bk_decode_normalw(bk_iw packed)
 {
     const bk_fw zero = bk_splat(0.0f);
@@ -73,7 +73,7 @@ BK_FN bk_vec3w bk_decode_normalw(bk_iw packed)
                            y + bk_select(bk_less(y, zero), fold, unfold), z));
 }
 
-/* Surface records as the traversal uses them. */
+/* Decoded surface records. */
 typedef struct bk_record {
     bk_vec3w normal; /* unit */
     bk_fw offset;    /* of the plane along the normal, in voxels from the centre */
@@ -81,17 +81,18 @@ typedef struct bk_record {
     bk_iw low, high; /* words of the record's number */
 } bk_record;
 
-/* Length of a record's mean normal. It is 1 where the surface in the voxel is flat. */
+/* Returns the length of a record's mean normal, 1 if the surface in the voxel is flat. */
 BK_FN bk_fw bk_coverage(bk_iw planes)
 {
     return bk_to_fw(planes >> 16 & 255) * (1.0f / 255.0f);
 }
 
-/* The surface's distance from its mean plane. A smooth one errs by about half the curvature times
- * the square of half a voxel's diagonal: 0.1 voxels at a curvature radius of 4 voxels. Rough
- * surfaces with details of 2 voxels and slopes of 50 degrees lose one ray in 20000 with a margin of
- * 0.2, one in 2000 with half of it. A fold's mean plane cuts its edge: coverage, the cosine of half
- * the fold's angle, tells how deep. At a box's edge the faces end 0.35 voxels from the plane. */
+/* Returns how far the surface may be from its mean plane, in voxels. A smooth surface deviates by
+ * about half the curvature times the square of half a voxel's diagonal: 0.1 at a curvature radius
+ * of 4 voxels. Rough surfaces with details of 2 voxels and slopes of 50 degrees lose one ray in
+ * 20000 with a margin of 0.2, one in 2000 with 0.1. The mean plane of a fold cuts off its edge;
+ * coverage, the cosine of half the fold's angle, tells how deep. A box's edge is 0.35 from the
+ * plane. */
 BK_FN bk_fw bk_margin(bk_iw planes)
 {
     const bk_fw coverage = bk_coverage(planes);
@@ -100,7 +101,7 @@ BK_FN bk_fw bk_margin(bk_iw planes)
            BK_MARGIN_FOLD * bk_sqrtw(bk_maxw(0.98f - coverage * coverage, bk_splat(0.0f)));
 }
 
-/* Sets all but the number. */
+/* Decodes all but the number. */
 BK_FN void bk_decode_record(bk_iw normals, bk_iw planes, bk_record *record)
 {
     record->normal = bk_decode_normalw(normals);
@@ -110,16 +111,15 @@ BK_FN void bk_decode_record(bk_iw normals, bk_iw planes, bk_record *record)
 
 /* ---- blending ---- */
 
-/* The records around a point in each lane, in the order of the corners' (x, y, z) = 000, 001, ...
- */
+/* The records of the cell around a point, for each lane. Corners are in the order (x, y, z) = 000,
+ * 001, ... */
 typedef struct bk_cell {
     bk_int normals[8][BK_WIDTH], planes[8][BK_WIDTH]; /* as stored */
     bk_int present[BK_WIDTH];                         /* bit i: corner i has a record */
     bk_ulong numbers[8][BK_WIDTH];
 } bk_cell;
 
-/* Of the two records of value index v, the number of the one whose orientation is closer to
- * `normal`. */
+/* Returns the number of that record of value index v whose orientation is closer to `normal`. */
 BK_FN bk_ulong bk_choose_record(const bk_grid *grid, bk_ulong v, bk_vec3 normal)
 {
     bk_ulong second = bk_second(grid, v);
@@ -132,8 +132,8 @@ BK_FN bk_ulong bk_choose_record(const bk_grid *grid, bk_ulong v, bk_vec3 normal)
     return b > a ? second : v;
 }
 
-/* Value indices of corners (x, y, z) and (x, y, z + 1) of a layer of a leaf; returns which are
- * active. base: the value index of the layer's first active voxel. */
+/* Finds the value indices of voxels `bit` and `bit` + 1 (z and z + 1) of a layer of a leaf. Returns
+ * which are active, as bits. base: value index of the layer's first active voxel. */
 BK_FN bk_uint bk_layer_pair(const bk_grid *grid, bk_ulong layer, bk_ulong base, bk_uint bit,
                             bk_ulong values[2])
 {
@@ -146,12 +146,12 @@ BK_FN bk_uint bk_layer_pair(const bk_grid *grid, bk_ulong layer, bk_ulong base, 
     return active;
 }
 
-/* Value indices of the eight corners of a cell with lowest voxel (x, y, z), 0 where not active;
- * returns which are active, bit by bit. */
+/* Finds the value indices of the eight corners of a cell with lowest voxel (x, y, z), 0 if not
+ * active. Returns which are active, as bits. */
 BK_FN bk_uint bk_cell_values(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,
                              bk_ulong values[8])
 {
-    /* The axes along which the corners lie in two leaves, and the others; as bits of corners. */
+    /* Axes along which the corners lie in two leaves, and the other axes, as bits of a corner. */
     const bk_uint across = ((x & 7) == 7 ? 4u : 0u) | ((y & 7) == 7 ? 2u : 0u) | ((z & 7) == 7);
     const bk_uint within = 7u & ~across;
     bk_uint i, side = 0, active = 0;
@@ -202,7 +202,8 @@ BK_FN void bk_cell_clear(bk_uint lane, bk_cell *cell)
     cell->present[lane] = 0;
 }
 
-/* Fills one lane: of voxels with two records, the one whose orientation is nearer to `sheet`. */
+/* Fills one lane. Of two records in a voxel, takes the one whose orientation is closer to `sheet`.
+ */
 BK_FN void bk_cell_load(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,
                         bk_vec3 sheet, bk_uint lane, bk_cell *cell)
 {
@@ -229,8 +230,8 @@ BK_FN void bk_cell_load(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
         }
 }
 
-/* Weights of the two sides of a cell along one axis for a point at u, 0 .. 1, from the lower
- * centre. */
+/* Weights of the lower and upper side of a cell along one axis, for a point at u (0 to 1) from the
+ * lower centre. */
 typedef struct bk_sides {
     bk_fw r[2];      /* the point's coordinate minus the centre's */
     bk_fw tent[2];   /* 1 - |r| */
@@ -238,7 +239,7 @@ typedef struct bk_sides {
     bk_fw slope[2];  /* derivative of smooth along the axis, and bk_mean_slope() */
 } bk_sides;
 
-/* All but the slopes. */
+/* Computes all but the slopes. */
 BK_FN bk_sides bk_sides_at(bk_fw u)
 {
     const bk_fw down = 1.0f - u;
@@ -265,21 +266,21 @@ typedef struct bk_weights {
     bk_sides x, y, z;
 } bk_weights;
 
-/* What one corner of the cell says in each lane. All else follows from this and the weights: little
- * is kept, since what eight corners say fills a processor's registers, and a GPU's. */
+/* One corner of the cell in each lane. It keeps only what the weights do not give, since eight
+ * corners fill the registers of processors and GPUs. */
 typedef struct bk_corner {
     bk_vec3w normal;
     bk_fw offset; /* of the plane from the voxel's centre */
     bk_fw f;      /* distance of the point to the plane */
-    bk_fw gate;   /* share that the corner has in its weights */
-    bk_fw trust;  /* the same, 0 where the plane does not go with the normal */
+    bk_fw gate;   /* factor of the corner's weights, 0 to 1 */
+    bk_fw trust;  /* the same, but 0 if the plane is inconsistent with the normal */
 } bk_corner;
 
-/* Corner i of a cell. Records of other sheets get no weight, and those of folds little: their
- * normal is neither side's, while records around have those of both. With the eighth power of
- * coverage half of the weight is left where a surface turns by 45 degrees, 1/16 at 90, and all but
- * a twentieth on a cylinder of 2.5 voxels. Of the powers 4, 8, 16 and 32 it leaves fewest texels
- * that err by more than 5 degrees, on the bunny and on the vase. */
+/* Returns corner i of a cell. Records of other sheets get no weight. Records of folds get little:
+ * their normal is a mean of both sides, and their neighbours have the normals of each side. The
+ * weight has a factor of coverage to the eighth power: 1/2 where a surface turns by 45 degrees,
+ * 1/16 at 90, 0.95 on a cylinder with a radius of 2.5 voxels. Among the powers 4, 8, 16 and 32 it
+ * leaves the fewest texels with errors above 5 degrees, on the bunny and on the vase. */
 BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, const bk_weights *at)
 {
     const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;
@@ -299,47 +300,48 @@ BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, con
     corner.offset = d;
     corner.f = f;
     corner.gate = bk_keep(bk_less(zero, agreement) & there, (near * near) * smooth);
-    /* A facet's plane says nothing of a normal that was interpolated over it. */
-    corner.trust = corner.gate * (1.0f - bk_to_fw((planes & BK_PLANE_SHADED) >> 25));
+    /* A facet's plane does not predict normals that were interpolated over the facet. */
+    corner.trust = corner.gate * (1.0f - bk_to_fw((planes & BK_PLANE_INCONSISTENT) >> 25));
     return corner;
 }
 
-/* Tent weight of corner i. */
+/* Returns the tent weight of corner i. */
 BK_FN bk_fw bk_tent(const bk_corner *corner, bk_uint i, const bk_weights *at)
 {
     return corner->gate * (at->x.tent[i >> 2] * (at->y.tent[i >> 1 & 1u] * at->z.tent[i & 1u]));
 }
 
-/* Smooth weight of corner i. */
+/* Returns the smooth weight of corner i. */
 BK_FN bk_fw bk_smooth(const bk_corner *corner, bk_uint i, const bk_weights *at)
 {
     return at->x.smooth[i >> 2] *
            (corner->gate * (at->y.smooth[i >> 1 & 1u] * at->z.smooth[i & 1u]));
 }
 
-/* Sum of the terms of corners i and i + 4. */
+/* Adds four sums, each of the terms of corners i and i + 4. */
 BK_FN bk_fw bk_sum_pairs(const bk_fw pair[4])
 {
     return (pair[0] + pair[2]) + (pair[1] + pair[3]);
 }
 
-/* How much of what means over voxels lower is restored: less where records have grain. */
+/* Returns how much of the slope that means over voxels lose is restored: less with facet noise. */
 BK_FN bk_fw bk_mean_slope(const bk_cell *cell, const bk_fw tents[8])
 {
-    bk_fw grain[4], weight[4];
+    bk_fw noise[4], weight[4];
     bk_uint i;
 
     for (i = 0; i < 4; i++) {
-        const bk_iw a = bk_load_lanes(cell->planes[i]) >> BK_GRAIN_SHIFT & BK_GRAIN_MAX;
-        const bk_iw b = bk_load_lanes(cell->planes[i + 4]) >> BK_GRAIN_SHIFT & BK_GRAIN_MAX;
-        grain[i] = tents[i] * bk_to_fw(a) + tents[i + 4] * bk_to_fw(b);
+        const bk_iw a = bk_load_lanes(cell->planes[i]) >> BK_FACET_NOISE_SHIFT & BK_FACET_NOISE_MAX;
+        const bk_iw b =
+            bk_load_lanes(cell->planes[i + 4]) >> BK_FACET_NOISE_SHIFT & BK_FACET_NOISE_MAX;
+        noise[i] = tents[i] * bk_to_fw(a) + tents[i + 4] * bk_to_fw(b);
         weight[i] = tents[i] + tents[i + 4];
     }
     return BK_MEAN_SLOPE -
-           (BK_MEAN_SLOPE / BK_GRAIN_MAX) * (bk_sum_pairs(grain) / bk_sum_pairs(weight));
+           (BK_MEAN_SLOPE / BK_FACET_NOISE_MAX) * (bk_sum_pairs(noise) / bk_sum_pairs(weight));
 }
 
-/* Gradient of the smooth weight of corner i by bk_sides.slope. */
+/* Returns the gradient of the smooth weight of corner i, from bk_sides.slope. */
 BK_FN bk_vec3w bk_weight_slope(const bk_corner *corner, bk_uint i, const bk_weights *at)
 {
     const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;
@@ -350,7 +352,7 @@ BK_FN bk_vec3w bk_weight_slope(const bk_corner *corner, bk_uint i, const bk_weig
                   at->x.smooth[ix] * (trust * (at->y.smooth[iy] * at->z.slope[iz])));
 }
 
-/* Blended linear colour of one lane with the corners' tent weights, whose sum is `weight`. */
+/* Blends the linear colours of one lane with the corners' tent weights, whose sum is `weight`. */
 BK_FN bk_vec3 bk_blend_color(const bk_grid *grid, const bk_cell *cell, const bk_fw tents[8],
                              bk_uint lane, float weight)
 {
@@ -365,11 +367,11 @@ BK_FN bk_vec3 bk_blend_color(const bk_grid *grid, const bk_cell *cell, const bk_
     return bk_scale(color, 1.0f / weight);
 }
 
-/* Half the sum of the prediction errors of the plane of corner i if the normal were n and if it
- * were its own. */
+/* Returns the point's distance to the surface as corner i predicts it: the mean of the predictions
+ * with the corner's own normal and with normal n. */
 BK_FN bk_fw bk_predict(const bk_corner *corner, bk_uint i, const bk_weights *at, bk_vec3w n)
 {
-    /* The point minus the foot point, of the voxel's centre on its plane. */
+    /* The point minus the foot of the voxel's centre on the plane. */
     const bk_vec3w e = bk_v3w(at->x.r[i >> 2] - corner->normal.x * corner->offset,
                               at->y.r[i >> 1 & 1u] - corner->normal.y * corner->offset,
                               at->z.r[i & 1u] - corner->normal.z * corner->offset);
@@ -377,15 +379,15 @@ BK_FN bk_fw bk_predict(const bk_corner *corner, bk_uint i, const bk_weights *at,
     return 0.5f * (corner->f + bk_dotw(e, n));
 }
 
-/* Points on or near the surface, blended. */
+/* The blended surface near points. */
 typedef struct bk_blend {
-    bk_mask found;   /* records of this sheet are around */
+    bk_mask found;   /* the cell has records of this sheet */
     bk_fw weight;    /* sum of the corners' tent weights */
     bk_fw distance;  /* of the point to the blended surface along the normal */
     bk_vec3w normal; /* unit */
 } bk_blend;
 
-/* The tent blend of the corners' normals, unit. */
+/* Returns the tent blend of the corners' normals, as a unit vector. */
 BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8], const bk_fw tents[8])
 {
     bk_fw x[4], y[4], z[4];
@@ -400,16 +402,15 @@ BK_FN bk_vec3w bk_blend_tent(const bk_corner corners[8], const bk_fw tents[8])
     return bk_unitw(bk_v3w(bk_sum_pairs(x), bk_sum_pairs(y), bk_sum_pairs(z)));
 }
 
-/* Normal and distance of the blended surface.
+/* Returns the normal and the distance of the blended surface.
  *
- * The tent blend n of the records' normals is exact where normals vary linearly. Where they do not,
- * the planes' offsets know more: a plane predicts the point's distance to the surface as if the
- * normal were the same everywhere, f. With the trapezoid rule, h = (n_i + n) . e_i / 2, the
- * prediction is exact for quadratic surfaces, and what the predictions differ by is the surface's
- * third derivative. The gradient of the blended h, with smooth weights, adds just that to the
- * normal; along a line it is the derivative of the cubic Hermite interpolant, bk_mean_slope()
- * apart. Leaves a third of the tent blend's error at details of 4 and 8 voxels, half of it at 16.
- */
+ * The tent blend n of the records' normals is exact if normals vary linearly. If they do not, the
+ * planes' offsets add information. A plane alone predicts the point's distance f as if the normal
+ * were constant. The trapezoid rule, h = (n_i + n) . e_i / 2, is exact for quadratic surfaces, so
+ * the predictions h differ by the surface's third derivative. The gradient of the blended h, with
+ * smooth weights, adds that to the normal. Along a line it is the derivative of the cubic Hermite
+ * interpolant, apart from bk_mean_slope(). The error is a third of the tent blend's at details of 4
+ * and 8 voxels, half at 16. */
 BK_FN bk_blend bk_blend_corners(const bk_corner corners[8], const bk_fw tents[8],
                                 const bk_weights *at)
 {

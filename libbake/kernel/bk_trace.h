@@ -1,21 +1,20 @@
-/* bk_trace.h - the first surface along a ray through the grid.
+/* bk_trace.h - finds the first surface along a ray through the grid.
  *
- * Empty space is skipped node by node, as large as the tree knows it (Museth, "Hierarchical Digital
- * Differential Analyzer for Efficient Ray-Marching in OpenVDB", 2014); inside a leaf the ray goes
- * from voxel to voxel (Amanatides & Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987).
- * Where a ray meets a voxel border depends on the border alone, not on the way there, so errors do
- * not add up.
+ * Rays skip empty nodes as a whole (Museth, "Hierarchical Digital Differential Analyzer for
+ * Efficient Ray-Marching in OpenVDB", 2014). Inside a leaf they go from voxel to voxel (Amanatides
+ * & Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", 1987). The t of a voxel border is
+ * computed from the border alone, not from earlier steps, so errors do not accumulate.
  *
  * In an occupied voxel the surface is a plane, and planes of neighbours do not meet exactly. Let f
- * be the ray point's signed distance to the plane, its sign chosen so that f grows along the ray.
- * The surface is crossed
- *  - in a voxel where f changes sign,
- *  - at the border of two voxels where f < 0 on leaving one and f > 0 on entering the next,
+ * be the ray point's signed distance to the plane, with its sign chosen so that f grows along the
+ * ray. The surface is crossed
+ *  - in a voxel in which f changes sign,
+ *  - at the border of two voxels if f < 0 on leaving one and f > 0 on entering the next,
  *  - where an unbroken run of occupied voxels begins with 0 < f <= margin or ends with
  *    -margin <= f < 0: the scan touched that voxel and not the empty one beside it, so the
  *    surface is inside the run although its plane passes just outside.
- * The first two leave no pinhole inside a run; the last closes the run's ends. Voxels whose surface
- * faces away from where hits are wanted are no part of a run. */
+ * The first two rules leave no pinhole inside a run; the last closes the run's ends. A run does not
+ * include voxels whose surface faces away. */
 #ifndef BAKE_KERNEL_BK_TRACE_H
 #define BAKE_KERNEL_BK_TRACE_H
 
@@ -24,24 +23,24 @@
 /* Cosine below which a ray is too flat for its hit to be moved onto the blended surface. */
 #define BK_GRAZING 0.1f
 
-/* A hit is less than this many voxels behind the border that it was found on. */
+/* A hit is less than this many voxels after the border at which it was found. */
 #define BK_BEHIND 1.001f
 
-/* Coordinates from here on are no ray. */
+/* Rays with coordinates of this size or more are not traced. */
 #define BK_FAR 1.0e9f
 
-/* Lines, looked along one way. Positions are relative to the lowest corner of the voxel that holds
- * the origin, so that distances keep their precision in large grids; t in voxels. */
+/* Lines, with the direction in which they are walked. Positions are relative to the lowest corner
+ * of the origin's voxel, so that distances keep their precision in large grids. t is in voxels. */
 typedef struct bk_ray {
     bk_iw bx, by, bz; /* that voxel */
     bk_vec3w start;   /* 0 .. 1 */
     bk_vec3w direction;
     bk_vec3w inverse;
     bk_vec3w facing;
-    bk_mask some; /* what is traced at all */
+    bk_mask valid; /* lanes to trace */
 } bk_ray;
 
-/* Where rays cross a record's plane. */
+/* Points where rays cross a record's plane. */
 typedef struct bk_crossing {
     bk_mask found;
     bk_fw t;
@@ -49,28 +48,28 @@ typedef struct bk_crossing {
     bk_iw low, high; /* words of its number */
 } bk_crossing;
 
-/* On which side of the sheet in the voxel just left a ray is. */
+/* Side of the sheet in the last voxel on which a ray is: no sheet, before it, after it. */
 enum { BK_APART, BK_BELOW, BK_ABOVE };
 
-/* Walks along half rays. */
+/* The state of walks along half rays. */
 typedef struct bk_walk {
     bk_fw t_start, t_limit;
     bk_mask two_sided;
     bk_crossing hit;
     bk_iw side;
-    bk_mask falling;   /* the plane's own distance falls along the ray */
-    bk_fw outside;     /* -f on leaving, where side is BK_BELOW */
-    bk_crossing ahead; /* of that plane beyond the voxel */
+    bk_mask falling;   /* the plane's signed distance falls along the ray: f has its sign changed */
+    bk_fw outside;     /* if side is BK_BELOW: -f on leaving the voxel */
+    bk_crossing ahead; /* if side is BK_BELOW: the crossing of that plane after the voxel */
     bk_fw ahead_margin;
 } bk_walk;
 
-/* Voxels that rays are in, or empty aligned nodes around them: what the tree says of them. */
+/* Positions of rays: the voxel, or the empty aligned node around it. */
 typedef struct bk_place {
     bk_iw x, y, z;
     bk_iw mask;  /* side - 1 of the voxel or the node */
-    bk_iw apart; /* coordinates differ in these bits from those of another leaf's or empty node's */
-    bk_iw node_x, node_y, node_z; /* in that leaf or node */
-    bk_iw leaf;                   /* the leaf's number, where mask is 0 */
+    bk_iw apart; /* a voxel that differs in these bits from node_x .. is in another leaf or node */
+    bk_iw node_x, node_y, node_z; /* any voxel of the leaf or node */
+    bk_iw leaf;                   /* the leaf's number, if mask is 0 */
 } bk_place;
 
 BK_FN bk_crossing bk_no_crossing(void)
@@ -104,18 +103,19 @@ BK_FN bk_fw bk_inverse(bk_fw d)
     return bk_select(bk_less(bk_absw(d), bk_splat(1.0e-9f)), far, 1.0f / d);
 }
 
-/* Lines from origins that are numbers along unit directions, and none elsewhere. */
-BK_FN bk_ray bk_ray_along(bk_vec3w origin, bk_vec3w direction, bk_vec3w facing, bk_mask some)
+/* Prepares lines. Lanes whose origin is NaN or far, or whose direction is no unit vector, are not
+ * traced. */
+BK_FN bk_ray bk_ray_along(bk_vec3w origin, bk_vec3w direction, bk_vec3w facing, bk_mask valid)
 {
     const bk_fw far = bk_splat(BK_FAR);
     bk_vec3w o, v;
     bk_ray ray;
 
-    ray.some = some & bk_less(bk_absw(origin.x), far) & bk_less(bk_absw(origin.y), far) &
-               bk_less(bk_absw(origin.z), far) &
-               bk_less(bk_absw(bk_dotw(direction, direction) - 1.0f), bk_splat(0.01f));
-    o = bk_v3w(bk_keep(ray.some, origin.x), bk_keep(ray.some, origin.y),
-               bk_keep(ray.some, origin.z));
+    ray.valid = valid & bk_less(bk_absw(origin.x), far) & bk_less(bk_absw(origin.y), far) &
+                bk_less(bk_absw(origin.z), far) &
+                bk_less(bk_absw(bk_dotw(direction, direction) - 1.0f), bk_splat(0.01f));
+    o = bk_v3w(bk_keep(ray.valid, origin.x), bk_keep(ray.valid, origin.y),
+               bk_keep(ray.valid, origin.z));
     v = bk_v3w(bk_floorw(o.x + 0.5f), bk_floorw(o.y + 0.5f), bk_floorw(o.z + 0.5f));
     ray.bx = bk_to_iw(v.x);
     ray.by = bk_to_iw(v.y);
@@ -127,19 +127,19 @@ BK_FN bk_ray bk_ray_along(bk_vec3w origin, bk_vec3w direction, bk_vec3w facing, 
     return ray;
 }
 
-/* t at which rays meet the lower face of voxel layer `layer` of an axis. */
+/* Returns the t at which rays meet the lower face of voxel layer `layer` of an axis. */
 BK_FN bk_fw bk_border(bk_iw layer, bk_iw base, bk_fw start, bk_fw inverse)
 {
     return (bk_to_fw(layer - base) - start) * inverse;
 }
 
-/* Voxel of a coordinate at t, kept inside bounds that are known to hold it. */
+/* Returns the voxel of a coordinate at t, clamped to bounds that contain it. */
 BK_FN bk_iw bk_voxel_at(bk_fw start, bk_fw direction, bk_fw t, bk_iw base, bk_iw low, bk_iw high)
 {
     return bk_mini(bk_maxi(base + bk_to_iw(bk_floorw(start + direction * t)), low), high);
 }
 
-/* Shortens [*t_near, *t_far] to the part between two layers. */
+/* Clips [*t_near, *t_far] to the part between two layers. */
 BK_FN void bk_clip(bk_int low, bk_int high, bk_iw base, bk_fw start, bk_fw inverse, bk_fw *t_near,
                    bk_fw *t_far)
 {
@@ -150,7 +150,7 @@ BK_FN void bk_clip(bk_int low, bk_int high, bk_iw base, bk_fw start, bk_fw inver
     *t_far = bk_minw(*t_far, bk_maxw(a, b));
 }
 
-/* Where lines are inside the bounds of the grid's active voxels; t_near > t_far: nowhere. */
+/* Finds the part of lines inside the bounds of the active voxels; t_near > t_far: none. */
 BK_FN void bk_bounds(const bk_ray *ray, const bk_params *params, bk_fw *t_near, bk_fw *t_far)
 {
     const bk_int *low = params->index_min, *high = params->index_max;
@@ -164,6 +164,7 @@ BK_FN void bk_bounds(const bk_ray *ray, const bk_params *params, bk_fw *t_near, 
 
 /* ---- crossing planes ---- */
 
+/* Takes t as the hit in those lanes if it is nearer than the hit so far. */
 BK_FN void bk_take(bk_walk *walk, bk_mask lanes, bk_fw t, const bk_record *record)
 {
     const bk_mask better = bk_not(walk->hit.found) | bk_less(t, walk->hit.t);
@@ -176,7 +177,7 @@ BK_FN void bk_take(bk_walk *walk, bk_mask lanes, bk_fw t, const bk_record *recor
     walk->hit.high = bk_selecti(taken, record->high, walk->hit.high);
 }
 
-/* Runs of occupied voxels end: their last plane may pass just outside. */
+/* Ends runs of occupied voxels; their last plane may pass just outside. */
 BK_FN void bk_end_run(bk_walk *walk, bk_mask lanes)
 {
     const bk_mask taken = lanes & (walk->side == BK_BELOW) & bk_not(walk->hit.found) &
@@ -188,8 +189,8 @@ BK_FN void bk_end_run(bk_walk *walk, bk_mask lanes)
     walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
 }
 
-/* Tests a record of the voxels that rays are in from t_in to t_out. side and was_falling: what the
- * walk knew when it left the voxels before. */
+/* Tests a record of the voxels that rays are in from t_in to t_out. side and was_falling: the
+ * walk's state on leaving the previous voxels. */
 BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, const bk_record *record,
                            const bk_place *place, bk_fw t_in, bk_fw t_out, bk_iw side,
                            bk_mask was_falling)
@@ -214,7 +215,7 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
     above = bk_less(zero, f_in);
     crossed = bk_not(above) & bk_not(bk_less(f_out, zero));
     below = bk_not(above) & bk_less(f_out, zero);
-    /* A run begins behind its plane, but near it. */
+    /* A run begins after its plane, within the margin. */
     begun = bk_not(same & (side != BK_APART)) & bk_less(f_in, slope) &
             bk_less(walk->t_start, t_in) & bk_not(bk_less(record->margin, f_in));
     at = bk_select(sloped, bk_maxw(t_in, bk_minw(t_out, -f / slope)), t_in);
@@ -235,8 +236,8 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
     walk->ahead_margin = bk_select(below, record->margin, walk->ahead_margin);
 }
 
-/* Loads the first or second records of lanes with these value indices; returns the lanes that have
- * one. */
+/* Loads the first or second records of these value indices. Returns the lanes that have one.
+ * *seconds: lanes whose voxel has a second record. */
 BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong values[BK_WIDTH],
                               bk_uint second, bk_record *record, bk_uint *seconds)
 {
@@ -265,7 +266,7 @@ BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong 
     return found;
 }
 
-/* Occupied voxels with these value indices, in the lanes of `bits`. */
+/* Tests the records of occupied voxels with these value indices, in the lanes of `bits`. */
 BK_FN void bk_cross_voxels(const bk_grid *grid, bk_cache *cache, bk_walk *walk, const bk_ray *ray,
                            bk_uint bits, const bk_ulong values[BK_WIDTH], const bk_place *place,
                            bk_fw t_in, bk_fw t_out)
@@ -289,8 +290,8 @@ BK_FN void bk_cross_voxels(const bk_grid *grid, bk_cache *cache, bk_walk *walk, 
 
 /* ---- walking ---- */
 
-/* Looks up the leaves or empty nodes of lanes that have left theirs: once for all that come to the
- * same. */
+/* Looks up the leaves or empty nodes of lanes that have left theirs. Lanes in the same node share a
+ * lookup. */
 BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place *place)
 {
     while (bits) {
@@ -315,8 +316,8 @@ BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place
     }
 }
 
-/* Lanes of `bits` whose voxel is occupied, and its value index; 0 in the others. Whether a voxel is
- * occupied is hard to predict, so there are no branches on single lanes. */
+/* Returns the lanes of `bits` whose voxel is occupied. values: its value index, 0 in other lanes.
+ * Occupancy is hard to predict, so there are no branches on single lanes. */
 BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place,
                           bk_ulong values[BK_WIDTH])
 {
@@ -353,14 +354,14 @@ BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *pla
     return occupied;
 }
 
-/* Layer whose lower face a ray leaves an aligned node through; mask = side - 1. up: all bits where
- * the ray goes up the axis, else none. */
+/* Returns the layer through whose lower face a ray leaves an aligned node; mask = side - 1. up: all
+ * bits set if the ray goes up the axis, else none. */
 BK_FN bk_iw bk_exit_layer(bk_iw v, bk_iw mask, bk_iw up)
 {
     return (v & ~mask) + ((mask + 1) & up);
 }
 
-/* Coordinate after a step: in the next layer where this is the axis it is taken along. */
+/* Returns a coordinate after a step; it is in the next layer if the step is along this axis. */
 BK_FN bk_iw bk_step(bk_iw v, bk_iw mask, bk_iw layer, bk_iw up, bk_mask along, bk_fw start,
                     bk_fw direction, bk_fw t, bk_iw base)
 {
@@ -374,9 +375,9 @@ BK_FN bk_iw bk_upwards(bk_fw inverse)
     return bk_selecti(bk_less(inverse, bk_splat(0.0f)), bk_splati(0), bk_splati(-1));
 }
 
-/* Walks half rays from walk->t_start to walk->t_limit, or to `t_stop` where that is nearer; the
- * outcome is walk->hit. t_near, t_far: where the rays are inside the grid's bounds. A step goes
- * through a voxel, or through an empty node. */
+/* Walks half rays from walk->t_start to walk->t_limit, or to `t_stop` if that is nearer. The result
+ * is walk->hit. t_near, t_far: the part inside the grid's bounds. A step goes through a voxel, or
+ * through an empty node. */
 BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                         const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far, bk_fw t_stop)
 {
@@ -387,7 +388,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     const bk_iw up_z = bk_upwards(inverse.z);
     const bk_fw t_end = bk_minw(t_stop, bk_minw(walk->t_limit, t_far));
     bk_fw t = bk_maxw(walk->t_start, t_near);
-    const bk_mask walked = ray->some & bk_not(bk_less(t_end, t));
+    const bk_mask walked = ray->valid & bk_not(bk_less(t_end, t));
     bk_ulong values[BK_WIDTH];
     bk_place place;
     bk_uint active = bk_bits(walked);
@@ -429,7 +430,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
             bk_mask over;
             bk_cross_voxels(grid, cache, walk, ray, occupied, values, &place, t,
                             bk_minw(t_out, walk->t_limit));
-            /* No sheet here faces the right way: for the one before, the run has ended. */
+            /* No sheet here faces the right way, so the run of the previous sheet has ended. */
             over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
             walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
             ended = ended | over;
@@ -450,7 +451,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     bk_end_run(walk, walked);
 }
 
-/* Walks the outer or, in the lanes of `inward`, the inner half of lines. */
+/* Walks the half of lines along their direction or, in the lanes of `inward`, against it. */
 BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                         const bk_ray *ray, bk_mask inward, float t_min, float t_max, bk_fw t_stop,
                         bk_walk *walk)
@@ -465,6 +466,7 @@ BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *
     bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far, t_stop);
 }
 
+/* Reverses rays in these lanes. */
 BK_FN void bk_turn(bk_ray *ray, bk_mask lanes)
 {
     const bk_vec3w d = ray->direction, i = ray->inverse;
@@ -473,12 +475,12 @@ BK_FN void bk_turn(bk_ray *ray, bk_mask lanes)
     ray->inverse = bk_select3(lanes, bk_v3w(-i.x, -i.y, -i.z), i);
 }
 
-/* The crossings at the smallest |t| in [t_min, t_max], their t as distance; of two at the same
- * distance the outer one. Lines are walked from their origins both ways, first the way on which
- * the last lines' crossing was: mostly that is right again, and the other way need not be walked
- * any further. Surfaces whose normal has no positive dot product with `facing` are passed unless
- * BK_TWO_SIDED is set. On return the rays look towards the crossings; *inward: against the
- * direction that they came with. */
+/* Returns the crossings with the smallest |t| in [t_min, t_max], and |t| as their t. Of two at the
+ * same distance it takes the outward one. Walks lines from their origins both ways, first the way
+ * on which the last lines' crossing was: that is usually right again, and limits the other walk.
+ * Ignores surfaces whose normal has no positive dot product with `facing`, unless BK_TWO_SIDED is
+ * set. On return the rays point to the crossings; *inward: lanes where that is against their
+ * direction. */
 BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                              float t_min, float t_max, bk_ray *ray, bk_mask *inward)
 {
@@ -507,22 +509,22 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
 
 /* ---- tracing ---- */
 
-/* Lines to trace, in index space; lanes from `count` on are not traced. */
+/* Lines to trace, in index space: lanes 0 to count - 1. */
 typedef struct bk_lines {
     bk_uint count;
     bk_vec3w origin, direction, facing;
     float t_min, t_max;
 } bk_lines;
 
-/* What they found. */
+/* Their hits. */
 typedef struct bk_hits {
-    bk_uint found;   /* bit by bit */
+    bk_uint found;   /* one bit a lane */
     bk_fw t;         /* signed distance in voxels along the direction */
     bk_vec3w normal; /* unit, object space */
     bk_vec3w color;  /* linear RGB, 0..1 */
 } bk_hits;
 
-/* Moves hits onto the blended surface, and gives them its normals and colours. */
+/* Moves hits onto the blended surface and sets its normals and colours. */
 BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                          const bk_ray *ray, bk_fw sign, bk_fw distance, bk_hits *hits)
 {

@@ -1,4 +1,5 @@
-/* bk_vec.h - three floats. Evaluation order is written out, so that every compiler rounds alike. */
+/* bk_vec.h - vectors of three floats. Parentheses fix the order of evaluation, so that every
+ * compiler rounds alike. */
 #ifndef BAKE_KERNEL_BK_VEC_H
 #define BAKE_KERNEL_BK_VEC_H
 
@@ -22,7 +23,7 @@ BK_FN bk_vec3 bk_scale(bk_vec3 a, float s)
     return bk_v3(a.x * s, a.y * s, a.z * s);
 }
 
-/* a + s b */
+/* Returns a + s b. */
 BK_FN bk_vec3 bk_add_scaled(bk_vec3 a, float s, bk_vec3 b)
 {
     return bk_v3(a.x + s * b.x, a.y + s * b.y, a.z + s * b.z);
@@ -38,7 +39,7 @@ BK_FN bk_vec3 bk_cross(bk_vec3 a, bk_vec3 b)
     return bk_v3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
 }
 
-/* Unit vector, or zero where the length is zero or not a number. */
+/* Returns the unit vector, or zero if the length is zero or NaN. */
 BK_FN bk_vec3 bk_unit(bk_vec3 a)
 {
     float square = bk_dot(a, a);
@@ -62,7 +63,7 @@ BK_FN bk_int bk_clamp_int(bk_int v, bk_int low, bk_int high)
     return v < low ? low : v > high ? high : v;
 }
 
-/* ---- BK_WIDTH at a time ---- */
+/* ---- BK_WIDTH vectors at a time ---- */
 
 typedef struct bk_vec3w {
     bk_fw x, y, z;
@@ -116,7 +117,7 @@ BK_FN bk_vec3w bk_crossw(bk_vec3w a, bk_vec3w b)
     return bk_v3w(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
 }
 
-/* bk_unit() of each lane. */
+/* Returns bk_unit() of each lane. */
 BK_FN bk_vec3w bk_unitw(bk_vec3w a)
 {
     const bk_fw square = bk_dotw(a, a);

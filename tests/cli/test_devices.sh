@@ -1,6 +1,6 @@
 #!/bin/sh
-# Devices of bisque-bake: lists, errors, the same maps from all of them, drivers that misbehave, the kernel's PTX. CUDA's
-# driver is tests/fake/fake_cuda.c.
+# Devices of bisque-bake: lists, errors, the same maps from all devices, drivers that misbehave, the kernel's PTX.
+# tests/fake/fake_cuda.c is the CUDA driver.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-bake:
@@ -9,7 +9,7 @@ fake=$TESTS/fake
 bake() { run bisque-bake "$@"; }
 cuda() { LD_LIBRARY_PATH=$fake bake "$@"; }
 
-# warned LINE: a line of standard error is exactly this.
+# warned LINE: checks that standard error has exactly this line.
 warned()
 {
     grep -Fqx -- "$1" "$err"
@@ -46,7 +46,7 @@ if [ -s "$ptx" ]; then
         same cpu_$map.exr auto_$map.exr
     done
 
-    # A GPU that fails in the middle: "auto" ends on the processor with the same map, "cuda" fails.
+    # A GPU fails during the job: "auto" falls back to the processor and makes the same map, "cuda" fails.
     FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda $maps -o 'lost_<MAP>.exr'
     code 0
     grep -q "going on with cpu" "$err"
@@ -57,8 +57,8 @@ if [ -s "$ptx" ]; then
     [ -z "$(ls gone_* 2>/dev/null)" ]
     check "no map of a failed job" $?
 
-    # In passes: the next part goes up while this one is traced, else the first kernel would never end; and the fake
-    # refuses kernels and copies that do not wait for each other.
+    # In passes: the next subgrid must go up while this one is traced, or the first kernel would never end. The fake
+    # driver refuses kernels and copies that do not wait for each other.
     cuda --device cuda --threads 2 $maps -o 'x_<MAP>.exr' --gpu-memory 1M
     least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p; s/.*take \([0-9]*\) bytes of the device.*/\1/p' "$err")
     FAKE_CUDA_HOLD=2 cuda --device cuda --threads 2 $maps -o 'passes_<MAP>.exr' --gpu-memory $((${least:-1} + 3000000)) --json
@@ -68,7 +68,7 @@ if [ -s "$ptx" ]; then
         same cpu_$map.exr passes_$map.exr
     done
 
-    # In passes, too, where there was room for the grid, but another program takes it first.
+    # In passes, too, if another program takes memory after the grid was found to fit.
     grid=$(stat -c %s vase.nvdb)
     FAKE_CUDA_MEMORY=$((2 * grid)) FAKE_CUDA_TAKEN=$((grid + grid / 3)) \
         cuda --device cuda --threads 2 $maps -o 'beside_<MAP>.exr' --json
@@ -89,7 +89,7 @@ if [ -s "$ptx" ]; then
     command="awk -f check_ptx.awk $ptx" code=0
     awk -f "$top/libbake/kernel/check_ptx.awk" "$ptx" >"$out" 2>"$err" || code=$?
     check "the PTX rounds as the processor does" "$code"
-    # Drivers take PTX up to their own version: CUDA 11.0, the oldest that has all functions, up to 7.0.
+    # Drivers take PTX up to their own version. CUDA 11.0, the oldest with all functions, takes up to 7.0.
     if [ -z "${ptx##*clang*}" ]; then
         version=$(sed -n 's/^\.version \([0-9]*\)\.\([0-9]*\)$/\1\2/p' "$ptx")
         [ "${version:-99}" -le 70 ]

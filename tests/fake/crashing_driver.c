@@ -1,5 +1,5 @@
-/* crashing_driver.c - an OpenCL driver that ends the process when it is asked for its platforms, as
- * some do where /sys is not mounted. */
+/* crashing_driver.c - an OpenCL driver that aborts when it is asked for its platforms, as some do
+ * if /sys is not mounted. */
 #include <stddef.h>
 #include <stdlib.h>
 

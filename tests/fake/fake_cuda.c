@@ -1,28 +1,28 @@
-/* fake_cuda.c - a libcuda.so.1 without a GPU: what libbake/device/cuda/cuda_api.h uses of the
- * driver, with the kernel compiled as C, or its PTX run by ptx_run.c. It is stricter than a driver,
- * so that tests find what a GPU would forgive on most days:
- *  - work in streams happens only when somebody waits for it, or frees memory;
+/* fake_cuda.c - a libcuda.so.1 without a GPU, for the functions in cuda_api.h. It runs the kernel
+ * compiled as C, or the PTX with ptx_run.c. It is stricter than a driver, so that tests find errors
+ * that a GPU usually forgives:
+ *  - streams do their work only when a call waits for it or frees memory;
  *  - streams must not use the same memory without waiting for each other, unless all only read;
- *  - device addresses are no host addresses, and copies are held against the allocations;
- *  - the host's side of a copy has to be page-locked, where a driver would silently wait;
+ *  - device addresses are no host addresses, and copies must stay inside allocations;
+ *  - the host's side of a copy must be page-locked; a driver would silently wait;
  *  - a thread without a context can do nothing, not even free;
- *  - the first launch takes a 32nd of the memory, for what is not in registers;
- *  - the PTX's entry has to have the parameters that launches pass;
- *  - whatever is not freed at the end is counted on standard error.
- * It obeys the environment, read by cuInit():
- *  - FAKE_CUDA_DEVICES=N: how many there are (1);
- *  - FAKE_CUDA_MEMORY=BYTES: of each (1 GiB);
- *  - FAKE_CUDA_TAKEN=BYTES: so many another program takes once it was asked how much is free;
- *  - FAKE_CUDA_CAPABILITY=NN: of each (90);
- *  - FAKE_CUDA_FAIL=CALL:N:CODE: the Nth call of a function fails so, and if CODE is 700 or more
- *    all calls after it;
- *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of the time that events tell, else that is real;
- *  - FAKE_CUDA_HOURS=N: so many went by on that clock before the first kernel;
- *  - FAKE_CUDA_HOLD=N: the first kernel ends only once a copy was put into a stream that is older
- *    than its own and was waited for N times before; after 20 seconds it fails;
- *  - FAKE_CUDA_MAPS=0: no memory can be mapped to addresses;
- *  - FAKE_CUDA_PTX=1: kernels are the PTX that was loaded;
- *  - FAKE_CUDA_COUNT=1: the end tells how many of its instructions warps went through. */
+ *  - the first launch takes a 32nd of the memory, as for spilled registers;
+ *  - the PTX's entry must have the parameters that launches pass;
+ *  - objects that are not freed at exit are counted on standard error.
+ * cuInit() reads these environment variables:
+ *  - FAKE_CUDA_DEVICES=N: number of devices (1);
+ *  - FAKE_CUDA_MEMORY=BYTES: memory of each (1 GiB);
+ *  - FAKE_CUDA_TAKEN=BYTES: memory that another program takes after the first cuMemGetInfo();
+ *  - FAKE_CUDA_CAPABILITY=NN: compute capability (90);
+ *  - FAKE_CUDA_FAIL=CALL:N:CODE: the Nth call of a function fails with CODE; if CODE is 700 or
+ * more, so do all later calls;
+ *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of event time (default: real time);
+ *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel;
+ *  - FAKE_CUDA_HOLD=N: the first kernel ends only after a copy was enqueued on an older stream that
+ *    was waited for N times before; it fails after 20 seconds;
+ *  - FAKE_CUDA_MAPS=0: memory cannot be mapped to addresses;
+ *  - FAKE_CUDA_PTX=1: runs the PTX that was loaded;
+ *  - FAKE_CUDA_COUNT=1: prints at exit how many PTX instructions warps executed. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -32,7 +32,7 @@
 struct fake_cuda fake = {.lock = PTHREAD_MUTEX_INITIALIZER, .device_count = -1};
 _Thread_local CUcontext fake_current;
 
-/* Under the lock. */
+/* Requires the lock. */
 static int failing_code;
 static char failing_call[64];
 static unsigned calls_left;
@@ -66,7 +66,7 @@ void fake_count_live(int change)
     pthread_mutex_unlock(&fake.lock);
 }
 
-/* Objects that exist, for tests in the same process. */
+/* Returns the number of live objects, for tests in the same process. */
 int fake_cuda_live(void);
 int fake_cuda_live(void)
 {
@@ -153,7 +153,7 @@ CUresult cuDeviceGetCount(int *count)
 CUresult cuDeviceGet(CUdevice *device, int number)
 {
     BEGIN;
-    *device = 100 + number; /* no number, lest they be mixed up */
+    *device = 100 + number; /* unlike its number, so that tests notice a mix-up */
     return number >= 0 && number < fake.device_count ? CUDA_SUCCESS : INVALID_DEVICE;
 }
 

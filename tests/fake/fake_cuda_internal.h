@@ -1,5 +1,5 @@
-/* fake_cuda_internal.h - what the parts of the fake driver share: its state, how its functions
- * begin, and the work that streams have to do. */
+/* fake_cuda_internal.h - what the parts of the fake driver share: its state, the start of its
+ * functions, and the work of streams. */
 #ifndef FAKE_CUDA_INTERNAL_H
 #define FAKE_CUDA_INTERNAL_H
 
@@ -10,7 +10,7 @@
 #include "libbake/device/cuda/cuda_api.h"
 #include "libbake/kernel/bk_types.h"
 
-/* What is exported has the types that the program calls it with. */
+/* Exported functions must have the types that the program calls them with. */
 #define DECLARE(name, symbol, parameters) CUresult symbol parameters;
 BAKE_CUDA_FUNCTIONS(DECLARE)
 #undef DECLARE
@@ -29,28 +29,27 @@ enum {
 
 #define DEVICE_ADDRESS (1ull << 62)
 
-enum { MOST_STREAMS = 256 };
+enum { MAX_STREAMS = 256 };
 
 struct allocation {
     char *memory;
     size_t bytes;
     struct allocation *next;
     bool mapped, open; /* a piece of a reservation; it may be read and written */
-    unsigned uses[MOST_STREAMS],
-        writes[MOST_STREAMS]; /* by work that each stream has not done yet */
+    unsigned uses[MAX_STREAMS], writes[MAX_STREAMS]; /* by pending work of each stream */
 };
 
 struct fake_cuda {
-    pthread_mutex_t lock; /* of all below */
+    pthread_mutex_t lock; /* protects all below */
     int device_count, capability;
     int live;   /* objects that exist */
-    int sticky; /* what all calls fail with from now on */
+    int sticky; /* the code with which all further calls fail */
     size_t memory_bytes, used_bytes;
-    size_t taken_bytes, others_bytes; /* that another program is going to take, and has */
-    size_t local_bytes;               /* that the first launch took */
+    size_t taken_bytes, others_bytes; /* that another program will take, and has taken */
+    size_t local_bytes;               /* taken by the first launch */
     struct allocation *allocations;
     double sample_seconds, virtual_now, hours;
-    unsigned hold; /* the waits that the first kernel's end is held for; 0: it is not held */
+    unsigned hold; /* FAKE_CUDA_HOLD; 0: not held */
     bool runs_ptx;
     int maps_memory;
     uint64_t instructions; /* of warps */
@@ -58,7 +57,7 @@ struct fake_cuda {
 extern struct fake_cuda fake;
 extern _Thread_local CUcontext fake_current;
 
-/* The code that a call has to fail with, or 0. */
+/* Returns the code with which a call must fail, or 0. */
 CUresult fake_begin(const char *call);
 #define BEGIN                                                                                      \
     do {                                                                                           \
@@ -67,14 +66,14 @@ CUresult fake_begin(const char *call);
             return begin_code;                                                                     \
     } while (0)
 
-/* Of a thread that has no context. */
+/* Fails if the thread has no context. */
 #define BEGIN_IN_CONTEXT                                                                           \
     BEGIN;                                                                                         \
     if (!fake_current)                                                                             \
     return 201
 
-/* Of calls that free something: they work after a failure too, so that what is left over is told;
- * but not without a context. */
+/* Starts calls that free something. They need a context, but work after a failure, so that leaks
+ * are found then too. */
 #define NEED_CONTEXT                                                                               \
     if (!fake_current)                                                                             \
     return 201
@@ -87,25 +86,25 @@ bool fake_is_device(CUdevice device);
 bool fake_take_bytes(size_t bytes);
 /* Under the lock. */
 struct allocation *fake_find_allocation(CUdeviceptr address);
-/* Host address of `bytes` bytes of device memory; NULL where they are not all of one allocation or
- * of pieces of one reservation. */
+/* Returns the host address of device memory; NULL if the bytes are not all in one allocation or in
+ * mapped pieces of one reservation. */
 void *fake_device_memory(CUdeviceptr address, size_t bytes);
 bool fake_is_locked(const void *memory, size_t bytes);
 
-/* Memory from malloc() that a call hands out as a whole and another takes back. Lists of them are
- * under the lock, which both functions take. */
+/* Memory from malloc() that one call hands out and another takes back. Both functions take the
+ * lock, which protects the lists. */
 struct fake_block {
     char *memory;
-    size_t bytes, mapped; /* mapped: of them, by pieces; it cannot be taken back then */
+    size_t bytes, mapped; /* mapped: bytes in mapped pieces; unless 0 it cannot be taken back */
     struct fake_block *next;
 };
 void fake_hand_out(struct fake_block **list, char *memory, size_t bytes);
-/* bytes: as handed out; SIZE_MAX where the caller need not know. */
+/* bytes: as handed out, or SIZE_MAX if the caller does not tell. */
 CUresult fake_take_back(struct fake_block **list, const void *memory, size_t bytes);
 
 /* ---- streams ---- */
 
-/* What a launch passes, in the kernel's order. */
+/* Arguments of a launch, in the kernel's order. */
 struct arguments {
     CUdeviceptr arrays[9];
     bk_params params;
@@ -121,13 +120,13 @@ struct work {
     size_t bytes;
     struct arguments arguments;
     unsigned grid[2], block[2];
-    CUdeviceptr used[11]; /* the last `written` are written to */
+    CUdeviceptr used[11]; /* the last `written` of them are written */
     unsigned use_count, written;
     CUevent event;
     struct work *next;
 };
 
-/* Puts work into a stream. */
+/* Enqueues work on a stream. */
 CUresult fake_append(CUstream stream, const struct work *work);
 /* Does the work of all streams. */
 void fake_run_streams(void);

@@ -1,4 +1,4 @@
-/* fake_kernel.c - the fake's modules and launches: the kernel as C, or its PTX. */
+/* fake_kernel.c - the fake driver's modules and launches: the kernel as C, or its PTX. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,14 +7,14 @@
 #include "tests/fake/fake_cuda_internal.h"
 #include "tests/fake/ptx.h"
 
-/* Of what a launch passes. */
+/* Sizes of a launch's arguments. */
 static const size_t argument_bytes[] = {
     8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_tile), 4, 4, 4, 4, 8, 8};
 enum { ARGUMENTS = sizeof argument_bytes / sizeof argument_bytes[0] };
 
-static struct ptx *ptx; /* loaded, where it is run */
+static struct ptx *ptx; /* NULL: runs the kernel as C */
 
-/* Where each of the kernel's arguments is. */
+/* Returns the addresses of the kernel's arguments. */
 static void place_arguments(struct arguments *a, void *to[ARGUMENTS])
 {
     void *const places[ARGUMENTS] = {
@@ -97,7 +97,7 @@ void fake_run_kernel(const struct work *work)
     }
 }
 
-/* Whether the entry's parameters have the sizes of argument_bytes. */
+/* Returns whether the entry's parameters have the sizes of argument_bytes. */
 static int entry_fits(const char *kernel)
 {
     const char *at = strstr(kernel, ".entry bake_tile(");
@@ -159,7 +159,7 @@ CUresult cuModuleGetFunction(CUfunction *function, CUmodule module, const char *
     return strcmp(name, "bake_tile") == 0 ? CUDA_SUCCESS : NOT_FOUND;
 }
 
-/* For what is not in registers, with the first launch; and the clock goes on. */
+/* Takes memory for spilled registers at the first launch, and advances the clock. */
 static bool take_local_memory(void)
 {
     bool taken = true;

@@ -1,5 +1,5 @@
-/* fake_mapped.c - the fake's addresses that are reserved first, and the pieces of memory that are
- * mapped there one by one, each of which is an allocation then. */
+/* fake_mapped.c - the fake driver's virtual memory: reserved addresses, and pieces of memory mapped
+ * to them. A mapped piece is an allocation. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,8 +7,8 @@
 #include "tests/fake/fake_cuda_internal.h"
 
 static struct fake_block *reservations;
-enum { STEP_BYTES = 64 << 10, MOST_PIECES = 1000 };
-static size_t pieces[MOST_PIECES]; /* made and not mapped yet, by handle */
+enum { STEP_BYTES = 64 << 10, MAX_PIECES = 1000 };
+static size_t pieces[MAX_PIECES]; /* bytes of pieces that are not mapped yet, by handle */
 
 static bool is_on_device(const struct bake_cuda_allocation *a)
 {
@@ -58,7 +58,7 @@ CUresult cuMemCreate(unsigned long long *handle, size_t bytes,
         return CUDA_ERROR_OUT_OF_MEMORY;
     pthread_mutex_lock(&fake.lock);
     for (*handle = 1; pieces[*handle]; ++*handle)
-        if (*handle == MOST_PIECES - 1)
+        if (*handle == MAX_PIECES - 1)
             abort();
     pieces[*handle] = bytes;
     fake.live++;
@@ -66,13 +66,13 @@ CUresult cuMemCreate(unsigned long long *handle, size_t bytes,
     return CUDA_SUCCESS;
 }
 
-/* A piece that is mapped has become an allocation. */
+/* Releases a handle; a mapped piece stays an allocation. */
 CUresult cuMemRelease(unsigned long long handle)
 {
-    if (handle >= 2 * MOST_PIECES)
+    if (handle >= 2 * MAX_PIECES)
         return INVALID_HANDLE;
     pthread_mutex_lock(&fake.lock);
-    if (handle < MOST_PIECES && pieces[handle]) {
+    if (handle < MAX_PIECES && pieces[handle]) {
         fake.used_bytes -= pieces[handle];
         pieces[handle] = 0;
         fake.live--;
@@ -98,7 +98,7 @@ CUresult cuMemMap(CUdeviceptr at, size_t bytes, size_t offset, unsigned long lon
     struct fake_block *r;
 
     BEGIN;
-    if (handle >= MOST_PIECES || pieces[handle] != bytes || offset || flags || at % STEP_BYTES)
+    if (handle >= MAX_PIECES || pieces[handle] != bytes || offset || flags || at % STEP_BYTES)
         return INVALID_VALUE;
     pthread_mutex_lock(&fake.lock);
     r = find_reservation(memory, bytes);
@@ -130,7 +130,7 @@ CUresult cuMemSetAccess(CUdeviceptr at, size_t bytes, const struct bake_cuda_acc
     return a && a->open ? CUDA_SUCCESS : INVALID_VALUE;
 }
 
-/* Unlike freeing, this does not wait for the device. */
+/* Does not wait for the device, unlike cuMemFree(). */
 CUresult cuMemUnmap(CUdeviceptr at, size_t bytes)
 {
     const char *memory = (char *)(uintptr_t)(at - DEVICE_ADDRESS); // NOLINT: as above
@@ -142,7 +142,7 @@ CUresult cuMemUnmap(CUdeviceptr at, size_t bytes)
         bool used = false;
         if (gone->memory != memory || gone->bytes != bytes || !gone->mapped)
             continue;
-        for (int s = 0; s < MOST_STREAMS; s++)
+        for (int s = 0; s < MAX_STREAMS; s++)
             used |= gone->uses[s] > 0;
         if (used)
             fputs("fake CUDA: memory is unmapped while it is used\n", stderr);

@@ -1,4 +1,4 @@
-/* fake_memory.c - the fake's memory: of devices, and page-locked memory of the host. */
+/* fake_memory.c - the fake driver's device memory, and page-locked host memory. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -66,7 +66,7 @@ void *fake_device_memory(CUdeviceptr address, size_t bytes)
     for (size_t done = 0; done < bytes && found;) {
         const struct allocation *a = fake_find_allocation(address + done);
         found = a && (!a->mapped || a->open);
-        if (found) /* mapped pieces may go on one behind the other */
+        if (found) /* mapped pieces may be consecutive */
             done = (size_t)(a->memory + a->bytes - (char *)(uintptr_t)(address - DEVICE_ADDRESS));
         if (found && done < bytes)
             found = a->mapped;

@@ -1,5 +1,5 @@
-/* fake_streams.c - the fake's streams, which do their work only when somebody waits for it; copies,
- * and events. */
+/* fake_streams.c - the fake driver's copies, events and streams, which do their work only when a
+ * call waits for it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,28 +9,27 @@
 #include "tests/fake/fake_cuda_internal.h"
 
 struct CUstream_st {
-    pthread_mutex_t lock;         /* of the work and its execution */
-    unsigned number;              /* in the order of their making, from 1 */
-    unsigned waits, copies_since; /* how often it was waited for; copies put in after the waits that
-                                     `hold` asks for */
+    pthread_mutex_t lock;         /* protects the work and its execution */
+    unsigned number;              /* in the order of creation, from 1 */
+    unsigned waits, copies_since; /* calls that waited; copies enqueued after `hold` waits */
     struct work *first, *last;
     CUstream next;
 };
 
 struct CUevent_st {
-    CUstream stream; /* recorded there */
+    CUstream stream; /* that it was recorded on */
     int pending;
     double at;
 };
 
-static CUstream streams; /* under the lock */
+static CUstream streams; /* protected by the lock */
 static struct CUstream_st default_stream = {.lock = PTHREAD_MUTEX_INITIALIZER};
 static unsigned streams_made;
 static pthread_cond_t released = PTHREAD_COND_INITIALIZER;
 
-/* Under the lock: notes that a stream has or has not work to do that uses memory. False where
- * another stream has work to do with the same memory, and either writes: nothing tells which comes
- * first. */
+/* Notes that a stream starts or ends work that uses memory. Requires the lock. Returns false if
+ * another stream has pending work on the same memory and either writes: their order is undefined.
+ */
 static bool note_uses(const struct work *work, CUstream stream, int change)
 {
     bool alone = true;
@@ -42,7 +41,7 @@ static bool note_uses(const struct work *work, CUstream stream, int change)
             continue;
         a->uses[stream->number] += (unsigned)change;
         a->writes[stream->number] += writes ? (unsigned)change : 0;
-        for (unsigned s = 0; s < MOST_STREAMS; s++)
+        for (unsigned s = 0; s < MAX_STREAMS; s++)
             if (s != stream->number && (writes ? a->uses[s] : a->writes[s]))
                 alone = false;
     }
@@ -75,7 +74,7 @@ CUresult fake_append(CUstream stream, const struct work *work)
     return alone ? CUDA_SUCCESS : INVALID_VALUE;
 }
 
-/* Keeps the first kernel from ending before the copy that it is held for. */
+/* Waits, in the first kernel, for the copy that FAKE_CUDA_HOLD asks for. */
 static CUresult hold_kernel(CUstream own)
 {
     struct timespec end;
@@ -112,7 +111,7 @@ static void run_work(struct work *work)
     }
 }
 
-/* Does a stream's work, up to an event where one is given. */
+/* Does a stream's work, up to an event if it is not NULL. */
 static void run_stream(CUstream stream, CUevent until)
 {
     pthread_mutex_lock(&stream->lock);
@@ -146,7 +145,7 @@ CUresult cuStreamCreate(CUstream *stream, unsigned flags)
     pthread_mutex_lock(&fake.lock);
     (*stream)->next = streams;
     streams = *stream;
-    (*stream)->number = ++streams_made % MOST_STREAMS;
+    (*stream)->number = ++streams_made % MAX_STREAMS;
     fake.live++;
     pthread_mutex_unlock(&fake.lock);
     return flags <= CU_STREAM_NON_BLOCKING ? CUDA_SUCCESS : INVALID_VALUE;

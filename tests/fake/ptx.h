@@ -1,6 +1,6 @@
-/* ptx.h - runs the kernel's PTX on the processor, warp by warp: that part of PTX which compilers
- * make of libbake's kernel (NVIDIA, "PTX ISA", 2013-2025). So the text that goes to a GPU's driver
- * is tested without one, to the bit. */
+/* ptx.h - runs the kernel's PTX on the processor, warp by warp, to test without a GPU the text that
+ * a GPU's driver gets. Knows the part of PTX (NVIDIA, "PTX ISA", 2013-2025) that compilers use for
+ * libbake's kernel. */
 #ifndef FAKE_PTX_H
 #define FAKE_PTX_H
 
@@ -10,21 +10,21 @@
 
 struct ptx;
 
-/* Reads the entry `name`. NULL where the text has what is not known here, with a message on
- * standard error. */
+/* Reads the entry `name`. Returns NULL, with a message on standard error, if the text has anything
+ * unknown. */
 struct ptx *ptx_read(const char *text, const char *name);
 void ptx_free(struct ptx *ptx);
 
 struct ptx_launch {
     unsigned grid_x, grid_y, block_x, block_y;
-    void **parameters; /* as of cuLaunchKernel() */
-    /* Host address of `bytes` bytes of device memory, NULL where they are nobody's. */
+    void **parameters; /* as for cuLaunchKernel() */
+    /* Returns the host address of device memory, NULL if it is not allocated. */
     void *(*memory)(unsigned long long address, size_t bytes);
-    uint64_t instructions; /* added to: those that warps went through, however many of their threads
-                              did */
+    uint64_t instructions; /* adds those that warps executed, with any number of threads */
 };
 
-/* False where a thread leaves the memory, with a message. */
+/* Runs a block. Returns false, with a message, if a thread accesses memory that is not allocated.
+ */
 bool ptx_run(const struct ptx *ptx, struct ptx_launch *launch);
 
 #endif

@@ -1,4 +1,4 @@
-/* ptx_compute.c - what PTX's instructions make of the values of registers. */
+/* ptx_compute.c - computes the results of PTX instructions on registers. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -91,7 +91,7 @@ static uint64_t multiply(const struct instruction *in, uint64_t a, uint64_t b)
     return (uint64_t)(in->half == HIGH ? product >> bits : product);
 }
 
-/* Smaller or larger of two numbers; of one and none the number, and -0 is less than +0. */
+/* Returns the smaller or larger of two numbers. Ignores NaN if the other is a number; -0 < +0. */
 static float float_extreme(float a, float b, bool larger)
 {
     if (isnan(a) || isnan(b))
@@ -164,7 +164,7 @@ static uint64_t float_operation(const struct instruction *in, float a, float b)
     }
 }
 
-uint64_t ptx_compute(const struct instruction *in, const uint64_t v[MOST_OPERANDS])
+uint64_t ptx_compute(const struct instruction *in, const uint64_t v[MAX_OPERANDS])
 {
     const bool real = in->type == F32;
     const uint64_t a = v[1], b = v[2], c = v[3];

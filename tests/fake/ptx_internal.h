@@ -1,12 +1,12 @@
-/* ptx_internal.h - PTX as instructions, between reading and running it. */
+/* ptx_internal.h - PTX instructions, as read and before they are run. */
 #ifndef FAKE_PTX_INTERNAL_H
 #define FAKE_PTX_INTERNAL_H
 
 #include "tests/fake/ptx.h"
 
-enum { MOST_OPERANDS = 6, MOST_PARAMETERS = 64, MOST_BANKS = 16 };
+enum { MAX_OPERANDS = 6, MAX_PARAMETERS = 64, MAX_BANKS = 16 };
 
-/* Address spaces start here, so that one cannot pass for another. */
+/* Start addresses of the address spaces, so that one is not mistaken for another. */
 #define CONSTANT_BASE (1ull << 40)
 #define LOCAL_BASE    (1ull << 41)
 
@@ -30,7 +30,7 @@ enum relation { EQ, NE, LT, LE, GT, GE };
 struct operand {
     enum { REGISTER, VALUE, SPECIAL } kind;
     unsigned number; /* of the register */
-    uint64_t value;  /* or what is added to the register */
+    uint64_t value;  /* a constant, or the offset from the register */
 };
 
 struct instruction {
@@ -39,15 +39,15 @@ struct instruction {
     enum space space;
     enum half half;
     enum relation relation;
-    bool unordered; /* the relation holds where a side is no number */
+    bool unordered; /* the relation holds if a side is NaN */
     bool floor, truncate;
-    int guard; /* a register's number, -1: none */
+    int guard; /* number of the predicate register, -1: none */
     bool unless;
-    unsigned vector; /* of loads and stores: how many registers */
-    unsigned target; /* of a branch */
-    unsigned meet;   /* where threads that part here meet again */
+    unsigned vector;     /* number of registers of a load or store */
+    unsigned target;     /* of a branch */
+    unsigned reconverge; /* instruction at which threads that diverge here reconverge */
     unsigned operand_count;
-    struct operand operands[MOST_OPERANDS];
+    struct operand operands[MAX_OPERANDS];
 };
 
 struct bank {
@@ -58,9 +58,9 @@ struct bank {
 struct ptx {
     struct instruction *code;
     unsigned count, capacity;
-    struct bank banks[MOST_BANKS];
+    struct bank banks[MAX_BANKS];
     unsigned bank_count, registers;
-    unsigned parameter_count, parameter_at[MOST_PARAMETERS + 1], parameter_bytes[MOST_PARAMETERS];
+    unsigned parameter_count, parameter_at[MAX_PARAMETERS + 1], parameter_bytes[MAX_PARAMETERS];
     uint8_t *constants;
     unsigned constant_bytes;
     char constant_name[64];
@@ -68,17 +68,17 @@ struct ptx {
 
 extern const unsigned ptx_type_bytes[];
 
-/* Says on standard error what is not known or not possible; returns false. */
+/* Prints on standard error what is unknown or impossible. Returns false. */
 bool ptx_refuse(const char *what, const char *text);
 
-/* Sets the place where threads that part at an instruction meet again. */
-void ptx_find_meetings(struct ptx *ptx);
+/* Finds the instruction at which diverged threads reconverge, for each branch. */
+void ptx_find_reconvergence(struct ptx *ptx);
 
-/* The low bits of a value as those of a type, in 64 bits. */
+/* Extends the low bits of a value, as those of a type, to 64 bits. */
 uint64_t ptx_narrow(uint64_t value, enum type type);
-/* The result of an operation on registers. */
-uint64_t ptx_compute(const struct instruction *in, const uint64_t v[MOST_OPERANDS]);
-/* The type that a result has, which may be another than its operands'. */
+/* Returns the result of an operation on registers. */
+uint64_t ptx_compute(const struct instruction *in, const uint64_t v[MAX_OPERANDS]);
+/* Returns the type of a result, which may differ from its operands'. */
 enum type ptx_result_type(const struct instruction *in);
 
 #endif

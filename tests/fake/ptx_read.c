@@ -42,7 +42,7 @@ static int find_name(const char *const *names, int count, const char *name)
     return -1;
 }
 
-/* "%rd12" among the banks. */
+/* Finds the register "%rd12" in its bank. */
 static bool read_register(const struct ptx *ptx, const char *text, unsigned *out)
 {
     for (unsigned i = 0; i < ptx->bank_count; i++) {
@@ -63,7 +63,7 @@ static bool read_register(const struct ptx *ptx, const char *text, unsigned *out
     return false;
 }
 
-/* A symbol's address in its space. */
+/* Finds a symbol's address in its space. */
 static bool read_symbol(const struct reader *r, const char *text, uint64_t *out)
 {
     char prefix[80];
@@ -134,7 +134,7 @@ static bool read_relation(const char *name, struct instruction *out)
     return number >= 0;
 }
 
-/* What follows the operation in "mul.wide.u32". */
+/* Reads a suffix of the operation, as in "mul.wide.u32". */
 static bool read_suffix(const char *part, struct instruction *out)
 {
     static const char *const spaces[] = {"param", "global", "const", "local"};
@@ -190,7 +190,7 @@ static unsigned find_label(const struct reader *r, const char *name)
     return UINT32_MAX;
 }
 
-/* Operands, with those of {a, b} one by one. */
+/* Reads the operands; those of a vector {a, b} count singly. */
 static bool read_operands(const struct reader *r, char *text, struct instruction *out)
 {
     char *state, *part;
@@ -200,7 +200,7 @@ static bool read_operands(const struct reader *r, char *text, struct instruction
         return out->target != UINT32_MAX || ptx_refuse("no label", text);
     }
     for (part = strtok_r(text, ", \t{}", &state); part; part = strtok_r(NULL, ", \t{}", &state)) {
-        if (out->operand_count == MOST_OPERANDS)
+        if (out->operand_count == MAX_OPERANDS)
             return ptx_refuse("too many operands", part);
         if (!read_operand(r, part, &out->operands[out->operand_count++]))
             return false;
@@ -208,7 +208,7 @@ static bool read_operands(const struct reader *r, char *text, struct instruction
     return true;
 }
 
-/* "@%p1 add.s32 %r1, %r2, 3" */
+/* Reads an instruction, as "@%p1 add.s32 %r1, %r2, 3". */
 static bool read_instruction(const struct reader *r, char *text)
 {
     struct instruction in = {.guard = -1, .type = NO_TYPE, .from = NO_TYPE, .vector = 1};
@@ -240,13 +240,13 @@ static bool read_instruction(const struct reader *r, char *text)
     return true;
 }
 
-/* ".reg .b32 %r<17>" or ".reg .b64 %SP" */
+/* Reads ".reg .b32 %r<17>" or ".reg .b64 %SP". */
 static bool read_registers(struct ptx *ptx, const char *text)
 {
     struct bank *bank = &ptx->banks[ptx->bank_count++];
     unsigned count = 0;
 
-    if (ptx->bank_count == MOST_BANKS ||
+    if (ptx->bank_count == MAX_BANKS ||
         sscanf(text, ".reg .%*s %7[^<;]<%u>", bank->prefix, &count) < 1)
         return ptx_refuse("no registers", text);
     bank->first = ptx->registers;
@@ -255,7 +255,7 @@ static bool read_registers(struct ptx *ptx, const char *text)
     return true;
 }
 
-/* ".const .align 4 .b8 NAME[1024] = {0, 1, ...};" */
+/* Reads ".const .align 4 .b8 NAME[1024] = {0, 1, ...};". */
 static bool read_constants(struct ptx *ptx, const char *text)
 {
     const char *at = strstr(text, ".const .align 4 .b8 "), *value;
@@ -274,7 +274,8 @@ static bool read_constants(struct ptx *ptx, const char *text)
     return true;
 }
 
-/* The entry's parameters, each at a multiple of its alignment. Returns the text of its body. */
+/* Reads the entry's parameters, each at a multiple of its alignment. Returns the text of its body.
+ */
 static const char *read_parameters(struct ptx *ptx, const char *text, const char *name)
 {
     char head[80];
@@ -285,7 +286,7 @@ static const char *read_parameters(struct ptx *ptx, const char *text, const char
     at = strstr(text, head);
     end = at ? strchr(at, ')') : NULL;
     while (end && (at = strstr(at, ".param ")) && at < end &&
-           ptx->parameter_count < MOST_PARAMETERS) {
+           ptx->parameter_count < MAX_PARAMETERS) {
         unsigned align, bytes, bits;
         if (sscanf(at, ".param .align %u .b8 %*[^[][%u]", &align, &bytes) != 2) {
             if (sscanf(at, ".param .%*[usbf]%u", &bits) != 1)
@@ -302,7 +303,7 @@ static const char *read_parameters(struct ptx *ptx, const char *text, const char
     return end ? strchr(end, '{') : NULL;
 }
 
-/* A line without blanks at its ends, comment and semicolon; false at the body's end. */
+/* Reads a line without outer blanks, comment and semicolon. Returns false at the body's end. */
 static bool next_line(const char **at, char *line, size_t bytes)
 {
     const char *end = strchr(*at, '\n');
@@ -377,7 +378,7 @@ struct ptx *ptx_read(const char *text, const char *name)
         ptx_free(r.ptx);
         return NULL;
     }
-    ptx_find_meetings(r.ptx);
+    ptx_find_reconvergence(r.ptx);
     return r.ptx;
 }
 

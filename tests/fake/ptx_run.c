@@ -1,12 +1,12 @@
-/* ptx_run.c - takes warps through the instructions. Where their threads part, a stack has the ways
- * that are still to go (Fung, Sham, Yuan, Aamodt, 2007, section 2; see ptx_meet.c). */
+/* ptx_run.c - runs warps. After a divergent branch a stack holds the paths that are left to run
+ * (Fung, Sham, Yuan, Aamodt, 2007, section 2; see ptx_reconverge.c). */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "tests/fake/ptx_internal.h"
 
-enum { LANES = 32, LOCAL_BYTES = 4096, MOST_PATHS = 256 };
+enum { LANES = 32, LOCAL_BYTES = 4096, MAX_PATHS = 256 };
 
 struct thread {
     uint64_t *registers;
@@ -14,9 +14,9 @@ struct thread {
     uint8_t local[LOCAL_BYTES];
 };
 
-/* Threads at a place, which wait where they meet others. */
+/* Threads at an instruction, which wait where they reconverge. */
 struct path {
-    unsigned place, meet;
+    unsigned place, reconverge;
     uint32_t threads; /* bits */
 };
 
@@ -25,7 +25,7 @@ struct warp {
     struct ptx_launch *launch;
     const uint8_t *parameters;
     struct thread threads[LANES];
-    struct path paths[MOST_PATHS]; /* the last one is gone along */
+    struct path paths[MAX_PATHS]; /* the last one is running */
     unsigned path_count;
 };
 
@@ -59,7 +59,7 @@ static void *find_memory(struct warp *warp, struct thread *thread, enum space sp
     }
 }
 
-/* ld and st */
+/* Runs ld and st. */
 static bool move_memory(struct warp *warp, struct thread *thread, const struct instruction *in)
 {
     const bool store = in->operation == OP_st;
@@ -93,7 +93,7 @@ static bool is_on(const struct thread *thread, const struct instruction *in)
 
 static bool step(struct warp *warp, struct thread *thread, const struct instruction *in)
 {
-    uint64_t values[MOST_OPERANDS] = {0};
+    uint64_t values[MAX_OPERANDS] = {0};
 
     if (!is_on(thread, in))
         return true;
@@ -106,8 +106,8 @@ static bool step(struct warp *warp, struct thread *thread, const struct instruct
     return true;
 }
 
-/* Where only some threads branch, both ways are gone one after the other, and then on from where
- * they meet. */
+/* Branches. If only some threads branch, both paths run one after the other up to where they
+ * reconverge. */
 static void branch(struct warp *warp, const struct instruction *in)
 {
     struct path *path = &warp->paths[warp->path_count - 1];
@@ -120,13 +120,13 @@ static void branch(struct warp *warp, const struct instruction *in)
     path->place = taken ? in->target : whole.place + 1;
     if (taken == 0 || taken == whole.threads)
         return;
-    if (in->meet != whole.meet) {
-        path->place = in->meet;
+    if (in->reconverge != whole.reconverge) {
+        path->place = in->reconverge;
         warp->path_count++;
     }
     warp->paths[warp->path_count - 1] =
-        (struct path){whole.place + 1, in->meet, whole.threads & ~taken};
-    warp->paths[warp->path_count++] = (struct path){in->target, in->meet, taken};
+        (struct path){whole.place + 1, in->reconverge, whole.threads & ~taken};
+    warp->paths[warp->path_count++] = (struct path){in->target, in->reconverge, taken};
 }
 
 static bool run_warp(struct warp *warp)
@@ -136,14 +136,14 @@ static bool run_warp(struct warp *warp)
     while (fine && warp->path_count > 0) {
         struct path *path = &warp->paths[warp->path_count - 1];
         const struct instruction *in = &warp->ptx->code[path->place];
-        if (path->place == path->meet) {
+        if (path->place == path->reconverge) {
             warp->path_count--;
             continue;
         }
         warp->launch->instructions++;
         if (in->operation == OP_bra) {
             branch(warp, in);
-            fine = warp->path_count + 2 < MOST_PATHS || ptx_refuse("branches are too deep", "");
+            fine = warp->path_count + 2 < MAX_PATHS || ptx_refuse("branches are too deep", "");
             continue;
         }
         for (int i = 0; i < LANES && fine && in->operation != OP_ret; i++)
@@ -173,7 +173,7 @@ static void begin_warp(struct warp *warp, unsigned block_x, unsigned block_y, un
         memcpy(thread->special, special, sizeof special);
         memset(thread->registers, 0xa5, warp->ptx->registers * sizeof *thread->registers);
     }
-    warp->paths[0] = (struct path){.meet = warp->ptx->count, .threads = threads};
+    warp->paths[0] = (struct path){.reconverge = warp->ptx->count, .threads = threads};
     warp->path_count = 1;
 }
 

@@ -82,7 +82,7 @@ int bake_compute_share_memory(struct bake_compute *compute, const struct bake_jo
 
 /* ---- the grid ---- */
 
-/* Sends a half of the staging buffer; the sink of bake_staging_flush(). */
+/* Sends a half of the staging buffer, see struct bake_staging_buffer. */
 static int send_half(void *device, unsigned half, uint64_t bytes)
 {
     struct bake_compute *compute = device;

@@ -52,14 +52,15 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
     }
 }
 
-/* Every second bit of a number of six, the others left out. */
+/* Returns bits 0, 2 and 4 of a six-bit number, packed. */
 _Static_assert(BAKE_NATIVE_SQUARE == 8, "six bits number the texels of a square");
 static uint32_t even_bits(uint32_t bits)
 {
     return (bits & 1) | (bits >> 1 & 2) | (bits >> 2 & 4);
 }
 
-/* A square of texels in Morton order (1966): those of a group are near each other on both axes. */
+/* Adds a square of texels in Morton order (1966), so that the samples of a group are near each
+ * other on both axes. */
 static void add_square(struct group *group, const struct bk_tile *tile,
                        const uint32_t *sample_triangles, uint32_t x, uint32_t y,
                        struct bk_texel *texels)

@@ -1,4 +1,4 @@
-/* opencl_devices.c - lists OpenCL devices; asks drivers in a child process, since some crash. */
+/* opencl_devices.c - lists OpenCL devices. Asks drivers in a child process, since some crash. */
 #include <dlfcn.h>
 #include <stdio.h>
 

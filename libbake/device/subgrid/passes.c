@@ -14,7 +14,7 @@
 
 enum {
     STACK = 64, /* a tile is halved at most once for each bit of its sides */
-    STRIDE = 61 /* one sample of so many is taken to find a tile's position in space */
+    STRIDE = 61 /* every 61st sample of a tile gives its position in space */
 };
 
 struct tile_key {

@@ -1,4 +1,4 @@
-/* test_device.c - devices by name, and that all of them trace the same maps. */
+/* test_device.c - devices are found by name, and all trace the same maps. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -12,9 +12,9 @@
 #include "libbake/device/opencl/opencl_api.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
-/* OpenCL's division and square root may be 3 ulp off, and positions with them; a ray that grazes a
- * voxel's edge may then take its neighbour's plane. So: nearly all texels agree closely, the others
- * at least roughly. */
+/* OpenCL's division and square root may be off by 3 ulp, and so may positions. A ray that grazes a
+ * voxel's edge may then hit its neighbour's plane. So nearly all texels must agree closely, the
+ * others roughly. */
 #define CLOSE          1e-3f
 #define ROUGH          0.1f
 #define ROUGH_FRACTION 0.001
@@ -28,7 +28,7 @@ static void test_native_map(void **state)
 
     for (int i = 0; i < TEXELS; i++) {
         const struct bk_texel *t = &texels[i];
-        /* Texel centre on the square; the sheet's colours at that place. */
+        /* The texel's centre on the square, and the sheet's colour there. */
         double u = -32 + 64 * (i % WIDTH + 0.5) / WIDTH, v = -32 + 64 * (i / WIDTH + 0.5) / HEIGHT;
         float color[3];
         covered += t->covered;
@@ -44,11 +44,10 @@ static void test_native_map(void **state)
     }
     /* The first three columns of samples are outside the chart. */
     assert_int_equal(covered, (WIDTH * SAMPLES - 3) * HEIGHT * SAMPLES);
-    /* The sheet covers (30 / 32)^2 of the square, and ends up to a voxel later: planes fill voxels.
-     */
+    /* The sheet covers (30 / 32)^2 of the square, and up to a voxel more: planes fill voxels. */
     assert_true(hits > 0.875 * TEXELS * 4 && hits < (31 / 32.) * (31 / 32.) * TEXELS * 4);
     print_message("largest error of linear colour: %.4f\n", color_error);
-    assert_true(color_error < 0.06); /* the colour changes by 0.1 a voxel at most */
+    assert_true(color_error < 0.06); /* the colour changes by at most 0.1 a voxel */
     free(texels);
 }
 
@@ -112,7 +111,7 @@ static void test_opencl_agrees(void **state)
     free(opencl);
 }
 
-/* Each worker has buffers of its own, and a tile may be smaller than the largest. */
+/* Workers trace with their own buffers, and tiles may be smaller than the largest. */
 static void test_opencl_small_tile(void **state)
 {
     struct fixture *f = *state;
@@ -141,7 +140,7 @@ static void test_opencl_small_tile(void **state)
     bake_device_close(native);
 }
 
-/* The samples of a texel are traced by several calls where there are many. */
+/* Several launches trace a texel that has many samples. */
 static void test_opencl_slices_of_texels(void **state)
 {
     struct fixture *f = *state;
@@ -164,7 +163,7 @@ static void test_opencl_slices_of_texels(void **state)
     free(opencl);
 }
 
-/* Work groups are as large as kernels and devices allow, and powers of two. */
+/* Work groups have sides that are powers of two, as large as kernels and devices allow. */
 static void test_opencl_groups(void **state)
 {
     static const struct {
@@ -229,7 +228,7 @@ static void test_list_and_auto(void **state)
     assert_int_equal(bake_list_devices(f->ctx, on_device, &listing), 0);
     assert_int_equal(listing.cpus, 1);
     assert_int_equal(bake_device_open(f->ctx, "auto", &f->job, &device), 0);
-    /* OpenCL on the processor is never chosen by itself. */
+    /* "auto" never chooses OpenCL on the processor. */
     if (listing.gpus == 0)
         assert_true(strncmp(bake_device_name(device), "cpu", 3) == 0);
     bake_device_close(device);

@@ -1,4 +1,4 @@
-/* test_kernel.c - the kernel's parts against naive versions of them. */
+/* test_kernel.c - compares the kernel's parts to naive versions of them. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -62,8 +62,8 @@ static void test_srgb_table(void **state)
     }
 }
 
-/* Every word is valid; where a coordinate is -32768, which the encoder never writes, the decoders
- * may differ from base/octahedral.h. The kernel has one for single words and one for lanes. */
+/* Decodes every word with the kernel's two decoders, for single words and for lanes. They may
+ * differ from base/octahedral.h if a coordinate is -32768, which the encoder never writes. */
 static void test_decode_normal(void **state)
 {
     (void)state;
@@ -82,7 +82,7 @@ static void test_decode_normal(void **state)
     }
 }
 
-/* m.x T + m.y B + m.z N has to be parallel to the normal for any frame, as a shader computes it. */
+/* m.x T + m.y B + m.z N, which a shader computes, must be parallel to the normal for any frame. */
 static void test_tangent_space(void **state)
 {
     (void)state;
@@ -109,7 +109,7 @@ static void test_tangent_space(void **state)
     }
 }
 
-/* Nearest half-precision number: eleven significant bits, steps of 2^-24 below the normal range. */
+/* Rounds to half precision: eleven significant bits, steps of 2^-24 below the normal range. */
 static double to_half(double x)
 {
     int exponent;
@@ -118,8 +118,8 @@ static double to_half(double x)
     return ldexp(nearbyint(ldexp(x, -step)), step);
 }
 
-/* A triangle with a frame at each corner: alike and at right angles, or spread as on a coarse low
- * mesh. */
+/* Makes a triangle with a frame at each corner: all alike and orthogonal, or spread as on a coarse
+ * low-poly mesh. */
 static bk_triangle framed_triangle(uint64_t *seed, bool alike, float handedness)
 {
     bk_triangle triangle = {.b1 = {1, 0, 0}, .b2 = {0, 1, 0}};
@@ -153,7 +153,7 @@ static bk_triangle framed_triangle(uint64_t *seed, bool alike, float handedness)
     return triangle;
 }
 
-/* Columns T, B, N of the shader's frame at weights w: interpolated, not normalised. */
+/* Computes columns T, B, N of the shader's frame at weights w: interpolated, not normalised. */
 static void shader_frame(const bk_triangle *triangle, const double w[3], double frame[3][3])
 {
     for (int k = 0; k < 3; k++) {
@@ -170,10 +170,10 @@ static void shader_frame(const bk_triangle *triangle, const double w[3], double 
     }
 }
 
-/* What a shader reads from a half-float map n / 2 + 1/2 gives back the normal. Halves between 1/2
- * and 1 are rounded by at most 2^-12, so m is off by at most sqrt(3) 2^-11: 0.0485 degrees in a
- * frame at right angles, and in another at most as much longer as the frame stretches the error
- * more than the normal. */
+/* A shader gets the normal back from a half-float map n / 2 + 1/2. Halves between 1/2 and 1 are
+ * rounded by at most 2^-12, so m is off by at most sqrt(3) 2^-11: 0.0485 degrees in an orthogonal
+ * frame. Another frame may stretch the error more than the normal; the limit grows by that factor.
+ */
 static void test_tangent_space_of_halves(void **state)
 {
     (void)state;
@@ -216,7 +216,7 @@ static void test_tangent_space_of_halves(void **state)
 
 /* ---- random grids against naive lookups and walks ---- */
 
-/* Clusters of voxels in several leaves, regions and root tiles, on both sides of 0. */
+/* Fills clusters of voxels in several leaves, regions and root tiles, on both sides of 0. */
 static void random_grid(uint64_t *seed, struct fmt_nvdb_grid *out, int32_t corners[8][3])
 {
     struct analytic_grid *grid = analytic_grid_create();
@@ -284,10 +284,10 @@ static void test_lookup(void **state)
     fmt_nvdb_close(context, &grid);
 }
 
-/* The naive walk: all voxel faces that the ray crosses, sorted; every voxel looked up by itself. In
- * doubles. */
+/* The result of the naive walk: sorts all voxel faces that the ray crosses and looks up each voxel
+ * by itself, in double. */
 struct naive {
-    bool found, doubtful; /* doubtful: rounding may decide otherwise */
+    bool found, doubtful; /* doubtful: depends on rounding */
     double t;
 };
 
@@ -315,14 +315,14 @@ static bool nearly(double a, double b)
     return fabs(a - b) < 1e-3;
 }
 
-/* A fifth of a voxel, and more where the record's mean normal hides a fold. */
+/* Returns the margin: a fifth of a voxel, and more if the record's mean normal hides a fold. */
 static double naive_margin(const struct fmt_nvdb_record *record)
 {
     double coverage = (record->plane >> 16 & 255) / 255.0;
     return 0.2 + 0.4 * sqrt(fmax(0.98 - coverage * coverage, 0));
 }
 
-/* The rules of bk_trace.h for one sheet that faces `facing`, along a half ray. */
+/* Applies the rules of bk_trace.h to one sheet that faces `facing`, along a half ray. */
 static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double origin[3],
                                 const double direction[3], double limit, const double facing[3])
 {
@@ -334,7 +334,7 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
         double t_in = faces[i], t_out = faces[i + 1], middle = (t_in + t_out) / 2;
         int32_t at[3];
         if (t_out - t_in < 1e-3) {
-            /* An edge, or a start on a face: which voxels are met is a matter of rounding. */
+            /* An edge, or a start on a face: which voxels are met depends on rounding. */
             result.doubtful |= i + 2 < count;
             continue;
         }
@@ -449,7 +449,7 @@ static void test_traversal(void **state)
     fmt_nvdb_close(context, &grid);
 }
 
-/* Rays that are no rays, or far away, end. */
+/* Invalid and far rays terminate. */
 static void test_degenerate_rays(void **state)
 {
     (void)state;

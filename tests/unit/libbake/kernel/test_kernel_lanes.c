@@ -1,6 +1,6 @@
 /* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
- * samples: groups of four, eight and sixteen in squares of texels, in Morton order, against one
- * sample at a time, row by row. */
+ * samples. Compares groups of four, eight and sixteen in Morton order to single samples, row by
+ * row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -13,7 +13,7 @@
 #include "libbake/device/native/native_code.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
-/* No multiples of a square or a group; three samples an axis leave groups open at texels' ends. */
+/* No multiples of a square or a group; with three samples an axis, groups span texels. */
 enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
 
 struct fixture {
@@ -30,8 +30,8 @@ static double between(uint64_t *seed, double low, double high)
     return low + (high - low) * analytic_random(seed);
 }
 
-/* Crossing sheets and clutter over the borders of leaves, lower and upper nodes: many records with
- * seconds, runs that begin and end, cells across up to eight leaves. */
+/* Fills crossing sheets and clutter over the borders of leaves, lower and upper nodes: many second
+ * records, runs that begin and end, cells across up to eight leaves. */
 static void fill(struct fixture *f, uint64_t *seed)
 {
     struct analytic_grid *grid = analytic_grid_create();
@@ -83,7 +83,7 @@ static int setup(void **state)
     bake_kernel_grid(&f->file, &f->params, &f->grid);
     for (int i = 0; i < TRIANGLES; i++)
         make_triangle(&f->triangles[i], &seed);
-    /* One without a direction: it covers texels and finds nothing. */
+    /* A triangle without a normal covers texels and finds nothing. */
     memset(f->triangles[7].normal, 0, sizeof f->triangles[7].normal);
     /* Runs of one triangle, single samples of others, and holes. */
     uint32_t current = 0;

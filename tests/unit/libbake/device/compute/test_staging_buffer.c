@@ -1,4 +1,4 @@
-/* test_staging_buffer.c - what is put into a stage comes out of it in order and whole, also where
+/* test_staging_buffer.c - data put into a staging buffer is sent in order and complete, also if
  * several threads fill it. */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -18,7 +18,7 @@ struct sink {
     char *bytes;
     uint64_t count;
     unsigned expected_turn;
-    int left; /* pieces that are taken before one is refused */
+    int left; /* halves that are accepted before one is refused */
 };
 
 static int take(void *device, unsigned turn, uint64_t bytes)
@@ -31,7 +31,7 @@ static int take(void *device, unsigned turn, uint64_t bytes)
         return BSQ_ENODEVICE;
     memcpy(sink->bytes + sink->count, sink->staging.halves[turn], bytes);
     sink->count += bytes;
-    /* The device has it: what is filled next is the other one. */
+    /* The device has copied it; the other half is filled next. */
     memset(sink->staging.halves[turn], 0xee, bytes);
     return 0;
 }

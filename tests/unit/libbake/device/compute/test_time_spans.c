@@ -1,4 +1,4 @@
-/* test_time_spans.c - unions of spans, and how kernel calls follow what was measured. */
+/* test_time_spans.c - unions of time spans, and launch batches that follow measured times. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -28,7 +28,7 @@ static void test_overlaps_count_once(void **state)
     assert_true(bake_time_spans_seconds(&spans) == 6);
 }
 
-/* Four queues with spans of random lengths, held against a raster of time. */
+/* Compares four streams with spans of random lengths to a raster of time. */
 static void test_many(void **state)
 {
     enum { QUEUES = 4, STEPS = 200000 };
@@ -64,10 +64,10 @@ static void test_slices_follow(void **state)
     assert_int_equal(bake_batch_rows(&sizer, 1024, 256), BAKE_BATCH_FIRST / 1024);
     assert_int_equal(bake_batch_rows(&sizer, 1024, 64), 64);
     assert_int_equal(bake_batch_rows(&sizer, BAKE_BATCH_FIRST * 10, 64), 1);
-    /* Fast: fourfold, not more. */
+    /* A fast device: fourfold, not more. */
     bake_batch_sizer_learn(&sizer, 1 << 17, 1e-4);
     assert_int_equal(sizer.samples, 4 * BAKE_BATCH_FIRST);
-    /* Slow: at once. 10^6 samples a second. */
+    /* A slow device, 10^6 samples a second: at once. */
     bake_batch_sizer_learn(&sizer, 1000000, 1.0);
     assert_int_equal(sizer.samples, 1000000 * BAKE_BATCH_SECONDS);
     assert_int_equal(bake_batch_rows(&sizer, 1000, 256), 50);
@@ -81,8 +81,8 @@ static void test_slices_follow(void **state)
     assert_int_equal(bake_batch_rows(&sizer, 1, UINT32_MAX), UINT32_MAX);
 }
 
-/* A thread of the device never traces more of a texel in one call than it can in time, and calls of
- * a texel's lines are as few as that allows. */
+/* A launch never traces more samples of a texel than BAKE_BATCH_THREAD, and there are as few
+ * launches as that allows. */
 static void test_slices_of_texels(void **state)
 {
     (void)state;

@@ -1,5 +1,5 @@
-/* test_cuda.c - the CUDA device with a driver that has no GPU (tests/fake/fake_cuda.c): the same
- * bits as the processor's, and what is said when something fails. */
+/* test_cuda.c - the CUDA device, with a driver that needs no GPU (tests/fake/fake_cuda.c): it gives
+ * the processor's bits, and failures have messages. */
 #include <dlfcn.h>
 #include <link.h>
 #include <setjmp.h>
@@ -18,7 +18,7 @@
 #include "libbake/device/compute/launch_batches.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
-/* The driver's name is looked up among the libraries that are open already. */
+/* Opens the fake driver. A later dlopen() of "libcuda.so.1" finds it among the open libraries. */
 static int open_fake(void)
 {
     char path[4096];
@@ -54,7 +54,7 @@ static void on_warning(void *user, const char *line)
     strcat(warnings, "\n");
 }
 
-/* A context that keeps warnings, with no more than the given memory. */
+/* Creates a context with a memory limit that keeps warnings. */
 static struct bsq_ctx *create_context(uint64_t memory_bytes)
 {
     struct bsq_ctx *ctx;
@@ -107,7 +107,7 @@ static void test_same_bits(void **state)
     }
 }
 
-/* The PTX itself gives them too. */
+/* The PTX gives the same bits. */
 static void test_same_bits_with_ptx(void **state)
 {
     struct fixture *f = *state;
@@ -123,7 +123,7 @@ static void test_same_bits_with_ptx(void **state)
     free(cuda);
 }
 
-/* Each worker has buffers of its own, and a tile may be smaller than the largest. */
+/* Workers trace with their own buffers, and tiles may be smaller than the largest. */
 static void test_small_tile(void **state)
 {
     struct fixture *f = *state;
@@ -144,7 +144,7 @@ static void test_small_tile(void **state)
     bake_device_close(native);
 }
 
-/* Of a backend that traces the whole map `tiles` times on one worker. */
+/* Returns the times of a backend that traces the whole map `tiles` times on one worker. */
 static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk_texel *texels)
 {
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
@@ -163,7 +163,7 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk
     return times;
 }
 
-/* On a slow device tiles are cut into kernel calls that take about BAKE_BATCH_SECONDS. */
+/* On a slow device a tile takes several launches of about BAKE_BATCH_SECONDS. */
 static void test_slices(void **state)
 {
     enum { TILES = 3 };
@@ -186,8 +186,8 @@ static void test_slices(void **state)
     free(cuda);
 }
 
-/* What a tile took is told exactly, however long ago the device was opened: events' distances are
- * floats. */
+/* A tile's times are exact however long ago the device was opened, although the time between events
+ * is a float. */
 static void test_times_after_days(void **state)
 {
     struct fixture *f = *state;
@@ -202,8 +202,7 @@ static void test_times_after_days(void **state)
     free(cuda);
 }
 
-/* A driver needs some of the memory itself: a grid that would take all of it is traced in passes.
- */
+/* A grid that would take all of the memory is traced in passes, since the driver needs some. */
 static void test_memory_for_the_driver(void **state)
 {
     struct fixture *f = *state;
@@ -232,8 +231,8 @@ static void test_memory_for_the_driver(void **state)
     }
 }
 
-/* Opens a device that has room for the grid and what tiles need, until another program takes
- * memory: `left` bytes of the grid's. Tells what parts may take then. */
+/* Opens a device that has memory for the grid and tiles until another program takes some and leaves
+ * `left` bytes for the grid. Returns the device memory that subgrids may then take. */
 static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const char *name,
                                    uint64_t left)
 {
@@ -259,8 +258,8 @@ static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const
     return memory;
 }
 
-/* A grid that there was room for until another program took some is traced in passes, in what is
- * left; whether or not the device was named. */
+/* If another program takes memory after the grid was found to fit, the grid is traced in passes in
+ * the rest, whether or not the device was named. */
 static void test_memory_for_others(void **state)
 {
     struct fixture *f = *state;
@@ -274,8 +273,8 @@ static void test_memory_for_others(void **state)
     assert_int_equal(bsq_ctx_create(&one_thread, &ctx), 0);
     for (size_t i = 0; i < sizeof names / sizeof *names; i++)
         for (uint64_t share = 4; share <= 32; share *= 2) {
-            uint64_t parts = open_beside_others(f, ctx, names[i], grid / share);
-            assert_in_range(parts, grid / share - 2, grid / share);
+            uint64_t memory = open_beside_others(f, ctx, names[i], grid / share);
+            assert_in_range(memory, grid / share - 2, grid / share);
             assert_int_equal(live(), 0);
             assert_int_equal(bsq_memory_used(ctx), 0);
         }
@@ -283,8 +282,8 @@ static void test_memory_for_others(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* No piece of memory is longer than a limit: a longer array, as the upper nodes are here, is made
- * of several; or, where the device cannot do that, the grid is traced in passes. */
+/* No allocation is longer than a limit. A longer array, here the upper nodes, has several; a device
+ * that cannot map them traces the grid in passes. */
 static void test_pieces_of_memory(void **state)
 {
     static const char *const failures[] = {"cuMemAddressReserve:1:304",
@@ -323,8 +322,8 @@ static void test_pieces_of_memory(void **state)
     free(cuda);
 }
 
-/* The samples of a texel are traced by several calls where there are many. */
-static void test_slices_of_texels(void **state)
+/* Several launches trace a texel that has many samples. */
+static void test_batches_of_texels(void **state)
 {
     enum { N = 33 /* calls of 7 lines, the last of 5 */ };
     uint64_t none, launches;
@@ -397,7 +396,7 @@ static void test_small_device(void **state)
     bsq_clear_error(f->ctx);
 }
 
-/* Every call that opening makes fails in turn; nothing is left behind. */
+/* Each call that opens the device fails in turn; nothing is leaked. */
 static void test_opening_fails(void **state)
 {
     static const char *const calls[] = {"cuDeviceGet",         "cuDeviceGetName",
@@ -423,8 +422,9 @@ static void test_opening_fails(void **state)
     }
 }
 
-/* Every call that a tile makes fails in turn: an error where the device was asked for. The numbers
- * leave out the calls that opening makes: nine arrays go up through two pieces of host memory. */
+/* Each call of a tile fails in turn, which is an error if the user named the device. The numbers
+ * skip the calls that open the device: it uploads nine arrays through two halves of a staging
+ * buffer. */
 static void test_tracing_fails(void **state)
 {
     static const char *const calls[] = {"cuCtxSetCurrent:3",       "cuStreamCreate:2",
@@ -455,7 +455,7 @@ static void test_tracing_fails(void **state)
     free(texels);
 }
 
-/* "auto" prefers CUDA, and goes on with the processor when the GPU fails on the way. */
+/* "auto" prefers CUDA, and falls back to the processor if the GPU fails later. */
 static void test_auto(void **state)
 {
     struct fixture *f = *state;
@@ -483,7 +483,7 @@ static void test_auto(void **state)
     free(texels);
 }
 
-/* "auto" takes the next GPU where one cannot be used. */
+/* "auto" takes the next GPU if one cannot be used. */
 static void test_auto_takes_the_next(void **state)
 {
     struct fixture *f = *state;
@@ -493,7 +493,7 @@ static void test_auto_takes_the_next(void **state)
     setenv("FAKE_CUDA_DEVICES", "2", 1);
     setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:218", 1);
     assert_int_equal(bake_device_open(ctx, "auto", &f->job, &device), 0);
-    /* Looking for the second one starts the fake anew, which counts again: it fails alike. */
+    /* The search for the second GPU restarts the fake driver and its count, so it fails too. */
     assert_non_null(strstr(warnings, "cuda:0 is not used: Fake GPU 0: compiling"));
     assert_non_null(strstr(warnings, "cuda:1 is not used: Fake GPU 1: compiling"));
     bake_device_close(device);
@@ -501,7 +501,7 @@ static void test_auto_takes_the_next(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* Page-locked memory counts. */
+/* Page-locked memory counts for the budget. */
 static void test_budget(void **state)
 {
     struct fixture *f = *state;
@@ -545,8 +545,8 @@ static void test_list(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* A driver's library is found where the dynamic linker does not look; one that is no library is
- * passed over. */
+/* A driver's library is found in directories that the dynamic linker does not search; a file that
+ * is no library is skipped. */
 static void test_directories(void **state)
 {
     static const char name[] = "libbisque-driver.so.1";
@@ -579,7 +579,7 @@ static void test_directories(void **state)
     rmdir(right);
 }
 
-/* Whether the kernel was compiled for CUDA. */
+/* Returns whether the build compiled the kernel for CUDA. */
 static bool has_kernel(void)
 {
     struct bsq_ctx *ctx = create_context(0);
@@ -605,7 +605,7 @@ int main(void)
         cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
         cmocka_unit_test_setup(test_memory_for_others, each_setup),
         cmocka_unit_test_setup(test_pieces_of_memory, each_setup),
-        cmocka_unit_test_setup(test_slices_of_texels, each_setup),
+        cmocka_unit_test_setup(test_batches_of_texels, each_setup),
         cmocka_unit_test_setup(test_absent, each_setup),
         cmocka_unit_test_setup(test_wrong_architecture, each_setup),
         cmocka_unit_test_setup(test_compiler_refuses, each_setup),

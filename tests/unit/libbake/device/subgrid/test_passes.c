@@ -1,5 +1,5 @@
-/* test_passes.c - with only those nodes of a grid that its rays reach, a piece of the map gets the
- * same bits as with all of it; and passes are within the memory that they are planned for. */
+/* test_passes.c - a piece of the map gets the same bits from a subgrid as from the whole grid, and
+ * passes fit the memory that they are planned for. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -24,7 +24,7 @@ struct fixture {
     uint32_t samples[TEXELS * SAMPLES * SAMPLES];
 };
 
-/* Over the corner of eight upper nodes: sheets, a sphere, and clutter with second records. */
+/* Fills the corner of eight upper nodes with sheets, a sphere, and clutter with second records. */
 static const double centre[3] = {3, -2, 4095};
 
 static double between(uint64_t *seed, double low, double high)
@@ -56,7 +56,7 @@ static void fill(struct fixture *f, uint64_t *seed)
     analytic_grid_free(grid);
 }
 
-/* A patch of some ten voxels somewhere. */
+/* Makes a random patch of about ten voxels. */
 static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
 {
     double at[3], normal[3], tangent[3];
@@ -128,7 +128,7 @@ static void load(const struct bake_subgrid *subgrid, struct memory arrays[BAKE_S
                  struct bk_grid *grid)
 {
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
-        /* Its own allocation: tools that watch memory see a step outside. */
+        /* Separate allocations, so that sanitizers notice reads outside of an array. */
         arrays[i] =
             (struct memory){malloc(subgrid->bytes[i] + !subgrid->bytes[i]), 0, subgrid->bytes[i]};
         assert_int_equal(bake_subgrid_send(subgrid, i, put, &arrays[i]), 0);
@@ -156,7 +156,7 @@ static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
         free(arrays[i].data);
 }
 
-/* Traces a rectangle with the nodes that it reaches; expected: of the whole map. */
+/* Traces a rectangle with the nodes that its rays look up. expected: texels of the whole map. */
 static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
                         const struct bk_texel *expected)
 {
@@ -212,8 +212,7 @@ static void test_same_bits(void **state)
             print_message("%u x %u texels: %u of %u leaves\n", (unsigned)rectangles[r].width,
                           (unsigned)rectangles[r].height, (unsigned)leaves,
                           (unsigned)f->grid.leaf_count);
-            /* What a part is for. A texel's rays are 52 voxels long: some ten leaves, and those
-             * around them. */
+            /* A texel's rays are 52 voxels long: about ten leaves, and those around them. */
             assert_true(leaves < f->grid.leaf_count);
             assert_true(rectangles[r].width > 1 || leaves < 600);
         }
@@ -221,7 +220,7 @@ static void test_same_bits(void **state)
     }
 }
 
-/* A set with everything is the grid itself. */
+/* A set of all nodes gives the grid itself. */
 static void test_whole_set(void **state)
 {
     struct fixture *f = *state;
@@ -242,7 +241,7 @@ static void test_whole_set(void **state)
     load(&whole, b, &grid);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
         assert_int_equal(a[i].bytes, b[i].bytes);
-        /* Tables keep no values of places without a child. */
+        /* Subgrids have zeros in table entries without a child. */
         if (i != BAKE_UPPERS && i != BAKE_LOWERS)
             assert_memory_equal(a[i].data, b[i].data, a[i].bytes);
         free(a[i].data);
@@ -252,7 +251,7 @@ static void test_whole_set(void **state)
     bake_leaf_set_free(f->ctx, &set);
 }
 
-/* Sizes that are promised before a set is added are those that it has then. */
+/* The preview of a set gives the sizes that it has after the addition. */
 static void test_preview(void **state)
 {
     struct fixture *f = *state;

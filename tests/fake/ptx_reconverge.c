@@ -1,16 +1,16 @@
-/* ptx_meet.c - where the threads of a warp that part meet again: at the first place that all of
- * them come to, as GPUs arrange it (Fung, Sham, Yuan, Aamodt, "Dynamic Warp Formation and
- * Scheduling for Efficient GPU Control Flow", 2007, section 2: immediate post-dominators). */
+/* ptx_reconverge.c - finds where diverged threads of a warp reconverge: at the branch's immediate
+ * post-dominator, as on GPUs (Fung, Sham, Yuan, Aamodt, "Dynamic Warp Formation and Scheduling for
+ * Efficient GPU Control Flow", 2007, section 2). */
 #include <stdlib.h>
 #include <string.h>
 
 #include "tests/fake/ptx_internal.h"
 
-/* Instructions from `first` on without a way in or out between. */
+/* A basic block: instructions from `first` on without a branch in or out between. */
 struct block {
     unsigned first, end, next[2], next_count;
-    uint8_t
-        *after; /* for each block, whether all ways lead through it; the last stands for the end */
+    uint8_t *
+        after; /* for each block, whether all paths from here go through it; the last is the exit */
     unsigned after_count;
 };
 
@@ -54,7 +54,8 @@ static void link_blocks(const struct ptx *ptx, struct block *blocks, unsigned co
     }
 }
 
-/* Which blocks each way from a block leads through: more and more are found not to be. */
+/* Finds the post-dominators of each block: starts with all and removes blocks until none changes.
+ */
 static void find_after(struct block *blocks, unsigned count)
 {
     bool changed = true;
@@ -77,7 +78,7 @@ static void find_after(struct block *blocks, unsigned count)
             blocks[b].after_count += blocks[b].after[i];
 }
 
-void ptx_find_meetings(struct ptx *ptx)
+void ptx_find_reconvergence(struct ptx *ptx)
 {
     struct block *blocks = calloc(ptx->count + 1, sizeof *blocks);
     unsigned *block_of = calloc(ptx->count + 1, sizeof *block_of);
@@ -91,11 +92,11 @@ void ptx_find_meetings(struct ptx *ptx)
     blocks[count].after[count] = 1;
     find_after(blocks, count);
     for (unsigned b = 0; b < count; b++) {
-        unsigned first = count; /* the one that all others come after */
+        unsigned first = count; /* the immediate one: all others come after it */
         for (unsigned i = 0; i < count; i++)
             if (i != b && blocks[b].after[i] && blocks[i].after_count > blocks[first].after_count)
                 first = i;
-        ptx->code[blocks[b].end - 1].meet = blocks[first].first;
+        ptx->code[blocks[b].end - 1].reconverge = blocks[first].first;
     }
     for (unsigned b = 0; b <= count; b++)
         free(blocks[b].after);
