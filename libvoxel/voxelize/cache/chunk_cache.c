@@ -1,15 +1,12 @@
-/* chunk_cache.c - which chunks are kept, and how they are made.
+/* chunk_cache.c - which chunks are kept, and which worker makes them.
  *
  * The schedule tells which region needs a chunk next, so the cache need not guess: it evicts the
  * chunk that is needed last (Belady, "A study of replacement algorithms for a virtual-storage
  * computer", 1966). Slots are allocated at their first use. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
-#include "base/octahedral.h"
-#include "base/simd/simd.h"
-#include "libvoxel/voxelize/cache/scan_normals_check.h"
+#include "libvoxel/voxelize/cache/chunk_content.h"
 
 #include <pthread.h>
-#include <string.h>
 
 enum { NO_SLOT = -1 };
 #define NO_CHUNK UINT32_MAX
@@ -18,20 +15,12 @@ enum { NO_SLOT = -1 };
  * are in the file. The first worker that finds a step undone does it; others wait. */
 enum stage { STAGE_READING, STAGE_READ, STAGE_FINISHING, STAGE_READY };
 
-/* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */
-struct slot_layout {
-    uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
-};
-
 struct slot {
     uint32_t chunk; /* NO_CHUNK: empty */
     uint32_t users;
     enum stage stage;
     int status; /* of the last step */
-    uint8_t *memory;
-    struct slot_layout layout;
-    struct vox_chunk content;
-    const struct vox_box *vertex_groups; /* for chunks that need this one's triangles */
+    struct vox_chunk_content content;
 };
 
 struct use {
@@ -42,9 +31,7 @@ struct use {
 
 struct vox_chunks {
     struct bsq_ctx *ctx;
-    const struct fmt_tris_file *file;
-    const struct vox_transform *transform;
-    struct vox_smooth *smooth; /* NULL: chunks without normals stay without */
+    struct vox_chunk_source from;
     pthread_mutex_t lock;
     pthread_cond_t stepped; /* a step was done */
     pthread_cond_t freed;   /* a slot lost its last user */
@@ -54,155 +41,14 @@ struct vox_chunks {
     uint64_t slot_bytes; /* enough for any chunk */
 };
 
-/* ---- layout of a slot ---- */
+/* ---- the two steps ---- */
 
-/* Returns the layout for a chunk, or for the largest one. load_bytes: what fmt_tris_load()
- * needs. */
-static struct slot_layout lay_out(const struct fmt_tris_file *file, bool smooth,
-                                  uint64_t load_bytes, uint32_t vertices, uint32_t triangles)
-{
-    bool normals = smooth || (fmt_tris_get_header(file)->attributes & FMT_TRIS_NORMALS);
-    uint64_t groups = vox_group_count(triangles, VOX_GROUP_TRIANGLES);
-    uint64_t vertex_groups = vox_group_count(vertices, VOX_GROUP_VERTICES);
-    struct slot_layout to;
-    to.points_at = bsq_align_up(load_bytes, BSQ_ALIGNMENT);
-    to.normals_at = to.points_at + bsq_align_up(vertices * sizeof(double[4]), BSQ_ALIGNMENT);
-    to.groups_at =
-        to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
-    to.vertex_groups_at =
-        to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
-    to.inconsistent_at =
-        to.vertex_groups_at +
-        (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
-    to.bytes = to.inconsistent_at + bsq_align_up(groups * sizeof(bool), BSQ_ALIGNMENT);
-    return to;
-}
-
-/* Returns a layout as small as the chunk needs: memory that is not touched takes no pages. */
-static struct slot_layout layout_of(const struct vox_chunks *c, uint32_t chunk)
-{
-    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(c->file)[chunk];
-    return lay_out(c->file, c->smooth != NULL, fmt_tris_load_size(c->file, chunk),
-                   info->vertex_count, info->triangle_count);
-}
-
-uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
-{
-    const struct fmt_tris_header *header = fmt_tris_get_header(file);
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
-    uint32_t vertices = 0, triangles = 0;
-    for (uint64_t i = 0; i < header->chunk_count; i++) {
-        vertices = infos[i].vertex_count > vertices ? infos[i].vertex_count : vertices;
-        triangles = infos[i].triangle_count > triangles ? infos[i].triangle_count : triangles;
-    }
-    return lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
-}
-
-/* ---- loading ---- */
-
-/* Computes vox_transform_coordinate() of all vertices and axes. */
-static void map_points(const struct vox_transform *transform, const struct fmt_tris_chunk *source,
-                       double (*points)[4])
-{
-    const double h = transform->h;
-    const struct row origin =
-        row_of(transform->origin[0], transform->origin[1], transform->origin[2], 0.0);
-    const struct row start =
-        row_of(transform->start[0], transform->start[1], transform->start[2], 0.0);
-    const struct row size = row_of(h, h, h, h);
-    for (uint32_t v = 0; v < source->vertex_count; v++) {
-        struct row position = row_of_floats(source->positions[v]);
-        row_store(row_quotient(row_difference(row_sum(origin, position), start), size), points[v]);
-    }
-}
-
-static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[4])
-{
-    for (uint32_t v = 0; v < source->vertex_count; v++) {
-        struct bsq_vec3 n = bsq_oct_unpack(source->normals[v]);
-        normals[v][0] = n.x;
-        normals[v][1] = n.y;
-        normals[v][2] = n.z;
-        normals[v][3] = 0.0f;
-    }
-}
-
-/* Mean square of an edge, in voxels, above which a chunk gets smooth vertex normals
- * (docs/decisions/0021-when-voxels-need-planes-or-normals.md). */
-#define COARSE_EDGE_SQUARE 0.5
-/* Above this mean square the scan's own normals are trusted more than its facets' planes, even if
- * the two contradict each other. */
-#define LARGE_EDGE_SQUARE 4.0
-/* Above this mean square smooth normals blend well without planes where fragments would be lifted
- * far. */
-#define WIDE_EDGE_SQUARE 6.0
-
-/* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0020): of facets
- * without vertex normals, and of triangles with smooth ones. */
-#define NOISE_OF_FACETS   2.7
-#define NOISE_OF_VERTICES 0.4
-
-/* Returns the mean square of the triangles' first edges, in voxels. */
-static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[4])
-{
-    struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
-    for (uint32_t t = 0; t < source->triangle_count; t++) {
-        const uint32_t *v = source->triangles[t];
-        struct row edge = row_difference(row_load(points[v[1]]), row_load(points[v[0]]));
-        sums = row_sum(sums, row_product(edge, edge));
-    }
-    return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) /
-           (double)source->triangle_count;
-}
-
-/* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
-static void find_inconsistent(bool large, struct slot *slot)
-{
-    struct vox_chunk *content = &slot->content;
-    const struct vox_own_normals own = {content->source.triangles, content->points,
-                                        content->normals};
-    bool *inconsistent = (bool *)(slot->memory + slot->layout.inconsistent_at), any = false;
-    for (uint32_t g = 0; g < content->group_count; g++) {
-        uint32_t begin = g * VOX_GROUP_TRIANGLES;
-        uint32_t end = vox_group_end(begin, content->source.triangle_count, VOX_GROUP_TRIANGLES);
-        inconsistent[g] = large || vox_own_normals_inconsistent(&own, begin, end);
-        any |= inconsistent[g];
-    }
-    content->inconsistent = any ? inconsistent : NULL;
-}
-
-/* Computes the points in index space and the bounds of groups. */
-static void place_chunk(const struct vox_chunks *c, struct slot *slot)
-{
-    struct vox_chunk *content = &slot->content;
-    const struct fmt_tris_chunk *source = &content->source;
-    double(*points)[4] = (double(*)[4])(void *)(slot->memory + slot->layout.points_at);
-    struct vox_box *groups = (struct vox_box *)(void *)(slot->memory + slot->layout.groups_at);
-    struct vox_box *vertex_groups =
-        (struct vox_box *)(void *)(slot->memory + slot->layout.vertex_groups_at);
-    map_points(c->transform, source, points);
-    content->points = (const double(*)[4])points;
-    memcpy(content->last_cell, c->transform->voxels.hi, sizeof c->transform->voxels.hi);
-    vox_triangle_groups(source, content->points, content->last_cell, groups);
-    content->groups = groups;
-    content->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
-    if (c->smooth)
-        vox_vertex_groups(source, content->points, content->last_cell, vertex_groups);
-    slot->vertex_groups = vertex_groups;
-}
-
-/* The first step: loads the chunk as it is in the file, and places it in index space. */
-static int read_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
+static int read_chunk(struct vox_chunks *c, struct slot *slot)
 {
     int status = 0;
-    if (!slot->memory)
-        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->memory);
-    slot->layout = layout_of(c, chunk);
-    if (status == 0)
-        status = fmt_tris_load(c->file, chunk, slot->memory, &slot->content.source);
-    if (status == 0)
-        place_chunk(c, slot);
-    return status;
+    if (!slot->content.memory)
+        status = bsq_alloc(c->ctx, "chunk cache", c->slot_bytes, 1, &slot->content.memory);
+    return status < 0 ? status : vox_chunk_read(&c->from, slot->chunk, &slot->content);
 }
 
 static int lend(void *arg, uint32_t chunk, struct vox_loan *out);
@@ -212,38 +58,10 @@ static void take_back(void *arg, uint32_t chunk)
     vox_chunks_release(arg, chunk);
 }
 
-static int smooth_normals(struct vox_chunks *c, uint32_t chunk, struct slot *slot,
-                          float (*normals)[4])
+static int finish_chunk(struct vox_chunks *c, struct slot *slot)
 {
     const struct vox_smooth_lender lender = {c, lend, take_back};
-    return vox_smooth_normals(c->smooth, &lender, chunk, &slot->content.source, c->transform,
-                              normals);
-}
-
-/* The second step: makes normals and what depends on them. */
-static int finish_chunk(struct vox_chunks *c, uint32_t chunk, struct slot *slot)
-{
-    struct vox_chunk *content = &slot->content;
-    const struct fmt_tris_chunk *source = &content->source;
-    float(*normals)[4] = (float(*)[4])(void *)(slot->memory + slot->layout.normals_at);
-    int status = 0;
-    double square = mean_edge_square(source, content->points);
-    content->coarse = square > COARSE_EDGE_SQUARE;
-    content->wide = source->normals || square > WIDE_EDGE_SQUARE;
-    content->normals = (const float(*)[4])normals;
-    content->inconsistent = NULL;
-    content->noise_share = 0.0;
-    if (c->smooth && !source->normals)
-        content->noise_share = content->coarse ? NOISE_OF_VERTICES : NOISE_OF_FACETS;
-    if (source->normals) {
-        unpack_normals(source, normals);
-        find_inconsistent(square > LARGE_EDGE_SQUARE, slot);
-    } else if (c->smooth && content->coarse) {
-        status = smooth_normals(c, chunk, slot, normals);
-    } else {
-        content->normals = NULL;
-    }
-    return status;
+    return vox_chunk_finish(&c->from, &lender, slot->chunk, &slot->content);
 }
 
 /* ---- the cache ---- */
@@ -260,9 +78,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     if (status < 0)
         return status;
     c->ctx = ctx;
-    c->file = file;
-    c->transform = transform;
-    c->smooth = smooth;
+    c->from = (struct vox_chunk_source){file, transform, smooth};
     c->chunk_count = chunk_count;
     c->slot_count = slot_count;
     c->slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL);
@@ -292,7 +108,7 @@ void vox_chunks_destroy(struct vox_chunks *c)
     if (!c)
         return;
     for (uint32_t i = 0; i < c->slots_used; i++)
-        bsq_free(c->ctx, c->slots[i].memory);
+        bsq_free(c->ctx, c->slots[i].content.memory);
     pthread_cond_destroy(&c->freed);
     pthread_cond_destroy(&c->stepped);
     pthread_mutex_destroy(&c->lock);
@@ -379,11 +195,11 @@ static void leave_slot(struct vox_chunks *c, struct slot *slot)
 /* Brings a slot that is in use to a stage: does the step if it is `mine`, else waits until it is
  * done. */
 static int run_step(struct vox_chunks *c, struct slot *slot, bool mine, enum stage stage,
-                    int (*step)(struct vox_chunks *, uint32_t, struct slot *))
+                    int (*step)(struct vox_chunks *, struct slot *))
 {
     if (mine) {
         pthread_mutex_unlock(&c->lock);
-        int status = step(c, slot->chunk, slot);
+        int status = step(c, slot);
         pthread_mutex_lock(&c->lock);
         slot->stage = stage;
         slot->status = status;
@@ -428,8 +244,8 @@ static int lend(void *arg, uint32_t chunk, struct vox_loan *out)
         if (status < 0)
             leave_slot(c, slot);
         else
-            *out =
-                (struct vox_loan){&slot->content.source, slot->content.groups, slot->vertex_groups};
+            *out = (struct vox_loan){&slot->content.chunk.source, slot->content.chunk.groups,
+                                     slot->content.vertex_groups};
     }
     pthread_mutex_unlock(&c->lock);
     return status;
@@ -509,7 +325,7 @@ int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_ch
     if (status < 0)
         leave_slot(c, slot);
     else
-        *out = &slot->content;
+        *out = &slot->content.chunk;
     pthread_mutex_unlock(&c->lock);
     return status;
 }

@@ -1,0 +1,36 @@
+/* chunk_content.h - private to the cache: makes a chunk ready to voxelize, in the memory of a slot.
+ *
+ * This takes two steps, because the normals of one chunk need other chunks as they are in the file.
+ */
+#ifndef VOX_VOXELIZE_CACHE_CHUNK_CONTENT_H
+#define VOX_VOXELIZE_CACHE_CHUNK_CONTENT_H
+
+#include "libvoxel/voxelize/cache/chunk_cache.h"
+
+/* What chunks are made from. */
+struct vox_chunk_source {
+    const struct fmt_tris_file *file;
+    const struct vox_transform *transform;
+    struct vox_smooth *smooth; /* NULL: chunks without normals stay without */
+};
+
+/* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */
+struct vox_chunk_layout {
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
+};
+
+struct vox_chunk_content {
+    uint8_t *memory; /* vox_chunks_slot_bytes() */
+    struct vox_chunk_layout layout;
+    struct vox_chunk chunk;
+    const struct vox_box *vertex_groups; /* for chunks that need this one's triangles */
+};
+
+/* The first step: loads chunk `number` as it is in the file, and places it in index space. */
+int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
+                   struct vox_chunk_content *content);
+/* The second step: makes normals and what depends on them. */
+int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
+                     uint32_t number, struct vox_chunk_content *content);
+
+#endif
