@@ -68,7 +68,7 @@ double scan_random(uint64_t *seed)
 
 /* ---- sphere ---- */
 
-/* Number of the vertex (i, j) of a triangular grid, i + j <= n. */
+/* Returns the number of vertex (i, j) of a triangular grid, i + j <= n. */
 static uint32_t grid_vertex(uint32_t n, uint32_t i, uint32_t j)
 {
     return i * (n + 1) + j - (i > 0 ? i * (i - 1) / 2 : 0);
@@ -167,8 +167,8 @@ void scan_sort(struct scan_mesh *mesh)
 
 /* ---- chunk files ---- */
 
-/* Triangles first to first + count - 1 with vertices of their own. local: UINT32_MAX for every
- * vertex, and left so. */
+/* Writes triangles first to first + count - 1 with vertices of their own. local: UINT32_MAX for
+ * every vertex, and left so. */
 static struct scan_mesh extract(const struct scan_mesh *mesh, uint32_t first, uint32_t count,
                                 uint32_t *local)
 {

@@ -1,5 +1,4 @@
-/* Estimates of a grid's size: held against grids that are made, and against what is said of those
- * that are not. */
+/* Estimates of a grid's size, compared with grids that are made; warnings and refusals. */
 #include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
@@ -16,7 +15,7 @@
 
 static uint64_t free_bytes;
 
-/* A disk of any size: this one is found before the system's. */
+/* Simulates a disk of any size; the linker finds this function before the system's. */
 int statvfs(const char *path, struct statvfs *info)
 {
     (void)path;
@@ -114,11 +113,11 @@ static void test_estimates_are_those_of_grids(void **state)
         assert_true(fabs(estimate(f, size, 16) / voxels - 1) < 0.1);
         double bytes = vox_estimate_bytes(voxels, false) / (double)report.grid_bytes;
         assert_true(bytes < 1.2 &&
-                    (bytes > 0.8 || size > 0.04)); /* a small file is one of nodes and headers */
+                    (bytes > 0.8 || size > 0.04)); /* a small file consists of nodes and headers */
     }
 }
 
-/* A quad of 1 x 1 along an axis: one voxel per unit of area. */
+/* Writes a quad of 1 x 1 along an axis: one voxel per unit of area. */
 static void write_quad(const struct fixture *f)
 {
     static const float corners[4][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}};
@@ -149,8 +148,8 @@ static void test_huge_grids_of_few_triangles_are_warned_of(void **state)
     assert_non_null(strstr(f->warning, "a scan of 2 triangles"));
 }
 
-/* Half of what is estimated must be there, twice; the surface might overlap itself. */
-static void test_grids_without_room_on_the_disk_are_refused(void **state)
+/* Half of the estimate must be free, twice: the surface might overlap itself. */
+static void test_grids_larger_than_the_disk_are_refused(void **state)
 {
     struct fixture *f = *state;
     write_quad(f);
@@ -167,7 +166,7 @@ static void test_grids_without_room_on_the_disk_are_refused(void **state)
     assert_int_equal(f->warnings, 0);
 }
 
-/* 2^32 leaves of 64 voxels are 2.7e11, of which an estimate may be twice. */
+/* 2^32 leaves of 64 voxels are 2.7e11 voxels; an estimate may be twice that. */
 static void test_grids_that_no_file_can_hold_are_refused(void **state)
 {
     struct fixture *f = *state;
@@ -185,7 +184,7 @@ int main(void)
         TEST(test_estimates_are_those_of_grids),
         TEST(test_ordinary_grids_are_nothing_to_speak_of),
         TEST(test_huge_grids_of_few_triangles_are_warned_of),
-        TEST(test_grids_without_room_on_the_disk_are_refused),
+        TEST(test_grids_larger_than_the_disk_are_refused),
         TEST(test_grids_that_no_file_can_hold_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

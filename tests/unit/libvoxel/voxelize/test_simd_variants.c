@@ -1,4 +1,4 @@
-/* What is compiled for several instruction sets: all give the same bits, and right ones. */
+/* Functions compiled for several instruction sets: all give the same bits, and right ones. */
 #include "libvoxel/voxelize/cache/one_ring.h"
 #include "libvoxel/voxelize/clip/accumulate.h"
 #include "base/octahedral.h"
@@ -38,7 +38,7 @@ static void random_sum(uint64_t *seed, struct vox_sum *sum)
         sum->area * (scan_random(seed) < 0.1 ? VOX_INCONSISTENT * VOX_NO_AREA : scan_random(seed));
 }
 
-/* As struct fmt_nvdb_record describes them, one at a time. */
+/* Makes one record as struct fmt_nvdb_record describes it. */
 static struct fmt_nvdb_record expected_record(const struct vox_sum *sum)
 {
     const double *s = sum->normal, *c = sum->center;
@@ -72,7 +72,7 @@ static void test_records(void **state)
         numbers[i] = SUMS - 1 - i;
     }
     memset(sums[0].normal, 0, sizeof sums[0].normal); /* no direction */
-    for (int k = 0; k < 3; k++) {                     /* along the axes, both zeros beside them */
+    for (int k = 0; k < 3; k++) { /* along the axes, with both zeros in the other numbers */
         memset(sums[1 + k].normal, 0, sizeof sums[1 + k].normal);
         sums[1 + k].normal[k] = -0.5;
         sums[1 + k].normal[(k + 1) % 3] = -0.0;
@@ -95,7 +95,7 @@ static void test_records(void **state)
 
 enum { TRIANGLES = 3000 };
 
-/* A chunk of triangles of all small sizes about a region of 128^3. */
+/* Triangles of all small sizes in and around a region of 128^3. */
 struct soup {
     double points[3 * TRIANGLES][4];
     float normals[3 * TRIANGLES][4];
@@ -197,7 +197,7 @@ static void test_sums(void **state)
 
 enum { RING_VERTICES = 100 };
 
-/* As struct vox_one_ring describes it, from scratch for one vertex. */
+/* Computes the one-ring of one vertex as struct vox_one_ring describes it. */
 static struct vox_one_ring expected_ring(const struct fmt_tris_chunk *chunk, uint32_t vertex)
 {
     struct vox_one_ring ring = {.area = 0.0};
@@ -226,7 +226,7 @@ static struct vox_one_ring expected_ring(const struct fmt_tris_chunk *chunk, uin
     return ring;
 }
 
-/* Vertex 0 has no ring of its own. */
+/* Vertex 0 has no one-ring. */
 static void test_rings(void **state)
 {
     (void)state;
@@ -262,7 +262,8 @@ static void test_rings(void **state)
             assert_true(fabs(ring->moment[a] - expected.moment[a]) < 1e-7);
         }
     }
-    const uint32_t empty = 9, finished = RING_VERTICES - 1; /* no multiple of any number of lanes */
+    const uint32_t empty = 9,
+                   finished = RING_VERTICES - 1; /* not a multiple of any number of lanes */
     for (size_t c = 0; c < count; c++) {
         memset(&rings[c][empty], 0, sizeof rings[c][empty]);
         BSQ_SIMD_PICK(c, vox_finish_one_rings)(rings[c], ring_of, finished, 0.5, normals[c]);

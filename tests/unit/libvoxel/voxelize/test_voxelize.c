@@ -1,5 +1,5 @@
-/* From a chunk file to a grid file: counts against the exact sphere, records against analytic
- * surfaces. */
+/* From a chunk file to a grid file: voxel counts compared with the exact sphere, records with
+ * analytic surfaces. */
 #include "base/octahedral.h"
 #include "tests/unit/sanitized.h"
 #include "voxelize_fixture.h"
@@ -13,9 +13,8 @@
 
 /* ---- the sphere ---- */
 
-/* Voxels of an n^3 grid that an exact sphere of radius n / 2 about its centre touches: nearest
- * corner
- * <= R <= farthest corner. One octant is enough. */
+/* Returns the number of voxels of an n^3 grid that an exact sphere of radius n / 2 about its centre
+ * touches: nearest corner <= R <= farthest corner. One octant is enough. */
 static uint64_t exact_sphere_voxels(int64_t n)
 {
     int64_t half = n / 2, square = half * half;
@@ -31,7 +30,7 @@ static uint64_t exact_sphere_voxels(int64_t n)
 }
 
 /* A polyhedron inside the sphere gives the same voxels if no voxel corner fits between the two.
- * Corners next to the sphere are at least 1 / (2 R) from it; triangles with sides of up to 1.5
+ * Corners next to the sphere are at least 1 / (2 R) from it. Triangles with edges of up to 1.5
  * voxels dip 1.5^2 / (6 R) below it. */
 static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
 {
@@ -57,7 +56,7 @@ static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
     }
 }
 
-/* Normals and planes of a finely tessellated sphere against the sphere's. */
+/* Compares normals and planes of a finely tessellated sphere with the sphere's. */
 static void test_sphere_records(void **state)
 {
     struct vox_fixture *f = *state;
@@ -84,7 +83,7 @@ static void test_sphere_records(void **state)
                 double r = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
                 struct bsq_vec3 n = bsq_oct_unpack(record.normal);
                 double cosine = ((double)n.x * p[0] + (double)n.y * p[1] + (double)n.z * p[2]) / r;
-                /* The piece may lie at the voxel's far end: 0.87 voxels of 40. */
+                /* The fragment may lie at the voxel's far end: 0.87 voxels of 40. */
                 assert_true(cosine > cos(0.87 / 39.0 + 0.01));
                 assert_true(fabs(record_plane(record) - (radius - r)) < 0.02);
                 assert_true(record_coverage(record) > 0.99);
@@ -125,7 +124,7 @@ static void test_box_that_ends_on_the_bounds(void **state)
 }
 
 /* With a given voxel size every border belongs to the voxel above it. */
-static void test_box_on_the_lattice_of_a_voxel_size(void **state)
+static void test_box_on_multiples_of_a_voxel_size(void **state)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(24, 12);
@@ -174,15 +173,15 @@ static void test_plate_thinner_than_a_voxel(void **state)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(8, 4);
-    /* Upper side at z = 0.7, lower side at z = 0.4 and smaller, so that some voxels have only one.
-     */
+    /* The upper side is at z = 0.7. The lower side is at z = 0.4 and smaller, so that some voxels
+     * have only one. */
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.7}, (double[3]){8, 0, 0}, (double[3]){0, 8, 0});
     scan_set_quad(&mesh, 1, (double[3]){0, 0, 0.4}, (double[3]){0, 8, 0}, (double[3]){4, 0, 0});
     vox_write_scan(f, &mesh);
     scan_mesh_free(&mesh);
     struct vox_voxelize_report report = vox_make(f, 0, 1.0);
-    /* Where a side ends on a border it touches the voxels beyond. These have records of no area:
-     * where both sides end, at y = 8, the two are equal. */
+    /* A side that ends on a border touches the voxels beyond, which get records without an area.
+     * Both sides end at y = 8, where their records are equal. */
     assert_int_equal(report.voxels, 9 * 9);
     assert_int_equal(report.second_records, 4 * 8 + 5);
     struct fmt_nvdb_grid grid;
@@ -193,7 +192,7 @@ static void test_plate_thinner_than_a_voxel(void **state)
     uint64_t second = fmt_nvdb_second(&grid, two);
     assert_int_not_equal(second, 0);
     struct fmt_nvdb_record up = fmt_nvdb_get(&grid, two), down = fmt_nvdb_get(&grid, second);
-    /* Equal areas: the sheet that came first is the first record. */
+    /* Equal areas: the first sheet is the first record. */
     assert_true(bsq_oct_unpack(up.normal).z > 0.99999f);
     assert_true(bsq_oct_unpack(down.normal).z < -0.99999f);
     assert_true(fabs(record_plane(up) - 0.2) < 1e-4);
@@ -201,8 +200,7 @@ static void test_plate_thinner_than_a_voxel(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* The larger sheet is the first record whatever comes first, and one below a hundredth is dropped.
- */
+/* The larger sheet is the first record in either order. A sheet below a hundredth is dropped. */
 static void test_second_sheet_is_the_smaller(void **state)
 {
     struct vox_fixture *f = *state;
@@ -240,7 +238,7 @@ static void test_second_sheet_is_the_smaller(void **state)
 static void test_a_million_triangles_in_one_voxel(void **state)
 {
     struct vox_fixture *f = *state;
-    /* Large ones that face up, then tiny ones of the same total area that lean: all must count. */
+    /* Large triangles face up; tiny ones of the same total area lean. All must count. */
     const uint32_t tiny = 1000000;
     struct scan_mesh mesh = scan_mesh_new(4 + 3, 2 + tiny);
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){0.9, 0, 0}, (double[3]){0, 0.9, 0});
@@ -267,8 +265,8 @@ static void test_a_million_triangles_in_one_voxel(void **state)
 
 /* ---- far and wide ---- */
 
-/* Voxels at both ends of the index, across many root tiles: nothing is held for what lies between.
- */
+/* Voxels at both ends of the index range, across many root tiles: the space between takes no
+ * memory. */
 static void test_sparse_and_huge(void **state)
 {
     struct vox_fixture *f = *state;
@@ -295,7 +293,7 @@ static void test_sparse_and_huge(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* A large origin must not cost precision: same voxels and records as without it. */
+/* A large origin must not cost precision: voxels and records are the same as without it. */
 static void test_origin_only_moves_the_grid(void **state)
 {
     struct vox_fixture *f = *state;
@@ -349,7 +347,8 @@ static void test_missing_and_damaged_input(void **state)
     struct scan_mesh mesh = scan_sphere(10.0, 0.5);
     vox_write_scan(f, &mesh);
     scan_mesh_free(&mesh);
-    /* A byte in the middle of a chunk: found when it is loaded, with the output under way. */
+    /* Damages a byte in the middle of a chunk. This is found when the chunk is loaded, after the
+     * output was begun. */
     FILE *file = fopen(f->tris, "r+b");
     assert_non_null(file);
     assert_int_equal(fseek(file, 5000, SEEK_SET), 0);
@@ -393,7 +392,7 @@ int main(void)
         TEST(test_sphere_touches_the_voxels_of_the_exact_one),
         TEST(test_sphere_records),
         TEST(test_box_that_ends_on_the_bounds),
-        TEST(test_box_on_the_lattice_of_a_voxel_size),
+        TEST(test_box_on_multiples_of_a_voxel_size),
         TEST(test_flat_scan),
         TEST(test_plate_thinner_than_a_voxel),
         TEST(test_second_sheet_is_the_smaller),

@@ -17,7 +17,7 @@ static void test_vertex_normals_are_interpolated(void **state)
     struct scan_mesh mesh = scan_mesh_new(4, 2);
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
     mesh.normals = calloc(4, sizeof *mesh.normals);
-    for (int i = 0; i < 4; i++) /* leaning along x: -0.5 at x = 0, 0.5 at x = 10 */
+    for (int i = 0; i < 4; i++) /* they lean along x: -0.5 at x = 0, 0.5 at x = 10 */
         mesh.normals[i] =
             bsq_oct_pack(bsq_unit3(bsq_v3(i == 1 || i == 2 ? 0.5f : -0.5f, 0.0f, 1.0f)));
     vox_write_scan(f, &mesh);
@@ -34,9 +34,9 @@ static void test_vertex_normals_are_interpolated(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* Number of records whose plane is said not to go with the normal, of a plane in triangles of half
- * a voxel whose normals lean by this slope. */
-static uint64_t count_shaded(struct vox_fixture *f, float lean)
+/* Returns the number of records marked inconsistent, for a plane of triangles of half a voxel whose
+ * normals lean by this slope. */
+static uint64_t count_inconsistent(struct vox_fixture *f, float lean)
 {
     enum { SIDE = 40 };
     struct scan_mesh mesh = scan_mesh_new(4 * SIDE * SIDE, 2 * SIDE * SIDE);
@@ -62,13 +62,13 @@ static uint64_t count_shaded(struct vox_fixture *f, float lean)
 
 static void test_planes_that_normals_contradict_are_marked(void **state)
 {
-    assert_int_equal(count_shaded(*state, 0.0f), 0);
-    assert_int_equal(count_shaded(*state, 0.05f), 400);
+    assert_int_equal(count_inconsistent(*state, 0.0f), 0);
+    assert_int_equal(count_inconsistent(*state, 0.05f), 400);
 }
 
-/* Grain of the record in the middle of a plane of squares of this side, in voxels, each of two
- * triangles. */
-static uint32_t grain_of_squares(struct vox_fixture *f, double side, bool with_normals)
+/* Returns the facet-noise weight of the record in the middle of a plane of squares, each of two
+ * triangles. side: of a square, in voxels. */
+static uint32_t noise_of_squares(struct vox_fixture *f, double side, bool with_normals)
 {
     enum { COUNT = 40 };
     struct scan_mesh mesh = scan_mesh_new(4 * COUNT * COUNT, 2 * COUNT * COUNT);
@@ -92,19 +92,19 @@ static uint32_t grain_of_squares(struct vox_fixture *f, double side, bool with_n
     return plane >> FMT_NVDB_FACET_NOISE_SHIFT;
 }
 
-/* The squares of a triangle's edges are s^2, s^2 and 2 s^2. Of their mean grain is 2.7 times as
- * much, up to edges of 0.7 voxels, and 0.4 times above; but 1 at most, which is 7 in the file.
- * Normals of the scan have none. */
-static void test_grain_follows_the_triangles(void **state)
+/* The squares of a triangle's edges are s^2, s^2 and 2 s^2. Their mean times 2.7 is the facet-noise
+ * weight up to edges of 0.7 voxels, times 0.4 above; at most 1, which is 7 in the file. With the
+ * scan's own normals the weight is 0. */
+static void test_facet_noise_weight_follows_the_triangles(void **state)
 {
     static const struct {
         double side, share;
     } cases[] = {{0.125, 2.7}, {0.25, 2.7}, {0.5, 2.7}, {1.0, 0.4}, {1.25, 0.4}, {2.0, 0.4}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         double noise = cases[i].share * 4.0 / 3.0 * cases[i].side * cases[i].side;
-        assert_int_equal(grain_of_squares(*state, cases[i].side, false),
+        assert_int_equal(noise_of_squares(*state, cases[i].side, false),
                          lrint(7.0 * fmin(noise, 1.0)));
-        assert_int_equal(grain_of_squares(*state, cases[i].side, true), 0);
+        assert_int_equal(noise_of_squares(*state, cases[i].side, true), 0);
     }
 }
 
@@ -136,7 +136,7 @@ static void test_vertex_colors_are_mixed_in_linear_light(void **state)
         for (int32_t y = 0; y < 10; y++) {
             uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, 0});
             uint32_t color = fmt_nvdb_get(&grid, index).color;
-            /* Red rises linearly in light along x; a voxel on the diagonal has two pieces. */
+            /* Red rises linearly in light along x. A voxel on the diagonal has two fragments. */
             double expected = 255.0 * to_srgb((x + 0.5) / 10.0);
             assert_true(fabs((double)(color & 0xff) - expected) <= 0.51);
             assert_int_equal(color >> 8, 0xff3050);
@@ -150,7 +150,7 @@ static void test_materials_color_what_has_no_other(void **state)
     struct scan_mesh mesh = scan_mesh_new(8, 4);
     struct fmt_tris_material materials[2] = {{NULL, {0.0f, 0.5f, 1.0f}},
                                              {NULL, {1.0f, 0.5f, 0.2f}}};
-    /* Two halves of voxel (0, 0, 0) in two materials, and a voxel without one. */
+    /* Two halves of voxel (0, 0, 0) have two materials, another voxel has none. */
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){0.5, 0, 0}, (double[3]){0, 0.9, 0});
     scan_set_quad(&mesh, 1, (double[3]){2.1, 0, 0.5}, (double[3]){0.5, 0, 0},
                   (double[3]){0, 0.9, 0});
@@ -173,8 +173,8 @@ static void test_materials_color_what_has_no_other(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* A texture that rises linearly in light, red with u and green with v, so that its mean over a
- * piece is its value at the centroid. */
+/* Writes a texture that rises linearly in light, red with u and green with v, so that its mean over
+ * a fragment is its value at the centroid. */
 static void write_ramp(const struct vox_fixture *f)
 {
     enum { SIZE = 40 };
@@ -214,7 +214,8 @@ static void test_texture_is_sampled_where_the_fragment_lies(void **state)
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     for (int32_t x = 0; x < 10; x++)
         for (int32_t y = 0; y < 10; y++) {
-            /* Boxes of the two pieces on the diagonal reach over the texture's edge at its ends. */
+            /* The boxes of the two fragments on the diagonal reach over the texture's edge at its
+             * ends. */
             if (x == y && (x == 0 || x == 9))
                 continue;
             uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, 0});
@@ -247,7 +248,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         TEST(test_vertex_normals_are_interpolated),
         TEST(test_planes_that_normals_contradict_are_marked),
-        TEST(test_grain_follows_the_triangles),
+        TEST(test_facet_noise_weight_follows_the_triangles),
         TEST(test_vertex_colors_are_mixed_in_linear_light),
         TEST(test_materials_color_what_has_no_other),
         TEST(test_texture_is_sampled_where_the_fragment_lies),

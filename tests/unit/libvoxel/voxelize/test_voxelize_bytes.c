@@ -1,4 +1,4 @@
-/* A grid has the same bytes for any budget, number of threads and chunks. */
+/* A grid has the same bytes for any budget, number of threads and division into chunks. */
 #include "voxelize_fixture.h"
 #include "tests/unit/fixture.h"
 
@@ -36,7 +36,7 @@ static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
     }
 }
 
-/* Triangles of all sizes everywhere: fills most voxels, so that small budgets work in parts. */
+/* Triangles of all sizes fill most voxels, so that small budgets work in parts. */
 static void test_noise_gives_the_same_bytes(void **state)
 {
     struct vox_fixture *f = *state;
@@ -61,8 +61,8 @@ static void test_noise_gives_the_same_bytes(void **state)
     check_same_bytes(f, 100);
 }
 
-/* Parallel sheets, one in every layer (the last two share theirs): 2 million voxels in each of the
- * regions, whose records alone are more than the budget. */
+/* Parallel sheets, one in every layer except that the last two share one: 2 million voxels in each
+ * region, whose records alone exceed the budget. */
 static void test_solid_regions_in_little_memory(void **state)
 {
     struct vox_fixture *f = *state;

@@ -1,5 +1,5 @@
-/* voxelize_fixture.h - for the tests of the voxelizer: files in a directory of their own, and what
- * a record holds. */
+/* voxelize_fixture.h - for tests of the voxelizer: files in a directory of their own, and the
+ * contents of records. */
 #ifndef TEST_VOXELIZE_FIXTURE_H
 #define TEST_VOXELIZE_FIXTURE_H
 
@@ -12,16 +12,16 @@ struct vox_fixture {
     struct bsq_ctx *ctx;
 };
 
-/* For cmocka; nothing but the fixture's files may be left in the end. */
+/* For cmocka. Tearing down fails if files other than the fixture's are left. */
 int vox_set_up(void **state);
 int vox_tear_down(void **state);
 
-/* As a chunk file with 4000 triangles in a chunk. */
+/* Writes a chunk file with 4000 triangles in a chunk. */
 void vox_write_scan(const struct vox_fixture *f, const struct scan_mesh *mesh);
 /* Voxelizes tris to grid. */
 struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolution,
                                     double voxel_size);
-/* The same where that must fail, with this text in the error. */
+/* Voxelizes tris to grid, which must fail with this text in the error. */
 void vox_expect_failure(struct vox_fixture *f, uint32_t resolution, double voxel_size, int status,
                         const char *text);
 void expect_same_bytes(const char *a, const char *b);

@@ -1,4 +1,4 @@
-/* What the cache of chunks gives up when it is full. */
+/* Which chunks a full cache evicts. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 
@@ -36,9 +36,9 @@ static void put_square(struct scan_mesh *mesh, uint32_t number, float x)
             mesh->triangles[2 * number + t][k] = 4 * number + (t == 0 ? k : 3 - k);
 }
 
-/* Three chunks, each a square of two triangles; two of them touch. Triangles are ten voxels wide,
- * so a chunk's normals are made with the one that it touches. The boxes that the cache is told are
- * such that the right one is needed last. */
+/* Makes three chunks, each a square of two triangles; two of them touch. Triangles are ten voxels
+ * wide, so making a chunk's normals needs the chunk that it touches. By their boxes, the right
+ * chunk is needed last. */
 static int set_up(void **state)
 {
     struct fixture *f = calloc(1, sizeof *f);
@@ -82,8 +82,8 @@ static int tear_down(void **state)
     return 0;
 }
 
-/* A region that needs the chunk comes and goes; `next` is the origin's x of the one that needs it
- * after that, 0: none. Returns the status of getting the chunk. */
+/* Processes a region that needs the chunk. next: x of the origin of the next region that needs it,
+ * 0: none. Returns the status of getting the chunk. */
 static int use(struct fixture *f, uint32_t chunk, int32_t next)
 {
     struct vox_box box = {.lo = {next, 0, 0}, .hi = {next, 0, 0}};
@@ -96,7 +96,7 @@ static int use(struct fixture *f, uint32_t chunk, int32_t next)
     return status;
 }
 
-/* What is read from now on is damaged. */
+/* Damages the chunk in the file, so that reading it from now on fails. */
 static void damage(struct fixture *f, uint32_t chunk)
 {
     int fd = open(f->tris, O_RDWR);
@@ -108,8 +108,8 @@ static void damage(struct fixture *f, uint32_t chunk)
     close(fd);
 }
 
-/* The right chunk is lent to the left one before any region needs it. It passed for the one that is
- * needed first, so what was needed earlier was given up for it. */
+/* The right chunk is lent to the left one before any region needs it. A former error took it for
+ * the chunk needed first, so that chunks needed earlier were evicted. */
 static void a_chunk_lent_before_its_turn_is_not_kept_instead_of_others(void **state)
 {
     struct fixture *f = *state;
@@ -118,7 +118,7 @@ static void a_chunk_lent_before_its_turn_is_not_kept_instead_of_others(void **st
     damage(f, LEFT);
     assert_int_equal(use(f, LEFT, 0), 0);
     damage(f, RIGHT);
-    assert_int_equal(use(f, RIGHT, 0), BSQ_EDATA); /* this one was given up */
+    assert_int_equal(use(f, RIGHT, 0), BSQ_EDATA); /* this one was evicted */
 }
 
 static void a_chunk_that_is_not_needed_any_more_goes_first(void **state)
@@ -126,7 +126,7 @@ static void a_chunk_that_is_not_needed_any_more_goes_first(void **state)
     struct fixture *f = *state;
     assert_int_equal(use(f, APART, 0), 0);
     damage(f, APART);
-    assert_int_equal(use(f, LEFT, 1000), 0); /* with the right one beside it in the cache */
+    assert_int_equal(use(f, LEFT, 1000), 0); /* leaves the right one in the cache too */
     damage(f, LEFT);
     assert_int_equal(use(f, LEFT, 0), 0);
     assert_int_equal(use(f, APART, 0), BSQ_EDATA);

@@ -13,9 +13,9 @@ static double points[VERTICES][4];
 static float normals[VERTICES][4];
 static uint32_t triangles[TRIANGLES][3];
 
-/* z = height sin(turn x) sin(turn y), in triangles of this edge, with the formula's normals; of
- * which slopes along x are too steep by `extra`, and are rounded to multiples of `step` unless that
- * is 0. */
+/* Makes z = height sin(turn x) sin(turn y) in triangles of this edge, with the formula's normals.
+ * Their slopes along x are too steep by `extra`, and they are rounded to multiples of `step` unless
+ * it is 0. */
 static void make_waves(double edge, double height, double turn, double extra, double step)
 {
     for (uint32_t v = 0; v < VERTICES; v++) {
@@ -45,9 +45,9 @@ static bool inconsistent(void)
     return vox_own_normals_inconsistent(&of, 0, TRIANGLES);
 }
 
-/* Triangles from a quarter of a voxel to two, waves of 16 of them or more with slopes up to 20
- * degrees: planes of triangles differ from the normals at their corners by up to 8 degrees. */
-static void test_normals_of_the_surface_go_with_its_triangles(void **state)
+/* Triangles measure a quarter of a voxel to two voxels, on waves of 16 of them or more with slopes
+ * up to 20 degrees. Their planes differ from the normals at the corners by up to 8 degrees. */
+static void test_normals_of_the_surface_are_consistent(void **state)
 {
     (void)state;
     for (double edge = 0.25; edge <= 2.0; edge *= 2.0)
@@ -58,8 +58,8 @@ static void test_normals_of_the_surface_go_with_its_triangles(void **state)
         }
 }
 
-/* 2 degrees, on a plane and on waves of 16 voxels. */
-static void test_normals_that_lean_do_not(void **state)
+/* Normals lean by 2 degrees, on a plane and on waves of 16 voxels. */
+static void test_leaning_normals_are_inconsistent(void **state)
 {
     (void)state;
     for (double edge = 0.25; edge <= 2.0; edge *= 2.0)
@@ -69,7 +69,7 @@ static void test_normals_that_lean_do_not(void **state)
         }
 }
 
-/* Two decimals, a quarter of a degree: a voxel has many triangles. */
+/* Two decimals round by up to a quarter of a degree; a voxel has many triangles. */
 static void test_rounding_is_no_contradiction(void **state)
 {
     (void)state;
@@ -77,7 +77,7 @@ static void test_rounding_is_no_contradiction(void **state)
     assert_false(inconsistent());
 }
 
-/* Where waves are as short as 4 voxels the planes are worth more than 2 degrees. */
+/* With waves as short as 4 voxels, planes are worth more than 2 degrees. */
 static void test_planes_of_short_waves_are_kept(void **state)
 {
     (void)state;
@@ -95,8 +95,8 @@ static void test_no_area_is_no_contradiction(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_normals_of_the_surface_go_with_its_triangles),
-        cmocka_unit_test(test_normals_that_lean_do_not),
+        cmocka_unit_test(test_normals_of_the_surface_are_consistent),
+        cmocka_unit_test(test_leaning_normals_are_inconsistent),
         cmocka_unit_test(test_rounding_is_no_contradiction),
         cmocka_unit_test(test_planes_of_short_waves_are_kept),
         cmocka_unit_test(test_no_area_is_no_contradiction),

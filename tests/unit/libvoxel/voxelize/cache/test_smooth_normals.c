@@ -1,4 +1,4 @@
-/* Normals around vertices as if the scan were whole, whatever the chunks. */
+/* Smooth vertex normals as if the scan were whole, for any division into chunks. */
 #include "base/smooth_normals.h"
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
@@ -14,7 +14,7 @@
 
 enum { CHUNK_TRIANGLES = 200, CHUNKS_MAX = 64 };
 
-/* A decoded chunk, with what a cache would keep of it. */
+/* A decoded chunk, and what a cache keeps with it. */
 struct decoded {
     struct fmt_tris_chunk chunk;
     void *memory;
@@ -72,7 +72,7 @@ static void take_back(void *arg, uint32_t index)
     f->lent--;
 }
 
-/* Writes the fixture's mesh, in chunks of so many triangles, and reads all of them. */
+/* Writes the fixture's mesh in chunks of up to chunk_triangles, and reads all of them. */
 static void begin(struct fixture *f, uint32_t chunk_triangles)
 {
     strcpy(f->directory, "/tmp/test_smooth_normals_XXXXXX");
@@ -113,7 +113,8 @@ static bool same_place(const float a[3], const float b[3])
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
 
-/* As smooth_normals.h has it: over all triangles of the mesh that have a corner here. */
+/* Computes the normal as smooth_normals.h defines it, over all triangles of the mesh with a corner
+ * at this position. */
 static void expected_normal(const struct scan_mesh *mesh, const float at[3], double normal[3])
 {
     double sum[3] = {0}, areas = 0.0;
@@ -140,7 +141,7 @@ static void expected_normal(const struct scan_mesh *mesh, const float at[3], dou
         normal[a] = length >= BSQ_CREASE_SHARE * areas && length > 0 ? sum[a] / length : 0.0;
 }
 
-/* All chunks' normals, whether neighbours are lent or read. */
+/* Checks the normals of all chunks, with neighbours lent and with neighbours read. */
 static void check(struct fixture *f)
 {
     const struct vox_smooth_lender lender = {f, lend, take_back};
@@ -168,7 +169,7 @@ static void check(struct fixture *f)
 
 /* ---- tests ---- */
 
-/* Its octants have vertices of their own where they meet, and chunks have. */
+/* Octants have their own vertices at their borders, and so do chunks. */
 static void test_sphere(void **state)
 {
     (void)state;
@@ -179,7 +180,7 @@ static void test_sphere(void **state)
     end(&f);
 }
 
-/* Triangles without any order touch in vertices, lie in creases and stretch across all chunks. */
+/* Unordered triangles touch in vertices, lie in creases and stretch across all chunks. */
 static void test_soup(void **state)
 {
     (void)state;
@@ -215,7 +216,7 @@ static void put_fan(struct scan_mesh *mesh, uint32_t apex, uint32_t first_triang
     }
 }
 
-/* Each is closed, and in a chunk of its own, so that no edge tells that there is another; one is
+/* Each fan is closed and in its own chunk, so no edge shows that there is another one. One is
  * tilted. */
 static void test_two_closed_fans_with_one_apex(void **state)
 {
@@ -239,8 +240,7 @@ static void test_two_closed_fans_with_one_apex(void **state)
     end(&f);
 }
 
-/* A triangle that is in another chunk once more counts twice at its corners, inside of a surface
- * too. */
+/* A triangle repeated in another chunk counts twice at its corners, even inside a surface. */
 static void test_repeated_triangle(void **state)
 {
     (void)state;
@@ -261,7 +261,7 @@ static void test_repeated_triangle(void **state)
     end(&f);
 }
 
-/* Two quads meet in an edge at x = 0, which one of them has as -0, in one chunk and in two. */
+/* Two quads meet in an edge at x = 0, which one of them stores as -0; in one chunk and in two. */
 static void test_both_zeros_are_one_place(void **state)
 {
     (void)state;

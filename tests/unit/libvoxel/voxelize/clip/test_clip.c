@@ -1,5 +1,5 @@
-/* Clipping a triangle to voxels: held against a separating-axis test of its own (Akenine-Moeller
- * 2001), against sampled points, and against what must hold of any division into pieces. */
+/* Clipping a triangle to voxels, compared with a separating-axis test (Akenine-Moeller 2001), with
+ * sampled points, and with what holds of any division into fragments. */
 #include "libvoxel/voxelize/clip/clip.h"
 #include "libvoxel/voxelize/clip/divide_lanes.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
@@ -97,8 +97,8 @@ static void random_triangle(uint64_t *seed, double size, double (*c)[3])
 
 /* ---- the separating-axis test ---- */
 
-/* Largest gap between the projections of triangle and unit cell on any of the 13 axes, in units of
- * length; negative: they overlap by as much on each. */
+/* Returns the largest gap between the projections of triangle and unit voxel on any of the 13 axes,
+ * in units of length. Negative: they overlap by at least as much on each. */
 static double separation(const double (*c)[3], const int32_t cell[3])
 {
     double v[3][3], e[3][3], axis[13][3], gap = -INFINITY;
@@ -281,7 +281,8 @@ static void test_regions_share_a_triangle(void **state)
 
 /* ---- side by side ---- */
 
-/* A triangle's corners from its lowest cell on, put into a lane; false where it is not small. */
+/* Puts a triangle's corners, relative to its lowest voxel, into a lane. Returns false if the
+ * triangle is not small. */
 static bool put_in_lane(const double (*c)[3], int lane, doubles p[3][3], int planes[3])
 {
     struct vox_box cells = cells_of(c);
@@ -295,7 +296,7 @@ static bool put_in_lane(const double (*c)[3], int lane, doubles p[3][3], int pla
     return true;
 }
 
-/* Divides, and returns all doubtful triangles. */
+/* Divides triangles, and returns all doubtful ones. */
 static lane_mask divide(const doubles p[3][3], const int planes[3],
                         struct divide_fragment *fragments)
 {
@@ -305,7 +306,7 @@ static lane_mask divide(const doubles p[3][3], const int planes[3],
     return doubtful;
 }
 
-/* The pieces of one lane against those that cutting polygons yields. */
+/* Compares the fragments of one lane with those from clipping polygons. */
 static void check_lane(const double (*c)[3], int lane, const int planes[3],
                        const struct divide_fragment *fragment)
 {
@@ -329,7 +330,7 @@ static void check_lane(const double (*c)[3], int lane, const int planes[3],
     assert_int_equal(count, fragments->count);
 }
 
-/* Different triangles in the lanes, of one kind. Few may be doubtful. */
+/* Lanes hold different triangles of one kind. Few may be doubtful. */
 static void test_small_triangles_side_by_side(void **state)
 {
     (void)state;
@@ -366,8 +367,8 @@ static void test_small_triangles_side_by_side(void **state)
     assert_true(doubtful < checked / 20);
 }
 
-/* What half-open boxes decide is left to the other way of dividing: corners and edges on planes,
- * crossings on edges, three planes that meet in the triangle. */
+/* What half-open boxes decide is left to clip.h: corners and edges on planes, crossings on edges,
+ * three planes that meet in the triangle. */
 static void test_touching_planes_is_doubtful(void **state)
 {
     (void)state;
@@ -401,7 +402,7 @@ static void test_plane_on_a_border_fills_the_upper_layer(void **state)
             for (int a = 0; a < 3; a++)
                 turned[i][(a + axis) % 3] = c[i][a];
         const struct fragments *fragments = clip_all((const double(*)[3])turned);
-        /* 15 voxels of the layer share area with it; its longest side, u + v = 5, runs through the
+        /* 15 voxels of the layer share area with it. Its longest side, u + v = 5, runs through the
          * lower corners of four more. */
         assert_int_equal(fragments->count, 15 + 4);
         for (uint32_t i = 0; i < fragments->count; i++)
@@ -409,7 +410,7 @@ static void test_plane_on_a_border_fills_the_upper_layer(void **state)
     }
 }
 
-/* The plane x = y runs through the edges of voxels (i, i): it is inside these alone. */
+/* The plane x = y runs through the edges of voxels (i, i) and lies inside these only. */
 static void test_diagonal_plane_fills_the_diagonal(void **state)
 {
     (void)state;
@@ -417,7 +418,7 @@ static void test_diagonal_plane_fills_the_diagonal(void **state)
     const struct fragments *fragments = clip_all(c);
     for (uint32_t i = 0; i < fragments->count; i++)
         assert_int_equal(fragments->fragment[i].cell[0], fragments->fragment[i].cell[1]);
-    /* Voxel 8 holds the last edge: half-open boxes give it nothing but that. */
+    /* Voxel 8 gets only the last edge, by half-open boxes. */
     assert_int_equal(fragments->count, 9);
     assert_true(find(fragments, 8, 8, 0)->fraction == 0.0);
 }
@@ -450,7 +451,8 @@ static void test_every_point_has_its_voxel(void **state)
                 double p[3];
                 for (int a = 0; a < 3; a++)
                     p[a] = (c[0][a] * (64 - i - j) + c[1][a] * i + c[2][a] * j) / 64.0;
-                /* Cuts of slanted edges round; points on a border may then go to either side. */
+                /* Cuts of slanted edges are rounded, so points on a border may go to either
+                 * side. */
                 bool on_border = false;
                 for (int a = 0; a < 3; a++)
                     on_border = on_border || p[a] == floor(p[a]);

@@ -1,4 +1,4 @@
-/* The schedule of regions: held against a list of all pairs, sorted by the definition of the grid
+/* The schedule of regions, compared with a list of all pairs, sorted by the definition of the grid
  * file's order. */
 #include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
@@ -14,8 +14,8 @@ struct pair {
     uint32_t chunk;
 };
 
-/* Root keys hold origin / 4096 as unsigned numbers, x first; inside a tile regions go by x, y, z.
- */
+/* Root keys hold origin / 4096 as unsigned numbers, x first. Inside a tile regions are sorted by x,
+ * y, z. */
 static int compare_pairs(const void *a, const void *b)
 {
     const struct pair *p = a, *q = b;
@@ -61,8 +61,8 @@ static bool same_region(struct vox_region_key a, struct vox_region_key b)
     return a.tile == b.tile && a.region == b.region;
 }
 
-/* The schedule's pairs are those listed, and each chunk comes when it was announced,
- * or before, for another of its boxes. */
+/* Checks that the schedule yields the pairs of the list, and each chunk in the region announced, or
+ * earlier for another of its boxes. */
 static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
 {
     const uint64_t room = 2000000;
@@ -110,8 +110,8 @@ static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
     free(pairs);
 }
 
-/* parts_of_chunk: how many boxes each chunk has. */
-static void check_random_parts(uint32_t parts_of_chunk)
+/* boxes_of_chunk: number of boxes of each chunk */
+static void check_random_boxes(uint32_t boxes_of_chunk)
 {
     uint64_t seed = 4711;
     print_message("seed %llu\n", (unsigned long long)seed);
@@ -121,7 +121,7 @@ static void check_random_parts(uint32_t parts_of_chunk)
         for (int round = 0; round < 10; round++) {
             struct vox_chunk_box boxes[20];
             for (uint32_t i = 0; i < 20; i++) {
-                boxes[i].chunk = i / parts_of_chunk;
+                boxes[i].chunk = i / boxes_of_chunk;
                 for (int a = 0; a < 3; a++) {
                     double at = spreads[k] * (2.0 * scan_random(&seed) - 1.0);
                     boxes[i].box.lo[a] = (int32_t)at;
@@ -135,15 +135,15 @@ static void check_random_parts(uint32_t parts_of_chunk)
 static void test_random_boxes(void **state)
 {
     (void)state;
-    check_random_parts(1);
+    check_random_boxes(1);
 }
 
 /* A region gets a chunk once, however many of its boxes touch it. */
-static void test_parts_of_one_chunk(void **state)
+static void test_boxes_of_one_chunk(void **state)
 {
     (void)state;
-    check_random_parts(20);
-    check_random_parts(3);
+    check_random_boxes(20);
+    check_random_boxes(3);
 }
 
 static void test_ends_of_the_index(void **state)
@@ -168,7 +168,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_random_boxes),
-        cmocka_unit_test(test_parts_of_one_chunk),
+        cmocka_unit_test(test_boxes_of_one_chunk),
         cmocka_unit_test(test_ends_of_the_index),
         cmocka_unit_test(test_no_chunks),
     };
