@@ -11,9 +11,8 @@
 #include "base/clock.h"
 #include "libbake/device/device.h"
 #include "libbake/exact/exact_tiles.h"
-#include "libbake/maps/map_image.h"
 #include "libbake/lowpoly/lowpoly.h"
-#include "libbake/maps/map_files.h"
+#include "libbake/maps/maps.h"
 #include "libbake/preview/preview.h"
 #include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
@@ -63,11 +62,11 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low mesh and an output are needed");
-    if (options->maps & ~(uint32_t)(BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK))
+    if (options->maps >= 1u << BK_MAP_COUNT)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
-    if (options->samples < 1 || options->samples > BAKE_MOST_SAMPLES)
+    if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
         return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
-                        options->samples, options->samples, BAKE_MOST_SAMPLES);
+                        options->samples, options->samples, BAKE_MAX_SAMPLES);
     if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
         isinf(options->back))
         return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,
@@ -76,20 +75,28 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
         return bsq_fail(ctx, BSQ_EUSAGE, "rays of no length find nothing");
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    /* Several maps where none are named, unless the scan has no colour: checked again then. */
-    return bake_map_files_check(ctx, options, options->maps);
+    /* If none are named, it depends on the scan whether there are several: checked again then. */
+    return bake_map_files_check(ctx, options,
+                                options->maps ? options->maps : (uint32_t)BAKE_MAP_NORMAL);
 }
 
-/* Which maps to write, now that it is known whether there are colours. */
+int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out)
+{
+    bool has_color;
+    int status = bake_scan_has_color(ctx, scan_path, &has_color);
+    *out = status == 0 ? bake_choose_maps(BAKE_MAPS_DEFAULT, has_color) : BAKE_MAPS_DEFAULT;
+    return status;
+}
+
+/* Chooses the maps, now that it is known whether there are colours. */
 static int choose_maps(struct job *job)
 {
     bool has_color = job->surface.has_color;
-    job->maps = job->options->maps;
-    if (job->maps == BAKE_MAPS_DEFAULT)
-        job->maps = BAKE_MAP_NORMAL | (has_color ? BAKE_MAP_COLOR : 0);
-    if (job->maps & BAKE_MAP_COLOR && !has_color)
-        return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave color out of --maps",
-                        job->options->scan_path);
+    job->maps = bake_choose_maps(job->options->maps, has_color);
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
+        if (job->maps & 1u << i && bake_map_table[i].needs_color && !has_color)
+            return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
+                            job->options->scan_path, bake_map_names[i]);
     return bake_map_files_check(job->ctx, job->options, job->maps);
 }
 
@@ -141,7 +148,9 @@ static int set_params(struct job *job)
     struct bk_params *params = &job->traced.params;
     if (!job->surface.exact)
         bake_params_from_grid(&job->surface.grid, params);
+    params->maps = job->maps;
     params->samples = options->samples;
+    params->unit = (float)job->surface.unit;
     if (options->normal_space == BAKE_OBJECT_SPACE)
         params->flags |= BK_OBJECT_SPACE;
     if (options->sampling == BAKE_NEAREST)
@@ -201,7 +210,7 @@ static int create_image(struct job *job)
 {
     struct bake_image_options image = {.width = job->options->width,
                                        .height = job->options->height,
-                                       .channels = bake_map_channels(job->maps),
+                                       .channels = bake_image_channels_for(job->maps),
                                        .memory_bytes = bsq_memory_left(job->ctx) / 2,
                                        .beside = job->options->output_path};
     return bake_image_create(job->ctx, &image, &job->image);
@@ -243,20 +252,22 @@ static int fail_without_hit(const struct job *job)
                                     "where the scan's faces are wound inwards");
 }
 
+static struct bake_tiles tiles_of(const struct job *job)
+{
+    return (struct bake_tiles){.raster = job->raster,
+                               .triangles = job->triangles,
+                               .triangle_count = (uint32_t)job->mesh.triangle_count,
+                               .params = &job->traced.params,
+                               .image = job->image,
+                               .tile_size = job->tile_size};
+}
+
 static int trace_exact(struct job *job)
 {
-    struct bake_exact_tiles tiles = {.exact = job->surface.exact,
-                                     .raster = job->raster,
-                                     .triangles = job->triangles,
-                                     .triangle_count = (uint32_t)job->mesh.triangle_count,
-                                     .object_space =
-                                         job->options->normal_space == BAKE_OBJECT_SPACE,
-                                     .front = job->report->front,
-                                     .back = job->report->back,
-                                     .image = job->image,
-                                     .maps = job->maps,
-                                     .samples = job->options->samples,
-                                     .tile_size = job->tile_size};
+    const struct bake_exact_tiles tiles = {.tiles = tiles_of(job),
+                                           .exact = job->surface.exact,
+                                           .front = job->report->front,
+                                           .back = job->report->back};
     return bake_exact_trace_tiles(job->ctx, &tiles, job->report);
 }
 
@@ -264,17 +275,13 @@ static int trace_grid(struct job *job)
 {
     struct bake_plan plan;
     int status = bake_device_plan(job->device, job->raster, &plan);
-    struct bake_tiles tiles = {.raster = job->raster,
-                               .device = job->device,
-                               .surface = &job->surface,
-                               .plan = plan.pass_count > 0 ? &plan : NULL,
-                               .image = job->image,
-                               .maps = job->maps,
-                               .samples = job->options->samples,
-                               .tile_size = job->tile_size};
+    const struct bake_grid_tiles tiles = {.tiles = tiles_of(job),
+                                          .device = job->device,
+                                          .surface = &job->surface,
+                                          .plan = plan.pass_count > 0 ? &plan : NULL};
     job->report->passes = plan.pass_count > 0 ? plan.pass_count : 1;
     if (status == 0)
-        status = bake_trace_tiles(job->ctx, &tiles, job->report);
+        status = bake_trace_grid_tiles(job->ctx, &tiles, job->report);
     bake_plan_free(job->ctx, &plan);
     return status;
 }
@@ -324,37 +331,32 @@ static int open_outputs(struct job *job)
     return status;
 }
 
+static int create_thumbnail(struct job *job, enum bake_map map, uint32_t side,
+                            struct bake_thumbnail *out)
+{
+    if (!(job->maps & (uint32_t)map))
+        return 0;
+    bake_map_files_set_thumbnail(job->files, map, out);
+    return bake_thumbnail_create(job->ctx, job->options->width, job->options->height, side, out);
+}
+
 static int create_thumbnails(struct job *job)
 {
-    const struct bake_options *options = job->options;
     struct bake_preview *preview = &job->preview;
     uint32_t side = PREVIEW_TEXTURE;
     uint64_t share = bsq_memory_left(job->ctx) / 8;
     while (side > 64 && (uint64_t)side * side * sizeof *preview->normal.texels > share)
         side /= 2;
-    int status = 0;
-    if (job->maps & BAKE_MAP_NORMAL)
-        status = bake_thumbnail_create(job->ctx, options->width, options->height, side,
-                                       &preview->normal);
-    if (status == 0 && job->maps & BAKE_MAP_COLOR)
-        status =
-            bake_thumbnail_create(job->ctx, options->width, options->height, side, &preview->color);
+    int status = create_thumbnail(job, BAKE_MAP_NORMAL, side, &preview->normal);
+    if (status == 0)
+        status = create_thumbnail(job, BAKE_MAP_COLOR, side, &preview->color);
     return status;
 }
 
 static int write_maps(struct job *job)
 {
-    struct bake_thumbnail *normal = NULL, *color = NULL;
-    if (job->preview_file) {
-        int status = create_thumbnails(job);
-        if (status < 0)
-            return status;
-        normal = job->maps & BAKE_MAP_NORMAL ? &job->preview.normal : NULL;
-        color = job->maps & BAKE_MAP_COLOR ? &job->preview.color : NULL;
-    }
-    return bake_map_files_write(job->files, job->image, normal, color,
-                                &job->report->seconds_padding, &job->report->seconds_resolve,
-                                &job->report->seconds_write);
+    int status = job->preview_file ? create_thumbnails(job) : 0;
+    return status < 0 ? status : bake_map_files_write(job->files, job->image, job->report);
 }
 
 static int write_preview(struct job *job)

@@ -73,6 +73,24 @@ struct bake_options {
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
 };
 
+/** In an output path: stands for the map's name. */
+#define BAKE_MAP_TOKEN "<MAP>"
+
+enum {
+    BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
+    BAKE_MAX_SAMPLES = 64    /**< Largest N of N x N samples a texel. */
+};
+
+/** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in
+ * enum bake_map. Returns NULL after the last map. */
+const char *bake_map_name(unsigned number);
+/** Returns what the map shows, in a few words; NULL after the last map. */
+const char *bake_map_summary(unsigned number);
+
+/** Finds out which maps BAKE_MAPS_DEFAULT stands for with this scan. Returns the errors of opening
+ * it. */
+int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out);
+
 /** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
  * it with free(). Returns NULL if there is no memory. */
 char *bake_map_path(const char *output_path, enum bake_map map);

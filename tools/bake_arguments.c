@@ -4,18 +4,18 @@
 #include <stdlib.h>
 #include <string.h>
 
-static const char help[] =
+static const char help_format[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-polygon mesh: fast from a\n"
     "voxel grid (SCAN.nvdb), or exact from the scan's own triangles (SCAN.tris).\n"
-    "<MAP> in the output's name is replaced by normal, color or mask. A name that ends in .exr gives\n"
+    "<MAP> in the output's name is replaced by the name of the map. A name that ends in .exr gives\n"
     "OpenEXR files, one that ends in .png PNG files.\n"
     "\n"
-    "  -o, --output FILE       the maps; \"<MAP>\" must be in it where there are several\n"
-    "      --maps LIST         of normal, color, mask (default: normal, and color where the scan\n"
-    "                          has it)\n"
+    "  -o, --output FILE       the maps; \"<MAP>\" must be in it if there are several\n"
+    "      --maps LIST         what to bake, separated by commas:\n"
+    "%s"
     "      --size N | WxH      texels (default: 2048)\n"
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
     "      --front D           length of the rays outwards, in the mesh's units (default: auto)\n"
@@ -79,37 +79,23 @@ static const struct option long_options[] = {
     {NULL, 0, NULL, 0},
 };
 
-enum { MAX_SIZE = 1 << 20, MAX_SAMPLES = 64 };
-
-const struct bake_map_name bake_map_names[BAKE_MAP_KINDS] = {
-    {BAKE_MAP_NORMAL, "normal"},
-    {BAKE_MAP_COLOR, "color"},
-    {BAKE_MAP_MASK, "mask"},
-};
-
 /* ---- one option ---- */
 
 static int parse_maps(struct cli *cli, struct bake_options *bake)
 {
-    uint32_t maps = 0;
-    for (const char *word = optarg;; word++) {
-        size_t length = strcspn(word, ",");
-        uint32_t map = 0;
-        for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
-            if (strlen(bake_map_names[i].name) == length &&
-                !memcmp(word, bake_map_names[i].name, length))
-                map = bake_map_names[i].map;
-        }
-        if (map == 0)
-            return cli_usage(cli, "--maps: \"%.*s\" is not normal, color or mask", (int)length,
-                             word);
-        maps |= map;
-        word += length;
-        if (*word == '\0')
-            break;
+    const char *words[MOST_MAPS + 1] = {NULL};
+    for (unsigned i = 0; bake_map_name(i); i++)
+        words[i] = bake_map_name(i);
+    char *list = strdup(optarg), *rest = list, *word;
+    int status = list ? 0 : cli_usage(cli, "--maps: out of memory");
+    bake->maps = 0;
+    while (status == 0 && (word = strsep(&rest, ","))) {
+        unsigned number = 0;
+        status = cli_parse_word(cli, "--maps", word, words, &number);
+        bake->maps |= 1u << number;
     }
-    bake->maps = maps;
-    return 0;
+    free(list);
+    return status;
 }
 
 static int parse_count(struct cli *cli, const char *option, const char *text, uint32_t min,
@@ -129,7 +115,7 @@ static bool parse_side(const char **text, uint32_t *out)
     unsigned long long value = strtoull(*text, &end, 10);
     *text = end;
     *out = (uint32_t)value;
-    return digit && value >= 1 && value <= MAX_SIZE;
+    return digit && value >= 1 && value <= BAKE_MAX_SIDE;
 }
 
 /* "2048" or "4096x2048". */
@@ -144,7 +130,7 @@ static int parse_size(struct cli *cli, struct bake_options *bake)
     }
     if (!good || *at != '\0')
         return cli_usage(cli, "--size: \"%s\" is not N or WxH with numbers from 1 to %d", optarg,
-                         MAX_SIZE);
+                         BAKE_MAX_SIDE);
     return 0;
 }
 
@@ -211,6 +197,17 @@ static int parse_sample_type(struct cli *cli, int option, struct bake_arguments 
     return 0;
 }
 
+static int common_option(struct cli *cli, int option)
+{
+    char maps[1024] = "", help[sizeof help_format + sizeof maps];
+    size_t length = 0;
+    for (unsigned i = 0; bake_map_name(i) && length < sizeof maps; i++)
+        length += (size_t)snprintf(maps + length, sizeof maps - length, "%28s%-10s  %s\n", "",
+                                   bake_map_name(i), bake_map_summary(i));
+    snprintf(help, sizeof help, help_format, maps);
+    return cli_common_option(cli, option, help);
+}
+
 static int parse_option(struct cli *cli, void *arg, int option)
 {
     struct bake_arguments *arguments = arg;
@@ -224,7 +221,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_SIZE:
         return parse_size(cli, bake);
     case OPT_SAMPLES:
-        return parse_count(cli, "--samples", optarg, 1, MAX_SAMPLES, &bake->samples);
+        return parse_count(cli, "--samples", optarg, 1, BAKE_MAX_SAMPLES, &bake->samples);
     case OPT_FRONT:
         return parse_distance(cli, "--front", &bake->front);
     case OPT_BACK:
@@ -257,7 +254,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
         arguments->list_devices = true;
         return 0;
     default:
-        return cli_common_option(cli, option, help);
+        return common_option(cli, option);
     }
 }
 
@@ -280,8 +277,6 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
     bake->mesh_path = inputs[1];
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
-    if (bake->normal_space == BAKE_OBJECT_SPACE && bake->green_down)
-        return cli_usage(cli, "--green down is for tangent space");
     return 0;
 }
 

@@ -13,14 +13,10 @@ struct bake_arguments {
     int sample_option; /* that chose bake.sample_type; 0: none did */
 };
 
-/* Names of maps, in the order of outputs and reports. */
-enum { BAKE_MAP_KINDS = 3 };
-extern const struct bake_map_name {
-    enum bake_map map;
-    const char *name;
-} bake_map_names[BAKE_MAP_KINDS];
+/* Bits of bake_options.maps. */
+enum { MOST_MAPS = 32 };
 
-/* All that can be checked without looking at a file. Returns as cli_parse_options() does. */
+/* Reads the command line. Returns as cli_parse_options() does. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
 
 #endif

@@ -104,10 +104,9 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
            cli_counted_text(report->samples, "sample", "samples", samples),
            cli_count_text(report->misses, misses), percent(report->misses, report->samples),
            report->front, report->back, report->device);
-    for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
+    for (unsigned i = 0; bake_map_name(i); i++)
         if (paths[i])
-            printf("%s: %s map\n", paths[i], bake_map_names[i].name);
-    }
+            printf("%s: %s map\n", paths[i], bake_map_name(i));
     if (bake->preview_path)
         printf("%s: preview\n", bake->preview_path);
     printf("seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
@@ -127,9 +126,8 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
 static json_t *maps_json(char *const *paths)
 {
     json_t *maps = json_object();
-    for (unsigned i = 0; maps && i < BAKE_MAP_KINDS; i++) {
-        if (paths[i] &&
-            json_object_set_new(maps, bake_map_names[i].name, cli_json_text(paths[i])) != 0) {
+    for (unsigned i = 0; maps && bake_map_name(i); i++) {
+        if (paths[i] && json_object_set_new(maps, bake_map_name(i), cli_json_text(paths[i])) != 0) {
             json_decref(maps);
             maps = NULL;
         }

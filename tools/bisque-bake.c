@@ -6,14 +6,13 @@
 
 /* ---- outputs ---- */
 
-/* Names of all outputs, `paths` of BAKE_MAP_KINDS; those of maps that are not asked for are NULL.
- */
+/* Names the files of all maps that are asked for; `paths` has MOST_MAPS entries. */
 static int name_outputs(struct cli *cli, const struct bake_options *bake, char **paths)
 {
-    for (unsigned i = 0; i < BAKE_MAP_KINDS; i++) {
-        if (!(bake->maps & bake_map_names[i].map))
+    for (unsigned i = 0; bake_map_name(i); i++) {
+        if (!(bake->maps & 1u << i))
             continue;
-        paths[i] = bake_map_path(bake->output_path, bake_map_names[i].map);
+        paths[i] = bake_map_path(bake->output_path, (enum bake_map)(1u << i));
         if (!paths[i])
             return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
     }
@@ -23,12 +22,8 @@ static int name_outputs(struct cli *cli, const struct bake_options *bake, char *
 static int check_outputs(struct cli *cli, const struct bake_options *bake, char *const *paths)
 {
     const char *const inputs[] = {bake->scan_path, bake->mesh_path};
-    bool several = (bake->maps & (bake->maps - 1)) != 0;
     int status = 0;
-    if (several && !strstr(bake->output_path, "<MAP>"))
-        return cli_usage(cli, "%s: several maps need \"<MAP>\" in the output's name",
-                         bake->output_path);
-    for (unsigned i = 0; i < BAKE_MAP_KINDS && status == 0; i++) {
+    for (unsigned i = 0; i < MOST_MAPS && status == 0; i++) {
         if (!paths[i])
             continue;
         if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
@@ -40,36 +35,29 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
     return status;
 }
 
-/* Where no maps were asked for: normals, and colours where the scan has them. The library would
- * choose so by itself; here it has to be known beforehand which files there will be. */
-static int choose_maps(struct cli *cli, struct bake_options *bake)
-{
-    bool has_color = false;
-    if (bake->maps != BAKE_MAPS_DEFAULT)
-        return 0;
-    int status = bake_scan_has_color(cli->ctx, bake->scan_path, &has_color);
-    bake->maps = BAKE_MAP_NORMAL | (has_color ? BAKE_MAP_COLOR : 0);
-    return status;
-}
-
 /* ---- the work ---- */
 
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
 {
-    char *paths[BAKE_MAP_KINDS] = {NULL};
+    struct bake_options *bake = &arguments->bake;
+    char *paths[MOST_MAPS] = {NULL};
     struct bake_report report = {0};
-    int status = bake_check_options(cli->ctx, &arguments->bake);
+    int status = bake_check_options(cli->ctx, bake);
+    /* The names of the files have to be known before the work. */
+    if (status == 0 && bake->maps == BAKE_MAPS_DEFAULT) {
+        status = bake_default_maps(cli->ctx, bake->scan_path, &bake->maps);
+        if (status == 0)
+            status = bake_check_options(cli->ctx, bake);
+    }
     if (status == 0)
-        status = choose_maps(cli, &arguments->bake);
+        status = name_outputs(cli, bake, paths);
     if (status == 0)
-        status = name_outputs(cli, &arguments->bake, paths);
+        status = check_outputs(cli, bake, paths);
     if (status == 0)
-        status = check_outputs(cli, &arguments->bake, paths);
-    if (status == 0)
-        status = bake_run(cli->ctx, &arguments->bake, &report);
+        status = bake_run(cli->ctx, bake, &report);
     if (status == 0)
         status = bake_report_print(cli, arguments, &report, paths);
-    for (unsigned i = 0; i < BAKE_MAP_KINDS; i++)
+    for (unsigned i = 0; i < MOST_MAPS; i++)
         free(paths[i]);
     return status;
 }

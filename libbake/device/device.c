@@ -245,7 +245,7 @@ void bake_device_use(struct bake_device *device, unsigned slot)
 }
 
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
-                      const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker)
+                      const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
     char why[BAKE_WHY_BYTES] = "";
     struct bake_backend *backend = device->backend;

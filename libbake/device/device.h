@@ -36,11 +36,12 @@ int bake_device_load(struct bake_device *device, unsigned slot, const struct bak
 /* Chooses the slot that tiles are traced from, at first 0. Not while tiles are traced. */
 void bake_device_use(struct bake_device *device, unsigned slot);
 
-/* Traces one tile: sample_triangles in, width * height texels out, row 0 at the top. Several
+/* Traces one tile: sample_triangles in, width * height texels of
+ * bk_texel_floats(params.maps) floats out, row 0 at the top. Several
  * workers may call this at a time with distinct `worker` (< bsq_threads). Native code traces on the
  * calling thread; a GPU has a stream and buffers for each worker. */
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
-                      const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker);
+                      const uint32_t *sample_triangles, float *texels, unsigned worker);
 
 /* Returns what the device did so far; zeros for the processor. Not while tiles are traced. */
 void bake_device_times(struct bake_device *device, struct bake_device_times *out);

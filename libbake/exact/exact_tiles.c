@@ -13,7 +13,6 @@
 #include "base/parallel.h"
 #include "libbake/exact/exact_tree.h"
 #include "libbake/kernel/bk_sample.h"
-#include "libbake/maps/tile_workers.h"
 
 struct tile {
     uint64_t place;   /* on the curve */
@@ -23,7 +22,8 @@ struct tile {
 
 struct job {
     struct bsq_ctx *ctx;
-    const struct bake_exact_tiles *tiles;
+    const struct bake_exact_tiles *exact_tiles;
+    const struct bake_tiles *tiles;   /* of exact_tiles */
     struct bake_tile_workers workers; /* with texels for a row */
     struct tile *order;
     uint32_t tile_count;
@@ -41,7 +41,7 @@ struct job {
 
 static uint64_t place_of(const struct job *job, uint32_t triangle)
 {
-    const struct bake_exact_info *info = bake_exact_get_info(job->tiles->exact);
+    const struct bake_exact_info *info = bake_exact_get_info(job->exact_tiles->exact);
     const struct bk_triangle *t = &job->tiles->triangles[triangle];
     float centre[3], low[3];
     double side = 0;
@@ -55,7 +55,7 @@ static uint64_t place_of(const struct job *job, uint32_t triangle)
 
 static uint32_t tile_samples(const struct job *job, const struct bk_tile *tile)
 {
-    const uint32_t n = job->tiles->samples;
+    const uint32_t n = job->tiles->params->samples;
     return tile->width * n * (tile->height * n);
 }
 
@@ -104,14 +104,14 @@ static int order_tiles(struct job *job)
 
 /* ---- samples to rays ---- */
 
-/* Position of a tile's sample in the map, in texels, as in bk_sample_texel(). */
-static void sample_position(const struct job *job, const struct bk_tile *tile, uint32_t column,
-                            uint32_t row, float *x, float *y)
+/* Returns the point of the low-poly mesh that a tile's sample lies on. */
+static bk_point sample_point(const struct job *job, const struct bk_tile *tile, uint32_t triangle,
+                             uint32_t column, uint32_t row)
 {
-    const uint32_t n = job->tiles->samples;
-    const uint32_t texel_x = tile->x + column / n, texel_y = tile->y + row / n;
-    *x = (float)texel_x + ((float)(column % n) + 0.5f) / (float)n;
-    *y = (float)texel_y + ((float)(row % n) + 0.5f) / (float)n;
+    const uint32_t n = job->tiles->params->samples;
+    return bk_point_at(&job->tiles->triangles[triangle],
+                       bk_sample_place(tile->x + column / n, column % n, n),
+                       bk_sample_place(tile->y + row / n, row % n, n));
 }
 
 static int cast_tile(void *arg, uint64_t index, unsigned number)
@@ -120,18 +120,16 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
     const uint32_t *sample = job->workers.workers[number].sample_triangles;
-    const uint32_t columns = tile.width * job->tiles->samples;
-    const uint32_t rows = tile.height * job->tiles->samples;
+    const uint32_t columns = tile.width * job->tiles->params->samples;
+    const uint32_t rows = tile.height * job->tiles->params->samples;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
     bake_raster_fill(job->tiles->raster, place->index,
                      job->workers.workers[number].sample_triangles, &overlaps);
     for (uint32_t row = 0; row < rows; row++)
         for (uint32_t column = 0; column < columns; column++, sample++) {
-            float x, y;
             if (*sample == BK_NO_TRIANGLE)
                 continue;
-            sample_position(job, &tile, column, row, &x, &y);
-            const bk_point point = bk_point_at(&job->tiles->triangles[*sample], x, y);
+            const bk_point point = sample_point(job, &tile, *sample, column, row);
             const bk_vec3w direction = bk_unitw(point.normal);
             job->rays[ray] =
                 (struct bake_exact_ray){{point.position.x, point.position.y, point.position.z},
@@ -145,7 +143,7 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
 
 static void measure_footprints(const struct job *job)
 {
-    const float step = 1.0f / (float)job->tiles->samples;
+    const float step = 1.0f / (float)job->tiles->params->samples;
     for (uint32_t t = 0; t < job->tiles->triangle_count; t++) {
         const struct bk_triangle *triangle = &job->tiles->triangles[t];
         for (int s = 0; s < 2; s++)
@@ -159,41 +157,33 @@ static void measure_footprints(const struct job *job)
 
 /* ---- hits to texels ---- */
 
-/* Adds a sample to its texel, as bk_add_sample() does. */
-static void add_hit(const struct job *job, const struct bake_exact_hit *hit, uint32_t triangle,
-                    float x, float y, struct bk_texel *texel)
+static void add_sample(const struct job *job, const bk_point *point,
+                       const struct bake_exact_hit *hit, float *texel)
 {
-    texel->covered++;
-    if (hit->triangle == BAKE_EXACT_NONE)
-        return;
-    bk_vec3w normal = bk_v3w(hit->normal[0], hit->normal[1], hit->normal[2]);
-    if (!job->tiles->object_space) {
-        const bk_point point = bk_point_at(&job->tiles->triangles[triangle], x, y);
-        normal = bk_to_tangent_space(&point, normal);
-    }
-    texel->hits++;
-    texel->normal[0] += normal.x;
-    texel->normal[1] += normal.y;
-    texel->normal[2] += normal.z;
-    for (int c = 0; c < 3; c++)
-        texel->color[c] += hit->color[c];
+    const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
+                          .t = (float)hit->t,
+                          .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
+                          .color = {hit->color[0], hit->color[1], hit->color[2]}};
+    bk_map_hits placed;
+    bk_hits_for_maps(job->tiles->params, point, bk_unitw(point->normal), &hits, &placed);
+    bk_add_sample(job->tiles->params, &placed, 0, texel);
 }
 
 /* Hits are in the order of a tile's samples, row by row, so a row of texels is summed together:
  * each of its texels gets its samples in the same order as in the kernel. */
 static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t texel_row,
-                    const uint32_t *sample_triangles, uint64_t *next, struct bk_texel *texels)
+                    const uint32_t *sample_triangles, uint64_t *next, float *texels)
 {
-    const uint32_t n = job->tiles->samples, columns = tile->width * n;
-    memset(texels, 0, tile->width * sizeof *texels);
+    const uint32_t n = job->tiles->params->samples, columns = tile->width * n;
+    const uint32_t floats = job->workers.texel_floats;
+    memset(texels, 0, tile->width * floats * sizeof *texels);
     for (uint32_t row = texel_row * n; row < (texel_row + 1) * n; row++) {
         const uint32_t *sample = sample_triangles + (size_t)row * columns;
         for (uint32_t column = 0; column < columns; column++) {
-            float x, y;
             if (sample[column] == BK_NO_TRIANGLE)
                 continue;
-            sample_position(job, tile, column, row, &x, &y);
-            add_hit(job, &job->hits[(*next)++], sample[column], x, y, &texels[column / n]);
+            const bk_point point = sample_point(job, tile, sample[column], column, row);
+            add_sample(job, &point, &job->hits[(*next)++], texels + column / n * floats);
         }
     }
 }
@@ -241,14 +231,14 @@ static int run_batch(struct job *job, uint64_t texels)
                                            .hits = job->hits,
                                            .count = job->starts[job->first + job->count] -
                                                     job->starts[job->first],
-                                           .t_min = -job->tiles->back,
-                                           .t_max = job->tiles->front,
+                                           .t_min = -job->exact_tiles->back,
+                                           .t_max = job->exact_tiles->front,
                                            .footprints = job->footprints,
                                            .footprint_table = job->footprint_table,
                                            .progress = texels};
     int status = bsq_parallel_for(job->ctx, job->count, cast_tile, job);
     if (status == 0)
-        status = bake_exact_trace(job->tiles->exact, &batch);
+        status = bake_exact_trace(job->exact_tiles->exact, &batch);
     if (status == 0)
         status = bsq_parallel_for(job->ctx, job->count, resolve_tile, job);
     return status;
@@ -256,20 +246,13 @@ static int run_batch(struct job *job, uint64_t texels)
 
 static int run_batches(struct job *job)
 {
-    uint64_t total = 0;
     int status = 0;
-    for (uint32_t i = 0; i < job->tile_count; i++) {
-        const struct bk_tile tile = bake_raster_tile(job->tiles->raster, i);
-        total += (uint64_t)tile.width * tile.height;
-    }
-    bsq_progress_begin(job->ctx, "tracing", "texels", total);
     while (status == 0) {
         const uint64_t texels = choose_batch(job);
         if (job->count == 0)
             break;
         status = run_batch(job, texels);
     }
-    bsq_progress_end(job->ctx);
     return status;
 }
 
@@ -282,7 +265,7 @@ static int allocate_tiles(struct job *job)
     if (status == 0)
         status = bsq_alloc(job->ctx, "tiles", (uint64_t)job->tile_count + 1, sizeof *job->starts,
                            &job->starts);
-    if (status == 0 && bake_exact_wants_footprints(job->tiles->exact)) {
+    if (status == 0 && bake_exact_wants_footprints(job->exact_tiles->exact)) {
         status = bsq_alloc(job->ctx, "footprints", job->tiles->triangle_count,
                            sizeof *job->footprint_table, &job->footprint_table);
         if (status == 0)
@@ -295,7 +278,7 @@ static int allocate_tiles(struct job *job)
 static int allocate_rays(struct job *job)
 {
     const uint64_t all = job->starts[job->tile_count];
-    job->capacity = bake_exact_capacity(job->tiles->exact);
+    job->capacity = bake_exact_capacity(job->exact_tiles->exact);
     for (uint32_t i = 0; i < job->tile_count; i++)
         if (job->order[i].samples > job->capacity)
             job->capacity = job->order[i].samples;
@@ -324,9 +307,8 @@ static void release(struct job *job, struct bake_report *report)
 int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
                            struct bake_report *report)
 {
-    struct job job = {.ctx = ctx, .tiles = tiles};
-    int status = bake_tile_workers_create(ctx, tiles->tile_size, tiles->samples, tiles->tile_size,
-                                          tiles->maps, &job.workers);
+    struct job job = {.ctx = ctx, .exact_tiles = tiles, .tiles = &tiles->tiles};
+    int status = bake_tile_workers_begin(ctx, &tiles->tiles, tiles->tiles.tile_size, &job.workers);
     if (status == 0)
         status = allocate_tiles(&job);
     if (status == 0)

@@ -12,11 +12,10 @@ BK_KERNEL bake_tile(
     const BK_GLOBAL bk_uint *BK_RESTRICT colors, const BK_GLOBAL bk_uint *BK_RESTRICT seconds,
     const BK_GLOBAL bk_triangle *BK_RESTRICT triangles, bk_params params, bk_tile tile,
     bk_uint first_row, bk_uint end_row, bk_uint first_line, bk_uint end_line,
-    const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles, BK_GLOBAL bk_texel *BK_RESTRICT texels)
+    const BK_GLOBAL bk_uint *BK_RESTRICT sample_triangles, BK_GLOBAL float *BK_RESTRICT texels)
 {
     const bk_uint column = bk_work_x(), row = first_row + bk_work_y();
     bk_cache cache = bk_cache_empty();
-    bk_texel texel;
     bk_grid grid;
 
     if (column >= tile.width || row >= end_row)
@@ -30,9 +29,9 @@ BK_KERNEL bake_tile(
     grid.planes = planes;
     grid.colors = colors;
     grid.seconds = seconds;
-    texels += (bk_ulong)row * tile.width + column;
-    texel = first_line ? *texels : bk_texel_empty();
+    texels += ((bk_ulong)row * tile.width + column) * bk_texel_floats(params.maps);
+    if (first_line == 0)
+        bk_clear_texel(params.maps, texels);
     bk_sample_texel(&grid, &params, &cache, triangles, &tile, sample_triangles, column, row,
-                    first_line, end_line, &texel);
-    *texels = texel;
+                    first_line, end_line, texels);
 }

@@ -2,6 +2,7 @@
 #ifndef BAKE_KERNEL_BK_SAMPLE_H
 #define BAKE_KERNEL_BK_SAMPLE_H
 
+#include "bk_maps.h"
 #include "bk_trace.h"
 
 /* Points of the low mesh; normal and tangent as interpolated, not unit. */
@@ -90,49 +91,70 @@ BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_sam
     return points;
 }
 
-/* Traces samples; the hits' normals are in the space asked for, and 0 where nothing was found, as
- * colours are. */
+/* Hits as maps take them: see bk_map_hit. Values mean nothing where no ray hit. */
+typedef struct bk_map_hits {
+    bk_uint found; /* bit by bit */
+    bk_fw t;
+    bk_vec3w position, normal, map_normal, color;
+} bk_map_hits;
+
+/* Turns hits of rays from points along a unit direction, in index space, into hits for maps. */
+BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, bk_vec3w direction,
+                            const bk_hits *hits, bk_map_hits *out)
+{
+    const bk_fw unit = bk_splat(params->unit);
+
+    out->found = hits->found;
+    out->t = hits->t * unit;
+    out->position = bk_scalew(bk_add_scaledw(points->position, hits->t, direction), unit);
+    out->normal = out->map_normal = hits->normal;
+    if (!(params->flags & BK_OBJECT_SPACE))
+        out->map_normal = bk_to_tangent_space(points, hits->normal);
+    out->color = hits->color;
+}
+
+/* Traces samples. */
 BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                             const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
-                            bk_hits *hits)
+                            bk_map_hits *out)
 {
     const bk_point points = bk_points_at(triangles, samples);
     bk_lines lines;
+    bk_hits hits;
 
     lines.count = samples->count;
     lines.origin = points.position;
     lines.direction = lines.facing = bk_unitw(points.normal);
     lines.t_min = -params->back;
     lines.t_max = params->front;
-    bk_trace(grid, params, cache, &lines, hits);
-    if (!(params->flags & BK_OBJECT_SPACE))
-        hits->normal = bk_to_tangent_space(&points, hits->normal);
+    bk_trace(grid, params, cache, &lines, &hits);
+    bk_hits_for_maps(params, &points, lines.direction, &hits, out);
 }
 
-/* Adds one lane's hit to its texel. */
-BK_FN void bk_add_hit(const bk_hits *hits, bk_uint lane, bk_texel *texel)
+BK_FN void bk_copy_lane(const bk_vec3w *from, bk_uint lane, float to[3])
 {
-    const bk_vec3 normal = bk_lane3(&hits->normal, lane), color = bk_lane3(&hits->color, lane);
+    const bk_vec3 v = bk_lane3(from, lane);
 
-    texel->covered++;
+    to[0] = v.x;
+    to[1] = v.y;
+    to[2] = v.z;
+}
+
+/* Adds one lane's sample to its texel. */
+BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_uint lane,
+                         BK_GLOBAL float *texel)
+{
+    bk_map_hit hit;
+
+    texel[BK_COVERED] += 1.0f;
     if (!(hits->found >> lane & 1u))
         return;
-    texel->hits++;
-    texel->normal[0] += normal.x;
-    texel->normal[1] += normal.y;
-    texel->normal[2] += normal.z;
-    texel->color[0] += color.x;
-    texel->color[1] += color.y;
-    texel->color[2] += color.z;
-}
-
-BK_FN bk_texel bk_texel_empty(void)
-{
-    bk_texel texel;
-    texel.normal[0] = texel.normal[1] = texel.normal[2] = 0.0f;
-    texel.color[0] = texel.color[1] = texel.color[2] = 0.0f;
-    texel.covered = texel.hits = 0;
-    return texel;
+    hit.t = bk_lane(hits->t, lane);
+    bk_copy_lane(&hits->position, lane, hit.position);
+    bk_copy_lane(&hits->normal, lane, hit.normal);
+    bk_copy_lane(&hits->map_normal, lane, hit.map_normal);
+    bk_copy_lane(&hits->color, lane, hit.color);
+    bk_add_to_maps(params->maps, &hit, texel);
 }
 
 /* Number of a texel's sample (i, j) among the tile's. */
@@ -153,11 +175,11 @@ BK_FN float bk_sample_place(bk_uint texel, bk_uint i, bk_uint n)
 BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                            const BK_GLOBAL bk_triangle *triangles, const bk_tile *tile,
                            const BK_GLOBAL bk_uint *sample_triangles, bk_uint column, bk_uint row,
-                           bk_uint begin, bk_uint end, bk_texel *texel)
+                           bk_uint begin, bk_uint end, BK_GLOBAL float *texel)
 {
     const bk_uint n = params->samples;
     bk_samples samples;
-    bk_hits hits;
+    bk_map_hits hits;
     bk_uint i, j;
 
     samples.count = 1;
@@ -169,7 +191,7 @@ BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cach
             if (samples.triangle[0] == BK_NO_TRIANGLE)
                 continue;
             bk_trace_samples(grid, params, cache, triangles, &samples, &hits);
-            bk_add_hit(&hits, 0, texel);
+            bk_add_sample(params, &hits, 0, texel);
         }
     }
 }

@@ -19,14 +19,6 @@ typedef struct bk_triangle {
     float tangent[3][4];  /* MikkTSpace: unit xyz, w = sign of the bitangent */
 } bk_triangle;
 
-/* Result of one texel: sums over its samples, so that the host decides how to resolve them. */
-typedef struct bk_texel {
-    float normal[3]; /* sum of unit normals of the hits, in the space asked for */
-    float color[3];  /* sum of linear RGB of the hits */
-    bk_uint covered; /* samples inside a chart */
-    bk_uint hits;    /* of those, rays that found the surface */
-} bk_texel;
-
 enum {
     BK_OBJECT_SPACE = 1, /* normals stay in object space */
     BK_NEAREST = 2,      /* no blending over neighbours */
@@ -37,7 +29,9 @@ enum {
 /* Job-wide parameters. */
 typedef struct bk_params {
     bk_uint flags;
+    bk_uint maps;        /* selected ones, see BK_MAPS */
     bk_uint samples;     /* N: N x N samples a texel */
+    float unit;          /* side of a voxel in the mesh's units */
     float front, back;   /* ray lengths in voxels */
     bk_int index_min[3]; /* bounds of the grid's active voxels, inclusive */
     bk_int index_max[3];

@@ -14,7 +14,7 @@ function emit(path, directory,    line, name) {
             emit(directory name, directory)
             continue
         }
-        gsub(/\\/, "\\\\", line)
+        gsub(/\\/, "&&", line)
         gsub(/"/, "\\\"", line)
         printf "\"%s\\n\"\n", line
     }

@@ -6,12 +6,9 @@
 #ifndef BAKE_MAPS_DILATION_H
 #define BAKE_MAPS_DILATION_H
 
-#include "libbake/maps/map_image.h"
+#include "libbake/maps/maps.h"
 
 struct bake_padding;
-
-/* Largest map side: keeps squared distances, scaled for ties, in 64 bits. */
-#define BAKE_PADDING_MAX_SIDE (1u << 20)
 
 /* Bytes that one row of a band takes (so that a caller can choose the band's height). */
 uint64_t bake_padding_row_bytes(const struct bake_image *image);

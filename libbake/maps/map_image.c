@@ -3,7 +3,7 @@
  * Large maps go to a temporary file in row order: tiles are written as short runs that the page
  * cache gathers, and the bands of the output stage are read in one piece each. What was never
  * written is a hole, which reads as zeros. */
-#include "libbake/maps/map_image.h"
+#include "libbake/maps/maps.h"
 
 #include <string.h>
 
@@ -59,6 +59,15 @@ void bake_image_free(struct bake_image *image)
     bsq_file_close(image->ctx, &image->file);
     bsq_free(image->ctx, image->samples);
     bsq_free(image->ctx, image);
+}
+
+uint32_t bake_image_channels_for(uint32_t maps)
+{
+    uint32_t channels = 1;
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
+        if (maps & 1u << i && bake_map_table[i].resolve)
+            channels += bake_map_table[i].channels;
+    return channels;
 }
 
 uint32_t bake_image_width(const struct bake_image *image)

@@ -1,5 +1,5 @@
 /* thumbnail.c - box-filtered copies of maps, gathered row by row while the maps are written. */
-#include "libbake/maps/thumbnail.h"
+#include "libbake/maps/map_encode.h"
 
 #include <math.h>
 

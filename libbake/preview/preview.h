@@ -6,7 +6,7 @@
 
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/surface/surface.h"
-#include "libbake/maps/thumbnail.h"
+#include "libbake/maps/maps.h"
 
 struct bake_preview {
     const struct bake_lowmesh *mesh;

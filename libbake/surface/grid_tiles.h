@@ -3,26 +3,19 @@
 #define BAKE_SURFACE_GRID_TILES_H
 
 #include "libbake/device/device.h"
-#include "libbake/maps/map_image.h"
+#include "libbake/maps/maps.h"
 #include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
 
-/* Side of the tiles: large where there is work for all threads, small where memory is short. */
-uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples);
-
-struct bake_tiles {
-    const struct bake_raster *raster;
+struct bake_grid_tiles {
+    struct bake_tiles tiles;
     struct bake_device *device;
     const struct bake_surface *surface; /* that the device traces; checked after every tile */
-    const struct bake_plan *plan;       /* if the device does not hold the grid, else NULL */
-    struct bake_image *image;           /* channels as bake_map_channels(maps) */
-    uint32_t maps;                      /* of enum bake_map */
-    uint32_t samples;                   /* N: N x N a texel */
-    uint32_t tile_size;
+    const struct bake_plan *plan;       /* NULL: the device holds the grid */
 };
 
 /* Traces and resolves every tile, and adds to the report what bake_tile_workers_end() does. */
-int bake_trace_tiles(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
-                     struct bake_report *report);
+int bake_trace_grid_tiles(struct bsq_ctx *ctx, const struct bake_grid_tiles *grid,
+                          struct bake_report *report);
 
 #endif

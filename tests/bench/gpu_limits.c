@@ -41,10 +41,11 @@ static int count_tile(void *arg, const struct rays_tile *tile)
     for (uint32_t row = 0; row < tile->tile.height; row += COUNTED)
         for (uint32_t column = 0; column < tile->tile.width; column++) {
             bk_cache cache = bk_cache_empty();
-            bk_texel texel = bk_texel_empty();
+            float texel[BK_SUMS + 6];
+            bk_clear_texel(counter->scene->job.params.maps, texel);
             bk_sample_texel(&counter->grid, &counter->scene->job.params, &cache,
                             counter->scene->triangles, &tile->tile, tile->sample_triangles, column,
-                            row, 0, counter->scene->job.params.samples, &texel);
+                            row, 0, counter->scene->job.params.samples, texel);
         }
     add(&counter->workers[tile->worker], &counts);
     counts = (bk_counts){0};
@@ -116,7 +117,8 @@ int gpu_limits_print(struct rays_scene *scene, double kernel_seconds)
 {
     const double bandwidth = memory_bandwidth(), pairs = (double)scene->count;
     const double texels = pairs / (scene->samples * scene->samples);
-    const double tiles = pairs * sizeof(uint32_t) + texels * sizeof(struct bk_texel);
+    const double tiles =
+        pairs * sizeof(uint32_t) + texels * bk_texel_floats(scene->job.params.maps) * sizeof(float);
     bk_counts c;
     int status = count(scene, &c);
     if (status < 0)

@@ -36,7 +36,7 @@ struct rays_tile {
     unsigned worker;
     struct bk_tile tile;
     const uint32_t *sample_triangles;
-    struct bk_texel *texels; /* scratch for the tile */
+    float *texels; /* scratch for the tile */
 };
 /* Calls fn for each tile, on all threads. Stops at the first failure, and returns it. */
 int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_tile *tile),

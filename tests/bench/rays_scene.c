@@ -54,6 +54,8 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
     if (status < 0)
         return status;
     bake_params_from_grid(&out->surface.grid, &out->job.params);
+    out->job.params.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR;
+    out->job.params.unit = (float)out->surface.unit;
     out->job.params.samples = samples;
     status = choose_distances(out);
     if (status == 0)
@@ -78,7 +80,7 @@ void rays_close(struct rays_scene *scene)
 struct tile_loop {
     struct rays_scene *scene;
     uint32_t **sample_triangles; /* one per worker */
-    struct bk_texel **texels;
+    float **texels;
     int (*fn)(void *arg, const struct rays_tile *tile);
     void *arg;
 };
@@ -111,7 +113,9 @@ int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct r
         status = bsq_alloc(ctx, "samples", texels * scene->samples,
                            scene->samples * sizeof(uint32_t), &loop.sample_triangles[w]);
         if (status == 0)
-            status = bsq_alloc(ctx, "texels", texels, sizeof(struct bk_texel), &loop.texels[w]);
+            status =
+                bsq_alloc(ctx, "texels", texels,
+                          bk_texel_floats(scene->job.params.maps) * sizeof(float), &loop.texels[w]);
     }
     if (status == 0)
         status = bsq_parallel_for(ctx, scene->tile_count, do_tile, &loop);
@@ -135,6 +139,7 @@ struct device_tally {
 struct device_loop {
     struct bake_device *device;
     struct device_tally *tallies; /* one per worker */
+    uint32_t texel_floats;
 };
 
 static uint64_t hash_words(uint64_t hash, const void *data, size_t words)
@@ -150,16 +155,16 @@ static int trace_tile(void *arg, const struct rays_tile *tile)
     struct device_loop *loop = arg;
     struct device_tally *tally = &loop->tallies[tile->worker];
     const uint64_t count = (uint64_t)tile->tile.width * tile->tile.height;
+    const uint32_t floats = loop->texel_floats;
     int status = bake_device_trace(loop->device, &tile->tile, tile->sample_triangles, tile->texels,
                                    tile->worker);
     if (status < 0)
         return status;
     for (uint64_t i = 0; i < count; i++) {
-        tally->samples += tile->texels[i].covered;
-        tally->hits += tile->texels[i].hits;
+        tally->samples += (uint64_t)tile->texels[i * floats + BK_COVERED];
+        tally->hits += (uint64_t)tile->texels[i * floats + BK_HITS];
     }
-    tally->checksum +=
-        hash_words(tile->index, tile->texels, count * sizeof(struct bk_texel) / sizeof(uint32_t));
+    tally->checksum += hash_words(tile->index, tile->texels, count * floats);
     return 0;
 }
 
@@ -184,7 +189,8 @@ void rays_cost_end(struct rays_cost *cost)
 
 int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays_cost *cost)
 {
-    struct device_loop loop = {.device = device};
+    struct device_loop loop = {.device = device,
+                               .texel_floats = bk_texel_floats(scene->job.params.maps)};
     const unsigned threads = bsq_threads(scene->ctx);
     int status = bsq_calloc(scene->ctx, "tallies", threads, sizeof *loop.tallies, &loop.tallies);
     if (status < 0)

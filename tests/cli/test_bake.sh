@@ -42,6 +42,11 @@ for option in $options; do
     out_like "  --$option|, --$option"
 done
 man_page bisque-bake $options
+# Each map that the help lists is in the man page.
+for map in $(sed -n '/--maps LIST/,/--size/s/^ \{28\}\([a-z]*\) .*/\1/p' "$out"); do
+    grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
+    check "the man page describes map $map" $?
+done
 $bake --version
 code 0
 out_like '^bisque-bake [0-9]+\.[0-9]+\.[0-9]+$'
@@ -92,7 +97,7 @@ refused 64 "$p --green: \"left\" is not up or down"
 $bake $good --normal-space world
 refused 64 "$p --normal-space: \"world\" is not tangent or object"
 $bake $good --normal-space object --green down
-refused 64 "$p --green down is for tangent space"
+refused 64 "$p an object-space map has no green direction to flip"
 $bake $good --sampling cubic
 refused 64 "$p --sampling: \"cubic\" is not trilinear or nearest"
 $bake $good --half --float

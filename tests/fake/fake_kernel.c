@@ -33,7 +33,7 @@ static void run_c(const struct work *work)
     const unsigned width = work->grid[0] * work->block[0];
     const unsigned height = work->grid[1] * work->block[1];
     const bk_uint *samples = fake_device_memory(a->samples, 1);
-    bk_texel *texels = fake_device_memory(a->texels, 1);
+    float *texels = fake_device_memory(a->texels, 1);
     bk_grid grid;
 
     bk_grid_from_params(&grid, &a->params);
@@ -49,11 +49,12 @@ static void run_c(const struct work *work)
         for (bk_uint x = 0; x < width; x++) {
             bk_cache cache = bk_cache_empty();
             bk_uint row = a->first_row + y;
-            bk_texel *to = texels + (size_t)row * a->tile.width + x;
+            float *to =
+                texels + ((size_t)row * a->tile.width + x) * bk_texel_floats(a->params.maps);
             if (x >= a->tile.width || row >= a->end_row)
                 continue;
             if (a->first_line == 0)
-                *to = bk_texel_empty();
+                bk_clear_texel(a->params.maps, to);
             bk_sample_texel(&grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->tile, samples, x,
                             row, a->first_line, a->end_line, to);
         }

@@ -146,6 +146,15 @@ static uint64_t low_bits(uint64_t count)
     return count < 64 ? (UINT64_C(1) << count) - 1 : UINT64_MAX;
 }
 
+/* Returns `count` bits from bit `first` on; of a signed type with the sign of the highest of them.
+ */
+static uint64_t extract(const struct instruction *in, uint64_t a, uint64_t first, uint64_t count)
+{
+    const uint64_t bits = ptx_narrow(a, in->type) >> first & low_bits(count);
+    const bool negative = is_signed(in->type) && count > 0 && bits >> (count - 1) & 1;
+    return negative ? bits | ~low_bits(count) : bits;
+}
+
 static uint64_t float_operation(const struct instruction *in, float a, float b)
 {
     switch (in->operation) {
@@ -199,7 +208,7 @@ uint64_t ptx_compute(const struct instruction *in, const uint64_t v[MAX_OPERANDS
     case OP_shr:
         return shift(in, a, b);
     case OP_bfe:
-        return ptx_narrow(a, in->type) >> (b & 255) & low_bits(c & 255);
+        return extract(in, a, b & 63, c & 63);
     case OP_bfi: {
         const uint64_t mask = low_bits(v[4] & 255) << (c & 63);
         return (b & ~mask) | (a << (c & 63) & mask);

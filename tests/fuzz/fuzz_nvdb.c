@@ -122,12 +122,16 @@ static int trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     const struct bk_tile tile = {.width = SIDE, .height = SIDE};
     struct bk_triangle triangles[2];
     uint32_t samples[SIDE * SIDE];
-    struct bk_texel texels[SIDE * SIDE];
+    float texels[SIDE * SIDE][BK_SUMS + 6];
     struct bake_job job = {.grid = grid,
                            .triangles = triangles,
                            .triangle_count = 2,
                            .tile_texels = SIDE * SIDE,
-                           .params = {.samples = 1, .front = 50, .back = 1e7f}};
+                           .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                      .samples = 1,
+                                      .unit = 1,
+                                      .front = 50,
+                                      .back = 1e7f}};
     struct bake_device *device;
     make_square(grid, triangles);
     for (uint32_t i = 0; i < SIDE * SIDE; i++)
@@ -136,16 +140,15 @@ static int trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     int status = bake_device_open(ctx, "cpu", &job, &device);
     if (status)
         return status;
-    status = bake_device_trace(device, &tile, samples, texels, 0);
+    status = bake_device_trace(device, &tile, samples, texels[0], 0);
     bake_device_close(device);
     for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
-        require(texels[i].hits <= texels[i].covered && texels[i].covered <= 1,
+        require(texels[i][BK_HITS] <= texels[i][BK_COVERED] && texels[i][BK_COVERED] <= 1,
                 "more hits than samples");
-        require(texels[i].covered == (samples[i] != BK_NO_TRIANGLE),
+        require(texels[i][BK_COVERED] == (samples[i] != BK_NO_TRIANGLE),
                 "a sample that is not counted");
-        for (int k = 0; k < 3; k++)
-            require(fabsf(texels[i].normal[k]) < 1.01f && texels[i].color[k] < 1.01f,
-                    "a texel out of range");
+        for (int k = 0; k < 6; k++)
+            require(fabsf(texels[i][BK_SUMS + k]) < 1.01f, "a texel out of range");
     }
     return status;
 }

@@ -44,8 +44,7 @@ struct bake_backend {
      * (BAKE_WHY_BYTES) instead of recording it, since the caller may fall back to another device.
      */
     int (*trace)(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
-                 const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
-                 char *why);
+                 const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
     /* Not while tiles are traced. NULL: the device is the processor. */
     void (*times)(struct bake_backend *backend, struct bake_device_times *out);
     void (*close)(struct bake_backend *backend);

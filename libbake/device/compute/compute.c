@@ -32,7 +32,7 @@ uint64_t bake_compute_sample_bytes(const struct bake_compute *compute)
 
 uint64_t bake_compute_texel_bytes(const struct bake_compute *compute)
 {
-    return (uint64_t)compute->tile_texels * sizeof(struct bk_texel);
+    return (uint64_t)compute->tile_texels * bk_texel_floats(compute->params.maps) * sizeof(float);
 }
 
 static uint64_t worker_bytes(const struct bake_compute *compute)
@@ -258,7 +258,7 @@ static void note_times(struct bake_compute *compute, const struct bake_tile_time
 /* Enqueues a tile's copies and kernels on the worker's stream and waits for them. */
 static const char *run_tile(struct bake_compute *compute, unsigned worker,
                             const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile,
-                            const uint32_t *sample_triangles, struct bk_texel *texels, int *code)
+                            const uint32_t *sample_triangles, float *texels, int *code)
 {
     const uint64_t texel_count = (uint64_t)tile->width * tile->height;
     const uint64_t samples = texel_count * texel_samples(compute);
@@ -269,8 +269,9 @@ static const char *run_tile(struct bake_compute *compute, unsigned worker,
     if (*code == 0)
         call = launch_batches(compute, worker, subgrid, tile, code);
     if (*code == 0)
-        call = compute->calls->fetch_texels(compute, worker, texels, texel_count * sizeof *texels,
-                                            code);
+        call = compute->calls->fetch_texels(
+            compute, worker, texels,
+            texel_count * bk_texel_floats(compute->params.maps) * sizeof *texels, code);
     if (*code == 0)
         call = compute->calls->times(compute, worker, &own->times, code);
     if (*code == 0) {
@@ -284,7 +285,7 @@ static const char *run_tile(struct bake_compute *compute, unsigned worker,
 static const char *trace_tile(struct bake_compute *compute, unsigned worker,
                               const struct bake_compute_subgrid *subgrid,
                               const struct bk_tile *tile, const uint32_t *sample_triangles,
-                              struct bk_texel *texels, int *code)
+                              float *texels, int *code)
 {
     const char *call = "";
 
@@ -304,7 +305,7 @@ static const char *trace_tile(struct bake_compute *compute, unsigned worker,
 }
 
 static int compute_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
-                         const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
+                         const uint32_t *sample_triangles, float *texels, unsigned worker,
                          char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;

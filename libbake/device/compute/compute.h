@@ -69,8 +69,8 @@ struct bake_compute_calls {
                           const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile,
                           const struct bake_launch_batch *batch, int *code);
     /* Waits until the texels are in host memory. */
-    const char *(*fetch_texels)(struct bake_compute *compute, unsigned worker,
-                                struct bk_texel *texels, uint64_t bytes, int *code);
+    const char *(*fetch_texels)(struct bake_compute *compute, unsigned worker, float *texels,
+                                uint64_t bytes, int *code);
     const char *(*times)(struct bake_compute *compute, unsigned worker, struct bake_tile_times *out,
                          int *code);
     /* Ends a tile, whose result was `code`: when it returns, the device no longer uses the caller's

@@ -265,8 +265,8 @@ static const char *cuda_launch(struct bake_compute *compute, unsigned number,
     return "cuLaunchKernel";
 }
 
-static const char *cuda_fetch_texels(struct bake_compute *compute, unsigned number,
-                                     struct bk_texel *texels, uint64_t bytes, int *code)
+static const char *cuda_fetch_texels(struct bake_compute *compute, unsigned number, float *texels,
+                                     uint64_t bytes, int *code)
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct worker *worker = &cuda->workers[number];

@@ -6,9 +6,8 @@
 #include "libbake/kernel/bk_trace.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 152, "layout shared with devices");
-_Static_assert(sizeof(struct bk_texel) == 32, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
-_Static_assert(sizeof(struct bk_params) == 88, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 96, "layout shared with devices");
 
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {

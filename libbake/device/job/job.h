@@ -6,9 +6,8 @@
 #define BAKE_DEVICE_JOB_JOB_H
 
 #include "formats/grid/nvdb.h"
-#include "libbake/kernel/bk_types.h"
-
-enum { BAKE_MOST_SAMPLES = 256 }; /* largest N of N x N samples a texel */
+#include "libbake/bake.h"
+#include "libbake/kernel/bk_maps.h"
 
 struct bk_grid;
 struct bake_cuda_tuning;

@@ -27,8 +27,7 @@ static uint32_t band_rows(uint64_t row_samples)
 }
 
 static int native_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
-                        const uint32_t *sample_triangles, struct bk_texel *texels, unsigned worker,
-                        char *why)
+                        const uint32_t *sample_triangles, float *texels, unsigned worker, char *why)
 {
     struct native *native = (struct native *)backend;
     const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
@@ -46,7 +45,8 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
         band.y += row;
         band.height = tile->height - row < rows ? tile->height - row : rows;
         native->tile(&native->grid, &native->params, native->triangles, &band,
-                     sample_triangles + texel * texel_samples, texels + texel);
+                     sample_triangles + texel * texel_samples,
+                     texels + texel * bk_texel_floats(native->params.maps));
     }
     return 0;
 }

@@ -9,10 +9,11 @@
  * first-level cache. */
 enum { BAKE_NATIVE_SQUARE = 8 };
 
-/* Traces a tile on the calling thread: sample_triangles in, width * height texels out. */
+/* Traces a tile on the calling thread: sample_triangles in, width * height texels of
+ * bk_texel_floats(params->maps) floats out. */
 typedef void bake_native_tile_fn(const struct bk_grid *grid, const struct bk_params *params,
                                  const struct bk_triangle *triangles, const struct bk_tile *tile,
-                                 const uint32_t *sample_triangles, struct bk_texel *texels);
+                                 const uint32_t *sample_triangles, float *texels);
 BSQ_SIMD_DECLARE(bake_native_tile_fn, bake_native_tile);
 
 #endif

@@ -10,31 +10,31 @@ struct group {
     const struct bk_triangle *triangles;
     bk_cache cache;
     bk_samples samples;
-    struct bk_texel *texels[BK_WIDTH]; /* of the samples */
-    float places[BAKE_MOST_SAMPLES];   /* of a texel's samples along an axis, from its corner */
+    float *texels[BK_WIDTH]; /* of the samples */
+    uint32_t texel_floats;
+    float places[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
 };
 
 static void trace_group(struct group *group)
 {
-    bk_hits hits;
+    bk_map_hits hits;
 
     if (group->samples.count == 0)
         return;
     bk_trace_samples(group->grid, group->params, &group->cache, group->triangles, &group->samples,
                      &hits);
     for (bk_uint lane = 0; lane < group->samples.count; lane++)
-        bk_add_hit(&hits, lane, group->texels[lane]);
+        bk_add_sample(group->params, &hits, lane, group->texels[lane]);
     group->samples.count = 0;
 }
 
 static void add_texel(struct group *group, const struct bk_tile *tile,
-                      const uint32_t *sample_triangles, bk_uint column, bk_uint row,
-                      struct bk_texel *texel)
+                      const uint32_t *sample_triangles, bk_uint column, bk_uint row, float *texel)
 {
     const bk_uint n = group->params->samples;
     bk_samples *samples = &group->samples;
 
-    *texel = bk_texel_empty();
+    bk_clear_texel(group->params->maps, texel);
     for (bk_uint j = 0; j < n; j++) {
         const uint32_t *row_triangles =
             sample_triangles + bk_sample_index(tile, n, column, row, 0, j);
@@ -62,24 +62,26 @@ static uint32_t even_bits(uint32_t bits)
 /* Adds a square of texels in Morton order (1966), so that the samples of a group are near each
  * other on both axes. */
 static void add_square(struct group *group, const struct bk_tile *tile,
-                       const uint32_t *sample_triangles, uint32_t x, uint32_t y,
-                       struct bk_texel *texels)
+                       const uint32_t *sample_triangles, uint32_t x, uint32_t y, float *texels)
 {
     for (uint32_t i = 0; i < BAKE_NATIVE_SQUARE * BAKE_NATIVE_SQUARE; i++) {
         const uint32_t column = x + even_bits(i), row = y + even_bits(i >> 1);
         if (column < tile->width && row < tile->height)
             add_texel(group, tile, sample_triangles, column, row,
-                      &texels[(uint64_t)row * tile->width + column]);
+                      texels + ((uint64_t)row * tile->width + column) * group->texel_floats);
     }
 }
 
 void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk_params *params,
                                      const struct bk_triangle *triangles,
                                      const struct bk_tile *tile, const uint32_t *sample_triangles,
-                                     struct bk_texel *texels)
+                                     float *texels)
 {
-    struct group group = {
-        .grid = grid, .params = params, .triangles = triangles, .cache = bk_cache_empty()};
+    struct group group = {.grid = grid,
+                          .params = params,
+                          .triangles = triangles,
+                          .cache = bk_cache_empty(),
+                          .texel_floats = bk_texel_floats(params->maps)};
 
     for (bk_uint i = 0; i < params->samples; i++)
         group.places[i] = bk_sample_place(0, i, params->samples);

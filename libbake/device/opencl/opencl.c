@@ -244,8 +244,8 @@ static const char *opencl_launch(struct bake_compute *compute, unsigned number,
     return "clFlush";
 }
 
-static const char *opencl_fetch_texels(struct bake_compute *compute, unsigned number,
-                                       struct bk_texel *texels, uint64_t bytes, int *code)
+static const char *opencl_fetch_texels(struct bake_compute *compute, unsigned number, float *texels,
+                                       uint64_t bytes, int *code)
 {
     struct opencl *cl = (struct opencl *)compute;
     struct worker *worker = &cl->workers[number];

@@ -22,17 +22,17 @@
 static void test_native_map(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *texels = traced_sheet_trace(f, "cpu", 0);
+    struct sheet_texel *texels = traced_sheet_trace(f, "cpu", 0);
     uint64_t covered = 0, hits = 0;
     double color_error = 0;
 
     for (int i = 0; i < TEXELS; i++) {
-        const struct bk_texel *t = &texels[i];
+        const struct sheet_texel *t = &texels[i];
         /* The texel's centre on the square, and the sheet's colour there. */
         double u = -32 + 64 * (i % WIDTH + 0.5) / WIDTH, v = -32 + 64 * (i / WIDTH + 0.5) / HEIGHT;
         float color[3];
-        covered += t->covered;
-        hits += t->hits;
+        covered += (uint64_t)t->covered;
+        hits += (uint64_t)t->hits;
         assert_true(t->hits <= t->covered);
         if (fabs(u) > 28 || fabs(v) > 28)
             continue;
@@ -54,7 +54,7 @@ static void test_native_map(void **state)
 static void test_object_space(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *tangent = traced_sheet_trace(f, "cpu", 0), *object;
+    struct sheet_texel *tangent = traced_sheet_trace(f, "cpu", 0), *object;
 
     f->job.params.flags |= BK_OBJECT_SPACE;
     object = traced_sheet_trace(f, "cpu", 0);
@@ -72,7 +72,7 @@ static void test_object_space(void **state)
     free(object);
 }
 
-static double difference(const struct bk_texel *a, const struct bk_texel *b)
+static double difference(const struct sheet_texel *a, const struct sheet_texel *b)
 {
     double worst = 0;
     for (int k = 0; k < 3; k++) {
@@ -85,8 +85,8 @@ static double difference(const struct bk_texel *a, const struct bk_texel *b)
 static void test_opencl_agrees(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0),
-                    *opencl = traced_sheet_trace(f, "opencl", 1);
+    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0),
+                       *opencl = traced_sheet_trace(f, "opencl", 1);
     uint64_t rough = 0, differing_hits = 0;
 
     if (!opencl) {
@@ -116,7 +116,7 @@ static void test_opencl_small_tile(void **state)
 {
     struct fixture *f = *state;
     const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
-    struct bk_texel a[21], b[21];
+    struct sheet_texel a[21], b[21];
     uint32_t samples[21 * 4];
     struct bake_device *native, *opencl;
 
@@ -127,10 +127,10 @@ static void test_opencl_small_tile(void **state)
         skip();
     }
     assert_int_equal(bake_device_open(f->ctx, "cpu", &f->job, &native), 0);
-    assert_int_equal(bake_device_trace(native, &tile, samples, a, 0), 0);
+    assert_int_equal(bake_device_trace(native, &tile, samples, (float *)a, 0), 0);
     for (unsigned worker = 0; worker < 2; worker++) {
         memset(b, 0xff, sizeof b);
-        assert_int_equal(bake_device_trace(opencl, &tile, samples, b, worker), 0);
+        assert_int_equal(bake_device_trace(opencl, &tile, samples, (float *)b, worker), 0);
         for (int i = 0; i < 21; i++) {
             assert_int_equal(a[i].hits, b[i].hits);
             assert_true(difference(&a[i], &b[i]) < ROUGH);
@@ -145,8 +145,8 @@ static void test_opencl_slices_of_texels(void **state)
 {
     struct fixture *f = *state;
     uint64_t none, launches;
-    struct bk_texel *native = traced_sheet_trace_dense(f, "cpu", 33, &none);
-    struct bk_texel *opencl = traced_sheet_trace_dense(f, "opencl", 33, &launches);
+    struct sheet_texel *native = traced_sheet_trace_dense(f, "cpu", 33, &none);
+    struct sheet_texel *opencl = traced_sheet_trace_dense(f, "opencl", 33, &launches);
 
     if (!opencl) {
         free(native);

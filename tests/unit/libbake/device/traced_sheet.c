@@ -87,7 +87,11 @@ int traced_sheet_setup(void **state)
                                .triangles = f->triangles,
                                .triangle_count = 2,
                                .tile_texels = TEXELS,
-                               .params = {.samples = SAMPLES, .front = 5, .back = 5}};
+                               .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                          .samples = SAMPLES,
+                                          .unit = 1,
+                                          .front = 5,
+                                          .back = 5}};
     bake_params_from_grid(&f->grid, &f->job.params);
     *state = f;
     return 0;
@@ -104,10 +108,10 @@ int traced_sheet_teardown(void **state)
     return 0;
 }
 
-struct bk_texel *traced_sheet_trace(struct fixture *f, const char *name, unsigned worker)
+struct sheet_texel *traced_sheet_trace(struct fixture *f, const char *name, unsigned worker)
 {
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
-    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
+    struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
     struct bake_device *device;
 
     if (bake_device_open(f->ctx, name, &f->job, &device) < 0) {
@@ -115,17 +119,17 @@ struct bk_texel *traced_sheet_trace(struct fixture *f, const char *name, unsigne
         free(texels);
         return NULL;
     }
-    assert_int_equal(bake_device_trace(device, &tile, f->samples, texels, worker), 0);
+    assert_int_equal(bake_device_trace(device, &tile, f->samples, (float *)texels, worker), 0);
     bake_device_close(device);
     return texels;
 }
 
-struct bk_texel *traced_sheet_trace_dense(struct fixture *f, const char *name, uint32_t n,
-                                          uint64_t *launches)
+struct sheet_texel *traced_sheet_trace_dense(struct fixture *f, const char *name, uint32_t n,
+                                             uint64_t *launches)
 {
     const struct bk_tile tile = {
         .x = WIDTH / 2, .y = HEIGHT / 2, .width = DENSE_WIDTH, .height = DENSE_HEIGHT};
-    struct bk_texel *texels = calloc(DENSE_TEXELS, sizeof *texels);
+    struct sheet_texel *texels = calloc(DENSE_TEXELS, sizeof *texels);
     uint32_t *samples = calloc(DENSE_TEXELS, n * n * sizeof *samples);
     struct bake_job job = f->job;
     struct bake_device_times times;
@@ -141,7 +145,7 @@ struct bk_texel *traced_sheet_trace_dense(struct fixture *f, const char *name, u
         free(samples);
         return NULL;
     }
-    assert_int_equal(bake_device_trace(device, &tile, samples, texels, 0), 0);
+    assert_int_equal(bake_device_trace(device, &tile, samples, (float *)texels, 0), 0);
     bake_device_times(device, &times);
     *launches = times.launches;
     bake_device_close(device);

@@ -15,6 +15,7 @@
 
 /* No multiples of a square or a group; with three samples an axis, groups span texels. */
 enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
+enum { MAPS = 1 << BK_MAP_normal | 1 << BK_MAP_color, FLOATS = BK_SUMS + 6 };
 
 struct fixture {
     struct bsq_ctx *ctx;
@@ -77,6 +78,8 @@ static int setup(void **state)
     assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
     fill(f, &seed);
     bake_params_from_grid(&f->file, &f->params);
+    f->params.maps = MAPS;
+    f->params.unit = 1;
     f->params.samples = SAMPLES;
     f->params.front = 9;
     f->params.back = 14;
@@ -106,13 +109,13 @@ static int teardown(void **state)
 }
 
 static void one_by_one(const struct fixture *f, const struct bk_params *params,
-                       const struct bk_tile *tile, struct bk_texel *texels)
+                       const struct bk_tile *tile, float (*texels)[FLOATS])
 {
     bk_cache cache = bk_cache_empty();
     for (uint32_t row = 0; row < HEIGHT; row++)
         for (uint32_t column = 0; column < WIDTH; column++) {
-            struct bk_texel *texel = &texels[row * WIDTH + column];
-            *texel = bk_texel_empty();
+            float *texel = texels[row * WIDTH + column];
+            bk_clear_texel(params->maps, texel);
             bk_sample_texel(&f->grid, params, &cache, f->triangles, tile, f->samples, column, row,
                             0, params->samples, texel);
         }
@@ -120,7 +123,7 @@ static void one_by_one(const struct fixture *f, const struct bk_params *params,
 
 static void compare(const struct fixture *f, uint32_t flags)
 {
-    static struct bk_texel expected[TEXELS], found[TEXELS];
+    static float expected[TEXELS][FLOATS], found[TEXELS][FLOATS];
     const struct bk_tile tile = {.x = 3, .y = 1, .width = WIDTH, .height = HEIGHT};
     struct bk_params params = f->params;
     uint64_t covered = 0, hits = 0;
@@ -128,8 +131,8 @@ static void compare(const struct fixture *f, uint32_t flags)
     params.flags |= flags;
     one_by_one(f, &params, &tile, expected);
     for (int i = 0; i < TEXELS; i++) {
-        covered += expected[i].covered;
-        hits += expected[i].hits;
+        covered += (uint64_t)expected[i][BK_COVERED];
+        hits += (uint64_t)expected[i][BK_HITS];
     }
     print_message("flags %u: %u of %u rays hit\n", (unsigned)params.flags, (unsigned)hits,
                   (unsigned)covered);
@@ -139,7 +142,7 @@ static void compare(const struct fixture *f, uint32_t flags)
     for (unsigned level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
         bake_native_tile_fn *code = BSQ_SIMD_PICK(level, bake_native_tile);
         memset(found, 0xff, sizeof found);
-        code(&f->grid, &params, f->triangles, &tile, f->samples, found);
+        code(&f->grid, &params, f->triangles, &tile, f->samples, found[0]);
         assert_memory_equal(found, expected, sizeof found);
     }
 }

@@ -86,7 +86,7 @@ static void test_slices_follow(void **state)
 static void test_slices_of_texels(void **state)
 {
     (void)state;
-    for (uint32_t n = 1; n <= BAKE_MOST_SAMPLES; n++) {
+    for (uint32_t n = 1; n <= BAKE_MAX_SAMPLES; n++) {
         const uint32_t lines = bake_batch_lines(n);
         assert_in_range(lines, 1, n);
         assert_true(lines * n <= BAKE_BATCH_THREAD);

@@ -73,7 +73,7 @@ static int each_setup(void **state)
     return 0;
 }
 
-static void assert_same(const struct bk_texel *a, const struct bk_texel *b, size_t count)
+static void assert_same(const struct sheet_texel *a, const struct sheet_texel *b, size_t count)
 {
     assert_memory_equal(a, b, count * sizeof *a);
 }
@@ -95,7 +95,7 @@ static void test_same_bits(void **state)
     static const uint32_t flags[] = {0, BK_OBJECT_SPACE, BK_NEAREST, BK_TWO_SIDED};
 
     for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
-        struct bk_texel *native, *cuda;
+        struct sheet_texel *native, *cuda;
         f->job.params.flags |= flags[i];
         native = traced_sheet_trace(f, "cpu", 0);
         cuda = traced_sheet_trace(f, "cuda", 1);
@@ -112,7 +112,7 @@ static void test_same_bits_with_ptx(void **state)
 {
     struct fixture *f = *state;
     uint64_t launches;
-    struct bk_texel *native, *cuda;
+    struct sheet_texel *native, *cuda;
 
     setenv("FAKE_CUDA_PTX", "1", 1);
     test_same_bits(state);
@@ -128,16 +128,16 @@ static void test_small_tile(void **state)
 {
     struct fixture *f = *state;
     const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
-    struct bk_texel a[21], b[21];
+    struct sheet_texel a[21], b[21];
     uint32_t samples[21 * 4] = {0};
     struct bake_device *native, *cuda;
 
     assert_int_equal(bake_device_open(f->ctx, "cuda:0", &f->job, &cuda), 0);
     assert_int_equal(bake_device_open(f->ctx, "cpu", &f->job, &native), 0);
-    assert_int_equal(bake_device_trace(native, &tile, samples, a, 0), 0);
+    assert_int_equal(bake_device_trace(native, &tile, samples, (float *)a, 0), 0);
     for (unsigned worker = 0; worker < 2; worker++) {
         memset(b, 0xff, sizeof b);
-        assert_int_equal(bake_device_trace(cuda, &tile, samples, b, worker), 0);
+        assert_int_equal(bake_device_trace(cuda, &tile, samples, (float *)b, worker), 0);
         assert_same(a, b, 21);
     }
     bake_device_close(cuda);
@@ -145,7 +145,7 @@ static void test_small_tile(void **state)
 }
 
 /* Returns the times of a backend that traces the whole map `tiles` times on one worker. */
-static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk_texel *texels)
+static struct bake_device_times times_of(struct fixture *f, int tiles, struct sheet_texel *texels)
 {
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
@@ -157,7 +157,7 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct bk
     bake_subgrid_whole(&f->grid, &f->job.params, &whole);
     assert_int_equal(backend->load(backend, 0, &whole, why), 0);
     for (int i = 0; i < tiles; i++)
-        assert_int_equal(backend->trace(backend, 0, &tile, f->samples, texels, 0, why), 0);
+        assert_int_equal(backend->trace(backend, 0, &tile, f->samples, (float *)texels, 0, why), 0);
     backend->times(backend, &times);
     backend->close(backend);
     return times;
@@ -168,8 +168,8 @@ static void test_slices(void **state)
 {
     enum { TILES = 3 };
     struct fixture *f = *state;
-    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
-    struct bk_texel *cuda = calloc(TEXELS, sizeof *cuda);
+    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0);
+    struct sheet_texel *cuda = calloc(TEXELS, sizeof *cuda);
     const double seconds = 1e-9 * 2500 * TEXELS * SAMPLES * SAMPLES; /* 66 ms a tile */
     struct bake_device_times times;
 
@@ -191,7 +191,7 @@ static void test_slices(void **state)
 static void test_times_after_days(void **state)
 {
     struct fixture *f = *state;
-    struct bk_texel *cuda = calloc(TEXELS, sizeof *cuda);
+    struct sheet_texel *cuda = calloc(TEXELS, sizeof *cuda);
     const double seconds = 1e-9 * 10 * TEXELS * SAMPLES * SAMPLES;
     struct bake_device_times times;
 
@@ -223,8 +223,8 @@ static void test_memory_for_the_driver(void **state)
              (unsigned long long)(other + grid_bytes(f)) / 15 * 16 + 32);
     setenv("FAKE_CUDA_MEMORY", bytes, 1);
     {
-        struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
-        struct bk_texel *cuda = traced_sheet_trace(f, "cuda", 0);
+        struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0);
+        struct sheet_texel *cuda = traced_sheet_trace(f, "cuda", 0);
         assert_same(native, cuda, TEXELS);
         free(native);
         free(cuda);
@@ -296,7 +296,7 @@ static void test_pieces_of_memory(void **state)
     const struct bake_cuda_tuning tuning = {
         .registers = 128, .block_width = 8, .block_height = 16, .piece_bytes = (128 << 10) + 1};
     struct fixture *f = *state;
-    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
+    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
     int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
     struct bake_device *device;
 
@@ -327,8 +327,8 @@ static void test_batches_of_texels(void **state)
 {
     enum { N = 33 /* calls of 7 lines, the last of 5 */ };
     uint64_t none, launches;
-    struct bk_texel *native = traced_sheet_trace_dense(*state, "cpu", N, &none);
-    struct bk_texel *cuda = traced_sheet_trace_dense(*state, "cuda", N, &launches);
+    struct sheet_texel *native = traced_sheet_trace_dense(*state, "cpu", N, &none);
+    struct sheet_texel *cuda = traced_sheet_trace_dense(*state, "cuda", N, &launches);
 
     assert_same(native, cuda, DENSE_TEXELS);
     assert_int_equal(launches, (N + BAKE_BATCH_THREAD / N - 1) / (BAKE_BATCH_THREAD / N));
@@ -433,7 +433,7 @@ static void test_tracing_fails(void **state)
                                         "cuMemcpyDtoHAsync_v2:1",  "cuEventElapsedTime:1"};
     struct fixture *f = *state;
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
-    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
+    struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
     int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
 
     for (size_t i = 0; i < sizeof calls / sizeof *calls; i++) {
@@ -443,7 +443,7 @@ static void test_tracing_fails(void **state)
         snprintf(setting, sizeof setting, "%s:719", calls[i]);
         setenv("FAKE_CUDA_FAIL", setting, 1);
         assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-        status = bake_device_trace(device, &tile, f->samples, texels, 0);
+        status = bake_device_trace(device, &tile, f->samples, (float *)texels, 0);
         assert_int_equal(status, BSQ_ENODEVICE);
         assert_non_null(strstr(bsq_error(f->ctx), "Fake GPU 0 (CUDA): cu"));
         assert_non_null(
@@ -460,8 +460,8 @@ static void test_auto(void **state)
 {
     struct fixture *f = *state;
     struct bsq_ctx *ctx = create_context(0);
-    struct bk_texel *native = traced_sheet_trace(f, "cpu", 0);
-    struct bk_texel *texels = calloc(TEXELS, sizeof *texels);
+    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0);
+    struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
     struct bake_device *device;
 
@@ -470,7 +470,7 @@ static void test_auto(void **state)
     assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
     for (int i = 0; i < 3; i++) {
         memset(texels, 0xff, TEXELS * sizeof *texels);
-        assert_int_equal(bake_device_trace(device, &tile, f->samples, texels, 0), 0);
+        assert_int_equal(bake_device_trace(device, &tile, f->samples, (float *)texels, 0), 0);
         assert_same(native, texels, TEXELS);
     }
     assert_string_equal(warnings,

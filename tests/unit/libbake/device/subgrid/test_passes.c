@@ -16,6 +16,11 @@
 
 enum { WIDTH = 64, HEIGHT = 48, SAMPLES = 2, TEXELS = WIDTH * HEIGHT, TRIANGLES = 24 };
 
+/* A texel of the maps that the fixture selects: normal and color. */
+struct sums {
+    float covered, hits, normal[3], color[3];
+};
+
 struct fixture {
     struct bsq_ctx *ctx;
     struct fmt_nvdb_grid grid;
@@ -92,7 +97,11 @@ static int setup(void **state)
                                .triangles = f->triangles,
                                .triangle_count = TRIANGLES,
                                .tile_texels = TEXELS,
-                               .params = {.samples = SAMPLES, .front = 30, .back = 22}};
+                               .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
+                                          .samples = SAMPLES,
+                                          .unit = 1,
+                                          .front = 30,
+                                          .back = 22}};
     bake_params_from_grid(&f->grid, &f->job.params);
     *state = f;
     return 0;
@@ -146,24 +155,24 @@ static void load(const struct bake_subgrid *subgrid, struct memory arrays[BAKE_S
 }
 
 static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
-                  const struct bk_tile *tile, const uint32_t *samples, struct bk_texel *texels)
+                  const struct bk_tile *tile, const uint32_t *samples, struct sums *texels)
 {
     struct memory arrays[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
     load(subgrid, arrays, &grid);
-    bake_native_tile_base(&grid, &subgrid->params, f->triangles, tile, samples, texels);
+    bake_native_tile_base(&grid, &subgrid->params, f->triangles, tile, samples, (float *)texels);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);
 }
 
 /* Traces a rectangle with the nodes that its rays look up. expected: texels of the whole map. */
 static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
-                        const struct bk_texel *expected)
+                        const struct sums *expected)
 {
     const struct bk_tile map = {0, 0, WIDTH, HEIGHT}, tile = {r->x, r->y, r->width, r->height};
     const uint32_t row = r->width * SAMPLES;
     uint32_t *samples = malloc(sizeof *samples * row * r->height * SAMPLES);
-    struct bk_texel *texels = malloc(sizeof *texels * r->width * r->height);
+    struct sums *texels = malloc(sizeof *texels * r->width * r->height);
     struct bake_leaf_set set;
     struct bake_subgrid subgrid;
     uint64_t leaves;
@@ -192,7 +201,7 @@ static void test_same_bits(void **state)
     static const uint32_t flags[] = {0, BK_TWO_SIDED, BK_NEAREST | BK_OBJECT_SPACE};
     static const struct bake_rectangle rectangles[] = {
         {0, 0, WIDTH, HEIGHT}, {0, 0, 32, 16}, {17, 9, 1, 1}, {40, 31, 13, 9}, {3, 40, 60, 8}};
-    static struct bk_texel expected[TEXELS];
+    static struct sums expected[TEXELS];
     const struct bk_tile map = {0, 0, WIDTH, HEIGHT};
 
     for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
@@ -202,8 +211,8 @@ static void test_same_bits(void **state)
         bake_subgrid_whole(&f->grid, &f->job.params, &whole);
         trace(f, &whole, &map, f->samples, expected);
         for (int t = 0; t < TEXELS; t++) {
-            hits += expected[t].hits;
-            covered += expected[t].covered;
+            hits += (uint64_t)expected[t].hits;
+            covered += (uint64_t)expected[t].covered;
         }
         print_message("%u of %u rays hit\n", (unsigned)hits, (unsigned)covered);
         assert_true(hits > covered / 20 && hits < covered);

@@ -1,0 +1,94 @@
+/* bk_maps.h - the maps, and what a hit adds to a texel of each.
+ *
+ * In: hits of a texel's samples, with all lengths in the mesh's units. Out: the texel's floats: the
+ * number of samples inside a chart, the number of those that hit, and the sums of each selected
+ * map, in the order of BK_MAPS. The host resolves them, see libbake/maps/map_table.c.
+ *
+ * A new map takes a row of BK_MAPS and its function bk_add_NAME() here, and a row of
+ * bake_map_table[] in libbake/maps/map_table.c. */
+#ifndef BAKE_KERNEL_BK_MAPS_H
+#define BAKE_KERNEL_BK_MAPS_H
+
+#include "bk_types.h"
+
+/* X(name, sums): each map, and how many floats bk_add_NAME() sums. The first map is bit 0 of
+ * bk_params.maps and of enum bake_map. */
+#define BK_MAPS(X)                                                                                 \
+    X(normal, 3)                                                                                   \
+    X(color, 3)                                                                                    \
+    X(mask, 0)
+
+#define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
+enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
+
+/* Floats of a texel. The counts are whole numbers below 2^24, which floats hold exactly. */
+enum { BK_COVERED, BK_HITS, BK_SUMS };
+
+/* A hit of one sample's ray. */
+typedef struct bk_map_hit {
+    float t;             /* signed distance along the ray */
+    float position[3];   /* relative to the scan's origin */
+    float normal[3];     /* of the scan: unit, object space */
+    float map_normal[3]; /* the same in the space of the normal map */
+    float color[3];      /* linear RGB, 0 to 1 */
+} bk_map_hit;
+
+BK_FN void bk_add3(BK_GLOBAL float *sums, const float v[3])
+{
+    sums[0] += v[0];
+    sums[1] += v[1];
+    sums[2] += v[2];
+}
+
+BK_FN void bk_add_normal(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_add3(sums, hit->map_normal);
+}
+
+BK_FN void bk_add_color(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_add3(sums, hit->color);
+}
+
+/* The counts are enough. */
+BK_FN void bk_add_mask(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    (void)hit;
+    (void)sums;
+}
+
+/* Floats of a texel with these maps. */
+BK_FN bk_uint bk_texel_floats(bk_uint maps)
+{
+    bk_uint count = BK_SUMS;
+
+#define BK_MAP_FLOATS(name, sums) count += maps >> BK_MAP_##name & 1u ? sums##u : 0u;
+    BK_MAPS(BK_MAP_FLOATS)
+    return count;
+}
+
+BK_FN void bk_clear_texel(bk_uint maps, BK_GLOBAL float *texel)
+{
+    const bk_uint count = bk_texel_floats(maps);
+    bk_uint i;
+
+    for (i = 0; i < count; i++)
+        texel[i] = 0.0f;
+}
+
+/* Adds a hit to the counts and to the selected maps' sums. */
+BK_FN void bk_add_to_maps(bk_uint maps, const bk_map_hit *hit, BK_GLOBAL float *texel)
+{
+    BK_GLOBAL float *sums = texel + BK_SUMS;
+
+    texel[BK_HITS] += 1.0f;
+#define BK_MAP_ADD(name, count)                                                                    \
+    if (maps >> BK_MAP_##name & 1u) {                                                              \
+        bk_add_##name(hit, sums);                                                                  \
+        sums += count;                                                                             \
+    }
+    BK_MAPS(BK_MAP_ADD)
+    (void)sums;
+}
+
+#endif

@@ -1,0 +1,67 @@
+/* map_encode.c - see map_encode.h.
+ *
+ * Maps have no alpha: every program reads three channels of a normal map, and an alpha channel
+ * would make some of them multiply the dilated texels away. The mask is a map of its own. */
+#include "libbake/maps/map_encode.h"
+
+#include <stdio.h>
+#include <string.h>
+
+void bake_encoder_init(const struct bake_options *options, uint32_t maps, unsigned number,
+                       struct bake_encoder *out)
+{
+    *out = (struct bake_encoder){.row = &bake_map_table[number],
+                                 .offset = bake_image_channels_for(maps & ((1u << number) - 1u)),
+                                 .encoding = {.scale = {1.0f, 1.0f, 1.0f}}};
+    if (out->row->encode)
+        out->row->encode(options, &out->encoding);
+}
+
+static void encode_shares(const float *texels, uint32_t channels, uint32_t width, float *out)
+{
+    for (uint32_t x = 0; x < width; ++x) {
+        float share = texels[(size_t)x * channels];
+        out[x] = share > 0.0f ? share : 0.0f;
+    }
+}
+
+void bake_encode_row(const struct bake_encoder *encoder, const float *const *sources,
+                     const float *texels, uint32_t channels, uint32_t width, float *out)
+{
+    const struct bake_encoding encoding = encoder->encoding;
+    const uint32_t count = encoder->row->channels;
+    if (!encoder->row->resolve) {
+        encode_shares(texels, channels, width, out);
+        return;
+    }
+    for (uint32_t x = 0; x < width; ++x)
+        for (uint32_t c = 0; c < count; ++c)
+            *out++ = sources[x]
+                         ? encoding.scale[c] * sources[x][encoder->offset + c] + encoding.bias[c]
+                         : encoding.background[c];
+}
+
+/* ---- attributes ---- */
+
+void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value)
+{
+    attributes->list[attributes->count++] = (struct fmt_image_attribute){name, value};
+}
+
+void bake_describe_map(const struct bake_options *options, unsigned number,
+                       const struct bake_traced *traced, struct bake_attributes *out)
+{
+    out->count = 0;
+    snprintf(out->text[0], sizeof out->text[0], "%u x %u", options->samples, options->samples);
+    snprintf(out->text[1], sizeof out->text[1], "%.9g", traced->front);
+    snprintf(out->text[2], sizeof out->text[2], "%.9g", traced->back);
+    bake_add_attribute(out, "software", "Bisque " BSQ_VERSION);
+    bake_add_attribute(out, "bisque:version", BSQ_VERSION);
+    bake_add_attribute(out, "bisque:map", bake_map_names[number]);
+    if (bake_map_table[number].describe)
+        bake_map_table[number].describe(options, out);
+    bake_add_attribute(out, "bisque:samples", out->text[0]);
+    bake_add_attribute(out, "bisque:sampling", traced->sampling);
+    bake_add_attribute(out, "bisque:front", out->text[1]);
+    bake_add_attribute(out, "bisque:back", out->text[2]);
+}

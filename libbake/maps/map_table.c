@@ -1,0 +1,117 @@
+/* map_table.c - the maps: what a texel's sums become, and how files store it. */
+#include "libbake/maps/maps.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/vec.h"
+
+/* ---- the normal map ---- */
+
+static bool resolve_direction(const float *sums, uint32_t channels, float weight, float *value)
+{
+    struct bsq_vec3 n = bsq_unit3(bsq_v3(sums[0], sums[1], sums[2]));
+    (void)channels;
+    (void)weight;
+    value[0] = n.x;
+    value[1] = n.y;
+    value[2] = n.z;
+    return bsq_dot3(n, n) > 0.0f; /* false: the samples cancel each other */
+}
+
+/* Without a value a normal map is flat: straight up in tangent space, zero in object space. */
+static void encode_normals(const struct bake_options *options, struct bake_encoding *out)
+{
+    bool tangent = options->normal_space == BAKE_TANGENT_SPACE;
+    for (int c = 0; c < 3; ++c)
+        out->scale[c] = out->bias[c] = out->background[c] = 0.5f;
+    if (tangent && options->green_down)
+        out->scale[1] = -0.5f;
+    if (tangent)
+        out->background[2] = 1.0f;
+}
+
+static void describe_normals(const struct bake_options *options, struct bake_attributes *out)
+{
+    bool object = options->normal_space == BAKE_OBJECT_SPACE;
+    bake_add_attribute(out, "bisque:normalSpace", object ? "object" : "tangent");
+    bake_add_attribute(out, "bisque:tangents", object ? "none" : "MikkTSpace");
+    bake_add_attribute(out, "bisque:green", options->green_down ? "down" : "up");
+    bake_add_attribute(out, "bisque:encoding", "n / 2 + 1/2");
+}
+
+/* ---- means ---- */
+
+static bool resolve_mean(const float *sums, uint32_t channels, float weight, float *value)
+{
+    for (uint32_t c = 0; c < channels; ++c)
+        value[c] = sums[c] * weight;
+    return true;
+}
+
+/* ---- the table ---- */
+
+const struct bake_map_row bake_map_table[BK_MAP_COUNT] = {
+    [BK_MAP_normal] = {.summary = "normals (default)",
+                       .channels = 3,
+                       .by_default = true,
+                       .resolve = resolve_direction,
+                       .encode = encode_normals,
+                       .describe = describe_normals},
+    [BK_MAP_color] = {.summary = "colours (default if the scan has them)",
+                      .channels = 3,
+                      .by_default = true,
+                      .needs_color = true,
+                      .color = true,
+                      .resolve = resolve_mean},
+    [BK_MAP_mask] = {.summary = "share of a texel's samples that found the surface", .channels = 1},
+};
+
+#define MAP_NAME(name, sums) #name,
+#define MAP_SUMS(name, sums) sums,
+const char *const bake_map_names[BK_MAP_COUNT] = {BK_MAPS(MAP_NAME)};
+const uint32_t bake_map_sums[BK_MAP_COUNT] = {BK_MAPS(MAP_SUMS)};
+_Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << BK_MAP_color &&
+                   BAKE_MAP_MASK == 1 << BK_MAP_mask,
+               "bits of bake.h are rows of BK_MAPS");
+
+/* ---- for those who choose maps ---- */
+
+const char *bake_map_name(unsigned number)
+{
+    return number < BK_MAP_COUNT ? bake_map_names[number] : NULL;
+}
+
+const char *bake_map_summary(unsigned number)
+{
+    return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
+}
+
+uint32_t bake_choose_maps(uint32_t asked, bool has_color)
+{
+    uint32_t maps = 0;
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
+        if (bake_map_table[i].by_default && (has_color || !bake_map_table[i].needs_color))
+            maps |= 1u << i;
+    return asked == BAKE_MAPS_DEFAULT ? maps : asked;
+}
+
+char *bake_map_path(const char *path, enum bake_map map)
+{
+    unsigned number = 0;
+    while (number < BK_MAP_COUNT - 1 && 1u << number != (uint32_t)map)
+        ++number;
+    const char *name = bake_map_names[number], *at;
+    size_t name_bytes = strlen(name), token_bytes = strlen(BAKE_MAP_TOKEN), length = strlen(path);
+    for (at = strstr(path, BAKE_MAP_TOKEN); at; at = strstr(at + token_bytes, BAKE_MAP_TOKEN))
+        length += name_bytes;
+    char *out = malloc(length + 1), *to = out;
+    while (out && (at = strstr(path, BAKE_MAP_TOKEN))) {
+        to = mempcpy(to, path, (size_t)(at - path));
+        to = mempcpy(to, name, name_bytes);
+        path = at + token_bytes;
+    }
+    if (out)
+        strcpy(to, path);
+    return out;
+}

@@ -1,0 +1,193 @@
+/* maps.h - texture maps: the table of maps, the image that is baked, and the files.
+ *
+ * In: sums of hits, tile by tile (bk_maps.h). They become values of a float image, in memory or in
+ * a temporary file. Out: dilated, encoded image files, one a map, all of which appear or none.
+ *
+ * A sample of a texel is covered if it lies in a triangle of the low-poly mesh. */
+#ifndef BAKE_MAPS_MAPS_H
+#define BAKE_MAPS_MAPS_H
+
+#include "formats/image/image_writer.h"
+#include "libbake/bake.h"
+#include "libbake/kernel/bk_maps.h"
+#include "libbake/raster/raster.h"
+
+/* ---- the table of maps ---- */
+
+/* How values become samples of a file: scale * value + bias in each channel. */
+struct bake_encoding {
+    float scale[3], bias[3];
+    float background[3]; /* samples of texels without a value */
+};
+
+/* Texts for a file's header. Numbers live in `text`. */
+struct bake_attributes {
+    struct fmt_image_attribute list[16];
+    uint32_t count;
+    char text[3][32];
+};
+
+struct bake_map_row {
+    const char *summary; /* for --help */
+    uint32_t channels;   /* of a value and of the file: 1 or 3 */
+    bool by_default;     /* baked if no maps are named and the scan has what it needs */
+    bool needs_color;    /* from the scan */
+    bool color;          /* values are linear light; otherwise data, which is not transformed */
+    /* Sample types that hold its values, FMT_SAMPLE_BIT() or-ed, 0: all; and the one to use if none
+     * is asked for, BAKE_SAMPLE_USUAL: the format's. */
+    uint32_t sample_types;
+    enum bake_sample_type usual_type;
+    /* Turns a texel's sums into its value; weight is 1 / hits. Returns false if they give none.
+     * NULL: the map shows the share of covered samples that hit, and is not dilated. */
+    bool (*resolve)(const float *sums, uint32_t channels, float weight, float *value);
+    /* Changes *out, which holds the identity and a black background; NULL: does not. */
+    void (*encode)(const struct bake_options *options, struct bake_encoding *out);
+    /* Adds the map's own attributes; NULL: there are none. */
+    void (*describe)(const struct bake_options *options, struct bake_attributes *out);
+};
+
+/* Rows in the order of BK_MAPS; row i is bit i of enum bake_map. */
+extern const struct bake_map_row bake_map_table[BK_MAP_COUNT];
+/* Name and sums of row i, from BK_MAPS. */
+extern const char *const bake_map_names[BK_MAP_COUNT];
+extern const uint32_t bake_map_sums[BK_MAP_COUNT];
+
+void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value);
+
+/* Returns the maps to bake: those asked for, or the default ones. */
+uint32_t bake_choose_maps(uint32_t asked, bool has_color);
+
+/* ---- the image ---- */
+
+/* The map while it is baked: floats by texel. Sample 0 says what is known of the texel: 0 outside
+ * all charts, -1 inside but without a value, else the share of its samples that hit, in (0, 1].
+ * A texel with a share is valid. The values of the selected maps follow, and mean nothing in a
+ * texel that is not valid. */
+#define BAKE_OUTSIDE 0.0f
+#define BAKE_MISSED  (-1.0f)
+
+struct bake_image;
+
+struct bake_image_options {
+    uint32_t width, height; /* texels */
+    uint32_t channels;      /* floats a texel: bake_image_channels_for() */
+    uint64_t memory_bytes;  /* a larger image goes to a temporary file */
+    const char *beside;     /* output path: where temporary files go, see bsq_file_temp() */
+};
+
+/* Returns the floats that an image's texel has for these maps. */
+uint32_t bake_image_channels_for(uint32_t maps);
+
+/* Creates an image of zeros. */
+int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *options,
+                      struct bake_image **out);
+void bake_image_free(struct bake_image *image); /* NULL is allowed */
+
+uint32_t bake_image_width(const struct bake_image *image);
+uint32_t bake_image_height(const struct bake_image *image);
+uint32_t bake_image_channels(const struct bake_image *image);
+bool bake_image_in_memory(const struct bake_image *image);
+
+/* Stores a block of texels, interleaved, row by row. Several threads may write disjoint blocks. */
+int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t width,
+                     uint32_t height, const float *samples);
+
+/* Points *rows at `count` rows from `y` on: at the image itself if it is in memory, otherwise at
+ * `buffer` (count * width * channels floats) after reading. */
+int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,
+                    const float **rows);
+
+/* ---- tiles ---- */
+
+/* What all ways to trace a map's tiles need. */
+struct bake_tiles {
+    const struct bake_raster *raster;
+    const struct bk_triangle *triangles; /* of the low-poly mesh */
+    uint32_t triangle_count;
+    const struct bk_params *params;
+    struct bake_image *image; /* of bake_image_channels_for(params->maps) channels */
+    uint32_t tile_size;       /* side in texels */
+};
+
+/* Returns a side for tiles: large if there is work for all threads, small if memory is short. */
+uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples);
+
+/* Buffers of one worker for one tile, and its counts for the report. */
+struct bake_tile_worker {
+    uint32_t *sample_triangles; /* of a tile, as bake_raster_fill() writes them */
+    float *texels;              /* sums, bk_texel_floats() each */
+    float *resolved;            /* image channels of a tile's texels */
+    uint64_t covered_texels, samples, hits, overlaps;
+};
+
+struct bake_tile_workers {
+    struct bake_tile_worker *workers; /* one a thread; NULL: none yet */
+    uint32_t channels;                /* of the image */
+    uint32_t texel_floats;
+    uint32_t maps; /* bits of enum bake_map */
+};
+
+/* Creates zeroed counts and buffers, with sums of `texel_count` texels, and begins the progress
+ * "tracing" with the texels of all tiles. To be ended, also after a failure. */
+int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
+                            uint64_t texel_count, struct bake_tile_workers *out);
+
+/* Counts the worker's first `count` texels and writes what an image stores of them to `out`. */
+void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
+                              struct bake_tile_worker *worker, uint32_t count, float *out);
+
+/* Adds all counts to the report's covered_texels, samples, hits, misses and overlapping_samples,
+ * ends the progress and frees the buffers. */
+void bake_tile_workers_end(struct bsq_ctx *ctx, struct bake_tile_workers *workers,
+                           struct bake_report *report);
+
+/* ---- thumbnails ---- */
+
+/* A map made smaller by averaging, as texture of the preview. */
+struct bake_thumbnail {
+    uint32_t full_width, full_height; /* of the map */
+    uint32_t factor;                  /* texels of the map along a side of one texel here */
+    uint32_t width, height;
+    float (*texels)[3]; /* NULL: there is no such map */
+};
+
+/* Creates a black one with sides of at most `side` texels. Free with bake_thumbnail_free(). */
+int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t full_height,
+                          uint32_t side, struct bake_thumbnail *out);
+void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail);
+
+/* Returns the bilinear mean at texture coordinates (v upwards), clamped at the borders. */
+void bake_thumbnail_sample(const struct bake_thumbnail *thumbnail, float u, float v, float out[3]);
+
+/* ---- files ---- */
+
+struct bake_map_files;
+
+/* How the map was traced, for the files' attributes. */
+struct bake_traced {
+    double front, back;   /* ray lengths as used, in mesh units */
+    const char *sampling; /* "trilinear", "nearest" or "exact" */
+};
+
+/* Checks output path, sample type and size for these maps. Errors: BSQ_EUSAGE. */
+int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps);
+
+/* Creates the files under temporary names, so that a directory that cannot be written to is known
+ * before the work. Errors: BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                        const struct bake_traced *traced, struct bake_map_files **out);
+
+/* Makes bake_map_files_write() fill a thumbnail of a map of three channels. */
+void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map map,
+                                  struct bake_thumbnail *thumbnail);
+
+/* Dilates, encodes and writes all rows of the image. Adds to the report's seconds_padding,
+ * seconds_resolve and seconds_write. */
+int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
+                         struct bake_report *report);
+
+/* Gives all files their final names; frees in any case. */
+int bake_map_files_commit(struct bake_map_files *files);
+void bake_map_files_discard(struct bake_map_files *files); /* NULL is allowed */
+
+#endif
