@@ -1,6 +1,6 @@
 #!/bin/sh
-# Runs test programs that print TAP lines, prints a line for each, and the counts at the end. A program
-# that fails without naming a failed test counts as one failure.
+# Runs test programs that print TAP lines, prints a line for each, and the counts at the end. A
+# program that fails without naming a failed test counts as one failure.
 set -u
 export CMOCKA_MESSAGE_OUTPUT=TAP
 # Sanitizer options, for programs built with config=tsan or config=asan. die_after_fork=0 because a
