@@ -65,7 +65,8 @@ src.texture  := formats/texture/texture_oiio.cc formats/texture/texture_pyramid.
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
-    $(addprefix formats/,module/module.h $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
+    $(addprefix formats/,module/module.h \
+    $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
     texture/texture.h texture/texture_module.h)
 module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
