@@ -9,7 +9,6 @@
 
 #include <cmocka.h>
 
-#include "libbake/device/opencl/opencl_api.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
 /* OpenCL's division and square root may be off by 3 ulp, and so may positions. A ray that grazes a
@@ -141,7 +140,7 @@ static void test_opencl_small_tile(void **state)
 }
 
 /* Several launches trace a texel that has many samples. */
-static void test_opencl_slices_of_texels(void **state)
+static void test_opencl_batches_of_texels(void **state)
 {
     struct fixture *f = *state;
     uint64_t none, launches;
@@ -161,25 +160,6 @@ static void test_opencl_slices_of_texels(void **state)
     }
     free(native);
     free(opencl);
-}
-
-/* Work groups have sides that are powers of two, as large as kernels and devices allow. */
-static void test_opencl_groups(void **state)
-{
-    static const struct {
-        size_t items, sides[2], expected[2];
-    } cases[] = {
-        {256, {256, 256}, {8, 8}},  {64, {64, 64}, {8, 8}},    {63, {64, 64}, {8, 4}},
-        {16, {1024, 1024}, {4, 4}}, {1, {1024, 1024}, {1, 1}}, {1024, {1024, 1}, {8, 1}},
-        {4, {6, 3}, {2, 2}},        {0, {0, 0}, {1, 1}},
-    };
-    (void)state;
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        size_t sides[2];
-        bake_opencl_group(cases[i].items, cases[i].sides, sides);
-        assert_int_equal(sides[0], cases[i].expected[0]);
-        assert_int_equal(sides[1], cases[i].expected[1]);
-    }
 }
 
 static void test_names(void **state)
@@ -241,8 +221,7 @@ int main(void)
         cmocka_unit_test(test_object_space),
         cmocka_unit_test(test_opencl_agrees),
         cmocka_unit_test(test_opencl_small_tile),
-        cmocka_unit_test(test_opencl_slices_of_texels),
-        cmocka_unit_test(test_opencl_groups),
+        cmocka_unit_test(test_opencl_batches_of_texels),
         cmocka_unit_test(test_names),
         cmocka_unit_test(test_list_and_auto),
     };

@@ -164,7 +164,7 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct sh
 }
 
 /* On a slow device a tile takes several launches of about BAKE_BATCH_SECONDS. */
-static void test_slices(void **state)
+static void test_batches(void **state)
 {
     enum { TILES = 3 };
     struct fixture *f = *state;
@@ -600,7 +600,7 @@ int main(void)
         cmocka_unit_test_setup(test_same_bits, each_setup),
         cmocka_unit_test_setup(test_same_bits_with_ptx, each_setup),
         cmocka_unit_test_setup(test_small_tile, each_setup),
-        cmocka_unit_test_setup(test_slices, each_setup),
+        cmocka_unit_test_setup(test_batches, each_setup),
         cmocka_unit_test_setup(test_times_after_days, each_setup),
         cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
         cmocka_unit_test_setup(test_memory_for_others, each_setup),

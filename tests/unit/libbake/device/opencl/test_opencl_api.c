@@ -1,0 +1,33 @@
+/* test_opencl_api.c - the choice of work groups. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+
+#include <cmocka.h>
+
+#include "libbake/device/opencl/opencl_api.h"
+
+/* Work groups have sides that are powers of two, as large as kernels and devices allow. */
+static void test_groups(void **state)
+{
+    static const struct {
+        size_t items, sides[2], expected[2];
+    } cases[] = {
+        {256, {256, 256}, {8, 8}},  {64, {64, 64}, {8, 8}},    {63, {64, 64}, {8, 4}},
+        {16, {1024, 1024}, {4, 4}}, {1, {1024, 1024}, {1, 1}}, {1024, {1024, 1}, {8, 1}},
+        {4, {6, 3}, {2, 2}},        {0, {0, 0}, {1, 1}},
+    };
+    (void)state;
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        size_t sides[2];
+        bake_opencl_group(cases[i].items, cases[i].sides, sides);
+        assert_int_equal(sides[0], cases[i].expected[0]);
+        assert_int_equal(sides[1], cases[i].expected[1]);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_groups)};
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
