@@ -14,104 +14,61 @@
 typedef float floats __attribute__((vector_size(4 * SIMD_FLOATS)));
 typedef int32_t float_ints __attribute__((vector_size(4 * SIMD_FLOATS)));
 
-/* Each is written out, as compilers do not find these instructions by themselves: floats_select()
- * returns mask ? a : b for each lane, floats_min() a < b ? a : b, floats_max() a > b ? a : b. */
+/* Compilers do not find these instructions by themselves. */
 #if SIMD_FLOATS == 4 && defined __SSE4_1__
-LANES_INLINE floats floats_select(float_ints mask, floats a, floats b)
-{
-    return _mm_blendv_ps(b, a, (__m128)mask);
-}
-LANES_INLINE floats floats_min(floats a, floats b)
-{
-    return _mm_min_ps(a, b);
-}
-LANES_INLINE floats floats_max(floats a, floats b)
-{
-    return _mm_max_ps(a, b);
-}
-LANES_INLINE float_ints floats_min_ints(float_ints a, float_ints b)
-{
-    return (float_ints)_mm_min_epi32((__m128i)a, (__m128i)b);
-}
-LANES_INLINE float_ints floats_max_ints(float_ints a, float_ints b)
-{
-    return (float_ints)_mm_max_epi32((__m128i)a, (__m128i)b);
-}
-LANES_INLINE floats floats_sqrt(floats x)
-{
-    return _mm_sqrt_ps(x);
-}
-LANES_INLINE floats floats_floor(floats x)
-{
-    return _mm_floor_ps(x);
-}
+#define FLOATS_CALL(name) _mm_##name
+typedef __m128i floats_bits_register;
 #elif SIMD_FLOATS == 8 && defined __AVX2__
-LANES_INLINE floats floats_select(float_ints mask, floats a, floats b)
-{
-    return _mm256_blendv_ps(b, a, (__m256)mask);
-}
-LANES_INLINE floats floats_min(floats a, floats b)
-{
-    return _mm256_min_ps(a, b);
-}
-LANES_INLINE floats floats_max(floats a, floats b)
-{
-    return _mm256_max_ps(a, b);
-}
-LANES_INLINE float_ints floats_min_ints(float_ints a, float_ints b)
-{
-    return (float_ints)_mm256_min_epi32((__m256i)a, (__m256i)b);
-}
-LANES_INLINE float_ints floats_max_ints(float_ints a, float_ints b)
-{
-    return (float_ints)_mm256_max_epi32((__m256i)a, (__m256i)b);
-}
-LANES_INLINE floats floats_sqrt(floats x)
-{
-    return _mm256_sqrt_ps(x);
-}
-LANES_INLINE floats floats_floor(floats x)
-{
-    return _mm256_floor_ps(x);
-}
+#define FLOATS_CALL(name) _mm256_##name
+typedef __m256i floats_bits_register;
 #elif SIMD_FLOATS == 16 && defined __AVX512DQ__
+#define FLOATS_CALL(name) _mm512_##name
+typedef __m512i floats_bits_register;
+#endif
+
+/* Returns mask ? a : b for each lane. */
 LANES_INLINE floats floats_select(float_ints mask, floats a, floats b)
 {
+#if !defined FLOATS_CALL
+    return (floats)((mask & (float_ints)a) | (~mask & (float_ints)b));
+#elif SIMD_FLOATS == 16
     return _mm512_mask_blend_ps(_mm512_movepi32_mask((__m512i)mask), b, a);
+#else
+    return FLOATS_CALL(blendv_ps)(b, a, (floats)mask);
+#endif
 }
+
+/* floats_min() returns a < b ? a : b for each lane, floats_max() a > b ? a : b. */
+#ifdef FLOATS_CALL
 LANES_INLINE floats floats_min(floats a, floats b)
 {
-    return _mm512_min_ps(a, b);
+    return FLOATS_CALL(min_ps)(a, b);
 }
 LANES_INLINE floats floats_max(floats a, floats b)
 {
-    return _mm512_max_ps(a, b);
+    return FLOATS_CALL(max_ps)(a, b);
 }
 LANES_INLINE float_ints floats_min_ints(float_ints a, float_ints b)
 {
-    return (float_ints)_mm512_min_epi32((__m512i)a, (__m512i)b);
+    return (float_ints)FLOATS_CALL(min_epi32)((floats_bits_register)a, (floats_bits_register)b);
 }
 LANES_INLINE float_ints floats_max_ints(float_ints a, float_ints b)
 {
-    return (float_ints)_mm512_max_epi32((__m512i)a, (__m512i)b);
+    return (float_ints)FLOATS_CALL(max_epi32)((floats_bits_register)a, (floats_bits_register)b);
 }
 LANES_INLINE floats floats_sqrt(floats x)
 {
-    return _mm512_sqrt_ps(x);
+    return FLOATS_CALL(sqrt_ps)(x);
 }
 LANES_INLINE floats floats_floor(floats x)
 {
+#if SIMD_FLOATS == 16
     return _mm512_roundscale_ps(x, 9);
+#else
+    return FLOATS_CALL(floor_ps)(x);
+#endif
 }
 #else
-LANES_INLINE float_ints floats_select_ints(float_ints mask, float_ints a, float_ints b)
-{
-    return (mask & a) | (~mask & b);
-}
-LANES_INLINE floats floats_select(float_ints mask, floats a, floats b)
-{
-    return (floats)floats_select_ints(mask, (float_ints)a, (float_ints)b);
-}
 LANES_INLINE floats floats_min(floats a, floats b)
 {
     return floats_select(a < b, a, b);
@@ -122,11 +79,11 @@ LANES_INLINE floats floats_max(floats a, floats b)
 }
 LANES_INLINE float_ints floats_min_ints(float_ints a, float_ints b)
 {
-    return floats_select_ints(a < b, a, b);
+    return (float_ints)floats_select(a < b, (floats)a, (floats)b);
 }
 LANES_INLINE float_ints floats_max_ints(float_ints a, float_ints b)
 {
-    return floats_select_ints(a > b, a, b);
+    return (float_ints)floats_select(a > b, (floats)a, (floats)b);
 }
 LANES_INLINE floats floats_sqrt(floats x)
 {
