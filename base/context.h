@@ -35,7 +35,8 @@ enum bsq_status {
     BSQ_ENOMEM = -71,     /**< The system or the budget has no memory left. */
     BSQ_ECANTCREAT = -73, /**< Output that cannot be created. */
     BSQ_EIO = -74,        /**< Reading or writing failed; a full disk is one reason. */
-    BSQ_EINTR = -75       /**< bsq_interrupt() was called. */
+    BSQ_EINTR = -75,      /**< bsq_interrupt() was called. */
+    BSQ_RETRY = -1        /**< Another method is needed. Stays inside of a library. */
 };
 
 /** Normals of a scan (the high-poly mesh) that has none of its own. */

@@ -1,15 +1,12 @@
-/* sort.c - makes a chunk file from meshes.
+/* sort.c - OBJ files become a chunk file.
  *
- * Reading keeps vertices as columns (scan.h). Faces become triangles, collected by cell of a coarse
- * Morton grid: at once where all vertices are known by then (one_pass.h), else they are kept as
- * compact bytes until they can (face_store.h, partition.h). Batches of cells are
- * sorted, cut into chunks and written (chunk_writer.h). Every step streams, and what does not fit
- * in memory goes to temporary files, so that the budget bounds memory and nothing else. */
+ * Reading keeps vertices as attribute streams (read/) and partitions triangles into buckets by
+ * place (partition/). Batches of buckets are sorted, cut into chunks and written (chunk/). Every
+ * step streams, and what does not fit in memory goes to temporary files. */
 #include "base/clock.h"
 #include "libvoxel/chunk/chunk_writer.h"
-#include "libvoxel/partition/one_pass.h"
 #include "libvoxel/job_record.h"
-#include "libvoxel/partition/disk_estimate.h"
+#include "libvoxel/partition/partition.h"
 #include "libvoxel/temp_tris.h"
 
 #include <sys/stat.h>
@@ -25,26 +22,26 @@ void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *
 {
     uint64_t least = vox_memory_min(threads);
     uint64_t rest = budget > least ? budget - least : 0;
-    uint64_t reading = fmt_mesh_slots_for(budget, threads) * FMT_MESH_SLOT_BYTES;
     *limits = (struct sort_limits){
-        .column_bytes = 8 * MIB + rest / 4 * 3,
-        .column_shift = rest >= 256 * MIB ? COLUMN_LARGE_SHIFT : COLUMN_SMALL_SHIFT,
-        .store_bytes = budget > reading + 16 * MIB ? budget - reading - 16 * MIB : 8 * MIB,
-        .page_memory = 8 * MIB + rest / 8,
-        .direct_memory = UINT64_MAX,
-        .vertex_cells_bytes = UINT64_MAX,
-        .join_bytes = 8 * MIB + rest / 4,
+        .stream_bytes = 8 * MIB + rest / 4 * 3,
+        .stream_shift = rest >= 256 * MIB ? STREAM_LARGE_SHIFT : STREAM_SMALL_SHIFT,
+        .page_memory = 8 * MIB + (rest < 64 * MIB ? rest / 8 : 8 * MIB),
+        .max_page_memory = UINT64_MAX,
+        .vertex_bucket_bytes = UINT64_MAX,
         .reserve_bytes = 8 * MIB + MIB / 2 * threads,
         .batch_triangles = 2 << 20,
         .page_bytes = 32768,
-        .cell_levels = 5,
+        .bucket_levels = 5,
         .index_bytes = 4,
         .slots = 2 * threads,
     };
-    /* Columns, faces and pages are in memory together while scattering. */
-    uint64_t scattering = limits->page_memory + 12 * MIB + rest / 16;
-    if (limits->store_bytes > budget - scattering)
-        limits->store_bytes = budget - scattering;
+}
+
+uint64_t vox_sort_memory_for(uint64_t stream_bytes, unsigned threads)
+{
+    /* The last segment of each stream may be empty but for one element. */
+    const uint64_t segments = (uint64_t)(12 + 4 + 8 + 4) << STREAM_LARGE_SHIFT;
+    return vox_memory_min(threads) + (stream_bytes + segments) / 3 * 4;
 }
 
 /* For progress only: files that cannot be read are the reader's to report. */
@@ -73,62 +70,61 @@ static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_
 static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
                       const struct sort_limits *limits, const char *tris_path)
 {
-    struct space space = vox_disk_estimate(scan, limits);
+    struct disk_space space = vox_disk_estimate(scan, limits);
     return bsq_require_space(ctx, tris_path, space.output_bytes, space.temp_bytes);
 }
 
-/* Reads everything; *scattered: the faces are in `out`, not in the scan's store. */
 static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
-                       const struct vox_sort_options *options, bool try_direct,
-                       struct scattered *out, bool *scattered, bool *again)
+                       const struct vox_sort_options *options, enum partition_passes passes,
+                       struct partition *out)
 {
-    struct bsq_ctx *ctx = scan->ctx;
-    struct direct *direct = NULL;
-    int status = 0;
-    bsq_progress_begin(ctx, "reading", "bytes",
-                       total_bytes(options->scan_paths, options->scan_count));
-    if (try_direct)
-        status = vox_one_pass_open(scan, reader, options->tris_path, out, &direct);
-    if (status == 0)
-        status = direct ? fmt_mesh_read_steps(reader, &vox_one_pass_steps, direct, &scan->totals)
-                        : fmt_mesh_read(reader, vox_scan_add_block, scan, &scan->totals);
-    bsq_progress_end(ctx);
-    *again = vox_one_pass_gave_up(direct);
-    *scattered = vox_one_pass_is_active(direct);
+    const uint64_t bytes = total_bytes(options->scan_paths, options->scan_count);
+    bsq_progress_begin(scan->ctx, "reading", "bytes",
+                       passes == PARTITION_TWO_PASSES ? 2 * bytes : bytes);
+    int status = vox_partition_read(scan, reader, options->tris_path, passes, out);
+    bsq_progress_end(scan->ctx);
     if (status == 0)
         status = vox_scan_finish(scan, reader);
     if (status == 0)
         status = vox_scan_find_materials(scan, reader, options->texture_path);
-    if (status == 0 && *scattered)
-        vox_one_pass_finish(direct);
-    vox_one_pass_close(direct);
+    if (status == 0)
+        vox_partition_finish(scan, out);
     return status;
+}
+
+/* Reads in one pass if samples of the text say that this is possible, and again in two passes if
+ * they are wrong. */
+static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
+                       const struct vox_sort_options *options, bool one_pass, struct partition *out)
+{
+    struct bsq_ctx *ctx = scan->ctx;
+    const struct sort_limits *limits = scan->limits;
+    int status = one_pass ? read_blocks(scan, reader, options, PARTITION_ONE_PASS, out) : BSQ_RETRY;
+    if (status != BSQ_RETRY)
+        return status;
+    vox_partition_free(scan, out);
+    vox_scan_free(scan);
+    vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
+    return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, out);
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
                      const struct vox_sort_options *options, struct vox_sort_report *report,
-                     struct scattered *out, bool *scattered)
+                     struct partition *out)
 {
     struct fmt_mesh_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
+    struct fmt_mesh_estimate estimate = {0};
     double start = bsq_seconds_now();
-    bool again = false;
     int status = fmt_mesh_open(ctx, options->scan_paths, options->scan_count, &reader);
     if (status < 0)
         return status;
-    struct fmt_mesh_estimate estimate;
     status = fmt_mesh_estimate(reader, &estimate);
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
-    bool direct = estimate.faces_come_last && limits->direct_memory > 0;
     if (status == 0)
-        status = read_blocks(scan, reader, options, direct, out, scattered, &again);
-    if (status < 0 && again) {
-        vox_partition_free(scan, out);
-        vox_scan_free(scan);
-        vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
-        status = read_blocks(scan, reader, options, false, out, scattered, &again);
-    }
+        status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
+                             out);
     if (status == 0 && options->job)
         status = vox_job_add_dependencies(options->job, reader);
     fmt_mesh_close(reader);
@@ -165,7 +161,7 @@ static int fail_without_area(const struct scan *scan, uint64_t triangles)
                     scan->paths[0], (unsigned long long)triangles);
 }
 
-static int write_chunks(const struct scan *scan, const struct scattered *scattered,
+static int write_chunks(const struct scan *scan, const struct partition *partition,
                         const struct vox_sort_options *options, struct vox_sort_report *report)
 {
     struct fmt_tris_header header = {
@@ -182,7 +178,7 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
     if (status < 0)
         return status;
     struct batches_report batches;
-    status = vox_write_chunks(scan, scattered, options->tris_path, writer, &batches);
+    status = vox_write_chunks(scan, partition, options->tris_path, writer, &batches);
     report->chunks = batches.chunks;
     report->triangles = batches.triangles;
     report->degenerate_triangles = batches.degenerate;
@@ -196,19 +192,15 @@ static int write_chunks(const struct scan *scan, const struct scattered *scatter
     return commit(options, writer, report);
 }
 
-static int sort_scan(struct scan *scan, const struct vox_sort_options *options,
-                     struct scattered *scattered, bool is_scattered, struct vox_sort_report *report)
+static int sort_scan(const struct scan *scan, const struct vox_sort_options *options,
+                     const struct partition *partition, struct vox_sort_report *report)
 {
     double start = bsq_seconds_now();
-    int status = is_scattered ? 0 : vox_partition_scan(scan, options->tris_path, scattered);
-    vox_face_store_free(&scan->faces);
-    if (status == 0) {
-        bsq_progress_begin(scan->ctx, "writing", "triangles", scattered->triangles);
-        status = write_chunks(scan, scattered, options, report);
-        bsq_progress_end(scan->ctx);
-    }
+    bsq_progress_begin(scan->ctx, "writing", "triangles", partition->triangles);
+    int status = write_chunks(scan, partition, options, report);
+    bsq_progress_end(scan->ctx);
     if (status == 0)
-        report->unused_vertices = vox_partition_unused(scan, scattered);
+        report->unused_vertices = vox_partition_unused(scan, partition);
     report->seconds_sort = bsq_seconds_now() - start;
     return status;
 }
@@ -217,15 +209,14 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
                          const struct sort_limits *limits, struct vox_sort_report *report)
 {
     struct scan scan;
-    struct scattered scattered = {0};
-    bool is_scattered = false;
+    struct partition partition = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
     vox_scan_init(&scan, ctx, limits, options->scan_paths, options->tris_path);
-    int status = read_scan(&scan, limits, options, report, &scattered, &is_scattered);
+    int status = read_scan(&scan, limits, options, report, &partition);
     if (status == 0)
-        status = sort_scan(&scan, options, &scattered, is_scattered, report);
-    vox_partition_free(&scan, &scattered);
+        status = sort_scan(&scan, options, &partition, report);
+    vox_partition_free(&scan, &partition);
     vox_scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;
     return status;

@@ -1,9 +1,9 @@
 /* chunk_build.c - see chunk_build.h.
  *
  * Corners share a vertex of the chunk if all of their values are equal. Comparing values and not
- * indices gives the same vertices whether records hold indices or values, and joins the corners of
- * scans that repeat each vertex for each face. As sorted neighbours share most of their corners, a
- * small cache of corners that were numbered last answers most questions without looking at values.
+ * indices joins the corners of scans that repeat each vertex for each face. As sorted neighbours
+ * share most of their corners, a small cache of corners that were numbered last answers most
+ * questions without looking at values.
  */
 #include "libvoxel/chunk/chunk_build.h"
 #include "base/octahedral.h"
@@ -19,7 +19,7 @@ _Static_assert(MAX_VERTICES < NUMBER_MASK, "a vertex number must fit");
 
 #define CACHE_BITS       11u
 #define PLAIN_CACHE_BITS 12u
-/* Records lie in the order of their cell, so the next ones are asked for ahead of time. */
+/* Records lie in the order of their bucket, so the next ones are asked for ahead of time. */
 #define PREFETCH_AHEAD 8u
 
 /* ---- memory ---- */
@@ -343,18 +343,18 @@ static inline uint32_t number_position(struct chunk_builder *b, const float posi
 
 static void number_notes(struct chunk_builder *b, struct notes *notes, uint32_t noted)
 {
-    const struct column positions = b->scan->columns[SCAN_POSITIONS];
+    const struct attribute_stream positions = b->scan->streams[SCAN_POSITIONS];
     for (uint32_t i = 0; i < noted; i++)
-        __builtin_prefetch(column_at(&positions, notes->index[i], 12));
+        __builtin_prefetch(stream_at(&positions, notes->index[i], 12));
     for (uint32_t i = 0; i < noted; i++) {
-        notes->hash[i] = hash_position(column_at(&positions, notes->index[i], 12));
+        notes->hash[i] = hash_position(stream_at(&positions, notes->index[i], 12));
         __builtin_prefetch(&b->table[table_slot(b, notes->hash[i])]);
     }
     for (uint32_t i = 0; i < noted; i++) {
         const uint32_t index = notes->index[i];
         if (b->used)
             used_mark(b->used, index);
-        uint32_t number = number_position(b, column_at(&positions, index, 12), notes->hash[i]);
+        uint32_t number = number_position(b, stream_at(&positions, index, 12), notes->hash[i]);
         uint64_t *place = plain_place(b->plain, index);
         if (*place == ((uint64_t)(NOTE_FLAG | i) << 32 | index))
             *place = (uint64_t)number << 32 | index;

@@ -3,8 +3,7 @@
 #define VOX_CHUNK_CHUNK_BUILD_H
 
 #include "libvoxel/chunk/radix_sort.h"
-#include "libvoxel/partition/triangle_record.h"
-#include "libvoxel/partition/used_vertices.h"
+#include "libvoxel/partition/partition.h"
 
 /* The bytes of a corner of at most 16 bytes, and its vertex. */
 struct corner_tag {

@@ -2,8 +2,8 @@
  *
  * Cells are taken in Morton order, as many at a time as memory allows (sort_batch.h). What they
  * have is cut into chunks that workers build. Triangles after the last cut begin the next batch, so
- * that the cuts do not depend on batches. A cell that is too large for a batch is first divided by
- * the next bits of the key. */
+ * that the cuts do not depend on batches. A bucket that is too large for a batch is first divided
+ * by the next bits of the key. */
 #include "libvoxel/chunk/chunk_writer.h"
 #include "base/parallel.h"
 #include "libvoxel/chunk/sort_batch.h"
@@ -15,7 +15,7 @@
 struct batches {
     struct bsq_ctx *ctx;
     const struct scan *scan;
-    const struct scattered *scattered;
+    const struct partition *partition;
     const char *beside;
     struct fmt_tris_writer *writer;
 
@@ -53,17 +53,17 @@ static unsigned count_slots(const struct batches *b, uint64_t left)
 }
 
 /* Triangles that a batch should have. A small one touches little memory and stays near the core,
- * but threads wait for each other where one ends, so each is to sort several cells of it; and it
- * must not be too small for cells to be sorted whole. Where vertices have no order either, each
+ * but threads wait for each other where one ends, so each is to sort several buckets of it; and it
+ * must not be too small for buckets to be sorted whole. Where vertices have no order either, each
  * batch may read them all, so there are to be few. */
 static uint64_t wanted_capacity(const struct batches *b)
 {
-    const struct cells *cells = &b->scattered->cells;
-    if (b->scattered->layout.windowed && b->scattered->vertices_lack_order)
+    const struct buckets *buckets = &b->partition->buckets;
+    if (b->partition->layout.gathered && b->partition->vertices_lack_order)
         return 8 * b->scan->limits->batch_triangles;
     uint64_t wanted = (uint64_t)bsq_threads(b->ctx) << 18, largest = 0;
-    for (uint32_t c = 0; c < cells->cell_count; c++)
-        largest = cells->list[c].items > largest ? cells->list[c].items : largest;
+    for (uint32_t c = 0; c < buckets->bucket_count; c++)
+        largest = buckets->list[c].items > largest ? buckets->list[c].items : largest;
     if (wanted < 1 << 19)
         wanted = 1 << 19;
     if (wanted < FMT_TRIS_CHUNK_TRIANGLES + 4 * largest)
@@ -75,14 +75,14 @@ static uint64_t wanted_capacity(const struct batches *b)
 static void divide_memory(struct batches *b)
 {
     const struct sort_limits *limits = b->scan->limits;
-    const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES, all = vox_batch_capacity_of_all(b->scattered);
+    const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES, all = vox_batch_capacity_of_all(b->partition);
     uint64_t used = bsq_memory_used(b->ctx), limit = bsq_memory_limit(b->ctx);
     uint64_t left = limit > used + limits->reserve_bytes ? limit - used - limits->reserve_bytes : 0;
     b->slot_count = count_slots(b, left);
     uint64_t others = b->slot_count * vox_chunk_builder_bytes(b->scan->attributes) +
-                      vox_batch_fixed_bytes(b->scan, b->scattered);
+                      vox_batch_fixed_bytes(b->scan, b->partition);
     left = left > others ? left - others : 0;
-    const uint64_t most = left / vox_batch_triangle_bytes(b->scan, b->scattered),
+    const uint64_t most = left / vox_batch_triangle_bytes(b->scan, b->partition),
                    wanted = wanted_capacity(b);
     b->capacity = most < wanted ? most : wanted;
     bool enough = b->capacity >= all;
@@ -96,11 +96,11 @@ static void divide_memory(struct batches *b)
 static int allocate(struct batches *b)
 {
     divide_memory(b);
-    int status = vox_batch_open(&b->batch, b->scan, b->scattered, b->capacity);
+    int status = vox_batch_open(&b->batch, b->scan, b->partition, b->capacity);
     if (status == 0)
         status = bsq_calloc(b->ctx, "sorting", b->slot_count, sizeof *b->slots, &b->slots);
     for (unsigned i = 0; status == 0 && i < b->slot_count; i++)
-        status = vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->scattered->layout,
+        status = vox_chunk_builder_init(&b->slots[i].builder, b->batch.scan, &b->partition->layout,
                                         b->batch.used);
     return status;
 }
@@ -171,7 +171,7 @@ static int write_batch(struct batches *b)
     return 0;
 }
 
-/* ---- cells in order ---- */
+/* ---- buckets in order ---- */
 
 static int add_part(struct batches *b, const struct batch_part *part)
 {
@@ -179,13 +179,14 @@ static int add_part(struct batches *b, const struct batch_part *part)
     return status < 0 ? status : vox_batch_add(&b->batch, part);
 }
 
-/* All triangles of the cell have the same key: their order is the scan's. Parts end where runs do.
+/* All triangles of the bucket have the same key: their order is the scan's. Parts end where runs
+ * do.
  */
 static int add_in_parts(struct batches *b, const struct batch_part *whole)
 {
     struct run_reader *reader = vox_batch_reader(&b->batch);
     int status = 0;
-    vox_run_reader_seek(reader, whole->cells, whole->cell, 0);
+    vox_run_reader_seek(reader, whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0; status == 0 && done < whole->count;) {
         struct batch_part part = *whole;
         part.offset = run_reader_tell(reader);
@@ -203,16 +204,17 @@ static int add_in_parts(struct batches *b, const struct batch_part *whole)
     return status;
 }
 
-/* Distributes at most RUN_TRIANGLES records to the children of their cell, which has `levels` less.
+/* Distributes at most RUN_TRIANGLES records to the children of their bucket, which has `levels`
+ * less.
  */
 static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
-                      uint8_t *coded, struct cells *children)
+                      uint8_t *coded, struct buckets *children)
 {
-    const struct record_layout *layout = &b->scattered->layout;
-    const uint32_t bytes = layout->bytes, mask = children->cell_count - 1;
+    const struct record_layout *layout = &b->partition->layout;
+    const uint32_t bytes = layout->bytes, mask = children->bucket_count - 1;
     int status = 0;
     for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
-        uint32_t child = CELLS_NONE;
+        uint32_t child = BUCKET_NONE;
         for (end = first; end < count; end++) {
             uint32_t number = (uint32_t)(vox_batch_key(&b->batch, records + end * bytes) >>
                                          (MORTON_KEY_BITS - 3 * levels)) &
@@ -229,16 +231,16 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
     return status;
 }
 
-/* Distributes the triangles of a cell to the cells inside of it. The batch has nothing but what was
- * carried over. */
-static int divide_cell(struct batches *b, const struct batch_part *whole, uint32_t levels,
-                       struct cells *children)
+/* Distributes the triangles of a bucket to the buckets inside of it. The batch has nothing but what
+ * was carried over. */
+static int divide_bucket(struct batches *b, const struct batch_part *whole, uint32_t levels,
+                         struct buckets *children)
 {
-    const uint32_t bytes = b->scattered->layout.bytes;
+    const uint32_t bytes = b->partition->layout.bytes;
     uint8_t *coded = NULL;
     int status = bsq_alloc(b->ctx, "sorting",
                            RUN_TRIANGLES * (uint64_t)bytes + sizeof(struct run_header), 1, &coded);
-    vox_run_reader_seek(vox_batch_reader(&b->batch), whole->cells, whole->cell, 0);
+    vox_run_reader_seek(vox_batch_reader(&b->batch), whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
         const uint8_t *records;
         uint64_t own;
@@ -255,12 +257,12 @@ static int divide_cell(struct batches *b, const struct batch_part *whole, uint32
     return status;
 }
 
-static int add_cells(struct batches *b, const struct cells *cells, uint32_t levels);
+static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_t levels);
 
-static int add_large_cell(struct batches *b, const struct batch_part *whole)
+static int add_large_bucket(struct batches *b, const struct batch_part *whole)
 {
     uint32_t levels = whole->levels + CHILD_LEVELS;
-    struct cells children;
+    struct buckets children;
     if (whole->levels == MORTON_AXIS_BITS)
         return add_in_parts(b, whole);
     if (levels > MORTON_AXIS_BITS)
@@ -271,36 +273,36 @@ static int add_large_cell(struct batches *b, const struct batch_part *whole)
     status = vox_buckets_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
                               CHILD_PAGE_BYTES, 0);
     if (status == 0)
-        status = divide_cell(b, whole, levels, &children);
+        status = divide_bucket(b, whole, levels, &children);
     if (status == 0)
-        status = add_cells(b, &children, levels);
+        status = add_buckets(b, &children, levels);
     if (status == 0)
-        status = write_batch(b); /* before its cells are gone */
+        status = write_batch(b); /* before its buckets are gone */
     vox_buckets_free(&children);
     return status;
 }
 
-static int add_cells(struct batches *b, const struct cells *cells, uint32_t levels)
+static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_t levels)
 {
     int status = 0;
-    for (uint32_t c = 0; status == 0 && c < cells->cell_count; c++) {
+    for (uint32_t c = 0; status == 0 && c < buckets->bucket_count; c++) {
         const struct batch_part part = {
-            .cells = cells, .cell = c, .levels = levels, .count = cells->list[c].items};
+            .buckets = buckets, .bucket = c, .levels = levels, .count = buckets->list[c].items};
         if (part.count == 0)
             continue;
-        status = part.count <= b->part_limit ? add_part(b, &part) : add_large_cell(b, &part);
+        status = part.count <= b->part_limit ? add_part(b, &part) : add_large_bucket(b, &part);
     }
     return status;
 }
 
-int vox_write_chunks(const struct scan *scan, const struct scattered *scattered, const char *beside,
+int vox_write_chunks(const struct scan *scan, const struct partition *partition, const char *beside,
                      struct fmt_tris_writer *writer, struct batches_report *report)
 {
     struct batches b = {
-        .ctx = scan->ctx, .scan = scan, .scattered = scattered, .beside = beside, .writer = writer};
+        .ctx = scan->ctx, .scan = scan, .partition = partition, .beside = beside, .writer = writer};
     int status = allocate(&b);
     if (status == 0)
-        status = add_cells(&b, &scattered->cells, scattered->levels);
+        status = add_buckets(&b, &partition->buckets, partition->levels);
     b.last = true;
     if (status == 0)
         status = write_batch(&b);

@@ -1,7 +1,7 @@
 /* radix_sort.c - see radix_sort.h.
  *
  * A least-significant-digit radix sort of the upper 20 bits leaves few entries that still share
- * them, as a cell of some ten thousand triangles of a surface has about 4^7 places in seven more
+ * them, as a bucket of some ten thousand triangles of a surface has about 4^7 places in seven more
  * levels; of the upper 30 bits where there are more. What is left is sorted by insertion, or, where
  * many fall together, by their next bits. */
 #include "libvoxel/chunk/radix_sort.h"

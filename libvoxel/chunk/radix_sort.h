@@ -16,7 +16,7 @@ void vox_radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, ui
 
 /* Number of the sorted entries that the first chunk takes, n > FMT_TRIS_CHUNK_TRIANGLES: the first
  * position in the upper half of a chunk's size where neighbours differ in the highest bit, that is,
- * where the coarsest cell ends. */
+ * where the coarsest bucket ends. */
 uint32_t vox_radix_cut(const struct entry *entries);
 
 #endif

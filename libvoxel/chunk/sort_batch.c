@@ -1,24 +1,24 @@
 /* sort_batch.c - see sort_batch.h. Each part is read and sorted by one worker; what results is one
- * sorted sequence, as parts are added in the order of their cells. */
+ * sorted sequence, as parts are added in the order of their buckets. */
 #include "libvoxel/chunk/sort_batch.h"
 #include "base/parallel.h"
 #include "libvoxel/chunk/triangle_area.h"
 
 /* ---- memory ---- */
 
-uint64_t vox_batch_triangle_bytes(const struct scan *scan, const struct scattered *scattered)
+uint64_t vox_batch_triangle_bytes(const struct scan *scan, const struct partition *partition)
 {
-    const struct record_layout *layout = &scattered->layout;
+    const struct record_layout *layout = &partition->layout;
     return layout->bytes + 2 * sizeof(struct entry) +
-           (layout->windowed ? vox_gather_triangle_bytes(scan) : 0);
+           (layout->gathered ? vox_gather_triangle_bytes(scan) : 0);
 }
 
-uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct scattered *scattered)
+uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *partition)
 {
-    const struct record_layout *layout = &scattered->layout;
+    const struct record_layout *layout = &partition->layout;
     const unsigned threads = bsq_threads(scan->ctx);
     uint64_t bytes = FMT_TRIS_CHUNK_TRIANGLES * (uint64_t)layout->bytes;
-    if (layout->windowed)
+    if (layout->gathered)
         bytes += vox_gather_bytes(scan, threads);
     if (layout->fans)
         bytes += (threads + 1) * vox_fan_buffer_bytes(layout);
@@ -32,46 +32,47 @@ static uint64_t record_gap(const struct record_layout *layout)
     return RECORD_SLACK / layout->bytes + 1;
 }
 
-uint64_t vox_batch_capacity_of_all(const struct scattered *scattered)
+uint64_t vox_batch_capacity_of_all(const struct partition *partition)
 {
-    return scattered->triangles + 2 * record_gap(&scattered->layout) * scattered->cells.cell_count;
+    return partition->triangles +
+           2 * record_gap(&partition->layout) * partition->buckets.bucket_count;
 }
 
 static int open_window(struct batch *b)
 {
-    int status = vox_gather_open(&b->window, b->scan, &b->scattered->layout, b->capacity);
+    int status = vox_gather_open(&b->window, b->scan, &b->partition->layout, b->capacity);
     b->scan = &b->window.view;
-    b->used = b->window.kinds[FACE_VERTEX].active ? NULL : b->used;
+    b->used = b->window.kinds[FMT_MESH_VERTEX].active ? NULL : b->used;
     return status;
 }
 
 static int open_readers(struct batch *b)
 {
-    const struct record_layout *layout = &b->scattered->layout;
+    const struct record_layout *layout = &b->partition->layout;
     b->reader_count = bsq_threads(b->ctx) + 1;
     int status = bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->readers, &b->readers);
     for (unsigned i = 0; status == 0 && i < b->reader_count; i++)
         status = vox_run_reader_init(&b->readers[i], b->scan, layout);
     if (status == 0 && layout->fans)
         status =
-            bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->fan_rooms, &b->fan_rooms);
-    for (unsigned i = 0; status == 0 && b->fan_rooms && i < b->reader_count; i++)
-        status = vox_fan_buffer_init(&b->fan_rooms[i], b->ctx, layout);
+            bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->fan_buffers, &b->fan_buffers);
+    for (unsigned i = 0; status == 0 && b->fan_buffers && i < b->reader_count; i++)
+        status = vox_fan_buffer_init(&b->fan_buffers[i], b->ctx, layout);
     return status;
 }
 
-int vox_batch_open(struct batch *b, const struct scan *scan, const struct scattered *scattered,
+int vox_batch_open(struct batch *b, const struct scan *scan, const struct partition *partition,
                    uint64_t capacity)
 {
     const char *what = "sorting";
-    const uint32_t bytes = scattered->layout.bytes;
+    const uint32_t bytes = partition->layout.bytes;
     *b = (struct batch){.ctx = scan->ctx,
                         .scan = scan,
-                        .scattered = scattered,
-                        .used = scattered->layout.by_value ? NULL : scattered->used,
-                        .windowed = scattered->layout.windowed,
+                        .partition = partition,
+                        .used = partition->used,
+                        .gathered = partition->layout.gathered,
                         .capacity = capacity};
-    int status = b->windowed ? open_window(b) : 0;
+    int status = b->gathered ? open_window(b) : 0;
     if (status < 0 ||
         (status = bsq_alloc(b->ctx, what, capacity * bytes + RECORD_SLACK, 1, &b->records)) < 0 ||
         (status = bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_records)) <
@@ -87,9 +88,9 @@ void vox_batch_close(struct batch *b)
 {
     for (unsigned i = 0; b->readers && i < b->reader_count; i++)
         vox_run_reader_free(&b->readers[i]);
-    for (unsigned i = 0; b->fan_rooms && i < b->reader_count; i++)
-        vox_fan_buffer_free(&b->fan_rooms[i], b->ctx);
-    void *parts[] = {b->readers, b->fan_rooms,     b->parts,  b->scratch,
+    for (unsigned i = 0; b->fan_buffers && i < b->reader_count; i++)
+        vox_fan_buffer_free(&b->fan_buffers[i], b->ctx);
+    void *parts[] = {b->readers, b->fan_buffers,   b->parts,  b->scratch,
                      b->entries, b->spare_records, b->records};
     for (size_t i = 0; b->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(b->ctx, parts[i]);
@@ -101,7 +102,7 @@ void vox_batch_close(struct batch *b)
 
 static void mark_record(const struct batch *b, const uint8_t *record)
 {
-    const struct record_layout *layout = &b->scattered->layout;
+    const struct record_layout *layout = &b->partition->layout;
     for (uint32_t k = 0; b->used && k < 3; k++)
         used_mark(b->used, record_vertex_index(layout, record + k * layout->corner_bytes));
 }
@@ -110,15 +111,14 @@ static void mark_record(const struct batch *b, const uint8_t *record)
 static uint32_t make_entries(const struct batch *b, const uint8_t *records, uint64_t first,
                              uint32_t count, struct entry *entries)
 {
-    const struct record_layout *layout = &b->scattered->layout;
-    const struct morton_cube cube = b->scattered->cube;
+    const struct record_layout *layout = &b->partition->layout;
+    const struct morton_cube cube = b->partition->cube;
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i++) {
         const uint8_t *record = records + (uint64_t)i * layout->bytes;
-        float copies[3][3];
         const float *p[3];
         for (uint32_t k = 0; k < 3; k++)
-            p[k] = record_position(layout, b->scan, record + k * layout->corner_bytes, copies[k]);
+            p[k] = record_position(layout, b->scan, record + k * layout->corner_bytes);
         if (area_is_zero(p[0], p[1], p[2]))
             mark_record(b, record);
         else
@@ -133,15 +133,15 @@ static uint32_t make_plain_entries(const struct batch *b, const uint8_t *records
                                    uint32_t count, struct entry *entries)
 {
     /* Copies, which what is written cannot change as far as the compiler knows. */
-    const struct morton_cube cube = b->scattered->cube;
-    const struct column positions = b->scan->columns[SCAN_POSITIONS];
+    const struct morton_cube cube = b->partition->cube;
+    const struct attribute_stream positions = b->scan->streams[SCAN_POSITIONS];
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i++) {
         uint32_t index[3];
         const float *p[3];
         memcpy(index, records + 12 * (uint64_t)i, sizeof index);
         for (uint32_t k = 0; k < 3; k++)
-            p[k] = column_at(&positions, index[k], 12);
+            p[k] = stream_at(&positions, index[k], 12);
         if (area_is_zero(p[0], p[1], p[2]))
             mark_record(b, records + 12 * (uint64_t)i);
         else
@@ -155,11 +155,11 @@ static uint32_t make_plain_entries(const struct batch *b, const uint8_t *records
 static void enter_records(struct batch *b, struct batch_part *part, uint64_t done, uint32_t count)
 {
     const uint64_t first = part->record + done;
-    uint8_t *records = b->records + first * b->scattered->layout.bytes;
+    uint8_t *records = b->records + first * b->partition->layout.bytes;
     struct entry *to = b->entries + part->at + part->kept;
-    if (b->windowed)
+    if (b->gathered)
         vox_gather_number(&b->window, records, count);
-    part->kept += b->scattered->layout.plain ? make_plain_entries(b, records, first, count, to)
+    part->kept += b->partition->layout.plain ? make_plain_entries(b, records, first, count, to)
                                              : make_entries(b, records, first, count, to);
 }
 
@@ -167,7 +167,7 @@ static void enter_records(struct batch *b, struct batch_part *part, uint64_t don
 
 bool vox_batch_has_room(const struct batch *b, uint64_t triangles)
 {
-    return b->records_end + triangles + record_gap(&b->scattered->layout) <= b->capacity;
+    return b->records_end + triangles + record_gap(&b->partition->layout) <= b->capacity;
 }
 
 int vox_batch_add(struct batch *b, const struct batch_part *part)
@@ -182,7 +182,7 @@ int vox_batch_add(struct batch *b, const struct batch_part *part)
     added->record = b->records_end;
     b->largest_part = part->count > b->largest_part ? part->count : b->largest_part;
     b->count += part->count;
-    b->records_end += part->count + record_gap(&b->scattered->layout);
+    b->records_end += part->count + record_gap(&b->partition->layout);
     return 0;
 }
 
@@ -193,16 +193,16 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
     struct batch *b = arg;
     struct batch_part *part = &b->parts[index];
     struct run_reader *reader = &b->readers[worker];
-    vox_run_reader_seek(reader, part->cells, part->cell, part->offset);
+    vox_run_reader_seek(reader, part->buckets, part->bucket, part->offset);
     part->own = part->count;
     part->kept = 0;
     for (uint64_t done = 0; done < part->count;) {
-        uint8_t *records = b->records + (part->record + done) * b->scattered->layout.bytes;
+        uint8_t *records = b->records + (part->record + done) * b->partition->layout.bytes;
         uint32_t count;
         int status = vox_run_reader_next(reader, records, &count);
         if (status < 0)
             return status;
-        if (b->windowed)
+        if (b->gathered)
             vox_gather_mark(&b->window, records, count);
         else
             enter_records(b, part, done, count);
@@ -211,16 +211,16 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-/* Triangles of a cell that were read, with their vertices; returns those that are its own. Cells
+/* Triangles of a bucket that were read, with their vertices; returns those that are its own. Cells
  * inside of others were given nothing else. */
 static uint64_t keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
                          uint64_t count, unsigned worker)
 {
-    const struct scattered *scattered = b->scattered;
-    if (!b->fan_rooms || part->cells != &scattered->cells)
+    const struct partition *partition = b->partition;
+    if (!b->fan_buffers || part->buckets != &partition->buckets)
         return count;
-    return vox_fans_triangulate(&b->window, &b->fan_rooms[worker], &scattered->cube, part->levels,
-                                part->cell, records, count);
+    return vox_fans_triangulate(&b->window, &b->fan_buffers[worker], &partition->cube, part->levels,
+                                part->bucket, records, count);
 }
 
 /* Where a worker may sort a part. The same place for one part after the other, so that it stays in
@@ -252,7 +252,7 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
     struct batch_part *part = &b->parts[index];
-    part->own = keep_own(b, part, b->records + part->record * b->scattered->layout.bytes,
+    part->own = keep_own(b, part, b->records + part->record * b->partition->layout.bytes,
                          part->count, worker);
     for (uint64_t done = 0, count; done < part->own; done += count) {
         count = part->own - done < RUN_TRIANGLES ? part->own - done : RUN_TRIANGLES;
@@ -268,7 +268,7 @@ static int sort_windowed(struct batch *b, uint64_t carried)
     vox_gather_mark(&b->window, b->records, carried);
     int status = bsq_parallel_for(b->ctx, b->part_count, read_part, b);
     if (status == 0)
-        status = vox_gather_fetch(&b->window, b->scattered->used);
+        status = vox_gather_fetch(&b->window, b->partition->used);
     if (status < 0)
         return status;
     vox_gather_number(&b->window, b->records, carried);
@@ -293,7 +293,7 @@ static void close_gaps(struct batch *b, uint64_t carried)
 int vox_batch_sort(struct batch *b)
 {
     const uint64_t carried = b->part_count > 0 ? b->parts[0].at : b->count;
-    int status = b->windowed ? sort_windowed(b, carried)
+    int status = b->gathered ? sort_windowed(b, carried)
                              : bsq_parallel_for(b->ctx, b->part_count, sort_part, b);
     if (status == 0)
         close_gaps(b, carried);
@@ -303,58 +303,57 @@ int vox_batch_sort(struct batch *b)
 /* Records are moved in sorted order. */
 void vox_batch_carry_over(struct batch *b, uint64_t first)
 {
-    const uint32_t bytes = b->scattered->layout.bytes;
+    const uint32_t bytes = b->partition->layout.bytes;
     const uint64_t left = b->count - first;
     for (uint64_t i = 0; i < left; i++)
         memcpy(b->spare_records + i * bytes,
                b->records + (uint64_t)b->entries[first + i].record * bytes, bytes);
     memcpy(b->records, b->spare_records, left * bytes);
-    if (b->windowed)
+    if (b->gathered)
         vox_gather_restore(&b->window, b->records, left);
     memmove(b->entries, b->entries + first, left * sizeof *b->entries);
     for (uint64_t i = 0; i < left; i++)
         b->entries[i].record = (uint32_t)i;
     b->count = left;
-    b->records_end = left + record_gap(&b->scattered->layout);
+    b->records_end = left + record_gap(&b->partition->layout);
     b->part_count = b->largest_part = 0;
 }
 
-/* ---- cells that are not sorted but divided ---- */
+/* ---- buckets that are not sorted but divided ---- */
 
 struct run_reader *vox_batch_reader(struct batch *b)
 {
     return &b->readers[b->reader_count - 1];
 }
 
-int vox_batch_read(struct batch *b, const struct batch_part *cell, uint64_t left, uint64_t most,
+int vox_batch_read(struct batch *b, const struct batch_part *bucket, uint64_t left, uint64_t most,
                    uint64_t *count, const uint8_t **out, uint64_t *own)
 {
-    uint8_t *records = b->records + b->records_end * b->scattered->layout.bytes;
+    uint8_t *records = b->records + b->records_end * b->partition->layout.bytes;
     int status = bsq_check(b->ctx);
     *out = records;
     *count = *own = 0;
     while (status == 0 && *count < left && *count + RUN_TRIANGLES <= most) {
         uint32_t more;
         status = vox_run_reader_next(vox_batch_reader(b),
-                                     records + *count * b->scattered->layout.bytes, &more);
+                                     records + *count * b->partition->layout.bytes, &more);
         *count += status == 0 ? more : 0;
     }
-    if (status == 0 && b->windowed) {
+    if (status == 0 && b->gathered) {
         vox_gather_clear(&b->window);
         vox_gather_mark(&b->window, records, *count);
         status = vox_gather_fetch(&b->window, NULL);
     }
     if (status == 0)
-        *own = keep_own(b, cell, records, *count, b->reader_count - 1);
+        *own = keep_own(b, bucket, records, *count, b->reader_count - 1);
     return status;
 }
 
 uint64_t vox_batch_key(const struct batch *b, const uint8_t *record)
 {
-    const struct record_layout *layout = &b->scattered->layout;
-    float copy[3];
-    const float *position = b->windowed
-                                ? window_position(&b->window, record_vertex_index(layout, record))
-                                : record_position(layout, b->scan, record, copy);
-    return morton_point_key(&b->scattered->cube, position);
+    const struct record_layout *layout = &b->partition->layout;
+    const float *position = b->gathered
+                                ? gather_position(&b->window, record_vertex_index(layout, record))
+                                : record_position(layout, b->scan, record);
+    return morton_point_key(&b->partition->cube, position);
 }

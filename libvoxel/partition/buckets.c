@@ -9,157 +9,159 @@ static uint64_t slab_bytes(uint64_t page_memory)
     return page_memory >= (uint64_t)64 << 20 ? (uint64_t)2 << 20 : (uint64_t)256 << 10;
 }
 
-int vox_buckets_init(struct cells *cells, struct bsq_ctx *ctx, const char *beside,
-                     uint32_t cell_count, uint64_t page_bytes, uint64_t page_memory)
+int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *beside,
+                     uint32_t bucket_count, uint64_t page_bytes, uint64_t page_memory)
 {
-    memset(cells, 0, sizeof *cells);
-    cells->ctx = ctx;
-    cells->beside = beside;
-    cells->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    cells->cell_count = cell_count;
-    cells->page_bytes = (uint32_t)page_bytes;
-    cells->slab_pages = slab_bytes(page_memory) / page_bytes;
-    if (cells->slab_pages == 0)
-        cells->slab_pages = 1;
-    cells->page_limit = page_memory / page_bytes;
-    cells->cells_without = cell_count;
-    int status = bsq_calloc(ctx, "cells", cell_count, sizeof *cells->list, &cells->list);
-    for (uint32_t i = 0; status == 0 && i < cell_count; i++)
-        cells->list[i].first_page = cells->list[i].last_page = CELLS_NONE;
+    memset(buckets, 0, sizeof *buckets);
+    buckets->ctx = ctx;
+    buckets->beside = beside;
+    buckets->file = (struct bsq_file)BSQ_FILE_CLOSED;
+    buckets->bucket_count = bucket_count;
+    buckets->page_bytes = (uint32_t)page_bytes;
+    buckets->slab_pages = slab_bytes(page_memory) / page_bytes;
+    if (buckets->slab_pages == 0)
+        buckets->slab_pages = 1;
+    buckets->page_limit = page_memory / page_bytes;
+    buckets->without_page = bucket_count;
+    int status = bsq_calloc(ctx, "buckets", bucket_count, sizeof *buckets->list, &buckets->list);
+    for (uint32_t i = 0; status == 0 && i < bucket_count; i++)
+        buckets->list[i].first_page = buckets->list[i].last_page = BUCKET_NONE;
     return status;
 }
 
-void vox_buckets_free(struct cells *cells)
+void vox_buckets_free(struct buckets *buckets)
 {
-    if (!cells->ctx)
+    if (!buckets->ctx)
         return;
-    for (uint64_t i = 0; i < cells->slab_count; i++)
-        bsq_free(cells->ctx, cells->slabs[i]);
-    bsq_free(cells->ctx, cells->slabs);
-    bsq_free(cells->ctx, cells->pages);
-    bsq_free(cells->ctx, cells->list);
-    bsq_file_close(cells->ctx, &cells->file);
-    memset(cells, 0, sizeof *cells);
+    for (uint64_t i = 0; i < buckets->slab_count; i++)
+        bsq_free(buckets->ctx, buckets->slabs[i]);
+    bsq_free(buckets->ctx, buckets->slabs);
+    bsq_free(buckets->ctx, buckets->pages);
+    bsq_free(buckets->ctx, buckets->list);
+    bsq_file_close(buckets->ctx, &buckets->file);
+    memset(buckets, 0, sizeof *buckets);
 }
 
 /* ---- pages ---- */
 
-static uint8_t *memory_page(const struct cells *cells, uint64_t number)
+static uint8_t *memory_page(const struct buckets *buckets, uint64_t number)
 {
-    return cells->slabs[number / cells->slab_pages] +
-           number % cells->slab_pages * cells->page_bytes;
+    return buckets->slabs[number / buckets->slab_pages] +
+           number % buckets->slab_pages * buckets->page_bytes;
 }
 
-/* Gives a cell an empty page to fill. */
-static int take_page(struct cells *cells, struct cell *cell)
+/* Gives a bucket an empty page to fill. */
+static int take_page(struct buckets *buckets, struct bucket *bucket)
 {
     int status = 0;
-    if (cells->pages_taken == cells->slab_count * cells->slab_pages) {
-        status = bsq_grow(cells->ctx, "cells", cells->slab_count + 1, sizeof *cells->slabs,
-                          &cells->slabs, &cells->slab_capacity);
+    if (buckets->pages_taken == buckets->slab_count * buckets->slab_pages) {
+        status = bsq_grow(buckets->ctx, "buckets", buckets->slab_count + 1, sizeof *buckets->slabs,
+                          &buckets->slabs, &buckets->slab_capacity);
         if (status == 0)
-            status = bsq_alloc(cells->ctx, "cells", cells->slab_pages, cells->page_bytes,
-                               &cells->slabs[cells->slab_count]);
+            status = bsq_alloc(buckets->ctx, "buckets", buckets->slab_pages, buckets->page_bytes,
+                               &buckets->slabs[buckets->slab_count]);
         if (status < 0)
             return status;
-        cells->slab_count++;
+        buckets->slab_count++;
     }
-    cell->buffer_page = cells->pages_taken++;
-    cell->buffer = memory_page(cells, cell->buffer_page);
-    cells->cells_without--;
+    bucket->buffer_page = buckets->pages_taken++;
+    bucket->buffer = memory_page(buckets, bucket->buffer_page);
+    buckets->without_page--;
     return 0;
 }
 
-/* Enters the cell's buffer as its next page, at `place`. */
-static int list_page(struct cells *cells, struct cell *cell, uint64_t place)
+/* Enters the bucket's buffer as its next page, at `place`. */
+static int list_page(struct buckets *buckets, struct bucket *bucket, uint64_t place)
 {
-    if (cells->page_count >= CELLS_NONE)
-        return bsq_fail(cells->ctx, BSQ_EUSAGE,
+    if (buckets->page_count >= BUCKET_NONE)
+        return bsq_fail(buckets->ctx, BSQ_EUSAGE,
                         "the scan is too large for pages of %u bytes; more memory is needed",
-                        cells->page_bytes);
-    int status = bsq_grow(cells->ctx, "cells", cells->page_count + 1, sizeof *cells->pages,
-                          &cells->pages, &cells->page_capacity);
+                        buckets->page_bytes);
+    int status = bsq_grow(buckets->ctx, "buckets", buckets->page_count + 1, sizeof *buckets->pages,
+                          &buckets->pages, &buckets->page_capacity);
     if (status < 0)
         return status;
-    uint32_t number = (uint32_t)cells->page_count++;
-    cells->pages[number] = (struct cell_page){.place = place, .next = CELLS_NONE};
-    if (cell->last_page == CELLS_NONE)
-        cell->first_page = number;
+    uint32_t number = (uint32_t)buckets->page_count++;
+    buckets->pages[number] = (struct bucket_page){.place = place, .next = BUCKET_NONE};
+    if (bucket->last_page == BUCKET_NONE)
+        bucket->first_page = number;
     else
-        cells->pages[cell->last_page].next = number;
-    cell->last_page = number;
+        buckets->pages[bucket->last_page].next = number;
+    bucket->last_page = number;
     return 0;
 }
 
-static int retire_page(struct cells *cells, struct cell *cell)
+static int retire_page(struct buckets *buckets, struct bucket *bucket)
 {
     int status;
-    if (cells->pages_taken + cells->cells_without < cells->page_limit) {
-        status = list_page(cells, cell, cell->buffer_page);
-        cell->buffer = NULL;
-        cells->cells_without++;
+    if (buckets->pages_taken + buckets->without_page < buckets->page_limit) {
+        status = list_page(buckets, bucket, bucket->buffer_page);
+        bucket->buffer = NULL;
+        buckets->without_page++;
     } else {
-        if (cells->file.fd < 0 &&
-            (status = bsq_file_temp(cells->ctx, cells->beside, "sorted records", &cells->file)) < 0)
+        if (buckets->file.fd < 0 && (status = bsq_file_temp(buckets->ctx, buckets->beside,
+                                                            "sorted records", &buckets->file)) < 0)
             return status;
-        status = list_page(cells, cell, CELLS_IN_FILE + cells->file.size);
+        status = list_page(buckets, bucket, BUCKET_IN_FILE + buckets->file.size);
         if (status == 0)
-            status = bsq_file_append(cells->ctx, &cells->file, cell->buffer, cells->page_bytes);
+            status =
+                bsq_file_append(buckets->ctx, &buckets->file, bucket->buffer, buckets->page_bytes);
     }
-    cell->fill = 0;
+    bucket->fill = 0;
     return status;
 }
 
-int vox_buckets_add(struct cells *cells, uint32_t number, const void *bytes, uint64_t size,
+int vox_buckets_add(struct buckets *buckets, uint32_t number, const void *bytes, uint64_t size,
                     uint64_t items)
 {
-    struct cell *cell = &cells->list[number];
+    struct bucket *bucket = &buckets->list[number];
     const uint8_t *from = bytes;
     int status = 0;
-    cell->bytes += size;
-    cell->items += items;
+    bucket->bytes += size;
+    bucket->items += items;
     while (status == 0 && size > 0) {
-        if (!cell->buffer && (status = take_page(cells, cell)) < 0)
+        if (!bucket->buffer && (status = take_page(buckets, bucket)) < 0)
             return status;
-        uint64_t room = cells->page_bytes - cell->fill, part = size < room ? size : room;
-        memcpy(cell->buffer + cell->fill, from, part);
-        cell->fill += (uint32_t)part;
+        uint64_t room = buckets->page_bytes - bucket->fill, part = size < room ? size : room;
+        memcpy(bucket->buffer + bucket->fill, from, part);
+        bucket->fill += (uint32_t)part;
         from += part;
         size -= part;
-        if (cell->fill == cells->page_bytes)
-            status = retire_page(cells, cell);
+        if (bucket->fill == buckets->page_bytes)
+            status = retire_page(buckets, bucket);
     }
     return status;
 }
 
 /* ---- reading ---- */
 
-static int read_page(const struct cells *cells, uint64_t place, uint64_t offset, uint64_t size,
+static int read_page(const struct buckets *buckets, uint64_t place, uint64_t offset, uint64_t size,
                      uint8_t *to)
 {
-    if (place & CELLS_IN_FILE)
-        return bsq_file_read(cells->ctx, &cells->file, to, size, place - CELLS_IN_FILE + offset);
-    memcpy(to, memory_page(cells, place) + offset, size);
+    if (place & BUCKET_IN_FILE)
+        return bsq_file_read(buckets->ctx, &buckets->file, to, size,
+                             place - BUCKET_IN_FILE + offset);
+    memcpy(to, memory_page(buckets, place) + offset, size);
     return 0;
 }
 
-int vox_buckets_read(const struct cells *cells, uint32_t number, uint64_t offset, uint64_t size,
-                     void *to, struct cell_cursor *cursor)
+int vox_buckets_read(const struct buckets *buckets, uint32_t number, uint64_t offset, uint64_t size,
+                     void *to, struct bucket_cursor *cursor)
 {
-    const struct cell *cell = &cells->list[number];
+    const struct bucket *bucket = &buckets->list[number];
     uint8_t *at = to;
     int status = 0;
     if (!cursor->valid)
-        *cursor = (struct cell_cursor){.page = cell->first_page, .valid = true};
+        *cursor = (struct bucket_cursor){.page = bucket->first_page, .valid = true};
     while (status == 0 && size > 0) {
-        uint64_t wanted = offset / cells->page_bytes, within = offset % cells->page_bytes;
-        uint64_t room = cells->page_bytes - within, part = size < room ? size : room;
+        uint64_t wanted = offset / buckets->page_bytes, within = offset % buckets->page_bytes;
+        uint64_t room = buckets->page_bytes - within, part = size < room ? size : room;
         for (; cursor->page_number < wanted; cursor->page_number++)
-            cursor->page = cells->pages[cursor->page].next;
-        if (cursor->page == CELLS_NONE)
-            memcpy(at, cell->buffer + within, part);
+            cursor->page = buckets->pages[cursor->page].next;
+        if (cursor->page == BUCKET_NONE)
+            memcpy(at, bucket->buffer + within, part);
         else
-            status = read_page(cells, cells->pages[cursor->page].place, within, part, at);
+            status = read_page(buckets, buckets->pages[cursor->page].place, within, part, at);
         at += part;
         offset += part;
         size -= part;

@@ -1,22 +1,22 @@
-/* buckets.h - private to the sorter: bytes collected by cell, in the order in which they came.
+/* buckets.h - private to the sorter: bytes collected by bucket, in the order in which they came.
  *
- * Each cell fills a page; full pages stay in memory while that is allowed, then go to one temporary
- * file. Cells share pages' sizes, so byte number i of a cell is in its page i / page_bytes.
- * Adding is for one thread at a time, reading for any. */
+ * Each bucket fills a page; full pages stay in memory while that is allowed, then go to one
+ * temporary file. Cells share pages' sizes, so byte number i of a bucket is in its page i /
+ * page_bytes. Adding is for one thread at a time, reading for any. */
 #ifndef VOX_PARTITION_BUCKETS_H
 #define VOX_PARTITION_BUCKETS_H
 
 #include "base/file.h"
 
-#define CELLS_NONE UINT32_MAX
+#define BUCKET_NONE UINT32_MAX
 
-struct cell_page {
-    uint64_t place; /* number of a page in memory, or CELLS_IN_FILE + offset */
-    uint32_t next;  /* page of the same cell, or CELLS_NONE */
+struct bucket_page {
+    uint64_t place; /* number of a page in memory, or BUCKET_IN_FILE + offset */
+    uint32_t next;  /* page of the same bucket, or BUCKET_NONE */
 };
-#define CELLS_IN_FILE ((uint64_t)1 << 63)
+#define BUCKET_IN_FILE ((uint64_t)1 << 63)
 
-struct cell {
+struct bucket {
     uint8_t *buffer;      /* page in memory being filled, or NULL */
     uint64_t buffer_page; /* its number */
     uint32_t fill;        /* bytes in it */
@@ -24,37 +24,38 @@ struct cell {
     uint64_t bytes, items; /* all that were added */
 };
 
-struct cells {
+struct buckets {
     struct bsq_ctx *ctx;
-    uint32_t cell_count, page_bytes;
-    struct cell *list;
-    struct cell_page *pages;
+    uint32_t bucket_count, page_bytes;
+    struct bucket *list;
+    struct bucket_page *pages;
     uint64_t page_count, page_capacity;
-    /* Memory comes in slabs of pages. A full page may stay only if all cells can still get one. */
+    /* Memory comes in slabs of pages. A full page may stay only if all buckets can still get one.
+     */
     uint8_t **slabs;
     uint64_t slab_count, slab_capacity;
-    uint64_t slab_pages, page_limit, pages_taken, cells_without;
+    uint64_t slab_pages, page_limit, pages_taken, without_page;
     struct bsq_file file;
     const char *beside;
 };
 
-/* page_memory: bytes of pages in memory; at least one page a cell is used whatever it says. */
-int vox_buckets_init(struct cells *cells, struct bsq_ctx *ctx, const char *beside,
-                     uint32_t cell_count, uint64_t page_bytes, uint64_t page_memory);
-void vox_buckets_free(struct cells *cells);
+/* page_memory: bytes of pages in memory; at least one page a bucket is used whatever it says. */
+int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *beside,
+                     uint32_t bucket_count, uint64_t page_bytes, uint64_t page_memory);
+void vox_buckets_free(struct buckets *buckets);
 
-/* Adds bytes to a cell, which stand for that many items. */
-int vox_buckets_add(struct cells *cells, uint32_t cell, const void *bytes, uint64_t size,
+/* Adds bytes to a bucket, which stand for that many items. */
+int vox_buckets_add(struct buckets *buckets, uint32_t bucket, const void *bytes, uint64_t size,
                     uint64_t items);
 
-/* Copies bytes [offset, offset + size) of a cell to `to`. `cursor` remembers the place between
+/* Copies bytes [offset, offset + size) of a bucket to `to`. `cursor` remembers the place between
  * calls that go on where the last one ended, or later; start with {0}. */
-struct cell_cursor {
-    uint64_t page_number; /* of the cell */
+struct bucket_cursor {
+    uint64_t page_number; /* of the bucket */
     uint32_t page;
     bool valid;
 };
-int vox_buckets_read(const struct cells *cells, uint32_t cell, uint64_t offset, uint64_t size,
-                     void *to, struct cell_cursor *cursor);
+int vox_buckets_read(const struct buckets *buckets, uint32_t bucket, uint64_t offset, uint64_t size,
+                     void *to, struct bucket_cursor *cursor);
 
 #endif

@@ -1,36 +1,86 @@
-/* partition.h - private to the sorter: faces become triangles, collected by cell. */
+/* partition.h - the door of this room: a scan's triangles, partitioned into buckets by place.
+ *
+ * Takes a mesh reader. Gives the scan's attribute streams (read/scan.h) and its triangles, coded in
+ * buckets of a coarse Morton grid (record_runs.h). The reading is one pass if all vertices come
+ * before all faces, which samples of the text can tell for most files; two passes work for any
+ * file. Memory is bounded: attribute streams and buckets move to temporary files. */
 #ifndef VOX_PARTITION_PARTITION_H
 #define VOX_PARTITION_PARTITION_H
 
-#include "libvoxel/partition/triangulate.h"
+#include <stdatomic.h>
 
-struct scattered {
+#include "libvoxel/partition/morton.h"
+#include "libvoxel/partition/record_runs.h"
+
+/* ---- vertices in use: a bit for each vertex that a face refers to ---- */
+
+typedef atomic_uint_least64_t used_word;
+
+static inline uint64_t used_words(uint64_t vertices)
+{
+    return vertices / 64 + 1;
+}
+
+/* From any thread. */
+static inline void used_mark(used_word *used, uint64_t vertex)
+{
+    used_word *word = &used[vertex / 64];
+    uint64_t bit = (uint64_t)1 << vertex % 64;
+    if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
+        atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
+}
+
+static inline uint64_t used_count(const used_word *used, uint64_t vertices)
+{
+    uint64_t count = 0;
+    for (uint64_t i = 0; i < used_words(vertices); i++)
+        count +=
+            (uint64_t)__builtin_popcountll(atomic_load_explicit(&used[i], memory_order_relaxed));
+    return count;
+}
+
+/* ---- the partition ---- */
+
+struct partition {
     struct record_layout layout;
     struct morton_cube cube;
-    uint32_t levels;          /* cells are named by the first 3 * levels bits of the key */
-    struct cells cells;       /* of runs, see record_runs.h; items are triangles */
-    uint64_t triangles;       /* in the cells, those without area too */
-    bool vertices_lack_order; /* as far as is known: neighbours in the file are not neighbours in
-                                 space */
-    /* Vertices that faces refer to, where records are indices: to be marked by who reads these.
-     * NULL: how many there are is known. */
-    used_word *used;
-    uint64_t used_vertices;
+    uint32_t levels;          /* the first 3 * levels bits of a key name a bucket */
+    struct buckets buckets;   /* of runs; items are triangles */
+    uint64_t triangles;       /* in the buckets, including those without area */
+    bool vertices_lack_order; /* neighbours in the file are not neighbours in space; only known if
+                                 positions are in a file */
+    used_word *used;          /* all clear: whoever reads the records marks them */
 };
 
-/* Scatters the faces of the store. Free with vox_partition_free(), also after failure. */
-int vox_partition_scan(struct scan *scan, const char *beside, struct scattered *out);
-/* Does nothing where nothing was begun. */
-void vox_partition_free(const struct scan *scan, struct scattered *scattered);
+enum partition_passes {
+    PARTITION_ONE_PASS, /* all elements come before all faces */
+    PARTITION_TWO_PASSES
+};
 
-/* Makes the cells for about this many triangles. */
-int vox_partition_begin(const struct scan *scan, const char *beside, uint64_t triangles,
-                        uint64_t page_memory, uint32_t max_levels, struct scattered *out);
-/* Makes the bits of vertices in use, all clear. */
-int vox_partition_note_used(const struct scan *scan, struct scattered *out);
-/* Moves what a splitter made to the cells. Serial, in the order of the file. */
-int vox_partition_collect(struct scattered *out, const struct splitter *splitter);
-/* Vertices of the scan that no face refers to, once `used` is complete. */
-uint64_t vox_partition_unused(const struct scan *scan, const struct scattered *scattered);
+/* Reads the scan and partitions its faces. `out` is zero at first; free it with
+ * vox_partition_free(), also after failure. The scan must be finished before the layout is known:
+ * call vox_scan_finish(), vox_scan_find_materials() and vox_partition_finish() next. Errors:
+ * those of the reader; BSQ_RETRY if one pass is asked for and elements follow faces; BSQ_EUSAGE if
+ * memory is too small for a scan of this size or its polygons. */
+int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const char *beside,
+                       enum partition_passes passes, struct partition *out);
+void vox_partition_finish(const struct scan *scan, struct partition *partition);
+void vox_partition_free(const struct scan *scan, struct partition *partition);
+
+/* Returns the number of vertices that no face refers to, after `used` has been marked. */
+uint64_t vox_partition_unused(const struct scan *scan, const struct partition *partition);
+
+/* ---- disk ---- */
+
+struct disk_space {
+    uint64_t output_bytes; /* of the chunk file */
+    uint64_t temp_bytes;
+};
+
+/* Estimates what sorting a scan of this size needs on disk. The estimate is meant for faces that
+ * refer to vertices in their order, or nearly so. Other scans need more, so no scan is refused that
+ * has enough space. */
+struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
+                                    const struct sort_limits *limits);
 
 #endif

@@ -1,5 +1,6 @@
 /* record_runs.c - see record_runs.h. */
 #include "libvoxel/partition/record_runs.h"
+#include "libvoxel/partition/corner_delta_code.h"
 
 uint8_t *vox_run_put_records(const struct record_layout *layout, const uint8_t *records,
                              uint32_t count, uint8_t *to)
@@ -13,24 +14,16 @@ uint8_t *vox_run_put_records(const struct record_layout *layout, const uint8_t *
 
 /* ---- the buffer ---- */
 
-static uint32_t buffer_bytes(const struct record_layout *layout)
-{
-    uint32_t triangle = run_triangle_bound(layout);
-    if (triangle < layout->bytes)
-        triangle = layout->bytes;
-    return RUN_TRIANGLES * triangle + RUN_TRIANGLES / 8 + (uint32_t)sizeof(struct run_header);
-}
-
-uint64_t vox_run_reader_bytes(const struct record_layout *layout)
-{
-    return buffer_bytes(layout) + CORNER_CODE_SLACK;
-}
+/* The largest run: delta codes of all kinds of indices, which are never below a record's bytes. */
+#define BUFFER_BYTES                                                                               \
+    (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX + RUN_TRIANGLES / 8 +                   \
+     (uint32_t)sizeof(struct run_header))
 
 int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
                         const struct record_layout *layout)
 {
     *reader = (struct run_reader){.scan = scan, .layout = layout};
-    return bsq_calloc(scan->ctx, "sorting", vox_run_reader_bytes(layout), 1, &reader->buffer);
+    return bsq_calloc(scan->ctx, "sorting", BUFFER_BYTES + CORNER_CODE_SLACK, 1, &reader->buffer);
 }
 
 void vox_run_reader_free(struct run_reader *reader)
@@ -40,39 +33,39 @@ void vox_run_reader_free(struct run_reader *reader)
     memset(reader, 0, sizeof *reader);
 }
 
-void vox_run_reader_seek(struct run_reader *reader, const struct cells *cells, uint32_t cell,
+void vox_run_reader_seek(struct run_reader *reader, const struct buckets *buckets, uint32_t bucket,
                          uint64_t offset)
 {
     reader->begin = reader->end = 0;
-    reader->cells = cells;
-    reader->cell = cell;
+    reader->buckets = buckets;
+    reader->bucket = bucket;
     reader->offset = offset;
-    reader->cursor = (struct cell_cursor){0};
+    reader->cursor = (struct bucket_cursor){0};
 }
 
 /* Makes at least `size` bytes available at `begin`. */
 static int fill_buffer(struct run_reader *reader, uint32_t size)
 {
     uint32_t have = reader->end - reader->begin;
-    uint64_t left = reader->cells->list[reader->cell].bytes - reader->offset;
-    uint32_t room = buffer_bytes(reader->layout) - have;
+    uint64_t left = reader->buckets->list[reader->bucket].bytes - reader->offset;
+    uint32_t capacity = BUFFER_BYTES - have;
     if (have >= size)
         return 0;
     memmove(reader->buffer, reader->buffer + reader->begin, have);
-    uint32_t more = left < room ? (uint32_t)left : room;
-    int status = vox_buckets_read(reader->cells, reader->cell, reader->offset, more,
+    uint32_t more = left < capacity ? (uint32_t)left : capacity;
+    int status = vox_buckets_read(reader->buckets, reader->bucket, reader->offset, more,
                                   reader->buffer + have, &reader->cursor);
     reader->offset += more;
     reader->begin = 0;
     reader->end = have + more;
     if (status == 0 && reader->end < size)
-        status = bsq_fail(reader->scan->ctx, BSQ_EBUG, "a cell's triangles end early");
+        status = bsq_fail(reader->scan->ctx, BSQ_EBUG, "a bucket ends inside of a run");
     return status;
 }
 
 /* ---- decoding ---- */
 
-/* The scans that most are: positions alone, fewer than 2^32. */
+/* Decodes triangles of most scans: positions alone, fewer than 2^32. */
 static void decode_plain(const uint8_t *from, uint32_t count, uint8_t *to)
 {
     struct corner_code code = {0};
@@ -84,13 +77,12 @@ static void decode_plain(const uint8_t *from, uint32_t count, uint8_t *to)
     }
 }
 
-/* Widths below eight bytes are written with what comes behind them. */
 static void decode_indices(const struct record_layout *layout, unsigned form, const uint8_t *from,
                            uint32_t count, uint8_t *to)
 {
-    struct corner_code codes[FACE_KIND_COUNT] = {0};
+    struct corner_code codes[FMT_MESH_KIND_COUNT] = {0};
     for (uint32_t t = 0; t < count; t++, to += layout->bytes)
-        for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
+        for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
             uint64_t index[3] = {FMT_MESH_NONE, FMT_MESH_NONE, FMT_MESH_NONE};
             if (form >> kind & 1)
                 from = corner_code_get(&codes[kind], from, index);
@@ -100,24 +92,6 @@ static void decode_indices(const struct record_layout *layout, unsigned form, co
                 record_store(to + k * layout->corner_bytes + layout->index_at[kind], index[k],
                              layout->index_bytes[kind]);
         }
-}
-
-static void decode_values(const struct record_layout *layout, const uint8_t *from, uint32_t count,
-                          uint8_t *to)
-{
-    const uint32_t bytes = layout->corner_bytes;
-    for (uint32_t t = 0; t < count; t++, to += layout->bytes) {
-        unsigned control = *from++;
-        for (uint32_t k = 0; k < 3; k++) {
-            unsigned match = control >> 2 * k & 3;
-            if (match == CORNER_NEW) {
-                memcpy(to + k * bytes, from, bytes);
-                from += bytes;
-            } else {
-                memcpy(to + k * bytes, to - layout->bytes + match * bytes, bytes);
-            }
-        }
-    }
 }
 
 static void set_materials(const struct scan *scan, const struct record_layout *layout,
@@ -148,9 +122,7 @@ static void decode(const struct run_reader *reader, const struct run_header *hea
         return;
     }
     const unsigned kinds = header->form & ~(unsigned)RUN_FANS;
-    if (kinds == RUN_VALUES)
-        decode_values(layout, from, count, to);
-    else if (kinds == 1u << FACE_VERTEX && layout->plain)
+    if (kinds == 1u << FMT_MESH_VERTEX && layout->plain)
         decode_plain(from, count, to);
     else
         decode_indices(layout, kinds, from, count, to);

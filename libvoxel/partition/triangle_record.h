@@ -1,41 +1,28 @@
-/* triangle_record.h - private to the sorter: a triangle on its way into the sorted file.
+/* triangle_record.h - a triangle while it is sorted: three corners and a material.
  *
- * Three corners and a material. A corner is its indices, each in as few bytes as the scan's counts
- * need, four at least; or its values, where columns are in files and faces were joined with them
- * (hash_join.h). Records are packed; loads may read RECORD_SLACK bytes past the end. Outside of
- * batches they are coded, see record_runs.h. */
+ * A corner is its indices, each in as few bytes as the scan's counts need, but at least
+ * limits->index_bytes. Records are packed; loads may read RECORD_SLACK bytes past the end. Records
+ * are in memory only; buckets hold them delta coded (record_runs.h). */
 #ifndef VOX_PARTITION_TRIANGLE_RECORD_H
 #define VOX_PARTITION_TRIANGLE_RECORD_H
 
 #include <string.h>
 
-#include "libvoxel/partition/buckets.h"
 #include "libvoxel/read/scan.h"
 
 #define RECORD_SLACK 8
 
 struct record_layout {
-    bool by_value;
-    bool windowed; /* by index, and columns are in files: see gather_window.h */
-    bool fans;     /* polygons come as fans, see polygon_fans.h: the highest bit of a first vertex
-                    * number says that its triangle     belongs to the fan of the one before */
-    bool plain;    /* a record is three four-byte vertex numbers and vertices are positions */
-    /* Of an index; 0: the kind is not stored. Only where !by_value. */
-    uint32_t index_bytes[FACE_KIND_COUNT];
-    /* Where in a corner: an index by its kind, or a value by its column. */
-    uint32_t index_at[FACE_KIND_COUNT];
-    uint32_t value_at[SCAN_COLUMN_COUNT];
+    bool gathered; /* attribute streams are in files: each batch gathers its own elements */
+    /* Polygons come as fans, because positions are in a file. The highest bit of a record's first
+     * vertex index says that the triangle belongs to the same fan as the one before. */
+    bool fans;
+    bool plain; /* a record is three four-byte vertex indices, and a vertex is a position */
+    uint32_t index_bytes[FMT_MESH_KIND_COUNT]; /* 0: the kind is not stored */
+    uint32_t index_at[FMT_MESH_KIND_COUNT];    /* offset in a corner */
     uint32_t corner_bytes;
     uint32_t material_bytes; /* of the number plus one; 0: no materials */
     uint32_t bytes;
-};
-
-/* Values of the corners of a group; absent attributes are NULL. */
-struct corner_values {
-    float (*positions)[3];
-    uint32_t *colors;
-    float (*texcoords)[2];
-    uint32_t *normals;
 };
 
 static inline uint32_t record_index_width(uint64_t last, uint32_t least)
@@ -46,9 +33,8 @@ static inline uint32_t record_index_width(uint64_t last, uint32_t least)
     return bytes;
 }
 
-/* A column that the sorted file needs is in a file. */
-bool vox_record_columns_spilled(const struct scan *scan);
-void vox_record_layout_for(const struct scan *scan, bool by_value, struct record_layout *layout);
+/* Describes the records of a scan that was read whole and whose materials are known. */
+void vox_record_layout_for(const struct scan *scan, struct record_layout *layout);
 
 static inline void record_store(uint8_t *at, uint64_t value, uint32_t bytes)
 {
@@ -63,41 +49,36 @@ static inline uint64_t record_load(const uint8_t *at, uint32_t bytes)
     return value & UINT64_MAX >> (64 - 8 * bytes);
 }
 
-/* Vertex number of a corner that is not by value. */
 static inline uint64_t record_vertex_index(const struct record_layout *layout,
                                            const uint8_t *corner)
 {
-    return record_load(corner, layout->index_bytes[FACE_VERTEX]);
+    return record_load(corner, layout->index_bytes[FMT_MESH_VERTEX]);
 }
 
-/* Of layouts with fans. */
+/* The bit of a vertex index that marks fans, in layouts that have them. */
 static inline uint64_t record_fan_bit(const struct record_layout *layout)
 {
-    return (uint64_t)1 << (8 * layout->index_bytes[FACE_VERTEX] - 1);
+    return (uint64_t)1 << (8 * layout->index_bytes[FMT_MESH_VERTEX] - 1);
 }
 
 static inline bool record_continues_fan(const struct record_layout *layout, const uint8_t *record)
 {
-    return record[layout->index_bytes[FACE_VERTEX] - 1] >> 7;
+    return record[layout->index_bytes[FMT_MESH_VERTEX] - 1] >> 7;
 }
 
 static inline void record_continue_fan(const struct record_layout *layout, uint8_t *record)
 {
-    record[layout->index_bytes[FACE_VERTEX] - 1] |= 0x80;
+    record[layout->index_bytes[FMT_MESH_VERTEX] - 1] |= 0x80;
 }
 
-/* Position of a corner; `copy` is where it is put if it does not lie aligned. */
+/* Returns the position of a corner; `scan` has it in memory. */
 static inline const float *record_position(const struct record_layout *layout,
-                                           const struct scan *scan, const uint8_t *corner,
-                                           float copy[3])
+                                           const struct scan *scan, const uint8_t *corner)
 {
-    if (!layout->by_value)
-        return column_at(&scan->columns[SCAN_POSITIONS], record_vertex_index(layout, corner), 12);
-    memcpy(copy, corner, 12);
-    return copy;
+    return stream_at(&scan->streams[SCAN_POSITIONS], record_vertex_index(layout, corner), 12);
 }
 
-/* UINT32_MAX: none */
+/* Returns UINT32_MAX if the triangle has no material. */
 static inline uint32_t record_material(const struct record_layout *layout, const uint8_t *record)
 {
     if (layout->material_bytes == 0)
@@ -105,14 +86,15 @@ static inline uint32_t record_material(const struct record_layout *layout, const
     return (uint32_t)record_load(record + 3 * layout->corner_bytes, layout->material_bytes) - 1;
 }
 
-/* All of a vertex of the sorted file. Equal vertices have equal bytes. */
+/* All values of a vertex of the chunk file. Equal vertices have equal bytes. */
 struct vertex {
     float position[3];
-    uint32_t normal; /* SCAN_NO_NORMAL: the triangle's is to be used */
+    uint32_t normal; /* SCAN_NO_NORMAL: use the triangle's */
     float texcoord[2];
     uint32_t color;
 };
 
+/* Looks up the values of a corner; `scan` has them in memory. */
 void vox_record_vertex(const struct record_layout *layout, const struct scan *scan,
                        const uint8_t *corner, struct vertex *out);
 

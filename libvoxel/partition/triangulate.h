@@ -1,85 +1,70 @@
-/* triangulate.h - private to the sorter: faces become triangles, coded and collected by cell.
+/* triangulate.h - the faces of a block become triangles, delta coded and grouped by bucket.
  *
- * Works on one group of faces at a time and needs nothing but the positions of its triangles' first
- * corners and of all corners of polygons, or the cells of these, so that groups can be split on all
- * threads. */
+ * Works on one block of faces at a time. It needs the positions of first corners and of polygons,
+ * or the buckets of their vertices, so blocks can be triangulated on all threads. */
 #ifndef VOX_PARTITION_TRIANGULATE_H
 #define VOX_PARTITION_TRIANGULATE_H
 
 #include "libvoxel/partition/morton.h"
 #include "libvoxel/partition/record_runs.h"
-#include "libvoxel/partition/used_vertices.h"
 #include "libvoxel/partition/vertex_buckets.h"
 
-/* What all groups of a scan have in common. */
-struct split_plan {
+/* What all blocks of a scan have in common. */
+struct triangulation_plan {
     const struct scan *scan;
     struct morton_cube cube;
-    uint32_t levels; /* cells are named by the first 3 * levels bits of the key */
-    const struct record_layout *values;      /* corners are coded by value; NULL: by index */
-    const struct vertex_cells *vertex_cells; /* where positions are neither in memory nor values:
-                                                polygons become fans then */
-    uint64_t fan_bytes; /* what a group with fans may take in a splitter where it is not usual */
-    used_word *used;    /* of vertices that faces refer to; NULL where records will tell */
+    uint32_t levels; /* the first 3 * levels bits of a key name a bucket */
+    /* Set if positions are in a file. Polygons then become fans. */
+    const struct vertex_buckets *vertex_buckets;
+    uint64_t fan_bytes; /* limit for a block whose fans are unusually many */
 };
 
-/* The runs of one cell from one group. */
-struct split_piece {
-    uint32_t cell, triangles;
-    uint32_t first_link, links; /* in the splitter's sorted links; of plain groups 0 */
-    uint64_t offset, bytes;     /* in the splitter's bytes */
+/* The runs that one block adds to one bucket. */
+struct bucket_runs {
+    uint32_t bucket, triangles;
+    uint32_t first_span, span_count; /* in `sorted`; 0 for plain blocks */
+    uint64_t offset, bytes;          /* in `bytes` of the triangulator */
 };
 
-/* The triangle belongs to the fan of the one before. */
-#define SPLIT_CONTINUES (1u << 31)
+/* Marks the first corner of a triangle that belongs to the same fan as the one before. */
+#define CONTINUES_FAN (1u << 31)
 
-/* Some triangles of the group one behind the other in one cell. */
-struct split_link {
-    uint32_t cell, first, count, material;
+/* Consecutive triangles of a block that are in one bucket and have one material. */
+struct triangle_span {
+    uint32_t bucket, first, count, material;
 };
 
-struct splitter {
+/* Buffers and result of triangulating one block after the other. */
+struct triangulator {
     struct bsq_ctx *ctx;
-    const struct split_plan *plan;
-    /* Results. */
-    struct split_piece *pieces;
-    uint32_t piece_count;
+    const struct triangulation_plan *plan;
+    /* Result. Fans are in several buckets, and `triangles` counts all copies. */
+    struct bucket_runs *runs;
+    uint32_t run_count;
     uint8_t *bytes;
-    uint64_t triangles; /* in the pieces: fans are in several */
-    bool gave_up; /* a group failed without an error, as its polygons are in too many cells for fans
-                   */
+    uint64_t triangles;
     /* Buffers; capacities in elements. */
-    uint64_t piece_capacity, bytes_capacity, corners_capacity, link_capacity, sorted_capacity;
-    uint32_t (
-        *corners)[3];    /* of the triangles, numbers in the group; SPLIT_CONTINUES in the first */
-    uint32_t *fan_cells; /* of the largest polygon */
-    uint64_t fan_capacity;
-    struct split_link *links;
-    uint32_t link_count;
-    uint32_t groups_without_order; /* the next ones are taken for such */
-    struct split_link *sorted;     /* the links by cell */
-    uint32_t *cell_pieces;         /* for each cell its piece; UINT32_MAX between groups */
-    /* Of the largest polygon. */
+    uint64_t run_capacity, bytes_capacity, corner_capacity, span_capacity, sorted_capacity;
+    uint32_t (*corners)[3]; /* of triangles: numbers in the block */
+    struct triangle_span *spans, *sorted;
+    uint32_t span_count;
+    uint32_t *runs_of_bucket; /* index into `runs` for each bucket; UINT32_MAX between blocks */
+    uint32_t skipped_plain;   /* blocks to come for which the plain path is not tried */
+    /* For the largest polygon. */
+    uint32_t *fan_buckets;
     double (*polygon)[3];
     uint32_t *polygon_triangles, *polygon_scratch;
-    uint64_t polygon_capacity[3];
+    uint64_t fan_capacity, polygon_capacity[3];
 };
 
-/* Bytes that splitting groups of at most this size takes, as a rule. */
-uint64_t vox_triangulator_bytes(const struct split_plan *plan, uint64_t triangles,
-                                uint32_t max_size);
-int vox_triangulator_init(struct splitter *splitter, struct bsq_ctx *ctx,
-                          const struct split_plan *plan);
-void vox_triangulator_free(struct splitter *splitter);
+/* Free with vox_triangulator_free(), also after failure. */
+int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
+                          const struct triangulation_plan *plan);
+void vox_triangulator_free(struct triangulator *t);
 
-/* Polygons of the group can become fans: they are not too large, and their corners have texture
- * coordinates, or lack them, all alike. lacks_texcoord: some corner of the group may lack what
- * others have. */
-bool vox_triangulate_makes_fans(uint32_t max_size, bool lacks_texcoord);
-
-/* Splits a group; `values` are its corners', NULL where these are coded by index. max_size: of its
- * largest face. */
-int vox_triangulate_group(struct splitter *splitter, const struct face_group *group,
-                          const struct corner_values *values, uint32_t max_size);
+/* Triangulates a block whose indices are in range. max_size: corners of its largest face. Errors:
+ * BSQ_EUSAGE if a polygon cannot be split because positions are in a file. */
+int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *block,
+                          uint32_t max_size);
 
 #endif

@@ -1,58 +1,56 @@
-/* vertex_buckets.h - private to the sorter: the cell of every vertex, where positions are in a
- * file.
+/* vertex_buckets.h - the bucket of every vertex, for scans whose positions are in a file.
  *
- * Triangles go to cells by their first corner. Two bytes a vertex tell its cell, a sixth of a
- * position, and so scans are scattered by index, in whatever order their faces are, long after
- * their positions have no room in memory. One byte has to do where there is less: cells are larger
- * then, and divided later. */
+ * A triangle goes to the bucket of its first corner. Two bytes a vertex name the bucket, a sixth of
+ * a position, so faces can be partitioned in any order without their positions. One byte must do if
+ * memory is short: buckets are larger then, and are divided later. */
 #ifndef VOX_PARTITION_VERTEX_BUCKETS_H
 #define VOX_PARTITION_VERTEX_BUCKETS_H
 
 #include "libvoxel/partition/morton.h"
 #include "libvoxel/read/scan.h"
 
-/* Levels of cells that two bytes name, and one. */
-#define VERTEX_CELLS_WIDE_LEVELS   5u
-#define VERTEX_CELLS_NARROW_LEVELS 2u
+/* Morton levels that two bytes can name, and one byte. */
+#define VERTEX_BUCKET_WIDE_LEVELS   5u
+#define VERTEX_BUCKET_NARROW_LEVELS 2u
 
-struct vertex_cells {
-    /* Of each vertex; one of these, or none. */
+struct vertex_buckets {
+    /* For each vertex; one of these, or none. */
     uint16_t *wide;
     uint8_t *narrow;
-    bool have_order; /* vertices mostly are in the cell of the one before */
+    bool have_order; /* most vertices are in the bucket of the vertex before */
 };
 
-static inline uint64_t vertex_cells_bytes(uint64_t vertices, uint32_t levels)
+static inline uint64_t vertex_bucket_bytes(uint64_t vertices, uint32_t levels)
 {
-    return vertices * (levels > VERTEX_CELLS_NARROW_LEVELS ? sizeof(uint16_t) : sizeof(uint8_t));
+    return vertices * (levels > VERTEX_BUCKET_NARROW_LEVELS ? sizeof(uint16_t) : sizeof(uint8_t));
 }
 
-/* Levels that a table of at most `room` and `most` bytes names; 0: there is no room for one. */
-static inline uint32_t vertex_cells_levels(uint64_t vertices, uint64_t room, uint64_t most)
+/* Returns the levels that a table of at most `bytes` can name; 0 if no table is that small. */
+static inline uint32_t vertex_bucket_levels(uint64_t vertices, uint64_t bytes)
 {
-    const uint64_t bytes = room < most ? room : most;
-    if (vertex_cells_bytes(vertices, VERTEX_CELLS_WIDE_LEVELS) <= bytes)
-        return VERTEX_CELLS_WIDE_LEVELS;
-    return vertex_cells_bytes(vertices, VERTEX_CELLS_NARROW_LEVELS) <= bytes
-               ? VERTEX_CELLS_NARROW_LEVELS
+    if (vertex_bucket_bytes(vertices, VERTEX_BUCKET_WIDE_LEVELS) <= bytes)
+        return VERTEX_BUCKET_WIDE_LEVELS;
+    return vertex_bucket_bytes(vertices, VERTEX_BUCKET_NARROW_LEVELS) <= bytes
+               ? VERTEX_BUCKET_NARROW_LEVELS
                : 0;
 }
 
-static inline uint32_t vertex_cell(const struct vertex_cells *cells, uint64_t vertex)
+static inline uint32_t vertex_bucket(const struct vertex_buckets *buckets, uint64_t vertex)
 {
-    return cells->wide ? cells->wide[vertex] : cells->narrow[vertex];
+    return buckets->wide ? buckets->wide[vertex] : buckets->narrow[vertex];
 }
 
-/* Where vertex_cell() looks. */
-static inline const void *vertex_cell_place(const struct vertex_cells *cells, uint64_t vertex)
+/* Returns the address that vertex_bucket() reads, to prefetch it. */
+static inline const void *vertex_bucket_place(const struct vertex_buckets *buckets, uint64_t vertex)
 {
-    return cells->wide ? (const void *)&cells->wide[vertex] : (const void *)&cells->narrow[vertex];
+    return buckets->wide ? (const void *)&buckets->wide[vertex]
+                         : (const void *)&buckets->narrow[vertex];
 }
 
 /* Reads the scan's positions, all of which are known. The first 3 * levels bits of a key name a
- * cell. Free with vox_vertex_buckets_free(), also after failure. */
+ * bucket. Free with vox_vertex_buckets_free(), also after failure. */
 int vox_vertex_buckets_make(const struct scan *scan, const struct morton_cube *cube,
-                            uint32_t levels, struct vertex_cells *out);
-void vox_vertex_buckets_free(const struct scan *scan, struct vertex_cells *cells);
+                            uint32_t levels, struct vertex_buckets *out);
+void vox_vertex_buckets_free(const struct scan *scan, struct vertex_buckets *buckets);
 
 #endif

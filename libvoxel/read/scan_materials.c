@@ -77,7 +77,7 @@ static int add_own_material(struct scan *scan, const struct fmt_material *from, 
             return status;
         map[0] = add_material(scan, path, from->diffuse);
     }
-    if (from->has_diffuse && (!textured || scan->faces.lacks_texcoord))
+    if (from->has_diffuse && (!textured || scan->lacks_texcoord))
         map[1] = add_material(scan, NULL, from->diffuse);
     if (!textured)
         map[0] = map[1];

@@ -1,8 +1,7 @@
-/* scan_read.c - parsed blocks into columns and faces.
+/* scan_read.c - parsed blocks become attribute streams.
  *
  * This runs in the reader's serial step while other blocks are parsed, so it only converts and
- * appends. When memory runs short the faces go to a file first, as they are only read in sequence;
- * columns follow when they exceed their own share. */
+ * appends. */
 #include "libvoxel/read/scan.h"
 #include "libvoxel/float_precision.h"
 #include "base/octahedral.h"
@@ -11,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-/* Of colours from 0 to 1. */
+/* Colours up to this value are taken for ones from 0 to 1. */
 static const float largest_of_one = 2.0f;
 
 void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
@@ -21,21 +20,19 @@ void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_lim
     scan->ctx = ctx;
     scan->limits = limits;
     scan->paths = scan_paths;
-    const uint32_t shift = limits->column_shift;
-    column_init(&scan->columns[SCAN_POSITIONS], ctx, "vertices", tris_path, 12, shift);
-    column_init(&scan->columns[SCAN_COLORS], ctx, "colours", tris_path, 4, shift);
-    column_init(&scan->columns[SCAN_TEXCOORDS], ctx, "texture coordinates", tris_path, 8, shift);
-    column_init(&scan->columns[SCAN_NORMALS], ctx, "normals", tris_path, 4, shift);
-    vox_face_store_init(&scan->faces, ctx, tris_path);
+    const uint32_t shift = limits->stream_shift;
+    stream_init(&scan->streams[SCAN_POSITIONS], ctx, "vertices", tris_path, 12, shift);
+    stream_init(&scan->streams[SCAN_COLORS], ctx, "colours", tris_path, 4, shift);
+    stream_init(&scan->streams[SCAN_TEXCOORDS], ctx, "texture coordinates", tris_path, 8, shift);
+    stream_init(&scan->streams[SCAN_NORMALS], ctx, "normals", tris_path, 4, shift);
 }
 
 void vox_scan_free(struct scan *scan)
 {
     if (!scan->ctx)
         return;
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        vox_spill_free(&scan->columns[i].spool);
-    vox_face_store_free(&scan->faces);
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+        vox_spill_free(&scan->streams[i].spill);
     for (uint32_t i = 0; i < scan->material_count; i++)
         bsq_free(scan->ctx, scan->materials[i].texture_path);
     bsq_free(scan->ctx, scan->materials);
@@ -45,44 +42,37 @@ void vox_scan_free(struct scan *scan)
 
 /* ---- memory ---- */
 
-static uint64_t column_memory(const struct scan *scan)
+uint64_t vox_scan_stream_memory(const struct scan *scan)
 {
     uint64_t bytes = 0;
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        bytes += vox_spill_memory(&scan->columns[i].spool);
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+        bytes += vox_spill_memory(&scan->streams[i].spill);
     return bytes;
 }
 
-static bool stores_fit(const struct scan *scan, uint64_t more)
+/* Finds space for at least one element at the end of a stream, which moves to a file if all streams
+ * together exceed their limit. *at: a pointer to elements. */
+static int stream_reserve(struct scan *scan, enum scan_stream number, void *at, uint64_t *capacity)
 {
-    uint64_t bytes = column_memory(scan) + vox_spill_memory(&scan->faces.bytes);
-    return bytes + more <= scan->limits->store_bytes;
-}
-
-/* Room for at least one element at the end of a column. */
-static int column_room(struct scan *scan, enum scan_column number, void *at, uint64_t *room)
-{
-    struct column *column = &scan->columns[number];
-    uint64_t cost = vox_spill_room_cost(&column->spool);
+    struct attribute_stream *stream = &scan->streams[number];
+    uint64_t cost = vox_spill_room_cost(&stream->spill);
     int status = 0;
-    if (cost > 0 && !stores_fit(scan, cost))
-        status = vox_spill_spill(&scan->faces.bytes);
-    if (status == 0 && cost > 0 && !column->spool.spilled &&
-        (!stores_fit(scan, cost) || column_memory(scan) + cost > scan->limits->column_bytes))
-        status = vox_spill_spill(&column->spool);
+    if (cost > 0 && !stream->spill.spilled &&
+        vox_scan_stream_memory(scan) + cost > scan->limits->stream_bytes)
+        status = vox_spill_spill(&stream->spill);
     if (status < 0)
         return status;
     uint8_t *bytes;
-    status = vox_spill_room(&column->spool, &bytes, room);
-    *room /= column->element_bytes;
+    status = vox_spill_room(&stream->spill, &bytes, capacity);
+    *capacity /= stream->element_bytes;
     memcpy(at, &bytes, sizeof bytes);
     return status;
 }
 
-static void column_advance(struct scan *scan, enum scan_column number, uint64_t elements)
+static void stream_advance(struct scan *scan, enum scan_stream number, uint64_t elements)
 {
-    struct column *column = &scan->columns[number];
-    vox_spill_advance(&column->spool, elements * column->element_bytes);
+    struct attribute_stream *stream = &scan->streams[number];
+    vox_spill_advance(&stream->spill, elements * stream->element_bytes);
 }
 
 /* ---- positions ---- */
@@ -128,11 +118,12 @@ static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
     memcpy(high, scan->bounds_max, sizeof high);
     for (uint64_t done = 0; done < block->vertex_count;) {
         float(*to)[3];
-        uint64_t room;
-        int status = column_room(scan, SCAN_POSITIONS, &to, &room);
+        uint64_t capacity;
+        int status = stream_reserve(scan, SCAN_POSITIONS, &to, &capacity);
         if (status < 0)
             return status;
-        uint64_t count = block->vertex_count - done < room ? block->vertex_count - done : room;
+        uint64_t count =
+            block->vertex_count - done < capacity ? block->vertex_count - done : capacity;
         const double(*from)[3] = block->positions + done;
         for (uint64_t v = 0; v < count; v++)
             for (int axis = 0; axis < 3; axis++) {
@@ -143,7 +134,7 @@ static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
                 high[axis] = p > high[axis] ? p : high[axis];
                 to[v][axis] = p;
             }
-        column_advance(scan, SCAN_POSITIONS, count);
+        stream_advance(scan, SCAN_POSITIONS, count);
         done += count;
     }
     memcpy(scan->bounds_min, low, sizeof low);
@@ -193,17 +184,17 @@ static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uin
     uint64_t begin = scan_count(scan, SCAN_COLORS);
     while (begin < end) {
         uint32_t *to;
-        uint64_t room;
-        int status = column_room(scan, SCAN_COLORS, &to, &room);
+        uint64_t capacity;
+        int status = stream_reserve(scan, SCAN_COLORS, &to, &capacity);
         if (status < 0)
             return status;
-        uint64_t count = end - begin < room ? end - begin : room;
+        uint64_t count = end - begin < capacity ? end - begin : capacity;
         for (uint64_t i = 0; i < count; i++) {
             bool known = block->colors && begin + i >= block->vertex_base;
             to[i] = known ? pack_color(scan, block->colors[begin + i - block->vertex_base])
                           : SCAN_DEFAULT_COLOR;
         }
-        column_advance(scan, SCAN_COLORS, count);
+        stream_advance(scan, SCAN_COLORS, count);
         begin += count;
     }
     return 0;
@@ -213,17 +204,17 @@ static int add_texcoords(struct scan *scan, const struct fmt_mesh_block *block)
 {
     for (uint64_t done = 0; done < block->texcoord_count;) {
         float(*to)[2];
-        uint64_t room;
-        int status = column_room(scan, SCAN_TEXCOORDS, &to, &room);
+        uint64_t capacity;
+        int status = stream_reserve(scan, SCAN_TEXCOORDS, &to, &capacity);
         if (status < 0)
             return status;
-        uint64_t left = block->texcoord_count - done, count = left < room ? left : room;
+        uint64_t left = block->texcoord_count - done, count = left < capacity ? left : capacity;
         for (uint64_t i = 0; i < count; i++)
             for (int k = 0; k < 2; k++) {
                 double value = block->texcoords[done + i][k];
                 to[i][k] = (float)fmin(fmax(value, -FLT_MAX), FLT_MAX) + 0.0f;
             }
-        column_advance(scan, SCAN_TEXCOORDS, count);
+        stream_advance(scan, SCAN_TEXCOORDS, count);
         done += count;
     }
     return 0;
@@ -243,14 +234,14 @@ static int add_normals(struct scan *scan, const struct fmt_mesh_block *block)
 {
     for (uint64_t done = 0; done < block->normal_count;) {
         uint32_t *to;
-        uint64_t room;
-        int status = column_room(scan, SCAN_NORMALS, &to, &room);
+        uint64_t capacity;
+        int status = stream_reserve(scan, SCAN_NORMALS, &to, &capacity);
         if (status < 0)
             return status;
-        uint64_t left = block->normal_count - done, count = left < room ? left : room;
+        uint64_t left = block->normal_count - done, count = left < capacity ? left : capacity;
         for (uint64_t i = 0; i < count; i++)
             to[i] = pack_normal(block->normals[done + i]);
-        column_advance(scan, SCAN_NORMALS, count);
+        stream_advance(scan, SCAN_NORMALS, count);
         done += count;
     }
     return 0;
@@ -270,17 +261,6 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
     return status;
 }
 
-int vox_scan_add_faces(struct scan *scan, const struct fmt_mesh_block *block)
-{
-    int status = 0;
-    if (!scan->faces.bytes.spilled &&
-        !stores_fit(scan, vox_face_store_append_cost(&scan->faces, block)))
-        status = vox_spill_spill(&scan->faces.bytes);
-    if (status == 0)
-        status = vox_face_store_append(&scan->faces, block);
-    return status;
-}
-
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
     int status = 0;
@@ -293,80 +273,26 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
     return status;
 }
 
-void vox_scan_touch_ahead(struct scan *scan)
+void vox_scan_prefault(struct scan *scan)
 {
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        vox_spill_touch_ahead(&scan->columns[i].spool);
-}
-
-int vox_scan_add_block(void *arg, const struct fmt_mesh_block *block)
-{
-    struct scan *scan = arg;
-    int status = bsq_check(scan->ctx);
-    if (status == 0)
-        status = vox_scan_add_elements(scan, block);
-    if (status == 0 && block->face_count > 0)
-        status = vox_scan_add_faces(scan, block);
-    bsq_progress_add(scan->ctx, block->byte_size);
-    return status;
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+        vox_spill_touch_ahead(&scan->streams[i].spill);
 }
 
 /* ---- the end ---- */
 
-/* Describes the first index of the group that is not below its limit. */
-static int fail_group(struct scan *scan, struct fmt_mesh_reader *reader, uint64_t number,
-                      const uint64_t limits[FACE_KIND_COUNT])
-{
-    void *room;
-    struct face_group group;
-    int status = bsq_alloc(scan->ctx, "faces", vox_face_store_decode_bytes(&scan->faces), 1, &room);
-    if (status == 0)
-        status = vox_face_store_decode(&scan->faces, number, room, &group);
-    uint32_t corner = 0;
-    for (uint32_t f = 0; status == 0 && f < group.face_count; f++) {
-        uint32_t end = corner + (group.sizes ? group.sizes[f] : 3);
-        for (; status == 0 && corner < end; corner++)
-            for (int kind = 0; status == 0 && kind < FACE_KIND_COUNT; kind++) {
-                if (!group.indices[kind])
-                    continue;
-                uint64_t index = group.indices[kind][corner];
-                if (index != FMT_MESH_NONE && index >= limits[kind])
-                    status = fmt_mesh_fail_index(reader, group.first_face + f,
-                                                 (enum fmt_mesh_kind)kind, index);
-            }
-    }
-    bsq_free(scan->ctx, room);
-    return status < 0 ? status : BSQ_EBUG;
-}
-
-static int check_indices(struct scan *scan, struct fmt_mesh_reader *reader)
-{
-    const uint64_t limits[FACE_KIND_COUNT] = {scan_count(scan, SCAN_POSITIONS),
-                                              scan_count(scan, SCAN_TEXCOORDS),
-                                              scan_count(scan, SCAN_NORMALS)};
-    for (uint64_t g = 0; g < scan->faces.group_count; g++)
-        for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
-            const struct face_group_info *info = &scan->faces.groups[g];
-            if (info->has_index[kind] && info->max[kind] >= limits[kind])
-                return fail_group(scan, reader, g, limits);
-            scan->has_normals |= kind == FACE_NORMAL && info->has_index[kind];
-        }
-    return 0;
-}
-
-int vox_scan_finish_columns(struct scan *scan)
+int vox_scan_finish_streams(struct scan *scan)
 {
     int status = 0;
-    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
-        status = vox_spill_finish(&scan->columns[i].spool);
+    for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
+        status = vox_spill_finish(&scan->streams[i].spill);
     return status;
 }
 
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
-    int status = vox_face_store_finish(&scan->faces);
-    if (status == 0)
-        status = vox_scan_finish_columns(scan);
+    const struct scan_bad_index *bad = &scan->bad_index;
+    int status = vox_scan_finish_streams(scan);
     if (status < 0)
         return status;
     if (scan->clamped_colors > 0)
@@ -377,7 +303,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
         bsq_warn(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors);
     vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices, scan->bounds_min,
                               scan->bounds_max);
-    if (scan->faces.face_count == 0)
+    if (scan->totals.faces == 0)
         return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->paths[0]);
-    return check_indices(scan, reader);
+    return bad->found ? fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index) : 0;
 }

@@ -6,175 +6,175 @@
 #define TOUCH_BYTES ((uint64_t)2 << 20) /* a huge page at a time */
 #define TOUCH_AHEAD (2 * TOUCH_BYTES)
 
-void vox_spill_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, const char *beside,
-                    uint64_t segment_bytes)
+void vox_spill_init(struct spill_buffer *spill, struct bsq_ctx *ctx, const char *what,
+                    const char *beside, uint64_t segment_bytes)
 {
-    *spool = (struct spool){
+    *spill = (struct spill_buffer){
         .ctx = ctx,
         .what = what,
         .beside = beside,
         .segment_bytes = segment_bytes,
         .file = BSQ_FILE_CLOSED,
     };
-    pthread_mutex_init(&spool->lock, NULL);
+    pthread_mutex_init(&spill->lock, NULL);
 }
 
 /* ---- touching ---- */
 
-static void set_untouched(struct spool *spool, uint8_t *from, uint8_t *to)
+static void set_untouched(struct spill_buffer *spill, uint8_t *from, uint8_t *to)
 {
-    pthread_mutex_lock(&spool->lock);
-    spool->untouched = spool->head = from;
-    spool->untouched_end = to;
-    pthread_mutex_unlock(&spool->lock);
+    pthread_mutex_lock(&spill->lock);
+    spill->untouched = spill->head = from;
+    spill->untouched_end = to;
+    pthread_mutex_unlock(&spill->lock);
 }
 
-void vox_spill_touch_ahead(struct spool *spool)
+void vox_spill_touch_ahead(struct spill_buffer *spill)
 {
     uint8_t *at = NULL;
     uint64_t size = 0;
-    pthread_mutex_lock(&spool->lock);
-    while (spool->untouched < spool->untouched_end &&
-           spool->untouched < spool->head) /* by filling it */
-        spool->untouched += TOUCH_BYTES;
-    if (spool->untouched < spool->untouched_end && spool->untouched < spool->head + TOUCH_AHEAD) {
-        uint64_t left = (uint64_t)(spool->untouched_end - spool->untouched);
-        at = spool->untouched;
+    pthread_mutex_lock(&spill->lock);
+    while (spill->untouched < spill->untouched_end &&
+           spill->untouched < spill->head) /* by filling it */
+        spill->untouched += TOUCH_BYTES;
+    if (spill->untouched < spill->untouched_end && spill->untouched < spill->head + TOUCH_AHEAD) {
+        uint64_t left = (uint64_t)(spill->untouched_end - spill->untouched);
+        at = spill->untouched;
         size = left < TOUCH_BYTES ? left : TOUCH_BYTES;
-        spool->untouched += size;
+        spill->untouched += size;
     }
-    pthread_mutex_unlock(&spool->lock);
+    pthread_mutex_unlock(&spill->lock);
     if (at)
         bsq_prefault(at, size); /* a spill may have freed it by now, then this has no effect */
 }
 
 /* ---- segments ---- */
 
-static void free_segments(struct spool *spool)
+static void free_segments(struct spill_buffer *spill)
 {
-    set_untouched(spool, NULL, NULL);
-    for (uint64_t i = 0; i < spool->segment_count; i++)
-        bsq_free(spool->ctx, spool->segments[i]);
-    spool->segment_count = 0;
+    set_untouched(spill, NULL, NULL);
+    for (uint64_t i = 0; i < spill->segment_count; i++)
+        bsq_free(spill->ctx, spill->segments[i]);
+    spill->segment_count = 0;
 }
 
-void vox_spill_free(struct spool *spool)
+void vox_spill_free(struct spill_buffer *spill)
 {
-    if (!spool->ctx)
+    if (!spill->ctx)
         return;
-    free_segments(spool);
-    bsq_free(spool->ctx, spool->segments);
-    bsq_file_close(spool->ctx, &spool->file);
-    pthread_mutex_destroy(&spool->lock);
-    memset(spool, 0, sizeof *spool);
+    free_segments(spill);
+    bsq_free(spill->ctx, spill->segments);
+    bsq_file_close(spill->ctx, &spill->file);
+    pthread_mutex_destroy(&spill->lock);
+    memset(spill, 0, sizeof *spill);
 }
 
-uint64_t vox_spill_memory(const struct spool *spool)
+uint64_t vox_spill_memory(const struct spill_buffer *spill)
 {
-    return spool->segment_count * spool->segment_bytes;
+    return spill->segment_count * spill->segment_bytes;
 }
 
-/* Bytes in the last segment; a spilled spool has written all before it to the file. */
-static uint64_t tail_bytes(const struct spool *spool)
+/* Bytes in the last segment; a spilled spill has written all before it to the file. */
+static uint64_t tail_bytes(const struct spill_buffer *spill)
 {
-    if (spool->spilled)
-        return spool->bytes - spool->file.size;
-    if (spool->segment_count == 0)
+    if (spill->spilled)
+        return spill->bytes - spill->file.size;
+    if (spill->segment_count == 0)
         return 0;
-    return spool->bytes - (spool->segment_count - 1) * spool->segment_bytes;
+    return spill->bytes - (spill->segment_count - 1) * spill->segment_bytes;
 }
 
-uint64_t vox_spill_room_cost(const struct spool *spool)
+uint64_t vox_spill_room_cost(const struct spill_buffer *spill)
 {
     bool full =
-        spool->segment_count == 0 || (!spool->spilled && tail_bytes(spool) == spool->segment_bytes);
-    return full ? spool->segment_bytes : 0;
+        spill->segment_count == 0 || (!spill->spilled && tail_bytes(spill) == spill->segment_bytes);
+    return full ? spill->segment_bytes : 0;
 }
 
-static int add_segment(struct spool *spool)
+static int add_segment(struct spill_buffer *spill)
 {
-    int status = bsq_grow(spool->ctx, spool->what, spool->segment_count + 1,
-                          sizeof *spool->segments, &spool->segments, &spool->segment_capacity);
+    int status = bsq_grow(spill->ctx, spill->what, spill->segment_count + 1,
+                          sizeof *spill->segments, &spill->segments, &spill->segment_capacity);
     if (status < 0)
         return status;
-    status = bsq_alloc(spool->ctx, spool->what, spool->segment_bytes, 1,
-                       &spool->segments[spool->segment_count]);
+    status = bsq_alloc(spill->ctx, spill->what, spill->segment_bytes, 1,
+                       &spill->segments[spill->segment_count]);
     if (status < 0)
         return status;
-    uint8_t *segment = spool->segments[spool->segment_count++];
-    if (!spool->spilled)
-        set_untouched(spool, segment, segment + spool->segment_bytes);
+    uint8_t *segment = spill->segments[spill->segment_count++];
+    if (!spill->spilled)
+        set_untouched(spill, segment, segment + spill->segment_bytes);
     return 0;
 }
 
-static int flush_tail(struct spool *spool)
+static int flush_tail(struct spill_buffer *spill)
 {
-    return bsq_file_append(spool->ctx, &spool->file, spool->segments[0], tail_bytes(spool));
+    return bsq_file_append(spill->ctx, &spill->file, spill->segments[0], tail_bytes(spill));
 }
 
-int vox_spill_room(struct spool *spool, uint8_t **at, uint64_t *room)
+int vox_spill_room(struct spill_buffer *spill, uint8_t **at, uint64_t *room)
 {
     int status = 0;
-    if (vox_spill_room_cost(spool) > 0)
-        status = add_segment(spool);
-    else if (tail_bytes(spool) == spool->segment_bytes)
-        status = flush_tail(spool);
+    if (vox_spill_room_cost(spill) > 0)
+        status = add_segment(spill);
+    else if (tail_bytes(spill) == spill->segment_bytes)
+        status = flush_tail(spill);
     if (status < 0)
         return status;
-    uint64_t used = tail_bytes(spool);
-    *at = spool->segments[spool->segment_count - 1] + used;
-    *room = spool->segment_bytes - used;
+    uint64_t used = tail_bytes(spill);
+    *at = spill->segments[spill->segment_count - 1] + used;
+    *room = spill->segment_bytes - used;
     return 0;
 }
 
-void vox_spill_advance(struct spool *spool, uint64_t bytes)
+void vox_spill_advance(struct spill_buffer *spill, uint64_t bytes)
 {
-    pthread_mutex_lock(&spool->lock);
-    spool->bytes += bytes;
-    spool->head = spool->head ? spool->head + bytes : NULL;
-    pthread_mutex_unlock(&spool->lock);
+    pthread_mutex_lock(&spill->lock);
+    spill->bytes += bytes;
+    spill->head = spill->head ? spill->head + bytes : NULL;
+    pthread_mutex_unlock(&spill->lock);
 }
 
-int vox_spill_spill(struct spool *spool)
+int vox_spill_spill(struct spill_buffer *spill)
 {
-    if (spool->spilled)
+    if (spill->spilled)
         return 0;
-    int status = bsq_file_temp(spool->ctx, spool->beside, spool->what, &spool->file);
-    for (uint64_t i = 0; status == 0 && i < spool->segment_count; i++) {
-        bool last = i + 1 == spool->segment_count;
-        status = bsq_file_append(spool->ctx, &spool->file, spool->segments[i],
-                                 last ? tail_bytes(spool) : spool->segment_bytes);
+    int status = bsq_file_temp(spill->ctx, spill->beside, spill->what, &spill->file);
+    for (uint64_t i = 0; status == 0 && i < spill->segment_count; i++) {
+        bool last = i + 1 == spill->segment_count;
+        status = bsq_file_append(spill->ctx, &spill->file, spill->segments[i],
+                                 last ? tail_bytes(spill) : spill->segment_bytes);
     }
     if (status < 0)
         return status;
-    set_untouched(spool, NULL, NULL);
-    while (spool->segment_count > 1)
-        bsq_free(spool->ctx, spool->segments[--spool->segment_count]);
-    spool->spilled = true;
+    set_untouched(spill, NULL, NULL);
+    while (spill->segment_count > 1)
+        bsq_free(spill->ctx, spill->segments[--spill->segment_count]);
+    spill->spilled = true;
     return 0;
 }
 
-int vox_spill_finish(struct spool *spool)
+int vox_spill_finish(struct spill_buffer *spill)
 {
     int status = 0;
-    if (spool->spilled && spool->segment_count > 0) {
-        status = flush_tail(spool);
-        free_segments(spool);
+    if (spill->spilled && spill->segment_count > 0) {
+        status = flush_tail(spill);
+        free_segments(spill);
     }
     return status;
 }
 
-int vox_spill_read(const struct spool *spool, uint64_t offset, uint64_t size, void *buffer)
+int vox_spill_read(const struct spill_buffer *spill, uint64_t offset, uint64_t size, void *buffer)
 {
-    if (spool->spilled)
-        return bsq_file_read(spool->ctx, &spool->file, buffer, size, offset);
+    if (spill->spilled)
+        return bsq_file_read(spill->ctx, &spill->file, buffer, size, offset);
     uint8_t *to = buffer;
     while (size > 0) {
-        uint64_t within = offset % spool->segment_bytes;
-        uint64_t part = spool->segment_bytes - within;
+        uint64_t within = offset % spill->segment_bytes;
+        uint64_t part = spill->segment_bytes - within;
         if (part > size)
             part = size;
-        memcpy(to, spool->segments[offset / spool->segment_bytes] + within, part);
+        memcpy(to, spill->segments[offset / spill->segment_bytes] + within, part);
         to += part;
         offset += part;
         size -= part;

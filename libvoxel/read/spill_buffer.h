@@ -1,6 +1,6 @@
 /* spill_buffer.h - private to the sorter: bytes that only grow, in memory or in a temporary file.
  *
- * A spool keeps what is appended in segments of equal size; vox_spill_spill() moves all of it to a
+ * A spill keeps what is appended in segments of equal size; vox_spill_spill() moves all of it to a
  * temporary file and keeps one segment as write buffer. Elements do not straddle segments when the
  * segment size is a multiple of theirs. Appending is for one thread at a time, reading for any.
  *
@@ -14,7 +14,7 @@
 
 #include "base/file.h"
 
-struct spool {
+struct spill_buffer {
     struct bsq_ctx *ctx;
     const char *what;   /* for messages */
     const char *beside; /* output path, for the temporary file's place */
@@ -30,28 +30,28 @@ struct spool {
     uint8_t *untouched, *untouched_end, *head;
 };
 
-void vox_spill_init(struct spool *spool, struct bsq_ctx *ctx, const char *what, const char *beside,
-                    uint64_t segment_bytes);
-void vox_spill_free(struct spool *spool);
+void vox_spill_init(struct spill_buffer *spill, struct bsq_ctx *ctx, const char *what,
+                    const char *beside, uint64_t segment_bytes);
+void vox_spill_free(struct spill_buffer *spill);
 
 /* Bytes of memory that the next vox_spill_room() will allocate. */
-uint64_t vox_spill_room_cost(const struct spool *spool);
+uint64_t vox_spill_room_cost(const struct spill_buffer *spill);
 
 /* Contiguous room for at least one byte at the end; vox_spill_advance() says how much was used. */
-int vox_spill_room(struct spool *spool, uint8_t **at, uint64_t *room);
-void vox_spill_advance(struct spool *spool, uint64_t bytes);
+int vox_spill_room(struct spill_buffer *spill, uint8_t **at, uint64_t *room);
+void vox_spill_advance(struct spill_buffer *spill, uint64_t bytes);
 
 /* Touches some of the memory that is to be filled next. From any thread while one appends. */
-void vox_spill_touch_ahead(struct spool *spool);
+void vox_spill_touch_ahead(struct spill_buffer *spill);
 
 /* Moves the content to a temporary file and frees all but one segment. */
-int vox_spill_spill(struct spool *spool);
+int vox_spill_spill(struct spill_buffer *spill);
 /* Writes what is still buffered; call once after the last append. Frees the buffer if spilled. */
-int vox_spill_finish(struct spool *spool);
+int vox_spill_finish(struct spill_buffer *spill);
 
-uint64_t vox_spill_memory(const struct spool *spool);
+uint64_t vox_spill_memory(const struct spill_buffer *spill);
 
-/* Copies bytes [offset, offset + size) out. A spilled spool must be finished. */
-int vox_spill_read(const struct spool *spool, uint64_t offset, uint64_t size, void *buffer);
+/* Copies bytes [offset, offset + size) out. A spilled spill must be finished. */
+int vox_spill_read(const struct spill_buffer *spill, uint64_t offset, uint64_t size, void *buffer);
 
 #endif

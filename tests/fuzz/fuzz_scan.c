@@ -83,9 +83,8 @@ static int sort(struct bsq_ctx *ctx)
     return vox_sort(ctx, &options, &report);
 }
 
-/* How to sort with vertices in a file: partition triangles while reading, partition them later, or
- * join them with their vertices before. */
-enum way { AT_ONCE, LATER, JOINED, WAY_COUNT };
+/* How to sort with vertices in a file. One pass is used if the scan allows it. */
+enum way { ONE_PASS, TWO_PASSES, WAY_COUNT };
 static enum way way;
 
 static int sort_otherwise(struct bsq_ctx *ctx)
@@ -96,12 +95,10 @@ static int sort_otherwise(struct bsq_ctx *ctx)
     struct vox_sort_report report;
     struct sort_limits limits;
     vox_sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);
-    limits.column_bytes = 0;
-    if (way == LATER)
-        limits.direct_memory = 0;
-    if (way == JOINED)
-        limits.vertex_cells_bytes = 0;
-    return vox_sort_with_limits(ctx, &options, &limits, &report);
+    limits.stream_bytes = 0;
+    limits.two_passes = way == TWO_PASSES;
+    int status = vox_sort_with_limits(ctx, &options, &limits, &report);
+    return status == BSQ_EUSAGE ? BSQ_EDATA : status; /* polygons may need vertices in memory */
 }
 
 static void require_same_chunks(void)

@@ -133,43 +133,34 @@ static void spilling_does_not_change_the_file(void **state)
         sort_grid_make(&g, sizes[k], 4);
         sort_grid_write(&g, f->obj, kinds[k], 9);
         append_flat_triangles(f->obj, &g, 3000);
-        for (unsigned variant = 0; variant < 15; variant++) {
+        for (unsigned variant = 0; variant < 12; variant++) {
             struct sort_limits limits;
             struct vox_sort_options options = {
                 .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
             vox_sort_limits_for(128 * MIB, 2, &limits);
-            /* Faces are kept and scattered later, or else scattered as they are read. */
-            if (variant == 1 || variant == 3 || variant == 8 || variant == 9 || variant == 13)
-                limits.direct_memory = 0;
-            if (variant == 10 || variant == 14)
-                limits.direct_memory = 1;
-            if (variant == 1 || variant == 8 || variant == 13)
-                limits.store_bytes = g.n > 200 ? 3 * MIB : 3 * MIB / 2; /* faces */
-            if (variant == 2 || variant == 8 || variant == 11 || variant >= 13)
-                limits.column_bytes = 0; /* vertices */
-            if (variant == 3 || variant == 8 || variant == 13)
-                limits.page_memory = 0; /* cells */
-            if (variant == 4 || variant == 8 || variant >= 13)
-                limits.batch_triangles = 70000; /* cells are divided */
+            limits.two_passes = variant % 3 == 1;
+            if (variant == 2 || variant == 8 || variant == 9 || variant == 11)
+                limits.stream_bytes = 0;
+            if (variant == 3 || variant == 8 || variant == 10)
+                limits.page_memory = limits.max_page_memory = 0;
+            if (variant == 4 || variant == 8 || variant >= 11)
+                limits.batch_triangles = 70000; /* buckets are divided */
             if (variant == 5)
                 limits.index_bytes = 5;
             if (variant == 6)
-                limits.cell_levels = 1, limits.page_bytes = 100;
-            if (variant == 7 || variant == 12)
-                limits.column_bytes = g.n > 200 ? 800 << 10 : 700 << 10; /* some columns */
-            if (variant >= 7)
-                limits.join_bytes = 100000; /* many buckets */
-            if (variant >= 11 && variant <= 13)
-                limits.vertex_cells_bytes = 0; /* corners are joined with values */
+                limits.bucket_levels = 1, limits.page_bytes = 100;
+            if (variant == 7)
+                limits.stream_bytes = g.n > 200 ? 800 << 10 : 700 << 10; /* some streams */
+            if (variant == 9)
+                limits.vertex_bucket_bytes = (uint64_t)(g.n + 1) * (g.n + 1);
             expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
             assert_int_equal(f->report.triangles, 2 * g.n * g.n);
             assert_int_equal(f->report.degenerate_triangles, 3000);
             assert_int_equal(f->report.unused_vertices, 0);
-            if (variant != 4) /* small parts of cells stay in memory */
-                assert_int_equal(f->report.temp_bytes > 0, (variant >= 1 && variant <= 3) ||
-                                                               variant == 7 || variant == 8 ||
-                                                               variant >= 10);
+            if (variant != 4) /* small parts of buckets stay in memory */
+                assert_int_equal(f->report.temp_bytes > 0,
+                                 variant == 2 || variant == 3 || variant >= 7);
             expect_same_file(f, &reference);
         }
         free(reference.bytes);
@@ -177,9 +168,9 @@ static void spilling_does_not_change_the_file(void **state)
     }
 }
 
-/* A vertex behind the faces moves the cube around the scan, and the samples that the reader takes
- * do not show it. */
-static void vertices_behind_faces_are_found_late(void **state)
+/* A vertex after the faces moves the cube around the scan, and the samples that the reader takes do
+ * not show it: the scan is read again in two passes. */
+static void vertices_after_faces_are_found_late(void **state)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -189,7 +180,7 @@ static void vertices_behind_faces_are_found_late(void **state)
     for (int late = 0; late < 3; late++) {
         sort_grid_write(&g, f->obj, 0, 9);
         FILE *file = fopen(f->obj, "ab");
-        for (int i = 0; i < 40000; i++) /* the last sample ends before what comes sort_random */
+        for (int i = 0; i < 40000; i++) /* the last sample ends before what follows */
             fputs("f 1 2 3\n", file);
         fputs(late == 0 ? "f 36482 1 2\nv 9 9 9\n" : "v 9 9 9\nf 36482 1 2\n", file);
         for (int i = 0; i < 400; i++)
@@ -199,8 +190,7 @@ static void vertices_behind_faces_are_found_late(void **state)
         struct vox_sort_options options = {
             .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
         vox_sort_limits_for(256 * MIB, 2, &limits);
-        if (late == 2)
-            limits.direct_memory = 0;
+        limits.two_passes = late == 2;
         expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles, 2 * g.n * g.n + 40401);
         assert_int_equal(f->report.vertices, (g.n + 1) * (g.n + 1) + 1);
@@ -350,7 +340,7 @@ int main(void)
         TEST(every_triangle_of_a_soup_comes_out_once),
         TEST(budgets_and_threads_do_not_change_the_file),
         TEST(spilling_does_not_change_the_file),
-        TEST(vertices_behind_faces_are_found_late),
+        TEST(vertices_after_faces_are_found_late),
         TEST(many_triangles_in_one_place_are_sorted),
         TEST(triangles_are_in_morton_order),
         TEST(ordinary_meshes_take_14_bytes_a_triangle),

@@ -42,7 +42,7 @@ static void concave_polygons_keep_their_area(void **state)
     free(got.list);
 }
 
-/* A polygon with more corners than a group of faces may have. */
+/* A polygon as large as a block of text. */
 static void a_polygon_of_any_size_is_split(void **state)
 {
     struct sort_fixture *f = *state;
@@ -279,8 +279,8 @@ static void one_texture_can_be_given_for_all(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), texture));
 }
 
-/* A face of two corners is no face, and its normals are none of the scan's, whenever faces are
- * scattered. */
+/* A face of two corners is no face, and its normals are none of the scan's, in one pass and in two.
+ */
 static void normals_of_faces_left_out_do_not_count(void **state)
 {
     struct sort_fixture *f = *state;
@@ -288,11 +288,10 @@ static void normals_of_faces_left_out_do_not_count(void **state)
     const struct vox_sort_options options = {
         .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
     sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
-    for (int later = 0; later < 2; later++) {
+    for (int two = 0; two < 2; two++) {
         struct sort_limits limits;
         vox_sort_limits_for(64 * MIB, 1, &limits);
-        if (later)
-            limits.direct_memory = 0;
+        limits.two_passes = two;
         expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.short_faces, 1);
         assert_false(f->report.has_normals);

@@ -4,6 +4,7 @@
 
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdio.h>
 #include <string.h>
 #include <unistd.h>
 #include <cmocka.h>
@@ -66,6 +67,40 @@ static void too_little_memory_is_refused(void **state)
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"));
 }
 
+/* Positions are in a file, and there is no memory for a byte a vertex. The message names a budget
+ * that is enough. */
+static void too_many_vertices_are_refused(void **state)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {f->obj};
+    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+    struct sort_limits limits;
+    struct sort_grid g;
+    unsigned long long vertices, needed, available;
+    sort_grid_make(&g, 600, 5);
+    sort_grid_write(&g, f->obj, 0, 6);
+    vox_sort_limits_for(60 * MIB, 2, &limits);
+    limits.stream_bytes = 0;
+    limits.reserve_bytes = 34 * MIB;
+    for (int passes = 0; passes < 2; passes++) {
+        limits.two_passes = passes;
+        sort_open_context(f, 60 * MIB, 2);
+        assert_int_equal(vox_sort_with_limits(f->ctx, &options, &limits, &f->report), BSQ_EUSAGE);
+        const char *message = strstr(bsq_error(f->ctx), ": sorting ");
+        assert_non_null(message);
+        assert_int_equal(
+            sscanf(message,
+                   ": sorting %llu vertices needs about %llu MiB of memory, it may use %llu",
+                   &vertices, &needed, &available),
+            3);
+        assert_int_equal(vertices, 601 * 601);
+        assert_int_equal(available, 60);
+        sort_open_context(f, needed * MIB, 2);
+        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
+    }
+    sort_grid_free(&g);
+}
+
 /* Any allocation may be the one that fails: that is an error, and nothing is left behind. */
 static void memory_may_run_out_anywhere(void **state)
 {
@@ -81,13 +116,12 @@ static void memory_may_run_out_anywhere(void **state)
             struct sort_limits limits;
             vox_sort_limits_for(128 * MIB, 2, &limits);
             if (spilled)
-                limits.column_bytes = limits.page_memory = 0;
-            if (spilled > 1)
-                limits.vertex_cells_bytes = 0;
+                limits.stream_bytes = limits.page_memory = limits.max_page_memory = 0;
+            limits.two_passes = spilled > 1;
             sort_open_context(f, memory, 2);
             int status = vox_sort_with_limits(f->ctx, &options, &limits, &f->report);
             failures += status < 0;
-            assert_true(status == 0 || status == BSQ_ENOMEM);
+            assert_true(status == 0 || status == BSQ_ENOMEM || (spilled && status == BSQ_EUSAGE));
             assert_int_equal(bsq_memory_used(f->ctx), 0);
             assert_int_equal(access(f->tris, F_OK) == 0, status == 0);
             unlink(f->tris);
@@ -121,10 +155,11 @@ int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
     const struct CMUnitTest tests[] = {
-        TEST(indices_out_of_range_are_located),   TEST(scans_without_faces_are_refused),
-        TEST(positions_beyond_float_are_refused), TEST(a_scan_without_area_is_refused),
-        TEST(too_little_memory_is_refused),       TEST(memory_may_run_out_anywhere),
-        TEST(an_unwritable_place_is_refused),     TEST(an_interrupt_stops_and_leaves_nothing),
+        TEST(indices_out_of_range_are_located),      TEST(scans_without_faces_are_refused),
+        TEST(positions_beyond_float_are_refused),    TEST(a_scan_without_area_is_refused),
+        TEST(too_little_memory_is_refused),          TEST(too_many_vertices_are_refused),
+        TEST(memory_may_run_out_anywhere),           TEST(an_unwritable_place_is_refused),
+        TEST(an_interrupt_stops_and_leaves_nothing),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

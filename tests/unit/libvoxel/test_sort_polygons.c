@@ -1,6 +1,6 @@
 /* Polygons are split the same way whether their vertices are in memory, or in a file: there they
  * are fans until their batch is sorted, or joined with values where they cannot be. */
-#include "libvoxel/partition/polygon_fans.h"
+#include "libvoxel/partition/partition.h"
 #include "sort_grid.h"
 
 #include <setjmp.h>
@@ -112,44 +112,46 @@ static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
     return triangles;
 }
 
-/* The ways of a scan whose vertices do not fit; way 0 keeps all in memory. */
+/* Way 0 keeps everything in memory. */
 static void choose_limits(unsigned way, struct sort_limits *limits)
 {
     vox_sort_limits_for(128 * MIB, 2, limits);
     if (way > 0)
-        limits->column_bytes = 0;
-    if (way == 2 || way == 4 || way == 6)
-        limits->direct_memory = 0;
+        limits->stream_bytes = 0;
+    limits->two_passes = way % 2;
     if (way == 3 || way == 4)
-        limits->batch_triangles = 70000; /* cells are divided, again and again */
+        limits->batch_triangles = 70000; /* buckets are divided, again and again */
     if (way == 5 || way == 6)
-        limits->vertex_cells_bytes = SIDE * SIDE; /* a byte for each vertex */
+        limits->vertex_bucket_bytes = SIDE * SIDE; /* a byte for each vertex */
     if (way == 7)
-        limits->vertex_cells_bytes = 0;
-    if (way == 8)
         limits->index_bytes = 5;
-    if (way == 9)
-        limits->page_memory = limits->direct_memory = 1;
+    if (way == 8)
+        limits->page_memory = limits->max_page_memory = 1;
 }
 
-static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
+static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
 {
     const char *paths[1] = {f->obj};
     char texture[128];
+    struct sort_limits limits;
     snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
     sort_write_text(texture, "only its name matters here");
     const struct vox_sort_options options = {.scan_paths = paths,
                                              .scan_count = 1,
                                              .tris_path = f->tris,
                                              .texture_path = flags & TEXCOORDS ? texture : NULL};
+    choose_limits(way, &limits);
+    sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
+    return vox_sort_with_limits(f->ctx, &options, &limits, &f->report);
+}
+
+static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
+{
     const uint64_t triangles = write_polygons(f->obj, flags, 17 + flags);
     size_t sizes[2];
     uint8_t *expected = NULL;
-    for (unsigned way = 0; way < 10; way++) {
-        struct sort_limits limits;
-        choose_limits(way, &limits);
-        sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
-        expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
+    for (unsigned way = 0; way < 9; way++) {
+        expect_sorted(f, sort_polygons(f, flags, way));
         assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
         assert_int_equal(f->report.unused_vertices, 0);
         assert_string_equal(f->progress.stage, "writing");
@@ -168,6 +170,24 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
     free(expected);
 }
 
+/* Sorted with vertices in memory alone; else the message names the memory that this needs. */
+static void expect_refused_with_vertices_in_a_file(struct sort_fixture *f, unsigned flags,
+                                                   unsigned corners)
+{
+    char message[192];
+    const uint64_t triangles = write_polygons(f->obj, flags, 17 + flags);
+    snprintf(message, sizeof message, "%s: splitting a polygon of %u corners needs all vertices",
+             f->obj, corners);
+    expect_sorted(f, sort_polygons(f, flags, 0));
+    assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
+    for (unsigned way = 1; way < 3; way++) {
+        assert_int_equal(sort_polygons(f, flags, way), BSQ_EUSAGE);
+        if (corners > 0)
+            assert_non_null(strstr(bsq_error(f->ctx), message));
+        assert_non_null(strstr(bsq_error(f->ctx), "all vertices in memory, about "));
+    }
+}
+
 static void polygons_of_positions_are_split_the_same_way(void **state)
 {
     expect_the_same_for_all_ways(*state, 0);
@@ -182,21 +202,20 @@ static void polygons_keep_their_attributes(void **state)
 }
 
 /* A triangle has a texture if its own corners have coordinates, which a fan cannot tell. */
-static void polygons_may_have_some_texture_coordinates(void **state)
+static void polygons_may_lack_some_texture_coordinates_in_memory(void **state)
 {
-    expect_the_same_for_all_ways(*state, TEXCOORDS | MIXED | SHUFFLED);
+    expect_refused_with_vertices_in_a_file(*state, TEXCOORDS | MIXED | SHUFFLED, 0);
 }
 
 static void a_polygon_may_be_too_large_for_a_fan(void **state)
 {
-    expect_the_same_for_all_ways(*state, GIANT);
-    expect_the_same_for_all_ways(*state, GIANT | TEXCOORDS);
+    expect_refused_with_vertices_in_a_file(*state, GIANT, FAN_CORNERS + 1);
 }
 
 /* What they would take as fans is more than the memory that there is. */
-static void polygons_may_be_in_too_many_cells_for_fans(void **state)
+static void polygons_may_be_in_too_many_buckets_for_fans(void **state)
 {
-    expect_the_same_for_all_ways(*state, TANGLED);
+    expect_refused_with_vertices_in_a_file(*state, TANGLED, TANGLED_CORNERS);
 }
 
 int main(void)
@@ -205,9 +224,9 @@ int main(void)
     const struct CMUnitTest tests[] = {
         TEST(polygons_of_positions_are_split_the_same_way),
         TEST(polygons_keep_their_attributes),
-        TEST(polygons_may_have_some_texture_coordinates),
+        TEST(polygons_may_lack_some_texture_coordinates_in_memory),
         TEST(a_polygon_may_be_too_large_for_a_fan),
-        TEST(polygons_may_be_in_too_many_cells_for_fans),
+        TEST(polygons_may_be_in_too_many_buckets_for_fans),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

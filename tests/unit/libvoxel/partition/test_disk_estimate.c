@@ -1,5 +1,5 @@
 /* What sorting needs on disk is known before it starts. The free space is made up here. */
-#include "libvoxel/partition/disk_estimate.h"
+#include "libvoxel/partition/partition.h"
 #include "base/file.h"
 
 #include <setjmp.h>
@@ -116,11 +116,11 @@ static void estimates_are_near_the_truth(void **state)
             write_scan(f->obj, n, kinds[k]);
             vox_sort_limits_for(128 * MIB, 2, &limits);
             if (spilled)
-                limits.column_bytes = limits.page_memory = 0;
+                limits.stream_bytes = limits.page_memory = limits.max_page_memory = 0;
             struct fmt_mesh_estimate scan = estimate(f);
             bsq_ctx_destroy(f->ctx);
             f->ctx = NULL;
-            struct space space = vox_disk_estimate(&scan, &limits);
+            struct disk_space space = vox_disk_estimate(&scan, &limits);
             assert_int_equal(scan.faces_come_last, !(kinds[k] & TILES));
             assert_int_equal(scan.has_colors, !!(kinds[k] & COLORS));
             assert_int_equal(sort(f, &limits, &report), 0);

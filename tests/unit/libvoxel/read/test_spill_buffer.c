@@ -27,27 +27,27 @@ static uint8_t expected_byte(uint64_t at)
     return (uint8_t)(at * 7 + at / 251 + 1);
 }
 
-static void append(struct spool *spool, uint64_t size)
+static void append(struct spill_buffer *spill, uint64_t size)
 {
     for (uint64_t done = 0; done < size;) {
         uint8_t *at;
-        uint64_t room, begin = spool->bytes;
-        assert_int_equal(vox_spill_room(spool, &at, &room), 0);
+        uint64_t room, begin = spill->bytes;
+        assert_int_equal(vox_spill_room(spill, &at, &room), 0);
         room = room < 5000 ? room : 5000;
         room = room < size - done ? room : size - done;
         for (uint64_t i = 0; i < room; i++)
             at[i] = expected_byte(begin + i);
-        vox_spill_advance(spool, room);
+        vox_spill_advance(spill, room);
         done += room;
     }
 }
 
-static void expect_content(struct spool *spool, uint64_t size)
+static void expect_content(struct spill_buffer *spill, uint64_t size)
 {
     uint8_t *all = malloc(size);
     assert_non_null(all);
-    assert_int_equal(spool->bytes, size);
-    assert_int_equal(vox_spill_read(spool, 0, size, all), 0);
+    assert_int_equal(spill->bytes, size);
+    assert_int_equal(vox_spill_read(spill, 0, size, all), 0);
     for (uint64_t i = 0; i < size; i++)
         if (all[i] != expected_byte(i))
             fail_msg("byte %llu", (unsigned long long)i);
@@ -55,7 +55,7 @@ static void expect_content(struct spool *spool, uint64_t size)
 }
 
 struct toucher {
-    struct spool *spool;
+    struct spill_buffer *spill;
     atomic_bool stop;
 };
 
@@ -63,7 +63,7 @@ static void *touch(void *arg)
 {
     struct toucher *toucher = arg;
     while (!atomic_load(&toucher->stop))
-        vox_spill_touch_ahead(toucher->spool);
+        vox_spill_touch_ahead(toucher->spill);
     return NULL;
 }
 
@@ -74,20 +74,20 @@ static void content_stays_while_others_touch(void **state)
     for (int s = 0; s < 3; s++)
         for (int spilled = 0; spilled < 2; spilled++) {
             struct bsq_ctx *ctx = create();
-            struct spool spool;
-            struct toucher toucher = {.spool = &spool};
+            struct spill_buffer spill;
+            struct toucher toucher = {.spill = &spill};
             pthread_t thread;
-            vox_spill_init(&spool, ctx, "testing", "/tmp/x", segments[s]);
+            vox_spill_init(&spill, ctx, "testing", "/tmp/x", segments[s]);
             assert_int_equal(pthread_create(&thread, NULL, touch, &toucher), 0);
-            append(&spool, 17 * MIB);
+            append(&spill, 17 * MIB);
             if (spilled)
-                assert_int_equal(vox_spill_spill(&spool), 0);
-            append(&spool, 3 * MIB);
+                assert_int_equal(vox_spill_spill(&spill), 0);
+            append(&spill, 3 * MIB);
             atomic_store(&toucher.stop, true);
             assert_int_equal(pthread_join(thread, NULL), 0);
-            assert_int_equal(vox_spill_finish(&spool), 0);
-            expect_content(&spool, 20 * MIB);
-            vox_spill_free(&spool);
+            assert_int_equal(vox_spill_finish(&spill), 0);
+            expect_content(&spill, 20 * MIB);
+            vox_spill_free(&spill);
             assert_int_equal(bsq_memory_used(ctx), 0);
             bsq_ctx_destroy(ctx);
         }
@@ -112,34 +112,34 @@ static void memory_is_there_before_it_is_filled(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = create();
-    struct spool spool;
+    struct spill_buffer spill;
     uint8_t *at;
     uint64_t room;
-    vox_spill_init(&spool, ctx, "testing", "/tmp/x", 32 * MIB);
-    vox_spill_touch_ahead(&spool); /* nothing to touch yet */
-    assert_int_equal(vox_spill_room(&spool, &at, &room), 0);
+    vox_spill_init(&spill, ctx, "testing", "/tmp/x", 32 * MIB);
+    vox_spill_touch_ahead(&spill); /* nothing to touch yet */
+    assert_int_equal(vox_spill_room(&spill, &at, &room), 0);
     uint8_t *segment = at;
     if ((uintptr_t)segment % (2 * MIB) != 0) { /* checkers of addresses have blocks of their own */
-        vox_spill_free(&spool);
+        vox_spill_free(&spill);
         bsq_ctx_destroy(ctx);
         skip();
     }
     if (madvise(segment, 1, MADV_POPULATE_WRITE) != 0) { /* systems that cannot */
-        vox_spill_free(&spool);
+        vox_spill_free(&spill);
         bsq_ctx_destroy(ctx);
         skip();
     }
     for (int i = 0; i < 10; i++)
-        vox_spill_touch_ahead(&spool);
+        vox_spill_touch_ahead(&spill);
     assert_int_equal(resident(segment, 4 * MIB), 4 * MIB);
     assert_int_equal(resident(segment + 4 * MIB, 28 * MIB), 0);
-    append(&spool, 8 * MIB);
+    append(&spill, 8 * MIB);
     for (int i = 0; i < 10; i++)
-        vox_spill_touch_ahead(&spool);
+        vox_spill_touch_ahead(&spill);
     assert_int_equal(resident(segment, 12 * MIB), 12 * MIB);
     assert_int_equal(resident(segment + 12 * MIB, 20 * MIB), 0);
-    expect_content(&spool, 8 * MIB);
-    vox_spill_free(&spool);
+    expect_content(&spill, 8 * MIB);
+    vox_spill_free(&spill);
     bsq_ctx_destroy(ctx);
 }
 

@@ -1,5 +1,5 @@
 /* gather_window.c - see gather_window.h. */
-#include "libvoxel/partition/gather_window.h"
+#include "libvoxel/chunk/gather_window.h"
 #include "base/parallel.h"
 
 #include <assert.h>
@@ -11,11 +11,11 @@
 #define GAP_WORDS    8u
 #define BUFFER_BYTES ((uint64_t)64 * RANGE_WORDS * WIDEST_ELEMENT)
 
-static bool is_active(const struct scan *scan, enum face_kind kind)
+static bool is_active(const struct scan *scan, enum fmt_mesh_kind kind)
 {
     bool active = false;
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-        active |= scan_kind_of(i) == kind && scan_keeps(scan, i) && scan->columns[i].spool.spilled;
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+        active |= scan_kind_of(i) == kind && scan_keeps(scan, i) && scan->streams[i].spill.spilled;
     return active;
 }
 
@@ -24,9 +24,9 @@ static bool is_active(const struct scan *scan, enum face_kind kind)
 uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads)
 {
     uint64_t bytes = threads * BUFFER_BYTES;
-    for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         if (is_active(scan, kind))
-            bytes += used_words(scan_count(scan, scan_column_of(kind))) *
+            bytes += used_words(scan_count(scan, scan_stream_of(kind))) *
                      (sizeof(used_word) + sizeof(uint32_t));
     return bytes;
 }
@@ -34,29 +34,29 @@ uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads)
 uint64_t vox_gather_triangle_bytes(const struct scan *scan)
 {
     uint64_t bytes = 0;
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         if (scan_keeps(scan, i) && is_active(scan, scan_kind_of(i)))
-            bytes += 3 * scan->columns[i].element_bytes;
+            bytes += 3 * scan->streams[i].element_bytes;
     return bytes;
 }
 
-/* A column of the view is one segment. */
-static int open_column(struct window *w, enum scan_column number, uint64_t triangles)
+/* A stream of the view is one segment. */
+static int open_stream(struct gather_window *w, enum scan_stream number, uint64_t triangles)
 {
-    const struct column *from = &w->scan->columns[number];
-    struct column *column = &w->view.columns[number];
-    uint64_t most = column_count(from) < 3 * triangles ? column_count(from) : 3 * triangles;
+    const struct attribute_stream *from = &w->scan->streams[number];
+    struct attribute_stream *stream = &w->view.streams[number];
+    uint64_t most = stream_count(from) < 3 * triangles ? stream_count(from) : 3 * triangles;
     int status = bsq_alloc(w->ctx, "sorting", most, from->element_bytes, &w->elements[number]);
-    *column = (struct column){.element_bytes = from->element_bytes, .shift = 32};
-    column->spool.segments = &w->elements[number];
+    *stream = (struct attribute_stream){.element_bytes = from->element_bytes, .shift = 32};
+    stream->spill.segments = &w->elements[number];
     return status;
 }
 
-static int open_kind(struct window *w, enum face_kind number)
+static int open_kind(struct gather_window *w, enum fmt_mesh_kind number)
 {
-    struct window_kind *kind = &w->kinds[number];
+    struct gather_kind *kind = &w->kinds[number];
     kind->active = is_active(w->scan, number);
-    kind->count = scan_count(w->scan, scan_column_of(number));
+    kind->count = scan_count(w->scan, scan_stream_of(number));
     if (!kind->active)
         return 0;
     int status =
@@ -67,27 +67,27 @@ static int open_kind(struct window *w, enum face_kind number)
     return status;
 }
 
-int vox_gather_open(struct window *w, const struct scan *scan, const struct record_layout *layout,
-                    uint64_t triangles)
+int vox_gather_open(struct gather_window *w, const struct scan *scan,
+                    const struct record_layout *layout, uint64_t triangles)
 {
-    *w = (struct window){.ctx = scan->ctx, .scan = scan, .layout = layout, .view = *scan};
+    *w = (struct gather_window){.ctx = scan->ctx, .scan = scan, .layout = layout, .view = *scan};
     assert(triangles <= UINT32_MAX / 3);
     int status = bsq_alloc(w->ctx, "sorting", bsq_threads(w->ctx), BUFFER_BYTES, &w->buffers);
-    for (int kind = 0; status == 0 && kind < FACE_KIND_COUNT; kind++)
+    for (int kind = 0; status == 0 && kind < FMT_MESH_KIND_COUNT; kind++)
         status = open_kind(w, kind);
-    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
+    for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
         if (scan_keeps(scan, i) && w->kinds[scan_kind_of(i)].active)
-            status = open_column(w, i, triangles);
+            status = open_stream(w, i, triangles);
     return status;
 }
 
-void vox_gather_close(struct window *w)
+void vox_gather_close(struct gather_window *w)
 {
     if (!w->ctx)
         return;
-    for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
+    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         bsq_free(w->ctx, w->elements[i]);
-    for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         bsq_free(w->ctx, w->kinds[kind].marks);
         bsq_free(w->ctx, w->kinds[kind].ranks);
     }
@@ -97,9 +97,9 @@ void vox_gather_close(struct window *w)
 
 /* ---- marks ---- */
 
-void vox_gather_clear(struct window *w)
+void vox_gather_clear(struct gather_window *w)
 {
-    for (int i = 0; i < FACE_KIND_COUNT; i++)
+    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++)
         if (w->kinds[i].active)
             memset((void *)w->kinds[i].marks, 0,
                    used_words(w->kinds[i].count) * sizeof *w->kinds[i].marks);
@@ -117,31 +117,31 @@ static void mark_plain(used_word *marks, uint32_t fan, const uint8_t *records, u
 
 /* The index of a kind in corner `corner` of records that lie one behind the other; where it lies.
  */
-static inline uint64_t corner_offset(const struct record_layout *layout, enum face_kind kind,
+static inline uint64_t corner_offset(const struct record_layout *layout, enum fmt_mesh_kind kind,
                                      uint64_t corner)
 {
     return corner / 3 * layout->bytes + corner % 3 * layout->corner_bytes + layout->index_at[kind];
 }
 
-/* Bytes of an index of this kind; 0 where its columns are in memory or not needed. */
-static inline uint32_t index_bytes_of(const struct window *w, enum face_kind kind)
+/* Bytes of an index of this kind; 0 where its streams are in memory or not needed. */
+static inline uint32_t index_bytes_of(const struct gather_window *w, enum fmt_mesh_kind kind)
 {
     return w->kinds[kind].active ? w->layout->index_bytes[kind] : 0;
 }
 
-void vox_gather_mark(struct window *w, const uint8_t *records, uint64_t count)
+void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t count)
 {
     const uint64_t fan = w->layout->fans ? record_fan_bit(w->layout) : 0;
     if (w->layout->plain) {
-        mark_plain(w->kinds[FACE_VERTEX].marks, (uint32_t)fan, records, count);
+        mark_plain(w->kinds[FMT_MESH_VERTEX].marks, (uint32_t)fan, records, count);
         return;
     }
-    for (int i = 0; i < FACE_KIND_COUNT; i++) {
-        const struct window_kind *kind = &w->kinds[i];
+    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
+        const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
-            index &= i == FACE_VERTEX ? ~fan : UINT64_MAX;
+            index &= i == FMT_MESH_VERTEX ? ~fan : UINT64_MAX;
             if (index < kind->count) /* others are "none" */
                 used_mark(kind->marks, index);
         }
@@ -149,7 +149,7 @@ void vox_gather_mark(struct window *w, const uint8_t *records, uint64_t count)
 }
 
 /* Counts the marks; vertices go to `used`, or NULL. */
-static void rank(struct window_kind *kind, used_word *used)
+static void rank(struct gather_kind *kind, used_word *used)
 {
     uint32_t before = 0;
     for (uint64_t i = 0; i < used_words(kind->count); i++) {
@@ -165,17 +165,17 @@ static void rank(struct window_kind *kind, used_word *used)
 /* ---- reading ---- */
 
 struct fetch {
-    struct window *window;
-    enum scan_column column;
+    struct gather_window *window;
+    enum scan_stream stream;
 };
 
-static uint64_t word_at(const struct window_kind *kind, uint64_t word)
+static uint64_t word_at(const struct gather_kind *kind, uint64_t word)
 {
     return atomic_load_explicit(&kind->marks[word], memory_order_relaxed);
 }
 
 /* Copies the marked elements of words [first, end), which begin at `from`, to their places. */
-static void gather(const struct window_kind *kind, uint64_t first, uint64_t end,
+static void gather(const struct gather_kind *kind, uint64_t first, uint64_t end,
                    const uint8_t *from, uint32_t bytes, uint8_t *elements)
 {
     uint8_t *to = elements + (uint64_t)kind->ranks[first] * bytes;
@@ -191,7 +191,7 @@ static void gather(const struct window_kind *kind, uint64_t first, uint64_t end,
 }
 
 /* The words from `first` on, up to `end`, that are read together: the last one has marks. */
-static uint64_t stretch_end(const struct window_kind *kind, uint64_t first, uint64_t end)
+static uint64_t stretch_end(const struct gather_kind *kind, uint64_t first, uint64_t end)
 {
     uint64_t last = first;
     for (uint64_t word = first + 1; word < end && word - last <= GAP_WORDS; word++)
@@ -202,10 +202,10 @@ static uint64_t stretch_end(const struct window_kind *kind, uint64_t first, uint
 static int fetch_range(void *arg, uint64_t number, unsigned worker)
 {
     const struct fetch *fetch = arg;
-    struct window *w = fetch->window;
-    const struct window_kind *kind = &w->kinds[scan_kind_of(fetch->column)];
-    const struct column *column = &w->scan->columns[fetch->column];
-    const uint32_t bytes = column->element_bytes;
+    struct gather_window *w = fetch->window;
+    const struct gather_kind *kind = &w->kinds[scan_kind_of(fetch->stream)];
+    const struct attribute_stream *stream = &w->scan->streams[fetch->stream];
+    const uint32_t bytes = stream->element_bytes;
     uint8_t *buffer = w->buffers + worker * BUFFER_BYTES;
     uint64_t words = used_words(kind->count), end = (number + 1) * RANGE_WORDS;
     int status = 0;
@@ -215,66 +215,66 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
             continue;
         uint64_t behind = stretch_end(kind, word, end);
         uint64_t count = (behind < words ? 64 * behind : kind->count) - 64 * word;
-        status = vox_spill_read(&column->spool, 64 * word * bytes, count * bytes, buffer);
+        status = vox_spill_read(&stream->spill, 64 * word * bytes, count * bytes, buffer);
         if (status == 0)
-            gather(kind, word, behind, buffer, bytes, w->elements[fetch->column]);
+            gather(kind, word, behind, buffer, bytes, w->elements[fetch->stream]);
         word = behind - 1;
     }
     return status;
 }
 
-static int fetch_column(struct window *w, enum scan_column number)
+static int fetch_stream(struct gather_window *w, enum scan_stream number)
 {
-    const struct window_kind *kind = &w->kinds[scan_kind_of(number)];
+    const struct gather_kind *kind = &w->kinds[scan_kind_of(number)];
     struct fetch fetch = {w, number};
-    w->view.columns[number].spool.bytes = kind->marked * w->view.columns[number].element_bytes;
+    w->view.streams[number].spill.bytes = kind->marked * w->view.streams[number].element_bytes;
     return bsq_parallel_for(w->ctx, used_words(kind->count) / RANGE_WORDS + 1, fetch_range, &fetch);
 }
 
-int vox_gather_fetch(struct window *w, used_word *used)
+int vox_gather_fetch(struct gather_window *w, used_word *used)
 {
     int status = 0;
-    for (int i = 0; i < FACE_KIND_COUNT; i++)
+    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++)
         if (w->kinds[i].active)
-            rank(&w->kinds[i], i == FACE_VERTEX ? used : NULL);
-    for (int i = 0; status == 0 && i < SCAN_COLUMN_COUNT; i++)
+            rank(&w->kinds[i], i == FMT_MESH_VERTEX ? used : NULL);
+    for (int i = 0; status == 0 && i < SCAN_STREAM_COUNT; i++)
         if (w->elements[i])
-            status = fetch_column(w, i);
+            status = fetch_stream(w, i);
     return status;
 }
 
 /* ---- numbers ---- */
 
-static void number_plain(const struct window_kind *kind, uint8_t *records, uint64_t count)
+static void number_plain(const struct gather_kind *kind, uint8_t *records, uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
         memcpy(&index, records + 4 * c, 4);
-        index = window_rank(kind, index);
+        index = gather_rank(kind, index);
         memcpy(records + 4 * c, &index, 4);
     }
 }
 
-void vox_gather_number(const struct window *w, uint8_t *records, uint64_t count)
+void vox_gather_number(const struct gather_window *w, uint8_t *records, uint64_t count)
 {
     if (w->layout->plain) {
-        number_plain(&w->kinds[FACE_VERTEX], records, count);
+        number_plain(&w->kinds[FMT_MESH_VERTEX], records, count);
         return;
     }
-    for (int i = 0; i < FACE_KIND_COUNT; i++) {
-        const struct window_kind *kind = &w->kinds[i];
+    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
+        const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             uint8_t *at = records + corner_offset(w->layout, i, c);
             uint64_t index = record_load(at, bytes);
             if (index < kind->count)
-                record_store(at, window_rank(kind, index), bytes);
+                record_store(at, gather_rank(kind, index), bytes);
         }
     }
 }
 
 /* The marked element with this number. */
-static uint64_t element_of_rank(const struct window_kind *kind, uint32_t number)
+static uint64_t element_of_rank(const struct gather_kind *kind, uint32_t number)
 {
     uint64_t low = 0,
              high =
@@ -289,10 +289,10 @@ static uint64_t element_of_rank(const struct window_kind *kind, uint32_t number)
     return 64 * low + (uint64_t)__builtin_ctzll(marks);
 }
 
-void vox_gather_restore(const struct window *w, uint8_t *records, uint64_t count)
+void vox_gather_restore(const struct gather_window *w, uint8_t *records, uint64_t count)
 {
-    for (int i = 0; i < FACE_KIND_COUNT; i++) {
-        const struct window_kind *kind = &w->kinds[i];
+    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
+        const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             uint8_t *at = records + corner_offset(w->layout, i, c);

@@ -1,32 +1,31 @@
-/* gather_window.h - private to the sorter: the vertices of a batch, of columns that are in files.
+/* gather_window.h - private to the sorter: the vertices of a batch, of streams that are in files.
  *
  * A batch's triangles lie together in space, and so do their vertices in the files of most scans.
- * So a batch notes which elements its corners refer to, reads these in the order of the column, and
+ * So a batch notes which elements its corners refer to, reads these in the order of the stream, and
  * numbers its corners anew: what comes behind works as if the scan had no other vertices. Faces in
- * any order cost nothing more; vertices without any order cost a pass through the column for each
+ * any order cost nothing more; vertices without any order cost a pass through the stream for each
  * batch, and nothing in memory. */
 #ifndef VOX_PARTITION_GATHER_WINDOW_H
 #define VOX_PARTITION_GATHER_WINDOW_H
 
-#include "libvoxel/partition/triangle_record.h"
-#include "libvoxel/partition/used_vertices.h"
+#include "libvoxel/partition/partition.h"
 
 /* Columns of one kind of index. */
-struct window_kind {
+struct gather_kind {
     bool active;      /* one of them is in a file */
-    uint64_t count;   /* of elements in the columns */
+    uint64_t count;   /* of elements in the streams */
     used_word *marks; /* those that the batch refers to */
     uint32_t *ranks;  /* for each word of marks: how many are marked before it */
     uint64_t marked;
 };
 
-struct window {
+struct gather_window {
     struct bsq_ctx *ctx;
     const struct scan *scan;
     const struct record_layout *layout;
-    struct scan view; /* the scan, but columns of active kinds have the batch's elements alone */
-    struct window_kind kinds[FACE_KIND_COUNT];
-    uint8_t *elements[SCAN_COLUMN_COUNT]; /* of the view; its segments */
+    struct scan view; /* the scan, but streams of active kinds have the batch's elements alone */
+    struct gather_kind kinds[FMT_MESH_KIND_COUNT];
+    uint8_t *elements[SCAN_STREAM_COUNT]; /* of the view; its segments */
     uint8_t *buffers;                     /* one a thread */
 };
 
@@ -35,23 +34,23 @@ uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads);
 uint64_t vox_gather_triangle_bytes(const struct scan *scan);
 
 /* triangles: of a batch, at most. Free with vox_gather_close(), also after failure. */
-int vox_gather_open(struct window *window, const struct scan *scan,
+int vox_gather_open(struct gather_window *window, const struct scan *scan,
                     const struct record_layout *layout, uint64_t triangles);
-void vox_gather_close(struct window *window);
+void vox_gather_close(struct gather_window *window);
 
 /* Forgets what was marked. */
-void vox_gather_clear(struct window *window);
+void vox_gather_clear(struct gather_window *window);
 /* Marks what the corners of records refer to. From any thread. */
-void vox_gather_mark(struct window *window, const uint8_t *records, uint64_t count);
+void vox_gather_mark(struct gather_window *window, const uint8_t *records, uint64_t count);
 /* Reads what is marked into the view, on all threads, and marks its vertices in `used`. */
-int vox_gather_fetch(struct window *window, used_word *used);
+int vox_gather_fetch(struct gather_window *window, used_word *used);
 /* Indices of the scan, which are marked, become those of the view, and the other way. From any
  * thread, of different records. */
-void vox_gather_number(const struct window *window, uint8_t *records, uint64_t count);
-void vox_gather_restore(const struct window *window, uint8_t *records, uint64_t count);
+void vox_gather_number(const struct gather_window *window, uint8_t *records, uint64_t count);
+void vox_gather_restore(const struct gather_window *window, uint8_t *records, uint64_t count);
 
 /* Number in the view of a marked element. */
-static inline uint32_t window_rank(const struct window_kind *kind, uint64_t index)
+static inline uint32_t gather_rank(const struct gather_kind *kind, uint64_t index)
 {
     uint64_t below = ((uint64_t)1 << index % 64) - 1;
     uint64_t marks = atomic_load_explicit(&kind->marks[index / 64], memory_order_relaxed);
@@ -59,11 +58,11 @@ static inline uint32_t window_rank(const struct window_kind *kind, uint64_t inde
 }
 
 /* Position of a marked vertex that was fetched. */
-static inline const float *window_position(const struct window *window, uint64_t vertex)
+static inline const float *gather_position(const struct gather_window *window, uint64_t vertex)
 {
-    const struct window_kind *kind = &window->kinds[FACE_VERTEX];
-    return column_at(&window->view.columns[SCAN_POSITIONS],
-                     kind->active ? window_rank(kind, vertex) : vertex, 12);
+    const struct gather_kind *kind = &window->kinds[FMT_MESH_VERTEX];
+    return stream_at(&window->view.streams[SCAN_POSITIONS],
+                     kind->active ? gather_rank(kind, vertex) : vertex, 12);
 }
 
 #endif

@@ -1,7 +1,7 @@
 /* The vertices of a batch: what records refer to comes from files, numbered anew, and records get
  * their old numbers back. */
+#include "libvoxel/chunk/gather_window.h"
 #include "libvoxel/partition/vertex_buckets.h"
-#include "libvoxel/partition/gather_window.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
@@ -23,27 +23,27 @@ struct fixture {
     struct scan scan;
 };
 
-/* An element's bytes follow from its column and number. */
-static void make_element(enum scan_column column, uint64_t index, uint32_t bytes, uint8_t *to)
+/* An element's bytes follow from its stream and number. */
+static void make_element(enum scan_stream stream, uint64_t index, uint32_t bytes, uint8_t *to)
 {
-    uint64_t seed = index * SCAN_COLUMN_COUNT + column + 1;
+    uint64_t seed = index * SCAN_STREAM_COUNT + stream + 1;
     for (uint32_t i = 0; i < bytes; i++)
         to[i] = (uint8_t)(sort_random(&seed) >> 8);
 }
 
-static void fill_column(struct scan *scan, enum scan_column number, uint64_t count, bool spilled)
+static void fill_stream(struct scan *scan, enum scan_stream number, uint64_t count, bool spilled)
 {
-    struct column *column = &scan->columns[number];
+    struct attribute_stream *stream = &scan->streams[number];
     for (uint64_t i = 0; i < count; i++) {
         uint8_t *at;
         uint64_t room;
-        assert_int_equal(vox_spill_room(&column->spool, &at, &room), 0);
-        make_element(number, i, column->element_bytes, at);
-        vox_spill_advance(&column->spool, column->element_bytes);
+        assert_int_equal(vox_spill_room(&stream->spill, &at, &room), 0);
+        make_element(number, i, stream->element_bytes, at);
+        vox_spill_advance(&stream->spill, stream->element_bytes);
     }
     if (spilled)
-        assert_int_equal(vox_spill_spill(&column->spool), 0);
-    assert_int_equal(vox_spill_finish(&column->spool), 0);
+        assert_int_equal(vox_spill_spill(&stream->spill), 0);
+    assert_int_equal(vox_spill_finish(&stream->spill), 0);
 }
 
 static int set_up(void **state)
@@ -72,9 +72,9 @@ static int tear_down(void **state)
 /* ---- records ---- */
 
 /* Corners in a few clusters, the first and the last element, and now and then none. */
-static uint64_t random_index(const struct scan *scan, enum face_kind kind, uint64_t *seed)
+static uint64_t random_index(const struct scan *scan, enum fmt_mesh_kind kind, uint64_t *seed)
 {
-    const uint64_t count = scan_count(scan, scan_column_of(kind));
+    const uint64_t count = scan_count(scan, scan_stream_of(kind));
     uint32_t choice = sort_random(seed) % 64;
     if (count == 0)
         return FMT_MESH_NONE;
@@ -82,7 +82,7 @@ static uint64_t random_index(const struct scan *scan, enum face_kind kind, uint6
         return 0;
     if (choice == 1)
         return count - 1;
-    if (choice < 4 && kind != FACE_VERTEX)
+    if (choice < 4 && kind != FMT_MESH_VERTEX)
         return FMT_MESH_NONE;
     return choice < 8 ? sort_random(seed) % count
                       : (choice * 7919 + sort_random(seed) % 300) % count;
@@ -92,7 +92,7 @@ static void make_records(const struct scan *scan, const struct record_layout *la
                          uint32_t count, uint64_t seed, uint8_t *records)
 {
     for (uint32_t c = 0; c < 3 * count; c++)
-        for (int kind = 0; kind < FACE_KIND_COUNT; kind++)
+        for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
             record_store(records + c / 3 * layout->bytes + c % 3 * layout->corner_bytes +
                              layout->index_at[kind],
                          random_index(scan, kind, &seed), layout->index_bytes[kind]);
@@ -100,13 +100,13 @@ static void make_records(const struct scan *scan, const struct record_layout *la
 
 /* Each corner has the element in the view that it had in the scan; elements are in the order of the
  * scan, once each. */
-static void expect_view(const struct window *w, const uint8_t *old, const uint8_t *numbered,
+static void expect_view(const struct gather_window *w, const uint8_t *old, const uint8_t *numbered,
                         uint32_t count)
 {
     const struct record_layout *layout = w->layout;
-    for (int kind = 0; kind < FACE_KIND_COUNT; kind++) {
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         const uint32_t width = layout->index_bytes[kind];
-        const uint64_t all = scan_count(w->scan, scan_column_of(kind));
+        const uint64_t all = scan_count(w->scan, scan_stream_of(kind));
         for (uint32_t c = 0; width > 0 && c < 3 * count; c++) {
             uint64_t at =
                 c / 3 * layout->bytes + c % 3 * layout->corner_bytes + layout->index_at[kind];
@@ -115,22 +115,22 @@ static void expect_view(const struct window *w, const uint8_t *old, const uint8_
                 assert_int_equal(now, before);
                 continue;
             }
-            for (int i = 0; i < SCAN_COLUMN_COUNT; i++) {
-                const struct column *column = &w->view.columns[i];
+            for (int i = 0; i < SCAN_STREAM_COUNT; i++) {
+                const struct attribute_stream *stream = &w->view.streams[i];
                 uint8_t expected[12];
                 if ((int)scan_kind_of(i) != kind || !scan_keeps(w->scan, i))
                     continue;
-                make_element(i, before, column->element_bytes, expected);
-                assert_true(now < column_count(column));
-                assert_memory_equal(column_at(column, now, column->element_bytes), expected,
-                                    column->element_bytes);
+                make_element(i, before, stream->element_bytes, expected);
+                assert_true(now < stream_count(stream));
+                assert_memory_equal(stream_at(stream, now, stream->element_bytes), expected,
+                                    stream->element_bytes);
             }
         }
     }
 }
 
 /* How many different vertices the records have, and that `used` has these. */
-static void expect_used(const struct window *w, const uint8_t *records, uint32_t count,
+static void expect_used(const struct gather_window *w, const uint8_t *records, uint32_t count,
                         const used_word *used)
 {
     static bool seen[VERTICES];
@@ -144,13 +144,13 @@ static void expect_used(const struct window *w, const uint8_t *records, uint32_t
         assert_true(used[v / 64] >> v % 64 & 1);
     }
     assert_int_equal(used_count(used, VERTICES), different);
-    if (w->kinds[FACE_VERTEX].active)
-        assert_int_equal(column_count(&w->view.columns[SCAN_POSITIONS]), different);
+    if (w->kinds[FMT_MESH_VERTEX].active)
+        assert_int_equal(stream_count(&w->view.streams[SCAN_POSITIONS]), different);
 }
 
 static void run_window(struct fixture *f, const struct record_layout *layout)
 {
-    struct window window;
+    struct gather_window window;
     uint64_t bytes = layout->bytes * (uint64_t)MOST + RECORD_SLACK,
              before = bsq_memory_used(f->ctx);
     uint8_t *records = calloc(bytes, 1), *numbered = calloc(bytes, 1);
@@ -168,13 +168,13 @@ static void run_window(struct fixture *f, const struct record_layout *layout)
         vox_gather_mark(&window, records, count / 2);
         vox_gather_mark(&window, records + count / 2 * layout->bytes, count - count / 2);
         assert_int_equal(vox_gather_fetch(&window, used), 0);
-        if (window.kinds[FACE_VERTEX].active)
+        if (window.kinds[FMT_MESH_VERTEX].active)
             expect_used(&window, records, count, used);
         for (uint32_t t = 0; t < count; t++) {
             uint64_t v = record_vertex_index(layout, records + t * layout->bytes);
             uint8_t expected[12];
             make_element(SCAN_POSITIONS, v, 12, expected);
-            assert_memory_equal(window_position(&window, v), expected, 12);
+            assert_memory_equal(gather_position(&window, v), expected, 12);
         }
         vox_gather_number(&window, numbered, count);
         expect_view(&window, records, numbered, count);
@@ -190,29 +190,29 @@ static void positions_alone_come_from_a_file(void **state)
 {
     struct fixture *f = *state;
     struct record_layout layout;
-    fill_column(&f->scan, SCAN_POSITIONS, VERTICES, true);
-    vox_record_layout_for(&f->scan, false, &layout);
-    assert_true(layout.plain && layout.windowed && layout.bytes == 12);
+    fill_stream(&f->scan, SCAN_POSITIONS, VERTICES, true);
+    vox_record_layout_for(&f->scan, &layout);
+    assert_true(layout.plain && layout.gathered && layout.bytes == 12);
     run_window(f, &layout);
     f->limits.index_bytes = 5;
-    vox_record_layout_for(&f->scan, false, &layout);
+    vox_record_layout_for(&f->scan, &layout);
     assert_true(!layout.plain && layout.bytes == 15);
     run_window(f, &layout);
 }
 
-/* Every choice of columns in files. */
+/* Every choice of streams in files. */
 static void columns_in_memory_stay_there(void **state)
 {
     struct fixture *f = *state;
-    for (unsigned spilled = 1; spilled < 1 << SCAN_COLUMN_COUNT; spilled++) {
-        static const uint64_t counts[SCAN_COLUMN_COUNT] = {VERTICES, VERTICES, TEXCOORDS, NORMALS};
+    for (unsigned spilled = 1; spilled < 1 << SCAN_STREAM_COUNT; spilled++) {
+        static const uint64_t counts[SCAN_STREAM_COUNT] = {VERTICES, VERTICES, TEXCOORDS, NORMALS};
         struct record_layout layout;
-        for (int i = 0; i < SCAN_COLUMN_COUNT; i++)
-            fill_column(&f->scan, i, counts[i], spilled >> i & 1);
+        for (int i = 0; i < SCAN_STREAM_COUNT; i++)
+            fill_stream(&f->scan, i, counts[i], spilled >> i & 1);
         f->scan.attributes = FMT_TRIS_COLORS | FMT_TRIS_TEXCOORDS | FMT_TRIS_NORMALS;
         f->scan.material_count = 300; /* two bytes behind the corners */
-        vox_record_layout_for(&f->scan, false, &layout);
-        assert_true(layout.windowed && !layout.plain);
+        vox_record_layout_for(&f->scan, &layout);
+        assert_true(layout.gathered && !layout.plain);
         run_window(f, &layout);
         f->scan.material_count = 0;
         vox_scan_free(&f->scan);
@@ -227,17 +227,17 @@ static void expect_cells(struct fixture *f, bool have_order)
 {
     const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
     const struct morton_cube cube = morton_cube_over(low, high);
-    struct vertex_cells cells;
-    for (uint32_t levels = 1; levels <= VERTEX_CELLS_WIDE_LEVELS; levels++) {
+    struct vertex_buckets cells;
+    for (uint32_t levels = 1; levels <= VERTEX_BUCKET_WIDE_LEVELS; levels++) {
         assert_int_equal(vox_vertex_buckets_make(&f->scan, &cube, levels, &cells), 0);
-        for (uint64_t v = 0; v < column_count(&f->scan.columns[SCAN_POSITIONS]); v++) {
+        for (uint64_t v = 0; v < stream_count(&f->scan.streams[SCAN_POSITIONS]); v++) {
             float p[3];
-            assert_int_equal(vox_spill_read(&f->scan.columns[SCAN_POSITIONS].spool, 12 * v, 12, p),
+            assert_int_equal(vox_spill_read(&f->scan.streams[SCAN_POSITIONS].spill, 12 * v, 12, p),
                              0);
-            assert_int_equal(vertex_cell(&cells, v),
+            assert_int_equal(vertex_bucket(&cells, v),
                              morton_point_key(&cube, p) >> (MORTON_KEY_BITS - 3 * levels));
         }
-        assert_true((cells.wide != NULL) == (levels > VERTEX_CELLS_NARROW_LEVELS) &&
+        assert_true((cells.wide != NULL) == (levels > VERTEX_BUCKET_NARROW_LEVELS) &&
                     (!cells.wide || !cells.narrow));
         if (levels > 2)
             assert_int_equal(cells.have_order, have_order);
@@ -256,12 +256,12 @@ static void cells_of_vertices_are_those_of_their_keys(void **state)
             uint64_t room;
             for (int axis = 0; !order && axis < 3; axis++)
                 p[axis] = (float)(sort_random(&seed) % 1001);
-            assert_int_equal(vox_spill_room(&f->scan.columns[SCAN_POSITIONS].spool, &at, &room), 0);
+            assert_int_equal(vox_spill_room(&f->scan.streams[SCAN_POSITIONS].spill, &at, &room), 0);
             memcpy(at, p, 12);
-            vox_spill_advance(&f->scan.columns[SCAN_POSITIONS].spool, 12);
+            vox_spill_advance(&f->scan.streams[SCAN_POSITIONS].spill, 12);
         }
-        assert_int_equal(vox_spill_spill(&f->scan.columns[SCAN_POSITIONS].spool), 0);
-        assert_int_equal(vox_spill_finish(&f->scan.columns[SCAN_POSITIONS].spool), 0);
+        assert_int_equal(vox_spill_spill(&f->scan.streams[SCAN_POSITIONS].spill), 0);
+        assert_int_equal(vox_spill_finish(&f->scan.streams[SCAN_POSITIONS].spill), 0);
         expect_cells(f, order);
         static const char *const paths[] = {"scan.obj"};
         vox_scan_free(&f->scan);

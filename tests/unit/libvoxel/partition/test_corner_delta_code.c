@@ -1,6 +1,6 @@
 /* Triangles' corners as bytes: what goes in comes out, and ordinary meshes take two bytes a
  * triangle. */
-#include "libvoxel/read/corner_delta_code.h"
+#include "libvoxel/partition/corner_delta_code.h"
 #include "formats/mesh/mesh_reader.h"
 
 #include <setjmp.h>

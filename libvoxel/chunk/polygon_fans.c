@@ -1,5 +1,5 @@
 /* polygon_fans.c - see polygon_fans.h. */
-#include "libvoxel/partition/polygon_fans.h"
+#include "libvoxel/chunk/polygon_fans.h"
 #include "base/polygon.h"
 
 uint64_t vox_fan_buffer_bytes(const struct record_layout *layout)
@@ -8,12 +8,12 @@ uint64_t vox_fan_buffer_bytes(const struct record_layout *layout)
            (layout->corner_bytes + sizeof(double[3]) + sizeof(uint32_t[3]) + sizeof(uint32_t[2]));
 }
 
-int vox_fan_buffer_init(struct fan_room *room, struct bsq_ctx *ctx,
+int vox_fan_buffer_init(struct fan_buffer *room, struct bsq_ctx *ctx,
                         const struct record_layout *layout)
 {
     const char *what = "sorting";
     int status;
-    *room = (struct fan_room){0};
+    *room = (struct fan_buffer){0};
     if ((status = bsq_alloc(ctx, what, FAN_CORNERS, layout->corner_bytes, &room->corners)) < 0 ||
         (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof *room->positions, &room->positions)) <
             0 ||
@@ -22,13 +22,13 @@ int vox_fan_buffer_init(struct fan_room *room, struct bsq_ctx *ctx,
     return bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[2]), &room->scratch);
 }
 
-void vox_fan_buffer_free(struct fan_room *room, struct bsq_ctx *ctx)
+void vox_fan_buffer_free(struct fan_buffer *room, struct bsq_ctx *ctx)
 {
     bsq_free(ctx, room->corners);
     bsq_free(ctx, room->positions);
     bsq_free(ctx, room->triangles);
     bsq_free(ctx, room->scratch);
-    *room = (struct fan_room){0};
+    *room = (struct fan_buffer){0};
 }
 
 /* How many records the fan that begins here has. */
@@ -52,26 +52,27 @@ static void collect_corners(const struct record_layout *layout, const uint8_t *r
         memcpy(corners + (t + 2) * bytes, records + (uint64_t)t * layout->bytes + 2 * bytes, bytes);
 }
 
-static void triangulate(const struct window *window, struct fan_room *room, uint32_t corners)
+static void triangulate(const struct gather_window *window, struct fan_buffer *room,
+                        uint32_t corners)
 {
     for (uint32_t c = 0; c < corners; c++) {
         const uint8_t *corner = room->corners + c * window->layout->corner_bytes;
-        const float *p = window_position(window, record_vertex_index(window->layout, corner));
+        const float *p = gather_position(window, record_vertex_index(window->layout, corner));
         for (int axis = 0; axis < 3; axis++)
             room->positions[c][axis] = p[axis];
     }
     bsq_triangulate((const double(*)[3])room->positions, corners, room->triangles, room->scratch);
 }
 
-static bool is_own(const struct fan_room *room, const struct morton_cube *cube, uint32_t levels,
-                   uint32_t cell, const uint32_t triangle[3])
+static bool is_own(const struct fan_buffer *room, const struct morton_cube *cube, uint32_t levels,
+                   uint32_t bucket, const uint32_t triangle[3])
 {
     const double *p = room->positions[triangle[0]];
     const float first[3] = {(float)p[0], (float)p[1], (float)p[2]};
-    return morton_cell(cube, levels, first) == cell;
+    return morton_cell(cube, levels, first) == bucket;
 }
 
-static void put_triangle(const struct record_layout *layout, const struct fan_room *room,
+static void put_triangle(const struct record_layout *layout, const struct fan_buffer *room,
                          const uint32_t triangle[3], const uint8_t *material, uint8_t *to)
 {
     const uint32_t bytes = layout->corner_bytes;
@@ -80,8 +81,8 @@ static void put_triangle(const struct record_layout *layout, const struct fan_ro
     memmove(to + 3 * bytes, material, layout->material_bytes);
 }
 
-uint64_t vox_fans_triangulate(const struct window *window, struct fan_room *room,
-                              const struct morton_cube *cube, uint32_t levels, uint32_t cell,
+uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *room,
+                              const struct morton_cube *cube, uint32_t levels, uint32_t bucket,
                               uint8_t *records, uint64_t count)
 {
     const struct record_layout *layout = window->layout;
@@ -98,7 +99,7 @@ uint64_t vox_fans_triangulate(const struct window *window, struct fan_room *room
         collect_corners(layout, from, length, room->corners);
         triangulate(window, room, length + 2);
         for (uint32_t i = 0; i < length; i++)
-            if (is_own(room, cube, levels, cell, room->triangles + 3 * i)) {
+            if (is_own(room, cube, levels, bucket, room->triangles + 3 * i)) {
                 put_triangle(layout, room, room->triangles + 3 * i, material, to);
                 to += layout->bytes;
             }

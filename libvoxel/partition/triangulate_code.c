@@ -1,0 +1,140 @@
+/* triangulate_code.c - codes the triangles of a block, one bucket after the other.
+ *
+ * All spans of a bucket are coded together, so a bucket's triangles share runs even if the faces of
+ * the file have no order. */
+#include "libvoxel/partition/run_writer.h"
+#include "libvoxel/partition/triangulate_internal.h"
+
+#define NO_RUNS UINT32_MAX
+/* Spans are prefetched this far ahead: files without order wait for memory otherwise. */
+#define SPANS_AHEAD 16
+
+static void put_triangle(const struct faces *faces, struct run_writer *w, const uint32_t corners[3])
+{
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
+        const uint64_t *from = faces->indices[kind];
+        if (!from)
+            continue;
+        const uint64_t index[3] = {from[corners[0] & ~CONTINUES_FAN], from[corners[1]],
+                                   from[corners[2]]};
+        w->to = corner_code_put(&w->codes[kind], index, w->to);
+    }
+}
+
+static unsigned form_of(const struct faces *faces, bool fans)
+{
+    unsigned form = faces->sizes && fans ? RUN_FANS : 0;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        form |= (unsigned)(faces->indices[kind] != NULL) << kind;
+    return form;
+}
+
+/* Returns how many triangles from `first` on are one fan, which must not be cut. */
+static uint32_t fan_length(const struct triangulator *t, uint32_t first, uint32_t end)
+{
+    uint32_t next = first + 1;
+    while (next < end && t->corners[next][0] & CONTINUES_FAN)
+        next++;
+    return next - first;
+}
+
+/* Writes a span's triangles, into the run in hand as long as that has space. */
+static void put_span(const struct triangulator *t, const struct faces *faces, unsigned form,
+                     const struct triangle_span *span, struct run_writer *w)
+{
+    const uint32_t end = span->first + span->count;
+    for (uint32_t i = span->first; i < end; i++) {
+        const bool continues = t->corners[i][0] & CONTINUES_FAN;
+        if (w->run.triangles == 0 || w->run.material != span->material ||
+            (!continues && w->run.triangles + fan_length(t, i, end) > RUN_TRIANGLES))
+            run_writer_begin(w, form, span->material);
+        if (continues)
+            w->fan_bits[w->run.triangles / 8] |= (uint8_t)(1u << w->run.triangles % 8);
+        put_triangle(faces, w, t->corners[i]);
+        w->run.triangles++;
+    }
+}
+
+/* Sorts spans by bucket, stably, and makes an entry of `runs` for each bucket. */
+static void sort_spans(struct triangulator *t)
+{
+    uint32_t end = 0;
+    t->run_count = 0;
+    for (uint32_t i = 0; i < t->span_count; i++) {
+        uint32_t *number = &t->runs_of_bucket[t->spans[i].bucket];
+        if (*number == NO_RUNS) {
+            *number = t->run_count++;
+            t->runs[*number] = (struct bucket_runs){.bucket = t->spans[i].bucket};
+        }
+        t->runs[*number].span_count++;
+    }
+    for (uint32_t i = 0; i < t->run_count; i++)
+        t->runs[i].first_span = end += t->runs[i].span_count;
+    for (uint32_t i = t->span_count; i-- > 0;)
+        t->sorted[--t->runs[t->runs_of_bucket[t->spans[i].bucket]].first_span] = t->spans[i];
+    for (uint32_t i = 0; i < t->run_count; i++)
+        t->runs_of_bucket[t->runs[i].bucket] = NO_RUNS;
+}
+
+/* Prefetches indices of spans to come. Always inlined: GCC drops calls to functions that only
+ * prefetch. */
+static inline __attribute__((always_inline)) void
+prefetch_spans(const struct triangulator *t, const struct faces *faces, unsigned form, uint32_t at)
+{
+    if (at + 2 * SPANS_AHEAD >= t->span_count)
+        return;
+    __builtin_prefetch(t->corners[t->sorted[at + 2 * SPANS_AHEAD].first]);
+    const uint32_t corner = t->corners[t->sorted[at + SPANS_AHEAD].first][0];
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        if (form >> kind & 1)
+            __builtin_prefetch(&faces->indices[kind][corner]);
+}
+
+/* Writes all spans of a bucket as runs. */
+static void put_bucket(struct triangulator *t, const struct faces *faces, struct bucket_runs *runs,
+                       struct run_writer *w)
+{
+    const unsigned form = form_of(faces, t->plan->vertex_buckets != NULL);
+    runs->offset = (uint64_t)(w->to - t->bytes);
+    for (uint32_t i = runs->first_span; i < runs->first_span + runs->span_count; i++) {
+        prefetch_spans(t, faces, form, i);
+        put_span(t, faces, form, &t->sorted[i], w);
+        runs->triangles += t->sorted[i].count;
+    }
+    run_writer_end(w);
+    runs->bytes = (uint64_t)(w->to - t->bytes) - runs->offset;
+}
+
+static int reserve(struct triangulator *t, const struct faces *faces)
+{
+    const char *what = "faces";
+    uint32_t kinds = 0;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        kinds += faces->indices[kind] != NULL;
+    /* A fan that does not fit begins a new run, so runs may be half full. */
+    const uint64_t headers = t->span_count + 2 * t->triangles / RUN_TRIANGLES;
+    const uint64_t bytes = t->triangles * (coded_triangle_bytes(t->plan, kinds) + 1) +
+                           headers * sizeof(struct run_header) + CORNER_CODE_SLACK;
+    const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
+    const uint64_t runs = buckets < t->span_count ? buckets : t->span_count;
+    int status = bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity);
+    if (status == 0)
+        status = bsq_grow(t->ctx, what, t->span_count, sizeof *t->sorted, &t->sorted,
+                          &t->sorted_capacity);
+    if (status == 0)
+        status = bsq_grow(t->ctx, what, runs, sizeof *t->runs, &t->runs, &t->run_capacity);
+    return status;
+}
+
+int vox_triangulate_code_spans(struct triangulator *t, const struct faces *faces)
+{
+    uint8_t fan_bits[RUN_TRIANGLES / 8];
+    int status = reserve(t, faces);
+    if (status < 0)
+        return status;
+    sort_spans(t);
+    struct run_writer w = {.to = t->bytes, .fan_bits = fan_bits};
+    for (uint32_t i = 0; i < t->run_count; i++)
+        put_bucket(t, faces, &t->runs[i], &w);
+    return 0;
+}
