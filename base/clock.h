@@ -1,10 +1,10 @@
-/* clock.h - seconds for reports. */
+/* clock.h - wall time for reports. */
 #ifndef BSQ_CLOCK_H
 #define BSQ_CLOCK_H
 
 #include <time.h>
 
-/* Seconds on a clock that only goes forward. */
+/* Returns seconds on a clock that only goes forward. */
 static inline double bsq_seconds_now(void)
 {
     struct timespec now;

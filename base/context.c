@@ -1,7 +1,7 @@
-/* context.c - creation, the first failure, warnings, interruption.
+/* context.c - creates contexts; keeps the first failure, warnings and interruption.
  *
- * Messages are formatted before a lock is taken, and published once through an atomic pointer, so
- * bsq_error() needs no lock and its text never changes under a reader. */
+ * A message is formatted before a lock is taken and published once through an atomic pointer. So
+ * bsq_error() needs no lock, and its text never changes under a reader. */
 #include <assert.h>
 #include <errno.h>
 #include <sched.h>
@@ -11,7 +11,7 @@
 
 #include "base/context_internal.h"
 
-/* Stands in for a message when there is no memory to format it; never freed. */
+/* The message if there is no memory to format one; never freed. */
 static char no_memory_text[] = "out of memory";
 
 static unsigned usable_processors(void)
@@ -91,7 +91,7 @@ const char *bsq_tmpdir(const struct bsq_ctx *ctx)
     return ctx->options.tmpdir;
 }
 
-/* One line, whatever the file names in it contain. */
+/* Makes the text one printable line, whatever file names in it contain. */
 static void keep_to_one_line(char *text)
 {
     for (; *text; text++) {

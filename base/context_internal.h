@@ -1,4 +1,5 @@
-/* context_internal.h - what base's own files know of a context. */
+/* context_internal.h - private to base: the fields of a context and functions that its files share.
+ */
 #ifndef BSQ_CONTEXT_INTERNAL_H
 #define BSQ_CONTEXT_INTERNAL_H
 
@@ -32,19 +33,21 @@ struct bsq_ctx {
     struct bsq_pool *pool; /* NULL until the first parallel call */
 };
 
-/* Half of the memory that the machine or its control group allows this process. */
+/* Returns half of the memory that the machine or its control group allows this process, in bytes.
+ */
 uint64_t bsq_default_memory(void);
 
-/* Code of the first failure, 0 when there was none. */
+/* Returns the code of the first failure, 0 if there was none. */
 int bsq_error_status(struct bsq_ctx *ctx);
 
 /* Stops and frees the threads; NULL is allowed. */
 void bsq_pool_destroy(struct bsq_pool *pool);
 
-/* Directory part of a path ("." where it has none), to be freed with free(); NULL: no memory. */
+/* Returns the directory part of a path ("." if it has none), to be freed with free(); NULL if there
+ * is no memory. */
 char *bsq_dirname(const char *path);
 
-/* Writes all bytes to a descriptor; 0 or an errno. */
+/* Writes all bytes to a descriptor. Returns 0 or an errno. */
 int bsq_pwrite_all(int fd, const void *buffer, uint64_t size, uint64_t offset);
 
 #endif

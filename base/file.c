@@ -163,7 +163,8 @@ static char *temp_directory(const struct bsq_ctx *ctx, const char *beside)
     return bsq_dirname(beside ? beside : "");
 }
 
-/* A file without a name, or one that loses its name at once where the file system has no such. */
+/* Opens a file without a name, or one that loses its name at once if the file system has no unnamed
+ * files. */
 static int open_unnamed(const char *directory, int *fd)
 {
     static const char name[] = "bisque";

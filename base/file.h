@@ -24,12 +24,12 @@ struct bsq_file {
 /* Opens a regular file for reading. Errors: BSQ_ENOINPUT. */
 int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
 
-/* Creates an unnamed temporary file (gone when closed or killed) in the context's tmpdir or, where
- * there is none, in the directory of `beside` (an output path; may be NULL: "."). `what` is for
- * messages. */
+/* Creates an unnamed temporary file, which is gone when it is closed or the process ends. It lies
+ * in the context's tmpdir or, if there is none, in the directory of `beside` (an output path; NULL:
+ * "."). `what` is for messages. */
 int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out);
 
-/* A second descriptor of the same file. Errors: BSQ_ENOINPUT. */
+/* Opens a second descriptor of the same file. Errors: BSQ_ENOINPUT. */
 int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct bsq_file *out);
 
 /* Closes and frees; a closed file is allowed. */
@@ -50,26 +50,26 @@ int bsq_file_write(struct bsq_ctx *ctx, const struct bsq_file *file, const void 
 /* Writes at file->size and advances it. Not thread-safe for one file. */
 int bsq_file_append(struct bsq_ctx *ctx, struct bsq_file *file, const void *buffer, uint64_t size);
 
-/* Bytes written to temporary files of this context so far (for reports). */
+/* Returns the bytes written to temporary files of this context so far, for reports. */
 uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx);
 
-/* Checks that the file system which holds temporary files has `bytes` free; BSQ_EIO names the
- * bytes needed and available. */
+/* Checks that the file system for temporary files has `bytes` free. Errors: BSQ_EIO, which names
+ * the bytes needed and available. */
 int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes);
 
-/* Checks that there is room for an output of about `output_bytes` at path `output` together with
- * temporary files of about `temp_bytes`; where both are on one file system their sum is asked for.
- * Errors: BSQ_EIO with the bytes needed and free. */
+/* Checks that the disk has space for an output of about `output_bytes` at path `output` and for
+ * temporary files of about `temp_bytes`. If both lie on one file system, it needs their sum.
+ * Errors: BSQ_EIO, which names the bytes needed and free. */
 int bsq_require_space(struct bsq_ctx *ctx, const char *output, uint64_t output_bytes,
                       uint64_t temp_bytes);
 
 /* A whole file mapped read-only, 4096-byte aligned.
  *
- * Where the file shrinks while it is mapped, or the disk fails, its memory reads as zeros from
- * there on instead of ending the process, and bsq_map_check() says so. For that a handler of SIGBUS
- * is in place while any map is open, for the whole process; what is not about a map it hands to the
- * handler from before. A program that installs another one meanwhile must do the same, and threads
- * that read a map must not block SIGBUS. */
+ * If the file shrinks while it is mapped, or the disk fails, the lost memory reads as zeros instead
+ * of ending the process, and bsq_map_check() reports it. For that, the process has a handler of
+ * SIGBUS while any map is open; it passes signals that are not about a map to the previous handler.
+ * A program that installs another handler meanwhile must do the same. Threads that read a map must
+ * not block SIGBUS. */
 struct bsq_map {
     const void *data;
     uint64_t size;
@@ -82,12 +82,12 @@ struct bsq_map {
     {                                                                                              \
         .fd = -1                                                                                   \
     }
-/* Errors: BSQ_ENOINPUT; an empty file maps to data NULL, size 0. */
+/* Maps a file. An empty file has data NULL and size 0. Errors: BSQ_ENOINPUT. */
 int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out);
-/* BSQ_EIO where what was read cannot be relied on: the file shrank, was written to, or could not be
- * read. To be called now and then, and before results are given away. Thread-safe. */
+/* Returns BSQ_EIO if the data cannot be relied on: the file shrank, was written to, or could not be
+ * read. Call it now and then, and before results are used. Thread-safe. */
 int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map);
-/* A map that is closed, or all zeros, is allowed. */
+/* Unmaps and closes; a closed map, or one of all zeros, is allowed. */
 void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map);
 
 #ifdef __cplusplus

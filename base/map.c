@@ -1,13 +1,13 @@
-/* map.c - whole files mapped read-only, and what happens when they shrink under the reader.
+/* map.c - maps whole files read-only and survives files that shrink under the reader.
  *
  * Reading a page that a file no longer has, or that the disk cannot deliver, raises SIGBUS. A
- * handler for the whole process looks the address up among the open maps, puts pages of zeros there
- * and marks the map; whoever reads goes on with zeros until bsq_map_check() ends the job. Zeros
- * only have to be safe to read, so what is in a mapped file must be bounded where it is followed.
+ * handler for the whole process finds the address among the open maps, puts pages of zeros there
+ * and marks the map. The reader goes on with zeros until bsq_map_check() ends the job. So code that
+ * follows values in a mapped file must bound them: zeros must be safe to read.
  *
  * A handler cannot lock. It walks a list of ranges that only grows: an entry is filled in before it
- * is linked, and used again when its map is closed. mmap() is a plain system call on Linux, and so
- * can be called there. Signals that are not about a map go to the handler from before. */
+ * is linked, and reused after its map is closed. mmap() is a plain system call on Linux, so a
+ * handler can call it. Signals that are not about a map go to the previous handler. */
 #include <errno.h>
 #include <pthread.h>
 #include <signal.h>
@@ -22,7 +22,7 @@
 
 struct bsq_map_range {
     atomic_uintptr_t start, end; /* both 0: not in use */
-    atomic_bool lost;            /* zeros have been put there */
+    atomic_bool lost;            /* the handler has put zeros there */
     struct bsq_map_range *next;
 };
 
@@ -54,8 +54,8 @@ static bool put_zeros(uintptr_t address)
     return false;
 }
 
-/* By default the process is to die of this: a fault comes again when the handler returns, a signal
- * that somebody sent must be sent again. */
+/* Passes a signal on to the previous handler. By default the process must die of it: a fault comes
+ * again when the handler returns; a signal that somebody sent must be sent again. */
 static void pass_on(int number, siginfo_t *info, void *context)
 {
     bool fault = info->si_code > 0;
@@ -83,7 +83,8 @@ static bool is_ours(const struct sigaction *action)
     return (action->sa_flags & SA_SIGINFO) && action->sa_sigaction == on_bus_error;
 }
 
-/* For the first map. If a handler that was installed later has kept ours, it is in place still. */
+/* Installs the handler, for the first map. If a later handler has kept ours, ours is still in
+ * place. */
 static void install(void)
 {
     struct sigaction action = {.sa_sigaction = on_bus_error, .sa_flags = SA_SIGINFO | SA_ONSTACK};
@@ -94,7 +95,7 @@ static void install(void)
     installed = sigaction(SIGBUS, NULL, &before) == 0 && sigaction(SIGBUS, &action, NULL) == 0;
 }
 
-/* After the last map; only where nobody has built on our handler. */
+/* Removes the handler after the last map, but only if no later handler builds on it. */
 static void uninstall(void)
 {
     struct sigaction now;
@@ -114,7 +115,7 @@ static struct bsq_map_range *find_free(void)
     return range;
 }
 
-/* NULL: no memory. */
+/* Returns NULL if there is no memory. */
 static struct bsq_map_range *watch(const void *data, uint64_t size)
 {
     pthread_mutex_lock(&lock);

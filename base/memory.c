@@ -1,13 +1,13 @@
-/* memory.c - the budget, and allocation that counts against it.
+/* memory.c - the memory budget, and allocation that counts against it.
  *
- * A small block is [slack][64-byte header][payload], the payload aligned to 64 bytes. The header
- * remembers what malloc() returned, so that calloc() and realloc() of the C library can be used.
+ * A small block is [slack][64-byte header][payload]; the payload is aligned to 64 bytes. The header
+ * holds what malloc() returned, so calloc() and realloc() of the C library can be used.
  *
- * A large block is a mapping of its own whose payload begins at a huge page and may consist of
- * such: touching memory for the first time costs more than most of what is done to it then, and
- * most of that cost is per page. Its header ends the small page before the payload. Nothing behind
- * the payload's last small page belongs to the mapping, so that what is resident stays within what
- * is counted. Growing moves pages instead of copying them. The budget counts payloads. */
+ * A large block is a mapping of its own. Its payload begins at the start of a huge page and may
+ * consist of huge pages: first-touch page faults cost more than most of the work on a page, and
+ * their cost is per page. Its header ends the small page before the payload. The mapping ends with
+ * the last small page of the payload, so resident memory stays within what is counted. Growing
+ * moves pages instead of copying them. The budget counts payloads. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -19,8 +19,9 @@
 
 enum { HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + BSQ_ALIGNMENT };
 
-/* Of a huge page; where the system has others this is only an alignment. A header has a page of the
- * smallest size before the payload; systems with larger pages use the C library's blocks alone. */
+/* Size of a huge page; on systems with other sizes this is only an alignment. A header needs a page
+ * of the smallest size before the payload; systems with larger pages use the C library's blocks
+ * alone. */
 #define HUGE_BYTES ((size_t)2 << 20)
 #define PAGE_BYTES ((size_t)4096)
 
@@ -137,7 +138,7 @@ static int fail_system(struct bsq_ctx *ctx, const char *what, uint64_t bytes)
 
 /* ---- large blocks ---- */
 
-/* Under a checker of addresses all blocks are the C library's, which it watches. */
+/* With an address sanitizer all blocks come from the C library, which it watches. */
 #if defined(__SANITIZE_ADDRESS__)
 #define WATCHED 1
 #elif defined(__has_feature)
@@ -156,13 +157,14 @@ static bool is_large(uint64_t bytes)
 #endif
 }
 
-/* The mapping of a large block, one page more than its payload. */
+/* Returns the bytes to map for a large block: one page more than its payload. */
 static size_t mapping_bytes(uint64_t bytes)
 {
     return PAGE_BYTES + (((size_t)bytes + PAGE_BYTES - 1) & ~(PAGE_BYTES - 1));
 }
 
-/* Maps `size` bytes, the first page just before a huge one; NULL where there is no room. */
+/* Maps `size` bytes; the first page lies just before a huge page. Returns NULL if there is no
+ * space. */
 static char *map_aligned(size_t size, int protection)
 {
     size_t room = size + HUGE_BYTES;
@@ -184,12 +186,13 @@ static void *allocate_large(uint64_t bytes)
     char *base = map_aligned(size, PROT_READ | PROT_WRITE);
     if (!base)
         return NULL;
-    /* A wish. Of the first page too, as what is advised differently cannot be moved at once. */
+    /* Only advice to the system. Includes the first page, as a range with mixed advice cannot be
+     * moved at once. */
     madvise(base, size, MADV_HUGEPAGE);
     return place_header(base, PAGE_BYTES, bytes, size);
 }
 
-/* Moves the pages to where there is room behind them and the alignment is the same. */
+/* Moves the pages to an address with enough space after them and the same alignment. */
 static void *grow_large(void *payload, uint64_t bytes)
 {
     struct header old = *header_of(payload);
@@ -290,7 +293,8 @@ static void *resize_small(void *payload, uint64_t bytes)
     return place_header(base, offset, bytes, 0);
 }
 
-/* Moves a block whose extra bytes are reserved already; NULL where the system has no memory. */
+/* Resizes a block whose extra bytes are reserved already. Returns NULL if the system has no memory.
+ */
 static void *resize(void *payload, uint64_t bytes)
 {
     if (!is_large(bytes))
@@ -323,7 +327,7 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
             return fail_overflow(ctx, what, count, size);
     }
     if (!try_reserve(ctx, bytes - old_bytes)) {
-        /* What is asked for may still fit where room to grow does not. */
+        /* The requested size may still fit if the extra capacity does not. */
         wanted = count;
         bytes = count * size;
         int status = bsq_reserve(ctx, what, bytes - old_bytes);
@@ -342,7 +346,7 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
 
 /* ---- how much there is ---- */
 
-/* The number in a control group's file; UINT64_MAX for "max" or where there is none. */
+/* Reads the number in a control group's file. Returns UINT64_MAX for "max" or if there is none. */
 static uint64_t read_limit(const char *path)
 {
     unsigned long long value;
@@ -354,7 +358,8 @@ static uint64_t read_limit(const char *path)
     return fields == 1 ? value : UINT64_MAX;
 }
 
-/* Smallest memory.max on the way from the group at `path` (under the mount point) to the root. */
+/* Returns the smallest memory.max from the group at `path` (under the mount point) up to the root.
+ */
 static uint64_t smallest_limit(char *path)
 {
     uint64_t smallest = UINT64_MAX;

@@ -1,5 +1,7 @@
-/* octahedral.c - the sphere is projected onto an octahedron whose lower half is folded outwards, so
- * that all of it lies in the square [-1, 1]^2; each coordinate is then rounded to 1 / 32767. */
+/* octahedral.c - unit vectors as points of an unfolded octahedron.
+ *
+ * The sphere is projected onto an octahedron, whose lower half is folded outwards into the square
+ * [-1, 1]^2. Each coordinate is then rounded to 1 / 32767. */
 #include "base/octahedral.h"
 
 static float sign_of(float value)

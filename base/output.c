@@ -1,9 +1,9 @@
 /* output.c - a file that appears whole or not at all.
  *
- * Where the file system can (O_TMPFILE), the file has no name until it is complete and on the disk:
- * whatever ends the process, nothing is left. It gets a temporary name only to be renamed at once,
- * as a link cannot replace a file. Elsewhere it has a temporary name all the time, which the next
- * job with this output removes; see temp_internal.h. */
+ * If the file system supports it (O_TMPFILE), the file has no name until it is complete and on the
+ * disk: whatever ends the process, nothing is left. It gets a temporary name only to be renamed at
+ * once, as a link cannot replace a file. On other file systems it has a temporary name all the
+ * time, which the next job with this output removes; see temp_internal.h. */
 #include <assert.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -18,20 +18,20 @@
 #include "base/output.h"
 #include "base/temp_internal.h"
 
-/* Bytes that are written to the disk between two looks at the interruption flag. */
+/* Bytes written to the disk between two checks of the interruption flag. */
 #define SYNC_BYTES (UINT64_C(32) << 20)
 
 struct bsq_output {
     struct bsq_ctx *ctx;
-    char *path;      /* final name, symbolic links followed; or what messages call a file without */
-    char *directory; /* of both names; NULL: there is to be no final name */
+    char *path;      /* final name, symbolic links followed; or a name for messages only */
+    char *directory; /* of both names; NULL: the file gets no final name */
     char *temp_path; /* NULL: the file has no name */
     int fd;
     uint64_t position;
-    uint64_t expected;  /* a file with less appended may not be kept */
-    uint64_t sent;      /* bytes that were given to the disk already */
-    atomic_bool synced; /* all is on the disk, and nothing was written since */
-    atomic_int status;  /* first failure: such an output cannot be committed */
+    uint64_t expected;  /* a file with fewer appended bytes may not be kept */
+    uint64_t sent;      /* bytes whose writing to the disk was started */
+    atomic_bool synced; /* all is on the disk, and nothing was written after that */
+    atomic_int status;  /* first failure; an output that has one cannot be committed */
 };
 
 static int fail_memory(struct bsq_ctx *ctx, const char *path)
@@ -51,7 +51,8 @@ static void free_output(struct bsq_output *output)
 
 /* ---- opening ---- */
 
-/* Only a regular file may be replaced; a link is kept and the file that it names is replaced. */
+/* Resolves the final name. Only a regular file may be replaced. A symbolic link is kept, and the
+ * file that it names is replaced. */
 static int resolve_path(struct bsq_ctx *ctx, const char *path, char **out)
 {
     struct stat info;
@@ -79,7 +80,8 @@ static const char *file_name(const char *path)
     return slash ? slash + 1 : path;
 }
 
-/* What can be wrong only because the file system, or what runs above it, has no unnamed files. */
+/* Returns true for errors that mean that the file system, or a layer above it, has no unnamed
+ * files. */
 static bool lacks_unnamed(int error)
 {
     return error == EOPNOTSUPP || error == EISDIR || error == ENOENT || error == EINVAL;
@@ -143,11 +145,11 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
 
 /* ---- writing ---- */
 
-/* Bytes that are worth giving to the disk. */
+/* Starts writing to the disk after this many bytes. */
 #define SEND_BYTES ((uint64_t)4 << 20)
 
-/* Starts writing what was appended, so that the sync at the end finds little left to do. What goes
- * wrong here goes wrong there too. */
+/* Starts writing the appended bytes to the disk, so that the final sync has little left to do.
+ * Failures here are reported by that sync. */
 static void send_to_disk(struct bsq_output *output)
 {
     if (output->position - output->sent < SEND_BYTES)
@@ -183,13 +185,14 @@ int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t siz
     return status;
 }
 
-/* What keeps a file from being written at all, and not only room from being set aside for it. */
+/* Returns true for errors that keep a file from being written at all, not only from reserving
+ * space. */
 static bool prevents_writing(int error)
 {
     return error == ENOSPC || error == EDQUOT || error == EFBIG || error == EIO;
 }
 
-/* Where a signal ends the call, tmpfs gives back all that it has set aside so far. */
+/* If a signal ends the call, tmpfs gives back all space that it has reserved so far. */
 int bsq_output_expect(struct bsq_output *output, uint64_t size)
 {
     atomic_store_explicit(&output->synced, false, memory_order_relaxed);
@@ -211,7 +214,7 @@ uint64_t bsq_output_tell(const struct bsq_output *output)
 
 /* ---- the end ---- */
 
-/* Whether the file may be kept. Room that was set aside and not written would be zeros at its end.
+/* Checks that the file may be kept: reserved space that was not written would be zeros at its end.
  */
 static int check_written(struct bsq_output *output)
 {
@@ -223,9 +226,8 @@ static int check_written(struct bsq_output *output)
     return status;
 }
 
-/* Writes what is in the cache to the disk in parts, so that an interruption need not wait for all
- * of it, as it would in fsync(). A failure that is reported here is not reported by fsync() again.
- */
+/* Writes the cached bytes to the disk in parts, so that an interruption need not wait for all of
+ * them, as it would in fsync(). fsync() does not report a failure again that was reported here. */
 static int write_back(struct bsq_output *output, uint64_t size)
 {
     const unsigned flags =
@@ -265,7 +267,7 @@ static int sync_directory(const char *directory)
 {
     int fd = open(directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (fd < 0)
-        return errno == EACCES ? 0 : errno; /* one may write to a directory that one cannot list */
+        return errno == EACCES ? 0 : errno; /* a directory may be writable but not readable */
     int error;
     do
         error = fsync(fd) == 0 ? 0 : errno;
@@ -297,7 +299,8 @@ static int copy_whole(struct bsq_output *output, const struct bsq_file *from, ui
     return status;
 }
 
-/* For file systems that have unnamed files but cannot name them later. */
+/* Copies the unnamed file to one with a temporary name, on file systems that cannot name it later.
+ */
 static int copy_to_named(struct bsq_output *output)
 {
     struct bsq_file unnamed = {.fd = output->fd, .path = output->path};
@@ -337,8 +340,8 @@ static int rename_retrying(const char *from, const char *to)
     return result;
 }
 
-/* The descriptor stays open, and with it the lock on the temporary name, until that is gone. What
- * close() could report, fsync() has reported. */
+/* Keeps the descriptor open, and with it the lock on the temporary name, until that name is gone.
+ * fsync() has reported what close() could report. */
 int bsq_output_commit(struct bsq_output *output)
 {
     assert(output->directory);

@@ -1,10 +1,10 @@
 /* output.h - output files that appear whole or not at all.
  *
- * The file is written without a name in the directory of its final name, or, on file systems that
- * have no such files, under the name ".NAME.XXXXXX.tmp". bsq_output_commit() syncs it and gives it
- * its final name in one step; a process that ends before that, however it ends, leaves nothing, or
- * a temporary name that the next bsq_output_open() of this output removes. Several jobs may write
- * to one directory, and even the same output, at the same time. */
+ * The file is written without a name in the directory of its final name. On file systems without
+ * unnamed files it has the name ".NAME.XXXXXX.tmp". bsq_output_commit() syncs it and gives it its
+ * final name in one step. A process that ends before that leaves nothing, or a temporary name that
+ * the next bsq_output_open() of this output removes. Several jobs may write to one directory, and
+ * even to the same output, at the same time. */
 #ifndef BSQ_OUTPUT_H
 #define BSQ_OUTPUT_H
 
@@ -16,34 +16,33 @@ extern "C" {
 
 struct bsq_output;
 
-/* Errors: BSQ_ECANTCREAT where the directory is missing or not writable. */
+/* Creates an output. Errors: BSQ_ECANTCREAT if the directory is missing or not writable. */
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out);
 
-/* A temporary file, as bsq_file_temp() makes it, to be written as an output;
+/* Creates a temporary file, as bsq_file_temp() does, that is written as an output.
  * bsq_output_keep_temp() turns it into *out and frees the output in any case. */
 int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *what,
                          struct bsq_output **out);
 int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out);
 
-/* Sets room aside for a file of `size` bytes, more than none, where the file system can: a full
- * disk is noticed at once, and writing takes less time. At least as many must be appended before
- * the file is synced, committed or kept, which is BSQ_EBUG otherwise. Errors: BSQ_EIO, BSQ_EINTR.
- */
+/* Reserves disk space for a file of `size` bytes (> 0) if the file system can: a full disk is
+ * noticed at once, and writing takes less time. At least `size` bytes must be appended before the
+ * file is synced, committed or kept; otherwise that is BSQ_EBUG. Errors: BSQ_EIO, BSQ_EINTR. */
 int bsq_output_expect(struct bsq_output *output, uint64_t size);
 
-/* Appends, or writes at an offset. Errors: BSQ_EIO. bsq_output_write_at is thread-safe for disjoint
- * ranges; it does not move the append position. */
+/* Appends, or writes at an offset. bsq_output_write_at() is thread-safe for disjoint ranges and
+ * does not move the append position. Errors: BSQ_EIO. */
 int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t size);
 int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
                         uint64_t offset);
 
-/* Position of the next bsq_output_write(). */
+/* Returns the position of the next bsq_output_write(). */
 uint64_t bsq_output_tell(const struct bsq_output *output);
 
-/* Brings everything to the disk; where several outputs belong together, do this for all before the
+/* Syncs everything to the disk. If several outputs belong together, do this for all before the
  * first is committed. Errors: BSQ_EIO, BSQ_EINTR. */
 int bsq_output_sync(struct bsq_output *output);
-/* Syncs what is not synced yet, and gives the file its final name; frees the output in any case.
+/* Syncs what is not synced yet and gives the file its final name; frees the output in any case.
  * Errors: BSQ_EIO, BSQ_EINTR, BSQ_ECANTCREAT. */
 int bsq_output_commit(struct bsq_output *output);
 /* Removes the file and frees the output; NULL is allowed. */

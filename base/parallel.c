@@ -1,8 +1,8 @@
 /* parallel.c - the thread pool, parallel loops and ordered pipelines.
  *
- * The pool knows one thing: run a function once on every worker and wait for all. Loops and
- * pipelines are built on it; the calling thread is worker 0. Threads are created by the first
- * parallel call and sleep between calls. Where the system refuses threads, fewer do all the work.
+ * The pool does one thing: it runs a function once on every worker and waits for all. Loops and
+ * pipelines are built on it; the calling thread is worker 0. The first parallel call creates the
+ * threads, which sleep between calls. If the system refuses threads, fewer threads do all the work.
  */
 #include <assert.h>
 #include <signal.h>
@@ -22,7 +22,7 @@ struct bsq_pool {
     pool_fn *fn;
     void *arg;
     uint64_t job;     /* number of the job posted last */
-    unsigned wanted;  /* threads that take part in it, the caller not counted */
+    unsigned wanted;  /* threads that take part in it, without the caller */
     unsigned running; /* of those, how many have not returned */
     bool quit, busy;
     unsigned thread_count;
@@ -59,8 +59,9 @@ static void *pool_thread_main(void *arg)
     return NULL;
 }
 
-/* Signals are left to the program's own threads, but for those that a thread's own doing raises:
- * blocked, they would end the process whatever handles them. */
+/* Blocks signals in pool threads, so that the program's own threads get them. Signals that a
+ * thread's own instructions raise stay open: blocked, they would end the process whatever handles
+ * them. */
 static void start_threads(struct bsq_pool *pool, unsigned count)
 {
     sigset_t all, before;
@@ -79,7 +80,7 @@ static void start_threads(struct bsq_pool *pool, unsigned count)
     pthread_sigmask(SIG_SETMASK, &before, NULL);
 }
 
-/* The context's pool; NULL where work is to run on the calling thread alone. */
+/* Returns the context's pool; NULL if work is to run on the calling thread alone. */
 static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
 {
     unsigned extra = bsq_threads(ctx) - 1;
@@ -141,7 +142,7 @@ static void pool_run(struct bsq_ctx *ctx, unsigned workers, pool_fn *fn, void *a
     pthread_mutex_unlock(&pool->lock);
 }
 
-/* Of several concurrent failures, the one returned is the one whose text the context kept. */
+/* Returns, of several concurrent failures, the one whose text the context kept. */
 static int first_failure(struct bsq_ctx *ctx, int status, int status_before)
 {
     if (status < 0 && status_before == 0 && bsq_error_status(ctx) < 0)
@@ -161,8 +162,8 @@ struct loop {
     atomic_int status;
 };
 
-/* Takes a run of iterations: a small share of what is left, so that cheap iterations do not fight
- * over the counter and the last ones are still spread evenly. */
+/* Takes a run of iterations: a small share of what is left. Cheap iterations then do not contend
+ * for the counter, and the last ones are still spread evenly. */
 static uint64_t take_iterations(struct loop *loop, uint64_t *first)
 {
     uint64_t begin = atomic_load_explicit(&loop->next, memory_order_relaxed);
@@ -211,15 +212,14 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
 
 /* ---- pipelines ----
  *
- * A pipeline is two stages one behind the other, of which the second may be missing: each has a
- * concurrent step and then a serial one. Sequences move through counters, finished[1] <= begun[1]
- * <= finished[0] <= begun[0] <= produced, where `begun` counts those whose concurrent step was
- * taken up and `finished` those whose serial step has returned. Slot s % slot_count belongs to
- * sequence s from its production until its last step, so a slot only has to tell for each stage
- * whether its concurrent step is done. All state is guarded by one lock that is free while the
- * callbacks run. A thread that takes a step and sees another one possible wakes one sleeper, which
- * does the same in turn: nobody is woken for nothing and no step is left lying while somebody
- * sleeps. */
+ * A pipeline is one or two stages; each has a concurrent step and then a serial step. Counters
+ * track the sequences: finished[1] <= begun[1] <= finished[0] <= begun[0] <= produced. `begun`
+ * counts sequences whose concurrent step was started, `finished` those whose serial step has
+ * returned. Slot s % slot_count belongs to sequence s from its production to its last step, so a
+ * slot only records for each stage whether its concurrent step is done. One lock guards all state
+ * and is free while callbacks run. A thread that takes a step and sees another possible step wakes
+ * one sleeper, which does the same. So no thread is woken for nothing, and no step waits while a
+ * thread sleeps. */
 
 enum step { STEP_NONE, STEP_FINISH, STEP_EMIT, STEP_FOLLOW, STEP_WORK, STEP_PRODUCE };
 
@@ -227,7 +227,7 @@ struct stage {
     int (*concurrent)(void *arg, void *slot, uint64_t sequence, unsigned worker); /* or NULL */
     int (*serial)(void *arg, void *slot, uint64_t sequence);
     uint64_t begun, finished;
-    bool busy;  /* the serial step is being run */
+    bool busy;  /* the serial step is running */
     bool *done; /* per slot: the concurrent step has returned */
 };
 
@@ -250,7 +250,7 @@ static void *slot_of(const struct run *run, uint64_t sequence)
     return (char *)pipeline->slots + (sequence % pipeline->slot_count) * pipeline->slot_size;
 }
 
-/* Sequences that have passed the whole pipeline. */
+/* Returns the number of sequences that have passed the whole pipeline. */
 static uint64_t passed(const struct run *run)
 {
     return run->stages[run->stage_count - 1].finished;
@@ -262,7 +262,7 @@ static bool can_finish(const struct run *run, const struct stage *stage)
            stage->done[stage->finished % run->pipeline->slot_count];
 }
 
-/* What is furthest along comes first, so that slots become free. */
+/* Prefers the step that is furthest along, so that slots become free. */
 static enum step possible_step(const struct run *run)
 {
     const struct stage *first = &run->stages[0], *second = &run->stages[1];
@@ -284,7 +284,7 @@ static bool is_over(const struct run *run)
     return run->status < 0 || (run->ended && passed(run) == run->produced);
 }
 
-/* The steps are entered and left with the lock held. */
+/* The lock is held when a step is entered and when it returns. */
 
 static int run_serial(struct run *run, struct stage *stage)
 {
@@ -343,7 +343,7 @@ static int take_step(struct run *run, enum step step, unsigned worker)
     }
 }
 
-/* Marks a step as taken as far as the others are concerned, and asks whether one is left. */
+/* Marks a step as taken for the other threads, and returns whether another step is possible. */
 static bool another_step(const struct run *run, enum step taken)
 {
     struct run after = *run;

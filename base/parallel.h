@@ -11,10 +11,10 @@
 extern "C" {
 #endif
 
-/* Runs fn(arg, i, worker) for every i in [0, count), dynamically scheduled; `worker` is in
- * [0, bsq_threads()) and no two concurrent calls share it. After the first negative result no new
- * iteration starts and that result is returned; an interrupted context gives BSQ_EINTR.
- * Must not be nested. */
+/* Runs fn(arg, i, worker) for every i in [0, count), dynamically scheduled. `worker` is in [0,
+ * bsq_threads()), and no two concurrent calls share it. After the first negative result no new
+ * iteration starts, and that result is returned; an interrupted context gives BSQ_EINTR. Must not
+ * be nested. */
 int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
                      int (*fn)(void *arg, uint64_t index, unsigned worker), void *arg);
 

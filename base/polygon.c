@@ -1,10 +1,10 @@
 /* polygon.c - ear clipping.
  *
- * Everything is decided by the sign of one expression, the area of a triangle projected along the
- * polygon's normal, taken straight from differences of the 3D positions: no plane basis, no loss
- * where a polygon lies far from the origin. Only corners that are not strictly convex can lie in an
- * ear, so an ear is tested against the list of those alone; the list lives in that part of the
- * result which is not written yet. */
+ * The sign of one expression decides everything: the area of a triangle projected along the
+ * polygon's normal, from differences of 3D positions. So there is no plane basis, and no precision
+ * is lost if a polygon lies far from the origin. Only corners that are not strictly convex can lie
+ * in an ear, so an ear is tested against the list of those. The list lives in the part of the
+ * result that is not written yet. */
 #include "base/polygon.h"
 
 #include <stdbool.h>
@@ -19,12 +19,14 @@ struct ring {
     const double (*positions)[3];
     struct vector normal; /* Newell's; its length does not matter */
     uint32_t *next, *previous;
-    uint32_t *reflex; /* reflex_count corners that are not strictly convex, end at reflex_end */
+    uint32_t *
+        reflex; /* reflex_count corners that are not strictly convex; the list ends at reflex_end */
     uint32_t *reflex_end;
     uint32_t size;
 };
 
-/* What passes as an ear. Simple polygons need the first only; the others let every input end. */
+/* What counts as an ear. Simple polygons need only the first test; the others make every input end.
+ */
 enum leniency { PROPER_EAR, ZERO_AREA_TOO, ANY_CONVEX, ANYTHING };
 
 /* Rounds without a proper ear after which a polygon is taken for self-intersecting. */
@@ -45,7 +47,8 @@ static double dot(struct vector a, struct vector b)
     return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-/* Sum of the cross products of consecutive corners, from corner 0 for precision. */
+/* Returns the sum of the cross products of consecutive corners, relative to corner 0 for precision.
+ */
 static struct vector newell_normal(const double (*positions)[3], uint32_t n)
 {
     struct vector sum = {0, 0, 0};
@@ -61,8 +64,8 @@ static struct vector newell_normal(const double (*positions)[3], uint32_t n)
     return sum;
 }
 
-/* Twice the area of triangle a b c seen along `normal`, times its length; positive where it turns
- * as the polygon does. */
+/* Returns twice the area of triangle a b c seen along `normal`, times the length of `normal`. It is
+ * positive if the triangle turns as the polygon does. */
 static double turn(const double (*positions)[3], struct vector normal, uint32_t a, uint32_t b,
                    uint32_t c)
 {
@@ -88,7 +91,7 @@ static void make_fan(uint32_t n, uint32_t *triangles)
         put(triangles + 3 * (uint64_t)i, 0, i + 1, i + 2);
 }
 
-/* A quad is cut from corner 0 as a fan is, unless corner 1 or 3 is reflex: then through that. */
+/* Cuts a quad from corner 0, as a fan does; if corner 1 or 3 is reflex, from that corner. */
 static void split_quad(const double (*positions)[3], uint32_t *triangles)
 {
     struct vector normal = newell_normal(positions, 4);
@@ -112,7 +115,7 @@ static void drop_reflex(struct ring *ring, uint32_t corner)
 }
 
 /* Links all corners and lists those that are not strictly convex. The list ends where `triangles`
- * does: with m corners left it has at most m entries and 3 (m - 2) places are unwritten. */
+ * does: with m corners left it has at most m entries, and 3 (m - 2) places are unwritten. */
 static void make_ring(struct ring *ring, uint32_t *triangles)
 {
     uint32_t n = ring->size;
@@ -126,7 +129,7 @@ static void make_ring(struct ring *ring, uint32_t *triangles)
             *--ring->reflex = i;
 }
 
-/* Takes `corner` out; neighbours may turn convex by that. */
+/* Unlinks `corner`; its neighbours may become convex. */
 static void clip(struct ring *ring, uint32_t corner)
 {
     uint32_t sides[2] = {ring->previous[corner], ring->next[corner]};
@@ -147,9 +150,9 @@ static bool is_same_place(const double *a, const double *b)
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
 
-/* Whether another corner lies in the triangle at a convex corner, or on its border. Corners at the
- * same place as one of the triangle's do not count: polygons with holes have a bridge to each hole
- * that is walked twice. */
+/* Returns true if another corner lies in the triangle at a convex corner, or on its border. Corners
+ * at the position of one of the triangle's do not count: a polygon with holes has a bridge to each
+ * hole, which it walks twice. */
 static bool is_blocked(const struct ring *ring, uint32_t corner)
 {
     const double *p[3] = {ring->positions[ring->previous[corner]], ring->positions[corner],

@@ -1,8 +1,8 @@
-/* positions.h - vertices that are one where their positions are: a table that finds them.
+/* positions.h - a table that finds vertices by their exact position.
  *
- * Scans repeat vertices, at seams of texture space and in every chunk that touches them. Normals as
- * if the scan were whole (libvoxel/voxelize/cache/smooth_normals.c, libbake/exact/exact_smooth.c)
- * need to know which of them are the same. */
+ * Scans repeat vertices, at seams of texture space and in every chunk that touches them. Smooth
+ * normals that do not depend on the chunks (smooth_normals.h) need to know which vertices are the
+ * same. */
 #ifndef BSQ_POSITIONS_H
 #define BSQ_POSITIONS_H
 
@@ -10,14 +10,14 @@
 #include <stdint.h>
 #include <string.h>
 
-/* Open addressing. The positions may grow behind those that are in the table. */
+/* A hash table with open addressing. More positions may follow those that are in the table. */
 struct bsq_positions {
-    uint32_t *slots; /* number of a position + 1, 0: free */
+    uint32_t *slots; /* number of a position + 1; 0: free */
     uint32_t mask;   /* number of slots - 1 */
     const float (*positions)[3];
 };
 
-/* Slots for so many positions; at most half of them are in use. */
+/* Returns the number of slots for that number of positions; at most half of them are in use. */
 static inline uint32_t bsq_positions_slots(uint32_t positions)
 {
     uint32_t slots = 16;
@@ -39,7 +39,7 @@ static inline uint32_t bsq_position_hash(const float p[3])
     return (uint32_t)(h ^ h >> 32);
 }
 
-/* Slot of the position, which has this hash, or the free one where it belongs. */
+/* Returns the slot of a position with this hash, or the free slot for it. */
 static inline uint32_t *bsq_positions_find_hashed(const struct bsq_positions *table,
                                                   const float p[3], uint32_t hash)
 {
@@ -57,15 +57,14 @@ static inline uint32_t *bsq_positions_find(const struct bsq_positions *table, co
     return bsq_positions_find_hashed(table, p, bsq_position_hash(p));
 }
 
-/* Positions that are looked for together, so that the table's slots are there when they are needed.
- */
+/* Positions that are looked up together, so that the table's slots are prefetched. */
 enum { BSQ_POSITIONS_BATCH = 64 };
 
 typedef float bsq_four_floats __attribute__((vector_size(16)));
 typedef int32_t bsq_four_masks __attribute__((vector_size(16)));
 
-/* Those of a batch inside the bounds: their indices. Returns their number. Four positions at a time
- * are three vectors. */
+/* Writes the indices of those positions of a batch that lie inside the bounds. Returns their
+ * number. Four positions at a time are three vectors. */
 static inline uint32_t bsq_positions_inside(const float min[3], const float max[3],
                                             const float (*positions)[3], uint32_t count,
                                             uint32_t inside[BSQ_POSITIONS_BATCH])
@@ -97,8 +96,8 @@ static inline uint32_t bsq_positions_inside(const float min[3], const float max[
     return found;
 }
 
-/* numbers[i]: of positions[i] in the table + 1, or 0; bounds are those of what is in the table.
- * Whether there is any. */
+/* Sets numbers[i] to the number of positions[i] in the table + 1, or 0. The bounds are those of the
+ * positions in the table. Returns true if any was found. */
 static inline bool bsq_positions_match(const struct bsq_positions *table, const float min[3],
                                        const float max[3], const float (*positions)[3],
                                        uint32_t count, uint32_t *numbers)

@@ -1,7 +1,7 @@
-/* progress.c - counting what is done, and telling it now and then.
+/* progress.c - counts finished work and reports it now and then.
  *
- * bsq_progress_add() is one atomic addition and a look at the coarse clock; whichever thread finds
- * the next report due makes it, unless another one is just doing so. */
+ * bsq_progress_add() is one atomic addition and a look at the coarse clock. The thread that finds
+ * the next report due makes it, unless another thread is doing so. */
 #include <time.h>
 
 #include "base/context_internal.h"
@@ -15,7 +15,7 @@ static uint64_t coarse_clock_ms(void)
     return (uint64_t)now.tv_sec * 1000 + (uint64_t)now.tv_nsec / 1000000;
 }
 
-/* callback_lock is held. */
+/* Reports progress; the caller holds callback_lock. */
 static void report(struct bsq_ctx *ctx, bool finished)
 {
     struct bsq_stage *stage = &ctx->stage;

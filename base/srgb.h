@@ -1,4 +1,4 @@
-/* srgb.h - the transfer curve of sRGB (IEC 61966-2-1), for tables and reports; limited to 0..1. */
+/* srgb.h - the transfer curve of sRGB (IEC 61966-2-1), for tables and reports; clamps to 0..1. */
 #ifndef BSQ_SRGB_H
 #define BSQ_SRGB_H
 

@@ -1,7 +1,7 @@
-/* temp.c - names of temporary files, and the locks that say whether their owner lives.
+/* temp.c - names of temporary files, and the locks that show whether their owner lives.
  *
- * Files are created with open(2) and mode 0666 rather than by mkstemp(3), so that the umask and the
- * directory's access list give them the permissions that a plain new file would have. */
+ * Files are created with open(2) and mode 0666 and not by mkstemp(3), so that the umask and the
+ * directory's access list give them the permissions of a plain new file. */
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -46,7 +46,7 @@ static int new_path(const char *directory, const char *name, char **path)
     return error;
 }
 
-/* Is `entry` what new_path() makes of `name`? */
+/* Returns true if new_path() can have made `entry` from `name`. */
 static bool is_temp_name(const char *entry, const char *name)
 {
     size_t length = strnlen(name, NAME_BYTES);
@@ -57,7 +57,7 @@ static bool is_temp_name(const char *entry, const char *name)
 
 /* ---- locks ---- */
 
-/* 0 where this descriptor holds the lock now, or the file system has none. */
+/* Returns 0 if this descriptor now holds the lock, or if the file system has no locks. */
 static int lock(int fd)
 {
     int result;
@@ -75,8 +75,8 @@ static bool names_file(int directory_fd, const char *path, int fd)
            named.st_ino == opened.st_ino;
 }
 
-/* Removes one file, if it can be locked and is still the one that was locked. Opened for writing,
- * as NFS wants it for an exclusive lock. */
+/* Removes one file if it can be locked and is still the file that was locked. Opens it for writing,
+ * as NFS needs for an exclusive lock. */
 static void remove_unowned(int directory_fd, const char *entry)
 {
     struct stat info;
@@ -126,7 +126,8 @@ int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd)
     return error;
 }
 
-/* Between creating a file and locking it another process may take it for a left one. */
+/* Creates a file with this name and locks it. Between the two, another process may take it for a
+ * leftover and remove it; then returns EEXIST, so that the caller tries another name. */
 static int create_locked(const char *path, mode_t mode, int *fd)
 {
     *fd = open(path, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, mode);

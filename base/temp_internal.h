@@ -1,10 +1,10 @@
-/* temp_internal.h - temporary files that have a name for a while, and those that a killed job left.
+/* temp_internal.h - private to base: temporary files with a name, and those that a killed job left.
  *
  * Most temporary files never have a name: the kernel removes them with the process. A name is
- * needed for the moment in which an output gets its final one, and on file systems without
- * O_TMPFILE. It is ".NAME.XXXXXX.tmp", and whoever owns it holds flock(2) on the file, so that a
- * file that can be locked has no owner any more. NAME is shortened so that the whole stays below
- * NAME_MAX. All functions return 0 or an errno and leave nothing behind on failure. */
+ * needed for the moment in which an output gets its final name, and on file systems without
+ * O_TMPFILE. It is ".NAME.XXXXXX.tmp". Its owner holds flock(2) on the file, so a file that can be
+ * locked has no owner any more. NAME is shortened so that the whole stays below NAME_MAX. All
+ * functions return 0 or an errno and leave nothing behind on failure. */
 #ifndef BSQ_TEMP_INTERNAL_H
 #define BSQ_TEMP_INTERNAL_H
 
@@ -13,14 +13,14 @@
 /* Opens a file without a name in a directory. `linkable`: only if bsq_temp_link() can name it. */
 int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd);
 
-/* Creates a locked file; *path is to be freed. */
+/* Creates a locked file with a name. Free *path with free(). */
 int bsq_temp_named(const char *directory, const char *name, mode_t mode, char **path, int *fd);
 
-/* Gives a file without a name one, locked; *path is to be freed. */
+/* Gives an unnamed file a name and locks it. Free *path with free(). */
 int bsq_temp_link(int fd, const char *directory, const char *name, char **path);
 
-/* Removes the files of this name that no process owns. Best effort: what cannot be locked, because
- * its owner lives or the file system knows no locks, stays. */
+/* Removes the files of this name that no process owns, as far as possible: a file stays if its
+ * owner lives or the file system has no locks. */
 void bsq_temp_sweep(const char *directory, const char *name);
 
 #endif

@@ -36,7 +36,7 @@ static inline float bsq_length3(struct bsq_vec3 a)
 {
     return sqrtf(bsq_dot3(a, a));
 }
-/* Unit vector, or zero where the length is zero or not finite. */
+/* Returns the unit vector, or zero if the length is zero or not finite. */
 static inline struct bsq_vec3 bsq_unit3(struct bsq_vec3 a)
 {
     float length = bsq_length3(a);

@@ -1,7 +1,7 @@
 /* mesh_load.c - reads a small mesh whole: arrays of elements and triangles with checked indices.
  *
  * A face may refer to vertices that come after it, so polygons are kept as they are until all is
- * read, and checked and split then. */
+ * read. Then they are checked and split. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -9,7 +9,8 @@
 #include "base/polygon.h"
 #include "formats/mesh/mesh_reader.h"
 
-/* Growing copies of what the blocks bring. Corners: UINT64_MAX, cut to 32 bits, is UINT32_MAX. */
+/* Growing copies of the blocks' arrays. A corner without index, UINT64_MAX, becomes UINT32_MAX when
+ * it is cut to 32 bits. */
 struct loader {
     struct bsq_ctx *ctx;
     struct fmt_mesh_reader *reader;
@@ -27,7 +28,8 @@ struct loader {
 
 /* ---- collecting ---- */
 
-/* Appends count elements of `size` bytes to the array at `array`, which holds `old` of them. */
+/* Appends `count` elements of `size` bytes from `from` to the array at `array`, which holds `old`
+ * elements. */
 static int append(struct loader *loader, const char *what, void *array, uint64_t *capacity,
                   uint64_t old, const void *from, uint64_t count, uint64_t size)
 {
@@ -41,7 +43,7 @@ static int append(struct loader *loader, const char *what, void *array, uint64_t
     return status;
 }
 
-/* Appends one kind of corners; `from` NULL: none has an index of this kind. */
+/* Appends the indices of one kind; `from` is NULL if no corner has one. */
 static int append_corners(struct loader *loader, int kind, const uint64_t *from, uint64_t count)
 {
     int status = bsq_grow(loader->ctx, "face corners", loader->corner_count + count,
@@ -94,8 +96,8 @@ static int collect(void *arg, const struct fmt_mesh_block *block)
 
 /* ---- checking ---- */
 
-/* Reports the index of corner number `corner`, as the file has it: what was cut to 32 bits is read
- * from the file again. */
+/* A search for the index of corner number `corner`, as the file has it: indices that were cut to 32
+ * bits are read from the file again. */
 struct offender {
     uint64_t corner, index;
     int kind;
@@ -108,7 +110,7 @@ static int find_offender(void *arg, const struct fmt_mesh_block *block)
                                   block->corner_normals};
     if (offender->corner < block->corner_count)
         offender->index = corners[offender->kind][offender->corner];
-    offender->corner -= block->corner_count; /* wraps once found, and is never small again */
+    offender->corner -= block->corner_count; /* wraps when found, and is never small again */
     return 0;
 }
 

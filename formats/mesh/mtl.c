@@ -1,6 +1,6 @@
-/* mtl.c - reads what colours a surface from Wavefront MTL files; all else in them is skipped.
+/* mtl.c - reads the diffuse colours and textures of Wavefront MTL files and skips the rest.
  *
- * Such files are small, so one is held whole and its lines are cut in place. */
+ * Such files are small, so one is held whole and cut into lines in place. */
 #include "formats/mesh/mtl.h"
 
 #include <errno.h>
@@ -19,7 +19,7 @@ struct reader {
     uint64_t line;
     struct fmt_materials *materials;
     uint64_t capacity;
-    bool has_current; /* the last material of the list is of this file */
+    bool has_current; /* the last material of the list is from this file */
 };
 
 /* ---- words of a line ---- */
@@ -64,7 +64,7 @@ static void warn(struct reader *reader, const char *what, const char *text)
     bsq_warn(reader->ctx, "%s:%" PRIu64 ": %s: \"%.60s\"", reader->path, reader->line, what, text);
 }
 
-/* The material that statements describe now; NULL, with a warning, where there is none. */
+/* Returns the material that statements describe now; NULL, with a warning, if there is none. */
 static struct fmt_material *current(struct reader *reader, const char *statement)
 {
     if (reader->has_current)
@@ -93,7 +93,7 @@ static int begin_material(struct reader *reader, char *name)
     return status;
 }
 
-/* "Kd r g b" or "Kd grey"; spectral curves and CIE colours are skipped. */
+/* Reads "Kd r g b" or "Kd grey"; spectral curves and CIE colours are skipped. */
 static void read_diffuse(struct reader *reader, char *p)
 {
     struct fmt_material *material = current(reader, "Kd");
@@ -123,7 +123,7 @@ static void read_diffuse(struct reader *reader, char *p)
 static const struct map_option {
     const char *name;
     int words;       /* vectors may have fewer */
-    double identity; /* of vectors: the value that changes nothing */
+    double identity; /* for vectors: the value that changes nothing */
 } map_options[] = {
     {"-s", 3, 1},      {"-o", 3, 0},     {"-t", 3, 0},  {"-blendu", 1, 0}, {"-blendv", 1, 0},
     {"-cc", 1, 0},     {"-clamp", 1, 0}, {"-bm", 1, 0}, {"-boost", 1, 0},  {"-imfchan", 1, 0},
@@ -138,7 +138,7 @@ static const struct map_option *find_option(const char *p)
     return NULL;
 }
 
-/* Skips the words of one option. The last word of a line is never taken, it is the file. */
+/* Skips the words of one option. Never skips the last word of a line, which is the file. */
 static char *skip_option(struct reader *reader, char *p, const struct map_option *option)
 {
     bool is_vector = option->words == 3, changes = false;
@@ -156,7 +156,7 @@ static char *skip_option(struct reader *reader, char *p, const struct map_option
     return rest;
 }
 
-/* "map_Kd [options] file", the file's name may hold blanks and be quoted. */
+/* Reads "map_Kd [options] file". The file name may contain blanks and be quoted. */
 static int read_map(struct reader *reader, char *p)
 {
     struct fmt_material *material = current(reader, "map_Kd");

@@ -9,10 +9,10 @@
 extern "C" {
 #endif
 
-/* Appends the materials of one MTL file. A file that does not exist is a warning, not an error,
- * as scans are often passed on without it. Malformed statements are warnings. */
+/* Appends the materials of one MTL file. A file that does not exist is a warning, not an error, as
+ * scans are often passed on without it. Malformed statements are warnings. */
 int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, struct fmt_materials *materials);
-/* Number of the material with this name, or UINT32_MAX. */
+/* Returns the number of the material with this name, or UINT32_MAX. */
 uint32_t fmt_mtl_find(const struct fmt_materials *materials, const char *name);
 
 #ifdef __cplusplus

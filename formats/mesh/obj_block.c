@@ -1,8 +1,8 @@
-/* obj_block.c - the parser of one block of OBJ text.
+/* obj_block.c - parses one block of OBJ text.
  *
- * One pass, a byte is looked at once: numbers and indices find their own ends, and lines that need
- * no fields are skipped. The buffers grow to what a block's text turned out to hold and are reused,
- * so that after the first blocks no memory is touched for the first time. */
+ * The parser looks at each byte once: numbers and indices find their own ends, and lines without
+ * fields that matter are skipped. The buffers grow to what the text of a block needs and are
+ * reused, so only the first blocks touch memory for the first time. */
 #include "formats/mesh/obj_block.h"
 
 #include <stdarg.h>
@@ -20,7 +20,8 @@ static const char *const standard_statements[] = {
     "lod",  "usemap", "maplib", "shadow_obj", "trace_obj", "ctech", "stech",    "call",
     "csh",  "bsp",    "bzp",    "cdc",        "cdp",       "res"};
 
-/* Why parse functions return NULL: block->failed is set for wrong text, else `status`. */
+/* Parse functions return NULL on failure: block->failed is set if the text is wrong, otherwise
+ * `status` says why. */
 struct parser {
     struct bsq_ctx *ctx;
     struct obj_block *block;
@@ -78,7 +79,7 @@ static bool is_blank(char c)
     return c == ' ' || c == '\t';
 }
 
-/* Length of the line end at p: "\n", "\r\n" or a lone "\r"; 0 where there is none. */
+/* Returns the length of the line end at p ("\n", "\r\n" or a lone "\r"); 0 if there is none. */
 static inline int line_end_size(const char *p)
 {
     if (*p == '\n')
@@ -86,7 +87,7 @@ static inline int line_end_size(const char *p)
     return *p == '\r' ? 1 + (p[1] == '\n') : 0;
 }
 
-/* The word at p, shortened, for messages. */
+/* A word of the text, shortened, for messages. */
 struct quoted {
     char text[44];
 };
@@ -115,7 +116,7 @@ static inline const char *skip_blanks(struct obj_block *block, const char *p)
     }
 }
 
-/* Skips to behind the end of a comment. Comments cannot be continued: one that ends in a
+/* Returns the start of the line after a comment. Comments cannot be continued: one that ends in a
  * backslash, as a Windows path does, must not swallow the line after it. */
 static const char *skip_comment(struct parser *parser, const char *p)
 {
@@ -129,7 +130,7 @@ static const char *skip_comment(struct parser *parser, const char *p)
     return p + size;
 }
 
-/* Finds the end of a statement's text: *end is at its line end, the return value behind it. */
+/* Finds the end of a statement: *end is its line end. Returns the start of the next line. */
 static const char *skip_statement(struct parser *parser, const char *p, const char **end)
 {
     int size;
@@ -150,7 +151,7 @@ static const char *skip_statement(struct parser *parser, const char *p, const ch
     return p + size;
 }
 
-/* Takes the end of a statement whose fields are all read: blanks, a comment, the line end. */
+/* Reads the end of a statement after all its fields: blanks, a comment, the line end. */
 static inline const char *finish_line(struct parser *parser, const char *p)
 {
     if (__builtin_expect(*p == '\n', 1)) {
@@ -177,8 +178,8 @@ static inline bool at_line_end(char c)
 
 /* ---- elements ---- */
 
-/* Makes room for one more element after `count`; true where there is. */
-#define ROOM(parser, what, count, array, capacity)                                                 \
+/* Ensures capacity for one more element after `count`; true on success. */
+#define RESERVE(parser, what, count, array, capacity)                                              \
     (__builtin_expect((count) < (capacity), 1) ||                                                  \
      !((parser)->status =                                                                          \
            bsq_grow((parser)->ctx, what, (count) + 256, sizeof *(array), &(array), &(capacity))))
@@ -190,7 +191,7 @@ static const char *fail_number(struct parser *parser, const char *p)
     return fail(parser, "\"%s\" is not a finite number", quote_word(parser, p).text);
 }
 
-/* Reads up to `most` numbers; *count says how many there are, NULL where one is malformed. */
+/* Reads up to `most` numbers and sets *count. Returns NULL if one is malformed. */
 static const char *parse_numbers(struct parser *parser, const char *p, double *numbers, int most,
                                  int *count)
 {
@@ -208,7 +209,7 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
     return p;
 }
 
-/* Adds the colour of the vertex that comes next; those before it that have none get -1. */
+/* Adds the colour of the next vertex. Earlier vertices of the block without colour get -1. */
 static bool add_color(struct parser *parser, const double *rgb)
 {
     struct obj_block *block = parser->block;
@@ -228,7 +229,9 @@ static bool add_color(struct parser *parser, const double *rgb)
     return true;
 }
 
-/* What follows the third number of a vertex: nothing, w, r g b, or r g b a. */
+/* Reads what follows the third number of a vertex: nothing, w, r g b, or r g b a. A single number
+ * is w, which means nothing for polygons; a is ignored too. Programs with vertex colours write r g
+ * b and r g b a, and most readers accept both. */
 static const char *parse_vertex_rest(struct parser *parser, const char *p)
 {
     static const double none[3] = {-1, -1, -1};
@@ -249,7 +252,7 @@ static const char *parse_vertex(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
     uint64_t vertex = block->count[FMT_MESH_VERTEX];
-    if (!ROOM(parser, "OBJ vertices", vertex, block->positions, block->position_capacity))
+    if (!RESERVE(parser, "OBJ vertices", vertex, block->positions, block->position_capacity))
         return NULL;
     double *position = block->positions[vertex];
     for (int i = 0; i < 3; i++) {
@@ -274,8 +277,8 @@ static const char *parse_texcoord(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
     uint64_t *count = &block->count[FMT_MESH_TEXCOORD];
-    if (!ROOM(parser, "OBJ texture coordinates", *count, block->texcoords,
-              block->texcoord_capacity))
+    if (!RESERVE(parser, "OBJ texture coordinates", *count, block->texcoords,
+                 block->texcoord_capacity))
         return NULL;
     double numbers[3] = {0};
     int given = 0;
@@ -294,7 +297,7 @@ static const char *parse_normal(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
     uint64_t *count = &block->count[FMT_MESH_NORMAL];
-    if (!ROOM(parser, "OBJ normals", *count, block->normals, block->normal_capacity))
+    if (!RESERVE(parser, "OBJ normals", *count, block->normals, block->normal_capacity))
         return NULL;
     double numbers[3];
     int given = 0;
@@ -332,13 +335,13 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
     return after;
 }
 
-/* Stores a texture coordinate or normal of corner number `corner`. All corners of the block before
- * the first that has one get FMT_MESH_NONE. */
+/* Stores the texture coordinate or normal index of corner number `corner`. Corners before the first
+ * one of the block that has such an index get FMT_MESH_NONE. */
 static bool put_corner(struct parser *parser, enum fmt_mesh_kind kind, uint64_t corner,
                        uint64_t index)
 {
     struct obj_block *block = parser->block;
-    if (!ROOM(parser, "OBJ corners", corner, block->corners[kind], block->corner_capacity[kind]))
+    if (!RESERVE(parser, "OBJ corners", corner, block->corners[kind], block->corner_capacity[kind]))
         return false;
     if (!block->has_corners[kind])
         memset(block->corners[kind], 0xff, corner * sizeof(uint64_t));
@@ -347,7 +350,7 @@ static bool put_corner(struct parser *parser, enum fmt_mesh_kind kind, uint64_t 
     return true;
 }
 
-/* Reads "/t", "/t/n", "//n" or nothing, behind the vertex of corner number `corner`. */
+/* Reads "/t", "/t/n", "//n" or nothing, after the vertex of corner number `corner`. */
 static const char *parse_attributes(struct parser *parser, const char *p, uint64_t corner)
 {
     struct obj_block *block = parser->block;
@@ -375,8 +378,8 @@ static const char *parse_face(struct parser *parser, const char *p)
         p = skip_blanks(block, p);
         if (at_line_end(*p))
             break;
-        if (!ROOM(parser, "OBJ corners", corner, block->corners[FMT_MESH_VERTEX],
-                  block->corner_capacity[FMT_MESH_VERTEX]))
+        if (!RESERVE(parser, "OBJ corners", corner, block->corners[FMT_MESH_VERTEX],
+                     block->corner_capacity[FMT_MESH_VERTEX]))
             return NULL;
         const char *word = p;
         p = parse_index(parser, p, FMT_MESH_VERTEX, &block->corners[FMT_MESH_VERTEX][corner]);
@@ -397,7 +400,7 @@ static const char *parse_face(struct parser *parser, const char *p)
     }
     if (corner - first > UINT32_MAX)
         return fail(parser, "a face of more than %u corners", UINT32_MAX);
-    if (!ROOM(parser, "OBJ faces", block->face_count, block->face_sizes, block->face_capacity))
+    if (!RESERVE(parser, "OBJ faces", block->face_count, block->face_sizes, block->face_capacity))
         return NULL;
     block->face_sizes[block->face_count++] = (uint32_t)(corner - first);
     block->corner_count = corner;
@@ -409,8 +412,8 @@ static const char *parse_face(struct parser *parser, const char *p)
 static const char *add_statement(struct parser *parser, const char *p, enum obj_statement_kind kind)
 {
     struct obj_block *block = parser->block;
-    if (!ROOM(parser, "OBJ statements", block->statement_count, block->statements,
-              block->statement_capacity))
+    if (!RESERVE(parser, "OBJ statements", block->statement_count, block->statements,
+                 block->statement_capacity))
         return NULL;
     p = skip_blanks(block, p);
     const char *end = p, *after = skip_statement(parser, p, &end);
@@ -435,7 +438,7 @@ static bool is_standard(const char *word, size_t length)
     return false;
 }
 
-/* Any statement but v, vt, vn and f. */
+/* Parses any statement other than v, vt, vn and f. */
 static const char *parse_other(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
@@ -498,8 +501,9 @@ static inline const char *parse_line(struct parser *parser, const char *p)
 
 /* ---- runs of plain lines ----
  *
- * As many lines "v 0.5 -1.5 2.5", or "f 1 2 3", as come one behind the other and have room; both
- * return where they end. */
+ * Each of these two functions parses consecutive lines of the form "v 0.5 -1.5 2.5" or "f 1 2 3",
+ * as long as the buffers have capacity. Returns the start of the first line that it did not parse.
+ */
 
 static const char *parse_plain_vertices(struct obj_block *block, const char *p, const char *end)
 {
@@ -525,9 +529,9 @@ static const char *parse_plain_triangles(struct obj_block *block, const char *p,
     uint64_t limit = first + room;
     if (limit > block->face_capacity)
         limit = block->face_capacity;
-    if (limit > last_face) /* whose line is to be known */
+    if (limit > last_face) /* the caller asks for the line of this face */
         limit = last_face;
-    if (limit <= first) /* or there may be no room at all yet */
+    if (limit <= first) /* the buffers may have no capacity at all yet */
         return p;
     uint64_t face = first, *corners = block->corners[FMT_MESH_VERTEX] + block->corner_count;
     while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {

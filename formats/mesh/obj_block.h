@@ -1,29 +1,29 @@
-/* obj_block.h - private to the OBJ reader: parsing one block of text, independent of all others.
+/* obj_block.h - private to the OBJ reader: parses one block of text, independently of all others.
  *
  * A block begins at a line start and ends at a line end, so it can be parsed without knowing what
- * came before it. What depends on that (relative indices, bases) stays encoded in the corners and
- * is resolved when the blocks pass in order. */
+ * came before it. What depends on earlier blocks (relative indices, bases) stays encoded in the
+ * corners; obj_reader.c resolves it when the blocks pass in order. */
 #ifndef FMT_MESH_OBJ_BLOCK_H
 #define FMT_MESH_OBJ_BLOCK_H
 
 #include "formats/mesh/mesh_reader.h"
 
-/* Corners as parsed: values below OBJ_RELATIVE_LIMIT are 0-based from the file's first element;
- * others but FMT_MESH_NONE are OBJ_RELATIVE_ZERO plus the signed distance from the block's first
- * element. Indices have at most 18 digits, so that neither reaches into the other. */
+/* Encoding of parsed corners. A value below OBJ_RELATIVE_LIMIT is an index from 0 into the file.
+ * Any other value except FMT_MESH_NONE is OBJ_RELATIVE_ZERO plus the signed distance from the first
+ * element of the block. Indices have at most 18 digits, so the two ranges never meet. */
 #define OBJ_RELATIVE_ZERO  ((uint64_t)1 << 62)
 #define OBJ_RELATIVE_LIMIT ((uint64_t)1 << 61)
 
 enum obj_statement_kind { OBJ_USEMTL, OBJ_MTLLIB };
 
-/* A usemtl or mtllib; the name is text[offset, offset + size), continuations included. */
+/* A usemtl or mtllib statement; its name is text[offset, offset + size), continuations included. */
 struct obj_statement {
     enum obj_statement_kind kind;
-    uint64_t face; /* number of faces in the block before it */
+    uint64_t face; /* number of faces of the block before it */
     uint64_t offset, size;
 };
 
-/* Reused buffers and the result of parsing into them. Zero at first. */
+/* Reused buffers and the result of parsing into them. All zero at first. */
 struct obj_block {
     char *buffer; /* holds the text */
     uint64_t buffer_capacity;
@@ -49,10 +49,10 @@ struct obj_block {
     struct obj_statement *statements;
     uint64_t statement_count, statement_capacity;
 
-    uint64_t lines;         /* line ends passed; when stopped early: before the stop */
+    uint64_t lines;         /* line ends passed; if parsing stopped early, those before the stop */
     uint64_t known_lines;   /* statements of the OBJ standard other than elements and faces */
     uint64_t skipped_lines; /* statements that are not in the standard */
-    uint64_t first_skipped; /* line of the first of them, counted from 0, and its beginning */
+    uint64_t first_skipped; /* line of the first of them, from 0, and its beginning */
     char first_skipped_text[40];
     uint64_t short_faces;
 
@@ -60,15 +60,15 @@ struct obj_block {
     char error[160];
 };
 
-/* Makes room in the buffer for `size` bytes and what must follow the text. */
+/* Ensures buffer capacity for `size` bytes of text and for what must follow it. */
 int fmt_obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_t size);
-/* Bytes [begin, end) of the buffer are the text. Writes what must follow it. */
+/* Makes bytes [begin, end) of the buffer the text, and writes what must follow it. */
 void fmt_obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t end);
 
-/* Parses block->text. at_file_start: a byte order mark may come first. Stops behind face
- * number `last_face` (UINT64_MAX: never), `lines` being the line of that face. Wrong text is not a
- * failure here but block->failed, since blocks are parsed out of order and the first error of the
- * file is to be reported. Returns a negative status only where memory runs out. */
+/* Parses block->text. at_file_start: a byte order mark may come first. Stops after face number
+ * `last_face` (UINT64_MAX: never); `lines` is then the line of that face. Wrong text sets
+ * block->failed and is not a failure here: blocks are parsed out of order, and only the first error
+ * of the file is reported. Errors: BSQ_ENOMEM. */
 int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_file_start,
                         uint64_t last_face);
 

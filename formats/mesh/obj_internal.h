@@ -6,22 +6,22 @@
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/obj_block.h"
 
-/* Text of one block. The same for any budget and number of threads, as blocks are visible to
- * callers; small enough that text and result stay in a core's cache, large enough that handing
- * blocks around costs nothing. */
+/* Bytes of text of one block. It is the same for any budget and number of threads, as callers see
+ * the blocks. Text and result fit a core's cache, and blocks are large enough that handing them
+ * around costs nothing. */
 #define OBJ_BLOCK_BYTES ((uint64_t)512 << 10)
 
 struct obj_source {
     char *path;
     uint64_t size;
-    struct bsq_file file; /* open from its first block's produce to its last block's emit */
+    struct bsq_file file; /* open from the produce of its first block to the emit of its last */
     uint64_t block_count; /* of OBJ_BLOCK_BYTES, the last one shorter */
-    /* Elements in files before this one, and in this one as far as it has been read. */
+    /* Number of elements in earlier files, and in this file as far as it has been read. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
     uint64_t lines;
 };
 
-/* Where the faces of a block that had some come from. */
+/* The place of a block that has faces. */
 struct obj_place {
     uint32_t source;
     uint64_t block; /* number of OBJ_BLOCK_BYTES in the file */
@@ -30,7 +30,7 @@ struct obj_place {
 
 struct obj_name {
     char *text;
-    uint32_t source; /* the file that says it */
+    uint32_t source; /* the file that contains it */
 };
 
 /* Names in order of first appearance; `slots` is an open-addressing hash table of number + 1. */
@@ -52,22 +52,22 @@ struct obj_reader {
 
 /* ---- obj_text.c ---- */
 
-/* Loads the lines that begin in the file's bytes [index, index + 1) * OBJ_BLOCK_BYTES into
+/* Loads the lines that begin in bytes [index, index + 1) * OBJ_BLOCK_BYTES of the file into
  * block->text; there may be none. *offset: where they begin in the file. */
 int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
                       struct obj_block *block, uint64_t *offset);
 
 /* ---- obj_sample.c ---- */
 
-/* These are functions of struct fmt_mesh_format. */
+/* This and the other functions on struct fmt_mesh_reader implement struct fmt_mesh_format. */
 int fmt_obj_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
 
 /* ---- obj_locate.c ---- */
 
 int fmt_obj_locate_face(struct fmt_mesh_reader *reader, uint64_t face, struct fmt_mesh_place *out);
 
-/* Reports the first relative index of `block`, parsed from block number `index` of the source,
- * that points before the file's beginning. */
+/* Reports a relative index that points before the start of the file: the one of `kind` at corner
+ * number `corner` of `block`, which is block number `index` of the source. Returns BSQ_EDATA. */
 int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *source,
                           const struct obj_block *block, uint64_t index, enum fmt_mesh_kind kind,
                           uint64_t corner);
@@ -77,13 +77,13 @@ int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *so
 int fmt_obj_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
 const char *fmt_obj_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
 
-/* Number of `name` as said by `source`, entered where it is new. */
+/* Sets *number to the number of `name` in the file `source`; enters the name if it is new. */
 int fmt_obj_names_enter(struct bsq_ctx *ctx, struct obj_names *names, uint32_t source,
                         const char *name, uint32_t *number);
 void fmt_obj_names_free(struct bsq_ctx *ctx, struct obj_names *names);
 
-/* The text of a statement as a string: continuations become blanks, trailing blanks go. The caller
- * frees *out with bsq_free(). */
+/* Copies the text of a statement: continuations become blanks, trailing blanks go. The caller frees
+ * *out with bsq_free(). */
 int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
                            const struct obj_statement *statement, char **out);
 

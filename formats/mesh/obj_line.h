@@ -1,9 +1,9 @@
-/* obj_line.h - the two lines that nearly all of a scan consists of, each seen as a whole.
+/* obj_line.h - parses the two forms of lines that make up nearly all of a scan, a line at a time.
  *
- * Where a number is read after the other, each waits until the end of the one before it is found.
- * Here all ends of "v 0.125 -1.5 22.25" and of "f 1 22 333" come out of a few comparisons, and the
- * end of the line by itself, for which alone the next line has to wait. What is written in any
- * other way is left to obj_number.h, and so is everything where there is no SSE4.1. */
+ * A parser that reads one number after the other waits for the end of each. Here a few comparisons
+ * find all ends of "v 0.125 -1.5 22.25" or "f 1 22 333" at once. The end of the line is found on
+ * its own, and it is all that the next line has to wait for. Any other form is left to
+ * obj_number.h, and so is everything on machines without SSE4.1. */
 #ifndef FMT_MESH_OBJ_LINE_H
 #define FMT_MESH_OBJ_LINE_H
 
@@ -11,14 +11,15 @@
 
 #ifdef __SSE4_1__
 
-/* A bit for each of 16 bytes that is no digit; `digits` holds the text's bytes minus '0'. */
+/* Returns a bit for each of 16 bytes that is not a digit; `digits` holds the text's bytes minus
+ * '0'. */
 static inline unsigned obj_other_bytes(__m128i digits)
 {
     __m128i is_digit = _mm_cmpeq_epi8(_mm_min_epu8(digits, _mm_set1_epi8(9)), digits);
     return (unsigned)_mm_movemask_epi8(is_digit) ^ 0xffffu;
 }
 
-/* Takes the lowest bit. */
+/* Clears the lowest bit and returns its position. */
 static inline unsigned obj_next_bit(uint64_t *bits)
 {
     unsigned at = (unsigned)__builtin_ctzll(*bits);
@@ -30,7 +31,7 @@ static inline unsigned obj_next_bit(uint64_t *bits)
 
 /* Where the parts of a number are in the text. */
 struct obj_span {
-    unsigned start, point, end; /* of its digits and point; start is behind a minus */
+    unsigned start, point, end; /* of digits and point; start is after a minus */
 };
 
 static inline __m128i obj_span_groups(const char *text, struct obj_span s)
@@ -40,8 +41,8 @@ static inline __m128i obj_span_groups(const char *text, struct obj_span s)
                             (int)(s.end - s.start));
 }
 
-/* Two numbers of at most 15 digits, each an integer by a power of ten, which are exact as doubles.
- */
+/* Computes two numbers of at most 15 digits, each an integer divided by a power of ten. Both are
+ * exact as doubles, so the quotient is correctly rounded. */
 static inline __m128d obj_two_quotients(__m128i groups_a, __m128i groups_b, const double *power_a,
                                         const double *power_b)
 {
@@ -53,8 +54,8 @@ static inline __m128d obj_two_quotients(__m128i groups_a, __m128i groups_b, cons
 }
 
 /* Parses "0.125 -1.5 22.25" and a line feed: three numbers of at most 15 digits, each with a point,
- * single blanks between them, in at most 48 bytes. Returns the place behind the line feed; NULL
- * where the text is anything else, and then *out means nothing. */
+ * single blanks between them, in at most 48 bytes. Returns the position after the line feed.
+ * Returns NULL for any other text; *out then has no meaning. */
 static inline const char *obj_three_numbers(const char *text, double out[3])
 {
     const __m128i zero = _mm_set1_epi8('0'), minus = _mm_set1_epi8('-'), feed = _mm_set1_epi8('\n');
@@ -78,7 +79,7 @@ static inline const char *obj_three_numbers(const char *text, double out[3])
         from = s[k].end + 1;
         wrong |= (unsigned char)(text[s[k].point] ^ '.');
         wrong |= k < 2 ? (unsigned char)(text[s[k].end] ^ ' ') : s[k].end ^ length;
-        /* A digit and the point at least, 16 bytes at most. */
+        /* From a digit and the point to 16 bytes. */
         wrong |= s[k].end - s[k].start - 2 > 14;
     }
     if (__builtin_expect(wrong || length == 48 || (minuses & ~starts) << (63 - length), 0))
@@ -100,8 +101,8 @@ static inline const char *obj_three_numbers(const char *text, double out[3])
 
 /* ---- three indices ---- */
 
-/* Where to take each of eight bytes from, so that n digits end with the last one: from the lower
- * half of a vector, or from the upper one. Others become zero. */
+/* Shuffle sources that right-align n digits in eight bytes, from the lower or the upper half of a
+ * vector. The other bytes become zero. */
 #define OBJ_FROM(n, at, half) ((at) + (n) < 8 ? -128 : (at) + (n)-8 + (half))
 #define OBJ_FROM_HALF(n, half)                                                                     \
     OBJ_FROM(n, 0, half), OBJ_FROM(n, 1, half), OBJ_FROM(n, 2, half), OBJ_FROM(n, 3, half),        \
@@ -118,7 +119,7 @@ static const int8_t obj_align[9][2][8] = {OBJ_ALIGN(0), OBJ_ALIGN(1), OBJ_ALIGN(
                                           OBJ_ALIGN(3), OBJ_ALIGN(4), OBJ_ALIGN(5),
                                           OBJ_ALIGN(6), OBJ_ALIGN(7), OBJ_ALIGN(8)};
 
-/* Two integers of at most 8 digits at the places a and b as two groups of four digits each. */
+/* Returns two integers of at most 8 digits, at a and b, as two groups of four digits each. */
 static inline __m128i obj_two_integers(const char *a, unsigned a_count, const char *b,
                                        unsigned b_count)
 {
@@ -132,8 +133,8 @@ static inline __m128i obj_two_integers(const char *a, unsigned a_count, const ch
 }
 
 /* Parses "1 22 333" and a line feed: three integers of 1 to 8 digits, not 0, with single blanks
- * between them. Stores each less one and returns the place behind the line feed; NULL where the
- * text is anything else, and then *out means nothing. */
+ * between them. Stores each minus one. Returns the position after the line feed. Returns NULL for
+ * any other text; *out then has no meaning. */
 static inline const char *obj_three_indices(const char *text, uint64_t out[3])
 {
     const __m128i zero = _mm_set1_epi8('0'), feed = _mm_set1_epi8('\n');
@@ -148,7 +149,7 @@ static inline const char *obj_three_indices(const char *text, uint64_t out[3])
                       (uint64_t)obj_other_bytes(_mm_sub_epi8(high, zero)) << 16 | (uint64_t)7 << 32;
     const unsigned a = obj_next_bit(&others), b = obj_next_bit(&others);
     const unsigned c = obj_next_bit(&others);
-    /* Each count less one must be below 8; a count of zero wraps. */
+    /* Each count minus one must be below 8; a count of zero wraps. */
     if (__builtin_expect(((a - 1) | (b - a - 2) | (c - b - 2)) >= 8 || c != length ||
                              ((text[a] ^ ' ') | (text[b] ^ ' ')),
                          0))

@@ -1,13 +1,14 @@
-/* obj_locate.c - from a face's number back to its line, for messages.
+/* obj_locate.c - finds the line of a face again, for messages.
  *
- * Line numbers of faces are not kept. The table of blocks says where a face's block lies; parsing
- * that block again up to the face counts the lines before it. */
+ * Line numbers of faces are not kept. A table says which block has a face; parsing that block again
+ * up to the face counts the lines before it. */
 #include <inttypes.h>
 #include <string.h>
 
 #include "formats/mesh/obj_internal.h"
 
-/* The last place whose faces begin at or before `face`; places with none are not in the table. */
+/* Returns the last place whose faces begin at or before `face`. Blocks without faces are not in the
+ * table. */
 static const struct obj_place *find_place(const struct obj_reader *reader, uint64_t face)
 {
     uint64_t low = 0, high = reader->place_count;
@@ -21,8 +22,8 @@ static const struct obj_place *find_place(const struct obj_reader *reader, uint6
     return reader->place_count ? &reader->places[low] : NULL;
 }
 
-/* Parses block `index` of `source` up to face number `face` of it; *line is that face's, counted
- * from the block's first, *count the block's elements before it. */
+/* Parses block `index` of `source` up to its face number `face`. *line: the line of the face, from
+ * the start of the block. *count: the elements of the block before the face. */
 static int parse_up_to(struct bsq_ctx *ctx, const struct obj_source *source, uint64_t index,
                        uint64_t face, uint64_t *line, uint64_t count[FMT_MESH_KIND_COUNT])
 {

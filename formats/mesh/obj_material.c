@@ -1,7 +1,7 @@
 /* obj_material.c - the names of materials and of material libraries that OBJ files mention.
  *
- * A name belongs to the file that says it: scans are often delivered as tiles, each with its own
- * library and a material of the same name. */
+ * A name belongs to the file that contains it. Scans are often delivered as tiles, each with its
+ * own library, and different libraries may have a material of the same name. */
 #include <string.h>
 #include <xxhash.h>
 
@@ -9,7 +9,7 @@
 #include "formats/mesh/obj_internal.h"
 #include "formats/mesh/obj_path.h"
 
-/* The slot that holds the name, or the empty one where it belongs. */
+/* Returns the slot that holds the name, or the empty slot for it. */
 static uint32_t *find_slot(const struct obj_names *names, uint32_t source, const char *name)
 {
     uint64_t i = XXH3_64bits_withSeed(name, strlen(name), source) & (names->slot_count - 1);
@@ -96,8 +96,8 @@ int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
     return 0;
 }
 
-/* Enters one library; *exists is false, and nothing entered, where `only_existing` and no such
- * file is there. */
+/* Enters one library and sets *exists. If the file does not exist and `only_existing` is set,
+ * enters nothing. */
 static int enter_library(struct obj_reader *reader, uint32_t source, const char *name,
                          bool only_existing, bool *exists)
 {
@@ -110,7 +110,8 @@ static int enter_library(struct obj_reader *reader, uint32_t source, const char 
     return status;
 }
 
-/* The standard allows several names; in the wild one name with blanks is as common. */
+/* The standard allows several names. One name with blanks is as common in practice, so the whole
+ * text is tried first. */
 int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const char *text)
 {
     bool exists;

@@ -1,11 +1,11 @@
 /* obj_number.c - correctly rounded decimal numbers of any shape.
  *
- * Three steps, each exact, each for fewer numbers than the one before it. Up to 2^53 times a power
- * of ten up to 22: one double operation. Up to 19 digits and a power of ten up to 27, as
- * programs write doubles with 17 digits: 5^27 fits 64 bits, so quotient and product are exact in
- * 128-bit integers. Of longer digit strings both neighbours in the 19th digit are tried: where
- * they round alike, so does what lies between. The rest, far exponents and near ties, are left to
- * the C library in the C locale. */
+ * There are three exact methods, each for fewer numbers than the one before. (1) An integer up to
+ * 2^53 and a power of ten up to 22: one double operation. (2) Up to 19 digits and a power of ten up
+ * to 27, as programs write doubles with 17 digits: 5^27 fits 64 bits, so quotient and product are
+ * exact in 128-bit integers. (3) More digits: both neighbours in the 19th digit are tried; if they
+ * round alike, so does the number between them. The rest, far exponents and near ties, go to the C
+ * library in the C locale. */
 #include "formats/mesh/obj_number.h"
 
 #include <float.h>
@@ -19,8 +19,8 @@ const double fmt_obj_power_of_ten[23] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6
 
 enum { max_digits = 19, max_exact_power = 22, max_integer_power = 27 };
 
-/* The first 19 significant digits as an integer; the number is (mantissa + f) * 10^exponent with
- * 0 <= f < 1, and f > 0 only where `truncated`. */
+/* The first 19 significant digits as an integer. The number is (mantissa + f) * 10^exponent with 0
+ * <= f < 1; f > 0 only if `truncated`. */
 struct decimal {
     uint64_t mantissa;
     int64_t exponent;
@@ -49,7 +49,7 @@ static const char *scan_digits(const char *p, struct decimal *number, int after_
     return p;
 }
 
-/* Adds "e+12" to the exponent; NULL where there are no digits behind the letter. */
+/* Adds "e+12" to the exponent. Returns NULL if no digits follow the letter. */
 static const char *scan_exponent(const char *p, struct decimal *number)
 {
     const int64_t far = 1000000000000000; /* beyond any length of text */
@@ -76,8 +76,9 @@ static uint64_t power_of_five(int64_t n)
     return value;
 }
 
-/* Nearest double to mantissa * 10^exponent, mantissa > 0, |exponent| <= 27. The top 64 bits of the
- * exact result, with a sticky lowest bit for all that lies below, round as the whole would. */
+/* Returns the double nearest to mantissa * 10^exponent, for mantissa > 0 and |exponent| <= 27.
+ * Takes the top 64 bits of the exact result and sets the lowest bit if any bit below them is set;
+ * that rounds as the whole result would. */
 static double scale_exactly(uint64_t mantissa, int64_t exponent)
 {
     uint64_t top;
@@ -100,7 +101,7 @@ static double scale_exactly(uint64_t mantissa, int64_t exponent)
     return ldexp((double)top, shift + (int)exponent);
 }
 
-/* glibc hands out one static C locale here, so that this neither allocates nor fails. */
+/* glibc returns its static C locale here, so this neither allocates nor fails. */
 static double by_c_library(const char *text)
 {
     locale_t c_locale = newlocale(LC_ALL_MASK, "C", (locale_t)0);
@@ -111,7 +112,7 @@ static double by_c_library(const char *text)
     return value;
 }
 
-/* `text` is the number without sign. */
+/* Parses a number with the C library. `text` is the number without its sign. */
 static double decimal_value(const struct decimal *number, const char *text)
 {
     int64_t exponent = number->exponent;

@@ -1,10 +1,10 @@
 /* obj_number.h - decimal numbers and indices from text, without locale and without strtod().
  *
- * A number is rounded to the nearest double, ties to even, exactly as strtod() does in the C
- * locale. The inline part is for what nearly all files contain, "-12.345678": its digits and point
- * lie in 16 bytes, which one shuffle turns into an integer of at most 15 digits. Both that integer
- * and the power of ten are exact doubles, so one division rounds correctly (Clinger, "How to Read
- * Floating Point Numbers Accurately", PLDI 1990). All else goes to fmt_obj_number_general().
+ * A number is rounded to the nearest double, ties to even, as strtod() does in the C locale. The
+ * inline part handles the form of nearly all numbers, "-12.345678": its digits and point lie in 16
+ * bytes, and one shuffle turns them into an integer of at most 15 digits. That integer and the
+ * power of ten are exact doubles, so one division rounds correctly (Clinger, "How to Read Floating
+ * Point Numbers Accurately", PLDI 1990). All other forms go to fmt_obj_number_general().
  *
  * Callers guarantee OBJ_TEXT_PADDING readable bytes after the text, and a line end before them. */
 #ifndef FMT_MESH_OBJ_NUMBER_H
@@ -22,20 +22,20 @@
 /* Positive powers of ten that a double holds exactly. */
 extern const double fmt_obj_power_of_ten[23];
 
-/* What may follow a number: blank, control character, continuation. Not a comment: "1.#QNAN" is how
- * some C libraries print a NaN. */
+/* Returns true for what may follow a number: blank, control character, continuation. A comment may
+ * not: "1.#QNAN" is how some C libraries print a NaN. */
 static inline bool obj_is_delimiter(char c)
 {
     return (unsigned char)c <= ' ' || c == '\\';
 }
 
-/* Parses any decimal number at `text` into *out and returns the place behind it; NULL where there
- * is none, where something else than a delimiter follows, or where it is not finite. */
+/* Parses any decimal number at `text` into *out and returns the position after it. Returns NULL if
+ * there is no number, if it is not finite, or if no delimiter follows it. */
 const char *fmt_obj_number_general(const char *text, double *out);
 
 #ifdef __SSE4_1__
-/* Four groups of four decimal digits each, the highest first, that the digits of text[0..end) form
- * when the point at `point` is left out; end <= 16. `digits` holds the text's bytes minus '0'. */
+/* Returns four groups of four decimal digits, the highest first: the digits of text[0..end) without
+ * the point at `point`; end <= 16. `digits` holds the text's bytes minus '0'. */
 static inline __m128i obj_digit_groups(__m128i digits, int point, int end)
 {
     const __m128i iota = _mm_setr_epi8(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
@@ -47,13 +47,14 @@ static inline __m128i obj_digit_groups(__m128i digits, int point, int end)
     return _mm_madd_epi16(d, _mm_set1_epi32(1 << 16 | 100));
 }
 
-/* Two numbers' groups become their upper and lower eight digits, one behind the other. */
+/* Joins the groups of two numbers to the upper and lower eight digits of each, one number after the
+ * other. */
 static inline __m128i obj_join_groups(__m128i a, __m128i b)
 {
     return _mm_madd_epi16(_mm_packus_epi32(a, b), _mm_set1_epi32(1 << 16 | 10000));
 }
 
-/* The integer that all digits form. */
+/* Returns the integer that all digits form. */
 static inline uint64_t obj_digits_without_point(__m128i digits, int point, int end)
 {
     __m128i groups = obj_digit_groups(digits, point, end);
@@ -62,7 +63,7 @@ static inline uint64_t obj_digits_without_point(__m128i digits, int point, int e
 }
 #endif
 
-/* Like fmt_obj_number_general(), fast for the common case. */
+/* Does what fmt_obj_number_general() does; fast for the common form. */
 static inline const char *obj_number(const char *text, double *out)
 {
 #ifdef __SSE4_1__
@@ -88,9 +89,10 @@ static inline const char *obj_number(const char *text, double *out)
     return fmt_obj_number_general(text, out);
 }
 
-/* Value of `count` (1 to 8) decimal digits at `text`, of which 8 bytes are readable, by arithmetic
- * on all bytes at a time (Lamport, "Multiple Byte Processing with Full-Word Instructions", CACM
- * 1975): pairs of digits, then of pairs, then of those. Little-endian machines only. */
+/* Returns the value of `count` (1 to 8) decimal digits at `text`, of which 8 bytes are readable.
+ * Works on all bytes at a time (Lamport, "Multiple Byte Processing with Full-Word Instructions",
+ * CACM 1975): first pairs of digits, then pairs of pairs, then pairs of those. Needs a
+ * little-endian machine. */
 static inline uint64_t obj_digits_value(const char *text, unsigned count)
 {
     uint64_t digits;
@@ -102,18 +104,19 @@ static inline uint64_t obj_digits_value(const char *text, unsigned count)
            32;
 }
 
-/* Number of leading decimal digits (0 to 8) in 8 bytes of text. */
+/* Returns the number of leading decimal digits (0 to 8) in 8 bytes of text. */
 static inline unsigned obj_count_digits(const char *text)
 {
     uint64_t digits;
     memcpy(&digits, text, sizeof digits);
     digits ^= 0x3030303030303030u;
-    /* The high bit of each byte that is not in 0..9; a carry can only spoil bytes behind it. */
+    /* The high bit of each byte outside 0..9. A carry can only spoil later bytes. */
     uint64_t others = ((digits + 0x7676767676767676u) | digits) & 0x8080808080808080u;
     return others ? (unsigned)__builtin_ctzll(others) >> 3 : 8;
 }
 
-/* Parses an unsigned integer of at most 18 digits; NULL where there is none or it is longer. */
+/* Parses an unsigned integer of at most 18 digits. Returns NULL if there is none or it is longer.
+ */
 static inline const char *obj_integer(const char *text, uint64_t *out)
 {
     static const uint32_t scale[9] = {1,      10,      100,      1000,     10000,

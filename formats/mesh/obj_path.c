@@ -1,4 +1,4 @@
-/* obj_path.c - finding the files that OBJ and MTL files name. */
+/* obj_path.c - finds the files that OBJ and MTL files name. */
 #include "formats/mesh/obj_path.h"
 
 #include <string.h>

@@ -1,4 +1,4 @@
-/* obj_path.h - finding the files that OBJ and MTL files name. */
+/* obj_path.h - finds the files that OBJ and MTL files name. */
 #ifndef FMT_MESH_OBJ_PATH_H
 #define FMT_MESH_OBJ_PATH_H
 
@@ -8,14 +8,14 @@
 extern "C" {
 #endif
 
-/* Finds the file `name` that the file `beside` refers to. Tried in this order: the name as
- * written, relative to the directory of `beside`; its backslashes as slashes, since many files
- * come from Windows; its last component alone, since absolute paths rarely survive a copy. *out is
- * the first that exists, else the name as written; freed with bsq_free(). exists may be NULL. */
+/* Finds the file `name` that the file `beside` refers to. Tries in this order: the name as written,
+ * relative to the directory of `beside`; its backslashes as slashes, since many files come from
+ * Windows; its last component alone, since absolute paths rarely survive a copy. *out is the first
+ * that exists, otherwise the name as written; free it with bsq_free(). exists may be NULL. */
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists);
 
-/* A copy of a string, freed with bsq_free(). */
+/* Copies a string. Free *out with bsq_free(). */
 int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
 
 #ifdef __cplusplus

@@ -1,9 +1,14 @@
-/* obj_reader.c - OBJ files as an ordered stream of parsed blocks.
+/* obj_reader.c - reads Wavefront OBJ files as an ordered stream of parsed blocks.
  *
- * Producing a block costs nothing, since its number is all that a worker needs (obj_text.c);
- * workers load and parse, in any order; what depends on the blocks before (bases, relative indices,
- * material names, line numbers, which error is the file's first) is settled as blocks come out in
- * order. Buffers belong to pipeline slots and are reused, so memory depends on slots alone. */
+ * Understood: v with 3, 4, 6 or 7 numbers, vt, vn, f with all four forms of indices and any number
+ * of corners, negative indices, usemtl, mtllib; CRLF, tabs, line continuation, comments, exponents.
+ * Other statements (g, o, s, l, p, ...) are skipped.
+ *
+ * Producing a block costs nothing, since a worker needs only its number (obj_text.c). Workers load
+ * and parse blocks in any order. What depends on earlier blocks (bases, relative indices, material
+ * names, line numbers, the first error of the file) is resolved as blocks come out in order.
+ * Buffers belong to pipeline slots and are reused, so memory depends on the number of slots alone.
+ */
 #include <inttypes.h>
 #include <string.h>
 
@@ -11,7 +16,7 @@
 #include "formats/mesh/obj_internal.h"
 #include "formats/mesh/obj_path.h"
 
-/* Unknown statements before anything that is OBJ until a file is taken for something else. */
+/* After this many unknown lines, and no known statement, a file is not taken for OBJ. */
 enum { patience_lines = 1000 };
 
 struct slot {
@@ -20,7 +25,7 @@ struct slot {
     struct obj_block block;
     struct fmt_mesh_material_change *changes;
     uint64_t change_count, change_capacity;
-    struct fmt_mesh_block view; /* of the block as callers see it, where it has text */
+    struct fmt_mesh_block view; /* the block as callers see it, if it has text */
 };
 
 /* One call of read_all(). */
@@ -30,10 +35,10 @@ struct job {
     void *arg;
     struct fmt_mesh_totals *totals;
     struct slot *slots;
-    /* produce's */
+    /* state of produce */
     uint32_t next_source;
     uint64_t next_index;
-    /* emit's */
+    /* state of emit */
     uint32_t source; /* file of the last block */
     uint32_t material;
     uint64_t sequence, known_statements, skipped_in_file;
@@ -135,8 +140,8 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
 
 /* ---- emit ---- */
 
-/* Turns parsed corners of one kind into numbers over the whole scan. In a first file without
- * relative indices they are that already. */
+/* Turns parsed corners of one kind into numbers over the whole scan. Does nothing in a first file
+ * without relative indices, where they are that already. */
 static int resolve_corners(struct job *job, struct slot *slot, enum fmt_mesh_kind kind)
 {
     const struct obj_source *source = &job->reader->sources[slot->source];
@@ -178,7 +183,7 @@ static int add_change(struct job *job, struct slot *slot, uint64_t face, uint32_
     return status;
 }
 
-/* Enters the names that usemtl and mtllib statements of the block say. */
+/* Enters the names in the usemtl and mtllib statements of the block. */
 static int resolve_statements(struct job *job, struct slot *slot)
 {
     struct obj_reader *reader = job->reader;
@@ -205,7 +210,7 @@ static int resolve_statements(struct job *job, struct slot *slot)
     return status;
 }
 
-/* Notes where the block's faces are, for fmt_obj_locate_face(). */
+/* Records where the block's faces are, for fmt_obj_locate_face(). */
 static int add_place(struct job *job, const struct slot *slot)
 {
     struct obj_reader *reader = job->reader;
@@ -237,7 +242,7 @@ static void enter_source(struct job *job, uint32_t number)
     source->lines = 0;
 }
 
-/* A text in which no statement is known is something else, an ASCII STL or PLY say. */
+/* Refuses a text without any known statement: it is something else, for instance an ASCII STL. */
 static int check_is_obj(struct job *job, const struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
@@ -318,8 +323,8 @@ static void pass_block(struct job *job, const struct slot *slot)
     job->sequence += block->size > 0;
 }
 
-/* What a block of text says, in the order of the file: first the relative indices of the faces
- * that were parsed, then the place where the parser stopped. */
+/* Passes on one block. Errors are reported in the order of the file: first the relative indices of
+ * the faces that were parsed, then the place where the parser stopped. */
 static int emit_text(struct job *job, struct slot *slot)
 {
     const struct obj_source *source = &job->reader->sources[slot->source];

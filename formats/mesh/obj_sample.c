@@ -1,17 +1,17 @@
-/* obj_sample.c - how large a scan is and how it is laid out, from samples of its text. */
+/* obj_sample.c - estimates the size and layout of a scan from samples of its text. */
 #include "formats/mesh/obj_internal.h"
 
 #include <string.h>
 
 enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
 
-/* Lines of the samples of one file; what a sample cuts off at its ends is left out. */
+/* Counts over the samples of one file. Lines that a sample cuts off at its ends are left out. */
 struct counts {
     uint64_t bytes, vertices, texcoords, normals, faces, corners;
     bool colors, face_seen, element_follows_face;
 };
 
-/* Words of the line at text[0..end). */
+/* Returns the number of words in text[0..end). */
 static uint64_t count_words(const char *text, const char *end)
 {
     uint64_t words = 0;

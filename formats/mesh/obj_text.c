@@ -1,19 +1,19 @@
-/* obj_text.c - cutting a file into blocks of whole lines without reading it in sequence.
+/* obj_text.c - cuts a file into blocks of whole lines without reading it in sequence.
  *
- * Block i holds the lines that begin in the i-th stretch of OBJ_BLOCK_BYTES. Where a line begins
- * is seen from the few bytes before it, so every block can be loaded on its own, by any thread:
- * from a little before its stretch to the first line start behind it. A line longer than a stretch
- * belongs to the block where it begins; the blocks within it are empty. */
+ * Block i holds the lines that begin in the i-th range of OBJ_BLOCK_BYTES. The few bytes before a
+ * position tell whether a line begins there, so any thread can load any block on its own: from a
+ * little before its range to the first line start after it. A line longer than a range belongs to
+ * the block where it begins; the blocks within it are empty. */
 #include <string.h>
 
 #include "formats/mesh/obj_internal.h"
 
-/* Bytes before a line start that decide on it: backslash, "\r", "\n". */
+/* Bytes before a position that decide whether a line begins there: backslash, "\r", "\n". */
 enum { look_back = 3 };
-/* Read behind the stretch at first; longer lines are read on. */
+/* Bytes first read after the range; more are read if its last line is longer. */
 enum { look_ahead = 4096 };
 
-/* A stretch of the file in memory: text[0] is the file's byte `offset`. */
+/* A part of the file in memory: text[0] is byte `offset` of the file. */
 struct window {
     const char *text;
     uint64_t offset, end, file_size;
@@ -25,8 +25,9 @@ static bool is_at(const struct window *window, uint64_t position, char c)
            window->text[position - window->offset] == c;
 }
 
-/* Whether a line starts at `position`, the byte before which is a '\n' or '\r'. A line end behind
- * a backslash continues the line; inside a comment it does not, but need not be cut there. */
+/* Returns true if a line starts at `position`; the byte before it is '\n' or '\r'. A line end after
+ * a backslash continues the line. Inside a comment it does not, but the file need not be cut there.
+ */
 static bool starts_line(const struct window *window, uint64_t position)
 {
     uint64_t last = position - 1;
@@ -36,8 +37,8 @@ static bool starts_line(const struct window *window, uint64_t position)
     return !is_at(window, position, '\n') && !(last >= 1 && is_at(window, last - 1, '\\'));
 }
 
-/* The first line start at or behind `from` (> 0), or UINT64_MAX where the window ends before the
- * file does. The end of the file counts as one. */
+/* Returns the first line start at or after `from` (> 0); the end of the file counts as one. Returns
+ * UINT64_MAX if the window ends before the file does. */
 static uint64_t find_line_start(const struct window *window, uint64_t from)
 {
     for (uint64_t at = from - 1; at < window->end; at++) {
@@ -74,23 +75,24 @@ static uint64_t smaller(uint64_t a, uint64_t b)
 int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
                       struct obj_block *block, uint64_t *offset)
 {
-    uint64_t first = index * OBJ_BLOCK_BYTES, behind = smaller(first + OBJ_BLOCK_BYTES, file->size);
+    uint64_t first = index * OBJ_BLOCK_BYTES,
+             range_end = smaller(first + OBJ_BLOCK_BYTES, file->size);
     struct window window = {.offset = first ? first - look_back : 0, .file_size = file->size};
     window.end = window.offset;
-    int status = load_until(ctx, file, block, &window, smaller(behind + look_ahead, file->size));
+    int status = load_until(ctx, file, block, &window, smaller(range_end + look_ahead, file->size));
     if (status)
         return status;
     uint64_t start = first ? find_line_start(&window, first) : 0;
     uint64_t end;
-    if (start < behind) {
-        while ((end = find_line_start(&window, behind)) == UINT64_MAX) {
+    if (start < range_end) {
+        while ((end = find_line_start(&window, range_end)) == UINT64_MAX) {
             uint64_t have = window.end - window.offset;
             if ((status =
                      load_until(ctx, file, block, &window, smaller(window.end + have, file->size))))
                 return status;
         }
     } else {
-        start = end = behind;
+        start = end = range_end;
     }
     *offset = start;
     fmt_obj_block_set_text(block, start - window.offset, end - window.offset);

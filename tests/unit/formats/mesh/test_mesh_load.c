@@ -1,4 +1,4 @@
-/* test_obj_mesh.c - OBJ files that are read as whole meshes. */
+/* test_mesh_load.c - meshes that are read whole, from OBJ files. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
