@@ -164,7 +164,7 @@ int fmt_png_encoder_create(struct bsq_ctx *ctx, const struct fmt_png_layout *lay
     uint64_t row_bytes = fmt_png_row_bytes(layout);
     int status = start_deflate(ctx, out);
     if (status == 0) {
-        /* Room for the flush that ends a band, too. */
+        /* Includes space for the flush that ends a band. */
         out->packed_capacity = deflateBound(&out->deflate, rows * (row_bytes + 1)) + 64;
         status = bsq_alloc(ctx, "PNG band", 1, out->packed_capacity, &out->packed);
     }
@@ -199,10 +199,10 @@ static int deflate_band(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder, bo
     for (;;) {
         /* zlib counts in 32 bits. */
         uint64_t input = encoder->filtered_bytes - taken;
-        uint64_t room = encoder->packed_capacity - encoder->packed_bytes;
+        uint64_t left = encoder->packed_capacity - encoder->packed_bytes;
         bool whole = input <= (1u << 30);
         uint32_t given = whole ? (uint32_t)input : 1u << 30;
-        uint32_t space = room < (1u << 30) ? (uint32_t)room : 1u << 30;
+        uint32_t space = left < (1u << 30) ? (uint32_t)left : 1u << 30;
         stream->next_in = encoder->filtered + taken;
         stream->avail_in = given;
         stream->next_out = encoder->packed + encoder->packed_bytes;

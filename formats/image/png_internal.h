@@ -1,4 +1,4 @@
-/* png_internal.h - from rows of samples to a piece of a PNG file's compressed data. */
+/* png_internal.h - compresses a band of rows for a PNG file. */
 #ifndef FMT_IMAGE_PNG_INTERNAL_H
 #define FMT_IMAGE_PNG_INTERNAL_H
 
@@ -20,14 +20,14 @@ struct fmt_png_encoder {
     bool ready;        /* deflate was initialised */
     uint8_t *rows[2];  /* the current row as bytes, and the one above */
     uint8_t *trial;    /* a row, filtered */
-    uint8_t *filtered; /* the band: a filter's number and a row of bytes, again and again */
+    uint8_t *filtered; /* the band: of each row, its filter's number and its bytes */
     uint8_t *packed;   /* the band, deflated */
     uint64_t packed_capacity, packed_bytes;
     uint64_t filtered_bytes;
     uint32_t checksum; /* Adler-32 of the filtered bytes */
 };
 
-/* Bytes of a row. */
+/* Returns the bytes of a row. */
 uint64_t fmt_png_row_bytes(const struct fmt_png_layout *layout);
 
 /* Prepares for bands of up to `rows` rows. Free with fmt_png_encoder_free(), also after a failure.
@@ -42,8 +42,8 @@ struct fmt_png_band {
     uint32_t first_row, rows;
 };
 
-/* Encodes a band to a piece of a deflate stream; such pieces may be concatenated. The one that
- * holds the image's last row ends the stream. */
+/* Encodes a band to a part of a deflate stream. The parts of all bands in order are the stream; the
+ * band with the image's last row ends it. */
 int fmt_png_encode(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder,
                    const struct fmt_png_layout *layout, const struct fmt_png_band *band);
 

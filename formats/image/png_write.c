@@ -1,4 +1,4 @@
-/* png_write.c - streaming PNG writer.
+/* png_write.c - streaming PNG writer (docs/decisions/0024-png-bands-in-parallel.md).
  *
  * libpng writes the header and the chunks' framing. Compression, which takes nearly all of the
  * time, is done here, as libpng does it on one thread: bands of rows are filtered and deflated
