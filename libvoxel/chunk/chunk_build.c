@@ -152,7 +152,7 @@ static void enlarge_table(struct chunk_builder *b)
     }
 }
 
-/* Numbers the vertex whose values are behind those of all others. */
+/* Assigns the next number to the vertex whose values were stored last. */
 static inline uint32_t enter_vertex(struct chunk_builder *b, uint32_t slot, uint64_t hash)
 {
     uint32_t number = b->vertex_count++;

@@ -1,4 +1,4 @@
-/* chunk_build.h - private to the sorter: sorted records become the bytes of a chunk. */
+/* chunk_build.h - turns sorted records into the bytes of a chunk. */
 #ifndef VOX_CHUNK_CHUNK_BUILD_H
 #define VOX_CHUNK_CHUNK_BUILD_H
 

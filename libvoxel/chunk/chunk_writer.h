@@ -1,4 +1,5 @@
-/* chunk_writer.h - private to the sorter: buckets become the chunks of the sorted file. */
+/* chunk_writer.h - the door of this room: takes a partition, sorts its buckets, and writes the
+ * chunks of the chunk file. */
 #ifndef VOX_CHUNK_CHUNK_WRITER_H
 #define VOX_CHUNK_CHUNK_WRITER_H
 
@@ -10,8 +11,7 @@ struct batches_report {
     uint64_t degenerate; /* left out, as they have no area */
 };
 
-/* Sorts all triangles and appends their chunks to the writer. Completes partition->used where
- * records are indices. */
+/* Sorts all triangles, appends their chunks to the writer and marks partition->used. */
 int vox_write_chunks(const struct scan *scan, const struct partition *partition, const char *beside,
                      struct fmt_tris_writer *writer, struct batches_report *report);
 

@@ -1,10 +1,9 @@
-/* gather_window.h - private to the sorter: the vertices of a batch, of streams that are in files.
+/* gather_window.h - the vertices of a batch, for attribute streams that are in files.
  *
  * A batch's triangles lie together in space, and so do their vertices in the files of most scans.
- * So a batch notes which elements its corners refer to, reads these in the order of the stream, and
- * numbers its corners anew: what comes behind works as if the scan had no other vertices. Faces in
- * any order cost nothing more; vertices without any order cost a pass through the stream for each
- * batch, and nothing in memory. */
+ * A batch marks the elements that its corners refer to, reads them in the order of the stream, and
+ * renumbers its corners. Later steps work as if the scan had no other vertices. The order of faces
+ * does not matter; vertices without order cost each batch a pass over the stream. */
 #ifndef VOX_PARTITION_GATHER_WINDOW_H
 #define VOX_PARTITION_GATHER_WINDOW_H
 

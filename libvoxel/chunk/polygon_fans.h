@@ -1,9 +1,8 @@
-/* polygon_fans.h - private to the sorter: polygons that are split when their batch is sorted.
+/* polygon_fans.h - splits polygons whose vertices were in a file when they were partitioned.
  *
- * How a polygon is split depends on all of its corners' positions. Where these are in a file it
- * goes, as a fan of triangles around its first corner, to each bucket that one of its corners is
- * in. There its positions are known when the batch is sorted, and the fan becomes the polygon's
- * triangles, of which the bucket keeps those that are its own. */
+ * Such a polygon is in each bucket that has one of its corners, as a fan of triangles around its
+ * first corner. When a batch has gathered the positions, the fan becomes the polygon's triangles,
+ * and the bucket keeps those that are its own. */
 #ifndef VOX_PARTITION_POLYGON_FANS_H
 #define VOX_PARTITION_POLYGON_FANS_H
 

@@ -1,4 +1,4 @@
-/* radix_sort.h - private to the sorter: sorting by key, and where a sorted sequence is cut. */
+/* radix_sort.h - sorts by key, and finds where a sorted sequence is cut into chunks. */
 #ifndef VOX_CHUNK_RADIX_SORT_H
 #define VOX_CHUNK_RADIX_SORT_H
 

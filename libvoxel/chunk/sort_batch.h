@@ -1,9 +1,9 @@
-/* sort_batch.h - private to the sorter: some triangles in memory, sorted.
+/* sort_batch.h - some buckets, or parts of them, in memory and sorted.
  *
- * A batch holds buckets, or parts of them, and what the batch before did not put into chunks: it is
- * filled with vox_batch_add(), sorted, and emptied but for the end with vox_batch_carry_over().
- * Where streams are in files it fetches what its triangles refer to (gather_window.h): records name
- * elements of the scan until it is sorted, then those of batch.scan, and the scan's again when they
+ * A batch is filled with vox_batch_add() and sorted. vox_batch_carry_over() then empties it but for
+ * the triangles that are not in chunks yet, which begin the next batch. If attribute streams are in
+ * files, the batch gathers what its triangles refer to (gather_window.h): records name elements of
+ * the scan until the batch is sorted, then elements of batch.scan, and the scan's again when they
  * are carried over. */
 #ifndef VOX_CHUNK_SORT_BATCH_H
 #define VOX_CHUNK_SORT_BATCH_H

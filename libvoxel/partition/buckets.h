@@ -1,8 +1,8 @@
-/* buckets.h - private to the sorter: bytes collected by bucket, in the order in which they came.
+/* buckets.h - bytes collected by bucket, in the order in which they came.
  *
- * Each bucket fills a page; full pages stay in memory while that is allowed, then go to one
- * temporary file. Cells share pages' sizes, so byte number i of a bucket is in its page i /
- * page_bytes. Adding is for one thread at a time, reading for any. */
+ * Each bucket fills a page. Full pages stay in memory up to a limit, and then go to one temporary
+ * file. All pages have the same size, so byte i of a bucket is in its page i / page_bytes. One
+ * thread at a time may add, any thread may read. */
 #ifndef VOX_PARTITION_BUCKETS_H
 #define VOX_PARTITION_BUCKETS_H
 

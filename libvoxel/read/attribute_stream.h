@@ -1,8 +1,7 @@
-/* attribute_stream.h - private to the sorter: one attribute of all vertices, texture coordinates or
- * normals.
+/* attribute_stream.h - one attribute of all vertices, texture coordinates or normals.
  *
- * A stream is a spill of equal elements, a power of two in a segment, so that an element in memory
- * is found with a shift and a mask while the stream can grow without being copied. */
+ * An attribute stream is a spill buffer of equal elements, a power of two in a segment. An element
+ * in memory is found with a shift and a mask, and the stream grows without being copied. */
 #ifndef VOX_READ_ATTRIBUTE_STREAM_H
 #define VOX_READ_ATTRIBUTE_STREAM_H
 

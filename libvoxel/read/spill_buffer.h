@@ -1,12 +1,11 @@
-/* spill_buffer.h - private to the sorter: bytes that only grow, in memory or in a temporary file.
+/* spill_buffer.h - bytes that only grow, in memory or in a temporary file.
  *
- * A spill keeps what is appended in segments of equal size; vox_spill_spill() moves all of it to a
- * temporary file and keeps one segment as write buffer. Elements do not straddle segments when the
- * segment size is a multiple of theirs. Appending is for one thread at a time, reading for any.
+ * Appended bytes are kept in segments of equal size. vox_spill_spill() moves all of them to a
+ * temporary file and keeps one segment as write buffer. Elements do not straddle segments if the
+ * segment size is a multiple of theirs. One thread at a time may append, any thread may read.
  *
- * Memory that is touched for the first time has to be found and cleared by the system, which takes
- * longer than filling it: other threads can see to that shortly before (vox_spill_touch_ahead()).
- */
+ * The system takes longer to find and clear new memory than this code takes to fill it, so other
+ * threads prefault it shortly before (vox_spill_touch_ahead()). */
 #ifndef VOX_READ_SPILL_BUFFER_H
 #define VOX_READ_SPILL_BUFFER_H
 
