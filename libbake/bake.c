@@ -10,13 +10,12 @@
 
 #include "base/clock.h"
 #include "libbake/device/device.h"
-#include "libbake/exact/exact_tiles.h"
+#include "libbake/exact/exact.h"
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/maps/maps.h"
 #include "libbake/preview/preview.h"
 #include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
-#include "libbake/surface/grid_tiles.h"
 
 enum {
     PREVIEW_TEXTURE = 2048 /* side */

@@ -1,5 +1,6 @@
 /* exact.h - traces rays against the triangles of a scan that need not fit into memory. Takes a
- * chunk file and batches of rays; gives each ray's nearest hit with normal and colour.
+ * chunk file, and either batches of rays or the tiles of a map; gives each ray's nearest hit with
+ * normal and colour, or the baked image.
  *
  * A batch's rays are sorted into one bucket for each chunk that they cross. Each of these chunks is
  * loaded, gets a tree of boxes, and finds the nearest hits of its rays. A second pass over the
@@ -11,6 +12,7 @@
 
 #include "base/context.h"
 #include "libbake/bake.h"
+#include "libbake/maps/maps.h"
 
 struct bake_exact;
 
@@ -90,5 +92,18 @@ bool bake_exact_wants_footprints(const struct bake_exact *exact);
  * bits. Points outside are clamped into the cube. Batches of rays that follow the curve cross few
  * chunks. */
 uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side);
+
+/* ---- maps ---- */
+
+struct bake_exact_tiles {
+    struct bake_tiles tiles; /* index space: the scan's units, relative to its origin */
+    struct bake_exact *exact;
+    double front, back; /* ray lengths */
+};
+
+/* Traces and resolves all tiles of a map into its image. Adds to the report what
+ * bake_tile_workers_end() adds. Errors: those of bake_exact_trace() and bake_image_write(). */
+int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
+                           struct bake_report *report);
 
 #endif

@@ -4,7 +4,7 @@
  * through the scan, not through the map, so that a chunk's rays are in few batches however the
  * charts are laid out. Which triangle a sample lies in is found anew in each of the three passes
  * over a tile: that costs less than keeping it. Rays and sums are those of the kernel. */
-#include "libbake/exact/exact_tiles.h"
+#include "libbake/exact/exact.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -2,12 +2,12 @@
  * a time in buffers of its own. A grid that the device does not hold is traced in passes: while one
  * runs, a worker uploads what the next needs. Texels do not depend on the tile that they are in, so
  * the map is the same for any tile size and number of threads. */
-#include "libbake/surface/grid_tiles.h"
-
-#include "base/parallel.h"
 #include "libbake/surface/surface.h"
 
 #include <string.h>
+
+#include "base/parallel.h"
+#include "libbake/raster/raster.h"
 
 struct trace {
     struct bsq_ctx *ctx;

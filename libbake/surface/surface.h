@@ -1,12 +1,14 @@
 /* surface.h - the surface that rays are traced against. Takes a scan file, either a voxel grid or
  * the triangles of a chunk file; gives hits of rays without the caller knowing which of both it is.
- * The rays of maps do not come here: they go to a device, or to exact/ in batches. */
+ * Maps are traced tile by tile: on a grid by bake_trace_grid_tiles(), which gives the rays to a
+ * device, and on triangles by bake_exact_trace_tiles(). */
 #ifndef BAKE_SURFACE_SURFACE_H
 #define BAKE_SURFACE_SURFACE_H
 
 #include "libbake/device/device.h"
 #include "libbake/exact/exact.h"
 #include "libbake/lowpoly/lowpoly.h"
+#include "libbake/maps/maps.h"
 
 struct bake_surface {
     struct bsq_ctx *ctx;
@@ -62,5 +64,20 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface);
  * Errors: BSQ_ENOMEM, and those of bake_surface_trace(). */
 int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
                            const struct bake_lowmesh *mesh, double *front, double *back);
+
+/* ---- maps ---- */
+
+struct bake_grid_tiles {
+    struct bake_tiles tiles;
+    struct bake_device *device;
+    const struct bake_surface *surface; /* that the device traces; checked after every tile */
+    const struct bake_plan *plan;       /* NULL: the device holds the grid */
+};
+
+/* Traces and resolves all tiles of a map into its image. Adds to the report what
+ * bake_tile_workers_end() adds. Errors: those of the device, bake_surface_check() and
+ * bake_image_write(). */
+int bake_trace_grid_tiles(struct bsq_ctx *ctx, const struct bake_grid_tiles *grid,
+                          struct bake_report *report);
 
 #endif

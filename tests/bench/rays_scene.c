@@ -4,7 +4,7 @@
 
 #include "base/clock.h"
 #include "base/parallel.h"
-#include "libbake/surface/grid_tiles.h"
+#include "libbake/surface/surface.h"
 #include "tests/bench/rays.h"
 
 static int choose_distances(struct rays_scene *scene)
