@@ -194,9 +194,9 @@ sanitizer_wraps := $(if $(filter asan tsan,$(config)),$(addprefix -Wl$(comma)--w
     realloc pthread_create))
 $(filter $(BUILD)/tests/exhaustion/%,$(unit_bins)): LDFLAGS += $(sanitizer_wraps)
 # Helpers of a library's tests: the sources beside them whose names do not begin with test_.
-$(foreach l,base formats libvoxel libbake exhaustion,$(eval helpers.$(l) := \
-    $(patsubst %,$(BUILD)/obj/%.o,$(filter-out \
-    $(unit_sources),$(shell find tests/unit/$(l) -name '*.c')))))
+$(foreach l,base formats libvoxel libbake exhaustion,$(eval src.helpers.$(l) := $(filter-out \
+    $(unit_sources),$(shell find tests/unit/$(l) -name '*.c')))\
+    $(eval helpers.$(l) := $(call objs,helpers.$(l))))
 define unit_rule
 $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
     $(helpers.$(call unit_lib,$(1))) \

@@ -27,6 +27,9 @@ for program in bisque-voxelize bisque-bake bisque-compare; do
     is_there "bin/$program" "share/man/man1/$program.1"
 done
 is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so
+command="tests/lint/symbols.sh" code=0
+"$top/tests/lint/symbols.sh" "$prefix/lib" >"$out" 2>"$err" || code=$?
+check "exported symbols have their library's prefix" "$code"
 
 # ---- the programs of examples/, built with the installation ----
 PKG_CONFIG_PATH=$prefix/lib/pkgconfig
