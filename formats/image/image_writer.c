@@ -57,10 +57,11 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     if (options->width == 0 || options->height == 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: an image of %u x %u texels", path, options->width,
                         options->height);
-    void *memory;
     int status = fmt_image_check_type(ctx, format, path, options->type);
-    if (status == 0)
-        status = bsq_calloc(ctx, "image writer", 1, format->writer_bytes, &memory);
+    if (status < 0)
+        return status;
+    void *memory;
+    status = bsq_calloc(ctx, "image writer", 1, format->writer_bytes, &memory);
     if (status < 0)
         return status;
     struct fmt_image_writer *writer = memory;

@@ -12,9 +12,10 @@
 const char *const fmt_mesh_kind_names[FMT_MESH_KIND_COUNT] = {"vertex", "texture coordinate",
                                                               "normal"};
 
+#define FMT_MESH_COUNT(format) +1
+enum { FORMAT_COUNT = 0 FMT_MESH_FORMATS(FMT_MESH_COUNT) };
 #define FMT_MESH_ROW(format) &format,
-static const struct fmt_mesh_format *const formats[] = {FMT_MESH_FORMATS(FMT_MESH_ROW)};
-enum { FORMAT_COUNT = sizeof formats / sizeof *formats };
+static const struct fmt_mesh_format *const formats[FORMAT_COUNT] = {FMT_MESH_FORMATS(FMT_MESH_ROW)};
 
 /* ---- choosing a format ---- */
 
@@ -35,6 +36,8 @@ static const struct fmt_mesh_format *find_by_content(const char *head, size_t si
 static const struct fmt_mesh_format *find_by_suffix(const char *path)
 {
     for (size_t i = 0; i < FORMAT_COUNT; i++)
+        /* No row is NULL, but the analyzer forgets that at the call of a recognise function. */
+        /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference) */
         if (has_suffix(path, formats[i]->suffix))
             return formats[i];
     return NULL;
@@ -148,7 +151,7 @@ unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader)
 int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
                         void *arg, struct fmt_mesh_totals *totals)
 {
-    struct fmt_mesh_totals unused;
+    struct fmt_mesh_totals unused = {0};
     totals = totals ? totals : &unused;
     memset(totals, 0, sizeof *totals);
     return reader->format->read(reader, steps, arg, totals);

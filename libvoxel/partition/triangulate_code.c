@@ -128,7 +128,7 @@ static int reserve(struct triangulator *t, const struct faces *faces)
 
 int vox_triangulate_code_spans(struct triangulator *t, const struct faces *faces)
 {
-    uint8_t fan_bits[RUN_TRIANGLES / 8];
+    uint8_t fan_bits[RUN_TRIANGLES / 8] = {0};
     int status = reserve(t, faces);
     if (status < 0)
         return status;

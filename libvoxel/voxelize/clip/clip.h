@@ -223,6 +223,8 @@ CLIP_INLINE void clip_split(const struct clip_polygon *in, int axis, double plan
                             struct clip_polygon *below, struct clip_polygon *above)
 {
     uint32_t n = in->count, mask = clip_above_mask(in, axis, plane);
+    if (n == 0)
+        __builtin_unreachable();
     uint32_t previous = (mask << 1 | mask >> (n - 1)) & ((1u << n) - 1);
     uint32_t enters = mask & ~previous, leaves = ~mask & previous;
     if ((enters & (enters - 1)) != 0 || n == CLIP_MAX_VERTICES) {
