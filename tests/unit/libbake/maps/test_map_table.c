@@ -1,0 +1,147 @@
+/* test_map_table.c - what every row of the table of maps must hold, so that a new map is checked
+ * without a test of its own. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+#include "libbake/maps/map_encode.h"
+#include "tests/unit/fixture.h"
+
+static struct bake_options options_for(uint32_t maps, const char *output)
+{
+    struct bake_options options;
+    bake_defaults(&options);
+    options.scan_path = "scan.nvdb";
+    options.mesh_path = "low.obj";
+    options.output_path = output;
+    options.maps = maps;
+    return options;
+}
+
+/* test_bake.sh reads names from --help and looks for them in the man page: only lower-case letters.
+ */
+static void test_names_are_unique_words(void **state)
+{
+    (void)state;
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+        const char *name = bake_map_name(i);
+        assert_non_null(name);
+        assert_true(name[0] != '\0');
+        assert_int_equal(strspn(name, "abcdefghijklmnopqrstuvwxyz"), strlen(name));
+        for (unsigned j = 0; j < i; ++j)
+            assert_string_not_equal(name, bake_map_name(j));
+        assert_non_null(bake_map_summary(i));
+        assert_true(bake_map_summary(i)[0] != '\0');
+    }
+    assert_null(bake_map_name(BK_MAP_COUNT));
+    assert_null(bake_map_summary(BK_MAP_COUNT));
+}
+
+static void test_a_bit_gives_the_file_of_its_name(void **state)
+{
+    (void)state;
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+        char expected[64];
+        snprintf(expected, sizeof expected, "%s/a_%s.exr", bake_map_name(i), bake_map_name(i));
+        char *path = bake_map_path("<MAP>/a_<MAP>.exr", (enum bake_map)(1u << i));
+        assert_string_equal(path, expected);
+        free(path);
+    }
+}
+
+static void test_maps_fill_the_channels_they_declare(void **state)
+{
+    (void)state;
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+        const struct bake_map_row *row = &bake_map_table[i];
+        float sums[8] = {0.5f, -0.25f, 0.75f}, value[4] = {NAN, NAN, NAN, NAN};
+        assert_true(row->channels == 1 || row->channels == 3);
+        assert_true(bake_map_sums[i] <= sizeof sums / sizeof *sums);
+        assert_int_equal(bake_image_channels_for(1u << i), 1 + (row->resolve ? row->channels : 0));
+        if (!row->resolve)
+            continue;
+        assert_true(row->resolve(sums, row->channels, 0.5f, value));
+        for (uint32_t c = 0; c < 4; ++c)
+            assert_int_equal(isnan(value[c]) != 0, c >= row->channels);
+    }
+}
+
+static void test_attributes_fit_their_list(void **state)
+{
+    (void)state;
+    const struct bake_traced traced = {.front = 0.125, .back = 1e-300, .sampling = "exact"};
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+        struct bake_options options = options_for(1u << i, "a.exr");
+        struct bake_attributes attributes;
+        bake_describe_map(&options, i, &traced, &attributes);
+        assert_true(attributes.count <= sizeof attributes.list / sizeof *attributes.list);
+        for (uint32_t a = 0; a < attributes.count; ++a)
+            if (strcmp(attributes.list[a].name, "bisque:map") == 0)
+                assert_string_equal(attributes.list[a].value, bake_map_name(i));
+    }
+}
+
+/* A user who names only a map and a file name must get the map in at least one format. */
+static void test_some_format_stores_each_map(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+        bool stored = false;
+        for (int f = 0; fmt_image_formats[f]; ++f) {
+            char path[32];
+            snprintf(path, sizeof path, "a%s", fmt_image_formats[f]->suffix);
+            struct bake_options options = options_for(1u << i, path);
+            stored = bake_check_options(ctx, &options) == 0 || stored;
+            bsq_clear_error(ctx);
+        }
+        assert_true(stored);
+    }
+    test_context_end(ctx);
+}
+
+static void test_defaults_need_no_colours(void **state)
+{
+    (void)state;
+    uint32_t grey = bake_choose_maps(BAKE_MAPS_DEFAULT, false);
+    uint32_t colored = bake_choose_maps(BAKE_MAPS_DEFAULT, true);
+    assert_int_equal(grey, BAKE_MAP_NORMAL);
+    assert_int_equal(colored, BAKE_MAP_NORMAL | BAKE_MAP_COLOR);
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+        assert_false(grey & 1u << i && bake_map_table[i].needs_color);
+        assert_int_equal(bake_choose_maps(1u << i, false), 1u << i);
+    }
+}
+
+static void test_unknown_maps_are_refused(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    for (unsigned bit = BK_MAP_COUNT; bit < 32; ++bit) {
+        struct bake_options options = options_for(1u << bit, "a_<MAP>.exr");
+        assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
+        assert_non_null(strstr(bsq_error(ctx), "unknown maps: 0x"));
+        bsq_clear_error(ctx);
+    }
+    test_context_end(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_names_are_unique_words),
+        cmocka_unit_test(test_a_bit_gives_the_file_of_its_name),
+        cmocka_unit_test(test_maps_fill_the_channels_they_declare),
+        cmocka_unit_test(test_attributes_fit_their_list),
+        cmocka_unit_test(test_some_format_stores_each_map),
+        cmocka_unit_test(test_defaults_need_no_colours),
+        cmocka_unit_test(test_unknown_maps_are_refused),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
