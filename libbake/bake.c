@@ -1,7 +1,7 @@
-/* bake.c - the job: inputs, ray lengths, tracing, files, preview.
+/* bake.c - runs a bake: inputs, ray lengths, tracing, files, preview.
  *
- * Whatever can be wrong with the arguments, the inputs and the output's directory is found before
- * the first ray. The files get their final names at the very end, one after the other. */
+ * Errors in the arguments, in the inputs and in the output's directory are found before the first
+ * ray. The files get their final names at the very end, one after another. */
 #include "libbake/bake.h"
 
 #include <math.h>
@@ -17,9 +17,7 @@
 #include "libbake/raster/raster.h"
 #include "libbake/surface/surface.h"
 
-enum {
-    PREVIEW_TEXTURE = 2048 /* side */
-};
+enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
 
 struct job {
     struct bsq_ctx *ctx;
@@ -28,11 +26,11 @@ struct job {
     uint32_t maps;
     struct bake_surface surface;
     struct bake_lowmesh mesh;
-    struct bake_job traced; /* triangles and parameters */
+    struct bake_job traced; /* what the device traces */
     struct bk_triangle *triangles;
     struct bake_raster *raster;
     uint32_t tile_size;
-    struct bake_device *device; /* NULL where the surface is exact */
+    struct bake_device *device; /* NULL: the triangles of a chunk file are traced */
     struct bake_image *image;
     struct bake_map_files *files;
     struct bake_preview preview;
@@ -60,7 +58,7 @@ void bake_defaults(struct bake_options *options)
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
-        return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low mesh and an output are needed");
+        return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
     if (options->maps >= 1u << BK_MAP_COUNT)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
     if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
@@ -71,10 +69,11 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
         return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,
                         options->back);
     if (options->front == 0.0 && options->back == 0.0)
-        return bsq_fail(ctx, BSQ_EUSAGE, "rays of no length find nothing");
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "rays of length 0 find nothing: front and back must not both be 0");
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    /* If none are named, it depends on the scan whether there are several: checked again then. */
+    /* The default maps depend on the scan; they are checked again after it was opened. */
     return bake_map_files_check(ctx, options,
                                 options->maps ? options->maps : (uint32_t)BAKE_MAP_NORMAL);
 }
@@ -87,7 +86,7 @@ int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out)
     return status;
 }
 
-/* Chooses the maps, now that it is known whether there are colours. */
+/* Chooses the maps, after the scan was opened. Errors: BSQ_EDATA if it lacks colours. */
 static int choose_maps(struct job *job)
 {
     bool has_color = job->surface.has_color;
@@ -175,7 +174,7 @@ static int prepare_triangles(struct job *job)
         return status;
     job->report->degenerate_uv_triangles = report.degenerate_triangles;
     job->report->outside_uv_triangles = report.outside_triangles;
-    status = bsq_alloc(job->ctx, "triangles of the low mesh", job->mesh.triangle_count,
+    status = bsq_alloc(job->ctx, "triangles of the low-poly mesh", job->mesh.triangle_count,
                        sizeof *job->triangles, &job->triangles);
     if (status == 0)
         bake_raster_kernel_triangles(job->raster, job->surface.translation, job->surface.unit,
@@ -204,7 +203,8 @@ static int open_device(struct job *job)
     return status;
 }
 
-/* In memory where the map takes no more than half of what is left; the rest is for writing. */
+/* Creates the image: in memory if it takes at most half of the memory that is left in the budget,
+ * as writing needs the rest. */
 static int create_image(struct job *job)
 {
     struct bake_image_options image = {.width = job->options->width,
@@ -215,7 +215,8 @@ static int create_image(struct job *job)
     return bake_image_create(job->ctx, &image, &job->image);
 }
 
-/* Whether longer rays are what helps: sizes and places of the two are about the same. */
+/* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer
+ * rays can help. */
 static bool in_same_place(const struct bake_surface *scan, const struct bake_lowmesh *low)
 {
     double scan_side = 0, low_side = 0, gap = 0;
@@ -236,11 +237,11 @@ static int fail_without_hit(const struct job *job)
         return bsq_fail(job->ctx, BSQ_EDATA,
                         "%s: no texel lies in a triangle: are the texture coordinates in 0..1?",
                         job->options->mesh_path);
-    /* Seven digits, as float32 has: of coordinates of a map's grid, six leave out the metres. */
+    /* Seven digits, as float32 has: six would cut the metres off geo-referenced coordinates. */
     return bsq_fail(
         job->ctx, BSQ_EDATA,
         "no ray hit within %g in front and %g behind: the scan spans (%.7g %.7g %.7g) to "
-        "(%.7g %.7g %.7g), the low mesh (%.7g %.7g %.7g) to (%.7g %.7g %.7g): %s",
+        "(%.7g %.7g %.7g), the low-poly mesh (%.7g %.7g %.7g) to (%.7g %.7g %.7g): %s",
         job->report->front, job->report->back, scan->scan_min[0], scan->scan_min[1],
         scan->scan_min[2], scan->scan_max[0], scan->scan_max[1], scan->scan_max[2],
         low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
@@ -248,7 +249,7 @@ static int fail_without_hit(const struct job *job)
         !in_same_place(scan, low) ? "are they in the same place and units?"
         : job->options->two_sided ? "try a larger --front and --back"
                                   : "try a larger --front and --back, or --two-sided "
-                                    "where the scan's faces are wound inwards");
+                                    "if the scan's faces are wound inwards");
 }
 
 static struct bake_tiles tiles_of(const struct job *job)
@@ -305,7 +306,7 @@ static int trace(struct job *job)
     return status;
 }
 
-/* Frees what only tracing needs. */
+/* Frees what is needed for tracing only. */
 static void end_tracing(struct job *job)
 {
     bake_device_close(job->device);

@@ -8,30 +8,30 @@ static const char help_format[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake --verify FILE...\n"
-    "Bakes the normals and colours of a scan into texture maps of a low-polygon mesh: fast from a\n"
-    "voxel grid (SCAN.nvdb), or exact from the scan's own triangles (SCAN.tris).\n"
+    "Bakes the normals and colours of a scan into texture maps of a low-poly mesh: fast from a\n"
+    "voxel grid (SCAN.nvdb), or exactly from the scan's own triangles (SCAN.tris).\n"
     "<MAP> in the output's name is replaced by the name of the map. A name that ends in .exr gives\n"
     "OpenEXR files, one that ends in .png PNG files.\n"
     "\n"
-    "  -o, --output FILE       the maps; \"<MAP>\" must be in it if there are several\n"
-    "      --maps LIST         what to bake, separated by commas:\n"
+    "  -o, --output FILE       the maps; must contain \"<MAP>\" if there are several\n"
+    "      --maps LIST         the maps to bake, separated by commas:\n"
     "%s"
     "      --size N | WxH      texels (default: 2048)\n"
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
     "      --front D           length of the rays outwards, in the mesh's units (default: auto)\n"
     "      --back D            length of the rays inwards (default: auto)\n"
-    "      --two-sided         also hit surfaces that face away from the low mesh\n"
-    "      --sampling MODE     trilinear or nearest, of a grid (default: trilinear)\n"
-    "      --scan-normals MODE smooth or flat: of triangles that have none (default: smooth)\n"
+    "      --two-sided         also hit surfaces that face away from the low-poly mesh\n"
+    "      --sampling MODE     trilinear or nearest, for grids (default: trilinear)\n"
+    "      --scan-normals MODE smooth or flat: for triangles without normals (default: smooth)\n"
     "      --normal-space SPC  tangent (MikkTSpace) or object (default: tangent)\n"
     "      --green DIR         up (OpenGL) or down (Direct3D), for tangent space (default: up)\n"
-    "      --padding N         texels around each chart; all: everywhere (default: 16)\n"
+    "      --padding N         texels to fill around each chart; all: everywhere (default: 16)\n"
     "      --half, --float     type of OpenEXR samples (default: half)\n"
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
-    "      --preview FILE.png  a picture of the low mesh, the baked mesh and the scan\n"
+    "      --preview FILE.png  a picture of the low-poly mesh, the baked mesh and the scan\n"
     "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
-    "      --gpu-memory SIZE   most memory to use of a GPU, e.g. 2G (default: what is free)\n"
-    "      --list-devices      print the devices and end\n" CLI_VERIFY_HELP CLI_COMMON_HELP;
+    "      --gpu-memory SIZE   most memory of a GPU to use, e.g. 2G (default: what is free)\n"
+    "      --list-devices      print the devices and exit\n" CLI_VERIFY_HELP CLI_COMMON_HELP;
 
 enum {
     OPT_MAPS = CLI_OWN,
@@ -118,7 +118,7 @@ static bool parse_side(const char **text, uint32_t *out)
     return digit && value >= 1 && value <= BAKE_MAX_SIDE;
 }
 
-/* "2048" or "4096x2048". */
+/* Parses "2048" or "4096x2048". */
 static int parse_size(struct cli *cli, struct bake_options *bake)
 {
     const char *at = optarg;

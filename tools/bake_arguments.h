@@ -1,4 +1,4 @@
-/* bake_arguments.h - what the command line of bisque-bake says. */
+/* bake_arguments.h - reads the command line of bisque-bake. */
 #ifndef BAKE_ARGUMENTS_H
 #define BAKE_ARGUMENTS_H
 
@@ -10,13 +10,12 @@ struct bake_arguments {
     bool list_devices;
     char **files; /* to verify */
     int file_count;
-    int sample_option; /* that chose bake.sample_type; 0: none did */
+    int sample_option; /* the option that chose bake.sample_type; 0: none */
 };
 
-/* Bits of bake_options.maps. */
-enum { MOST_MAPS = 32 };
+enum { MOST_MAPS = 32 }; /* bits of bake_options.maps */
 
-/* Reads the command line. Returns as cli_parse_options() does. */
+/* Reads the command line. Returns what cli_parse_options() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
 
 #endif

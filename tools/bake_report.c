@@ -1,8 +1,8 @@
 /* bake_report.c - see bake_report.h. */
 #include "tools/bake_report.h"
 
-/* More than this in a hundred rays that miss, in a hundred samples in charts above one another, or
- * in a hundred triangles outside of the map, are worth a hint. */
+/* Hints are given above this percentage of samples that miss, of samples in overlapping charts, or
+ * of triangles outside the map. */
 enum { HINT_PERCENT = 5 };
 
 /* ---- devices ---- */
@@ -55,9 +55,8 @@ static void hint_at_misses(struct cli *cli, const struct bake_arguments *argumen
              "%.1f %% of the samples found no surface within %g in front and %g behind: "
              "try a larger --front and --back%s",
              percent(report->misses, samples), report->front, report->back,
-             arguments->bake.two_sided
-                 ? ""
-                 : ", or --two-sided where the scan's faces are wound inwards");
+             arguments->bake.two_sided ? ""
+                                       : ", or --two-sided if the scan's faces are wound inwards");
 }
 
 static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
@@ -65,8 +64,8 @@ static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
     if (percent(report->overlapping_samples, report->samples) > HINT_PERCENT)
         bsq_warn(
             cli->ctx,
-            "%.1f %% of the samples lie in several triangles, as charts overlap: they show what the first "
-            "triangle in the file sees",
+            "%.1f %% of the samples lie in several triangles, because charts overlap: they show "
+            "the first of these triangles in the file",
             percent(report->overlapping_samples, report->samples));
 }
 
@@ -76,8 +75,8 @@ static void hint_at_outside(struct cli *cli, const struct bake_report *report)
     if (percent(report->outside_uv_triangles, report->low_triangles) > HINT_PERCENT)
         bsq_warn(
             cli->ctx,
-            "texture coordinates of %s reach out of 0..1: what lies outside, in another UDIM tile say, is not "
-            "baked",
+            "texture coordinates of %s reach out of 0..1: parts outside, such as other UDIM tiles, "
+            "are not baked",
             cli_counted_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
 }
 
@@ -118,7 +117,7 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
                cli_counted_text(report->kernel_calls, "call", "calls", samples),
                report->seconds_copies);
     if (report->passes > 1)
-        printf("passes: %s, the grid is larger than what may be used of the device's memory\n",
+        printf("passes: %s, because the grid is larger than the usable memory of the device\n",
                cli_count_text(report->passes, samples));
     cli_print_cost(cli);
 }

@@ -4,12 +4,13 @@
 
 #include "tools/bake_arguments.h"
 
-/* What was baked, as lines or as JSON, and a warning where many rays missed. `paths`
- * has the file of each map, in the order of bake_map_name(); NULL: the map was not baked. */
+/* Prints what was baked, as lines or as JSON, and warns of many misses, overlaps or triangles
+ * outside the map. paths: the file of each map, in the order of bake_map_name(); NULL: not baked.
+ */
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths);
 
-/* The devices that can be used. */
+/* Prints the devices that can be used, as lines or as JSON. */
 int bake_report_devices(struct cli *cli);
 
 #endif

@@ -1,4 +1,4 @@
-/* bisque-bake.c - a low mesh and a scan become texture maps. */
+/* bisque-bake.c - bakes a scan into texture maps of a low-poly mesh. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -6,7 +6,7 @@
 
 /* ---- outputs ---- */
 
-/* Names the files of all maps that are asked for; `paths` has MOST_MAPS entries. */
+/* Names the files of all maps to bake. paths: MOST_MAPS entries; the caller frees them. */
 static int name_outputs(struct cli *cli, const struct bake_options *bake, char **paths)
 {
     for (unsigned i = 0; bake_map_name(i); i++) {
@@ -43,7 +43,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
     char *paths[MOST_MAPS] = {NULL};
     struct bake_report report = {0};
     int status = bake_check_options(cli->ctx, bake);
-    /* The names of the files have to be known before the work. */
+    /* The files have to be known before the work, to check that no input is overwritten. */
     if (status == 0 && bake->maps == BAKE_MAPS_DEFAULT) {
         status = bake_default_maps(cli->ctx, bake->scan_path, &bake->maps);
         if (status == 0)

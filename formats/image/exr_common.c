@@ -1,7 +1,7 @@
 /* exr_common.c - errors and memory of the EXR writer and reader. */
 #include "formats/image/exr_internal.h"
 
-/* A failed read means a file that ends too early: had the disk failed, the stream would know. */
+/* EXR_ERR_READ_IO is bad data: the file ends too early. Callbacks record failures of the disk. */
 static int status_of(exr_result_t result)
 {
     switch (result) {
@@ -38,7 +38,7 @@ void fmt_exr_set_status(struct fmt_exr_stream *stream, int status)
 void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message)
 {
     void *user = NULL;
-    if (result == EXR_ERR_CORRUPT_CHUNK) /* may be tried again: the caller's to describe */
+    if (result == EXR_ERR_CORRUPT_CHUNK) /* the caller may try again, and describes it */
         return;
     if (!file || exr_get_user_data(file, &user) != EXR_ERR_SUCCESS || !user)
         return;

@@ -1,4 +1,4 @@
-/* exr_internal.h - what the EXR writer and reader share. */
+/* exr_internal.h - errors and memory of the EXR writer and reader; private to this room. */
 #ifndef FMT_IMAGE_EXR_INTERNAL_H
 #define FMT_IMAGE_EXR_INTERNAL_H
 
@@ -7,26 +7,27 @@
 
 #include "base/context.h"
 
-/* What OpenEXR's callbacks get as user data. It stands first in the structures that own a file. */
+/* User data of OpenEXR's callbacks; the first member of the structures that own a file. */
 struct fmt_exr_stream {
     struct bsq_ctx *ctx;
     const char *path;  /* the final name, for messages */
-    atomic_int status; /* of the first failure that OpenEXR or a callback described; what OpenEXR
-                        * returns may be a consequence */
+    atomic_int status; /* of the first failure that OpenEXR or a callback recorded; later results of
+                        * OpenEXR may be consequences of it */
 };
 
-/* Turns a result of OpenEXR into a status. When reading, the library has described the failure
- * through fmt_exr_on_error() already; this describes results that came without. */
+/* Turns a result of OpenEXR into a status. Records an error message, unless a callback has recorded
+ * one already. */
 int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result);
 
-/* For callbacks that read or write: keeps a failure, which is described already. */
+/* Keeps the status of a failed callback, if it is the first; the callback has recorded the message.
+ */
 void fmt_exr_set_status(struct fmt_exr_stream *stream, int status);
 
-/* Error callback of a file that is read: records the message with the file's name, except for
- * EXR_ERR_CORRUPT_CHUNK. */
+/* Records OpenEXR's message with the file's name, except for EXR_ERR_CORRUPT_CHUNK. The error
+ * callback of files that are read. */
 void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message);
 
-/* Memory that one chunk's coding takes inside OpenEXR: packed, compressed, scratch. */
+/* Returns the bytes that OpenEXR allocates to code one chunk: packed, compressed and scratch. */
 uint64_t fmt_exr_coding_bytes(uint64_t chunk_bytes);
 
 #endif

@@ -1,8 +1,8 @@
-/* exr_read.c - reads an EXR file whole.
+/* exr_read.c - reads a whole EXR file.
  *
  * Sizes in the header are checked against the memory budget before anything of that size is
- * allocated, by OpenEXR too: what its decoders will need follows from the chunk size. Chunks
- * (blocks of lines, or tiles) are decoded on all threads straight into the interleaved image. */
+ * allocated. This includes OpenEXR's own memory, which follows from the chunk size. All threads
+ * decode chunks (blocks of lines, or tiles) straight into the interleaved image. */
 #include "formats/image/exr_read.h"
 
 #include <half.h>
@@ -13,7 +13,7 @@
 #include "base/parallel.h"
 #include "formats/image/exr_internal.h"
 
-enum { UNPACKING_BYTES = 64 << 10 }; /* what zlib needs at least to unpack */
+enum { UNPACKING_BYTES = 64 << 10 }; /* zlib needs at least this memory to unpack */
 
 struct reader {
     struct fmt_exr_stream stream; /* first: OpenEXR's user data */
@@ -29,7 +29,7 @@ struct reader {
     uint64_t reserved_bytes;
 };
 
-/* Where a chunk's samples go. */
+/* Where unpack_chunk() writes a chunk's samples. */
 struct target {
     const struct fmt_exr_image *image;
     float *samples;
@@ -91,9 +91,9 @@ static int read_layout(struct reader *reader)
     reader->chunk_height = (uint32_t)chunk_height;
     reader->chunks_across = (image->width - 1) / reader->chunk_width + 1;
     reader->chunks_down = (image->height - 1) / reader->chunk_height + 1;
-    /* OpenEXR allocates this table, outside the budget. */
+    /* OpenEXR allocates this table outside the memory budget. */
     if ((uint64_t)reader->chunks_across * reader->chunks_down > reader->input.size / 8)
-        return refuse(reader, "truncated: its table of blocks is longer than the file");
+        return refuse(reader, "truncated: the table of blocks is longer than the file");
     return 0;
 }
 
@@ -177,8 +177,8 @@ static exr_result_t chunk_info(const struct reader *reader, uint32_t column, uin
     return exr_read_scanline_chunk_info(reader->file, 0, y, info);
 }
 
-/* Spreads one channel of one line over the interleaved image. Samples in the file are little-endian
- * and not aligned. */
+/* Writes one channel of one line to the interleaved image; `stride` counts floats. Samples in the
+ * file are little-endian and not aligned. Returns the end of the line in the file. */
 static const uint8_t *unpack_line(const exr_coding_channel_info_t *channel, const uint8_t *in,
                                   uint32_t width, float *out, size_t stride)
 {
@@ -200,8 +200,8 @@ static const uint8_t *unpack_line(const exr_coding_channel_info_t *channel, cons
     return in;
 }
 
-/* Stands for OpenEXR's own unpacking, whose shortcuts for interleaved output take the channels of
- * some four-channel files in the wrong order (3.1.5). */
+/* Replaces OpenEXR's own unpacking. For interleaved output of some four-channel files,
+ * version 3.1.5 takes the channels in the wrong order. */
 static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
 {
     const struct target *target = decoder->decoding_user_data;
@@ -219,9 +219,9 @@ static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
     return EXR_ERR_SUCCESS;
 }
 
-/* OpenEXR says the same of a damaged block and of memory that ran out while it was unpacked, so the
- * latter is looked for before the file is blamed. Volatile, or a compiler may leave the look out.
- */
+/* Decodes a chunk. OpenEXR returns the same result for a damaged chunk and for memory that ran out.
+ * So this tries to allocate before it blames the file. `probe` is volatile, or a compiler may
+ * remove the attempt. */
 static exr_result_t run_decoder(struct reader *reader, exr_decode_pipeline_t *decoder)
 {
     exr_result_t r = exr_decoding_run(reader->file, 0, decoder);
@@ -253,7 +253,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
     exr_result_t r = chunk_info(reader, column, row, &info);
     if (r != EXR_ERR_SUCCESS)
         return fmt_exr_status(&reader->stream, r);
-    /* A chunk that does not match its place would be decoded outside the image. */
+    /* A chunk of another size would be decoded outside the image. */
     uint64_t expected = (uint64_t)width * height * reader->pixel_bytes;
     if (info.width != (int32_t)width || info.height != (int32_t)height ||
         info.unpacked_size != expected || info.packed_size > reader->input.size ||
@@ -275,7 +275,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
     return fmt_exr_status(&reader->stream, r);
 }
 
-/* ---- public ---- */
+/* ---- the file ---- */
 
 static int allocate(struct reader *reader)
 {

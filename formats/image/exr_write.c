@@ -1,8 +1,8 @@
 /* exr_write.c - streaming EXR writer.
  *
- * OpenEXR compresses blocks of 16 lines that do not depend on each other. Each slot of a pipeline
- * owns an encoder; the slots compress at the same time and the pipeline hands their bytes to the
- * file from top to bottom, so the file is the same for any number of threads. */
+ * OpenEXR compresses blocks of 16 lines independently. Each slot of a pipeline owns an encoder. The
+ * slots compress in parallel, and the pipeline writes their bytes from top to bottom. So the file
+ * is the same for any number of threads. */
 #include "formats/image/image_writer.h"
 
 #include <string.h>
@@ -18,7 +18,7 @@ struct slot {
     bool ready; /* the encoder was initialised */
     uint32_t first_row;
     const float *samples;
-    const void *packed; /* what write_fn was given */
+    const void *packed; /* compressed block, in the encoder's memory */
     uint64_t packed_bytes;
 };
 
@@ -51,7 +51,7 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
     return status < 0 ? -1 : (int64_t)size;
 }
 
-/* Stands for the encoder's own write step, so that blocks reach the file in order. */
+/* Replaces the encoder's own write step, so that blocks reach the file in order. */
 static exr_result_t keep_packed(exr_encode_pipeline_t *encoder)
 {
     struct slot *slot = encoder->encoding_user_data;
@@ -60,8 +60,8 @@ static exr_result_t keep_packed(exr_encode_pipeline_t *encoder)
     return EXR_ERR_SUCCESS;
 }
 
-/* OpenEXR calls this with the file's lock held, where asking the file for its user data would wait
- * for ever; so failures are described from their codes, by fmt_exr_status(). */
+/* Does nothing. OpenEXR calls it while it holds the file's lock, so that asking the file for its
+ * user data would deadlock. fmt_exr_status() describes failures from their codes instead. */
 static void leave_to_caller(exr_const_context_t file, exr_result_t result, const char *message)
 {
     (void)file;
@@ -73,7 +73,7 @@ static void leave_to_caller(exr_const_context_t file, exr_result_t result, const
 
 static exr_result_t set_color_attributes(exr_context_t file, bool data)
 {
-    /* colorInteropID is the EXR standard's attribute, oiio:ColorSpace what OpenImageIO reads. */
+    /* The EXR standard defines colorInteropID; OpenImageIO reads oiio:ColorSpace. */
     exr_result_t r =
         exr_attr_set_string(file, 0, "colorInteropID", data ? "data" : "lin_rec709_scene");
     if (r == EXR_ERR_SUCCESS)
@@ -105,7 +105,7 @@ static exr_result_t write_header(struct exr_writer *writer, const struct fmt_ima
     return r == EXR_ERR_SUCCESS ? exr_write_header(file) : r;
 }
 
-/* OpenEXR sorts channels by name; finds which sample belongs to each. */
+/* Finds the sample of each of the file's channels, which OpenEXR sorts by name. */
 static int map_channels(struct exr_writer *writer)
 {
     const exr_attr_chlist_t *list;
@@ -183,7 +183,7 @@ static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsig
     exr_result_t r = prepare_encoder(writer, slot);
     if (r == EXR_ERR_SUCCESS)
         r = exr_encoding_run(writer->file, 0, &slot->encoder);
-    /* All that zlib can fail for when it packs into a buffer that is large enough. */
+    /* The buffer is large enough, so zlib can only have run out of memory. */
     if (r == EXR_ERR_CORRUPT_CHUNK)
         r = EXR_ERR_OUT_OF_MEMORY;
     return fmt_exr_status(&writer->stream, r);
@@ -245,10 +245,10 @@ static int allocate(struct exr_writer *writer)
 static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
-    /* OpenEXR counts in int32_t: bytes from line to line, and rows. */
+    /* OpenEXR holds the bytes of a line and the number of rows in int32_t. */
     if (options->height > INT32_MAX || options->channel_count > MOST_CHANNELS ||
         (uint64_t)options->width * options->channel_count > INT32_MAX / sizeof(float))
-        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is no size for an EXR file",
+        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is too large for an EXR file",
                         base->path, options->width, options->height);
     writer->stream.ctx = base->ctx;
     writer->stream.path = base->path;
@@ -266,8 +266,8 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     return status < 0 ? status : map_channels(writer);
 }
 
-/* Closing a file writes its line table. Of an unfinished file OpenEXR complains; then the first
- * failure is recorded already. */
+/* Closes the file, which writes its line table. Returns an error for an unfinished file; the
+ * failure that left it unfinished is recorded already. */
 static exr_result_t close_file(struct exr_writer *writer)
 {
     for (unsigned i = 0; writer->slots && i < writer->slot_count; ++i) {

@@ -1,4 +1,4 @@
-/* image_writer.c - the table of formats, and what their writers have in common: names, temporary
+/* image_writer.c - the table of formats, and the parts of writing that they share: names, temporary
  * files, and rows that wait until they fill a block. */
 #include "formats/image/image_writer.h"
 

@@ -3,7 +3,7 @@
  *
  * In: rows of interleaved float samples from top to bottom, on one thread. Out: a file that appears
  * whole or not at all. The bytes do not depend on the number of threads, all of which compress, or
- * on how many rows come at a time.
+ * on how many rows are written at a time.
  *
  * A new format is a source file that defines a struct fmt_image_format, and an entry of
  * fmt_image_formats[] in image_writer.c. */
@@ -31,7 +31,7 @@ struct fmt_image_options {
     /* Samples are linear Rec. 709 light, which integer formats encode as sRGB. Otherwise the file
      * says that they are no colour, so that readers do not transform them. */
     bool color;
-    const struct fmt_image_attribute *attributes; /* left out by formats without a place for text */
+    const struct fmt_image_attribute *attributes; /* a format may leave them out, as PNG does */
     uint32_t attribute_count;
 };
 
@@ -62,7 +62,7 @@ struct fmt_image_writer {
     struct bsq_output *output;
     char *path; /* the final name, for messages */
     uint32_t width, height, channel_count;
-    uint32_t block_rows; /* the format compresses so many rows together */
+    uint32_t block_rows; /* rows that the format compresses together */
     uint32_t rows_taken;
     uint32_t pending_rows;
     float *pending; /* rows that do not fill a block yet */

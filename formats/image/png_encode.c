@@ -1,13 +1,14 @@
-/* png_encode.c - samples to integers, rows to filtered rows, bands to deflate streams.
+/* png_encode.c - turns samples into integers, filters rows and deflates bands of rows.
  *
  * 8-bit samples are dithered with the additive recurrence of Roberts, "The Unreasonable
- * Effectiveness of Quasirandom Sequences", 2018: threshold = frac(x / g + y / g^2), g the plastic
- * number. In 32-bit fixed point it is exact on every machine, has no period that shows, and
+ * Effectiveness of Quasirandom Sequences", 2018: threshold = frac(x / g + y / g^2), where g is the
+ * plastic number. In 32-bit fixed point it is exact on every machine and has no visible period. It
  * averages to one half over every neighbourhood, so gradients keep their mean and do not band.
  *
- * A row's filter is the one whose bytes, taken as signed, have the smallest sum of sizes (PNG
- * specification, section 12.8). A band's first row needs the bytes of the row above, which are made
- * once more from its samples: so bands do not wait for each other. */
+ * Each row takes the filter whose bytes, read as signed numbers, have the smallest sum of absolute
+ * values (PNG specification, section 12.8). The first row of a band needs the bytes of the row
+ * above. They are computed again from the samples of that row, so bands do not wait for each other.
+ */
 #include "formats/image/png_internal.h"
 
 #include <math.h>
@@ -15,23 +16,24 @@
 #include <string.h>
 
 enum {
-    DEFLATE_LEVEL = 5, /* 9 takes several times as long for a few per cent of the size */
+    DEFLATE_LEVEL = 5, /* 9 takes several times as long and saves a few per cent of the size */
     WINDOW_BITS = 15,
     MEMORY_LEVEL = 9,
-    DEFLATE_BYTES = 1 << 19 /* what deflate takes with these settings, rounded up */
+    DEFLATE_BYTES = 1 << 19 /* memory of deflate with these settings, rounded up */
 };
 
 enum { FILTER_NONE, FILTER_SUB, FILTER_UP, FILTER_AVERAGE, FILTER_PAETH, FILTERS };
 
 /* ---- samples to bytes ---- */
 
-/* IEC 61966-2-1. */
+/* Encodes linear light as sRGB (IEC 61966-2-1). */
 static float srgb_from_linear(float v)
 {
     return v <= 0.0031308f ? 12.92f * v : 1.055f * powf(v, 1.0f / 2.4f) - 0.055f;
 }
 
-/* In [0, 1); channels are a third of a turn apart, so that grey does not dither in step. */
+/* Returns a threshold in [0, 1). Channels are a third apart, so that grey does not dither in step.
+ */
 static float dither_threshold(uint32_t x, uint32_t y, uint32_t channel)
 {
     uint32_t turn = x * 3242174889u + y * 2447445414u + channel * 1431655765u;
@@ -72,8 +74,8 @@ static uint8_t paeth(int left, int above, int corner)
     return (uint8_t)(to_above <= to_corner ? above : corner);
 }
 
-/* Bytes [begin, end) of a filtered row; `step` bytes a pixel, left and corner are 0 in the first
- * pixel. */
+/* Filters the bytes [begin, end) of a row. step: bytes of a pixel; begin must be at least `step`.
+ */
 static void filter_bytes(int filter, const uint8_t *row, const uint8_t *above, size_t begin,
                          size_t end, size_t step, uint8_t *out)
 {
@@ -100,6 +102,7 @@ static void filter_bytes(int filter, const uint8_t *row, const uint8_t *above, s
     }
 }
 
+/* Filters a row. In the first pixel, the bytes to the left count as 0. */
 static void filter_row(int filter, const uint8_t *row, const uint8_t *above, size_t bytes,
                        size_t step, uint8_t *out)
 {
@@ -112,6 +115,7 @@ static void filter_row(int filter, const uint8_t *row, const uint8_t *above, siz
     filter_bytes(filter, row, above, step, bytes, step, out);
 }
 
+/* Returns the sum of the absolute values of signed bytes. */
 static uint64_t cost(const uint8_t *bytes, size_t count)
 {
     uint64_t sum = 0;
@@ -120,7 +124,8 @@ static uint64_t cost(const uint8_t *bytes, size_t count)
     return sum;
 }
 
-/* Writes a row's filter and bytes; above is NULL in the first row of the image. */
+/* Writes the number of the best filter and the filtered row. above: NULL in the first row of the
+ * image, which only tries filters that need no row above. */
 static void write_row(struct fmt_png_encoder *encoder, const uint8_t *row, const uint8_t *above,
                       size_t bytes, size_t step, uint8_t *out)
 {

@@ -1,4 +1,4 @@
-/* png_internal.h - compresses a band of rows for a PNG file. */
+/* png_internal.h - compresses a band of rows for a PNG file; private to this room. */
 #ifndef FMT_IMAGE_PNG_INTERNAL_H
 #define FMT_IMAGE_PNG_INTERNAL_H
 
@@ -10,17 +10,17 @@ struct fmt_png_layout {
     uint32_t width, height;
     uint32_t channel_count; /* 1 grey, 3 RGB, 4 RGBA */
     uint32_t bits;          /* 8 or 16 */
-    bool srgb;              /* samples are linear light, to be encoded as sRGB and tagged so; else
-                             * raw, tagged with gamma 1.0 */
+    bool srgb;              /* samples are linear light: encode and tag them as sRGB; otherwise they
+                             * are data, tagged with gamma 1.0 */
 };
 
-/* Encoder of one band of rows; several work at the same time. */
+/* Encodes one band of rows at a time. Different encoders may work in parallel. */
 struct fmt_png_encoder {
     z_stream deflate;
-    bool ready;        /* deflate was initialised */
-    uint8_t *rows[2];  /* the current row as bytes, and the one above */
+    bool ready;        /* `deflate` is initialised */
+    uint8_t *rows[2];  /* the current row as bytes, and the row above it */
     uint8_t *trial;    /* a row, filtered */
-    uint8_t *filtered; /* the band: of each row, its filter's number and its bytes */
+    uint8_t *filtered; /* the band: for each row the filter's number and the filtered bytes */
     uint8_t *packed;   /* the band, deflated */
     uint64_t packed_capacity, packed_bytes;
     uint64_t filtered_bytes;
@@ -42,8 +42,8 @@ struct fmt_png_band {
     uint32_t first_row, rows;
 };
 
-/* Encodes a band to a part of a deflate stream. The parts of all bands in order are the stream; the
- * band with the image's last row ends it. */
+/* Encodes a band as a part of a deflate stream. The parts of all bands in order make the stream,
+ * which the band with the image's last row ends. Errors: BSQ_EBUG. */
 int fmt_png_encode(struct bsq_ctx *ctx, struct fmt_png_encoder *encoder,
                    const struct fmt_png_layout *layout, const struct fmt_png_band *band);
 

@@ -1,9 +1,9 @@
 /* png_write.c - streaming PNG writer (docs/decisions/0024-png-bands-in-parallel.md).
  *
- * libpng writes the header and the chunks' framing. Compression, which takes nearly all of the
- * time, is done here, as libpng does it on one thread: bands of rows are filtered and deflated
- * independently (png_encode.c) and their pieces joined to one stream, which is the same for any
- * number of threads. */
+ * libpng writes the header and the framing of chunks. Compression takes nearly all of the time, and
+ * libpng does it on one thread. So png_encode.c filters and deflates bands of rows independently,
+ * on all threads, and this file joins them to one stream. The stream is the same for any number of
+ * threads. */
 #include <png.h>
 #include <string.h>
 
@@ -11,7 +11,7 @@
 #include "base/parallel.h"
 #include "formats/image/png_internal.h"
 
-#define BAND_BYTES (UINT64_C(512) << 10) /* bands this large lose next to nothing in size */
+#define BAND_BYTES (UINT64_C(512) << 10) /* larger bands would hardly make files smaller */
 
 static const uint8_t zlib_header[2] = {0x78, 0x5e}; /* deflate, 32 KiB window, level 5 */
 
@@ -25,14 +25,14 @@ struct png_writer {
     struct fmt_png_layout layout;
     png_structp png;
     png_infop info;
-    uint32_t rows_written; /* handed to encoders */
-    float *above;          /* the last row that was handed to encoders */
-    uint32_t checksum;     /* Adler-32 of what was written */
+    uint32_t rows_written; /* rows given to encoders */
+    float *above;          /* samples of the last row of the previous batch */
+    uint32_t checksum;     /* Adler-32 of the filtered bytes written so far */
     struct slot *slots;
     unsigned slot_count;
 };
 
-/* ---- callbacks of libpng; failures leave it by longjmp ---- */
+/* ---- callbacks of libpng, which ends a failed call by longjmp ---- */
 
 static void on_error(png_structp png, png_const_charp message)
 {
@@ -92,7 +92,7 @@ static int write_header(struct png_writer *writer)
     png_structp png = writer->png;
     if (setjmp(png_jmpbuf(png)))
         return BSQ_EIO;
-    png_set_user_limits(png, PNG_UINT_31_MAX, PNG_UINT_31_MAX); /* a million by default */
+    png_set_user_limits(png, PNG_UINT_31_MAX, PNG_UINT_31_MAX); /* the default is a million */
     png_set_write_fn(png, writer, write_bytes, flush_bytes);
     png_set_IHDR(png, writer->info, layout->width, layout->height, (int)layout->bits, type,
                  PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
@@ -215,10 +215,10 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
 {
     struct png_writer *writer = (struct png_writer *)base;
     if (options->width > PNG_UINT_31_MAX / 8 || options->height > PNG_UINT_31_MAX)
-        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is no size for a PNG file",
+        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is too large for a PNG file",
                         base->path, options->width, options->height);
     if (options->channel_count != 1 && options->channel_count != 3 && options->channel_count != 4)
-        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: PNG has no images of %u channels", base->path,
+        return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: PNG files cannot have %u channels", base->path,
                         options->channel_count);
     writer->layout = (struct fmt_png_layout){.width = options->width,
                                              .height = options->height,

@@ -1,9 +1,10 @@
-/* exact_tiles.c - a map's samples as batches of exact rays.
+/* exact_tiles.c - traces the samples of a map as batches of exact rays.
  *
- * The map is cut into batches of tiles, each as large as the budget allows. Tiles go along a curve
- * through the scan, not through the map, so that a chunk's rays are in few batches however the
- * charts are laid out. Which triangle a sample lies in is found anew in each of the three passes
- * over a tile: that costs less than keeping it. Rays and sums are those of the kernel. */
+ * The tiles of a map form batches, each as large as the budget allows. Tiles are ordered along a
+ * curve through the scan, not through the map. So the rays that cross a chunk are in few batches,
+ * whatever the layout of the charts. Each of the three passes over a tile rasterises it again,
+ * which costs less than keeping the triangle of every sample. Rays and sums are computed by the
+ * kernel's functions. */
 #include "libbake/exact/exact.h"
 
 #include <math.h>
@@ -15,22 +16,22 @@
 #include "libbake/kernel/bk_sample.h"
 
 struct tile {
-    uint64_t place;   /* on the curve */
-    uint32_t index;   /* of the raster */
-    uint32_t samples; /* inside triangles */
+    uint64_t place;   /* on the curve through the scan */
+    uint32_t index;   /* number of the tile in the raster */
+    uint32_t samples; /* that lie in triangles */
 };
 
 struct job {
     struct bsq_ctx *ctx;
     const struct bake_exact_tiles *exact_tiles;
     const struct bake_tiles *tiles;   /* of exact_tiles */
-    struct bake_tile_workers workers; /* with texels for a row */
+    struct bake_tile_workers workers; /* with sums for one row of texels */
     struct tile *order;
     uint32_t tile_count;
     struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
-    /* The batch: tiles order[first .. first + count), whose rays begin at starts[]. */
+    /* The current batch: tiles order[first .. first + count). */
     uint32_t first, count;
-    uint64_t *starts; /* tile_count + 1; of the whole order */
+    uint64_t *starts; /* tile_count + 1: first ray of order[i], counted over all batches */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
     uint32_t *footprints;
@@ -39,6 +40,7 @@ struct job {
 
 /* ---- counting and ordering ---- */
 
+/* Returns where the centre of a triangle of the low-poly mesh lies on the curve. */
 static uint64_t place_of(const struct job *job, uint32_t triangle)
 {
     const struct bake_exact_info *info = bake_exact_get_info(job->exact_tiles->exact);
@@ -59,6 +61,7 @@ static uint32_t tile_samples(const struct job *job, const struct bk_tile *tile)
     return tile->width * n * (tile->height * n);
 }
 
+/* Counts the samples of a tile, and places the tile on the curve by its middle sample. */
 static int count_tile(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
@@ -114,6 +117,7 @@ static bk_point sample_point(const struct job *job, const struct bk_tile *tile, 
                        bk_sample_place(tile->y + row / n, row % n, n));
 }
 
+/* Writes the rays of a tile to the batch. */
 static int cast_tile(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
@@ -169,8 +173,8 @@ static void add_sample(const struct job *job, const bk_point *point,
     bk_add_sample(job->tiles->params, &placed, 0, texel);
 }
 
-/* Hits are in the order of a tile's samples, row by row, so a row of texels is summed together:
- * each of its texels gets its samples in the same order as in the kernel. */
+/* Sums a row of texels. Hits come in rows of samples, so the texels of the row are summed together.
+ * Each texel gets its samples in the same order as in the kernel. */
 static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t texel_row,
                     const uint32_t *sample_triangles, uint64_t *next, float *texels)
 {
@@ -188,6 +192,7 @@ static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t 
     }
 }
 
+/* Sums and resolves a tile, and writes it to the image. */
 static int resolve_tile(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
@@ -208,7 +213,7 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
 
 /* ---- batches ---- */
 
-/* Takes as many of the next tiles as fit. Returns their texels. */
+/* Takes the next tiles, as many as fit. Returns the number of their texels. */
 static uint64_t choose_batch(struct job *job)
 {
     uint64_t texels = 0;
@@ -274,7 +279,7 @@ static int allocate_tiles(struct job *job)
     return status;
 }
 
-/* Room for as many rays as the budget has, but for a tile's at least. */
+/* Allocates as many rays as the budget allows, but at least those of the largest tile. */
 static int allocate_rays(struct job *job)
 {
     const uint64_t all = job->starts[job->tile_count];

@@ -1,7 +1,7 @@
 /* map_encode.c - see map_encode.h.
  *
- * Maps have no alpha: every program reads three channels of a normal map, and an alpha channel
- * would make some of them multiply the dilated texels away. The mask is a map of its own. */
+ * Maps have no alpha channel. Some programs would multiply colours by it, and so blacken the
+ * dilated texels around the charts. The mask is a map of its own. */
 #include "libbake/maps/map_encode.h"
 
 #include <stdio.h>

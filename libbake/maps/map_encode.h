@@ -1,5 +1,5 @@
-/* map_encode.h - from texels of the image to rows and texts of a map's file; private to this room.
- */
+/* map_encode.h - encodes texels of the image as rows of a map's file, describes the map in the
+ * file's header, and makes thumbnails; private to this room. */
 #ifndef BAKE_MAPS_MAP_ENCODE_H
 #define BAKE_MAPS_MAP_ENCODE_H
 
@@ -7,23 +7,23 @@
 
 struct bake_encoder {
     const struct bake_map_row *row;
-    uint32_t offset; /* of the map's values in a texel of the image */
+    uint32_t offset; /* of the map's first value in a texel of the image */
     struct bake_encoding encoding;
 };
 
-/* Prepares for map `number` of an image with these maps. */
+/* Prepares an encoder for map `number` of an image with the maps `maps`. */
 void bake_encoder_init(const struct bake_options *options, uint32_t maps, unsigned number,
                        struct bake_encoder *out);
 
-/* Encodes a row as bake_padding_row() gives it; `channels` is the image's. */
+/* Encodes a row from the results of bake_dilation_row(). channels: of the image. */
 void bake_encode_row(const struct bake_encoder *encoder, const float *const *sources,
                      const float *texels, uint32_t channels, uint32_t width, float *out);
 
-/* Lists the attributes of a map's file. They point into *out. */
+/* Lists the attributes of a map's file. The list points to texts in *out. */
 void bake_describe_map(const struct bake_options *options, unsigned number,
                        const struct bake_traced *traced, struct bake_attributes *out);
 
-/* Adds rows of the map, three samples a texel. Every row is added once. */
+/* Adds rows of the map, three samples a texel. Every row must be added exactly once. */
 int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,
                        uint32_t rows, const float *samples);
 

@@ -1,7 +1,8 @@
-/* map_files.c - from the baked image to files.
+/* map_files.c - writes the baked image to files, one band of rows after another.
  *
- * A band of rows at a time: find each texel's source (dilation.c), encode all maps' rows on all
- * threads, hand them to the writers. All files are complete before the first gets its name. */
+ * For each band, dilation.c finds every texel's source, all threads encode the rows of all maps,
+ * and the image writers take the rows. All files are complete before the first gets its final name.
+ */
 #include <stdlib.h>
 #include <string.h>
 
@@ -11,7 +12,7 @@
 #include "libbake/maps/map_encode.h"
 
 enum { BAND_STEP = 64 };
-#define BAND_BYTES (UINT64_C(128) << 20) /* more does not make anything faster */
+#define BAND_BYTES (UINT64_C(128) << 20) /* larger bands are not faster */
 
 struct map_file {
     uint32_t map; /* bit of enum bake_map */
@@ -23,12 +24,12 @@ struct map_file {
 
 struct bake_map_files {
     struct bsq_ctx *ctx;
-    char *beside; /* an output path */
+    char *beside; /* path of an output; temporary files go to its directory */
     uint32_t width, height, padding;
     uint32_t count;
     struct map_file files[BK_MAP_COUNT];
-    struct bake_padding *source; /* while writing */
-    uint32_t image_channels;     /* likewise */
+    struct bake_dilation *dilation; /* while writing */
+    uint32_t image_channels;        /* likewise */
 };
 
 /* ---- formats ---- */
@@ -46,7 +47,7 @@ static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options
     *format = fmt_image_format_of(path);
     if (!*format)
         return bsq_fail(ctx, BSQ_EUSAGE,
-                        "%s: maps are OpenEXR or PNG files: let the name end in .exr or .png",
+                        "%s: maps are OpenEXR or PNG files: the name must end in .exr or .png",
                         path);
     *type = asked == BAKE_SAMPLE_USUAL ? (*format)->usual_type
                                        : (enum fmt_sample_type)(asked - BAKE_UINT8);
@@ -75,7 +76,8 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
                         "%s: several maps need \"" BAKE_MAP_TOKEN "\" in the output's name", path);
     if (options->width == 0 || options->height == 0 || options->width > BAKE_MAX_SIDE ||
         options->height > BAKE_MAX_SIDE)
-        return bsq_fail(ctx, BSQ_EUSAGE, "a map of %u x %u texels: sides must be 1 to %u",
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "a map of %u x %u texels: its sides must be from 1 to %u texels",
                         options->width, options->height, BAKE_MAX_SIDE);
     return 0;
 }
@@ -157,7 +159,7 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     struct bake_map_files *files = arg;
     const float *const *sources;
     const float *texels;
-    bake_padding_row(files->source, (uint32_t)row, worker, &sources, &texels);
+    bake_dilation_row(files->dilation, (uint32_t)row, worker, &sources, &texels);
     for (uint32_t i = 0; i < files->count; ++i)
         bake_encode_row(&files->files[i].encoder, sources, texels, files->image_channels,
                         files->width, files->files[i].rows + row * row_samples(files, i));
@@ -177,11 +179,12 @@ static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t
     return status;
 }
 
-/* A quarter of what is left of the budget, and whole blocks of the writers. */
+/* Returns the rows of a band: from a quarter of the memory that is left in the budget, in whole
+ * blocks of the writers. */
 static uint32_t choose_band_rows(const struct bake_map_files *files, const struct bake_image *image)
 {
     uint64_t bytes = bsq_memory_left(files->ctx) / 4;
-    uint64_t row_bytes = bake_padding_row_bytes(image);
+    uint64_t row_bytes = bake_dilation_row_bytes(image);
     for (uint32_t i = 0; i < files->count; ++i)
         row_bytes += row_samples(files, i) * sizeof(float);
     if (bytes > BAND_BYTES)
@@ -217,12 +220,12 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
     double start = bsq_seconds_now();
     int status = allocate_rows(files, band_rows);
     if (status == 0)
-        status = bake_padding_create(files->ctx, image, band_rows, files->padding, files->beside,
-                                     &files->source);
+        status = bake_dilation_create(files->ctx, image, band_rows, files->padding, files->beside,
+                                      &files->dilation);
     uint32_t first_row = 0, rows = 1;
     bsq_progress_begin(files->ctx, "writing", "rows", files->height);
     while (status == 0) {
-        status = bake_padding_next_band(files->source, &first_row, &rows);
+        status = bake_dilation_next_band(files->dilation, &first_row, &rows);
         if (status < 0 || rows == 0)
             break;
         double padded = bsq_seconds_now();
@@ -237,8 +240,8 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
         bsq_progress_add(files->ctx, rows);
     }
     bsq_progress_end(files->ctx);
-    bake_padding_free(files->source);
-    files->source = NULL;
+    bake_dilation_free(files->dilation);
+    files->dilation = NULL;
     for (uint32_t i = 0; i < files->count; ++i) {
         bsq_free(files->ctx, files->files[i].rows);
         files->files[i].rows = NULL;

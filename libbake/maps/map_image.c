@@ -1,8 +1,8 @@
-/* map_image.c - the map while it is being baked.
+/* map_image.c - the image that is baked, in memory or in a temporary file.
  *
- * Large maps go to a temporary file in row order: tiles are written as short runs that the page
- * cache gathers, and the bands of the output stage are read in one piece each. What was never
- * written is a hole, which reads as zeros. */
+ * The file holds texels in row order. A tile is written as short runs, which the page cache
+ * gathers; a band is read at once. Texels that were never written are holes of the file and read as
+ * zeros. */
 #include "libbake/maps/maps.h"
 
 #include <string.h>
@@ -13,11 +13,12 @@ struct bake_image {
     struct bsq_ctx *ctx;
     uint32_t width, height, channels;
     size_t texel_bytes;
-    float *samples; /* NULL where the image is in `file` */
+    float *samples; /* NULL: the image is in `file` */
     struct bsq_file file;
 };
 
-static int place(struct bake_image *image, const struct bake_image_options *options)
+/* Chooses between memory and a file, and allocates or creates it. */
+static int allocate(struct bake_image *image, const struct bake_image_options *options)
 {
     struct bsq_ctx *ctx = image->ctx;
     uint64_t texels = (uint64_t)options->width * options->height, bytes;
@@ -44,7 +45,7 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
     image->channels = options->channels;
     image->texel_bytes = options->channels * sizeof(float);
     image->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    status = place(image, options);
+    status = allocate(image, options);
     if (status < 0)
         bake_image_free(image);
     else

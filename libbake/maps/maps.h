@@ -14,7 +14,7 @@
 
 /* ---- the table of maps ---- */
 
-/* How values become samples of a file: scale * value + bias in each channel. */
+/* A sample of a file is scale * value + bias, in each channel. */
 struct bake_encoding {
     float scale[3], bias[3];
     float background[3]; /* samples of texels without a value */
@@ -28,19 +28,18 @@ struct bake_attributes {
 };
 
 struct bake_map_row {
-    const char *summary; /* for --help */
-    uint32_t channels;   /* of a value and of the file: 1 or 3 */
-    bool by_default;     /* baked if no maps are named and the scan has what it needs */
-    bool needs_color;    /* from the scan */
-    bool color;          /* values are linear light; otherwise data, which is not transformed */
-    /* Sample types that hold its values, FMT_SAMPLE_BIT() or-ed, 0: all; and the one to use if none
-     * is asked for, BAKE_SAMPLE_USUAL: the format's. */
-    uint32_t sample_types;
+    const char *summary;   /* for --help */
+    uint32_t channels;     /* of a value and of the file: 1 or 3 */
+    bool by_default;       /* baked if no maps are named and the scan has what it needs */
+    bool needs_color;      /* from the scan */
+    bool color;            /* values are linear light; otherwise data, which is not transformed */
+    uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
+    /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */
     enum bake_sample_type usual_type;
-    /* Turns a texel's sums into its value; weight is 1 / hits. Returns false if they give none.
-     * NULL: the map shows the share of covered samples that hit, and is not dilated. */
+    /* Turns a texel's sums into its value; weight is 1 / hits. Returns false if the sums give no
+     * value. NULL: the map shows the share of covered samples that hit, and is not dilated. */
     bool (*resolve)(const float *sums, uint32_t channels, float weight, float *value);
-    /* Changes *out, which holds the identity and a black background; NULL: does not. */
+    /* Changes *out, which holds scale 1, bias 0 and a black background; NULL: keeps them. */
     void (*encode)(const struct bake_options *options, struct bake_encoding *out);
     /* Adds the map's own attributes; NULL: there are none. */
     void (*describe)(const struct bake_options *options, struct bake_attributes *out);
@@ -99,7 +98,7 @@ int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, 
 
 /* ---- tiles ---- */
 
-/* What all ways to trace a map's tiles need. */
+/* What tracing a map's tiles needs, on a grid or on triangles. */
 struct bake_tiles {
     const struct bake_raster *raster;
     const struct bk_triangle *triangles; /* of the low-poly mesh */
@@ -128,11 +127,12 @@ struct bake_tile_workers {
 };
 
 /* Creates zeroed counts and buffers, with sums of `texel_count` texels, and begins the progress
- * "tracing" with the texels of all tiles. To be ended, also after a failure. */
+ * "tracing" with the texels of all tiles. Call bake_tile_workers_end() also after a failure. */
 int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                             uint64_t texel_count, struct bake_tile_workers *out);
 
-/* Counts the worker's first `count` texels and writes what an image stores of them to `out`. */
+/* Adds the worker's first `count` texels to its counts, and writes them to `out` as the image
+ * stores them. */
 void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
                               struct bake_tile_worker *worker, uint32_t count, float *out);
 
@@ -151,7 +151,8 @@ struct bake_thumbnail {
     float (*texels)[3]; /* NULL: there is no such map */
 };
 
-/* Creates a black one with sides of at most `side` texels. Free with bake_thumbnail_free(). */
+/* Creates a black thumbnail with sides of at most `side` texels. Free with bake_thumbnail_free().
+ */
 int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t full_height,
                           uint32_t side, struct bake_thumbnail *out);
 void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail);

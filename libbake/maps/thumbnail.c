@@ -1,4 +1,4 @@
-/* thumbnail.c - box-filtered copies of maps, gathered row by row while the maps are written. */
+/* thumbnail.c - box-filtered copies of maps, summed while the rows of the maps are written. */
 #include "libbake/maps/map_encode.h"
 
 #include <math.h>
@@ -29,13 +29,14 @@ struct addition {
     const float *samples;
 };
 
+/* Returns how many of the map's texels a cell has along a side; the last cell may have fewer. */
 static uint32_t texels_in(uint32_t cell, uint32_t factor, uint32_t full)
 {
     uint32_t left = full - cell * factor;
     return left < factor ? left : factor;
 }
 
-/* Adds what the rows hold of one row of the thumbnail. */
+/* Adds to one row of the thumbnail all given rows that belong to it. */
 static int add_row(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
@@ -73,7 +74,7 @@ int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, ui
     return bsq_parallel_for(ctx, last - first + 1, add_row, &addition);
 }
 
-/* Texel below a coordinate and the share of the next one; clamped. */
+/* Finds the two cells around a coordinate and the weight of the second; clamped. */
 static void split(float at, uint32_t size, uint32_t cells[2], float *share)
 {
     float limit = (float)(size - 1);
@@ -85,7 +86,7 @@ static void split(float at, uint32_t size, uint32_t cells[2], float *share)
 
 void bake_thumbnail_sample(const struct bake_thumbnail *thumbnail, float u, float v, float out[3])
 {
-    /* The last cells may stand for fewer texels; coordinates are in whole ones. */
+    /* The last cells may have fewer texels, so the scale is that of whole cells. */
     float x = u * (float)thumbnail->full_width / (float)thumbnail->factor - 0.5f;
     float y = (1.0f - v) * (float)thumbnail->full_height / (float)thumbnail->factor - 0.5f;
     uint32_t columns[2], rows[2];

@@ -1,9 +1,11 @@
-/* tiles.c - what tracing a map's tiles has in common, on a grid or on triangles. */
+/* tiles.c - tile size, workers and resolving of a map's tiles, for grids and for triangles. */
 #include "base/parallel.h"
 #include "libbake/maps/maps.h"
 
+/* Sides in texels, and the tiles that each thread should at least get. */
 enum { LARGEST_TILE = 256, USUAL_TILE = 64, SMALLEST_TILE = 8, TILES_A_THREAD = 16 };
 
+/* Returns the largest size of a worker's buffers, which is that with all maps. */
 static uint64_t tile_bytes(uint64_t side, uint64_t samples)
 {
     uint64_t most_floats = bk_texel_floats(~0u) + bake_image_channels_for(~0u);
@@ -57,7 +59,7 @@ int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
     return status;
 }
 
-/* Writes the share and the values of a texel. */
+/* Writes a texel of the image: its share of hits and the values of the selected maps. */
 static void resolve_texel(const float *texel, uint32_t maps, float *out)
 {
     const float covered = texel[BK_COVERED], hits = texel[BK_HITS];

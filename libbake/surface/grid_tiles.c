@@ -1,7 +1,9 @@
-/* grid_tiles.c - tiles are independent: each worker rasterises, traces, resolves and stores one at
- * a time in buffers of its own. A grid that the device does not hold is traced in passes: while one
- * runs, a worker uploads what the next needs. Texels do not depend on the tile that they are in, so
- * the map is the same for any tile size and number of threads. */
+/* grid_tiles.c - traces the tiles of a map on a grid.
+ *
+ * Tiles are independent: each worker rasterises, traces, resolves and stores one tile at a time in
+ * its own buffers. A grid that does not fit the device is traced in passes; during a pass, one
+ * worker uploads the subgrid of the next. A texel does not depend on its tile, so the map is the
+ * same for any tile size and number of threads. */
 #include "libbake/surface/surface.h"
 
 #include <string.h>
@@ -13,10 +15,10 @@ struct trace {
     struct bsq_ctx *ctx;
     const struct bake_grid_tiles *grid;
     struct bake_tile_workers workers;
-    uint64_t pass; /* that runs; 0 without a plan */
+    uint64_t pass; /* the current pass; 0 without a plan */
 };
 
-/* Moves the samples of a rectangle of a tile's texels to the front, row after row. */
+/* Moves the samples of a rectangle of texels to the front of the tile's samples, row by row. */
 static void crop_samples(uint32_t *samples, const struct bk_tile *tile, uint32_t n,
                          const struct bake_rectangle *texels)
 {
@@ -36,7 +38,7 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
                                  texels->height};
     uint64_t overlaps = 0;
     bake_raster_fill(tiles->raster, piece->tile, worker->sample_triangles, &overlaps);
-    /* They are of the whole tile, and counted with its first piece. */
+    /* The overlaps of the whole tile are counted with its first piece. */
     worker->overlaps += texels->x == 0 && texels->y == 0 ? overlaps : 0;
     crop_samples(worker->sample_triangles, &whole, tiles->params->samples, texels);
     int status = bake_device_trace(trace->grid->device, &tile, worker->sample_triangles,
@@ -66,8 +68,8 @@ static int load_pass(const struct trace *trace, uint64_t pass)
                             &trace->grid->plan->passes[pass].subgrid);
 }
 
-/* A step of a pass: the first uploads for the next pass, the others trace; a single thread does one
- * after the other. */
+/* Does one step of a pass. Step 0 uploads the subgrid of the next pass, each other step traces a
+ * piece. */
 static int do_step(void *arg, uint64_t index, unsigned number)
 {
     struct trace *trace = arg;

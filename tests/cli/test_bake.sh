@@ -42,7 +42,7 @@ for option in $options; do
     out_like "  --$option|, --$option"
 done
 man_page bisque-bake $options
-# Each map that the help lists is in the man page.
+# The man page describes each map that the help lists.
 for map in $(sed -n '/--maps LIST/,/--size/s/^ \{28\}\([a-z]*\) .*/\1/p' "$out"); do
     grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
     check "the man page describes map $map" $?
@@ -112,7 +112,7 @@ $bake colored.nvdb low.obj -o a.exr --maps normal,color
 refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
 $bake $good --gpu-memory much
 refused 64 "$p --gpu-memory: \"much\" is not a size such as 512MiB or 4G"
-# Of an exact bake, which needs no device, and before any file is looked for, too.
+# Device names are checked before any file is opened, also for exact bakes, which need no device.
 for name in abacus '' cpu:0 cuda: cuda:x opencl:-1 opencl:4000000000; do
     for scan in plain.nvdb plain.tris none.nvdb; do
         $bake $scan low.obj -o a.exr --device "$name"
@@ -163,7 +163,7 @@ refused 64 "$p plain.exr: this output would overwrite an input"
 rm plain.exr
 for name in a.jpg a 'a_<MAP>.tif' exr; do
     $bake plain.nvdb low.obj -o "$name"
-    refused 64 "$p $name: maps are OpenEXR or PNG files: let the name end in .exr or .png"
+    refused 64 "$p $name: maps are OpenEXR or PNG files: the name must end in .exr or .png"
 done
 $bake plain.nvdb low.obj -o a.exr --preview p.jpg
 refused 64 "$p p.jpg: the picture is a PNG file: its name must end in .png"
@@ -177,7 +177,7 @@ files $start
 
 # ---- passes ----
 
-# A grid ten times as large as what may be used of the device's memory.
+# A grid ten times as large as the usable memory of the device.
 if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
     >/dev/null; then
     run bisque-voxelize low.obj -o large.nvdb --no-tris --resolution 720
@@ -195,12 +195,12 @@ if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | 
     $bake --size 160 large.nvdb low.obj --device cpu -o many.exr --json --gpu-memory 1M
     code 0
     json '.passes == 1'
-    # Room for tiles, but not for what a single texel's rays reach.
+    # Enough for the tiles, but not for the voxels that the rays of a single texel can reach.
     $bake $passes -o few.exr --gpu-memory 600K
     code 69
     err_like '^bisque-bake: the device.s memory leaves [0-9]+ bytes for a part of the grid, a texel.s rays reach [0-9]+'
     least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p' "$err")
-    # That is indeed the least.
+    # The message names the least size that works.
     $bake $passes -o few.exr --gpu-memory "$((${least:-1} - 2))"
     code 69
     $bake $passes -o few.exr --json --gpu-memory "${least:-600K}"
@@ -242,7 +242,7 @@ for threads in 1 5; do
 done
 rm t?_*.exr c_*.exr
 
-# A grid without colour: normals alone, unless colour is asked for.
+# Of a grid without colours only normals are baked by default.
 $bake $small plain.nvdb low.obj -o 'p_<MAP>.exr'
 code 0
 files p_normal.exr $start
@@ -272,7 +272,7 @@ code 0
 files look.png m.png n.png n8.png $start
 rm look.png m.png n.png
 
-# Options that change the map do so.
+# Options change the map.
 for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \
     "--sampling nearest" "--samples 3"; do
     $bake $small $option plain.nvdb low.obj -o b.png --png-bits 8 --maps normal
@@ -281,7 +281,7 @@ for option in "--green up" "--green down" "--normal-space object" "--padding 0" 
     "--green up")
         same b.png n8.png
         ;;
-    *) # the green channel of a flat map is 0.5, and nearest normals of a box are exact
+    *) # only these change a box: its green is 0.5 everywhere, and its nearest normals are exact
         case $option in *object | *padding*) ! cmp -s b.png n8.png
             check "$option changes the map" $? ;;
         esac
@@ -292,7 +292,7 @@ rm b.png n8.png
 
 # ---- misses ----
 
-# Moved along x, the two sides across x are out of reach of short rays.
+# After a move along x, short rays do not reach the two sides across x.
 awk '/^v / { $2 += 0.0625 } { print }' low.obj >moved.obj
 $bake $small plain.nvdb moved.obj -o moved.exr --front 0.03125 --back 0.03125 --json
 code 0
@@ -303,8 +303,8 @@ check "a hint at misses" $?
 rm moved.*
 
 # A box within the box, one farther away, and one in other units: no ray hits.
-spans='no ray hit within 0\.0625 in front and 0\.0625 behind: the scan spans \(0 0 0\) to \(1 2 3\), the low mesh '
-# without_hit SCALE MOVE TEXT OPTION...: the vertices are moved, and scaled from the scan's centre.
+spans='no ray hit within 0\.0625 in front and 0\.0625 behind: the scan spans \(0 0 0\) to \(1 2 3\), the low-poly mesh '
+# without_hit SCALE MOVE TEXT OPTION...: moves the vertices along x and scales them from the scan's centre.
 without_hit()
 {
     awk -v s="$1" -v m="$2" '/^v / { $2 = .5 + ($2 - .5) * s + m; $3 = 1 + ($3 - 1) * s; $4 = 1.5 + ($4 - 1.5) * s }
@@ -315,27 +315,27 @@ without_hit()
     code 65
     err_like "^$p $spans.*$text\$"
 }
-without_hit 0.75 0 ': try a larger --front and --back, or --two-sided where the scan.s faces are wound inwards'
+without_hit 0.75 0 ': try a larger --front and --back, or --two-sided if the scan.s faces are wound inwards'
 without_hit 0.75 0 ': try a larger --front and --back' --two-sided
 without_hit 1 5000000 '\(5000000 0 0\) to \(5000001 2 3\): are they in the same place and units\?'
 without_hit 1000 0 ': are they in the same place and units\?'
 rm away.obj
 
-# ---- charts above one another, and outside of the map ----
+# ---- charts that overlap or lie outside the map ----
 
 # All six sides in one place.
 awk '/^vt / { $2 = NR % 4 < 2 ? .25 : .75; $3 = NR % 4 == 1 || NR % 4 == 2 ? .25 : .75 } { print }' low.obj >stacked.obj
 $bake $small plain.nvdb stacked.obj -o charts.exr --json
 code 0
 json '.overlapping_samples == .samples'
-grep -q "^$p warning: 100\.0 % of the samples lie in several triangles, as charts overlap: " "$err"
+grep -q "^$p warning: 100\.0 % of the samples lie in several triangles, because charts overlap: " "$err"
 check "a hint at charts that overlap" $?
 awk '/^vt / { $2 += 0.5 } { print }' low.obj >outside.obj
 $bake $small plain.nvdb outside.obj -o charts.exr --json
 code 0
 json '.outside_uv_triangles * 20 > .low_triangles and .overlapping_samples == 0'
 grep -Eq "^$p warning: texture coordinates of [0-9]+ triangles reach out of 0\.\.1: " "$err"
-check "a hint at charts outside of the map" $?
+check "a hint at charts outside the map" $?
 rm charts.exr stacked.obj outside.obj
 
 # ---- failures on the way ----

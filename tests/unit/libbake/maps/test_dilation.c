@@ -76,7 +76,7 @@ static int64_t search(const struct map *map, int64_t x, int64_t y, uint32_t padd
 }
 
 struct check {
-    struct bake_padding *padding;
+    struct bake_dilation *padding;
     const struct map *map;
     const int64_t *expected;
     uint32_t first_row;
@@ -87,7 +87,7 @@ static int check_row(void *arg, uint64_t row, unsigned worker)
     struct check *check = arg;
     const float *const *sources;
     const float *texels;
-    bake_padding_row(check->padding, (uint32_t)row, worker, &sources, &texels);
+    bake_dilation_row(check->padding, (uint32_t)row, worker, &sources, &texels);
     for (uint32_t x = 0; x < check->map->width; ++x) {
         size_t i = (check->first_row + row) * check->map->width + x;
         int64_t found = sources[x] ? (int64_t)sources[x][1] : -1;
@@ -102,10 +102,10 @@ static void check_image(struct bsq_ctx *ctx, const struct map *map, const int64_
 {
     struct bake_image *image = make_image(ctx, map, in_memory);
     struct check check = {.map = map, .expected = expected};
-    assert_int_equal(bake_padding_create(ctx, image, band_rows, padding, NULL, &check.padding), 0);
+    assert_int_equal(bake_dilation_create(ctx, image, band_rows, padding, NULL, &check.padding), 0);
     uint32_t rows, next = 0;
     for (;;) {
-        assert_int_equal(bake_padding_next_band(check.padding, &check.first_row, &rows), 0);
+        assert_int_equal(bake_dilation_next_band(check.padding, &check.first_row, &rows), 0);
         if (rows == 0)
             break;
         assert_int_equal(check.first_row, next);
@@ -113,7 +113,7 @@ static void check_image(struct bsq_ctx *ctx, const struct map *map, const int64_
         next += rows;
     }
     assert_int_equal(next, map->height);
-    bake_padding_free(check.padding);
+    bake_dilation_free(check.padding);
     bake_image_free(image);
 }
 
