@@ -167,12 +167,12 @@ static size_t mapping_bytes(uint64_t bytes)
  * space. */
 static char *map_aligned(size_t size, int protection)
 {
-    size_t room = size + HUGE_BYTES;
-    char *at = mmap(NULL, room, protection, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    size_t reserved = size + HUGE_BYTES;
+    char *at = mmap(NULL, reserved, protection, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     if (at == MAP_FAILED)
         return NULL;
     uintptr_t start = (uintptr_t)at + PAGE_BYTES;
-    size_t before = (size_t)(-start & (HUGE_BYTES - 1)), after = room - before - size;
+    size_t before = (size_t)(-start & (HUGE_BYTES - 1)), after = reserved - before - size;
     if (before > 0)
         munmap(at, before);
     if (after > 0)

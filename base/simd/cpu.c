@@ -1,7 +1,8 @@
 /* cpu.c - which instruction sets this processor has. */
 #include "base/simd/simd.h"
 
-/* AVX-512 lowers the clock of its first processors by much. Those that have VBMI2 are later ones.
+/* The first processors with AVX-512 lower their clock much when they use it; those with VBMI2 do
+ * not.
  */
 enum bsq_simd bsq_simd_best(void)
 {

@@ -525,8 +525,8 @@ static const char *parse_plain_triangles(struct obj_block *block, const char *p,
                                          uint64_t last_face)
 {
     const uint64_t first = block->face_count;
-    const uint64_t room = (block->corner_capacity[FMT_MESH_VERTEX] - block->corner_count) / 3;
-    uint64_t limit = first + room;
+    const uint64_t capacity = (block->corner_capacity[FMT_MESH_VERTEX] - block->corner_count) / 3;
+    uint64_t limit = first + capacity;
     if (limit > block->face_capacity)
         limit = block->face_capacity;
     if (limit > last_face) /* the caller asks for the line of this face */

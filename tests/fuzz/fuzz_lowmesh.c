@@ -1,5 +1,5 @@
-/* fuzz_lowmesh.c - fuzz target for low meshes: what loads has unit frames and can be rasterised, in
- * small tiles and with several samples a texel. */
+/* fuzz_lowmesh.c - fuzz target for low-poly meshes: each mesh that loads has tangent frames of unit
+ * vectors, and can be rasterised in small tiles with several samples a texel. */
 #include "tests/fuzz/fuzz_file.h"
 
 #include <math.h>
@@ -15,17 +15,17 @@ static float length(const float v[3])
 
 static void check_mesh(const struct bake_lowmesh *mesh)
 {
-    require(mesh->triangle_count > 0, "a mesh without triangles");
+    require(mesh->triangle_count > 0, "a mesh has no triangles");
     for (uint64_t t = 0; t < mesh->triangle_count; t++)
         for (int i = 0; i < 3; i++) {
             float tangent = length(mesh->tangents[t][i]), sign = mesh->tangents[t][i][3];
             require(fabsf(length(mesh->normals[t][i]) - 1.0f) < 1e-3f,
-                    "a normal that is no unit vector");
+                    "a normal is not a unit vector");
             require(tangent == 0.0f || fabsf(tangent - 1.0f) < 1e-3f,
-                    "a tangent that is no unit vector");
-            require(sign == 1.0f || sign == -1.0f, "a bitangent without sign");
+                    "a tangent is not a unit vector");
+            require(sign == 1.0f || sign == -1.0f, "a bitangent sign is not 1 or -1");
             require(isfinite(mesh->texcoords[t][i][0]) && isfinite(mesh->texcoords[t][i][1]),
-                    "a texture coordinate that is not finite");
+                    "a texture coordinate is not finite");
         }
 }
 
@@ -36,13 +36,13 @@ static void check_tile(const struct bake_raster *raster, const struct bake_lowme
     struct bk_tile tile = bake_raster_tile(raster, index);
     uint64_t overlaps = 0;
     require(tile.width > 0 && tile.width <= TILE && tile.x + tile.width <= SIDE,
-            "a tile out of range");
+            "a tile is out of range");
     require(tile.height > 0 && tile.height <= TILE && tile.y + tile.height <= SIDE - 1,
-            "a tile out of range");
+            "a tile is out of range");
     bake_raster_fill(raster, index, samples, &overlaps);
     for (uint32_t i = 0; i < tile.width * tile.height * SAMPLES * SAMPLES; i++)
         require(samples[i] == BK_NO_TRIANGLE || samples[i] < mesh->triangle_count,
-                "a sample of no triangle");
+                "a sample's triangle is out of range");
 }
 
 static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
@@ -57,7 +57,7 @@ static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
     if (status)
         return status;
     require(report.degenerate_triangles + report.outside_triangles <= mesh->triangle_count,
-            "more odd triangles than triangles");
+            "more triangles are reported than exist");
     for (uint32_t i = 0; i < bake_raster_tile_count(raster); i++)
         check_tile(raster, mesh, i);
     status = bsq_alloc(ctx, "triangles", mesh->triangle_count, sizeof *triangles, &triangles);

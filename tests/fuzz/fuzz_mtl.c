@@ -10,10 +10,10 @@ static int use(struct bsq_ctx *ctx, const char *path)
     int status = fmt_mtl_read(ctx, path, &materials);
     for (uint32_t i = 0; !status && i < materials.count; i++) {
         const struct fmt_material *m = &materials.list[i];
-        require(m->name != NULL, "a material without name");
+        require(m->name != NULL, "a material has no name");
         for (int k = 0; k < 3; k++)
-            require(isfinite(m->diffuse[k]), "a colour that is not finite");
-        require(fmt_mtl_find(&materials, m->name) <= i, "a name that is not found");
+            require(isfinite(m->diffuse[k]), "a colour is not finite");
+        require(fmt_mtl_find(&materials, m->name) <= i, "a name is not found");
     }
     fmt_materials_free(ctx, &materials);
     return status;

@@ -1,5 +1,4 @@
-/* fuzz_obj.c - fuzz target for OBJ: what loads as a mesh has finite positions and indices in range.
- */
+/* fuzz_obj.c - fuzz target for OBJ: each mesh that loads has finite positions and valid indices. */
 #include "formats/mesh/mesh_reader.h"
 #include "tests/fuzz/fuzz_file.h"
 
@@ -11,14 +10,15 @@ static void check_mesh(const struct fmt_mesh *mesh)
         for (int c = 0; c < 3; c++)
             require(isfinite(mesh->positions[i][c]), "a position is not finite");
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
-        require(mesh->faces[t] < mesh->face_count, "a triangle of no face");
+        require(mesh->faces[t] < mesh->face_count, "a face number is out of range");
         for (int i = 0; i < 3; i++) {
-            require(mesh->vertices[t][i] < mesh->vertex_count, "a vertex out of range");
+            require(mesh->vertices[t][i] < mesh->vertex_count, "a vertex index is out of range");
             if (mesh->corner_texcoords && mesh->corner_texcoords[t][i] != UINT32_MAX)
                 require(mesh->corner_texcoords[t][i] < mesh->texcoord_count,
-                        "a texture coordinate out of range");
+                        "a texture coordinate index is out of range");
             if (mesh->corner_normals && mesh->corner_normals[t][i] != UINT32_MAX)
-                require(mesh->corner_normals[t][i] < mesh->normal_count, "a normal out of range");
+                require(mesh->corner_normals[t][i] < mesh->normal_count,
+                        "a normal index is out of range");
         }
     }
 }

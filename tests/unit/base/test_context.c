@@ -17,7 +17,7 @@
 #include "base/parallel.h"
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-/* Read by the sanitizers: allocations that are too large fail, as they do without them. */
+/* The sanitizers call these. Allocations that are too large then return NULL, as without them. */
 const char *__asan_default_options(void);
 const char *__tsan_default_options(void);
 const char *__asan_default_options(void)
@@ -127,7 +127,7 @@ static int fail_each(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     struct bsq_ctx *ctx = arg;
-    /* Distinct codes, so that a code that belongs to another text shows. */
+    /* Two codes, so that a code that does not belong to the text is found. */
     int status = index % 2 ? BSQ_EDATA : BSQ_EIO;
     return bsq_fail(ctx, status, "%d", status);
 }
@@ -170,7 +170,7 @@ static void test_warnings_come_one_at_a_time(void **state)
     struct bsq_ctx_options options = {.threads = 4, .on_warning = hear, .user = &heard};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     assert_int_equal(bsq_parallel_for(ctx, 1000, warn_each, ctx), 0);
-    assert_int_equal(heard.count, 1000); /* unguarded in hear(): a race would lose some */
+    assert_int_equal(heard.count, 1000); /* hear() takes no lock, so a race would lose some */
     bsq_warn(ctx, "two\nlines");
     assert_string_equal(heard.last, "two?lines");
     bsq_ctx_destroy(ctx);
@@ -234,7 +234,7 @@ static void test_sizes_that_overflow(void **state)
         assert_null(memory);
         assert_int_equal(capacity, 0);
     }
-    /* Addressable but not to be had. */
+    /* The size does not overflow, but no system has that much memory. */
     void *memory;
     assert_int_equal(bsq_alloc(ctx, "x", INT64_MAX / 2, 1, &memory), BSQ_ENOMEM);
     assert_int_equal(bsq_memory_used(ctx), 0);
@@ -282,7 +282,7 @@ static void test_growing_keeps_content(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* Blocks on both sides of a huge page's size, which are made in different ways. */
+/* Blocks below and above the size of a huge page, which are allocated in different ways. */
 static void test_large_blocks(void **state)
 {
     (void)state;
@@ -399,7 +399,7 @@ static void test_progress(void **state)
     assert_int_equal(seen.finished, 1);
     assert_string_equal(seen.stage, "testing");
     assert_in_range(seen.reports, 2, (unsigned)(seconds * 11) + 3);
-    bsq_progress_add(ctx, 1); /* outside of a stage: nothing to say */
+    bsq_progress_add(ctx, 1); /* outside of a stage: no report */
     bsq_progress_end(ctx);
     assert_int_equal(seen.finished, 1);
     bsq_ctx_destroy(ctx);
@@ -418,8 +418,8 @@ static double angle_degrees(struct bsq_vec3 a, struct bsq_vec3 b)
 static void test_octahedral_error(void **state)
 {
     (void)state;
-    /* A Fibonacci lattice covers the sphere evenly. Bounds: the survey's figures for 2 x 16 bits.
-     */
+    /* A Fibonacci lattice covers the sphere evenly. The bounds are those of 2 x 16 bits in Cigolle
+     * et al. 2014. */
     const int count = 200000;
     double sum = 0, worst = 0;
     for (int i = 0; i < count; i++) {

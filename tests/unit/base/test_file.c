@@ -21,9 +21,9 @@
 #include "base/output.h"
 #include "base/parallel.h"
 
-/* ---- calls of the system that stand before libc's here ---- */
+/* ---- replacements of functions of the C library ---- */
 
-static int interruptions; /* calls of fallocate() that a signal is to end */
+static int interruptions; /* number of calls of fallocate() that will return EINTR */
 static bool refuses_links;
 static int refused_links;
 
@@ -59,7 +59,7 @@ static int enter_directory(void **state)
 static int leave_directory(void **state)
 {
     (void)state;
-    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1; /* fails where a test left a file */
+    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1; /* fails if a test left a file */
 }
 
 static struct bsq_ctx *create(const char *tmpdir)
@@ -202,7 +202,7 @@ static void put_pages(const char *path)
     assert_int_equal(fclose(file), 0);
 }
 
-/* Reads one byte of a page; returns 1 where it is zero. */
+/* Checks the first byte of a page: 'x' in page 0, which still exists, and 0 in all others. */
 static int read_page(void *arg, uint64_t page, unsigned worker)
 {
     (void)worker;
@@ -222,14 +222,14 @@ static void test_map_that_shrinks(void **state)
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_int_equal(bsq_map_check(ctx, &map), 0);
     assert_int_equal(truncate("in", 100), 0);
-    /* From the pool's threads too, in any order. */
+    /* All threads read lost pages, in any order. */
     assert_int_equal(bsq_parallel_for(ctx, PAGES, read_page, &map), 0);
     assert_int_equal(bsq_map_check(ctx, &map), BSQ_EIO);
     assert_string_equal(bsq_error(ctx), "in: shrank from 262144 to 100 bytes while it was read");
     bsq_map_close(ctx, &map);
     bsq_clear_error(ctx);
 
-    /* It is whole again in the end, but zeros were read. */
+    /* The file has its old size again when it is checked, but zeros were read. */
     put_pages("in");
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_int_equal(truncate("in", PAGE), 0);
@@ -267,7 +267,7 @@ static void fault_elsewhere(const volatile char *byte)
         (void)*byte;
 }
 
-/* A handler that was there before gets what is not about a map, and is there again afterwards. */
+/* The previous handler gets signals that are not about a map, and is restored afterwards. */
 static void test_other_bus_errors(void **state)
 {
     (void)state;
@@ -459,8 +459,8 @@ static void test_failed_write_cannot_be_committed(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* Whether files here can have room set aside for them. */
-static bool sets_aside(void)
+/* Returns true if the file system of this directory can preallocate. */
+static bool preallocates(void)
 {
     int fd = open("probe", O_RDWR | O_CREAT | O_EXCL, 0600);
     assert_true(fd >= 0);
@@ -470,7 +470,7 @@ static bool sets_aside(void)
     return can;
 }
 
-static void test_room_is_set_aside(void **state)
+static void test_space_is_preallocated(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = create(NULL);
@@ -492,7 +492,7 @@ static void test_room_is_set_aside(void **state)
     assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
     int status = bsq_output_expect(output, 200);
     assert_int_equal(setrlimit(RLIMIT_FSIZE, &before), 0);
-    if (sets_aside()) {
+    if (preallocates()) {
         assert_int_equal(status, BSQ_EIO);
         assert_string_equal(bsq_error(ctx), "out: writing: File too large");
         assert_int_equal(bsq_output_commit(output), BSQ_EIO);
@@ -511,7 +511,7 @@ static void assert_too_short(struct bsq_ctx *ctx, int status)
     bsq_clear_error(ctx);
 }
 
-static void test_less_than_was_expected(void **state)
+static void test_less_than_expected(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = create(NULL);
@@ -532,7 +532,7 @@ static void test_less_than_was_expected(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_setting_room_aside_is_interrupted(void **state)
+static void test_preallocation_is_interrupted(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = create(NULL);
@@ -551,11 +551,11 @@ static void test_setting_room_aside_is_interrupted(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* ---- files that cannot be named later ---- */
+/* ---- unnamed files that cannot be linked ---- */
 
 enum { COPIED = 150000 };
 
-/* An output of COPIED bytes, all of them expected. */
+/* Opens an output that expects COPIED bytes, and writes them. */
 static struct bsq_output *open_to_copy(struct bsq_ctx *ctx, char *content)
 {
     struct bsq_output *output;
@@ -584,7 +584,7 @@ static void test_copying_to_a_name(void **state)
     assert_memory_equal(got, content, COPIED);
     unlink("out");
 
-    /* Nothing at all. */
+    /* An empty file. */
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
     refuses_links = true;
     assert_int_equal(bsq_output_commit(output), 0);
@@ -613,7 +613,7 @@ static void test_copying_to_a_name_fails(void **state)
     if (refused_links > 0) {
         assert_int_equal(status, BSQ_EIO);
         assert_non_null(strstr(bsq_error(ctx), "out: writing: File too large"));
-    } else { /* the file had a name all the time */
+    } else { /* the file had a name from the start */
         assert_int_equal(status, 0);
         unlink("out");
     }
@@ -639,9 +639,9 @@ int main(void)
         cmocka_unit_test(test_output_long_name_and_link),
         cmocka_unit_test(test_what_cannot_be_created),
         cmocka_unit_test(test_failed_write_cannot_be_committed),
-        cmocka_unit_test(test_room_is_set_aside),
-        cmocka_unit_test(test_less_than_was_expected),
-        cmocka_unit_test(test_setting_room_aside_is_interrupted),
+        cmocka_unit_test(test_space_is_preallocated),
+        cmocka_unit_test(test_less_than_expected),
+        cmocka_unit_test(test_preallocation_is_interrupted),
         cmocka_unit_test(test_copying_to_a_name),
         cmocka_unit_test(test_copying_to_a_name_fails),
     };

@@ -31,7 +31,7 @@ static void pause_microseconds(unsigned microseconds)
         nanosleep(&(struct timespec){.tv_nsec = (long)microseconds * 1000}, NULL);
 }
 
-/* A number that depends on its argument alone (Steele et al., SplitMix64, 2014). */
+/* Returns a number that depends on x alone (Steele et al., SplitMix64, 2014). */
 static uint64_t scramble(uint64_t x)
 {
     x += UINT64_C(0x9e3779b97f4a7c15);
@@ -113,7 +113,7 @@ static void test_loop_is_interrupted(void **unused)
     }
 }
 
-/* Two iterations that wait for each other pass only when they run at the same time. */
+/* Waits for the other iteration, so it succeeds only if both run at the same time. */
 static int meet(void *arg, uint64_t index, unsigned worker)
 {
     (void)index, (void)worker;
@@ -139,7 +139,7 @@ enum stage { NOWHERE, IN_PRODUCE, IN_WORK, IN_EMIT, IN_FOLLOW, IN_FINISH };
 
 struct slot {
     uint64_t sequence, value;
-    atomic_int owners; /* callbacks inside this slot right now */
+    atomic_int owners; /* callbacks that use this slot now */
 };
 
 struct pipe_state {
@@ -343,7 +343,7 @@ static void test_pipeline_failures(void **unused)
                 };
                 assert_int_equal(run(&state), BSQ_EDATA - (int)stage);
                 assert_int_equal(state.trouble, 0);
-                /* Nothing behind the failure is emitted, or finished. */
+                /* No later slot than the one that failed is emitted or finished. */
                 assert_true(stage > IN_EMIT || state.emitted <= state.fail_at + (stage == IN_EMIT));
                 assert_true(state.finished <= state.fail_at + (stage == IN_FINISH));
                 assert_true(state.produced <= state.fail_at + state.slot_count + 1);

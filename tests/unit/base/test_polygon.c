@@ -87,7 +87,7 @@ static void check_polygon(const double (*corners)[2], uint32_t n, const struct f
         for (int c = 0; c < 3; c++)
             positions[i][c] = frame->origin[c] + a[0] * frame->x[c] + a[1] * frame->y[c];
     }
-    double side = area < 0 ? -1 : 1; /* a clockwise polygon's triangles are clockwise, too */
+    double side = area < 0 ? -1 : 1; /* triangles turn as their polygon does */
     double tolerance = 1e-9 * size * size * (1 + sqrt(dot(frame->origin, frame->origin)));
     memset(triangles, 0xff, 3 * n * sizeof *triangles);
     bsq_triangulate((const double(*)[3])positions, n, triangles, scratch);
@@ -119,7 +119,7 @@ static void check_polygon(const double (*corners)[2], uint32_t n, const struct f
 
 static const struct frame flat = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
 
-/* Star-shaped about the origin: any radii give a simple polygon. */
+/* Makes a polygon that is star-shaped about the origin, and so simple for any radii. */
 static void random_star(double (*corners)[2], uint32_t n, double least_radius)
 {
     for (uint32_t i = 0; i < n; i++) {
@@ -149,7 +149,7 @@ static void test_random_stars(void **state)
         uint32_t n = 3 + (uint32_t)(random_unit() * (i % 50 ? 12 : 190));
         struct frame frame = random_frame(i % 3 ? 10 : 0);
         random_star(corners, n, n == 3 ? 0.5 : 0.05);
-        if (n == 3) /* keep the origin, and with it the orientation */
+        if (n == 3) /* a triangle must contain the origin, or its orientation changes */
             corners[2][0] = corners[2][1] = 0;
         if (random_unit() < 0.5)
             reverse(corners, n);
@@ -228,7 +228,7 @@ static void test_convex_quad_is_cut_at_its_first_corner(void **state)
     assert_memory_equal(triangles, expected, sizeof expected);
 }
 
-/* Corners at one place are told by value: 0 and -0 are the same. */
+/* Corners are at one position if their coordinates are equal; 0 and -0 are. */
 static void test_sign_of_zero_changes_nothing(void **state)
 {
     (void)state;
@@ -248,7 +248,7 @@ static void test_sign_of_zero_changes_nothing(void **state)
     }
 }
 
-/* Input without a meaning still gives n - 2 triangles of valid corners. */
+/* Degenerate input still gives n - 2 triangles of valid corners. */
 static void test_degenerate(void **state)
 {
     (void)state;
@@ -258,7 +258,7 @@ static void test_degenerate(void **state)
     print_message("seed %" PRIu64 "\n", random_state);
     for (int i = 0; i < 20000; i++) {
         uint32_t n = 3 + (uint32_t)(random_unit() * (most - 3));
-        int kind = i % 5; /* a point, a line, few different points, any crossing, not finite */
+        int kind = i % 5; /* a point, a line, few points, crossing edges, areas that overflow */
         for (uint32_t k = 0; k < n; k++)
             for (int c = 0; c < 3; c++)
                 positions[k][c] = kind == 0   ? 3
@@ -292,7 +292,8 @@ static void test_large_polygon_is_quick(void **state)
     check_polygon((const double(*)[2])corners, n, &flat);
     double seconds = (double)(clock() - start) / CLOCKS_PER_SEC;
     print_message("%.2f s\n", seconds);
-    assert_true(seconds < 10); /* quadratic takes well below one, sanitizers included ten */
+    assert_true(seconds <
+                10); /* quadratic time takes less than 1 s, with sanitizers less than 10 s */
 }
 
 int main(void)

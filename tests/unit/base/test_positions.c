@@ -1,4 +1,4 @@
-/* Vertices that are one where their positions are, against looking at every pair. */
+/* test_positions.c - the table finds the same equal positions as a comparison of every pair. */
 #include "base/positions.h"
 
 #include <setjmp.h>
@@ -9,7 +9,7 @@
 
 enum { KNOWN = 300, OTHERS = 203 };
 
-/* One of few positions, so that many are the same; both zeros among them. */
+/* Returns one of few positions, so that many are equal. Some have -0 for 0. */
 static void random_position(unsigned *seed, float p[3])
 {
     for (int a = 0; a < 3; a++) {
@@ -33,7 +33,7 @@ static bool within(const float p[3], const float min[3], const float max[3])
     return true;
 }
 
-/* Any number of positions is matched, also one that ends inside of a batch or of a vector. */
+/* Tries every number of positions, as the last batch and its last vector may be incomplete. */
 static void test_match(void **state)
 {
     (void)state;
@@ -51,8 +51,8 @@ static void test_match(void **state)
     }
     const float min[3] = {-2.0f, -3.0f, -1.0f}, max[3] = {3.0f, 1.0f, 2.0f};
     for (uint32_t count = 0; count <= OTHERS; count++) {
-        float(*others)[3] =
-            malloc(count > 0 ? count * sizeof *others : 1); /* no more, for sanitizers */
+        /* The exact size, so that a sanitizer finds reads beyond it. */
+        float(*others)[3] = malloc(count > 0 ? count * sizeof *others : 1);
         uint32_t *numbers = malloc((count + 1) * sizeof *numbers);
         bool any = false;
         assert_true(others && numbers);

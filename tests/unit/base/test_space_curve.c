@@ -1,5 +1,4 @@
-/* test_space_curve.c - both curves number each cell of a cube once, in the order that they promise.
- */
+/* test_space_curve.c - both curves number each cell of a cube once, in their documented order. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

@@ -1,5 +1,5 @@
-/* failing.c - see failing.h. A hash table with open addressing holds the blocks that are allocated
- * while a job runs. */
+/* failing.c - replaces functions of the C library. A hash table with open addressing holds the
+ * blocks that are allocated while a job runs. */
 #include "tests/unit/exhaustion/failing.h"
 
 #include <dlfcn.h>
@@ -10,7 +10,7 @@
 #include <string.h>
 
 #if defined __SANITIZE_ADDRESS__ || defined __SANITIZE_THREAD__
-/* The linker turns calls of X into calls of __wrap_X, see the Makefile. */
+/* The linker turns calls of X into calls of __wrap_X (--wrap in the Makefile). */
 #define OWN(name)  __wrap_##name
 #define REAL(name) __real_##name
 #else
@@ -28,7 +28,7 @@ void *OWN(realloc)(void *, size_t);
 int OWN(pthread_create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
 
 static struct {
-    atomic_int armed; /* enum failing + 1 */
+    atomic_int armed; /* enum failing + 1; 0: nothing fails */
     atomic_uint_least64_t calls, failed;
     uint64_t first;
     bool all_after;

@@ -1,6 +1,6 @@
-/* test_exhaustion.c - lets every allocation of every job fail once, then every allocation from each
- * one on, and every start of a thread. Nothing may crash, leak, stay open or stay behind. The
- * failure is BSQ_ENOMEM with a text; if a job can do without, its result is right. */
+/* test_exhaustion.c - repeats each job with every allocation failing in turn, alone and with all
+ * later ones, and with every start of a thread failing. A job then either returns BSQ_ENOMEM with a
+ * message, or gives the right result. It never crashes, leaks, or leaves a file open or on disk. */
 #include <dirent.h>
 #include <math.h>
 #include <setjmp.h>
@@ -33,7 +33,7 @@ static FILE *create(const char *name)
     return file;
 }
 
-/* A sheet of small hills with vertex colours, and with materials; a square below it. */
+/* Writes a hilly sheet twice, with vertex colours and with materials, and a square below it. */
 static void write_inputs(void)
 {
     FILE *file = create("scan.obj");
@@ -98,7 +98,7 @@ static int count_open(void)
     assert_non_null(list);
     for (struct dirent *entry; (entry = readdir(list));)
         if (!expected_name(entry->d_name))
-            fail_msg("%s was left behind", entry->d_name);
+            fail_msg("a job left the file %s", entry->d_name);
     closedir(list);
     return count;
 }
@@ -248,7 +248,7 @@ static int compare(struct bsq_ctx *ctx)
     return status;
 }
 
-/* ---- running them ---- */
+/* ---- runs ---- */
 
 /* Runs a job in its own context. */
 static int run(int (*job)(struct bsq_ctx *))
@@ -270,7 +270,7 @@ static int run(int (*job)(struct bsq_ctx *))
     return status;
 }
 
-/* Runs a job with call number `first` failing. Returns false if there was no such call. */
+/* Runs a job in which call number `first` fails. Returns false if the job has fewer calls. */
 static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_t first,
                         bool all_after)
 {
@@ -288,10 +288,10 @@ static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_
     return result.failed > 0;
 }
 
-/* Lets every `stride`-th call fail, each in its own run. */
+/* Runs a job once for each `stride`-th call, which fails. */
 static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
 {
-    /* Blocks that libraries keep from their first use are no leaks. */
+    /* Libraries keep blocks after their first use; these are not leaks. */
     for (int i = 0; i < 2; i++)
         assert_int_equal(run(job), 0);
     uint64_t calls = 0;
@@ -313,6 +313,7 @@ static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
         exhaust(job, stride);                                                                      \
     }
 TEST(parse, 1)
+TEST(load_mesh, 1)
 TEST(sort, 1)
 TEST(record, 1)
 TEST(voxelize, 1)
@@ -322,16 +323,6 @@ TEST(bake_grid, 1)
 TEST(bake_preview, 41) /* a large picture; most of its calls are those of bake_grid */
 TEST(bake_exact, 1)
 TEST(compare, 1)
-
-/* A small mesh is read by one thread. */
-static void test_load_mesh(void **state)
-{
-    (void)state;
-    assert_int_equal(run(load_mesh), 0);
-    for (int all_after = 0; all_after < 2; all_after++)
-        for (uint64_t i = 0; run_failing(load_mesh, FAILING_MEMORY, i, all_after); i++)
-            ;
-}
 
 static int prepare(struct bsq_ctx *ctx)
 {

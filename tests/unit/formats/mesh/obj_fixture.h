@@ -1,10 +1,11 @@
-/* obj_fixture.h - a scan as the OBJ reader delivers it, for the tests of the reader. */
+/* obj_fixture.h - reads OBJ files into arrays, for the tests of the reader. */
 #ifndef TEST_OBJ_FIXTURE_H
 #define TEST_OBJ_FIXTURE_H
 
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/formats/scratch.h"
 
+/* The blocks of a scan, joined. The fields are those of struct fmt_mesh_block. */
 struct obj_scan {
     struct fmt_mesh_totals totals;
     double (*positions)[3];
@@ -17,27 +18,27 @@ struct obj_scan {
     uint64_t blocks;
 };
 
-/* A context, a reader over files and the scan that came out of it. */
+/* A reader and the scan that it read. obj_close() frees all of it. */
 struct obj_fixture {
     struct bsq_ctx *ctx;
     struct fmt_mesh_reader *reader;
     struct obj_scan scan;
-    int status;
+    int status; /* of opening and reading */
 };
 
 void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
                     const char *const *paths);
-/* Must succeed. */
+/* Reads one file with this text. Fails the test if that fails. */
 void obj_read_text(struct obj_fixture *f, const char *text);
 void obj_close(struct obj_fixture *f);
 void obj_free_scan(struct obj_scan *scan);
 
-/* Line of a face, numbered from 0. */
+/* Returns the line, from 1, of face number `face`, from 0. */
 uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face);
 void obj_assert_material(const struct obj_fixture *f, uint32_t material, const char *name);
-/* Corners of a kind, numbered from 0; below 0: none given. */
+/* Checks the indices of a kind of all `count` corners, given as int. Below 0: a corner has none. */
 void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...);
-/* Reads `text`, which must fail with `message` behind the directory. */
+/* Checks that reading `text` fails with "DIRECTORY/" and `message`. */
 void obj_expect_error(const char *text, size_t size, const char *message);
 void obj_expect_text_error(const char *text, const char *message);
 

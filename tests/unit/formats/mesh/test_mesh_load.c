@@ -1,4 +1,4 @@
-/* test_mesh_load.c - meshes that are read whole, from OBJ files. */
+/* test_mesh_load.c - fmt_mesh_load() on OBJ files. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -7,8 +7,6 @@
 #include <string.h>
 
 #include "tests/unit/formats/mesh/obj_fixture.h"
-
-/* ---- whole meshes ---- */
 
 static void load_mesh(struct obj_fixture *f, struct fmt_mesh *mesh, const char *text)
 {
@@ -23,7 +21,7 @@ static void test_mesh(void **state)
     (void)state;
     struct obj_fixture f;
     struct fmt_mesh mesh;
-    /* Faces come first; the quad has its reflex corner at 2, so it must be cut from there. */
+    /* Faces come first. The quad is reflex at corner 2, so the cut starts there. */
     load_mesh(&f, &mesh,
               "f 1/1/1 2/2/1 3/3/2 4/4/1\nf 1 2 3\nv 0 0 0\nv 1 1 0\nv 4 0 0\nv 1 4 0\n"
               "vt 0 0\nvt .1 .1\nvt .2 .2\nvt .3 .3\nvn 0 0 3\nvn 0 0 0\n");

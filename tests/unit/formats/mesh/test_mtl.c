@@ -1,4 +1,4 @@
-/* test_mtl.c - MTL files as programs write them. */
+/* test_mtl.c - MTL files in the forms that programs write. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

@@ -1,5 +1,4 @@
-/* test_obj.c - the OBJ reader against what the text means, in all spellings, and against text that
- * means nothing. */
+/* test_obj.c - the OBJ reader on every form of valid text, and its messages for invalid text. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -148,7 +147,7 @@ static void test_several_files(void **state)
     assert_true(materials.list[0].diffuse[0] == 1 && materials.list[0].diffuse[2] == 0);
     assert_true(materials.list[1].diffuse[0] == 0 && materials.list[1].diffuse[2] == 1);
     fmt_materials_free(f.ctx, &materials);
-    /* A second reading gives the same numbers. */
+    /* Reading again gives the same material numbers. */
     struct fmt_mesh_totals again;
     assert_int_equal(fmt_mesh_read(f.reader, NULL, NULL, &again), 0);
     assert_memory_equal(&again, &f.scan.totals, sizeof again);
@@ -219,7 +218,7 @@ static void test_other_kinds_of_files_are_named(void **state)
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
         obj_expect_error(cases[i].bytes, cases[i].size, cases[i].message);
-    /* Cut short, the beginning of any of them is text that is no statement, or nothing. */
+    /* The first bytes of a ZIP archive alone are text, but not a statement. */
     obj_expect_error("PK", 2, "bad.obj:1: not an OBJ file: \"PK\" is no statement of that format");
 }
 

@@ -1,6 +1,5 @@
-/* test_obj_blocks.c - files that are cut into blocks anywhere, read on any number of threads, end
- * anywhere, or find little memory.
- */
+/* test_obj_blocks.c - results do not depend on where blocks begin or on the number of threads;
+ * files that are truncated anywhere, and too little memory, give errors. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -26,7 +25,7 @@ static unsigned below(unsigned limit)
     return (unsigned)((random_state * 0x2545f4914f6cdd1du >> 32) * limit >> 32);
 }
 
-/* What a random file was written from. */
+/* A random file, and what reading it must give. */
 struct model {
     char *text;
     size_t size;
@@ -190,7 +189,7 @@ static void test_first_error_wins(void **state)
     free(text);
 }
 
-/* Every way to cut the same lines at the border of two blocks. */
+/* Puts the border of two blocks at every position of the same lines. */
 static void test_block_borders(void **state)
 {
     (void)state;

@@ -29,7 +29,7 @@ static unsigned below(unsigned limit)
     return (unsigned)((random_bits() >> 32) * limit >> 32);
 }
 
-/* What strtod says of `text`; the expected value is taken before any other locale is set. */
+/* Returns the value that strtod() gives in the C locale. */
 static double reference(const char *text)
 {
     static locale_t c_locale;
@@ -38,7 +38,7 @@ static double reference(const char *text)
     return strtod_l(text, NULL, c_locale);
 }
 
-/* Parses `text` followed by `delimiter`, through the fast and through the general way. */
+/* Compares both parsers with strtod() on `text` followed by `delimiter`. */
 static void check(const char *text, char delimiter)
 {
     char buffer[2048 + OBJ_TEXT_PADDING] = {0};
@@ -64,7 +64,7 @@ static const char delimiters[] = " \n\t\r\\";
 
 static char any_delimiter(void)
 {
-    return delimiters[below(sizeof delimiters)]; /* the string's end, too */
+    return delimiters[below(sizeof delimiters)]; /* the terminating 0 is one of them */
 }
 
 static int append_digits(char *out, unsigned count)
@@ -74,7 +74,7 @@ static int append_digits(char *out, unsigned count)
     return (int)count;
 }
 
-/* [sign] digits [. digits] [e exponent], with the lengths given at most. */
+/* Writes [sign] digits [. digits] [e exponent]; the arguments limit the numbers of digits. */
 static void random_shape(char *out, unsigned whole, unsigned fraction, int exponent)
 {
     unsigned w = below(whole + 1), f = below(fraction + 1);
@@ -125,7 +125,7 @@ static void test_random_shapes(void **state)
         }
 }
 
-/* Doubles as programs print them must come back as they were. */
+/* Doubles in the formats that programs print. */
 static void test_printed_doubles(void **state)
 {
     (void)state;
@@ -135,7 +135,7 @@ static void test_printed_doubles(void **state)
     for (int i = 0; i < 300000; i++) {
         uint64_t bits = random_bits();
         double value;
-        if (below(2)) /* exponents as coordinates have them */
+        if (below(2)) /* an exponent that is usual for coordinates */
             bits = (bits & ~(UINT64_C(0x7ff) << 52)) | (uint64_t)(1023 - 40 + below(70)) << 52;
         memcpy(&value, &bits, sizeof value);
         if (!isfinite(value))
@@ -145,8 +145,8 @@ static void test_printed_doubles(void **state)
     }
 }
 
-/* Exact midpoints of neighbouring doubles, and one unit in the last printed place to either side:
- * ties must go to even and everything else to the nearer one. */
+/* Midpoints of neighbouring doubles round to even. One unit more or less in the last decimal place
+ * rounds to the nearer double. */
 static void test_midpoints(void **state)
 {
     (void)state;
@@ -293,7 +293,7 @@ static void test_integers(void **state)
     assert_null(obj_integer("123456789012345678901234567890123456", &value));
 }
 
-/* What was parsed ends with the line feed at `length`; without SSE nothing is. */
+/* Checks that parsing ended after `length` bytes. Without SSE4.1 the fast parsers return NULL. */
 static void check_end(const char *end, const char *line, int length)
 {
 #ifdef __SSE4_1__
@@ -304,7 +304,7 @@ static void check_end(const char *end, const char *line, int length)
 #endif
 }
 
-/* obj_three_indices() takes exactly "a b c" and a line feed, and hands all else back. */
+/* obj_three_indices() accepts "a b c" and a line feed, and returns NULL for any other text. */
 static void test_three_indices(void **state)
 {
     (void)state;
@@ -345,8 +345,8 @@ static void test_three_indices(void **state)
     assert_null(obj_three_indices("1 0 3\n                          ", values));
 }
 
-/* A number as "%.6f" would print it, or with another count of digits up to 15, or something else;
- * *plain: it has a point and at most 15 digits. Returns its length. */
+/* Writes a number as "%.6f" prints it, or one with other numbers of digits, or other text. Clears
+ * *plain unless it has a point and 1 to 15 digits. Returns its length. */
 static int any_coordinate(char *out, bool *plain)
 {
     unsigned whole = below(6) ? below(4) : below(16), fraction = below(6) ? 6 : below(17);
@@ -367,13 +367,13 @@ static int any_coordinate(char *out, bool *plain)
     return (int)(p - out);
 }
 
-/* obj_three_numbers() takes exactly "x y z" and a line feed, rounds like strtod(), and hands all
- * else back. */
+/* obj_three_numbers() accepts "x y z" and a line feed, rounds as strtod() does, and returns NULL
+ * for any other text. */
 static void test_three_numbers(void **state)
 {
     (void)state;
     print_message("seed %" PRIu64 "\n", random_state);
-    int taken = 0;
+    int accepted = 0;
     for (int i = 0; i < 1000000; i++) {
         char buffer[256] = {0};
         double expected[3], values[3];
@@ -396,15 +396,15 @@ static void test_three_numbers(void **state)
         const char *end = obj_three_numbers(buffer, values);
         if (!plain || length > 48) {
             if (end)
-                fail_msg("\"%s\" is taken", buffer);
+                fail_msg("\"%s\" is accepted", buffer);
             continue;
         }
         check_end(end, buffer, length);
         if (end && memcmp(values, expected, sizeof values) != 0)
             fail_msg("\"%s\" gives %a %a %a", buffer, values[0], values[1], values[2]);
-        taken += end != NULL;
+        accepted += end != NULL;
     }
-    assert_true(taken == 0 || taken > 300000);
+    assert_true(accepted == 0 || accepted > 300000);
 }
 
 int main(void)
