@@ -1,9 +1,10 @@
 /* float_precision.c - see float_precision.h.
  *
- * A position is rounded by half the spacing of float32 at its distance from the origin. An edge of
- * length L is tilted by up to spacing / L then, so that a warning from L = 16 spacings on means
- * errors of normals up to about 3 degrees, and nothing for any scan of ordinary proportions: at a
- * billion triangles over the unit sphere edges are 1000 spacings long. */
+ * Rounding moves a position by up to half the spacing of float32 at its distance from the origin.
+ * This tilts an edge of length L by up to spacing / L. For edges of 16 spacings and more, normals
+ * are wrong by at most about 3 degrees; shorter edges deserve a warning. Scans of ordinary
+ * proportions never get one: with a billion triangles on the unit sphere, edges are 1000 spacings
+ * long. */
 #include "libvoxel/float_precision.h"
 
 #include <math.h>
@@ -28,7 +29,7 @@ void vox_precision_choose_origin(const double min[3], const double max[3], doubl
         origin[axis] = 0.0;
         if (fabs(centre) < 8192.0 || fabs(centre) < 64.0 * half)
             continue;
-        /* Not finer than the coordinates' own digits are likely to be. */
+        /* The origin needs no more digits than the coordinates are likely to have. */
         double step = ldexp(1.0, ilogb(fmax(4.0 * half, fabs(centre) * 0x1p-20)));
         double near = round(centre / step) * step;
         if (isfinite(near))
@@ -63,7 +64,7 @@ void vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t m
             vox_precision_spacing(min, max));
 }
 
-/* Mean edge of a chunk's triangles, if they cover a surface about as large as its bounds. */
+/* Estimates the mean edge of a chunk's triangles: their surface is about as large as its bounds. */
 static double edge_of(const struct fmt_tris_chunk_info *chunk)
 {
     double square = 0.0;

@@ -1,4 +1,4 @@
-/* sort.c - OBJ files become a chunk file.
+/* sort.c - sorts a scan's mesh files into a chunk file.
  *
  * Reading keeps vertices as attribute streams (read/) and partitions triangles into buckets by
  * place (partition/). Batches of buckets are sorted, cut into chunks and written (chunk/). Every
@@ -39,12 +39,12 @@ void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *
 
 uint64_t vox_sort_memory_for(uint64_t stream_bytes, unsigned threads)
 {
-    /* The last segment of each stream may be empty but for one element. */
+    /* The last segment of each stream may have only one element. */
     const uint64_t segments = (uint64_t)(12 + 4 + 8 + 4) << STREAM_LARGE_SHIFT;
     return vox_memory_min(threads) + (stream_bytes + segments) / 3 * 4;
 }
 
-/* For progress only: files that cannot be read are the reader's to report. */
+/* Returns the size of all files, for progress. The reader reports files that cannot be read. */
 static uint64_t total_bytes(const char *const *paths, uint32_t count)
 {
     uint64_t bytes = 0;
@@ -247,8 +247,7 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
              struct vox_sort_report *report)
 {
     struct sort_limits limits;
-    uint64_t used = bsq_memory_used(ctx), limit = bsq_memory_limit(ctx);
-    uint64_t budget = limit > used ? limit - used : 0, least = vox_memory_min(bsq_threads(ctx));
+    uint64_t budget = bsq_memory_left(ctx), least = vox_memory_min(bsq_threads(ctx));
     if (budget < least)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "sorting with %u threads needs at least %llu MiB of memory, it may use "

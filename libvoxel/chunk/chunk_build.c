@@ -1,10 +1,8 @@
 /* chunk_build.c - see chunk_build.h.
  *
- * Corners share a vertex of the chunk if all of their values are equal. Comparing values and not
- * indices joins the corners of scans that repeat each vertex for each face. As sorted neighbours
- * share most of their corners, a small cache of corners that were numbered last answers most
- * questions without looking at values.
- */
+ * Corners share a vertex of the chunk if all of their values are equal. Values are compared, not
+ * indices, because some scans repeat each vertex for each face. Sorted neighbours share most of
+ * their corners, so a small cache of recent corners finds most vertices without their values. */
 #include "libvoxel/chunk/chunk_build.h"
 #include "base/octahedral.h"
 
@@ -12,14 +10,15 @@
 #define MIN_TABLE_BITS 16u /* for meshes, which have about one vertex for two triangles */
 #define MAX_TABLE_BITS 19u
 
-/* Table entries: vertex number plus one in the low bits, bits of the hash above, 0 where empty. */
+/* A table entry has the vertex number plus one in its low bits and bits of the hash above; 0:
+ * empty. */
 #define NUMBER_BITS 18u
 #define NUMBER_MASK ((1u << NUMBER_BITS) - 1)
 _Static_assert(MAX_VERTICES < NUMBER_MASK, "a vertex number must fit");
 
 #define CACHE_BITS       11u
 #define PLAIN_CACHE_BITS 12u
-/* Records lie in the order of their bucket, so the next ones are asked for ahead of time. */
+/* Records are in the order of their bucket, not of the chunk, so the next ones are prefetched. */
 #define PREFETCH_AHEAD 8u
 
 /* ---- memory ---- */
@@ -101,7 +100,7 @@ static inline uint64_t hash_vertex(const struct chunk_builder *b, const struct v
     return mix(mix(h, uv), (uint64_t)v->normal << 32 | v->color);
 }
 
-/* Bit by bit, so that 0 and -0 are both kept. */
+/* Compares bit by bit, so that 0 and -0 stay different. */
 static inline bool same_vertex(const struct chunk_builder *b, uint32_t number,
                                const struct vertex *v)
 {
@@ -176,7 +175,7 @@ static uint32_t add_vertex(struct chunk_builder *b, const struct vertex *v, uint
     return enter_vertex(b, slot, hash);
 }
 
-/* Number of the vertex in the chunk, entered where it is new. */
+/* Returns the number of the vertex in the chunk. Adds it if it is new. */
 static inline uint32_t number_hashed(struct chunk_builder *b, const struct vertex *v, uint64_t hash)
 {
     const uint32_t mask = (1u << b->table_bits) - 1;
@@ -208,13 +207,13 @@ static uint32_t face_normal(const struct vertex corners[3])
         n[i] = u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3];
         largest = fmax(largest, fabs(n[i]));
     }
-    /* Scaled before it becomes float, where small triangles would have no normal. */
+    /* Scales in double: as float, small triangles would have no normal. */
     struct bsq_vec3 scaled =
         bsq_v3((float)(n[0] / largest), (float)(n[1] / largest), (float)(n[2] / largest));
     return bsq_oct_pack(bsq_unit3(scaled));
 }
 
-/* Numbers the corners that are not in the cache. `known` is a mask of those that are. */
+/* Numbers the corners that are not in the cache. known: mask of those that are. */
 static void number_corners(struct chunk_builder *b, const uint8_t *record, uint32_t known,
                            struct corner_cache *const cached[3], const struct corner_tag tags[3],
                            uint32_t numbers[3])
@@ -229,7 +228,7 @@ static void number_corners(struct chunk_builder *b, const uint8_t *record, uint3
             continue;
         if (b->used)
             used_mark(b->used, record_vertex_index(b->layout, record + k * bytes));
-        /* With the triangle's own normal, equal corners of other triangles are other vertices. */
+        /* A corner without a normal gets its triangle's, so the cache cannot know its vertex. */
         bool own = b->normals && corners[k].normal == SCAN_NO_NORMAL;
         if (own)
             corners[k].normal = face_normal(corners);
@@ -280,19 +279,19 @@ static void build_triangles(struct chunk_builder *b, const uint8_t *records,
     }
 }
 
-/* ---- plain triangles ----
+/* ---- plain records ----
  *
- * What costs time are a new vertex's position and its place in the table, which no cache holds, and
- * branches that depend on which corners are known. So some triangles are looked at together: first
- * those of their corners are noted that the small cache does not know, without a branch, then each
- * step is taken for all of these, having asked for the memory of the next one. The cache's numbers
- * of noted corners are numbers of notes until then. */
+ * Two things cost time: cache misses at a new vertex's position and at its table entry, and
+ * branches on which corners are known. So triangles are numbered in groups. First, all corners of
+ * the group that are not in the small cache are collected without branches; they are pending. Then
+ * each step runs over all pending corners and prefetches for the next step. Until a pending corner
+ * has its number, the cache holds its index in the list, marked with PENDING_FLAG. */
 
 #define GROUP_TRIANGLES 128u
-#define NOTE_FLAG       (1u << 31)
+#define PENDING_FLAG    (1u << 31)
 
-/* One more may be written than there are. */
-struct notes {
+/* The element after the last one is scratch for find_pending(). */
+struct pending_corners {
     uint32_t index[3 * GROUP_TRIANGLES + 1], number[3 * GROUP_TRIANGLES + 1];
     uint64_t hash[3 * GROUP_TRIANGLES];
 };
@@ -302,12 +301,13 @@ static inline uint64_t *plain_place(uint64_t *cache, uint32_t index)
     return &cache[index * 0x9e3779b1u >> (32 - PLAIN_CACHE_BITS)];
 }
 
-/* A free place of the cache holds an index that no scan has. */
-static uint32_t note_corners(uint64_t *cache, const uint8_t *records, const struct entry *entries,
-                             uint32_t count, uint32_t (*out)[3], struct notes *notes)
+/* Collects the corners that are not in the cache and returns their count. `out` gets numbers of
+ * vertices or of pending corners. An empty entry of the cache has an index that no scan has. */
+static uint32_t find_pending(uint64_t *cache, const uint8_t *records, const struct entry *entries,
+                             uint32_t count, uint32_t (*out)[3], struct pending_corners *pending)
 {
-    const uint64_t flag = (uint64_t)NOTE_FLAG << 32;
-    uint64_t noted = 0;
+    const uint64_t flag = (uint64_t)PENDING_FLAG << 32;
+    uint64_t pending_count = 0;
     for (uint32_t t = 0; t < count; t++) {
         const uint8_t *record = records + (uint64_t)entries[t].record * 12;
         for (uint32_t k = 0; k < 3; k++) {
@@ -315,17 +315,17 @@ static uint32_t note_corners(uint64_t *cache, const uint8_t *records, const stru
             memcpy(&index, record + 4 * k, 4);
             uint64_t *place = plain_place(cache, index), cached = *place;
             uint64_t unknown = (uint32_t)cached != index;
-            cached ^= (cached ^ (flag | noted << 32 | index)) & (0 - unknown);
+            cached ^= (cached ^ (flag | pending_count << 32 | index)) & (0 - unknown);
             *place = cached;
             out[t][k] = (uint32_t)(cached >> 32);
-            notes->index[noted] = index;
-            noted += unknown;
+            pending->index[pending_count] = index;
+            pending_count += unknown;
         }
     }
-    return (uint32_t)noted;
+    return (uint32_t)pending_count;
 }
 
-/* As number_hashed(), of a vertex that is a position and nothing else. */
+/* Does what number_hashed() does for a vertex that is only a position. */
 static inline uint32_t number_position(struct chunk_builder *b, const float position[3],
                                        uint64_t hash)
 {
@@ -341,50 +341,53 @@ static inline uint32_t number_position(struct chunk_builder *b, const float posi
     return enter_vertex(b, slot, hash);
 }
 
-static void number_notes(struct chunk_builder *b, struct notes *notes, uint32_t noted)
+static void number_pending(struct chunk_builder *b, struct pending_corners *pending,
+                           uint32_t pending_count)
 {
     const struct attribute_stream positions = b->scan->streams[SCAN_POSITIONS];
-    for (uint32_t i = 0; i < noted; i++)
-        __builtin_prefetch(stream_at(&positions, notes->index[i], 12));
-    for (uint32_t i = 0; i < noted; i++) {
-        notes->hash[i] = hash_position(stream_at(&positions, notes->index[i], 12));
-        __builtin_prefetch(&b->table[table_slot(b, notes->hash[i])]);
+    for (uint32_t i = 0; i < pending_count; i++)
+        __builtin_prefetch(stream_at(&positions, pending->index[i], 12));
+    for (uint32_t i = 0; i < pending_count; i++) {
+        pending->hash[i] = hash_position(stream_at(&positions, pending->index[i], 12));
+        __builtin_prefetch(&b->table[table_slot(b, pending->hash[i])]);
     }
-    for (uint32_t i = 0; i < noted; i++) {
-        const uint32_t index = notes->index[i];
+    for (uint32_t i = 0; i < pending_count; i++) {
+        const uint32_t index = pending->index[i];
         if (b->used)
             used_mark(b->used, index);
-        uint32_t number = number_position(b, stream_at(&positions, index, 12), notes->hash[i]);
+        uint32_t number = number_position(b, stream_at(&positions, index, 12), pending->hash[i]);
         uint64_t *place = plain_place(b->plain, index);
-        if (*place == ((uint64_t)(NOTE_FLAG | i) << 32 | index))
+        if (*place == ((uint64_t)(PENDING_FLAG | i) << 32 | index))
             *place = (uint64_t)number << 32 | index;
-        notes->number[i] = number;
+        pending->number[i] = number;
     }
 }
 
-/* Numbers of notes become those of their vertices. */
-static void resolve_notes(const struct notes *notes, uint32_t *numbers, uint32_t count)
+/* Replaces the numbers of pending corners by those of their vertices, without branches. */
+static void resolve_pending(const struct pending_corners *pending, uint32_t *numbers,
+                            uint32_t count)
 {
     for (uint32_t i = 0; i < count; i++) {
-        uint32_t noted = 0 - (numbers[i] >> 31), note = numbers[i] & ~NOTE_FLAG & noted;
-        numbers[i] = (notes->number[note] & noted) | (numbers[i] & ~noted);
+        uint32_t pending_count = 0 - (numbers[i] >> 31),
+                 slot = numbers[i] & ~PENDING_FLAG & pending_count;
+        numbers[i] = (pending->number[slot] & pending_count) | (numbers[i] & ~pending_count);
     }
 }
 
 static void build_plain(struct chunk_builder *b, const uint8_t *records,
                         const struct entry *entries, uint32_t count)
 {
-    struct notes notes;
-    notes.number[0] = 0;
+    struct pending_corners pending;
+    pending.number[0] = 0;
     memset(b->plain, 0xff, sizeof *b->plain << PLAIN_CACHE_BITS);
     for (uint32_t first = 0, end; first < count; first = end) {
         end = count - first < GROUP_TRIANGLES ? count : first + GROUP_TRIANGLES;
         for (uint32_t t = end; t < count && t < end + GROUP_TRIANGLES; t++)
             __builtin_prefetch(records + (uint64_t)entries[t].record * sizeof(uint32_t[3]));
-        uint32_t noted = note_corners(b->plain, records, entries + first, end - first,
-                                      b->triangles + first, &notes);
-        number_notes(b, &notes, noted);
-        resolve_notes(&notes, b->triangles[first], 3 * (end - first));
+        uint32_t pending_count = find_pending(b->plain, records, entries + first, end - first,
+                                              b->triangles + first, &pending);
+        number_pending(b, &pending, pending_count);
+        resolve_pending(&pending, b->triangles[first], 3 * (end - first));
     }
 }
 

@@ -1,11 +1,11 @@
-/* chunk_build.h - turns sorted records into the bytes of a chunk. */
+/* chunk_build.h - encodes sorted records as a chunk. */
 #ifndef VOX_CHUNK_CHUNK_BUILD_H
 #define VOX_CHUNK_CHUNK_BUILD_H
 
 #include "libvoxel/chunk/radix_sort.h"
 #include "libvoxel/partition/partition.h"
 
-/* The bytes of a corner of at most 16 bytes, and its vertex. */
+/* An entry of the cache of recent corners: the corner's bytes, at most 16, and its vertex. */
 struct corner_tag {
     uint64_t low, high;
 };
@@ -14,12 +14,12 @@ struct corner_cache {
     uint32_t number;
 };
 
-/* Reused for many chunks; one for each chunk in the making. */
+/* Buffers and result of building one chunk after the other. */
 struct chunk_builder {
     struct bsq_ctx *ctx;
     const struct scan *scan;
     const struct record_layout *layout;
-    used_word *used; /* where vertices are marked, or NULL */
+    used_word *used; /* bits of vertices in use to set, or NULL */
     float (*positions)[3];
     uint32_t *normals;
     float (*texcoords)[2];
@@ -29,16 +29,17 @@ struct chunk_builder {
     uint32_t vertex_count;
     uint32_t *table; /* hash table of vertices */
     uint32_t table_bits;
-    struct corner_cache *cache; /* direct-mapped; either this or the next one is used */
-    uint64_t *plain;            /* the same for plain records: the index below the number */
+    struct corner_cache *cache; /* direct-mapped; for records that are not plain */
+    uint64_t *plain;            /* the same for plain records: number << 32 | index */
     /* Result. */
     void *encoded;
     uint64_t encoded_bytes;
     struct fmt_tris_chunk_info info;
 };
 
-/* Memory of one builder. */
+/* Returns the memory of one builder in bytes. */
 uint64_t vox_chunk_builder_bytes(uint32_t attributes);
+/* Free with vox_chunk_builder_free(), also after failure. */
 int vox_chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
                            const struct record_layout *layout, used_word *used);
 void vox_chunk_builder_free(struct chunk_builder *builder);

@@ -1,9 +1,9 @@
 /* chunk_writer.c - see chunk_writer.h.
  *
- * Cells are taken in Morton order, as many at a time as memory allows (sort_batch.h). What they
- * have is cut into chunks that workers build. Triangles after the last cut begin the next batch, so
- * that the cuts do not depend on batches. A bucket that is too large for a batch is first divided
- * by the next bits of the key. */
+ * Buckets are taken in Morton order, as many at a time as memory allows: a batch (sort_batch.h). A
+ * sorted batch is cut into chunks, which workers build. Triangles after the last cut begin the next
+ * batch, so the cuts do not depend on batches. A bucket that is too large for a batch is divided by
+ * the next bits of the key. */
 #include "libvoxel/chunk/chunk_writer.h"
 #include "base/parallel.h"
 #include "libvoxel/chunk/sort_batch.h"
@@ -22,8 +22,8 @@ struct batches {
     struct batch batch;
     uint64_t capacity;   /* triangles in a batch */
     uint64_t part_limit; /* triangles in a part */
-    uint64_t cut;        /* triangles of the batch that are in chunks already */
-    bool last;           /* nothing follows this batch */
+    uint64_t cut;        /* triangles of the batch that are already in chunks */
+    bool last;           /* this is the last batch */
 
     struct chunk_slot *slots;
     unsigned slot_count;
@@ -38,8 +38,9 @@ struct chunk_slot {
 
 /* ---- memory ---- */
 
-/* Slots for chunks in the making: as many as the limits say, or half of what is left has room for;
- * twice as many where that is little, as writing takes long now and then. */
+/* Returns the number of chunks that are built at once: as the limits say, but they take at most
+ * half of the memory left. If there is plenty, up to twice as many, because writes sometimes take
+ * long. */
 static unsigned count_slots(const struct batches *b, uint64_t left)
 {
     uint64_t bytes = vox_chunk_builder_bytes(b->scan->attributes), usual = b->scan->limits->slots;
@@ -52,10 +53,10 @@ static unsigned count_slots(const struct batches *b, uint64_t left)
     return (unsigned)count;
 }
 
-/* Triangles that a batch should have. A small one touches little memory and stays near the core,
- * but threads wait for each other where one ends, so each is to sort several buckets of it; and it
- * must not be too small for buckets to be sorted whole. Where vertices have no order either, each
- * batch may read them all, so there are to be few. */
+/* Returns the number of triangles that a batch should have. Small batches stay in caches. But
+ * threads wait for each other at the end of a batch, so each thread should sort several of its
+ * buckets, and a batch must hold whole buckets. If vertices in a file have no order, each batch may
+ * read all of them, so few batches are best. */
 static uint64_t wanted_capacity(const struct batches *b)
 {
     const struct buckets *buckets = &b->partition->buckets;
@@ -71,13 +72,13 @@ static uint64_t wanted_capacity(const struct batches *b)
     return wanted < b->scan->limits->batch_triangles ? wanted : b->scan->limits->batch_triangles;
 }
 
-/* What chunks in the making leave is for the batch. */
+/* Divides the memory left between chunk builders and the batch. */
 static void divide_memory(struct batches *b)
 {
     const struct sort_limits *limits = b->scan->limits;
     const uint64_t carry = FMT_TRIS_CHUNK_TRIANGLES, all = vox_batch_capacity_of_all(b->partition);
-    uint64_t used = bsq_memory_used(b->ctx), limit = bsq_memory_limit(b->ctx);
-    uint64_t left = limit > used + limits->reserve_bytes ? limit - used - limits->reserve_bytes : 0;
+    uint64_t left = bsq_memory_left(b->ctx);
+    left = left > limits->reserve_bytes ? left - limits->reserve_bytes : 0;
     b->slot_count = count_slots(b, left);
     uint64_t others = b->slot_count * vox_chunk_builder_bytes(b->scan->attributes) +
                       vox_batch_fixed_bytes(b->scan, b->partition);
@@ -175,13 +176,12 @@ static int write_batch(struct batches *b)
 
 static int add_part(struct batches *b, const struct batch_part *part)
 {
-    int status = vox_batch_has_room(&b->batch, part->count) ? 0 : write_batch(b);
+    int status = vox_batch_fits(&b->batch, part->count) ? 0 : write_batch(b);
     return status < 0 ? status : vox_batch_add(&b->batch, part);
 }
 
-/* All triangles of the bucket have the same key: their order is the scan's. Parts end where runs
- * do.
- */
+/* Adds a bucket in parts that end with a run. All its triangles have the same key, so their order
+ * is that of the scan. */
 static int add_in_parts(struct batches *b, const struct batch_part *whole)
 {
     struct run_reader *reader = vox_batch_reader(&b->batch);
@@ -204,9 +204,8 @@ static int add_in_parts(struct batches *b, const struct batch_part *whole)
     return status;
 }
 
-/* Distributes at most RUN_TRIANGLES records to the children of their bucket, which has `levels`
- * less.
- */
+/* Distributes at most RUN_TRIANGLES records to the children of their bucket. levels: the children's
+ * Morton levels. */
 static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
                       uint8_t *coded, struct buckets *children)
 {
@@ -231,8 +230,8 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
     return status;
 }
 
-/* Distributes the triangles of a bucket to the buckets inside of it. The batch has nothing but what
- * was carried over. */
+/* Distributes a bucket's triangles to its children. The batch must hold only triangles that were
+ * carried over. */
 static int divide_bucket(struct batches *b, const struct batch_part *whole, uint32_t levels,
                          struct buckets *children)
 {
@@ -277,7 +276,7 @@ static int add_large_bucket(struct batches *b, const struct batch_part *whole)
     if (status == 0)
         status = add_buckets(b, &children, levels);
     if (status == 0)
-        status = write_batch(b); /* before its buckets are gone */
+        status = write_batch(b); /* it reads the children */
     vox_buckets_free(&children);
     return status;
 }

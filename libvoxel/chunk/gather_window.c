@@ -5,12 +5,13 @@
 #include <assert.h>
 
 #define WIDEST_ELEMENT 12u
-/* Elements are read by ranges of this many words of marks at most; and words without marks are read
- * along where it is not worth a call of its own to leave them out. */
+/* One read covers at most RANGE_WORDS words of marks. It includes up to GAP_WORDS words without
+ * marks in a row, because a further call would cost more. */
 #define RANGE_WORDS  256u
 #define GAP_WORDS    8u
 #define BUFFER_BYTES ((uint64_t)64 * RANGE_WORDS * WIDEST_ELEMENT)
 
+/* Returns whether a stream of this kind is needed and in a file. */
 static bool is_active(const struct scan *scan, enum fmt_mesh_kind kind)
 {
     bool active = false;
@@ -40,7 +41,7 @@ uint64_t vox_gather_triangle_bytes(const struct scan *scan)
     return bytes;
 }
 
-/* A stream of the view is one segment. */
+/* Opens a stream of the view; it is one segment. */
 static int open_stream(struct gather_window *w, enum scan_stream number, uint64_t triangles)
 {
     const struct attribute_stream *from = &w->scan->streams[number];
@@ -105,7 +106,7 @@ void vox_gather_clear(struct gather_window *w)
                    used_words(w->kinds[i].count) * sizeof *w->kinds[i].marks);
 }
 
-/* fan: what vertex numbers have that are no part of them. */
+/* fan: bit of vertex indices that is not part of the index. */
 static void mark_plain(used_word *marks, uint32_t fan, const uint8_t *records, uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
@@ -115,15 +116,14 @@ static void mark_plain(used_word *marks, uint32_t fan, const uint8_t *records, u
     }
 }
 
-/* The index of a kind in corner `corner` of records that lie one behind the other; where it lies.
- */
+/* Returns the offset of an index in consecutive records. corner: counted over all records. */
 static inline uint64_t corner_offset(const struct record_layout *layout, enum fmt_mesh_kind kind,
                                      uint64_t corner)
 {
     return corner / 3 * layout->bytes + corner % 3 * layout->corner_bytes + layout->index_at[kind];
 }
 
-/* Bytes of an index of this kind; 0 where its streams are in memory or not needed. */
+/* Returns the bytes of an index of this kind, or 0 if its streams are in memory or not needed. */
 static inline uint32_t index_bytes_of(const struct gather_window *w, enum fmt_mesh_kind kind)
 {
     return w->kinds[kind].active ? w->layout->index_bytes[kind] : 0;
@@ -148,7 +148,7 @@ void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t c
     }
 }
 
-/* Counts the marks; vertices go to `used`, or NULL. */
+/* Computes the ranks of marked elements. Adds the marks to `used` unless it is NULL. */
 static void rank(struct gather_kind *kind, used_word *used)
 {
     uint32_t before = 0;
@@ -174,7 +174,7 @@ static uint64_t word_at(const struct gather_kind *kind, uint64_t word)
     return atomic_load_explicit(&kind->marks[word], memory_order_relaxed);
 }
 
-/* Copies the marked elements of words [first, end), which begin at `from`, to their places. */
+/* Copies the marked elements of words [first, end) to the view. from: the first word's elements. */
 static void gather(const struct gather_kind *kind, uint64_t first, uint64_t end,
                    const uint8_t *from, uint32_t bytes, uint8_t *elements)
 {
@@ -190,8 +190,9 @@ static void gather(const struct gather_kind *kind, uint64_t first, uint64_t end,
         }
 }
 
-/* The words from `first` on, up to `end`, that are read together: the last one has marks. */
-static uint64_t stretch_end(const struct gather_kind *kind, uint64_t first, uint64_t end)
+/* Returns the end of the words that one read takes, from `first` to `end` at most. Its last word
+ * has marks. */
+static uint64_t read_end(const struct gather_kind *kind, uint64_t first, uint64_t end)
 {
     uint64_t last = first;
     for (uint64_t word = first + 1; word < end && word - last <= GAP_WORDS; word++)
@@ -213,12 +214,12 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
     for (uint64_t word = number * RANGE_WORDS; status == 0 && word < end; word++) {
         if (!word_at(kind, word))
             continue;
-        uint64_t behind = stretch_end(kind, word, end);
-        uint64_t count = (behind < words ? 64 * behind : kind->count) - 64 * word;
+        uint64_t end_word = read_end(kind, word, end);
+        uint64_t count = (end_word < words ? 64 * end_word : kind->count) - 64 * word;
         status = vox_spill_read(&stream->spill, 64 * word * bytes, count * bytes, buffer);
         if (status == 0)
-            gather(kind, word, behind, buffer, bytes, w->elements[fetch->stream]);
-        word = behind - 1;
+            gather(kind, word, end_word, buffer, bytes, w->elements[fetch->stream]);
+        word = end_word - 1;
     }
     return status;
 }
@@ -273,12 +274,11 @@ void vox_gather_number(const struct gather_window *w, uint8_t *records, uint64_t
     }
 }
 
-/* The marked element with this number. */
+/* Returns the marked element with this rank. */
 static uint64_t element_of_rank(const struct gather_kind *kind, uint32_t number)
 {
-    uint64_t low = 0,
-             high =
-                 used_words(kind->count); /* of words: the last with at most `number` before it */
+    /* Finds the last word with at most `number` marked elements before it. */
+    uint64_t low = 0, high = used_words(kind->count);
     while (high - low > 1) {
         uint64_t middle = low + (high - low) / 2;
         *(kind->ranks[middle] <= number ? &low : &high) = middle;

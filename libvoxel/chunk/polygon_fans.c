@@ -8,30 +8,30 @@ uint64_t vox_fan_buffer_bytes(const struct record_layout *layout)
            (layout->corner_bytes + sizeof(double[3]) + sizeof(uint32_t[3]) + sizeof(uint32_t[2]));
 }
 
-int vox_fan_buffer_init(struct fan_buffer *room, struct bsq_ctx *ctx,
+int vox_fan_buffer_init(struct fan_buffer *buffer, struct bsq_ctx *ctx,
                         const struct record_layout *layout)
 {
     const char *what = "sorting";
     int status;
-    *room = (struct fan_buffer){0};
-    if ((status = bsq_alloc(ctx, what, FAN_CORNERS, layout->corner_bytes, &room->corners)) < 0 ||
-        (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof *room->positions, &room->positions)) <
-            0 ||
-        (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[3]), &room->triangles)) < 0)
+    *buffer = (struct fan_buffer){0};
+    if ((status = bsq_alloc(ctx, what, FAN_CORNERS, layout->corner_bytes, &buffer->corners)) < 0 ||
+        (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof *buffer->positions,
+                            &buffer->positions)) < 0 ||
+        (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[3]), &buffer->triangles)) < 0)
         return status;
-    return bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[2]), &room->scratch);
+    return bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[2]), &buffer->scratch);
 }
 
-void vox_fan_buffer_free(struct fan_buffer *room, struct bsq_ctx *ctx)
+void vox_fan_buffer_free(struct fan_buffer *buffer, struct bsq_ctx *ctx)
 {
-    bsq_free(ctx, room->corners);
-    bsq_free(ctx, room->positions);
-    bsq_free(ctx, room->triangles);
-    bsq_free(ctx, room->scratch);
-    *room = (struct fan_buffer){0};
+    bsq_free(ctx, buffer->corners);
+    bsq_free(ctx, buffer->positions);
+    bsq_free(ctx, buffer->triangles);
+    bsq_free(ctx, buffer->scratch);
+    *buffer = (struct fan_buffer){0};
 }
 
-/* How many records the fan that begins here has. */
+/* Returns the number of records of the fan that begins at `records`. */
 static uint32_t fan_length(const struct record_layout *layout, const uint8_t *records,
                            uint64_t count)
 {
@@ -42,7 +42,7 @@ static uint32_t fan_length(const struct record_layout *layout, const uint8_t *re
     return length;
 }
 
-/* The corners of a fan: two of its first triangle, and the third one of each. */
+/* Collects the corners of a fan: two of its first triangle, and the third of each triangle. */
 static void collect_corners(const struct record_layout *layout, const uint8_t *records,
                             uint32_t length, uint8_t *corners)
 {
@@ -52,36 +52,37 @@ static void collect_corners(const struct record_layout *layout, const uint8_t *r
         memcpy(corners + (t + 2) * bytes, records + (uint64_t)t * layout->bytes + 2 * bytes, bytes);
 }
 
-static void triangulate(const struct gather_window *window, struct fan_buffer *room,
+static void triangulate(const struct gather_window *window, struct fan_buffer *buffer,
                         uint32_t corners)
 {
     for (uint32_t c = 0; c < corners; c++) {
-        const uint8_t *corner = room->corners + c * window->layout->corner_bytes;
+        const uint8_t *corner = buffer->corners + c * window->layout->corner_bytes;
         const float *p = gather_position(window, record_vertex_index(window->layout, corner));
         for (int axis = 0; axis < 3; axis++)
-            room->positions[c][axis] = p[axis];
+            buffer->positions[c][axis] = p[axis];
     }
-    bsq_triangulate((const double(*)[3])room->positions, corners, room->triangles, room->scratch);
+    bsq_triangulate((const double(*)[3])buffer->positions, corners, buffer->triangles,
+                    buffer->scratch);
 }
 
-static bool is_own(const struct fan_buffer *room, const struct morton_cube *cube, uint32_t levels,
+static bool is_own(const struct fan_buffer *buffer, const struct morton_cube *cube, uint32_t levels,
                    uint32_t bucket, const uint32_t triangle[3])
 {
-    const double *p = room->positions[triangle[0]];
+    const double *p = buffer->positions[triangle[0]];
     const float first[3] = {(float)p[0], (float)p[1], (float)p[2]};
     return morton_cell(cube, levels, first) == bucket;
 }
 
-static void put_triangle(const struct record_layout *layout, const struct fan_buffer *room,
+static void put_triangle(const struct record_layout *layout, const struct fan_buffer *buffer,
                          const uint32_t triangle[3], const uint8_t *material, uint8_t *to)
 {
     const uint32_t bytes = layout->corner_bytes;
     for (uint32_t k = 0; k < 3; k++)
-        memcpy(to + k * bytes, room->corners + triangle[k] * bytes, bytes);
+        memcpy(to + k * bytes, buffer->corners + triangle[k] * bytes, bytes);
     memmove(to + 3 * bytes, material, layout->material_bytes);
 }
 
-uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *room,
+uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *buffer,
                               const struct morton_cube *cube, uint32_t levels, uint32_t bucket,
                               uint8_t *records, uint64_t count)
 {
@@ -96,11 +97,11 @@ uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buf
             to += layout->bytes;
             continue;
         }
-        collect_corners(layout, from, length, room->corners);
-        triangulate(window, room, length + 2);
+        collect_corners(layout, from, length, buffer->corners);
+        triangulate(window, buffer, length + 2);
         for (uint32_t i = 0; i < length; i++)
-            if (is_own(room, cube, levels, bucket, room->triangles + 3 * i)) {
-                put_triangle(layout, room, room->triangles + 3 * i, material, to);
+            if (is_own(buffer, cube, levels, bucket, buffer->triangles + 3 * i)) {
+                put_triangle(layout, buffer, buffer->triangles + 3 * i, material, to);
                 to += layout->bytes;
             }
     }

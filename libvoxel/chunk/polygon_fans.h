@@ -1,15 +1,15 @@
-/* polygon_fans.h - splits polygons whose vertices were in a file when they were partitioned.
+/* polygon_fans.h - triangulates polygons whose positions were in a file when they were partitioned.
  *
- * Such a polygon is in each bucket that has one of its corners, as a fan of triangles around its
- * first corner. When a batch has gathered the positions, the fan becomes the polygon's triangles,
- * and the bucket keeps those that are its own. */
-#ifndef VOX_PARTITION_POLYGON_FANS_H
-#define VOX_PARTITION_POLYGON_FANS_H
+ * Such a polygon is a fan of triangles around its first corner, in each bucket that has one of its
+ * corners. After a batch has gathered the positions, the polygon is triangulated. Each bucket keeps
+ * the triangles whose first corner it has. */
+#ifndef VOX_CHUNK_POLYGON_FANS_H
+#define VOX_CHUNK_POLYGON_FANS_H
 
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/chunk/gather_window.h"
 
-/* The polygon in hand; each thread has its own. */
+/* Buffers for one polygon. Each thread has its own. */
 struct fan_buffer {
     uint8_t *corners;
     double (*positions)[3];
@@ -18,14 +18,14 @@ struct fan_buffer {
 
 uint64_t vox_fan_buffer_bytes(const struct record_layout *layout);
 /* Free with vox_fan_buffer_free(), also after failure. */
-int vox_fan_buffer_init(struct fan_buffer *room, struct bsq_ctx *ctx,
+int vox_fan_buffer_init(struct fan_buffer *buffer, struct bsq_ctx *ctx,
                         const struct record_layout *layout);
-void vox_fan_buffer_free(struct fan_buffer *room, struct bsq_ctx *ctx);
+void vox_fan_buffer_free(struct fan_buffer *buffer, struct bsq_ctx *ctx);
 
-/* Turns the fans among the records of whole runs of this bucket into triangles, and leaves out
- * those that belong to other buckets. Returns how many records there are then. Indices are the
- * scan's, and their vertices were fetched. */
-uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *room,
+/* Replaces the fans among records of this bucket by their triangles, without those of other
+ * buckets. Returns the new count of records. The records are whole runs with the scan's indices,
+ * and the window has fetched their vertices. */
+uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *buffer,
                               const struct morton_cube *cube, uint32_t levels, uint32_t bucket,
                               uint8_t *records, uint64_t count);
 

@@ -1,19 +1,20 @@
 /* radix_sort.c - see radix_sort.h.
  *
- * A least-significant-digit radix sort of the upper 20 bits leaves few entries that still share
- * them, as a bucket of some ten thousand triangles of a surface has about 4^7 places in seven more
- * levels; of the upper 30 bits where there are more. What is left is sorted by insertion, or, where
- * many fall together, by their next bits. */
+ * A least-significant-digit radix sort orders entries by their upper 20 bits, or by 30 bits if
+ * there are many. Few entries then share these bits: seven levels below its own, a bucket of a
+ * surface has about 4^7 occupied cells. Such entries are sorted by insertion, or by their next bits
+ * if many. */
 #include "libvoxel/chunk/radix_sort.h"
 #include "formats/chunks/tris.h"
 
+#include <stdbool.h>
 #include <string.h>
 
 #define DIGIT_BITS  10u
 #define DIGITS_MAX  3u
 #define DIGIT_MASK  ((1u << DIGIT_BITS) - 1)
 #define SMALL_COUNT 24u
-/* Two digits are enough for so many, and leave them where they were, not in the scratch. */
+/* Up to this count two digits are enough. An even number of passes ends in `entries`. */
 #define TWO_DIGITS_COUNT (1u << 15)
 
 static void insertion_sort(struct entry *entries, uint64_t n)
@@ -38,18 +39,19 @@ static void count_digits(const struct entry *entries, uint64_t n, uint32_t shift
     }
 }
 
-/* counts of one digit become first positions; false where all entries have the same digit. */
-static int start_positions(uint32_t counts[1u << DIGIT_BITS], uint64_t n)
+/* Turns counts of one digit into first positions. Returns false if all entries have the same digit.
+ */
+static bool start_positions(uint32_t counts[1u << DIGIT_BITS], uint64_t n)
 {
     uint32_t sum = 0;
     for (uint32_t i = 0; i <= DIGIT_MASK; i++) {
         uint32_t count = counts[i];
         if (count == n)
-            return 0;
+            return false;
         counts[i] = sum;
         sum += count;
     }
-    return 1;
+    return true;
 }
 
 static void radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, uint32_t shift,
@@ -91,7 +93,7 @@ void vox_radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, ui
 
 uint32_t vox_radix_cut(const struct entry *entries)
 {
-    uint64_t highest = 0; /* all bits up to the highest that differed so far */
+    uint64_t highest = 0; /* all bits up to the highest one that differed so far */
     uint32_t at = FMT_TRIS_CHUNK_TRIANGLES / 2;
     for (uint32_t i = FMT_TRIS_CHUNK_TRIANGLES / 2; i <= FMT_TRIS_CHUNK_TRIANGLES; i++) {
         uint64_t difference = entries[i - 1].key ^ entries[i].key;

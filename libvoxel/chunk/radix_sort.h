@@ -1,4 +1,4 @@
-/* radix_sort.h - sorts by key, and finds where a sorted sequence is cut into chunks. */
+/* radix_sort.h - sorts triangles by key, and cuts a sorted sequence into chunks. */
 #ifndef VOX_CHUNK_RADIX_SORT_H
 #define VOX_CHUNK_RADIX_SORT_H
 
@@ -10,13 +10,14 @@ struct entry {
     uint32_t unused;
 };
 
-/* Sorts by key; entries with equal keys keep their order. Keys differ in their low `bits` bits
- * only. scratch: room for n entries. */
+/* Sorts by key; entries with equal keys keep their order. Keys may differ only in their low `bits`
+ * bits. scratch: n entries. */
 void vox_radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, uint32_t bits);
 
-/* Number of the sorted entries that the first chunk takes, n > FMT_TRIS_CHUNK_TRIANGLES: the first
- * position in the upper half of a chunk's size where neighbours differ in the highest bit, that is,
- * where the coarsest bucket ends. */
+/* Returns the number of entries of the first chunk, from half of FMT_TRIS_CHUNK_TRIANGLES to all of
+ * it. Cuts between neighbours whose keys differ in the highest bit, where the largest Morton cell
+ * ends; at the first such place. There must be more than FMT_TRIS_CHUNK_TRIANGLES sorted entries.
+ */
 uint32_t vox_radix_cut(const struct entry *entries);
 
 #endif

@@ -1,5 +1,5 @@
-/* sort_batch.c - see sort_batch.h. Each part is read and sorted by one worker; what results is one
- * sorted sequence, as parts are added in the order of their buckets. */
+/* sort_batch.c - see sort_batch.h. One worker reads and sorts each part. Parts are added in the
+ * order of their buckets, so together they are one sorted sequence. */
 #include "libvoxel/chunk/sort_batch.h"
 #include "base/parallel.h"
 #include "libvoxel/chunk/triangle_area.h"
@@ -25,8 +25,8 @@ uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *
     return bytes;
 }
 
-/* Records between parts, so that loads past a part's end do not touch what another worker writes.
- */
+/* Returns the records to leave free between parts: loads past a part's end must not read what
+ * another worker writes. */
 static uint64_t record_gap(const struct record_layout *layout)
 {
     return RECORD_SLACK / layout->bytes + 1;
@@ -107,7 +107,7 @@ static void mark_record(const struct batch *b, const uint8_t *record)
         used_mark(b->used, record_vertex_index(layout, record + k * layout->corner_bytes));
 }
 
-/* Entries of records with area; returns their number. */
+/* Makes entries for the records with an area and returns their count. */
 static uint32_t make_entries(const struct batch *b, const uint8_t *records, uint64_t first,
                              uint32_t count, struct entry *entries)
 {
@@ -128,11 +128,12 @@ static uint32_t make_entries(const struct batch *b, const uint8_t *records, uint
     return kept;
 }
 
-/* The same of plain records, see record_layout: apart for speed, as widths and places are known. */
+/* Does the same for plain records (record_layout). Faster, because widths and offsets are
+ * constants. */
 static uint32_t make_plain_entries(const struct batch *b, const uint8_t *records, uint64_t first,
                                    uint32_t count, struct entry *entries)
 {
-    /* Copies, which what is written cannot change as far as the compiler knows. */
+    /* Local copies, so that the compiler knows that writes to `entries` cannot change them. */
     const struct morton_cube cube = b->partition->cube;
     const struct attribute_stream positions = b->scan->streams[SCAN_POSITIONS];
     uint32_t kept = 0;
@@ -151,7 +152,7 @@ static uint32_t make_plain_entries(const struct batch *b, const uint8_t *records
     return kept;
 }
 
-/* Makes entries of `count` records of a part, `done` behind its first. */
+/* Makes entries for `count` records of a part, from its record `done` on. */
 static void enter_records(struct batch *b, struct batch_part *part, uint64_t done, uint32_t count)
 {
     const uint64_t first = part->record + done;
@@ -165,7 +166,7 @@ static void enter_records(struct batch *b, struct batch_part *part, uint64_t don
 
 /* ---- parts ---- */
 
-bool vox_batch_has_room(const struct batch *b, uint64_t triangles)
+bool vox_batch_fits(const struct batch *b, uint64_t triangles)
 {
     return b->records_end + triangles + record_gap(&b->partition->layout) <= b->capacity;
 }
@@ -186,8 +187,8 @@ int vox_batch_add(struct batch *b, const struct batch_part *part)
     return 0;
 }
 
-/* Reads a part's records, and enters them or, where elements have to be fetched first, marks these.
- */
+/* Reads a part's records and makes their entries. If elements must be gathered first, only marks
+ * these. */
 static int read_part(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
@@ -211,8 +212,8 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-/* Triangles of a bucket that were read, with their vertices; returns those that are its own. Cells
- * inside of others were given nothing else. */
+/* Triangulates the fans of a bucket and returns the count of its own triangles. Children of a
+ * divided bucket have only their own. */
 static uint64_t keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
                          uint64_t count, unsigned worker)
 {
@@ -223,8 +224,8 @@ static uint64_t keep_own(struct batch *b, const struct batch_part *part, uint8_t
                                 part->bucket, records, count);
 }
 
-/* Where a worker may sort a part. The same place for one part after the other, so that it stays in
- * the core's cache; but large parts need one each. */
+/* Returns scratch memory to sort a part. A worker uses the same memory for all its parts, so it
+ * stays in the core's cache; but large parts need memory of their own. */
 static struct entry *scratch_for(const struct batch *b, const struct batch_part *part,
                                  unsigned worker)
 {
@@ -247,7 +248,7 @@ static int sort_part(void *arg, uint64_t index, unsigned worker)
     return status;
 }
 
-/* The same of a part that was read. */
+/* Sorts a part that was read and whose elements were fetched. */
 static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
@@ -262,7 +263,7 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-static int sort_windowed(struct batch *b, uint64_t carried)
+static int sort_gathered(struct batch *b, uint64_t carried)
 {
     vox_gather_clear(&b->window);
     vox_gather_mark(&b->window, b->records, carried);
@@ -275,7 +276,8 @@ static int sort_windowed(struct batch *b, uint64_t carried)
     return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
 }
 
-/* Triangles that are not kept leave gaps behind the entries of a part. */
+/* Closes the gaps that triangles without area, or of other buckets, leave after a part's entries.
+ */
 static void close_gaps(struct batch *b, uint64_t carried)
 {
     uint64_t end = carried;
@@ -293,14 +295,13 @@ static void close_gaps(struct batch *b, uint64_t carried)
 int vox_batch_sort(struct batch *b)
 {
     const uint64_t carried = b->part_count > 0 ? b->parts[0].at : b->count;
-    int status = b->gathered ? sort_windowed(b, carried)
+    int status = b->gathered ? sort_gathered(b, carried)
                              : bsq_parallel_for(b->ctx, b->part_count, sort_part, b);
     if (status == 0)
         close_gaps(b, carried);
     return status;
 }
 
-/* Records are moved in sorted order. */
 void vox_batch_carry_over(struct batch *b, uint64_t first)
 {
     const uint32_t bytes = b->partition->layout.bytes;

@@ -1,17 +1,19 @@
-/* triangle_area.h - private to the sorter: which triangles have no area. */
+/* triangle_area.h - finds triangles without area. */
 #ifndef VOX_CHUNK_TRIANGLE_AREA_H
 #define VOX_CHUNK_TRIANGLE_AREA_H
 
 #include <math.h>
 #include <stdbool.h>
 
-/* True where float32 is enough to see that a component of u x v is not zero. */
+/* Returns whether x - y, a component of u x v, is certainly not zero in spite of float32 rounding.
+ */
 static inline bool area_differs(float x, float y)
 {
     float size = fabsf(x) + fabsf(y);
     return fabsf(x - y) > 1e-5f * size && size > 1e-30f;
 }
 
+/* Returns whether float32 is enough to see that the triangle has an area. */
 static inline bool area_is_sure(const float *a, const float *b, const float *c)
 {
     float u0 = b[0] - a[0], u1 = b[1] - a[1], u2 = b[2] - a[2];
@@ -20,8 +22,8 @@ static inline bool area_is_sure(const float *a, const float *b, const float *c)
            area_differs(u0 * v1, u1 * v0);
 }
 
-/* In double the products of differences of float32 of like size are exact, so that this is zero for
- * repeated and collinear corners and for nothing else. */
+/* Returns whether the corners are repeated or collinear. Exact for coordinates of similar size:
+ * products of their differences are exact in double. */
 static inline bool area_is_zero(const float *a, const float *b, const float *c)
 {
     if (area_is_sure(a, b, c))

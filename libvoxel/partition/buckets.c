@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-/* Memory comes in slabs of at least one page, huge pages where there is much of it. */
+/* Returns the size of a slab of pages: that of a huge page if there is much memory. */
 static uint64_t slab_bytes(uint64_t page_memory)
 {
     return page_memory >= (uint64_t)64 << 20 ? (uint64_t)2 << 20 : (uint64_t)256 << 10;
@@ -22,7 +22,7 @@ int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *b
     if (buckets->slab_pages == 0)
         buckets->slab_pages = 1;
     buckets->page_limit = page_memory / page_bytes;
-    buckets->without_page = bucket_count;
+    buckets->buckets_without_page = bucket_count;
     int status = bsq_calloc(ctx, "buckets", bucket_count, sizeof *buckets->list, &buckets->list);
     for (uint32_t i = 0; status == 0 && i < bucket_count; i++)
         buckets->list[i].first_page = buckets->list[i].last_page = BUCKET_NONE;
@@ -50,7 +50,7 @@ static uint8_t *memory_page(const struct buckets *buckets, uint64_t number)
            number % buckets->slab_pages * buckets->page_bytes;
 }
 
-/* Gives a bucket an empty page to fill. */
+/* Gives a bucket an empty page of memory to fill. */
 static int take_page(struct buckets *buckets, struct bucket *bucket)
 {
     int status = 0;
@@ -66,11 +66,11 @@ static int take_page(struct buckets *buckets, struct bucket *bucket)
     }
     bucket->buffer_page = buckets->pages_taken++;
     bucket->buffer = memory_page(buckets, bucket->buffer_page);
-    buckets->without_page--;
+    buckets->buckets_without_page--;
     return 0;
 }
 
-/* Enters the bucket's buffer as its next page, at `place`. */
+/* Appends the full buffer, which is at `place`, to the bucket's list of pages. */
 static int list_page(struct buckets *buckets, struct bucket *bucket, uint64_t place)
 {
     if (buckets->page_count >= BUCKET_NONE)
@@ -91,13 +91,15 @@ static int list_page(struct buckets *buckets, struct bucket *bucket, uint64_t pl
     return 0;
 }
 
+/* Keeps a full page in memory if all buckets without a page can still get one; else writes it to
+ * the file and fills it again. */
 static int retire_page(struct buckets *buckets, struct bucket *bucket)
 {
     int status;
-    if (buckets->pages_taken + buckets->without_page < buckets->page_limit) {
+    if (buckets->pages_taken + buckets->buckets_without_page < buckets->page_limit) {
         status = list_page(buckets, bucket, bucket->buffer_page);
         bucket->buffer = NULL;
-        buckets->without_page++;
+        buckets->buckets_without_page++;
     } else {
         if (buckets->file.fd < 0 && (status = bsq_file_temp(buckets->ctx, buckets->beside,
                                                             "sorted records", &buckets->file)) < 0)
@@ -122,7 +124,7 @@ int vox_buckets_add(struct buckets *buckets, uint32_t number, const void *bytes,
     while (status == 0 && size > 0) {
         if (!bucket->buffer && (status = take_page(buckets, bucket)) < 0)
             return status;
-        uint64_t room = buckets->page_bytes - bucket->fill, part = size < room ? size : room;
+        uint64_t space = buckets->page_bytes - bucket->fill, part = size < space ? size : space;
         memcpy(bucket->buffer + bucket->fill, from, part);
         bucket->fill += (uint32_t)part;
         from += part;
@@ -155,7 +157,7 @@ int vox_buckets_read(const struct buckets *buckets, uint32_t number, uint64_t of
         *cursor = (struct bucket_cursor){.page = bucket->first_page, .valid = true};
     while (status == 0 && size > 0) {
         uint64_t wanted = offset / buckets->page_bytes, within = offset % buckets->page_bytes;
-        uint64_t room = buckets->page_bytes - within, part = size < room ? size : room;
+        uint64_t space = buckets->page_bytes - within, part = size < space ? size : space;
         for (; cursor->page_number < wanted; cursor->page_number++)
             cursor->page = buckets->pages[cursor->page].next;
         if (cursor->page == BUCKET_NONE)

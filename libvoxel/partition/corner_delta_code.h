@@ -1,29 +1,31 @@
-/* corner_delta_code.h - private to the sorter: triangles' corner indices as bytes.
+/* corner_delta_code.h - delta coding of triangles' corner indices.
  *
- * In nearly all scans a triangle shares an edge with the one before it, so of its corners one is
- * new, and that one mostly lies close to the last new one. A byte says for each corner which corner
- * of the triangle before it is, or that it is new, and how many bytes the differences of new ones
- * to the last new one take: about two bytes a triangle in all. Where faces have no order the first
- * corner is far from the last one, but the others mostly are near it; then a second byte tells each
- * difference's bytes, about nine a triangle in all. */
+ * In nearly all scans a triangle shares an edge with the previous triangle. So one of its corners
+ * is new, and the index of this corner is mostly close to the last new index. A control byte has
+ * two bits for each corner: the number of the same corner in the previous triangle, or CORNER_NEW.
+ * Its upper two bits give the width of the differences between new indices, 1, 2 or 4 bytes.
+ * Ordinary scans take about two bytes a triangle. If one difference is much wider than the others,
+ * a second byte gives each width; scans whose faces have no order take about nine bytes a triangle.
+ */
 #ifndef VOX_READ_CORNER_DELTA_CODE_H
 #define VOX_READ_CORNER_DELTA_CODE_H
 
 #include <stdint.h>
 #include <string.h>
 
-/* Bytes that a triangle takes at most. */
+/* Maximum bytes of a triangle. */
 #define CORNER_CODE_MAX 26u
-/* Bytes past the end that encoding may write and decoding may read. */
+/* Bytes past the end that the encoder may write and the decoder may read. */
 #define CORNER_CODE_SLACK 8u
 #define CORNER_NEW        3u
 
-/* The triangle before and the last new index. Starts as {0}, for both directions. */
+/* State of the encoder or the decoder: the previous triangle and the last new index. Starts as {0}.
+ */
 struct corner_code {
     uint64_t corner[3], last;
 };
 
-/* Which corner of the triangle before has this index, or CORNER_NEW. */
+/* Returns the corner of the previous triangle that has this index, or CORNER_NEW. */
 static inline unsigned corner_code_match(const uint64_t before[3], uint64_t index)
 {
     unsigned match = CORNER_NEW;
@@ -32,15 +34,15 @@ static inline unsigned corner_code_match(const uint64_t before[3], uint64_t inde
     return index == before[0] ? 0 : match;
 }
 
-/* 1 << this many bytes hold the value. */
+/* Returns w so that 1 << w bytes hold the value. */
 static inline unsigned corner_code_width(uint64_t value)
 {
     return (value > 0xff) + (value > 0xffff) + (value > 0xffffffffu);
 }
 
-#define CORNER_WIDTH_EACH 3u /* a byte of widths follows, two bits for each new corner */
+#define CORNER_WIDTH_EACH 3u /* a byte with two bits of width for each new corner follows */
 
-/* Differences of which one takes four bytes or more. */
+/* Encodes differences, at least one of which takes four bytes or more. */
 static inline uint8_t *corner_code_put_wide(const uint64_t *differences, unsigned count,
                                             unsigned control, uint8_t *to)
 {
@@ -63,8 +65,8 @@ static inline uint8_t *corner_code_put_wide(const uint64_t *differences, unsigne
     return to;
 }
 
-/* Indices are any numbers; differences are taken modulo 2^64. Returns the end of what was written.
- */
+/* Encodes a triangle and returns the end of its code. Indices may be any numbers; differences are
+ * modulo 2^64. */
 static inline uint8_t *corner_code_put(struct corner_code *code, const uint64_t index[3],
                                        uint8_t *to)
 {
@@ -89,7 +91,7 @@ static inline uint8_t *corner_code_put(struct corner_code *code, const uint64_t 
     return to;
 }
 
-/* Returns the end of what was read. */
+/* Decodes a triangle and returns the end of its code. */
 static inline const uint8_t *corner_code_get(struct corner_code *code, const uint8_t *from,
                                              uint64_t index[3])
 {

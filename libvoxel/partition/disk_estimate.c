@@ -1,8 +1,8 @@
-/* disk_estimate.c - see partition.h. The figures are measured. What depends on a file's order has
- * its usual value. */
+/* disk_estimate.c - see partition.h. The bytes per triangle are measured on ordinary scans, whose
+ * faces refer to vertices nearly in their order. */
 #include "libvoxel/partition/partition.h"
 
-/* Bytes of a triangle, coded by the indices of one kind. */
+/* Bytes of a triangle's delta-coded indices, for one kind of index. */
 #define BYTES_BY_INDEX 2
 
 static uint64_t vertex_bytes(const struct fmt_mesh_estimate *scan)
@@ -21,7 +21,7 @@ struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
         scan->vertices * (scan->has_colors ? 16 : 12) + 8 * scan->texcoords + 4 * scan->normals;
     const uint64_t coded = BYTES_BY_INDEX * kinds * triangles;
     const bool spilled = streams > limits->stream_bytes;
-    /* Pages have what streams in memory leave. */
+    /* Pages may use the memory that streams do not need. */
     const uint64_t pages = limits->page_memory + (spilled ? 0 : limits->stream_bytes - streams);
     const uint64_t runs = coded > pages ? coded - pages : 0;
     return (struct disk_space){

@@ -1,4 +1,4 @@
-/* morton.h - Morton (Z-order) keys of points in the cube over a scan. */
+/* morton.h - Morton (Z-order) keys of points in a scan's bounding cube. */
 #ifndef VOX_PARTITION_MORTON_H
 #define VOX_PARTITION_MORTON_H
 
@@ -7,13 +7,13 @@
 #define MORTON_AXIS_BITS 21
 #define MORTON_KEY_BITS  63
 
-/* A cube with 2^21 cells an axis over the bounds of a scan. */
+/* A cube of 2^21 cells along each axis, with the scan's minimum as its corner. */
 struct morton_cube {
     double min[3];
-    double scale; /* cells per unit of length; 0 where the bounds are a point */
+    double scale; /* cells per unit of length; 0 if the bounds are a point */
 };
 
-/* max >= min */
+/* Returns the cube of these bounds; max >= min. */
 static inline struct morton_cube morton_cube_over(const float min[3], const float max[3])
 {
     struct morton_cube cube = {{min[0], min[1], min[2]}, 0.0};
@@ -26,7 +26,7 @@ static inline struct morton_cube morton_cube_over(const float min[3], const floa
     return cube;
 }
 
-/* Cells of a point. Points outside of the cube count as on its border. */
+/* Finds the cell of a point. Points outside of the cube are clamped into its border cells. */
 static inline void morton_cells(const struct morton_cube *cube, const float *p, uint32_t cell[3])
 {
     const double last = (double)((1u << MORTON_AXIS_BITS) - 1);
@@ -50,20 +50,20 @@ static inline void morton_cells(const struct morton_cube *cube, const float *p, 
 #endif
 }
 
-/* The first 3 * levels bits of a point's key; levels at most 5. */
+/* Returns the first 3 * levels bits of a point's key; levels <= 5. */
 static inline uint32_t morton_cell(const struct morton_cube *cube, uint32_t levels, const float *p)
 {
-    uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
+    uint32_t cell[3] = {0}; /* for static analysers, which miss vector stores */
     morton_cells(cube, p, cell);
     for (int k = 0; k < 3; k++)
         cell[k] >>= MORTON_AXIS_BITS - levels;
     return bsq_morton_short_key(cell);
 }
 
-/* The key of a point. */
+/* Returns the key of a point, of MORTON_KEY_BITS bits. */
 static inline uint64_t morton_point_key(const struct morton_cube *cube, const float *p)
 {
-    uint32_t cell[3] = {0}; /* for checkers that do not know what vectors store */
+    uint32_t cell[3] = {0}; /* for static analysers, which miss vector stores */
     morton_cells(cube, p, cell);
     return bsq_morton_key(cell);
 }

@@ -14,7 +14,7 @@ uint8_t *vox_run_put_records(const struct record_layout *layout, const uint8_t *
 
 /* ---- the buffer ---- */
 
-/* The largest run: delta codes of all kinds of indices, which are never below a record's bytes. */
+/* Size of the largest run: delta codes of all kinds of indices. Plain records are never larger. */
 #define BUFFER_BYTES                                                                               \
     (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX + RUN_TRIANGLES / 8 +                   \
      (uint32_t)sizeof(struct run_header))
@@ -65,7 +65,7 @@ static int fill_buffer(struct run_reader *reader, uint32_t size)
 
 /* ---- decoding ---- */
 
-/* Decodes triangles of most scans: positions alone, fewer than 2^32. */
+/* Decodes plain records (triangle_record.h), as most scans have them. */
 static void decode_plain(const uint8_t *from, uint32_t count, uint8_t *to)
 {
     struct corner_code code = {0};

@@ -1,8 +1,8 @@
-/* record_runs.h - the bytes of a bucket: runs of triangles.
+/* record_runs.h - runs, of which a bucket's bytes consist.
  *
- * A run is a header and up to RUN_TRIANGLES triangles of one bucket and one material, which can be
- * decoded alone. Their indices are delta coded (corner_delta_code.h). Buckets that are divided once
- * more hold runs of plain records instead. */
+ * A run is a header and up to RUN_TRIANGLES triangles of one bucket and one material. It can be
+ * decoded by itself. Its indices are delta coded (corner_delta_code.h). If a bucket is divided, its
+ * children hold runs of uncoded records (RUN_RECORDS). */
 #ifndef VOX_PARTITION_RECORD_RUNS_H
 #define VOX_PARTITION_RECORD_RUNS_H
 
@@ -10,13 +10,13 @@
 #include "libvoxel/partition/triangle_record.h"
 
 #define RUN_TRIANGLES 1024u
-/* Corners of the largest polygon that can be a fan, since a fan is in one run. */
+/* Corners of the largest polygon that can be a fan: a fan must fit in one run. */
 #define FAN_CORNERS (RUN_TRIANGLES + 2)
 
 enum run_form {
-    /* 1 << kind: the run has indices of this kind, and kinds alternate triangle by triangle */
-    RUN_RECORDS = 8,
-    RUN_FANS = 16 /* a bit for each triangle follows the indices: it continues a fan */
+    /* 1 << kind: the run has indices of this kind; kinds alternate triangle by triangle */
+    RUN_RECORDS = 8, /* uncoded records */
+    RUN_FANS = 16    /* after the indices, a bit for each triangle: it continues a fan */
 };
 
 struct run_header {
@@ -25,7 +25,8 @@ struct run_header {
     uint32_t material; /* see run_material() */
 };
 
-/* Names an entry of scan->material_map, which is only made after all faces have been read. */
+/* Returns the code of an entry of scan->material_map, which exists only after all faces were read.
+ */
 static inline uint32_t run_material(uint32_t usemtl, bool lacks_texcoord)
 {
     return (usemtl + 1) << 1 | lacks_texcoord; /* FMT_MESH_NO_MATERIAL becomes 0 */
@@ -43,7 +44,7 @@ struct run_reader {
     uint32_t begin, end; /* unread bytes of the buffer */
     const struct buckets *buckets;
     uint32_t bucket;
-    uint64_t offset; /* in the bucket's bytes, of what follows the buffer */
+    uint64_t offset; /* in the bucket, of the first byte after the buffer */
     struct bucket_cursor cursor;
 };
 
@@ -61,7 +62,7 @@ static inline uint64_t run_reader_tell(const struct run_reader *reader)
     return reader->offset - (reader->end - reader->begin);
 }
 /* Decodes the next run into at most RUN_TRIANGLES records at `to`, and may write RECORD_SLACK bytes
- * more. Skips the run if `to` is NULL. The caller knows that there is one. */
+ * more. Skips the run if `to` is NULL. There must be a next run. */
 int vox_run_reader_next(struct run_reader *reader, uint8_t *to, uint32_t *count);
 
 #endif

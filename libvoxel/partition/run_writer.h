@@ -6,13 +6,14 @@
 #include "libvoxel/partition/record_runs.h"
 
 struct run_writer {
-    uint8_t *header; /* of the run in hand, NULL between runs */
+    uint8_t *header; /* of the current run, NULL between runs */
     uint8_t *to;
     struct run_header run;
     uint8_t *fan_bits; /* RUN_TRIANGLES bits, only used if runs have fans */
     struct corner_code codes[FMT_MESH_KIND_COUNT];
 };
 
+/* Completes the current run's header, if there is a run. */
 static inline void run_writer_end(struct run_writer *w)
 {
     if (!w->header)
@@ -27,7 +28,7 @@ static inline void run_writer_end(struct run_writer *w)
     w->run.triangles = 0;
 }
 
-/* Ends the run in hand and begins another. */
+/* Ends the current run, if any, and begins another. */
 static inline void run_writer_begin(struct run_writer *w, unsigned form, uint32_t material)
 {
     run_writer_end(w);

@@ -4,7 +4,7 @@
 static void add_indices(struct record_layout *layout, const struct scan *scan)
 {
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
-        /* The largest number of this width stays free: it stands for "none". */
+        /* The largest number of this width is reserved: it means "none". */
         uint64_t count = scan_count(scan, scan_stream_of(kind))
                          << (kind == FMT_MESH_VERTEX && layout->fans);
         uint32_t width = record_index_width(count, scan->limits->index_bytes);

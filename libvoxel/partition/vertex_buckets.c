@@ -3,7 +3,8 @@
 
 #define BLOCK_VERTICES 8192u
 
-/* Vertices have an order if fewer than one in this many changes the bucket. */
+/* Vertices count as ordered if fewer than one in eight is in another bucket than the previous one.
+ */
 #define VERTICES_BY_CHANGE 8
 
 static int allocate(const struct scan *scan, uint64_t vertices, uint32_t levels,

@@ -1,20 +1,20 @@
-/* attribute_stream.h - one attribute of all vertices, texture coordinates or normals.
+/* attribute_stream.h - one attribute of a scan: positions, colours, texture coordinates or normals.
  *
- * An attribute stream is a spill buffer of equal elements, a power of two in a segment. An element
- * in memory is found with a shift and a mask, and the stream grows without being copied. */
+ * An attribute stream is a spill buffer of equal elements. A segment has a power of two of them, so
+ * a shift and a mask find an element in memory. The stream grows without being copied. */
 #ifndef VOX_READ_ATTRIBUTE_STREAM_H
 #define VOX_READ_ATTRIBUTE_STREAM_H
 
 #include "libvoxel/read/spill_buffer.h"
 
-/* Of large segments: any stream's is a multiple of a huge page. */
+/* log2 of elements in a segment. Large segments of any stream are multiples of a huge page. */
 #define STREAM_LARGE_SHIFT 19u
 #define STREAM_SMALL_SHIFT 16u
 
 struct attribute_stream {
     struct spill_buffer spill;
     uint32_t element_bytes;
-    uint32_t shift; /* of elements in a segment */
+    uint32_t shift; /* log2 of elements in a segment */
 };
 
 static inline void stream_init(struct attribute_stream *stream, struct bsq_ctx *ctx,
@@ -31,7 +31,8 @@ static inline uint64_t stream_count(const struct attribute_stream *stream)
     return stream->element_bytes ? stream->spill.bytes / stream->element_bytes : 0;
 }
 
-/* An element of a stream in memory; element_bytes is passed so that it can be a constant. */
+/* Returns an element of a stream in memory. element_bytes is a parameter so that it can be a
+ * constant. */
 static inline const void *stream_at(const struct attribute_stream *stream, uint64_t index,
                                     uint32_t element_bytes)
 {

@@ -1,9 +1,8 @@
 /* scan_materials.c - which attributes a scan keeps, and its table of materials.
  *
- * Only materials that faces use get into the table, and of these only such as say anything: a
- * texture or a colour. Texture coordinates are kept where some texture will be looked up with them.
- * A textured material has a second entry without texture for triangles that lack texture
- * coordinates. */
+ * The table has the materials that faces use and that have a texture or a colour. Texture
+ * coordinates are kept if some material has a texture. A textured material has a second entry
+ * without texture, for triangles that lack texture coordinates. */
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -11,7 +10,7 @@
 #include <string.h>
 #include <unistd.h>
 
-/* Absolute path of a texture, owned by the scan. */
+/* Returns in *out the absolute path of a texture, which the scan owns. */
 static int resolve_texture(struct scan *scan, const char *path, char **out)
 {
     char *absolute = realpath(path, NULL);
@@ -47,7 +46,7 @@ static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
     return status;
 }
 
-/* One image for everything that has texture coordinates. */
+/* Uses one image for all triangles with texture coordinates. */
 static int use_single_texture(struct scan *scan, const char *texture_path)
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};

@@ -1,6 +1,6 @@
-/* scan_read.c - parsed blocks become attribute streams.
+/* scan_read.c - appends parsed blocks to attribute streams.
  *
- * This runs in the reader's serial step while other blocks are parsed, so it only converts and
+ * This runs in the reader's serial step, while workers parse other blocks. So it only converts and
  * appends. */
 #include "libvoxel/read/scan.h"
 #include "libvoxel/float_precision.h"
@@ -10,8 +10,8 @@
 #include <math.h>
 #include <string.h>
 
-/* Colours up to this value are taken for ones from 0 to 1. */
-static const float largest_of_one = 2.0f;
+/* Colours up to this value count as colours from 0 to 1; larger ones, as colours from 0 to 255. */
+static const float unit_color_limit = 2.0f;
 
 void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
                    const char *const *scan_paths, const char *tris_path)
@@ -55,7 +55,7 @@ uint64_t vox_scan_stream_memory(const struct scan *scan)
 static int stream_reserve(struct scan *scan, enum scan_stream number, void *at, uint64_t *capacity)
 {
     struct attribute_stream *stream = &scan->streams[number];
-    uint64_t cost = vox_spill_room_cost(&stream->spill);
+    uint64_t cost = vox_spill_reserve_cost(&stream->spill);
     int status = 0;
     if (cost > 0 && !stream->spill.spilled &&
         vox_scan_stream_memory(scan) + cost > scan->limits->stream_bytes)
@@ -63,7 +63,7 @@ static int stream_reserve(struct scan *scan, enum scan_stream number, void *at, 
     if (status < 0)
         return status;
     uint8_t *bytes;
-    status = vox_spill_room(&stream->spill, &bytes, capacity);
+    status = vox_spill_reserve(&stream->spill, &bytes, capacity);
     *capacity /= stream->element_bytes;
     memcpy(at, &bytes, sizeof bytes);
     return status;
@@ -77,8 +77,8 @@ static void stream_advance(struct scan *scan, enum scan_stream number, uint64_t 
 
 /* ---- positions ---- */
 
-/* A scan far from zero in relation to its size would lose detail as float32. The first block stands
- * for the scan, so that one pass is enough. */
+/* Chooses the origin from the first block, so that one pass is enough. float32 positions would lose
+ * detail if a scan is far from zero for its size. */
 static void choose_origin(struct scan *scan, const struct fmt_mesh_block *block)
 {
     double low[3], high[3];
@@ -150,15 +150,16 @@ static bool color_given(const float color[3])
     return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
 }
 
-/* Of 0..1 or of 0..255, as the first colours say. Light that a tool left a little above 1 must not
- * turn the scan black; of bytes, the largest of thousands is hardly ever that small. */
+/* Decides from the first colours whether values are from 0 to 1 or from 0 to 255. Some tools write
+ * values slightly above 1, which must not turn the scan black. The largest of thousands of byte
+ * values is hardly ever 2 or less. */
 static void choose_color_scale(struct scan *scan, const struct fmt_mesh_block *block)
 {
     float max = 0.0f;
     for (uint64_t v = 0; v < block->vertex_count; v++)
         for (int i = 0; i < 3; i++)
             max = fmaxf(max, block->colors[v][i]);
-    scan->color_scale = max > largest_of_one ? 1.0f : 255.0f;
+    scan->color_scale = max > unit_color_limit ? 1.0f : 255.0f;
     scan->has_colors = true;
 }
 
@@ -178,7 +179,8 @@ static uint32_t pack_color(struct scan *scan, const float color[3])
     return packed;
 }
 
-/* Appends colours of the block, or defaults where it has none, until there are as many as `end`. */
+/* Appends the block's colours until there are `end` colours. Vertices without one get the default.
+ */
 static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t end)
 {
     uint64_t begin = scan_count(scan, SCAN_COLORS);
@@ -222,7 +224,7 @@ static int add_texcoords(struct scan *scan, const struct fmt_mesh_block *block)
 
 static uint32_t pack_normal(const float n[3])
 {
-    /* Scaled by its largest component first, so that no length over- or underflows. */
+    /* Divides by the largest component first, so that the length cannot over- or underflow. */
     float largest = fmaxf(fabsf(n[0]), fmaxf(fabsf(n[1]), fabsf(n[2])));
     if (!(largest > 0.0f) || !isfinite(largest))
         return SCAN_NO_NORMAL;
@@ -276,7 +278,7 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 void vox_scan_prefault(struct scan *scan)
 {
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        vox_spill_touch_ahead(&scan->streams[i].spill);
+        vox_spill_prefault(&scan->streams[i].spill);
 }
 
 /* ---- the end ---- */

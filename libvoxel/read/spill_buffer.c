@@ -3,8 +3,8 @@
 
 #include <string.h>
 
-#define TOUCH_BYTES ((uint64_t)2 << 20) /* a huge page at a time */
-#define TOUCH_AHEAD (2 * TOUCH_BYTES)
+#define PREFAULT_BYTES ((uint64_t)2 << 20) /* a huge page */
+#define PREFAULT_AHEAD (2 * PREFAULT_BYTES)
 
 void vox_spill_init(struct spill_buffer *spill, struct bsq_ctx *ctx, const char *what,
                     const char *beside, uint64_t segment_bytes)
@@ -19,40 +19,41 @@ void vox_spill_init(struct spill_buffer *spill, struct bsq_ctx *ctx, const char 
     pthread_mutex_init(&spill->lock, NULL);
 }
 
-/* ---- touching ---- */
+/* ---- prefaulting ---- */
 
-static void set_untouched(struct spill_buffer *spill, uint8_t *from, uint8_t *to)
+static void set_unfaulted(struct spill_buffer *spill, uint8_t *from, uint8_t *to)
 {
     pthread_mutex_lock(&spill->lock);
-    spill->untouched = spill->head = from;
-    spill->untouched_end = to;
+    spill->unfaulted = spill->head = from;
+    spill->unfaulted_end = to;
     pthread_mutex_unlock(&spill->lock);
 }
 
-void vox_spill_touch_ahead(struct spill_buffer *spill)
+void vox_spill_prefault(struct spill_buffer *spill)
 {
     uint8_t *at = NULL;
     uint64_t size = 0;
     pthread_mutex_lock(&spill->lock);
-    while (spill->untouched < spill->untouched_end &&
-           spill->untouched < spill->head) /* by filling it */
-        spill->untouched += TOUCH_BYTES;
-    if (spill->untouched < spill->untouched_end && spill->untouched < spill->head + TOUCH_AHEAD) {
-        uint64_t left = (uint64_t)(spill->untouched_end - spill->untouched);
-        at = spill->untouched;
-        size = left < TOUCH_BYTES ? left : TOUCH_BYTES;
-        spill->untouched += size;
+    while (spill->unfaulted < spill->unfaulted_end &&
+           spill->unfaulted < spill->head) /* filling it has faulted it */
+        spill->unfaulted += PREFAULT_BYTES;
+    if (spill->unfaulted < spill->unfaulted_end &&
+        spill->unfaulted < spill->head + PREFAULT_AHEAD) {
+        uint64_t left = (uint64_t)(spill->unfaulted_end - spill->unfaulted);
+        at = spill->unfaulted;
+        size = left < PREFAULT_BYTES ? left : PREFAULT_BYTES;
+        spill->unfaulted += size;
     }
     pthread_mutex_unlock(&spill->lock);
     if (at)
-        bsq_prefault(at, size); /* a spill may have freed it by now, then this has no effect */
+        bsq_prefault(at, size); /* no effect if a spill has freed the memory meanwhile */
 }
 
 /* ---- segments ---- */
 
 static void free_segments(struct spill_buffer *spill)
 {
-    set_untouched(spill, NULL, NULL);
+    set_unfaulted(spill, NULL, NULL);
     for (uint64_t i = 0; i < spill->segment_count; i++)
         bsq_free(spill->ctx, spill->segments[i]);
     spill->segment_count = 0;
@@ -74,7 +75,7 @@ uint64_t vox_spill_memory(const struct spill_buffer *spill)
     return spill->segment_count * spill->segment_bytes;
 }
 
-/* Bytes in the last segment; a spilled spill has written all before it to the file. */
+/* Returns the bytes in the last segment. After a spill, all bytes before them are in the file. */
 static uint64_t tail_bytes(const struct spill_buffer *spill)
 {
     if (spill->spilled)
@@ -84,7 +85,7 @@ static uint64_t tail_bytes(const struct spill_buffer *spill)
     return spill->bytes - (spill->segment_count - 1) * spill->segment_bytes;
 }
 
-uint64_t vox_spill_room_cost(const struct spill_buffer *spill)
+uint64_t vox_spill_reserve_cost(const struct spill_buffer *spill)
 {
     bool full =
         spill->segment_count == 0 || (!spill->spilled && tail_bytes(spill) == spill->segment_bytes);
@@ -103,7 +104,7 @@ static int add_segment(struct spill_buffer *spill)
         return status;
     uint8_t *segment = spill->segments[spill->segment_count++];
     if (!spill->spilled)
-        set_untouched(spill, segment, segment + spill->segment_bytes);
+        set_unfaulted(spill, segment, segment + spill->segment_bytes);
     return 0;
 }
 
@@ -112,10 +113,10 @@ static int flush_tail(struct spill_buffer *spill)
     return bsq_file_append(spill->ctx, &spill->file, spill->segments[0], tail_bytes(spill));
 }
 
-int vox_spill_room(struct spill_buffer *spill, uint8_t **at, uint64_t *room)
+int vox_spill_reserve(struct spill_buffer *spill, uint8_t **at, uint64_t *capacity)
 {
     int status = 0;
-    if (vox_spill_room_cost(spill) > 0)
+    if (vox_spill_reserve_cost(spill) > 0)
         status = add_segment(spill);
     else if (tail_bytes(spill) == spill->segment_bytes)
         status = flush_tail(spill);
@@ -123,7 +124,7 @@ int vox_spill_room(struct spill_buffer *spill, uint8_t **at, uint64_t *room)
         return status;
     uint64_t used = tail_bytes(spill);
     *at = spill->segments[spill->segment_count - 1] + used;
-    *room = spill->segment_bytes - used;
+    *capacity = spill->segment_bytes - used;
     return 0;
 }
 
@@ -147,7 +148,7 @@ int vox_spill_spill(struct spill_buffer *spill)
     }
     if (status < 0)
         return status;
-    set_untouched(spill, NULL, NULL);
+    set_unfaulted(spill, NULL, NULL);
     while (spill->segment_count > 1)
         bsq_free(spill->ctx, spill->segments[--spill->segment_count]);
     spill->spilled = true;

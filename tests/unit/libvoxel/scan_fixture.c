@@ -103,7 +103,7 @@ static void sphere_face(struct scan_mesh *mesh, int face, uint32_t n, double rad
 
 struct scan_mesh scan_sphere(double radius, double max_edge)
 {
-    /* Projection stretches an edge of a face, sqrt(2) R / n, by sqrt(3) at most. */
+    /* Projection stretches an edge of a face, sqrt(2) R / n, by at most sqrt(3). */
     uint32_t n = (uint32_t)ceil(sqrt(6.0) * radius / max_edge);
     uint32_t vertices = (n + 1) * (n + 2) / 2;
     struct scan_mesh mesh = scan_mesh_new(8 * vertices, 8 * n * n);
@@ -167,8 +167,8 @@ void scan_sort(struct scan_mesh *mesh)
 
 /* ---- chunk files ---- */
 
-/* Writes triangles first to first + count - 1 with vertices of their own. local: UINT32_MAX for
- * every vertex, and left so. */
+/* Writes a chunk of triangles [first, first + count). local: has UINT32_MAX for each vertex, before
+ * and after. */
 static struct scan_mesh extract(const struct scan_mesh *mesh, uint32_t first, uint32_t count,
                                 uint32_t *local)
 {

@@ -68,7 +68,7 @@ int sort_tear_down(void **state)
     unlink(path);
     snprintf(path, sizeof path, "%s/wall.png", f->dir);
     unlink(path);
-    assert_int_equal(rmdir(f->dir), 0); /* nothing else may have been left */
+    assert_int_equal(rmdir(f->dir), 0); /* fails if another file is left */
     free(f);
     return 0;
 }
@@ -111,7 +111,7 @@ void sorted_add(struct sorted_triangles *t, const struct sorted_triangle *one)
         t->list = realloc(t->list, t->capacity * sizeof *t->list);
         assert_non_null(t->list);
     }
-    /* The least corner goes first, as the first corner of a triangle means nothing; winding stays.
+    /* Rotates the least corner to the front: which corner is first does not matter, winding does.
      */
     int least = 0;
     for (int k = 1; k < 3; k++)
@@ -161,7 +161,7 @@ static void take_chunk(const struct fmt_tris_chunk *chunk, struct sorted_triangl
     }
 }
 
-/* Bounds must be exactly those of the chunk's triangles. */
+/* Checks that the bounds are exactly those of the chunk's triangles. */
 static void expect_bounds(const struct fmt_tris_chunk *chunk,
                           const struct fmt_tris_chunk_info *info)
 {

@@ -1,5 +1,4 @@
-/* sort_fixture.h - for the tests of the sorter: scans as text, sorted, and read again as a multiset
- * of triangles. */
+/* sort_fixture.h - sorts scans for tests, and reads the result as a multiset of triangles. */
 #ifndef TEST_SORT_FIXTURE_H
 #define TEST_SORT_FIXTURE_H
 
@@ -13,18 +12,18 @@ struct sort_fixture {
     struct bsq_ctx *ctx;
     char warning[256];
     unsigned warnings;
-    bool beyond_total;            /* some stage did more than it said it would */
+    bool beyond_total;            /* some stage reported more work than its total */
     struct bsq_progress progress; /* the last report of a stage */
     struct vox_sort_report report;
 };
 
-/* Ends the context before, which must have given all memory back. */
+/* Opens a context. Closes the previous one and checks that all its memory was freed. */
 void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads);
 int sort_set_up(void **state);
-/* Nothing but the files named in the fixture may be left. */
+/* Checks that only the files named in the fixture are left, and removes them. */
 int sort_tear_down(void **state);
 void sort_write_text(const char *path, const char *text);
-/* Sorts to tris; the report is the fixture's. */
+/* Sorts files to f->tris and fills f->report. */
 int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count);
 int sort_text(struct sort_fixture *f, const char *text);
 void expect_sorted(struct sort_fixture *f, int status);
@@ -46,12 +45,12 @@ struct sorted_triangles {
 };
 
 void sorted_add(struct sorted_triangles *t, const struct sorted_triangle *one);
-/* Whatever the order; both are freed. */
+/* Compares without regard to order, and frees both. */
 void expect_same_triangles(struct sorted_triangles *got, struct sorted_triangles *expected);
-/* Reads the sorted file whole; header (may be NULL) is copied without its materials. */
+/* Reads the whole sorted file. *header gets its header without materials, unless it is NULL. */
 void read_sorted(struct sort_fixture *f, struct sorted_triangles *out,
                  struct fmt_tris_header *header);
-/* To be freed with free(). */
+/* Reads a whole file. Free the result with free(). */
 uint8_t *sort_read_bytes(const char *path, size_t *size);
 
 #endif

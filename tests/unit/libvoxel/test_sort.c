@@ -1,5 +1,5 @@
-/* Sorting scans: every triangle comes out once, with its attributes, and the file is the same
- * whatever the memory and the threads. */
+/* Tests sorting: each triangle comes out once, with its attributes, and the file has the same bytes
+ * for any memory budget and any number of threads. */
 #include "sort_grid.h"
 
 #include <math.h>
@@ -37,7 +37,7 @@ static void every_triangle_of_a_grid_comes_out_once(void **state)
     }
 }
 
-/* Corners of their own for every triangle, anywhere in a cube: no neighbours, all cells in use. */
+/* Each triangle has its own corners, anywhere in a cube: no neighbours, and all buckets in use. */
 static void every_triangle_of_a_soup_comes_out_once(void **state)
 {
     struct sort_fixture *f = *state;
@@ -65,7 +65,7 @@ static void every_triangle_of_a_soup_comes_out_once(void **state)
     expect_same_triangles(&got, &expected);
 }
 
-/* ---- the same bytes, whatever the memory and the threads ---- */
+/* ---- the same bytes for any memory and threads ---- */
 
 struct reference {
     uint8_t *bytes;
@@ -105,7 +105,7 @@ static void budgets_and_threads_do_not_change_the_file(void **state)
     sort_grid_free(&g);
 }
 
-/* Triangles without area between any of a grid's vertices. */
+/* Writes triangles without area between random vertices of a grid. */
 static void append_flat_triangles(const char *path, const struct sort_grid *g, uint32_t count)
 {
     uint64_t seed = 31;
@@ -119,8 +119,7 @@ static void append_flat_triangles(const char *path, const struct sort_grid *g, u
     assert_int_equal(fclose(file), 0);
 }
 
-/* Limits so small that every part of the sorter goes to files, one after the other and all
- * together. */
+/* Sets limits so small that each part of the sorter uses files, one at a time and all together. */
 static void spilling_does_not_change_the_file(void **state)
 {
     struct sort_fixture *f = *state;
@@ -168,8 +167,8 @@ static void spilling_does_not_change_the_file(void **state)
     }
 }
 
-/* A vertex after the faces moves the cube around the scan, and the samples that the reader takes do
- * not show it: the scan is read again in two passes. */
+/* A vertex after the faces changes the bounds of the scan. The reader's samples miss it, so the
+ * scan is read again in two passes. */
 static void vertices_after_faces_are_found_late(void **state)
 {
     struct sort_fixture *f = *state;
@@ -180,7 +179,7 @@ static void vertices_after_faces_are_found_late(void **state)
     for (int late = 0; late < 3; late++) {
         sort_grid_write(&g, f->obj, 0, 9);
         FILE *file = fopen(f->obj, "ab");
-        for (int i = 0; i < 40000; i++) /* the last sample ends before what follows */
+        for (int i = 0; i < 40000; i++) /* the last sample ends before the next line */
             fputs("f 1 2 3\n", file);
         fputs(late == 0 ? "f 36482 1 2\nv 9 9 9\n" : "v 9 9 9\nf 36482 1 2\n", file);
         for (int i = 0; i < 400; i++)
@@ -201,8 +200,7 @@ static void vertices_after_faces_are_found_late(void **state)
     sort_grid_free(&g);
 }
 
-/* More triangles than a batch with one first corner: only their order in the scan tells them apart.
- */
+/* More triangles than a batch holds have the same first corner, so they keep the scan's order. */
 static void many_triangles_in_one_place_are_sorted(void **state)
 {
     struct sort_fixture *f = *state;
@@ -223,7 +221,8 @@ static void many_triangles_in_one_place_are_sorted(void **state)
             limits.batch_triangles = 70000;
         expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles, 140001);
-        assert_int_equal(f->report.chunks, 4); /* nothing to choose from: 3 x 32768 and the rest */
+        assert_int_equal(f->report.chunks,
+                         4); /* all keys are equal: 3 x 32768 triangles and the rest */
         expect_same_file(f, &reference);
         read_sorted(f, NULL, NULL);
     }
@@ -232,7 +231,7 @@ static void many_triangles_in_one_place_are_sorted(void **state)
 
 /* ---- order ---- */
 
-/* Interleaves by the definition, bit by bit. */
+/* Interleaves bit by bit, as the definition says. */
 static uint64_t naive_key(const float point[3], const struct fmt_tris_header *header)
 {
     uint64_t key = 0;
@@ -249,8 +248,8 @@ static uint64_t naive_key(const float point[3], const struct fmt_tris_header *he
     return key;
 }
 
-/* By their first corners. Neighbours may be swapped where the division above rounds another way,
- * which moves a key by one. */
+/* Checks the order of first corners. The division above may round in another way, which moves a key
+ * by one. So neighbours may be swapped. */
 static void expect_morton_order(const struct fmt_tris_chunk *chunk,
                                 const struct fmt_tris_header *header, uint64_t *before)
 {
@@ -299,7 +298,7 @@ static void ordinary_meshes_take_14_bytes_a_triangle(void **state)
     sort_grid_free(&g);
 }
 
-/* ---- what is left out ---- */
+/* ---- triangles that are left out ---- */
 
 static void triangles_without_area_are_counted(void **state)
 {

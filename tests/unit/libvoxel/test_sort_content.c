@@ -1,4 +1,4 @@
-/* What becomes of polygons, colours, far places and materials when a scan is sorted. */
+/* Tests how sorting handles polygons, colours, positions far from zero, and materials. */
 #include "sort_fixture.h"
 
 #include <math.h>
@@ -21,7 +21,7 @@ static double total_area(const struct sorted_triangles *t)
         double vx = (double)c[2].position[0] - c[0].position[0];
         double vy = (double)c[2].position[1] - c[0].position[1];
         double part = (ux * vy - uy * vx) / 2;
-        assert_true(part > 0); /* no triangle is turned over */
+        assert_true(part > 0); /* no triangle is flipped */
         area += part;
     }
     return area;
@@ -31,7 +31,7 @@ static void concave_polygons_keep_their_area(void **state)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
-    /* An L of area 3 and an arrow of area 1, in files between triangles. */
+    /* An L of area 3 and an arrow of area 1, between triangles. */
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 2 0 0\nv 2 1 0\nv 1 1 0\nv 1 2 0\nv 0 2 0\n"
                                   "v 4 0 0\nv 6 0 0\nv 5 0.5 0\nv 5 2 0\n"
                                   "f 1 2 3\nf 1 2 3 4 5 6\nf 7 8 10\nf 7 9 8 10\n"));
@@ -42,7 +42,7 @@ static void concave_polygons_keep_their_area(void **state)
     free(got.list);
 }
 
-/* A polygon as large as a block of text. */
+/* One polygon fills a block of text. */
 static void a_polygon_of_any_size_is_split(void **state)
 {
     struct sort_fixture *f = *state;
@@ -93,7 +93,7 @@ static void colors_are_of_zero_to_one_or_of_bytes(void **state)
     assert_int_equal(color_at(&got, 0, 1), 0xff000000u);
     assert_int_equal(f->warnings, 1);
     assert_non_null(strstr(f->warning, "2 vertices"));
-    /* Light that is a little too bright is none of bytes. */
+    /* Values slightly above 1 are not taken for bytes. */
     got.count = 0;
     expect_sorted(f, sort_text(f, "v 0 0 0 0 0.5 1\nv 1 0 0 1 1.01 1\nv 0 1 0\nf 1 2 3\n"));
     read_sorted(f, &got, NULL);
@@ -148,10 +148,10 @@ static void georeferenced_scans_keep_their_detail(void **state)
                 nearest = fmin(nearest, fabs(header.origin[axis] +
                                              (double)got.list[0].corners[j].position[axis] -
                                              corners[k][axis]));
-            assert_true(nearest < 1e-5); /* z has no origin */
+            assert_true(nearest < 1e-5); /* the origin is 0 in z */
         }
     }
-    assert_true(header.origin[0] == 500000.0); /* of a scan of about 3 */
+    assert_true(header.origin[0] == 500000.0); /* the scan's size is about 3 */
     assert_true(header.origin[2] == 0.0);
     free(got.list);
 }
@@ -160,10 +160,9 @@ static void ordinary_scans_have_no_origin(void **state)
 {
     struct sort_fixture *f = *state;
     expect_sorted(f, sort_text(f, "v 9000 0 0\nv 9500 0 0\nv 9000 500 0\nf 1 2 3\n"));
-    assert_true(f->report.origin[0] == 0.0); /* far, but not for its size */
+    assert_true(f->report.origin[0] == 0.0); /* far from zero, but not for its size */
     expect_sorted(f, sort_text(f, "v 8000 0 0\nv 8001 0 0\nv 8000 1 0\nf 1 2 3\n"));
-    assert_true(f->report.origin[0] ==
-                0.0); /* near enough; this may be a patch of a scan around 0 */
+    assert_true(f->report.origin[0] == 0.0); /* near zero: may be a patch of a scan around it */
 }
 
 /* ---- materials ---- */
@@ -231,8 +230,7 @@ static void materials_come_from_the_library(void **state)
     free(got.list);
 }
 
-/* Scans are often passed on without their images: shapes and diffuse colours are still worth
- * having. */
+/* Scans often come without their images. Shapes and diffuse colours are kept. */
 static void a_missing_texture_leaves_the_diffuse_colour(void **state)
 {
     struct sort_fixture *f = *state;
@@ -279,8 +277,7 @@ static void one_texture_can_be_given_for_all(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), texture));
 }
 
-/* A face of two corners is no face, and its normals are none of the scan's, in one pass and in two.
- */
+/* A face of two corners is skipped, and its normals do not count, in one pass and in two. */
 static void normals_of_faces_left_out_do_not_count(void **state)
 {
     struct sort_fixture *f = *state;

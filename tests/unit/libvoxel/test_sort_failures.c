@@ -1,5 +1,5 @@
-/* Scans that cannot be sorted, and sorting that fails on the way: an error that says why, and
- * nothing is left behind. */
+/* Tests scans that cannot be sorted, and sorting that fails midway: the error says why, and no file
+ * or memory is left. */
 #include "sort_grid.h"
 
 #include <setjmp.h>
@@ -47,7 +47,7 @@ static void positions_beyond_float_are_refused(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), "1e+200"));
 }
 
-/* Nothing but degenerate triangles: a file without chunks. */
+/* A scan with only degenerate triangles is refused. */
 static void a_scan_without_area_is_refused(void **state)
 {
     struct sort_fixture *f = *state;
@@ -67,7 +67,7 @@ static void too_little_memory_is_refused(void **state)
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"));
 }
 
-/* Positions are in a file, and there is no memory for a byte a vertex. The message names a budget
+/* Positions are in a file, and there is no memory for one byte a vertex. The message names a budget
  * that is enough. */
 static void too_many_vertices_are_refused(void **state)
 {
@@ -101,7 +101,7 @@ static void too_many_vertices_are_refused(void **state)
     sort_grid_free(&g);
 }
 
-/* Any allocation may be the one that fails: that is an error, and nothing is left behind. */
+/* Lets each allocation fail in turn: this is an error, and nothing is left. */
 static void memory_may_run_out_anywhere(void **state)
 {
     struct sort_fixture *f = *state;

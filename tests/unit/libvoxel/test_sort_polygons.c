@@ -1,5 +1,5 @@
-/* Polygons are split the same way whether their vertices are in memory, or in a file: there they
- * are fans until their batch is sorted, or joined with values where they cannot be. */
+/* Tests that polygons are triangulated in the same way from memory and from a file. In a file they
+ * are fans until their batch is sorted. */
 #include "libvoxel/partition/partition.h"
 #include "sort_grid.h"
 
@@ -22,8 +22,8 @@ enum {
 
 #define SIDE 200u /* vertices along a row */
 
-/* A row of bumpy quads merged into polygons, that are far from flat or convex, and some triangles.
- * Corners `first` to first + width of this row, and those of the next one back. */
+/* Writes a polygon of bumpy quads, far from flat and convex: vertices first to first + width of
+ * this row, and those of the next row in reverse. */
 static void write_face(FILE *file, unsigned flags, uint32_t first, uint32_t width, uint64_t *seed)
 {
     const uint32_t corners = 2 * (width + 1);
@@ -54,7 +54,7 @@ static void shuffle(uint32_t *order, uint32_t count, uint64_t *seed)
 #define TANGLED_FACES   6000u
 #define TANGLED_CORNERS 100u
 
-/* Polygons with corners anywhere in the scan: as fans each would be in all cells. */
+/* Writes polygons with corners anywhere in the scan. As fans, each would be in all buckets. */
 static uint64_t write_tangled(FILE *file, uint64_t *seed)
 {
     for (uint32_t i = 0; i < TANGLED_FACES; i++) {
@@ -94,7 +94,7 @@ static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
         const uint32_t *face = faces[order[i]];
         write_face(file, flags, face[0], face[1], &seed);
         triangles += 2 * face[1];
-        if (i % 7 == 0) { /* and a triangle that repeats a part of it */
+        if (i % 7 == 0) { /* and a triangle that repeats part of it */
             fprintf(file, "f %u %u %u\n", face[0] + 1, face[0] + 2, face[0] + SIDE + 1);
             triangles++;
         }
@@ -112,7 +112,7 @@ static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
     return triangles;
 }
 
-/* Way 0 keeps everything in memory. */
+/* Sets the limits of a way to sort. Way 0 keeps everything in memory. */
 static void choose_limits(unsigned way, struct sort_limits *limits)
 {
     vox_sort_limits_for(128 * MIB, 2, limits);
@@ -120,7 +120,7 @@ static void choose_limits(unsigned way, struct sort_limits *limits)
         limits->stream_bytes = 0;
     limits->two_passes = way % 2;
     if (way == 3 || way == 4)
-        limits->batch_triangles = 70000; /* buckets are divided, again and again */
+        limits->batch_triangles = 70000; /* buckets are divided several times */
     if (way == 5 || way == 6)
         limits->vertex_bucket_bytes = SIDE * SIDE; /* a byte for each vertex */
     if (way == 7)
@@ -170,7 +170,8 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
     free(expected);
 }
 
-/* Sorted with vertices in memory alone; else the message names the memory that this needs. */
+/* Such a scan is sorted only with vertices in memory; otherwise the message names the memory
+ * needed. */
 static void expect_refused_with_vertices_in_a_file(struct sort_fixture *f, unsigned flags,
                                                    unsigned corners)
 {
@@ -201,7 +202,8 @@ static void polygons_keep_their_attributes(void **state)
     expect_the_same_for_all_ways(*state, TEXCOORDS | NORMALS | MATERIALS);
 }
 
-/* A triangle has a texture if its own corners have coordinates, which a fan cannot tell. */
+/* A triangle is textured if its own corners have texture coordinates. A fan must not change this.
+ */
 static void polygons_may_lack_some_texture_coordinates_in_memory(void **state)
 {
     expect_refused_with_vertices_in_a_file(*state, TEXCOORDS | MIXED | SHUFFLED, 0);
@@ -212,7 +214,7 @@ static void a_polygon_may_be_too_large_for_a_fan(void **state)
     expect_refused_with_vertices_in_a_file(*state, GIANT, FAN_CORNERS + 1);
 }
 
-/* What they would take as fans is more than the memory that there is. */
+/* As fans, the polygons would take more memory than there is. */
 static void polygons_may_be_in_too_many_buckets_for_fans(void **state)
 {
     expect_refused_with_vertices_in_a_file(*state, TANGLED, TANGLED_CORNERS);

@@ -1,5 +1,5 @@
-/* The vertices of a batch: what records refer to comes from files, numbered anew, and records get
- * their old numbers back. */
+/* Tests gather windows: the elements that records refer to are read from files and renumbered, and
+ * records get their old indices back. */
 #include "libvoxel/chunk/gather_window.h"
 #include "libvoxel/partition/vertex_buckets.h"
 
@@ -23,7 +23,7 @@ struct fixture {
     struct scan scan;
 };
 
-/* An element's bytes follow from its stream and number. */
+/* Computes an element's bytes from its stream and index. */
 static void make_element(enum scan_stream stream, uint64_t index, uint32_t bytes, uint8_t *to)
 {
     uint64_t seed = index * SCAN_STREAM_COUNT + stream + 1;
@@ -36,8 +36,8 @@ static void fill_stream(struct scan *scan, enum scan_stream number, uint64_t cou
     struct attribute_stream *stream = &scan->streams[number];
     for (uint64_t i = 0; i < count; i++) {
         uint8_t *at;
-        uint64_t room;
-        assert_int_equal(vox_spill_room(&stream->spill, &at, &room), 0);
+        uint64_t capacity;
+        assert_int_equal(vox_spill_reserve(&stream->spill, &at, &capacity), 0);
         make_element(number, i, stream->element_bytes, at);
         vox_spill_advance(&stream->spill, stream->element_bytes);
     }
@@ -71,7 +71,8 @@ static int tear_down(void **state)
 
 /* ---- records ---- */
 
-/* Corners in a few clusters, the first and the last element, and now and then none. */
+/* Makes records whose indices are in a few clusters, the first or last element, or sometimes none.
+ */
 static uint64_t random_index(const struct scan *scan, enum fmt_mesh_kind kind, uint64_t *seed)
 {
     const uint64_t count = scan_count(scan, scan_stream_of(kind));
@@ -98,8 +99,8 @@ static void make_records(const struct scan *scan, const struct record_layout *la
                          random_index(scan, kind, &seed), layout->index_bytes[kind]);
 }
 
-/* Each corner has the element in the view that it had in the scan; elements are in the order of the
- * scan, once each. */
+/* Checks that each corner has the same element in the view as in the scan. The view has each
+ * element once, in the order of the scan. */
 static void expect_view(const struct gather_window *w, const uint8_t *old, const uint8_t *numbered,
                         uint32_t count)
 {
@@ -129,7 +130,8 @@ static void expect_view(const struct gather_window *w, const uint8_t *old, const
     }
 }
 
-/* How many different vertices the records have, and that `used` has these. */
+/* Returns the count of different vertices of the records, and checks that `used` has exactly these.
+ */
 static void expect_used(const struct gather_window *w, const uint8_t *records, uint32_t count,
                         const used_word *used)
 {
@@ -200,7 +202,7 @@ static void positions_alone_come_from_a_file(void **state)
     run_window(f, &layout);
 }
 
-/* Every choice of streams in files. */
+/* Tries each combination of streams in files. */
 static void columns_in_memory_stay_there(void **state)
 {
     struct fixture *f = *state;
@@ -210,7 +212,7 @@ static void columns_in_memory_stay_there(void **state)
         for (int i = 0; i < SCAN_STREAM_COUNT; i++)
             fill_stream(&f->scan, i, counts[i], spilled >> i & 1);
         f->scan.attributes = FMT_TRIS_COLORS | FMT_TRIS_TEXCOORDS | FMT_TRIS_NORMALS;
-        f->scan.material_count = 300; /* two bytes behind the corners */
+        f->scan.material_count = 300; /* two bytes after the corners */
         vox_record_layout_for(&f->scan, &layout);
         assert_true(layout.gathered && !layout.plain);
         run_window(f, &layout);
@@ -221,7 +223,7 @@ static void columns_in_memory_stay_there(void **state)
     }
 }
 
-/* ---- cells of vertices ---- */
+/* ---- buckets of vertices ---- */
 
 static void expect_cells(struct fixture *f, bool have_order)
 {
@@ -253,10 +255,11 @@ static void cells_of_vertices_are_those_of_their_keys(void **state)
         for (uint32_t v = 0; v < 30000; v++) {
             float p[3] = {(float)(v % 1000), (float)(v / 1000 * 16), (float)(v / 5000 * 100)};
             uint8_t *at;
-            uint64_t room;
+            uint64_t capacity;
             for (int axis = 0; !order && axis < 3; axis++)
                 p[axis] = (float)(sort_random(&seed) % 1001);
-            assert_int_equal(vox_spill_room(&f->scan.streams[SCAN_POSITIONS].spill, &at, &room), 0);
+            assert_int_equal(
+                vox_spill_reserve(&f->scan.streams[SCAN_POSITIONS].spill, &at, &capacity), 0);
             memcpy(at, p, 12);
             vox_spill_advance(&f->scan.streams[SCAN_POSITIONS].spill, 12);
         }

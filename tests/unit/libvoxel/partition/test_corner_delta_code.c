@@ -1,5 +1,5 @@
-/* Triangles' corners as bytes: what goes in comes out, and ordinary meshes take two bytes a
- * triangle. */
+/* Tests delta coding of corners: decoding gives the same indices, and ordinary meshes take two
+ * bytes a triangle. */
 #include "libvoxel/partition/corner_delta_code.h"
 #include "formats/mesh/mesh_reader.h"
 
@@ -16,7 +16,7 @@ static uint64_t next(uint64_t *seed)
     return *seed ^= *seed << 17;
 }
 
-/* Codes, decodes and compares; returns the bytes that it took. */
+/* Encodes, decodes and compares. Returns the bytes of the code. */
 static uint64_t round_trip(const uint64_t (*triangles)[3], uint64_t count)
 {
     uint8_t *bytes = malloc(count * CORNER_CODE_MAX + CORNER_CODE_SLACK), *to = bytes;
@@ -40,7 +40,7 @@ static uint64_t round_trip(const uint64_t (*triangles)[3], uint64_t count)
     return size;
 }
 
-/* Any numbers, the extremes and repetitions among them. */
+/* Codes random numbers, with extremes and repetitions among them. */
 static void any_indices_come_back(void **state)
 {
     (void)state;
@@ -60,7 +60,7 @@ static void any_indices_come_back(void **state)
     free(triangles);
 }
 
-/* Rows of n quads, two triangles each; to be freed. */
+/* Returns the triangles of n x n quads, row by row. The caller frees them. */
 static uint64_t (*make_grid(uint64_t n))[3]
 {
     uint64_t(*triangles)[3] = malloc(2 * n * n * sizeof *triangles), count = 0;
@@ -74,7 +74,7 @@ static uint64_t (*make_grid(uint64_t n))[3]
     return triangles;
 }
 
-/* A new corner a triangle, near the last one but for row ends. */
+/* Each triangle has one new corner, which is near the last one except at the ends of rows. */
 static void grids_take_two_bytes(void **state)
 {
     (void)state;
@@ -85,9 +85,9 @@ static void grids_take_two_bytes(void **state)
     free(triangles);
 }
 
-/* In any order: control and widths, four bytes to the first corner, one to its neighbour in the row
- * and two to the one in the next row, some 400 numbers away; seldom less, where a corner is the
- * last triangle's or near. */
+/* Shuffled triangles take nine bytes: control, widths, four bytes for the first corner, one for its
+ * neighbour in the row, and two for the one in the next row, about 400 indices away. A few take
+ * less, by chance. */
 static void grids_without_order_take_nine_bytes(void **state)
 {
     (void)state;

@@ -1,4 +1,5 @@
-/* What sorting needs on disk is known before it starts. The free space is made up here. */
+/* Tests the check of disk space before sorting. A replaced statvfs() reports invented free space.
+ */
 #include "libvoxel/partition/partition.h"
 #include "base/file.h"
 
@@ -14,7 +15,7 @@
 
 static uint64_t free_bytes;
 
-/* Instead of the C library's. */
+/* Replaces the C library's function. */
 int statvfs(const char *path, struct statvfs *info)
 {
     (void)path;
@@ -24,7 +25,7 @@ int statvfs(const char *path, struct statvfs *info)
 
 enum { COLORS = 1, NORMALS = 2, QUADS = 4, TILES = 8 };
 
-/* A wavy grid of n x n quads. Tiles: faces of each row follow its vertices. */
+/* Writes a wavy grid of n x n quads. With tiles, the faces of each row follow its vertices. */
 static void write_scan(const char *path, unsigned n, unsigned flags)
 {
     FILE *file = fopen(path, "wb");
@@ -75,7 +76,7 @@ static int tear_down(void **state)
     bsq_ctx_destroy(f->ctx);
     unlink(f->obj);
     unlink(f->tris);
-    int status = rmdir(f->directory); /* nothing else is left */
+    int status = rmdir(f->directory); /* fails if a file is left */
     free(f);
     return status;
 }
@@ -152,13 +153,13 @@ static void a_full_disk_is_found_before_the_work(void **state)
     snprintf(available, sizeof available, ", %llu are free", (unsigned long long)bytes - 1);
     assert_non_null(strstr(bsq_error(f->ctx), needed));
     assert_non_null(strstr(bsq_error(f->ctx), available));
-    assert_int_equal(report.vertices, 0); /* not read */
+    assert_int_equal(report.vertices, 0); /* the scan was not read */
     assert_int_equal(access(f->tris, F_OK), -1);
     free_bytes = bytes;
     assert_int_equal(sort(f, &limits, &report), 0);
 }
 
-/* Temporary files beside the output need their room together with it. */
+/* If temporary files are on the output's disk, it must have space for both. */
 static void outputs_and_temporary_files_share_a_disk(void **state)
 {
     struct fixture *f = *state;

@@ -1,5 +1,5 @@
-/* Spools: what is appended comes back, while another thread touches the memory ahead, in memory and
- * in a file; and that memory is there before it is filled. */
+/* Tests spill buffers: appended bytes are read back, from memory and from a file, while another
+ * thread prefaults memory; and memory is resident before it is filled. */
 #include "libvoxel/read/spill_buffer.h"
 
 #include <pthread.h>
@@ -31,14 +31,14 @@ static void append(struct spill_buffer *spill, uint64_t size)
 {
     for (uint64_t done = 0; done < size;) {
         uint8_t *at;
-        uint64_t room, begin = spill->bytes;
-        assert_int_equal(vox_spill_room(spill, &at, &room), 0);
-        room = room < 5000 ? room : 5000;
-        room = room < size - done ? room : size - done;
-        for (uint64_t i = 0; i < room; i++)
+        uint64_t capacity, begin = spill->bytes;
+        assert_int_equal(vox_spill_reserve(spill, &at, &capacity), 0);
+        capacity = capacity < 5000 ? capacity : 5000;
+        capacity = capacity < size - done ? capacity : size - done;
+        for (uint64_t i = 0; i < capacity; i++)
             at[i] = expected_byte(begin + i);
-        vox_spill_advance(spill, room);
-        done += room;
+        vox_spill_advance(spill, capacity);
+        done += capacity;
     }
 }
 
@@ -54,20 +54,20 @@ static void expect_content(struct spill_buffer *spill, uint64_t size)
     free(all);
 }
 
-struct toucher {
+struct prefaulter {
     struct spill_buffer *spill;
     atomic_bool stop;
 };
 
-static void *touch(void *arg)
+static void *prefault(void *arg)
 {
-    struct toucher *toucher = arg;
-    while (!atomic_load(&toucher->stop))
-        vox_spill_touch_ahead(toucher->spill);
+    struct prefaulter *prefaulter = arg;
+    while (!atomic_load(&prefaulter->stop))
+        vox_spill_prefault(prefaulter->spill);
     return NULL;
 }
 
-static void content_stays_while_others_touch(void **state)
+static void content_stays_while_another_thread_prefaults(void **state)
 {
     (void)state;
     static const uint64_t segments[] = {100000, 5 * MIB + 4096, 6 * MIB};
@@ -75,15 +75,15 @@ static void content_stays_while_others_touch(void **state)
         for (int spilled = 0; spilled < 2; spilled++) {
             struct bsq_ctx *ctx = create();
             struct spill_buffer spill;
-            struct toucher toucher = {.spill = &spill};
+            struct prefaulter prefaulter = {.spill = &spill};
             pthread_t thread;
             vox_spill_init(&spill, ctx, "testing", "/tmp/x", segments[s]);
-            assert_int_equal(pthread_create(&thread, NULL, touch, &toucher), 0);
+            assert_int_equal(pthread_create(&thread, NULL, prefault, &prefaulter), 0);
             append(&spill, 17 * MIB);
             if (spilled)
                 assert_int_equal(vox_spill_spill(&spill), 0);
             append(&spill, 3 * MIB);
-            atomic_store(&toucher.stop, true);
+            atomic_store(&prefaulter.stop, true);
             assert_int_equal(pthread_join(thread, NULL), 0);
             assert_int_equal(vox_spill_finish(&spill), 0);
             expect_content(&spill, 20 * MIB);
@@ -93,7 +93,7 @@ static void content_stays_while_others_touch(void **state)
         }
 }
 
-/* How many of the pages are resident. */
+/* Returns how many of the pages are resident. */
 static uint64_t resident(uint8_t *at, uint64_t size)
 {
     const uint64_t page = (uint64_t)sysconf(_SC_PAGE_SIZE);
@@ -107,35 +107,35 @@ static uint64_t resident(uint8_t *at, uint64_t size)
     return count * page;
 }
 
-/* Two huge pages ahead of what is filled, and no more: a scan's last segment is not filled. */
+/* Prefaults at most two huge pages ahead, because a scan does not fill its last segment. */
 static void memory_is_there_before_it_is_filled(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = create();
     struct spill_buffer spill;
     uint8_t *at;
-    uint64_t room;
+    uint64_t capacity;
     vox_spill_init(&spill, ctx, "testing", "/tmp/x", 32 * MIB);
-    vox_spill_touch_ahead(&spill); /* nothing to touch yet */
-    assert_int_equal(vox_spill_room(&spill, &at, &room), 0);
+    vox_spill_prefault(&spill); /* nothing to prefault yet */
+    assert_int_equal(vox_spill_reserve(&spill, &at, &capacity), 0);
     uint8_t *segment = at;
-    if ((uintptr_t)segment % (2 * MIB) != 0) { /* checkers of addresses have blocks of their own */
+    if ((uintptr_t)segment % (2 * MIB) != 0) { /* address sanitizers align blocks in another way */
         vox_spill_free(&spill);
         bsq_ctx_destroy(ctx);
         skip();
     }
-    if (madvise(segment, 1, MADV_POPULATE_WRITE) != 0) { /* systems that cannot */
+    if (madvise(segment, 1, MADV_POPULATE_WRITE) != 0) { /* not supported by this system */
         vox_spill_free(&spill);
         bsq_ctx_destroy(ctx);
         skip();
     }
     for (int i = 0; i < 10; i++)
-        vox_spill_touch_ahead(&spill);
+        vox_spill_prefault(&spill);
     assert_int_equal(resident(segment, 4 * MIB), 4 * MIB);
     assert_int_equal(resident(segment + 4 * MIB, 28 * MIB), 0);
     append(&spill, 8 * MIB);
     for (int i = 0; i < 10; i++)
-        vox_spill_touch_ahead(&spill);
+        vox_spill_prefault(&spill);
     assert_int_equal(resident(segment, 12 * MIB), 12 * MIB);
     assert_int_equal(resident(segment + 12 * MIB, 20 * MIB), 0);
     expect_content(&spill, 8 * MIB);
@@ -146,7 +146,7 @@ static void memory_is_there_before_it_is_filled(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(content_stays_while_others_touch),
+        cmocka_unit_test(content_stays_while_another_thread_prefaults),
         cmocka_unit_test(memory_is_there_before_it_is_filled),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
