@@ -46,7 +46,7 @@ static void note(struct bench *bench, struct row *row, unsigned round, const str
     row->hits = cost->hits;
 }
 
-/* Measures a device once. A device that fails is left out from then on. */
+/* Measures a device once. If it fails, later rounds and the table skip it. */
 static int run_device(struct bench *bench, struct row *row, unsigned round)
 {
     struct bake_device *device;

@@ -1,5 +1,5 @@
-/* rays_counters.c - prints how much work the rays of a map are, as counted by a kernel that is
- * built with BK_COUNTERS, on one thread. */
+/* rays_counters.c - prints the work per ray pair, as a kernel built with BK_COUNTERS counts it on
+ * one thread. */
 #include <stdio.h>
 #include <stdlib.h>
 

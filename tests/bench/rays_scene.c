@@ -1,6 +1,7 @@
 /* rays_scene.c - prepares rays as bisque-bake does, and traces them tile by tile. */
 #include <string.h>
 #include <sys/resource.h>
+#include <xxhash.h>
 
 #include "base/clock.h"
 #include "base/parallel.h"
@@ -142,14 +143,6 @@ struct device_loop {
     uint32_t texel_floats;
 };
 
-static uint64_t hash_words(uint64_t hash, const void *data, size_t words)
-{
-    const uint32_t *word = data;
-    for (size_t i = 0; i < words; i++)
-        hash = (hash ^ word[i]) * UINT64_C(0x100000001b3);
-    return hash;
-}
-
 static int trace_tile(void *arg, const struct rays_tile *tile)
 {
     struct device_loop *loop = arg;
@@ -164,7 +157,8 @@ static int trace_tile(void *arg, const struct rays_tile *tile)
         tally->samples += (uint64_t)tile->texels[i * floats + BK_COVERED];
         tally->hits += (uint64_t)tile->texels[i * floats + BK_HITS];
     }
-    tally->checksum += hash_words(tile->index, tile->texels, count * floats);
+    tally->checksum +=
+        XXH3_64bits_withSeed(tile->texels, count * floats * sizeof(float), tile->index);
     return 0;
 }
 
