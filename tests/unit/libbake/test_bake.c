@@ -1,4 +1,5 @@
-/* test_bake.c - whole bakes of a wavy sheet whose normals and colours are known from a formula. */
+/* test_bake.c - whole bakes of a wavy sheet, compared with the formula of its normals and colours.
+ */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -15,9 +16,8 @@
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
-/* In voxels: half the width of the sheet, its wavelength, and the distance and half the width of
- * the low-poly square below it. The square's texture coordinates run from `margin` to 1 - margin.
- */
+/* In voxels: half the width of the sheet, its wavelength, the depth of the low-poly square below
+ * it, and half the width of the square. Its texture coordinates run from `margin` to 1 - margin. */
 static const double half = 28, wavelength = 32, depth = 3, margin = 0.1, square = 20;
 static const double centre[3] = {70, -31, 45};
 enum { SIZE = 160, SAMPLES_A_VOXEL = 8 };
@@ -237,7 +237,7 @@ static void test_report_counts_samples(void **state)
     options.samples = 3;
     struct bake_report report;
     bake(ctx, &options, &report);
-    /* The chart covers (1 - 2 margin)^2 of the map; its border runs between texels. */
+    /* The chart covers (1 - 2 margin)^2 of the map. Its border lies between texels. */
     uint64_t side = (uint64_t)lrint(SIZE * (1 - 2 * margin));
     assert_int_equal(report.covered_texels, side * side);
     assert_int_equal(report.samples, side * side * 9);
@@ -272,8 +272,8 @@ static void test_colors_are_those_of_the_formula(void **state)
                 continue;
             sample_map(&image, x, y, rgb);
             color_at(u, v, expected);
-            /* Colours of voxels are 8-bit sRGB (0.004 in this range) and blend over the width of a
-             * voxel. */
+            /* Colours of voxels are 8-bit sRGB, in steps of 0.004 here, and are blended over the
+             * width of a voxel. */
             for (int k = 0; k < 3; ++k)
                 assert_true(fabs(rgb[k] - (double)expected[k]) < 0.015);
         }
@@ -295,7 +295,7 @@ static void test_misses_are_masked_and_filled(void **state)
     struct bake_report report;
     bake(ctx, &options, &report);
     assert_int_equal(report.hits + report.misses, report.samples);
-    /* By symmetry half of the sheet lies below its middle; blending changes that slightly. */
+    /* By symmetry half of the sheet lies below its middle; blending changes the share slightly. */
     assert_true(fabs((double)report.misses / (double)report.samples - 0.5) < 0.03);
     struct fmt_exr_image mask, normal;
     read_map(ctx, in_directory("mask.exr"), &mask);
@@ -311,8 +311,8 @@ static void test_misses_are_masked_and_filled(void **state)
                 assert_true(share == 0.0f);
             else if (height < -0.4)
                 assert_true(share == 1.0f);
-            sample_map(&normal, x, y, n); /* a unit vector everywhere */
-            double length = 0;
+            sample_map(&normal, x, y, n);
+            double length = 0; /* must be 1 everywhere, as padding fills the map */
             for (int k = 0; k < 3; ++k)
                 length += (2 * n[k] - 1) * (2 * n[k] - 1);
             assert_true(fabs(length - 1) < 1e-5);
@@ -336,7 +336,7 @@ static void test_padding_surrounds_the_chart(void **state)
     int low = (int)lrint(SIZE * margin), high = SIZE - 1 - low;
     for (int y = 0; y < SIZE; ++y)
         for (int x = 0; x < SIZE; ++x) {
-            /* Nearest texel of the square chart. */
+            /* The nearest texel of the square chart. */
             int nx = x < low ? low : x > high ? high : x, ny = y < low ? low : y > high ? high : y;
             double got[3], expected[3] = {0.5, 0.5, 1};
             sample_map(&image, (uint32_t)x, (uint32_t)y, got);
@@ -449,7 +449,7 @@ static void test_errors_name_the_reason(void **state)
     options = options_for(grey_path, many);
     options.mesh_path = far_path;
     expect_failure(&options, BSQ_EDATA, "the scan spans");
-    options.front = options.back = 1; /* so that distances are not measured */
+    options.front = options.back = 1; /* ray lengths are not measured */
     expect_failure(&options, BSQ_EDATA, "same place and units");
 
     options = options_for(color_path, in_directory("out.exr"));

@@ -1,5 +1,5 @@
-/* test_exr.c - EXR files against OpenEXR's other reader and writer (its C++ library, through
- * ImfCRgbaFile.h), exact rounding to half, and damaged files. */
+/* test_exr.c - compares EXR files with those of OpenEXR's C++ library (through ImfCRgbaFile.h), and
+ * tests exact rounding to half and damaged files. */
 #include <ImfCRgbaFile.h>
 #include <fcntl.h>
 #include <math.h>
@@ -35,7 +35,7 @@ static int remove_directory(void **state)
 {
     (void)state;
     unlink(path);
-    return rmdir(directory); /* fails where a temporary file was left behind */
+    return rmdir(directory); /* fails if a temporary file is left */
 }
 
 static uint32_t next_random(uint32_t *state)
@@ -53,7 +53,8 @@ static float *random_samples(size_t count, uint32_t seed)
     return samples;
 }
 
-/* Nearest half, ties to even, from the definition: 11 significant bits, least exponent -24. */
+/* Rounds to the nearest half, ties to even, by definition: 11 significant bits, exponents from -24.
+ */
 static float round_to_half(float v)
 {
     int exponent;
@@ -275,8 +276,8 @@ static void test_truncated_files_are_refused(void **state)
     test_context_end(ctx);
 }
 
-/* Any result is right as long as nothing is read or written out of bounds (sanitizers watch) and
- * nothing leaks. */
+/* Any result is allowed, but nothing may leak or be accessed out of bounds, which sanitizers
+ * detect. */
 static void test_flipped_bytes_do_no_harm(void **state)
 {
     (void)state;
@@ -314,7 +315,7 @@ static void test_sizes_are_held_against_the_budget(void **state)
     write_image(ctx, 64, 64, FMT_HALF, samples, 64);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
-    /* dataWindow is "dataWindow\0box2i\0", a length, and four int32: xMax comes third. */
+    /* The attribute is "dataWindow\0box2i\0", a length, and four int32; xMax is the third. */
     static const char name[] = "dataWindow\0box2i";
     uint8_t *window = memmem(bytes, size, name, sizeof name);
     assert_non_null(window);
@@ -330,7 +331,7 @@ static void test_sizes_are_held_against_the_budget(void **state)
     test_context_end(ctx);
 }
 
-/* Made OpenEXR allocate a table of 256 MiB for a file of 10 KB. */
+/* Without the check, OpenEXR allocates a table of 256 MiB for a file of 10 KB. */
 static void test_a_table_of_blocks_is_held_against_the_file(void **state)
 {
     (void)state;
@@ -374,7 +375,7 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
         BSQ_ECANTCREAT);
     assert_null(writer);
     bsq_clear_error(ctx);
-    /* Too few rows are a bug of the caller and give no file. */
+    /* If the caller writes too few rows, there is no file. */
     assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
     assert_int_equal(fmt_image_write_rows(writer, samples, 20), 0);
     assert_int_equal(fmt_image_commit(writer), BSQ_EBUG);

@@ -1,5 +1,5 @@
-/* test_png.c - PNG files against libpng's reader, the sRGB formula and the mean that
- * dithering has to keep. */
+/* test_png.c - reads PNG files with libpng; compares colours with the sRGB formula, and dithered
+ * samples with the mean that they must keep. */
 #include <math.h>
 #include <png.h>
 #include <setjmp.h>
@@ -32,7 +32,7 @@ static int remove_directory(void **state)
 {
     (void)state;
     unlink(path);
-    return rmdir(directory); /* fails where a temporary file was left behind */
+    return rmdir(directory); /* fails if a temporary file is left */
 }
 
 static void write_image(struct bsq_ctx *ctx, const struct fmt_image_options *options,
@@ -83,7 +83,7 @@ static uint32_t sample16(const struct image *image, uint32_t y, uint32_t sample)
 static void test_16_bits_are_rounded(void **state)
 {
     (void)state;
-    enum { WIDTH = 401, HEIGHT = 500 }; /* several bands of the compression */
+    enum { WIDTH = 401, HEIGHT = 500 }; /* several bands */
     static const uint32_t channel_counts[] = {1, 3, 4};
     struct bsq_ctx *ctx = test_context(3, 0);
     for (int c = 0; c < 3; ++c) {
@@ -143,7 +143,7 @@ static void test_color_is_encoded_as_srgb_but_alpha_is_not(void **state)
     test_context_end(ctx);
 }
 
-/* Mean of a channel over a block of the image. */
+/* Returns the mean of a channel over a block of the image. */
 static double block_mean(const struct image *image, uint32_t x0, uint32_t y0, uint32_t size,
                          uint32_t channel)
 {

@@ -1,4 +1,4 @@
-/* test_dilation.c - the nearest-texel transform against a search over all texels. */
+/* test_dilation.c - compares the nearest-texel transform with a search over all texels. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -18,7 +18,7 @@ static uint32_t next_random(uint32_t *state)
     return *state >> 8;
 }
 
-/* A map whose valid texels have their own number as value. */
+/* A map; the value of a valid texel is its own number. */
 struct map {
     uint32_t width, height;
     uint8_t *valid;
@@ -26,7 +26,7 @@ struct map {
 
 static void fill_random(struct map *map, uint32_t *seed)
 {
-    /* From nearly empty to nearly full, and with blocks, so that runs are long. */
+    /* From nearly empty to nearly full. Blocks of texels give long runs. */
     uint32_t threshold = 1 + next_random(seed) % 1000, block = 1 + next_random(seed) % 9;
     if (next_random(seed) % 2)
         threshold = threshold * threshold / 1000 / 20;
@@ -57,8 +57,8 @@ static struct bake_image *make_image(struct bsq_ctx *ctx, const struct map *map,
     return image;
 }
 
-/* Number of the nearest valid texel, -1: none within reach. Scanning rows, then columns, and taking
- * only what is strictly nearer is the rule for ties. */
+/* Returns the number of the nearest valid texel, or -1 if all are farther than the padding. Ties go
+ * to the lowest row, then the lowest column, as later texels must be strictly nearer. */
 static int64_t search(const struct map *map, int64_t x, int64_t y, uint32_t padding)
 {
     int64_t best = -1, best_distance = INT64_MAX;
@@ -139,7 +139,7 @@ static void test_sources_are_the_nearest(void **state)
     test_context_end(ctx);
 }
 
-/* A single texel far from its bands: what is carried must reach over all of them. */
+/* A single valid texel is carried over many bands. */
 static void test_padding_reaches_over_many_bands(void **state)
 {
     (void)state;
