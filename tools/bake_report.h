@@ -1,4 +1,4 @@
-/* bake_report.h - what bisque-bake prints. */
+/* bake_report.h - prints the results of bisque-bake. */
 #ifndef BAKE_REPORT_H
 #define BAKE_REPORT_H
 

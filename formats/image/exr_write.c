@@ -32,7 +32,7 @@ struct exr_writer {
     exr_context_t file;
     const char *const *channels;   /* names in the order of the samples */
     uint16_t order[MOST_CHANNELS]; /* sample number of each of the file's channels */
-    uint32_t rows_written;         /* rows handed to encoders */
+    uint32_t rows_written;         /* rows given to encoders */
     struct slot *slots;
     unsigned slot_count;
     uint64_t reserved_bytes;

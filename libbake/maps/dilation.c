@@ -26,7 +26,7 @@ enum { STRIP = 128 }; /* columns that are swept together: whole cache lines, sta
 /* One worker's memory for a row. */
 struct scratch {
     uint32_t *site;  /* columns of the envelope's parabolas */
-    uint32_t *start; /* first column where each is the lowest */
+    uint32_t *start; /* first column of each in the envelope */
     const float **sources;
 };
 
@@ -40,8 +40,8 @@ struct bake_dilation {
     uint64_t limit;             /* largest squared distance of a source */
     struct bake_image *carried; /* row b: for each column the nearest texel below band b */
     float *below_buffer, *band_buffer;
-    float *above;       /* carried texels of each column */
-    const float *below; /* likewise */
+    float *above;       /* for each column the nearest texel above the band */
+    const float *below; /* for each column the nearest texel below the band */
     const float *rows;  /* texels of the current band */
     uint32_t *slots;    /* row_count x width: nearest candidate in the column */
     uint32_t band;      /* number of the next band */
@@ -68,7 +68,7 @@ static void carry(const struct bake_dilation *dilation, float *to, const float *
     memcpy(to, &bits, sizeof bits);
 }
 
-/* ---- what is carried between bands ---- */
+/* ---- texels carried between bands ---- */
 
 static uint32_t strip_count(const struct bake_dilation *dilation)
 {

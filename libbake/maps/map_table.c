@@ -1,4 +1,4 @@
-/* map_table.c - the maps: what a texel's sums become, and how files store it. */
+/* map_table.c - the table of maps: how a texel's sums become values, and how files store values. */
 #include "libbake/maps/maps.h"
 
 #include <stdlib.h>
@@ -19,7 +19,7 @@ static bool resolve_direction(const float *sums, uint32_t channels, float weight
     return bsq_dot3(n, n) > 0.0f; /* false: the samples cancel each other */
 }
 
-/* Without a value a normal map is flat: straight up in tangent space, zero in object space. */
+/* A texel without a value points straight up in tangent space, and is zero in object space. */
 static void encode_normals(const struct bake_options *options, struct bake_encoding *out)
 {
     bool tangent = options->normal_space == BAKE_TANGENT_SPACE;
@@ -75,7 +75,7 @@ _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << B
                    BAKE_MAP_MASK == 1 << BK_MAP_mask,
                "bits of bake.h are rows of BK_MAPS");
 
-/* ---- for those who choose maps ---- */
+/* ---- names and choice ---- */
 
 const char *bake_map_name(unsigned number)
 {

@@ -30,7 +30,7 @@ struct bake_attributes {
 struct bake_map_row {
     const char *summary;   /* for --help */
     uint32_t channels;     /* of a value and of the file: 1 or 3 */
-    bool by_default;       /* baked if no maps are named and the scan has what it needs */
+    bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */
     bool color;            /* values are linear light; otherwise data, which is not transformed */
     uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
@@ -58,10 +58,10 @@ uint32_t bake_choose_maps(uint32_t asked, bool has_color);
 
 /* ---- the image ---- */
 
-/* The map while it is baked: floats by texel. Sample 0 says what is known of the texel: 0 outside
- * all charts, -1 inside but without a value, else the share of its samples that hit, in (0, 1].
- * A texel with a share is valid. The values of the selected maps follow, and mean nothing in a
- * texel that is not valid. */
+/* The image that is baked holds floats, texel by texel. Sample 0 is BAKE_OUTSIDE outside all
+ * charts, BAKE_MISSED inside a chart without a value, and otherwise the share of the covered
+ * samples that hit, in (0, 1]. A texel with a share is valid. The values of the selected maps
+ * follow; they are undefined in a texel that is not valid. */
 #define BAKE_OUTSIDE 0.0f
 #define BAKE_MISSED  (-1.0f)
 
@@ -71,7 +71,7 @@ struct bake_image_options {
     uint32_t width, height; /* texels */
     uint32_t channels;      /* floats a texel: bake_image_channels_for() */
     uint64_t memory_bytes;  /* a larger image goes to a temporary file */
-    const char *beside;     /* output path: where temporary files go, see bsq_file_temp() */
+    const char *beside;     /* output path; temporary files go beside it, see bsq_file_temp() */
 };
 
 /* Returns the floats that an image's texel has for these maps. */

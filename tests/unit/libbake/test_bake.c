@@ -152,7 +152,7 @@ static void sample_map(const struct fmt_exr_image *image, uint32_t x, uint32_t y
                                         fmt_exr_channel(image, names[k])];
 }
 
-/* Finds where the centre of a texel lies on the sheet. Returns false if it is outside of the chart,
+/* Finds where the centre of a texel lies on the sheet. Returns false if it is outside the chart,
  * or less than `inset` texels inside. */
 static bool place(uint32_t x, uint32_t y, double inset, double *u, double *v)
 {
