@@ -344,7 +344,7 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
     return 0;
 }
 
-/* ---- how much there is ---- */
+/* ---- the machine's memory ---- */
 
 /* Reads the number in a control group's file. Returns UINT64_MAX for "max" or if there is none. */
 static uint64_t read_limit(const char *path)

@@ -2,8 +2,8 @@
  *
  * If the file system supports it (O_TMPFILE), the file has no name until it is complete and on the
  * disk: whatever ends the process, nothing is left. It gets a temporary name only to be renamed at
- * once, as a link cannot replace a file. On other file systems it has a temporary name all the
- * time, which the next job with this output removes; see temp_internal.h. */
+ * once, as a link cannot replace a file. On other file systems it has a temporary name from the
+ * start, which the next job with this output removes; see temp_internal.h. */
 #include <assert.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -212,7 +212,7 @@ uint64_t bsq_output_tell(const struct bsq_output *output)
     return output->position;
 }
 
-/* ---- the end ---- */
+/* ---- syncing, committing and discarding ---- */
 
 /* Checks that the file may be kept: reserved space that was not written would be zeros at its end.
  */

@@ -36,8 +36,9 @@ LANES_INLINE struct row bsq_area_vector(const struct row corner[3])
 }
 
 /* Adds the triangles from `begin` to `end` to the sums of their corners' one-rings. ring_of: the
- * number of each vertex's one-ring. Number 0 collects what nobody wants; triangles that have no
- * other number are skipped. rows: 1, or 2 with the moment. One-ring n begins at sums[n * rows]. */
+ * number of each vertex's one-ring. The sums of number 0 are not meant to be used; triangles whose
+ * corners all have number 0 are skipped. rows: 1, or 2 with the moment. One-ring n begins at sums[n
+ * * rows]. */
 LANES_INLINE void bsq_add_one_rings(const float (*positions)[3], const uint32_t (*triangles)[3],
                                     uint32_t begin, uint32_t end, const uint32_t *ring_of, int rows,
                                     double (*sums)[4])

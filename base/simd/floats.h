@@ -134,8 +134,8 @@ LANES_INLINE float_ints floats_mask_of(uint32_t bits)
 #endif
 }
 
-/* Returns the 32-bit words at indices that are not negative, where the processor has an instruction
- * for that; else the macro is not defined. */
+/* Returns the 32-bit words at indices that are not negative. Defined only if the processor has an
+ * instruction for it. */
 #if SIMD_FLOATS == 8 && defined __AVX2__
 #define floats_gather(words, index)                                                                \
     ((float_ints)_mm256_i32gather_epi32((const int *)(const void *)(words), (__m256i)(index), 4))

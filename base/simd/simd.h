@@ -36,7 +36,7 @@ enum bsq_simd bsq_simd_best(void);
 #define BSQ_SIMD_PICK(level, name)   ((void)(level), name##_base)
 #endif
 
-/* The Makefile defines BSQ_SIMD_SUFFIX where it compiles for a level above the base. */
+/* The Makefile defines BSQ_SIMD_SUFFIX when it compiles for a level above the base. */
 #ifndef BSQ_SIMD_SUFFIX
 #define BSQ_SIMD_SUFFIX base
 #endif

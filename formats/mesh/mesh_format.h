@@ -14,7 +14,7 @@ struct fmt_mesh_place {
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
 };
 
-/* The functions do what those of the same name in mesh_reader.h say. */
+/* Each function does what mesh_reader.h says about the function of the same name. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj" */

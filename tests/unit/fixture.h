@@ -36,4 +36,13 @@ static inline uint64_t test_seed(void)
     return seed;
 }
 
+/* Returns the next 64 random bits after *state (Steele et al., SplitMix64, 2014). */
+static inline uint64_t test_random(uint64_t *state)
+{
+    uint64_t x = *state += UINT64_C(0x9e3779b97f4a7c15);
+    x = (x ^ x >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+    x = (x ^ x >> 27) * UINT64_C(0x94d049bb133111eb);
+    return x ^ x >> 31;
+}
+
 #endif

@@ -2,21 +2,17 @@
  */
 #include <errno.h>
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-#include <cmocka.h>
-
 #include "base/octahedral.h"
 #include "base/parallel.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/sanitized.h"
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#if TEST_SANITIZED
 /* The sanitizers call these. Allocations that are too large then return NULL, as without them. */
 const char *__asan_default_options(void);
 const char *__tsan_default_options(void);
@@ -29,14 +25,6 @@ const char *__tsan_default_options(void)
     return "allocator_may_return_null=1";
 }
 #endif
-
-static struct bsq_ctx *create(uint64_t memory_bytes, unsigned threads)
-{
-    struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.memory_bytes = memory_bytes, .threads = threads};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
 
 /* ---- creation ---- */
 
@@ -77,7 +65,7 @@ static void test_options_are_copied(void **state)
 static void test_first_failure_wins(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(0, 1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_fail(ctx, BSQ_EDATA, "scan.obj:%d: no such vertex", 12), BSQ_EDATA);
     assert_int_equal(bsq_fail(ctx, BSQ_EIO, "later"), BSQ_EIO);
     assert_string_equal(bsq_error(ctx), "scan.obj:12: no such vertex");
@@ -98,7 +86,7 @@ static void test_errno_maps_to_status(void **state)
         {ENOMEM, BSQ_ENOMEM}, {EACCES, BSQ_ENOINPUT}, {ENOENT, BSQ_ENOINPUT},
     };
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-        struct bsq_ctx *ctx = create(0, 1);
+        struct bsq_ctx *ctx = test_context(1, 0);
         char expected[256];
         snprintf(expected, sizeof expected, "a/b: %s", strerror(cases[i].errnum));
         assert_int_equal(bsq_fail_errno(ctx, BSQ_ENOINPUT, cases[i].errnum, "%s", "a/b"),
@@ -111,7 +99,7 @@ static void test_errno_maps_to_status(void **state)
 static void test_messages_are_one_line_of_any_length(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(0, 1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     char *name = malloc(100001);
     memset(name, 'n', 100000);
     name[100000] = '\0';
@@ -136,7 +124,7 @@ static void test_code_and_text_agree(void **state)
 {
     (void)state;
     for (int round = 0; round < 200; round++) {
-        struct bsq_ctx *ctx = create(0, 4);
+        struct bsq_ctx *ctx = test_context(4, 0);
         int status = bsq_parallel_for(ctx, 64, fail_each, ctx);
         assert_int_equal(status, atoi(bsq_error(ctx)));
         bsq_ctx_destroy(ctx);
@@ -179,7 +167,7 @@ static void test_warnings_come_one_at_a_time(void **state)
 static void test_interruption(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(0, 1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_check(ctx), 0);
     bsq_interrupt(ctx);
     assert_int_equal(bsq_check(ctx), BSQ_EINTR);
@@ -194,7 +182,7 @@ static void test_interruption(void **state)
 static void test_budget(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(1000, 1);
+    struct bsq_ctx *ctx = test_context(1, 1000);
     char *a, *b;
     assert_int_equal(bsq_alloc(ctx, "first", 100, 6, &a), 0);
     assert_int_equal(bsq_memory_used(ctx), 600);
@@ -220,7 +208,7 @@ static void test_budget(void **state)
 static void test_sizes_that_overflow(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(UINT64_MAX, 1);
+    struct bsq_ctx *ctx = test_context(1, UINT64_MAX);
     static const uint64_t sizes[][2] = {
         {UINT64_MAX, 2}, {UINT64_C(1) << 32, UINT64_C(1) << 32}, {UINT64_MAX, 1}, {INT64_MAX, 1}};
     for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
@@ -244,7 +232,7 @@ static void test_sizes_that_overflow(void **state)
 static void test_blocks_are_aligned_and_zeroed(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(0, 1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     for (uint64_t size = 0; size < 5000000; size = size * 3 + 1) {
         unsigned char *plain, *zeroed;
         assert_int_equal(bsq_alloc(ctx, "plain", size, 1, &plain), 0);
@@ -264,7 +252,7 @@ static void test_blocks_are_aligned_and_zeroed(void **state)
 static void test_growing_keeps_content(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(0, 1);
+    struct bsq_ctx *ctx = test_context(1, 0);
     uint32_t *list = NULL;
     uint64_t capacity = 0, moves = 0;
     for (uint32_t i = 0; i < 1000000; i++) {
@@ -287,7 +275,7 @@ static void test_large_blocks(void **state)
 {
     (void)state;
     const uint64_t huge = (uint64_t)2 << 20;
-    struct bsq_ctx *ctx = create(64 << 20, 1);
+    struct bsq_ctx *ctx = test_context(1, 64 << 20);
     for (uint64_t bytes = huge - 1; bytes < huge + 8192; bytes += bytes < huge + 1 ? 1 : 4095) {
         uint8_t *block;
         assert_int_equal(bsq_calloc(ctx, "testing", bytes, 1, &block), 0);
@@ -317,7 +305,7 @@ static void test_large_blocks(void **state)
 static void test_growing_up_to_the_budget(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(1000, 1);
+    struct bsq_ctx *ctx = test_context(1, 1000);
     char *list = NULL;
     uint64_t capacity = 0;
     assert_int_equal(bsq_grow(ctx, "list", 800, 1, &list, &capacity), 0);
@@ -345,7 +333,7 @@ static int alloc_some(void *arg, uint64_t index, unsigned worker)
 static void test_budget_with_threads(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = create(4 * 970, 4);
+    struct bsq_ctx *ctx = test_context(4, 4 * 970);
     assert_int_equal(bsq_parallel_for(ctx, 50000, alloc_some, ctx), 0);
     assert_int_equal(bsq_memory_used(ctx), 0);
     assert_in_range(bsq_memory_high(ctx), 970, 4 * 970);

@@ -1,29 +1,16 @@
 /* test_parallel.c - loops and pipelines with 1 to 8 threads, random work, failures at every stage.
  */
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdatomic.h>
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "base/parallel.h"
+#include "tests/unit/fixture.h"
 
 enum { MAX_THREADS = 8 };
-
-static struct bsq_ctx *create(unsigned threads)
-{
-    struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.threads = threads};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    return ctx;
-}
 
 static void pause_microseconds(unsigned microseconds)
 {
@@ -31,13 +18,10 @@ static void pause_microseconds(unsigned microseconds)
         nanosleep(&(struct timespec){.tv_nsec = (long)microseconds * 1000}, NULL);
 }
 
-/* Returns a number that depends on x alone (Steele et al., SplitMix64, 2014). */
+/* Returns random bits that depend on x alone. */
 static uint64_t scramble(uint64_t x)
 {
-    x += UINT64_C(0x9e3779b97f4a7c15);
-    x = (x ^ x >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-    x = (x ^ x >> 27) * UINT64_C(0x94d049bb133111eb);
-    return x ^ x >> 31;
+    return test_random(&x);
 }
 
 /* ---- loops ---- */
@@ -72,7 +56,7 @@ static void test_loop_visits_each_once(void **unused)
     (void)unused;
     static const uint64_t counts[] = {0, 1, 2, 3, 7, 100, 12345};
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
-        struct bsq_ctx *ctx = create(threads);
+        struct bsq_ctx *ctx = test_context(threads, 0);
         for (size_t c = 0; c < sizeof counts / sizeof counts[0]; c++) {
             uint64_t count = counts[c];
             struct loop_state state = {.threads = threads, .fail_at = UINT64_MAX};
@@ -91,7 +75,7 @@ static void test_loop_stops_at_failure(void **unused)
 {
     (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
-        struct bsq_ctx *ctx = create(threads);
+        struct bsq_ctx *ctx = test_context(threads, 0);
         struct loop_state state = {.threads = threads, .fail_at = 1000};
         assert_int_equal(bsq_parallel_for(ctx, UINT64_C(1) << 50, visit, &state), BSQ_EDATA);
         assert_int_equal(state.trouble, 0);
@@ -105,7 +89,7 @@ static void test_loop_is_interrupted(void **unused)
 {
     (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads += 3) {
-        struct bsq_ctx *ctx = create(threads);
+        struct bsq_ctx *ctx = test_context(threads, 0);
         struct loop_state state = {.threads = threads, .fail_at = UINT64_MAX, .interrupt = ctx};
         assert_int_equal(bsq_parallel_for(ctx, UINT64_C(1) << 50, visit, &state), BSQ_EINTR);
         assert_string_equal(bsq_error(ctx), "interrupted");
@@ -127,7 +111,7 @@ static int meet(void *arg, uint64_t index, unsigned worker)
 static void test_loop_runs_concurrently(void **unused)
 {
     (void)unused;
-    struct bsq_ctx *ctx = create(2);
+    struct bsq_ctx *ctx = test_context(2, 0);
     atomic_int arrived = 0;
     assert_int_equal(bsq_parallel_for(ctx, 2, meet, &arrived), 0);
     bsq_ctx_destroy(ctx);
@@ -292,7 +276,7 @@ static void test_pipeline_keeps_order(void **unused)
     static const uint64_t counts[] = {0, 1, 2, 5, 100};
     static const unsigned pauses[] = {0, 100};
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
-        struct bsq_ctx *ctx = create(threads);
+        struct bsq_ctx *ctx = test_context(threads, 0);
         for (size_t c = 0; c < 5 * 2 * 2 * 3 * 2; c++) {
             struct pipe_state state = {
                 .ctx = ctx,
@@ -323,12 +307,11 @@ static void test_pipeline_keeps_order(void **unused)
 static void test_pipeline_failures(void **unused)
 {
     (void)unused;
-    uint64_t seed = (uint64_t)time(NULL);
-    print_message("seed %llu\n", (unsigned long long)seed);
+    const uint64_t seed = test_seed();
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
         for (enum stage stage = IN_PRODUCE; stage <= IN_FINISH; stage++) {
             for (unsigned round = 0; round < 8; round++) {
-                struct bsq_ctx *ctx = create(threads);
+                struct bsq_ctx *ctx = test_context(threads, 0);
                 struct pipe_state state = {
                     .ctx = ctx,
                     .threads = threads,
@@ -358,7 +341,7 @@ static void test_pipeline_is_interrupted(void **unused)
     (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads += 1) {
         for (enum stage stage = IN_PRODUCE; stage <= IN_FINISH; stage++) {
-            struct bsq_ctx *ctx = create(threads);
+            struct bsq_ctx *ctx = test_context(threads, 0);
             struct pipe_state state = {
                 .ctx = ctx,
                 .threads = threads,
@@ -429,7 +412,7 @@ static int overlap_emit(void *arg, void *slot, uint64_t sequence)
 static void test_emit_overlaps_with_work(void **unused)
 {
     (void)unused;
-    struct bsq_ctx *ctx = create(2);
+    struct bsq_ctx *ctx = test_context(2, 0);
     struct overlap overlap = {0};
     char slots[4];
     struct bsq_pipeline pipeline = {
@@ -449,7 +432,7 @@ static void test_emit_overlaps_with_work(void **unused)
 static void test_waiting_is_not_busy(void **unused)
 {
     (void)unused;
-    struct bsq_ctx *ctx = create(MAX_THREADS);
+    struct bsq_ctx *ctx = test_context(MAX_THREADS, 0);
     struct pipe_state state = {
         .ctx = ctx, .threads = MAX_THREADS, .slot_count = 1, .count = 100, .longest_pause = 4000};
     clock_t before = clock();

@@ -36,16 +36,12 @@ static void test_sums_over_one_rings(void **state)
     float positions[VERTICES][3];
     uint32_t triangles[TRIANGLES][3], ring_of[VERTICES];
     double sums[2 * RINGS][4] = {{0}}, expected[2 * RINGS][4] = {{0}}, short_sums[RINGS][4] = {{0}};
-    for (int i = 0; i < 3 * VERTICES; i++) {
-        seed = seed * 6364136223846793005u + 1442695040888963407u;
-        positions[i / 3][i % 3] = (float)(int32_t)(seed >> 32) * 0x1p-20F;
-    }
+    for (int i = 0; i < 3 * VERTICES; i++)
+        positions[i / 3][i % 3] = (float)(int32_t)test_random(&seed) * 0x1p-20F;
     for (uint32_t i = 0; i < VERTICES; i++)
         ring_of[i] = i < RINGS ? i : 0;
-    for (int i = 0; i < 3 * TRIANGLES; i++) {
-        seed = seed * 6364136223846793005u + 1442695040888963407u;
-        triangles[i / 3][i % 3] = (uint32_t)((seed >> 32) % VERTICES);
-    }
+    for (int i = 0; i < 3 * TRIANGLES; i++)
+        triangles[i / 3][i % 3] = (uint32_t)(test_random(&seed) % VERTICES);
     for (int i = 0; i < 3 * TRIANGLES; i++) {
         const uint32_t *v = triangles[i / 3];
         add_triangle((const float(*)[3])positions, v, i % 3, &expected[2 * ring_of[v[i % 3]]]);

@@ -3,21 +3,12 @@
 #include "tests/unit/base/simd/operations.h"
 #include "tests/unit/fixture.h"
 
-static uint64_t next_random(uint64_t *state)
-{
-    *state += UINT64_C(0x9e3779b97f4a7c15);
-    uint64_t x = *state; /* splitmix64 (Steele et al. 2014) */
-    x = (x ^ x >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-    x = (x ^ x >> 27) * UINT64_C(0x94d049bb133111eb);
-    return x ^ x >> 31;
-}
-
 /* Returns a special value, random bits, a whole number or a fraction. */
 static double random_double(uint64_t *state)
 {
     static const double special[] = {0.0,      -0.0,      1.0,       NAN,
                                      INFINITY, -INFINITY, 0x1p-1074, -0x1p-1030};
-    const uint64_t x = next_random(state);
+    const uint64_t x = test_random(state);
     double number;
     memcpy(&number, &x, sizeof number);
     return x % 4 == 0   ? special[x >> 61]
@@ -29,7 +20,7 @@ static double random_double(uint64_t *state)
 static float random_float(uint64_t *state)
 {
     static const float special[] = {0, -0.0f, 1, NAN, INFINITY, -INFINITY, 0x1p-149f, -0x1p-130f};
-    const uint64_t x = next_random(state);
+    const uint64_t x = test_random(state);
     const uint32_t bits = (uint32_t)(x >> 32);
     float number;
     memcpy(&number, &bits, sizeof number);
@@ -86,7 +77,7 @@ static void check_lanes(uint64_t *state)
     EXPECT_DOUBLES(x + y, a[i] + b[i]);
     EXPECT_DOUBLES(x / y, a[i] / b[i]);
 #if LANE_COUNT == 8
-    const uint64_t which = next_random(state);
+    const uint64_t which = test_random(state);
     int packed = 0;
     lane_ints places;
     for (int i = 0; i < LANE_COUNT; i++) {
@@ -105,8 +96,8 @@ static void check_lane_integers(uint64_t *state)
     double whole[LANE_COUNT], sign[LANE_COUNT];
     for (int i = 0; i < LANE_COUNT; i++) {
         /* Halves, so that sums do not overflow. */
-        n[i] = (long long)next_random(state) >> 1;
-        m[i] = (long long)next_random(state) >> 1;
+        n[i] = (long long)test_random(state) >> 1;
+        m[i] = (long long)test_random(state) >> 1;
         whole[i] = (double)(n[i] >> 12);
         sign[i] = m[i] < 0 ? -1.0 : 1.0;
     }
@@ -139,7 +130,7 @@ static void check_gathering(uint64_t *state)
         for (int k = 0; k < 4; k++) {
             from[i][k] = random_double(state);
             narrow[i][k] = random_float(state);
-            integers[i][k] = (int32_t)next_random(state);
+            integers[i][k] = (int32_t)test_random(state);
         }
         for (int k = 0; k < 6; k++)
             in[k][i] = random_double(state);
@@ -170,12 +161,12 @@ static void check_floats(uint64_t *state)
     int32_t n[SIMD_FLOATS], m[SIMD_FLOATS];
     floats x, y;
     float_ints p, q;
-    uint32_t bits = (uint32_t)(next_random(state) & ((UINT64_C(1) << SIMD_FLOATS) - 1));
+    uint32_t bits = (uint32_t)(test_random(state) & ((UINT64_C(1) << SIMD_FLOATS) - 1));
     for (int i = 0; i < SIMD_FLOATS; i++) {
         x[i] = a[i] = random_float(state);
         y[i] = b[i] = random_float(state);
-        p[i] = n[i] = (int32_t)next_random(state);
-        q[i] = m[i] = (int32_t)next_random(state);
+        p[i] = n[i] = (int32_t)test_random(state);
+        q[i] = m[i] = (int32_t)test_random(state);
     }
     EXPECT_FLOATS(floats_select(x < y, x, y), a[i] < b[i] ? a[i] : b[i]);
     EXPECT_FLOATS(floats_min(x, y), a[i] < b[i] ? a[i] : b[i]);
@@ -202,7 +193,7 @@ static void check_rows(uint64_t *state)
     for (int i = 0; i < 4; i++) {
         sum[i] = a[i] = random_double(state);
         b[i] = random_double(state);
-        near[i] = (double)(int64_t)next_random(state) * 0x1p-33;
+        near[i] = (double)(int64_t)test_random(state) * 0x1p-33;
     }
     for (int i = 0; i < 3; i++)
         narrow[i] = random_float(state);
@@ -230,11 +221,11 @@ static void check_integers(uint64_t *state)
     int32_t a[4], b[4];
     uint32_t words[16], bits = 0;
     for (int i = 0; i < 4; i++) {
-        a[i] = (int32_t)next_random(state);
-        b[i] = (int32_t)next_random(state);
+        a[i] = (int32_t)test_random(state);
+        b[i] = (int32_t)test_random(state);
     }
     for (int i = 0; i < 16; i++) {
-        const uint64_t x = next_random(state);
+        const uint64_t x = test_random(state);
         words[i] = x & 1 ? (uint32_t)1 << (x >> 59) : 0;
         bits |= (uint32_t)(words[i] != 0) << i;
     }
