@@ -15,9 +15,10 @@
 extern "C" {
 #endif
 
-/** Maps; bits that can be combined. */
+/** Maps; bits that can be combined. bake_map_name() lists all maps, also those without a constant
+ * here. */
 enum bake_map {
-    BAKE_MAPS_DEFAULT = 0, /**< Normal, and color if the scan has colours. */
+    BAKE_MAPS_DEFAULT = 0, /**< What bake_default_maps() finds for the scan. */
     BAKE_MAP_NORMAL = 1,   /**< The unit normal n as n / 2 + 1/2 in R, G, B. */
     BAKE_MAP_COLOR = 2,    /**< Linear Rec. 709 light in EXR, sRGB in PNG. */
     BAKE_MAP_MASK = 4      /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
@@ -38,7 +39,8 @@ enum bake_sampling {
 
 /** How a map file stores a sample. */
 enum bake_sample_type {
-    BAKE_SAMPLE_USUAL, /**< BAKE_HALF in OpenEXR, BAKE_UINT16 in PNG. */
+    BAKE_SAMPLE_USUAL, /**< The map's own, if it has one. Else BAKE_HALF in OpenEXR, BAKE_UINT16 in
+                          PNG. */
     BAKE_UINT8,        /**< 8 bits, dithered. PNG only. */
     BAKE_UINT16,       /**< 16 bits. PNG only. */
     BAKE_HALF,         /**< 16-bit floating point. OpenEXR only. */
@@ -51,8 +53,8 @@ struct bake_options {
         *scan_path; /**< Input: a grid (.nvdb) or a chunk file (.tris); the content decides. */
     const char *mesh_path; /**< Input: the low-poly mesh, an OBJ file with texture coordinates. */
     uint32_t maps;         /**< Bits of enum bake_map. */
-    /** Output path. "<MAP>" in it stands for the map's name: normal, color or mask. It must contain
-     * "<MAP>" if there are several maps. Its suffix, .exr or .png, chooses the image format. */
+    /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(). It must
+     * contain "<MAP>" if there are several maps. Its suffix, .exr or .png, chooses the format. */
     const char *output_path;
     enum bake_sample_type sample_type; /**< One that the image format can store. */
     uint32_t width;                    /**< Width of the maps in texels. */

@@ -26,7 +26,7 @@ static const char help_format[] =
     "      --normal-space SPC  tangent (MikkTSpace) or object (default: tangent)\n"
     "      --green DIR         up (OpenGL) or down (Direct3D), for tangent space (default: up)\n"
     "      --padding N         texels to fill around each chart; all: everywhere (default: 16)\n"
-    "      --half, --float     type of OpenEXR samples (default: half)\n"
+    "      --half, --float     type of OpenEXR samples (default: half for most maps)\n"
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low-poly mesh, the baked mesh and the scan\n"
     "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
@@ -200,10 +200,13 @@ static int parse_sample_type(struct cli *cli, int option, struct bake_arguments 
 static int common_option(struct cli *cli, int option)
 {
     char maps[1024] = "", help[sizeof help_format + sizeof maps];
-    size_t length = 0;
+    size_t length = 0, width = 10;
+    for (unsigned i = 0; bake_map_name(i); i++)
+        if (strlen(bake_map_name(i)) > width)
+            width = strlen(bake_map_name(i));
     for (unsigned i = 0; bake_map_name(i) && length < sizeof maps; i++)
-        length += (size_t)snprintf(maps + length, sizeof maps - length, "%28s%-10s  %s\n", "",
-                                   bake_map_name(i), bake_map_summary(i));
+        length += (size_t)snprintf(maps + length, sizeof maps - length, "%28s%-*s  %s\n", "",
+                                   (int)width, bake_map_name(i), bake_map_summary(i));
     snprintf(help, sizeof help, help_format, maps);
     return cli_common_option(cli, option, help);
 }

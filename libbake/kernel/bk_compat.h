@@ -3,6 +3,9 @@
  * Devices that round as IEEE 754 asks must give the same bits. So the kernel uses only + - * / sqrt
  * floor and comparisons in float, and contraction is off.
  *
+ * BK_FN begins the definition of a function. BK_GLOBAL marks pointers to a device's memory, such as
+ * the grid and the texels; it is empty in C and CUDA.
+ *
  * bk_fw and bk_iw are BK_WIDTH floats and 32-bit integers with element-wise operators: vectors on
  * processors, plain scalars on GPUs and if BK_WIDTH is 1. A bk_mask, as bk_less() returns it, is
  * true or false in each lane; only bk_select() and similar functions take it. A lane gets the same

@@ -1,7 +1,7 @@
 /* bk_maps.h - the maps, and what a hit adds to a texel of each.
  *
- * In: hits of a texel's samples, with all lengths in the mesh's units. Out: the texel's floats: the
- * number of samples inside a chart, the number of those that hit, and the sums of each selected
+ * In: hits of a texel's samples, with lengths in the units of both meshes. Out: the texel's floats:
+ * the number of samples inside a chart, the number of those that hit, and the sums of each selected
  * map, in the order of BK_MAPS. The host resolves them, see libbake/maps/map_table.c.
  *
  * A new map takes a row of BK_MAPS and its function bk_add_NAME() here, and a row of
@@ -26,7 +26,7 @@ enum { BK_COVERED, BK_HITS, BK_SUMS };
 
 /* A hit of one sample's ray. */
 typedef struct bk_map_hit {
-    float t;             /* signed distance along the ray */
+    float t;             /* from the low-poly mesh along its unit normal; negative behind it */
     float position[3];   /* relative to the origin of the grid or of the chunk file */
     float normal[3];     /* of the scan: unit, object space */
     float map_normal[3]; /* the same in the space of the normal map */
@@ -50,7 +50,7 @@ BK_FN void bk_add_color(const bk_map_hit *hit, BK_GLOBAL float *sums)
     bk_add3(sums, hit->color);
 }
 
-/* The counts are enough. */
+/* Adds nothing: BK_HITS and BK_COVERED are enough for the share of samples that hit. */
 BK_FN void bk_add_mask(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     (void)hit;

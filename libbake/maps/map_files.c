@@ -34,23 +34,46 @@ struct bake_map_files {
 
 /* ---- formats ---- */
 
+/* Returns the suffix of a format that stores one of these sample types. */
+static const char *suffix_for(uint32_t sample_types)
+{
+    const struct fmt_image_format *const *format = fmt_image_formats;
+    while (format[1] && !((*format)->sample_types & sample_types))
+        ++format;
+    return (*format)->suffix;
+}
+
+/* Returns the sample type that the options name, else the map's usual one if the format stores it,
+ * else the format's. */
+static enum fmt_sample_type choose_type(const struct bake_options *options,
+                                        enum bake_sample_type usual,
+                                        const struct fmt_image_format *format)
+{
+    _Static_assert(BAKE_FLOAT - BAKE_UINT8 == (int)FMT_FLOAT, "the types are in one order");
+    if (options->sample_type != BAKE_SAMPLE_USUAL)
+        return (enum fmt_sample_type)(options->sample_type - BAKE_UINT8);
+    if (usual == BAKE_SAMPLE_USUAL || !(format->sample_types & FMT_SAMPLE_BIT(usual - BAKE_UINT8)))
+        return format->usual_type;
+    return (enum fmt_sample_type)(usual - BAKE_UINT8);
+}
+
 /* Chooses a map's image format and sample type by the output's name and the options. Errors:
  * BSQ_EUSAGE. */
 static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options, unsigned number,
                          const struct fmt_image_format **format, enum fmt_sample_type *type)
 {
-    _Static_assert(BAKE_FLOAT - BAKE_UINT8 == (int)FMT_FLOAT, "the types are in one order");
     const struct bake_map_row *row = &bake_map_table[number];
     const char *path = options->output_path;
-    enum bake_sample_type asked =
-        options->sample_type != BAKE_SAMPLE_USUAL ? options->sample_type : row->usual_type;
     *format = fmt_image_format_of(path);
     if (!*format)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "%s: maps are OpenEXR or PNG files: the name must end in .exr or .png",
                         path);
-    *type = asked == BAKE_SAMPLE_USUAL ? (*format)->usual_type
-                                       : (enum fmt_sample_type)(asked - BAKE_UINT8);
+    if (row->sample_types && !(row->sample_types & (*format)->sample_types))
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "%s: %s files cannot hold a %s map: the name must end in %s", path,
+                        (*format)->name, bake_map_names[number], suffix_for(row->sample_types));
+    *type = choose_type(options, row->usual_type, *format);
     int status = fmt_image_check_type(ctx, *format, path, *type);
     if (status == 0 && row->sample_types && !(row->sample_types & FMT_SAMPLE_BIT(*type)))
         status =

@@ -51,7 +51,7 @@ static bool resolve_mean(const float *sums, uint32_t channels, float weight, flo
 
 /* ---- the table ---- */
 
-const struct bake_map_row bake_map_table[BK_MAP_COUNT] = {
+const struct bake_map_row bake_map_table[] = {
     [BK_MAP_normal] = {.summary = "normals (default)",
                        .channels = 3,
                        .by_default = true,
@@ -66,6 +66,9 @@ const struct bake_map_row bake_map_table[BK_MAP_COUNT] = {
                       .resolve = resolve_mean},
     [BK_MAP_mask] = {.summary = "share of a texel's samples that found the surface", .channels = 1},
 };
+
+_Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
+               "the table has a row for each map of BK_MAPS");
 
 #define MAP_NAME(name, sums) #name,
 #define MAP_SUMS(name, sums) sums,

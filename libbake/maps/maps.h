@@ -37,7 +37,8 @@ struct bake_map_row {
     /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */
     enum bake_sample_type usual_type;
     /* Turns a texel's sums into its value; weight is 1 / hits. Returns false if the sums give no
-     * value. NULL: the map shows the share of covered samples that hit, and is not dilated. */
+     * value; then the texel has no value in any map. NULL: the map shows the share of covered
+     * samples that hit, and is not dilated. */
     bool (*resolve)(const float *sums, uint32_t channels, float weight, float *value);
     /* Changes *out, which holds scale 1, bias 0 and a black background; NULL: keeps them. */
     void (*encode)(const struct bake_options *options, struct bake_encoding *out);
@@ -46,7 +47,7 @@ struct bake_map_row {
 };
 
 /* Rows in the order of BK_MAPS; row i is bit i of enum bake_map. */
-extern const struct bake_map_row bake_map_table[BK_MAP_COUNT];
+extern const struct bake_map_row bake_map_table[];
 /* Name and sums of row i, from BK_MAPS. */
 extern const char *const bake_map_names[BK_MAP_COUNT];
 extern const uint32_t bake_map_sums[BK_MAP_COUNT];

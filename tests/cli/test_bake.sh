@@ -41,9 +41,12 @@ options="output maps size samples front back two-sided sampling normal-space gre
 for option in $options; do
     out_like "  --$option|, --$option"
 done
+maps=$(sed -n '/--maps LIST/,/--size/s/^ \{28\}\([a-z_0-9]*\) .*/\1/p' "$out")
+[ -n "$maps" ]
+check "the help lists maps" $?
 man_page bisque-bake $options
 # The man page describes each map that the help lists.
-for map in $(sed -n '/--maps LIST/,/--size/s/^ \{28\}\([a-z]*\) .*/\1/p' "$out"); do
+for map in $maps; do
     grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
     check "the man page describes map $map" $?
 done
@@ -74,12 +77,13 @@ refused 64 "$p --list-devices takes no files"
 $bake --nonsense
 refused 64 "$p unrecognized option '--nonsense'"
 good="plain.nvdb low.obj -o a_<MAP>.exr"
+known=$(echo $maps | sed 's/ /, /g; s/\(.*\), /\1 or /') # normal, color or mask
 $bake $good --maps normal,height
-refused 64 "$p --maps: \"height\" is not normal, color or mask"
+refused 64 "$p --maps: \"height\" is not $known"
 $bake $good --maps normal,
-refused 64 "$p --maps: \"\" is not normal, color or mask"
+refused 64 "$p --maps: \"\" is not $known"
 $bake $good --maps norm
-refused 64 "$p --maps: \"norm\" is not normal, color or mask"
+refused 64 "$p --maps: \"norm\" is not $known"
 for size in 0 -1 x 1.5 1048577 99999999999999999999 '' 16x 16x0 x16 16x16x16 16X16 '16 x16' 0x10; do
     $bake $good --size "$size"
     refused 64 "$p --size: \"$size\" is not N or WxH with numbers from 1 to 1048576"
