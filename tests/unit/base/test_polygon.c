@@ -1,27 +1,18 @@
 /* test_polygon.c - triangles cover their polygon, with its orientation, for any simple polygon. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
-#include <inttypes.h>
 #include <math.h>
 #include <stdbool.h>
-#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
 #include "base/polygon.h"
+#include "tests/unit/fixture.h"
 
-static uint64_t random_state = 1899;
+static uint64_t random_state; /* of test_random() */
 
 static double random_unit(void)
 {
-    random_state ^= random_state >> 12;
-    random_state ^= random_state << 25;
-    random_state ^= random_state >> 27;
-    return (double)(random_state * UINT64_C(0x2545f4914f6cdd1d) >> 11) * 0x1p-53;
+    return (double)(test_random(&random_state) >> 11) * 0x1p-53;
 }
 
 /* A right-handed frame that places 2D polygons in space. */
@@ -144,7 +135,7 @@ static void test_random_stars(void **state)
 {
     (void)state;
     double corners[200][2];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
         uint32_t n = 3 + (uint32_t)(random_unit() * (i % 50 ? 12 : 190));
         struct frame frame = random_frame(i % 3 ? 10 : 0);
@@ -161,7 +152,7 @@ static void test_far_from_origin(void **state)
 {
     (void)state;
     double corners[20][2];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 2000; i++) {
         struct frame frame = random_frame(500000);
         random_star(corners, 20, 0.2);
@@ -188,7 +179,7 @@ static void test_known_shapes(void **state)
     check_polygon(hole, 10, &flat);
     check_polygon(spiral, 14, &flat);
     check_polygon(repeated, 7, &flat);
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 500; i++) {
         struct frame frame = random_frame(1);
         check_polygon(comb, 16, &frame);
@@ -232,7 +223,7 @@ static void test_convex_quad_is_cut_at_its_first_corner(void **state)
 static void test_sign_of_zero_changes_nothing(void **state)
 {
     (void)state;
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
         double plain[8][3] = {{0}}, negative[8][3];
         uint32_t expected[18], triangles[18], scratch[16];
@@ -255,7 +246,7 @@ static void test_degenerate(void **state)
     enum { most = 40 };
     double positions[most][3];
     uint32_t triangles[3 * most], scratch[2 * most];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
         uint32_t n = 3 + (uint32_t)(random_unit() * (most - 3));
         int kind = i % 5; /* a point, a line, few points, crossing edges, areas that overflow */
@@ -279,7 +270,7 @@ static void test_large_polygon_is_quick(void **state)
     (void)state;
     enum { n = 10000 };
     static double corners[n][2];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     clock_t start = clock();
     random_star(corners, n, 0.3);
     check_polygon((const double(*)[2])corners, n, &flat);

@@ -1,10 +1,5 @@
 /* test_obj_blocks.c - results do not depend on where blocks begin or on the number of threads;
  * files that are truncated anywhere, and too little memory, give errors. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,17 +7,15 @@
 
 #include "formats/mesh/obj_internal.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
+#include "tests/unit/fixture.h"
 
 /* ---- blocks ---- */
 
-static uint64_t random_state = 4711;
+static uint64_t random_state; /* of test_random() */
 
 static unsigned below(unsigned limit)
 {
-    random_state ^= random_state >> 12;
-    random_state ^= random_state << 25;
-    random_state ^= random_state >> 27;
-    return (unsigned)((random_state * 0x2545f4914f6cdd1du >> 32) * limit >> 32);
+    return (unsigned)((test_random(&random_state) >> 32) * limit >> 32);
 }
 
 /* A random file, and what reading it must give. */
@@ -154,7 +147,8 @@ static void check_against_model(const struct obj_fixture *f, const struct model 
 static void test_random_files(void **state)
 {
     (void)state;
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
+    uint64_t most_blocks = 0;
     for (int style = 0; style < 4; style++) {
         struct model m;
         make_model(&m, style);
@@ -165,13 +159,16 @@ static void test_random_files(void **state)
             if (f.status)
                 print_message("%s\n", bsq_error(f.ctx));
             check_against_model(&f, &m);
-            assert_true(f.scan.blocks > 2);
+            if (f.scan.blocks > most_blocks)
+                most_blocks = f.scan.blocks;
             obj_close(&f);
         }
         free(m.text);
         free(m.face_lines);
         obj_free_scan(&m.scan);
     }
+    /* A face with very many corners may leave a file with fewer blocks, but not all four. */
+    assert_true(most_blocks > 2);
 }
 
 /* A file of many blocks whose only error is in the last, and one with an error in each block: the

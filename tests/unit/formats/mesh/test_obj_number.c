@@ -1,10 +1,4 @@
 /* test_obj_number.c - numbers are rounded exactly as strtod() rounds them in the C locale. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
-#include <inttypes.h>
 #include <locale.h>
 #include <math.h>
 #include <stdio.h>
@@ -12,16 +6,13 @@
 #include <string.h>
 
 #include "formats/mesh/obj_line.h"
+#include "tests/unit/fixture.h"
 
-static uint64_t random_state = 20081;
+static uint64_t random_state; /* of test_random() */
 
-/* xorshift64* (Vigna 2016). */
 static uint64_t random_bits(void)
 {
-    random_state ^= random_state >> 12;
-    random_state ^= random_state << 25;
-    random_state ^= random_state >> 27;
-    return random_state * 0x2545f4914f6cdd1du;
+    return test_random(&random_state);
 }
 
 static unsigned below(unsigned limit)
@@ -117,7 +108,7 @@ static void test_random_shapes(void **state)
         {20000, 60, 60, 40}, {20000, 2, 800, 0},   {300000, 2, 2, 23},  {50000, 400, 3, 400},
     };
     char text[2048];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (size_t s = 0; s < sizeof shapes / sizeof *shapes; s++)
         for (unsigned i = 0; i < shapes[s].count; i++) {
             random_shape(text, shapes[s].whole, shapes[s].fraction, shapes[s].exponent);
@@ -131,7 +122,7 @@ static void test_printed_doubles(void **state)
     (void)state;
     static const char *const formats[] = {"%.17g", "%.9g", "%.15e", "%f", "%.6f", "%.12f", "%a"};
     char text[400];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 300000; i++) {
         uint64_t bits = random_bits();
         double value;
@@ -151,7 +142,7 @@ static void test_midpoints(void **state)
 {
     (void)state;
     char text[400];
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 100000; i++) {
         uint64_t mantissa = (random_bits() >> 11) | UINT64_C(1) << 52;
         int exponent = (int)below(60) - 54;
@@ -275,7 +266,7 @@ static void test_integers(void **state)
     (void)state;
     char buffer[96];
     uint64_t value;
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 1000000; i++) {
         memset(buffer, below(2) ? '/' : ' ', sizeof buffer);
         int length = append_digits(buffer, 1 + below(18));
@@ -308,7 +299,7 @@ static void check_end(const char *end, const char *line, int length)
 static void test_three_indices(void **state)
 {
     (void)state;
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     for (int i = 0; i < 1000000; i++) {
         char buffer[160] = {0};
         uint64_t expected[3], values[3];
@@ -372,7 +363,7 @@ static int any_coordinate(char *out, bool *plain)
 static void test_three_numbers(void **state)
 {
     (void)state;
-    print_message("seed %" PRIu64 "\n", random_state);
+    random_state = test_seed();
     int accepted = 0;
     for (int i = 0; i < 1000000; i++) {
         char buffer[256] = {0};
