@@ -51,7 +51,7 @@ enum bake_sample_type {
 struct bake_options {
     const char
         *scan_path; /**< Input: a grid (.nvdb) or a chunk file (.tris); the content decides. */
-    const char *mesh_path; /**< Input: the low-poly mesh, an OBJ file with texture coordinates. */
+    const char *mesh_path; /**< Input: the low-poly mesh, a mesh file with texture coordinates. */
     uint32_t maps;         /**< Bits of enum bake_map. */
     /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(). It must
      * contain "<MAP>" if there are several maps. Its suffix, .exr or .png, chooses the format. */

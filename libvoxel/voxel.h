@@ -12,7 +12,7 @@
  * Positions and lengths are in the scan's units, in its coordinate system.
  *
  * @example voxelize_scan.c
- * Turns an OBJ file into a chunk file and a grid. */
+ * Turns a mesh file into a chunk file and a grid. */
 #ifndef VOX_VOXEL_H
 #define VOX_VOXEL_H
 

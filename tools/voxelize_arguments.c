@@ -6,8 +6,8 @@ static const char help[] =
     "       bisque-voxelize [OPTION]... SCAN.tris -o SCAN.nvdb\n"
     "       bisque-voxelize --verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
-    "and colours. Several OBJ files are read as one scan. The sorted triangles are kept in a chunk\n"
-    "file (SCAN.tris), which makes grids of other resolutions without reading the OBJ again.\n"
+    "and colours. Several mesh files are read as one scan. The sorted triangles are kept in a chunk\n"
+    "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n"
     "\n"
     "  -o, --output FILE       the grid, a NanoVDB file\n"
     "      --resolution N      voxels along the scan's longest side (default: 2048)\n"
@@ -18,7 +18,7 @@ static const char help[] =
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
     "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
     "      --no-tris           do not keep the chunk file\n"
-    "      --parse-only        only read the OBJ files, to measure the reader\n"
+    "      --parse-only        only read the mesh files, to measure the reader\n"
     "      --resume            continue the same job from its chunk file, if that is complete\n"
     "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the output's)\n" CLI_VERIFY_HELP
         CLI_COMMON_HELP;

@@ -1,6 +1,10 @@
 /* mesh_format.h - private to formats/mesh: what a mesh format implements, and the registry.
  *
- * A format is one source file that defines a `struct fmt_mesh_format`, and one row below. */
+ * A format is one source file that defines a `struct fmt_mesh_format`, and one row below.
+ *
+ * A reader delivers blocks in file order, each of at most about FMT_MESH_SLOT_BYTES. They are the
+ * same for each reading, any budget and any number of threads. Their byte_size add up to the files.
+ * The reader calls bsq_check() for each block. A reader without threads uses slot 0 only. */
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
 
@@ -10,21 +14,24 @@
 struct fmt_mesh_place {
     const char *path; /* owned by the reader */
     uint64_t line;    /* from 1; 0: the format has none, so messages count faces */
-    /* Elements of the scan in earlier files, and in the face's file. */
+    /* By kind: elements of the scan in files before the face's file, and in the face's file. With
+     * one file, base is 0. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
 };
 
-/* Each function does what mesh_reader.h says about the function of the same name. */
+/* open, close, read, estimate, read_materials and dependency do what mesh_reader.h says about
+ * fmt_mesh_open() and so on. Only recognise, read_materials and dependency may be NULL. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj" */
-    /* Returns true if the first bytes of a file show this format beyond doubt. May be NULL. */
+    /* Returns true if the first bytes of a file show this format beyond doubt. `head` is the first
+     * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. */
     bool (*recognise)(const char *head, size_t size);
     /* Sets *out to a structure that begins with a struct fmt_mesh_reader, and sets its ctx. */
     int (*open)(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                 struct fmt_mesh_reader **out);
     void (*close)(struct fmt_mesh_reader *reader);
-    /* Calls steps->on_block for each block, which may be NULL, and then, if steps->follow is not
+    /* For each block calls steps->on_block, unless it is NULL, and then, if steps->follow is not
      * NULL, steps->follow and steps->finish. A reader without threads calls them one after the
      * other with slot 0. `totals` is never NULL and zero at first. */
     int (*read)(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,

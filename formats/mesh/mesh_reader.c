@@ -111,8 +111,10 @@ int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_c
         if (i == 0)
             first = format;
         if (format != first)
-            return bsq_fail(ctx, BSQ_EDATA, "%s: %s, but %s is %s: convert one of them", paths[i],
-                            format->name, paths[0], first->name);
+            return bsq_fail(
+                ctx, BSQ_EDATA,
+                "%s has the format %s, but %s has %s: all files of a scan need one format",
+                paths[i], format->name, paths[0], first->name);
     }
     int status = first->open(ctx, paths, path_count, out);
     if (status == 0)

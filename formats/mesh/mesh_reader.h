@@ -88,8 +88,9 @@ bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
 /* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
  * status, which stops and is returned. Numbers that are malformed or not finite are BSQ_EDATA with
  * file, line and the offending text. Memory: see fmt_mesh_slots_for(). on_block may be NULL (parse
- * only). May be called again: numbers of blocks, faces and materials are the same each time. The
- * caller reports progress; the blocks' byte_size add up to the files. */
+ * only). May be called again: blocks, faces and materials have the same numbers each time. The
+ * caller reports progress; the blocks' byte_size add up to the files, because bytes that yield
+ * nothing belong to a block too. */
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
                   int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
                   struct fmt_mesh_totals *totals);
@@ -100,9 +101,9 @@ struct fmt_mesh_steps {
     int (*on_block)(void *arg, const struct fmt_mesh_block *block);
     /* Called on all threads, in any order, but after on_block of this block and of all earlier
      * ones. No two calls at a time share a `slot`, which is below fmt_mesh_max_slots(). May be
-     * NULL, and then finish is not called either. */
+     * NULL. */
     int (*follow)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
-    /* Called serially in order, after follow of the same block. */
+    /* Called serially in order, after follow of the same block. NULL exactly if follow is. */
     int (*finish)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
 };
 /* As fmt_mesh_read(), with all three steps. */

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "base/file.h"
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/obj_path.h"
 

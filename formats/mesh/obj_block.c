@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_line.h"
 
 /* Statements of the OBJ standard (Wavefront, "Advanced Visualizer", appendix B1) that say nothing
@@ -43,21 +44,6 @@ void fmt_obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t en
     /* Two line ends: the last line may lack its own and even end in a continuation. */
     memset(block->buffer + end, 0, OBJ_TEXT_PADDING);
     memset(block->buffer + end, '\n', 2);
-}
-
-void fmt_obj_quote(const char *text, const char *end, char *out, size_t size)
-{
-    size_t length = 0;
-    for (; text < end && *text != '\n' && *text != '\r'; text++) {
-        if (length + 4 >= size) {
-            memcpy(out + length, "...", 3);
-            length += 3;
-            break;
-        }
-        unsigned char c = (unsigned char)*text;
-        out[length++] = c == '\t' ? ' ' : c < ' ' || c == 127 ? '?' : (char)c;
-    }
-    out[length] = '\0';
 }
 
 __attribute__((format(printf, 2, 3))) static const char *fail(struct parser *parser,
@@ -98,7 +84,7 @@ static struct quoted quote_word(const struct parser *parser, const char *p)
     const char *end = p, *limit = parser->block->text + parser->block->size;
     while (end < limit && !is_blank(*end) && !line_end_size(end))
         end++;
-    fmt_obj_quote(p, end, quoted.text, sizeof quoted.text);
+    fmt_mesh_quote(p, end, quoted.text, sizeof quoted.text);
     return quoted;
 }
 
@@ -458,7 +444,7 @@ static const char *parse_other(struct parser *parser, const char *p)
         block->known_lines++;
     } else if (!block->skipped_lines++) {
         block->first_skipped = line;
-        fmt_obj_quote(word, end, block->first_skipped_text, sizeof block->first_skipped_text);
+        fmt_mesh_quote(word, end, block->first_skipped_text, sizeof block->first_skipped_text);
     }
     return p;
 }

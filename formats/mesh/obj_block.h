@@ -74,7 +74,4 @@ int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_fi
 
 void fmt_obj_block_free(struct bsq_ctx *ctx, struct obj_block *block);
 
-/* Copies text of a file into `out` for a message: one line, printable, shortened. */
-void fmt_obj_quote(const char *text, const char *end, char *out, size_t size);
-
 #endif

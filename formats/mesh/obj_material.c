@@ -6,6 +6,7 @@
 #include <xxhash.h>
 
 #include "formats/mesh/mtl.h"
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
 #include "formats/mesh/obj_path.h"
 

@@ -4,19 +4,12 @@
 #include <string.h>
 #include <sys/stat.h>
 
+#include "formats/mesh/mesh_text.h"
+
 static bool is_file(const char *path)
 {
     struct stat info;
     return stat(path, &info) == 0 && S_ISREG(info.st_mode);
-}
-
-int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out)
-{
-    size_t size = strlen(text) + 1;
-    int status = bsq_alloc(ctx, "names", size, 1, out);
-    if (!status)
-        memcpy(*out, text, size);
-    return status;
 }
 
 static const char *last_component(const char *path)

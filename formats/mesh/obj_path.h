@@ -15,9 +15,6 @@ extern "C" {
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists);
 
-/* Copies a string. Free *out with bsq_free(). */
-int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
-
 #ifdef __cplusplus
 }
 #endif

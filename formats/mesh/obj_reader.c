@@ -13,8 +13,8 @@
 #include <string.h>
 
 #include "base/parallel.h"
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
-#include "formats/mesh/obj_path.h"
 
 /* After this many unknown lines, and no known statement, a file is not taken for OBJ. */
 enum { patience_lines = 1000 };

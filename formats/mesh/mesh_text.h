@@ -1,0 +1,13 @@
+/* mesh_text.h - private to formats/mesh: copies of names, and file text for messages. */
+#ifndef FMT_MESH_TEXT_H
+#define FMT_MESH_TEXT_H
+
+#include "base/context.h"
+
+/* Copies a string. Free *out with bsq_free(). */
+int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
+
+/* Copies text of a file into `out` for a message: one line, printable, shortened. */
+void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size);
+
+#endif
