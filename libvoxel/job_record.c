@@ -1,16 +1,14 @@
-/* job_record.c - which inputs and options a chunk file was made from, so that a job can go on from
- * it.
+/* job_record.c - records which inputs and options a chunk file was made from, so that a job can
+ * resume from it (docs/decisions/0008).
  *
- * The record is a text file beside the chunk file, there only while the job is unfinished: what it
- * says (times, places) is of one machine, and the chunk file's bytes shall depend on the scan
- * alone. A file is taken for the same when its size, its time of modification and the hash of
- * samples are. Reading all of it would cost about what resuming saves where disks are slow. The
- * time finds an edit between the samples, the samples a file that was replaced and has an older
- * one's time.
- *
- * Going on from it must give the bytes that doing all again would. So the program must be the same
- * too, and that is not left to a number that somebody has to raise when sorting changes: the record
- * has a sum over the sources. */
+ * The record is a file of lines beside the chunk file, each of which ends with a null byte, as
+ * paths may contain anything else. It exists only while the job is unfinished. Its lines are:
+ *     format, checksum and size of the chunk file, checksum of the other lines
+ *     version and checksum of the program's sources
+ *     "obj", "tex" or "mtl", size, time of modification, hash of samples, path; for each input
+ * To resume, the lines are made again from the files as they are now, and must be the same. A hash
+ * of samples is used because reading whole inputs would take about as long as resuming saves on
+ * slow disks. The time of modification reveals edits between samples. */
 #include "base/file.h"
 #include "base/output.h"
 #include "formats/mesh/mesh_reader.h"
@@ -18,7 +16,6 @@
 
 #include <errno.h>
 #include <inttypes.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -26,155 +23,181 @@
 #include <unistd.h>
 #include <xxhash.h>
 
-#define FIRST_LINE "bisque job 1"
-
-static const char build[] =
+/* The second line. */
+static const char program[] = "version " BSQ_VERSION " "
 #include "chunk_sources.inc"
     ;
 
-/* More than any piece of a line that is written at once. */
-enum { LINE_BYTES = 256 };
-/* Samples of a file: so many pieces of so many bytes, spread evenly from its first byte to its
- * last. */
+/* Samples of a file are spread evenly from its first byte to its last, and overlap in small files.
+ */
 enum { SAMPLES = 64, SAMPLE_BYTES = 64 << 10 };
-/* Where the chunk file's header has its own checksum, which covers those of all other parts'
- * tables. */
+/* Offset in a chunk file of its header's checksum, which covers the checksums of all other tables.
+ */
 enum { TRIS_CHECKSUM_AT = 144 };
-
-struct source {
-    char *path; /* absolute */
-    bool library, absent;
-    uint64_t bytes, hash;
-    int64_t seconds, nanoseconds; /* time of modification */
-};
-
+/* Strings are a few bytes and a job may have a budget of only vox_memory_min(), so they are not
+ * counted. */
 struct vox_job {
     struct bsq_ctx *ctx;
-    char *tris_path, *record_path, *texture; /* texture: absolute, or "-" */
-    struct source *sources;
-    uint64_t count;
+    char *tris_path, *record_path;
+    char *lines; /* all but the first; an empty one follows */
+    size_t size; /* bytes of the lines */
 };
-
-/* ---- one file ---- */
 
 static int no_memory(struct bsq_ctx *ctx, const char *path)
 {
     return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
 }
 
-/* Absolute name of an existing file; of one that is absent, the name itself. Names are a few bytes,
- * and a job works with a budget of just vox_memory_min(), so they are not counted. */
-static int absolute(struct bsq_ctx *ctx, const char *path, char **out)
+/* ---- lines ---- */
+
+/* Returns the next line; after the last line, the empty one. */
+static const char *next_line(const char *line)
 {
-    *out = realpath(path, NULL);
-    if (!*out && errno != ENOMEM)
-        *out = strdup(path);
-    return *out ? 0 : no_memory(ctx, path);
+    return *line ? line + strlen(line) + 1 : line;
+}
+
+/* Returns the path in the line of an input, after four fields. */
+static const char *path_of(const char *line)
+{
+    for (int field = 0; field < 4 && line; field++)
+        line = strchr(line, ' ') ? strchr(line, ' ') + 1 : NULL;
+    return line ? line : "";
+}
+
+/* Appends a line to the job and frees it. NULL: there was no memory for it. */
+static int add_line(struct vox_job *job, char *line)
+{
+    size_t bytes = line ? strlen(line) + 1 : 0;
+    char *grown = line ? realloc(job->lines, job->size + bytes + 1) : NULL;
+    if (grown) {
+        memcpy(grown + job->size, line, bytes);
+        job->lines = grown;
+        job->size += bytes;
+        grown[job->size] = '\0';
+    }
+    free(line);
+    return grown ? 0 : no_memory(job->ctx, job->tris_path);
 }
 
 static int hash_samples(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t *hash)
 {
-    uint8_t *samples;
-    uint64_t whole = (uint64_t)SAMPLES * SAMPLE_BYTES,
-             size = file->size < whole ? file->size : whole;
-    int status = bsq_alloc(ctx, "samples", whole, 1, &samples);
-    if (status < 0)
-        return status;
-    if (file->size <= whole)
-        status = bsq_file_read(ctx, file, samples, size, 0);
-    for (uint64_t i = 0; file->size > whole && i < SAMPLES && status == 0; i++) {
-        uint64_t room = file->size - SAMPLE_BYTES;
-        uint64_t at = room / (SAMPLES - 1) * i + room % (SAMPLES - 1) * i / (SAMPLES - 1);
-        status = bsq_file_read(ctx, file, samples + i * SAMPLE_BYTES, SAMPLE_BYTES, at);
+    const uint64_t bytes = file->size < SAMPLE_BYTES ? file->size : SAMPLE_BYTES;
+    const uint64_t last = file->size - bytes, gaps = SAMPLES - 1;
+    uint8_t *sample;
+    int status = bsq_alloc(ctx, "sample", SAMPLE_BYTES, 1, &sample);
+    for (uint64_t i = 0; status == 0 && i < SAMPLES; i++) {
+        status = bsq_file_read(ctx, file, sample, bytes, last / gaps * i + last % gaps * i / gaps);
+        if (status == 0)
+            *hash = XXH3_64bits_withSeed(sample, bytes, *hash);
     }
-    *hash = XXH3_64bits(samples, size);
-    bsq_free(ctx, samples);
+    bsq_free(ctx, sample);
     return status;
 }
 
-/* Fills in all but the path. A library may be absent, a scan must not. */
-static int identify(struct bsq_ctx *ctx, const char *path, struct source *out)
+/* Makes the line of an input as it is now, for the caller to free. kind: "obj"; "mtl", which may be
+ * absent; "tex", only whose path matters. Only three characters of it are read. */
+static int describe(struct bsq_ctx *ctx, const char *kind, const char *path, char **out)
 {
     struct bsq_file file;
-    struct stat info;
-    out->absent = out->library && access(path, F_OK) != 0;
-    if (out->absent)
+    struct stat info = {.st_size = -1};
+    uint64_t hash = 0;
+    *out = NULL;
+    if (*kind == 'o' || (*kind == 'm' && access(path, F_OK) == 0)) {
+        int status = bsq_file_open(ctx, path, &file);
+        if (status < 0)
+            return status;
+        status = fstat(file.fd, &info) == 0 ? hash_samples(ctx, &file, &hash)
+                                            : bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
+        bsq_file_close(ctx, &file);
+        if (status < 0)
+            return status;
+    }
+    char *full = realpath(path, NULL);
+    if (!full && errno != ENOMEM)
+        full = strdup(path);
+    if (full && asprintf(out, "%.3s %" PRId64 " %" PRId64 ".%09ld %016" PRIx64 " %s", kind,
+                         (int64_t)info.st_size, (int64_t)info.st_mtim.tv_sec, info.st_mtim.tv_nsec,
+                         hash, full) < 0)
+        *out = NULL;
+    free(full);
+    return *out ? 0 : no_memory(ctx, path);
+}
+
+static int add_input(struct vox_job *job, const char *kind, const char *path)
+{
+    char *line;
+    int status = describe(job->ctx, kind, path, &line);
+    return status < 0 ? status : add_line(job, line);
+}
+
+/* Reads a file, or its first `most` bytes, and adds a null byte. *text: for the caller to free with
+ * bsq_free(), or NULL if there is no such file. */
+static int load(struct bsq_ctx *ctx, const char *path, uint64_t most, char **text, uint64_t *size)
+{
+    struct bsq_file file;
+    *text = NULL;
+    *size = 0;
+    if (access(path, F_OK) != 0)
         return 0;
     int status = bsq_file_open(ctx, path, &file);
     if (status < 0)
         return status;
-    if (fstat(file.fd, &info) != 0)
-        status = bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
-    else
-        status = hash_samples(ctx, &file, &out->hash);
-    out->bytes = file.size;
-    out->seconds = info.st_mtim.tv_sec;
-    out->nanoseconds = info.st_mtim.tv_nsec;
+    uint64_t bytes = file.size < most ? file.size : most;
+    status = bsq_calloc(ctx, "job record", bytes + 1, 1, text);
+    if (status == 0)
+        status = bsq_file_read(ctx, &file, *text, bytes, 0);
+    *size = file.size;
     bsq_file_close(ctx, &file);
     return status;
 }
 
-static bool same_content(const struct source *a, const struct source *b)
+/* Makes the first line of a record, for the caller to free. NULL if there is no chunk file. */
+static int first_line(struct vox_job *job, const char *others, size_t bytes, char **out)
 {
-    return a->absent == b->absent &&
-           (a->absent || (a->bytes == b->bytes && a->hash == b->hash && a->seconds == b->seconds &&
-                          a->nanoseconds == b->nanoseconds));
-}
-
-static int add_source(struct vox_job *job, const char *path, bool library)
-{
-    struct source source = {.library = library};
-    struct source *grown = reallocarray(job->sources, job->count + 1, sizeof *grown);
-    if (!grown)
-        return no_memory(job->ctx, path);
-    job->sources = grown;
-    int status = identify(job->ctx, path, &source);
-    if (status == 0)
-        status = absolute(job->ctx, path, &source.path);
-    if (status == 0)
-        job->sources[job->count++] = source;
+    char *header;
+    uint64_t size, checksum;
+    int status = load(job->ctx, job->tris_path, TRIS_CHECKSUM_AT + sizeof checksum, &header, &size);
+    *out = NULL;
+    if (status == 0 && size >= TRIS_CHECKSUM_AT + sizeof checksum) {
+        memcpy(&checksum, header + TRIS_CHECKSUM_AT, sizeof checksum);
+        if (asprintf(out, "bisque job 2, chunks %016" PRIx64 " %" PRIu64 ", sum %016" PRIx64,
+                     checksum, size, (uint64_t)XXH3_64bits(others, bytes)) < 0) {
+            *out = NULL;
+            status = no_memory(job->ctx, job->tris_path);
+        }
+    }
+    bsq_free(job->ctx, header);
     return status;
 }
 
 /* ---- a job ---- */
 
-static int name_none(struct bsq_ctx *ctx, char **out)
-{
-    *out = strdup("-");
-    return *out ? 0 : no_memory(ctx, "texture");
-}
-
 void vox_job_close(struct vox_job *job)
 {
     if (!job)
         return;
-    for (uint64_t i = 0; i < job->count; i++)
-        free(job->sources[i].path);
-    free(job->sources);
+    free(job->lines);
     free(job->tris_path);
     free(job->record_path);
-    free(job->texture);
     free(job);
 }
 
 int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out)
 {
     struct vox_job *job = calloc(1, sizeof *job);
-    int status = 0;
     *out = NULL;
     if (!job)
         return no_memory(ctx, options->tris_path);
     job->ctx = ctx;
     job->tris_path = strdup(options->tris_path);
-    if (!job->tris_path || asprintf(&job->record_path, "%s.job", options->tris_path) < 0) {
+    if (asprintf(&job->record_path, "%s.job", options->tris_path) < 0)
         job->record_path = NULL;
-        status = no_memory(ctx, options->tris_path);
-    }
-    if (status == 0)
-        status = options->texture_path ? absolute(ctx, options->texture_path, &job->texture)
-                                       : name_none(ctx, &job->texture);
+    int status = job->tris_path && job->record_path ? add_line(job, strdup(program))
+                                                    : no_memory(ctx, options->tris_path);
     for (uint32_t i = 0; i < options->scan_count && status == 0; i++)
-        status = add_source(job, options->scan_paths[i], false);
+        status = add_input(job, "obj", options->scan_paths[i]);
+    if (status == 0 && options->texture_path)
+        status = add_input(job, "tex", options->texture_path);
     if (status < 0)
         vox_job_close(job);
     else
@@ -187,136 +210,7 @@ int vox_job_add_dependencies(struct vox_job *job, const struct fmt_mesh_reader *
     int status = 0;
     const char *path;
     for (uint32_t i = 0; status == 0 && (path = fmt_mesh_dependency(reader, i)) != NULL; i++)
-        status = add_source(job, path, true);
-    return status;
-}
-
-/* ---- text ---- */
-
-/* Text under construction; `at` NULL: only its size is counted. */
-struct text {
-    char *at;
-    size_t size;
-};
-
-static void put(struct text *text, const char *format, ...) __attribute__((format(printf, 2, 3)));
-
-static void put(struct text *text, const char *format, ...)
-{
-    va_list arguments;
-    va_start(arguments, format);
-    /* With room for the terminator, which the next piece overwrites. */
-    int length = vsnprintf(text->at ? text->at + text->size : NULL, text->at ? LINE_BYTES : 0,
-                           format, arguments);
-    va_end(arguments);
-    text->size += (size_t)length;
-}
-
-/* Bytes that would end a line, and the sign that says so, as %XX. */
-static void put_path(struct text *text, const char *path)
-{
-    for (; *path; path++) {
-        unsigned char c = (unsigned char)*path;
-        if (c < 0x20 || c == '%')
-            put(text, "%%%02X", c);
-        else
-            put(text, "%c", c);
-    }
-    put(text, "\n");
-}
-
-static void read_path(char *text)
-{
-    char *to = text;
-    unsigned code;
-    for (; *text; text++) {
-        if (*text == '%' && sscanf(text + 1, "%2x", &code) == 1) {
-            *to++ = (char)code;
-            text += 2;
-        } else {
-            *to++ = *text;
-        }
-    }
-    *to = '\0';
-}
-
-/* What tells a chunk file from any other. */
-struct seal {
-    uint64_t checksum, bytes; /* bytes 0: there is no such file */
-};
-
-static int read_seal(struct bsq_ctx *ctx, const char *tris_path, struct seal *out)
-{
-    struct bsq_file file;
-    *out = (struct seal){0, 0};
-    if (access(tris_path, F_OK) != 0)
-        return 0;
-    int status = bsq_file_open(ctx, tris_path, &file);
-    if (status < 0)
-        return status;
-    if (file.size >= TRIS_CHECKSUM_AT + sizeof out->checksum) {
-        status = bsq_file_read(ctx, &file, &out->checksum, sizeof out->checksum, TRIS_CHECKSUM_AT);
-        out->bytes = file.size;
-    }
-    bsq_file_close(ctx, &file);
-    return status;
-}
-
-static void put_record(const struct vox_job *job, const struct seal *seal, struct text *text)
-{
-    put(text, FIRST_LINE "\nversion %s %s\nchunks %016" PRIx64 " %" PRIu64 "\ntexture ",
-        BSQ_VERSION, build, seal->checksum, seal->bytes);
-    put_path(text, job->texture);
-    for (uint64_t i = 0; i < job->count; i++) {
-        const struct source *s = &job->sources[i];
-        put(text, "%s %d %" PRIu64 " %" PRId64 ".%09" PRId64 " %016" PRIx64 " ",
-            s->library ? "mtl" : "obj", !s->absent, s->bytes, s->seconds, s->nanoseconds, s->hash);
-        put_path(text, s->path);
-    }
-}
-
-static int write_text(struct vox_job *job, const char *text, size_t size)
-{
-    char end[32];
-    struct bsq_output *output;
-    int status = bsq_output_open(job->ctx, job->record_path, &output);
-    if (status < 0)
-        return status;
-    int length =
-        snprintf(end, sizeof end, "end %016" PRIx64 "\n", (uint64_t)XXH3_64bits(text, size));
-    if ((status = bsq_output_write(output, text, size)) == 0)
-        status = bsq_output_write(output, end, (uint64_t)length);
-    if (status == 0)
-        return bsq_output_commit(output);
-    bsq_output_discard(output);
-    return status;
-}
-
-int vox_job_record(struct vox_job *job)
-{
-    struct seal seal;
-    struct text text = {NULL, 0};
-    int status = 0;
-    /* A file that changed while it was read is in the chunks as it was at no time: better no
-     * record. */
-    for (uint64_t i = 0; i < job->count && status == 0; i++) {
-        struct source now = {.library = job->sources[i].library};
-        status = identify(job->ctx, job->sources[i].path, &now);
-        if (status == 0 && !same_content(&job->sources[i], &now)) {
-            bsq_warn(job->ctx, "%s was changed while it was read", job->sources[i].path);
-            return 0;
-        }
-    }
-    if (status < 0 || (status = read_seal(job->ctx, job->tris_path, &seal)) < 0)
-        return status;
-    put_record(job, &seal, &text);
-    text.at = malloc(text.size + LINE_BYTES);
-    if (!text.at)
-        return no_memory(job->ctx, job->record_path);
-    text.size = 0;
-    put_record(job, &seal, &text);
-    status = write_text(job, text.at, text.size);
-    free(text.at);
+        status = add_input(job, "mtl", path);
     return status;
 }
 
@@ -326,141 +220,97 @@ void vox_job_finish(struct vox_job *job)
         unlink(job->record_path);
 }
 
-/* ---- going on ---- */
+/* ---- writing ---- */
 
-static int changed(const struct vox_job *job, const struct source *then, const struct source *now)
+static int write_lines(struct vox_job *job, const char *first)
 {
-    const char *tris = job->tris_path;
-    if (then->absent != now->absent)
-        return bsq_fail(job->ctx, BSQ_EDATA,
-                        "%s has %s since %s was made: this job cannot be resumed", then->path,
-                        now->absent ? "disappeared" : "appeared", tris);
-    if (then->bytes != now->bytes)
-        return bsq_fail(job->ctx, BSQ_EDATA,
-                        "%s has changed since %s was made from it, from %" PRIu64
-                        " bytes to %" PRIu64 ": this job cannot be resumed",
-                        then->path, tris, then->bytes, now->bytes);
-    return bsq_fail(job->ctx, BSQ_EDATA,
-                    "%s has changed since %s was made from it, %s: this job cannot be resumed",
-                    then->path, tris,
-                    then->hash != now->hash ? "its content is another"
-                                            : "it was written again at another time");
-}
-
-/* Holds the next source of the record against that of the job. */
-static int check_source(struct vox_job *job, uint64_t number, const struct source *then)
-{
-    struct source now = {.library = then->library};
-    if (!then->library &&
-        (number >= job->count || strcmp(job->sources[number].path, then->path) != 0))
-        return bsq_fail(job->ctx, BSQ_EUSAGE, "%s was made from %s%s%s: this job cannot be resumed",
-                        job->tris_path, then->path, number < job->count ? ", not from " : " too",
-                        number < job->count ? job->sources[number].path : "");
-    int status = identify(job->ctx, then->path, &now);
-    return status < 0 || same_content(then, &now) ? status : changed(job, then, &now);
-}
-
-/* Version and build as in the record; those before 0.2.0 had no build in it. */
-static int check_program(const struct vox_job *job, char *version)
-{
-    char *then = strchr(version, ' ');
-    if (then)
-        *then++ = '\0';
-    if (strcmp(version, BSQ_VERSION) != 0)
-        return bsq_fail(job->ctx, BSQ_EDATA,
-                        "%s was made by version %s, this is " BSQ_VERSION
-                        ": this job cannot be resumed",
-                        job->tris_path, version);
-    if (!then || strcmp(then, build) != 0)
-        return bsq_fail(job->ctx, BSQ_EDATA,
-                        "%s was made by version " BSQ_VERSION
-                        " too, but from other sources: this job cannot be resumed",
-                        job->tris_path);
-    return 0;
-}
-
-static int check_line(struct vox_job *job, char *line, uint64_t *objects)
-{
-    struct source then = {0};
-    int present = 0, at = 0;
-    char kind[4];
-    if (strncmp(line, "version ", 8) == 0)
-        return check_program(job, line + 8);
-    if (strncmp(line, "texture ", 8) == 0) {
-        read_path(line + 8);
-        return strcmp(line + 8, job->texture) == 0
-                   ? 0
-                   : bsq_fail(job->ctx, BSQ_EUSAGE,
-                              "%s was made with %s%s, not with %s%s: this job cannot be resumed",
-                              job->tris_path, strcmp(line + 8, "-") ? "texture " : "no texture",
-                              strcmp(line + 8, "-") ? line + 8 : "",
-                              strcmp(job->texture, "-") ? "texture " : "none",
-                              strcmp(job->texture, "-") ? job->texture : "");
-    }
-    if (sscanf(line, "%3s %d %" SCNu64 " %" SCNd64 ".%" SCNd64 " %" SCNx64 " %n", kind, &present,
-               &then.bytes, &then.seconds, &then.nanoseconds, &then.hash, &at) != 6 ||
-        at == 0)
-        return 0;
-    then.library = strcmp(kind, "mtl") == 0;
-    then.absent = !present;
-    then.path = line + at;
-    read_path(then.path);
-    int status = check_source(job, *objects, &then);
-    *objects += !then.library;
+    struct bsq_output *output;
+    int status = bsq_output_open(job->ctx, job->record_path, &output);
+    if (status < 0)
+        return status;
+    if ((status = bsq_output_write(output, first, strlen(first) + 1)) == 0 &&
+        (status = bsq_output_write(output, job->lines, job->size)) == 0)
+        return bsq_output_commit(output);
+    bsq_output_discard(output);
     return status;
 }
 
-/* The record's text without its last line, for the caller to free; NULL where there is none that is
- * whole. */
-static int read_record(struct vox_job *job, char **out)
+int vox_job_record(struct vox_job *job)
 {
-    struct bsq_file file;
-    char *text;
-    uint64_t sum;
-    *out = NULL;
-    if (access(job->record_path, F_OK) != 0)
-        return 0;
-    int status = bsq_file_open(job->ctx, job->record_path, &file);
-    if (status < 0)
-        return status;
-    if ((status = bsq_alloc(job->ctx, "job record", file.size + 1, 1, &text)) == 0 &&
-        (status = bsq_file_read(job->ctx, &file, text, file.size, 0)) == 0) {
-        text[file.size] = '\0';
-        char *end = strstr(text, "\nend ");
-        if (end && sscanf(end + 1, "end %" SCNx64, &sum) == 1 &&
-            XXH3_64bits(text, (size_t)(end + 1 - text)) == sum &&
-            strncmp(text, FIRST_LINE "\n", sizeof FIRST_LINE) == 0) {
-            end[1] = '\0';
-            *out = text;
-        }
+    char *first, *now;
+    int status;
+    /* If an input changed while it was read, the chunks may be a mix of both versions. */
+    for (const char *line = next_line(job->lines); *line; line = next_line(line)) {
+        status = describe(job->ctx, line, path_of(line), &now);
+        bool changed = status == 0 && strcmp(line, now) != 0;
+        free(now);
+        if (changed)
+            bsq_warn(job->ctx, "%s was changed while it was read", path_of(line));
+        if (status < 0 || changed)
+            return status;
     }
-    if (!*out)
-        bsq_free(job->ctx, text);
-    bsq_file_close(job->ctx, &file);
+    status = first_line(job, job->lines, job->size, &first);
+    if (first)
+        status = write_lines(job, first);
+    free(first);
+    return status;
+}
+
+/* ---- resuming ---- */
+
+/* Compares a line of the record with the line as it is now. Either may be empty: there is none. */
+static int compare(const struct vox_job *job, const char *then, const char *now)
+{
+    const char *tris = job->tris_path, *was = path_of(then), *is = path_of(now);
+    if (strcmp(then, now) == 0)
+        return 0;
+    if (now == job->lines)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s was made by %s, this is %s: this job cannot be resumed", tris, then,
+                        now);
+    if (strcmp(was, is) == 0)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s has changed since %s was made from it: this job cannot be resumed", is,
+                        tris);
+    return bsq_fail(job->ctx, BSQ_EUSAGE,
+                    "%s was made from %s, not from %s: this job cannot be resumed", tris,
+                    *was ? was : "fewer files", *is ? is : "fewer files");
+}
+
+static int check_lines(const struct vox_job *job, const char *then)
+{
+    const char *now = job->lines;
+    int status = 0;
+    for (; status == 0 && (*then || *now); then = next_line(then)) {
+        if (strncmp(then, "mtl ", 4) != 0) {
+            status = compare(job, then, now);
+            now = next_line(now);
+            continue;
+        }
+        /* This job does not know its material libraries, as the scan is not read. */
+        char *library;
+        status = describe(job->ctx, then, path_of(then), &library);
+        if (status == 0)
+            status = compare(job, then, library);
+        free(library);
+    }
     return status;
 }
 
 int vox_job_resume(struct vox_job *job, bool *sorted)
 {
-    struct seal now, then;
-    uint64_t objects = 0;
-    char *text, *rest, *line;
+    char *text, *first = NULL;
+    uint64_t size;
     *sorted = false;
-    int status = read_seal(job->ctx, job->tris_path, &now);
-    if (status < 0 || now.bytes == 0 || (status = read_record(job, &text)) < 0 || !text)
-        return status;
-    line = strstr(text, "\nchunks ");
-    bool whole = line &&
-                 sscanf(line, "\nchunks %" SCNx64 " %" SCNu64, &then.checksum, &then.bytes) == 2 &&
-                 now.checksum == then.checksum && now.bytes == then.bytes;
-    for (line = whole ? strtok_r(text, "\n", &rest) : NULL; line && status == 0;
-         line = strtok_r(NULL, "\n", &rest))
-        status = check_line(job, line, &objects);
-    if (status == 0 && whole && objects < job->count)
-        status =
-            bsq_fail(job->ctx, BSQ_EUSAGE, "%s was not made from %s: this job cannot be resumed",
-                     job->tris_path, job->sources[objects].path);
-    *sorted = status == 0 && whole;
+    int status = load(job->ctx, job->record_path, UINT64_MAX, &text, &size);
+    const size_t begin = status == 0 && text ? strlen(text) + 1 : 0;
+    if (begin > 0 && begin < size)
+        status = first_line(job, text + begin, size - begin, &first);
+    if (first && strcmp(text, first) == 0) {
+        status = check_lines(job, text + begin);
+        *sorted = status == 0;
+    }
     bsq_free(job->ctx, text);
+    free(first);
     return status;
 }

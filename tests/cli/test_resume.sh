@@ -55,7 +55,7 @@ code 0
 json '.resumed == false and .scan.triangles == 12'
 same box.nvdb whole/box.nvdb
 for damage in 'rm box.tris' ': >box.tris' 'cp other.tris box.tris' 'head -c 200 job >box.tris.job' ': >box.tris.job' \
-    'sed s/job.1/job.2/ job >box.tris.job' 'sed s/Kd/Xd/ job | tr 4 5 >box.tris.job'; do
+    'sed s/job.2/job.3/ job >box.tris.job' 'sed s/Kd/Xd/ job | tr 4 5 >box.tris.job'; do
     cp whole/box.tris box.tris
     printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >other.obj
     $voxelize other.obj -o other.nvdb --resolution 4
@@ -91,24 +91,23 @@ refuses()
     check "nothing was touched" $?
 }
 refuses 64 "box.tris was made from $here/a.obj, not from $here/box.obj" box.obj
-refuses 64 "box.tris was not made from $here/box.obj" a.obj box.obj
+refuses 64 "box.tris was made from fewer files, not from $here/box.obj" a.obj box.obj
 printf 'P3 1 1 255 9 9 9\n' >dot.ppm
-refuses 64 "box.tris was made with no texture, not with texture $here/dot.ppm" a.obj --texture dot.ppm
+refuses 64 "box.tris was made from fewer files, not from $here/dot.ppm" a.obj --texture dot.ppm
 cp -p a.obj kept.obj
 cp -p box.mtl kept.mtl
 echo '# more' >>a.obj
-size=$(wc -c <kept.obj)
-refuses 65 "$here/a.obj has changed since box.tris was made from it, from $size bytes to $((size + 7))" a.obj
+refuses 65 "$here/a.obj has changed since box.tris was made from it" a.obj
 sed 's/^v 1 2 3$/v 1 2 4/' kept.obj >a.obj
 touch -r kept.obj a.obj
-refuses 65 "$here/a.obj has changed since box.tris was made from it, its content is another" a.obj
+refuses 65 "$here/a.obj has changed since box.tris was made from it" a.obj
 cp kept.obj a.obj
-refuses 65 "$here/a.obj has changed since box.tris was made from it, it was written again at another time" a.obj
+refuses 65 "$here/a.obj has changed since box.tris was made from it" a.obj
 cp -p kept.obj a.obj
 echo 'Kd 0 0 0' >>box.mtl
-refuses 65 "$here/box.mtl has changed since box.tris was made from it, from $(wc -c <kept.mtl) bytes to $(wc -c <box.mtl)" a.obj
+refuses 65 "$here/box.mtl has changed since box.tris was made from it" a.obj
 rm box.mtl
-refuses 65 "$here/box.mtl has disappeared since box.tris was made" a.obj
+refuses 65 "$here/box.mtl has changed since box.tris was made from it" a.obj
 cp -p kept.mtl box.mtl
 rm a.obj
 $voxelize a.obj -o box.nvdb --resume
@@ -116,23 +115,19 @@ refused 66 "$p a.obj: No such file or directory"
 cp -p kept.obj a.obj
 # The record of another program, with a right checksum of its own, is made by hand.
 cp job job.kept
-version=$("$BIN/bisque-voxelize" --version | sed 's/.* //')
-grep -qx "version $version [0-9a-f]\{8\}" job
+made_by=$(tr '\0' '\n' <job | grep -x "version $("$BIN/bisque-voxelize" --version | sed 's/.* //') [0-9a-f]\{8\}")
 check "the record names version and sources" $?
-# recorded LINE: puts it in place of the record's line of the version.
+# recorded LINE: puts it in place of the record's line of the version. Each line ends with a null byte.
 recorded()
 {
-    sed "s/^version .*/$1/; \$d" job.kept >text
-    { cat text; echo "end $("$TESTS/xxh3" <text)"; } >job
+    sed -z "1d; s/^version .*/$1/" job.kept >text
+    { sed -z "2,\$d; s/[0-9a-f]*\$/$("$TESTS/xxh3" <text)/" job.kept; cat text; } >job
+    refuses 65 "box.tris was made by $1, this is $made_by" a.obj
 }
-recorded "version 9.9 $(sed -n 's/^version .* //p' job.kept)"
-refuses 65 "box.tris was made by version 9.9, this is $version" a.obj
+recorded "version 9.9 ${made_by##* }"
 recorded "version 0.1.0"
-refuses 65 "box.tris was made by version 0.1.0, this is $version" a.obj
-recorded "version $version 0badcafe1"
-refuses 65 "box.tris was made by version $version too, but from other sources" a.obj
-recorded "version $version"
-refuses 65 "box.tris was made by version $version too, but from other sources" a.obj
+recorded "${made_by% *} 0badcafe1"
+recorded "${made_by% *}"
 cp job.kept job
 
 # Put back as it was, the job goes on, from another directory too, and with odd names.
