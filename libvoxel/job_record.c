@@ -28,11 +28,9 @@ static const char program[] = "version " BSQ_VERSION " "
 #include "chunk_sources.inc"
     ;
 
-/* Samples of a file are spread evenly from its first byte to its last, and overlap in small files.
- */
+/* Samples are spread evenly over a file, and overlap in small files. */
 enum { SAMPLES = 64, SAMPLE_BYTES = 64 << 10 };
-/* Offset in a chunk file of its header's checksum, which covers the checksums of all other tables.
- */
+/* Offset of the checksum in a chunk file's header, which covers those of all tables. */
 enum { TRIS_CHECKSUM_AT = 144 };
 /* Strings are a few bytes and a job may have a budget of only vox_memory_min(), so they are not
  * counted. */

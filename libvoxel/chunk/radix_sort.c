@@ -39,8 +39,7 @@ static void count_digits(const struct entry *entries, uint64_t n, uint32_t shift
     }
 }
 
-/* Turns counts of one digit into first positions. Returns false if all entries have the same digit.
- */
+/* Turns counts of one digit into first positions. False: all entries have the same digit. */
 static bool start_positions(uint32_t counts[1u << DIGIT_BITS], uint64_t n)
 {
     uint32_t sum = 0;

@@ -276,8 +276,7 @@ static int sort_gathered(struct batch *b, uint64_t carried)
     return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
 }
 
-/* Closes the gaps that triangles without area, or of other buckets, leave after a part's entries.
- */
+/* Closes the gaps that triangles without area, or of other buckets, leave after parts. */
 static void close_gaps(struct batch *b, uint64_t carried)
 {
     uint64_t end = carried;

@@ -5,8 +5,7 @@
 #include <math.h>
 #include <stdbool.h>
 
-/* Returns whether x - y, a component of u x v, is certainly not zero in spite of float32 rounding.
- */
+/* Returns whether x - y, a component of u x v, is not zero in spite of float32 rounding. */
 static inline bool area_differs(float x, float y)
 {
     float size = fabsf(x) + fabsf(y);

@@ -7,8 +7,8 @@
  * Ordinary scans take about two bytes a triangle. If one difference is much wider than the others,
  * a second byte gives each width; scans whose faces have no order take about nine bytes a triangle.
  */
-#ifndef VOX_READ_CORNER_DELTA_CODE_H
-#define VOX_READ_CORNER_DELTA_CODE_H
+#ifndef VOX_PARTITION_CORNER_DELTA_CODE_H
+#define VOX_PARTITION_CORNER_DELTA_CODE_H
 
 #include <stdint.h>
 #include <string.h>
@@ -19,8 +19,7 @@
 #define CORNER_CODE_SLACK 8u
 #define CORNER_NEW        3u
 
-/* State of the encoder or the decoder: the previous triangle and the last new index. Starts as {0}.
- */
+/* State of a coder: the previous triangle and the last new index. Starts as {0}. */
 struct corner_code {
     uint64_t corner[3], last;
 };

@@ -25,8 +25,7 @@ struct run_header {
     uint32_t material; /* see run_material() */
 };
 
-/* Returns the code of an entry of scan->material_map, which exists only after all faces were read.
- */
+/* Returns the code of an entry of scan->material_map, which is made after all faces were read. */
 static inline uint32_t run_material(uint32_t usemtl, bool lacks_texcoord)
 {
     return (usemtl + 1) << 1 | lacks_texcoord; /* FMT_MESH_NO_MATERIAL becomes 0 */

@@ -38,7 +38,7 @@ static uint32_t fan_length(const struct triangulator *t, uint32_t first, uint32_
     return next - first;
 }
 
-/* Writes a span's triangles, into the run in hand as long as that has space. */
+/* Writes a span's triangles, into the current run while it has space. */
 static void put_span(const struct triangulator *t, const struct faces *faces, unsigned form,
                      const struct triangle_span *span, struct run_writer *w)
 {

@@ -1,4 +1,4 @@
-/* triangulate_internal.h - private to triangulate.c and its helpers: the faces in hand. */
+/* triangulate_internal.h - a block of faces, shared by the files triangulate*.c. */
 #ifndef VOX_PARTITION_TRIANGULATE_INTERNAL_H
 #define VOX_PARTITION_TRIANGULATE_INTERNAL_H
 
@@ -31,7 +31,7 @@ int vox_triangulate_code_spans(struct triangulator *t, const struct faces *faces
 /* ---- triangulate_plain.c ---- */
 
 /* Triangulates a block of triangles that have positions alone and one material. *done: false if the
- * block has no such faces or its triangles lie in no order; then the result is undefined. */
+ * block has no such faces or its triangles have no order; then the result is undefined. */
 int vox_triangulate_plain(struct triangulator *t, const struct faces *faces, bool *done);
 
 #endif

@@ -33,7 +33,7 @@ static int reserve(struct triangulator *t, uint64_t triangles)
     return status;
 }
 
-/* Ends the runs of the bucket in hand. */
+/* Ends the runs of the current bucket. */
 static void end_bucket(struct triangulator *t, struct run_writer *w)
 {
     run_writer_end(w);

@@ -3,8 +3,7 @@
 
 #define BLOCK_VERTICES 8192u
 
-/* Vertices count as ordered if fewer than one in eight is in another bucket than the previous one.
- */
+/* Vertices have an order if fewer than one in eight changes the bucket. */
 #define VERTICES_BY_CHANGE 8
 
 static int allocate(const struct scan *scan, uint64_t vertices, uint32_t levels,

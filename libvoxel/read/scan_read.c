@@ -179,8 +179,7 @@ static uint32_t pack_color(struct scan *scan, const float color[3])
     return packed;
 }
 
-/* Appends the block's colours until there are `end` colours. Vertices without one get the default.
- */
+/* Appends the block's colours, or the default, until there are `end` colours. */
 static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t end)
 {
     uint64_t begin = scan_count(scan, SCAN_COLORS);

@@ -50,8 +50,7 @@ int vox_spill_finish(struct spill_buffer *spill);
 /* Returns the bytes of memory that the segments take. */
 uint64_t vox_spill_memory(const struct spill_buffer *spill);
 
-/* Copies bytes [offset, offset + size) to `buffer`. After a spill, call vox_spill_finish() first.
- */
+/* Copies bytes [offset, offset + size). After a spill, call vox_spill_finish() first. */
 int vox_spill_read(const struct spill_buffer *spill, uint64_t offset, uint64_t size, void *buffer);
 
 #endif

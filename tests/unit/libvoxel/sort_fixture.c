@@ -111,8 +111,7 @@ void sorted_add(struct sorted_triangles *t, const struct sorted_triangle *one)
         t->list = realloc(t->list, t->capacity * sizeof *t->list);
         assert_non_null(t->list);
     }
-    /* Rotates the least corner to the front: which corner is first does not matter, winding does.
-     */
+    /* Rotates the least corner to the front, which keeps the winding. */
     int least = 0;
     for (int k = 1; k < 3; k++)
         if (memcmp(&one->corners[k], &one->corners[least], sizeof one->corners[k]) < 0)

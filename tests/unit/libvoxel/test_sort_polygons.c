@@ -202,8 +202,7 @@ static void polygons_keep_their_attributes(void **state)
     expect_the_same_for_all_ways(*state, TEXCOORDS | NORMALS | MATERIALS);
 }
 
-/* A triangle is textured if its own corners have texture coordinates. A fan must not change this.
- */
+/* Triangles are textured if their own corners have coordinates. Fans cannot represent this. */
 static void polygons_may_lack_some_texture_coordinates_in_memory(void **state)
 {
     expect_refused_with_vertices_in_a_file(*state, TEXCOORDS | MIXED | SHUFFLED, 0);

@@ -71,8 +71,7 @@ static int tear_down(void **state)
 
 /* ---- records ---- */
 
-/* Makes records whose indices are in a few clusters, the first or last element, or sometimes none.
- */
+/* Makes records with indices in a few clusters, the first or last element, or none. */
 static uint64_t random_index(const struct scan *scan, enum fmt_mesh_kind kind, uint64_t *seed)
 {
     const uint64_t count = scan_count(scan, scan_stream_of(kind));
@@ -130,8 +129,7 @@ static void expect_view(const struct gather_window *w, const uint8_t *old, const
     }
 }
 
-/* Returns the count of different vertices of the records, and checks that `used` has exactly these.
- */
+/* Counts the records' different vertices and checks that `used` has exactly these. */
 static void expect_used(const struct gather_window *w, const uint8_t *records, uint32_t count,
                         const used_word *used)
 {
@@ -225,29 +223,29 @@ static void columns_in_memory_stay_there(void **state)
 
 /* ---- buckets of vertices ---- */
 
-static void expect_cells(struct fixture *f, bool have_order)
+static void expect_buckets(struct fixture *f, bool have_order)
 {
     const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
     const struct morton_cube cube = morton_cube_over(low, high);
-    struct vertex_buckets cells;
+    struct vertex_buckets buckets;
     for (uint32_t levels = 1; levels <= VERTEX_BUCKET_WIDE_LEVELS; levels++) {
-        assert_int_equal(vox_vertex_buckets_make(&f->scan, &cube, levels, &cells), 0);
+        assert_int_equal(vox_vertex_buckets_make(&f->scan, &cube, levels, &buckets), 0);
         for (uint64_t v = 0; v < stream_count(&f->scan.streams[SCAN_POSITIONS]); v++) {
             float p[3];
             assert_int_equal(vox_spill_read(&f->scan.streams[SCAN_POSITIONS].spill, 12 * v, 12, p),
                              0);
-            assert_int_equal(vertex_bucket(&cells, v),
+            assert_int_equal(vertex_bucket(&buckets, v),
                              morton_point_key(&cube, p) >> (MORTON_KEY_BITS - 3 * levels));
         }
-        assert_true((cells.wide != NULL) == (levels > VERTEX_BUCKET_NARROW_LEVELS) &&
-                    (!cells.wide || !cells.narrow));
+        assert_true((buckets.wide != NULL) == (levels > VERTEX_BUCKET_NARROW_LEVELS) &&
+                    (!buckets.wide || !buckets.narrow));
         if (levels > 2)
-            assert_int_equal(cells.have_order, have_order);
-        vox_vertex_buckets_free(&f->scan, &cells);
+            assert_int_equal(buckets.have_order, have_order);
+        vox_vertex_buckets_free(&f->scan, &buckets);
     }
 }
 
-static void cells_of_vertices_are_those_of_their_keys(void **state)
+static void buckets_of_vertices_are_those_of_their_keys(void **state)
 {
     struct fixture *f = *state;
     for (int order = 0; order < 2; order++) {
@@ -265,7 +263,7 @@ static void cells_of_vertices_are_those_of_their_keys(void **state)
         }
         assert_int_equal(vox_spill_spill(&f->scan.streams[SCAN_POSITIONS].spill), 0);
         assert_int_equal(vox_spill_finish(&f->scan.streams[SCAN_POSITIONS].spill), 0);
-        expect_cells(f, order);
+        expect_buckets(f, order);
         static const char *const paths[] = {"scan.obj"};
         vox_scan_free(&f->scan);
         vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
@@ -278,7 +276,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         TEST(positions_alone_come_from_a_file),
         TEST(columns_in_memory_stay_there),
-        TEST(cells_of_vertices_are_those_of_their_keys),
+        TEST(buckets_of_vertices_are_those_of_their_keys),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

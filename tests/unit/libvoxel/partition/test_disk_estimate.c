@@ -1,5 +1,4 @@
-/* Tests the check of disk space before sorting. A replaced statvfs() reports invented free space.
- */
+/* Tests the check of disk space before sorting, with invented free space. */
 #include "libvoxel/partition/partition.h"
 #include "base/file.h"
 
