@@ -240,7 +240,7 @@ int vox_job_record(struct vox_job *job)
     /* If an input changed while it was read, the chunks may be a mix of both versions. */
     for (const char *line = next_line(job->lines); *line; line = next_line(line)) {
         status = describe(job->ctx, line, path_of(line), &now);
-        bool changed = status == 0 && strcmp(line, now) != 0;
+        bool changed = now && strcmp(line, now) != 0;
         free(now);
         if (changed)
             bsq_warn(job->ctx, "%s was changed while it was read", path_of(line));
@@ -288,7 +288,7 @@ static int check_lines(const struct vox_job *job, const char *then)
         /* This job does not know its material libraries, as the scan is not read. */
         char *library;
         status = describe(job->ctx, then, path_of(then), &library);
-        if (status == 0)
+        if (library)
             status = compare(job, then, library);
         free(library);
     }
