@@ -215,7 +215,7 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
  * A pipeline is one or two stages; each has a concurrent step and then a serial step. Counters
  * track the sequences: finished[1] <= begun[1] <= finished[0] <= begun[0] <= produced. `begun`
  * counts sequences whose concurrent step was started, `finished` those whose serial step has
- * returned. Slot s % slot_count belongs to sequence s from its production to its last step, so a
+ * returned. Slot s % slot_count belongs to sequence s from its production to its last step. So a
  * slot only records for each stage whether its concurrent step is done. One lock guards all state
  * and is free while callbacks run. A thread that takes a step and sees another possible step wakes
  * one sleeper, which does the same. So no thread is woken for nothing, and no step waits while a

@@ -21,19 +21,19 @@ LANES_INLINE lane_mask lanes_signs(doubles x)
     return (lane_ints)x < 0;
 }
 
-/* Returns x where the mask is set, else 0. */
+/* Returns x in lanes whose mask is set, 0 in the others. */
 LANES_INLINE doubles lanes_keep(lane_mask mask, doubles x)
 {
     return (doubles)(mask & (lane_ints)x);
 }
 
-/* Returns x | bits where the mask is set, else x. */
+/* Returns x | bits in lanes whose mask is set, x in the others. */
 LANES_INLINE lane_ints lanes_set_bits(lane_mask mask, lane_ints x, lane_ints bits)
 {
     return x | (mask & bits);
 }
 
-/* Returns x + y where the mask is set, else x. */
+/* Returns x + y in lanes whose mask is set, x in the others. */
 LANES_INLINE lane_ints lanes_add_ints(lane_mask mask, lane_ints x, lane_ints y)
 {
     return x + (mask & y);

@@ -1,4 +1,4 @@
-/* nvdb_header.c - fills in all of a grid file that is neither node nor channel. */
+/* nvdb_header.c - fills in all parts of a grid file that are neither nodes nor channels. */
 #include <math.h>
 #include <string.h>
 #include <xxhash.h>

@@ -80,7 +80,7 @@ int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_c
                   struct fmt_mesh_reader **out);
 void fmt_mesh_close(struct fmt_mesh_reader *reader); /* NULL is allowed */
 
-/* Returns true if the first bytes of a file or its name say that a format of the registry reads it.
+/* Returns true if a format of the registry recognises the file by its first bytes or its name.
  * `size` may be less than FMT_MESH_HEAD_BYTES only if the file is shorter. */
 bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
 #define FMT_MESH_HEAD_BYTES 512
@@ -143,9 +143,9 @@ struct fmt_materials {
  * fmt_materials_free(). */
 int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials);
-/* Returns the path of another file that the mesh files refer to and that the result depends on, as
- * far as the blocks read so far name it; NULL if there are no more than `index`. Images are not
- * among them. Owned by the reader. */
+/* Returns the path of another file that the result depends on, such as a material library. Only
+ * files named in the blocks read so far are known. Images are not among them. Returns NULL if there
+ * are no more than `index`. The reader owns the path. */
 const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
 
 /* ---- messages about faces ---- */

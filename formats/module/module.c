@@ -14,7 +14,7 @@
  * Modules are looked for in three places, in this order: beside the file that contains this code (a
  * program, or a shared library that was linked with Bisque); in ../lib/bisque relative to that
  * file's directory, for moved installations and the build tree; in the installation directory.
- * Modules are never closed, because the libraries behind them own threads and exit handlers. */
+ * Modules are never closed, because the libraries that they load own threads and exit handlers. */
 #include <dlfcn.h>
 #include <link.h>
 #include <stdio.h>

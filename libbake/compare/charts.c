@@ -5,8 +5,8 @@
  * and of 10 degrees would look alike once they are apart from the program's output.
  *
  * Colours run from near black over purple and orange to light yellow with steadily growing
- * lightness, so that the picture reads the same in grey and for colour-blind eyes. Texels that were
- * not compared are blue-grey. */
+ * lightness. So the picture reads the same in grey and for colour-blind eyes. Texels that were not
+ * compared are blue-grey. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -13,9 +13,8 @@
 struct bake_device;
 
 /* Opens a device by its name on the command line (BAKE_DEVICE_NAMES) and loads the grid if it fits.
- * "auto" takes the first GPU that works, else the processor, and falls back to the processor if
- * the GPU fails later. Errors: BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE for any other
- * name. */
+ * "auto" takes the first GPU that works, else the processor. If the GPU fails later, the processor
+ * goes on. Errors: BSQ_ENODEVICE, with the devices that exist; BSQ_EUSAGE for any other name. */
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
                      struct bake_device **out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */

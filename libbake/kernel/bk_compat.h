@@ -1,7 +1,7 @@
 /* bk_compat.h - the one place where the kernel's three languages differ: C, OpenCL C 1.2 and CUDA.
  *
- * Devices that round as IEEE 754 asks must give the same bits. So the kernel uses only + - * / sqrt
- * floor and comparisons in float, and contraction is off.
+ * Devices that round as IEEE 754 requires must give the same bits. So the kernel uses only + - * /
+ * sqrt floor and comparisons in float, and contraction is off.
  *
  * BK_FN begins the definition of a function. BK_GLOBAL marks pointers to a device's memory, such as
  * the grid and the texels; it is empty in C and CUDA.

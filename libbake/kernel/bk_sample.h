@@ -5,7 +5,8 @@
 #include "bk_maps.h"
 #include "bk_trace.h"
 
-/* Points of the low mesh; normal and tangent as interpolated, not unit. */
+/* Points of the low-poly mesh. Normal and tangent are interpolated, so they are not unit
+ * vectors. */
 typedef struct bk_point {
     bk_vec3w position, normal, tangent;
     bk_fw handedness;
@@ -18,7 +19,7 @@ BK_FN bk_vec3w bk_mix(const BK_GLOBAL float *a, const BK_GLOBAL float *b, const 
                   (wa * a[2] + wb * b[2]) + wc * c[2]);
 }
 
-/* Points of one triangle at map positions (x, y) in texels. */
+/* Returns the points of one triangle at map positions (x, y) in texels. */
 BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, bk_fw x, bk_fw y)
 {
     const bk_fw dx = x - triangle->x0, dy = y - triangle->y0;
@@ -37,9 +38,10 @@ BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, bk_fw x, bk_fw
     return point;
 }
 
-/* The map values m from which a MikkTSpace shader gets back `normal`: it computes
+/* Returns the map values m from which a MikkTSpace shader gets back `normal`. The shader computes
  * normalize(m.x T + m.y B + m.z N) with B = handedness * cross(N, T) and interpolated T and N, so
- * [T B N] m is parallel to the normal. Cramer's rule; the determinant's size drops out. */
+ * [T B N] m is parallel to the normal. Uses Cramer's rule; the size of the determinant does not
+ * matter. */
 BK_FN bk_vec3w bk_to_tangent_space(const bk_point *point, bk_vec3w normal)
 {
     const bk_fw zero = bk_splat(0.0f);
@@ -52,7 +54,7 @@ BK_FN bk_vec3w bk_to_tangent_space(const bk_point *point, bk_vec3w normal)
     const bk_mask mirrored = bk_less(determinant, zero);
     const bk_vec3w unit = bk_unitw(bk_select3(mirrored, bk_v3w(-m.x, -m.y, -m.z), m));
 
-    /* Without a frame, straight out. */
+    /* A texel without a tangent frame points straight out. */
     return bk_select3(determinant == zero, bk_v3w(zero, zero, bk_splat(1.0f)), unit);
 }
 
@@ -64,7 +66,8 @@ typedef struct bk_samples {
     float x[BK_WIDTH], y[BK_WIDTH];
 } bk_samples;
 
-/* Where the samples lie on the low mesh: mostly all on one triangle. */
+/* Returns the points of the low-poly mesh that the samples lie on. Mostly all are on one
+ * triangle. */
 BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples)
 {
     const bk_uint first = samples->triangle[0];
@@ -91,7 +94,7 @@ BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_sam
     return points;
 }
 
-/* Hits as maps take them: see bk_map_hit. Values mean nothing where no ray hit. */
+/* Hits as maps take them: see bk_map_hit. Values of lanes whose ray hit nothing mean nothing. */
 typedef struct bk_map_hits {
     bk_uint found; /* bit by bit */
     bk_fw t;
@@ -157,14 +160,14 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     bk_add_to_maps(params->maps, &hit, texel);
 }
 
-/* Number of a texel's sample (i, j) among the tile's. */
+/* Returns the number of a texel's sample (i, j) among the tile's samples. */
 BK_FN bk_ulong bk_sample_index(const bk_tile *tile, bk_uint n, bk_uint column, bk_uint row,
                                bk_uint i, bk_uint j)
 {
     return (bk_ulong)(row * n + j) * (tile->width * n) + column * n + i;
 }
 
-/* A sample's place along one axis of the map. */
+/* Returns a sample's position along one axis of the map, in texels. */
 BK_FN float bk_sample_place(bk_uint texel, bk_uint i, bk_uint n)
 {
     return (float)texel + ((float)i + 0.5f) / (float)n;

@@ -20,8 +20,9 @@
 #define BK_MARGIN_SMOOTH 0.2f
 #define BK_MARGIN_FOLD   0.4f
 
-/* A record whose plane is this far from the hit, in voxels, belongs to another sheet of the same
- * orientation or to the other side of a crease. Weights fall smoothly to 0 at this distance. */
+/* A record whose plane is this far from the hit, in voxels, counts as another surface. It belongs
+ * to another sheet of the same orientation or to the other side of a crease. Weights fall smoothly
+ * to 0 at this distance. */
 #define BK_SHEET_DISTANCE 0.75f
 /* Records are means over their voxels, which lowers slopes by 1/24 of their second derivatives.
  * Take a line and the cubic p whose means are the heights and slopes g of two records. Then p' =
@@ -278,9 +279,9 @@ typedef struct bk_corner {
 
 /* Returns corner i of a cell. Records of other sheets get no weight. Records of folds get little:
  * their normal is a mean of both sides, and their neighbours have the normals of each side. The
- * weight has a factor of coverage to the eighth power: 1/2 where a surface turns by 45 degrees,
- * 1/16 at 90, 0.95 on a cylinder with a radius of 2.5 voxels. Among the powers 4, 8, 16 and 32 it
- * leaves the fewest texels with errors above 5 degrees, on the bunny and on the vase. */
+ * weight has a factor of coverage to the eighth power: 1/2 if a surface turns by 45 degrees, 1/16
+ * at 90, 0.95 on a cylinder with a radius of 2.5 voxels. Among the powers 4, 8, 16 and 32 it leaves
+ * the fewest texels with errors above 5 degrees, on the bunny and on the vase. */
 BK_FN bk_corner bk_corner_at(const bk_cell *cell, bk_uint i, bk_vec3w sheet, const bk_weights *at)
 {
     const bk_uint ix = i >> 2, iy = i >> 1 & 1u, iz = i & 1u;

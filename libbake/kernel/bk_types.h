@@ -8,9 +8,9 @@
 
 #define BK_NO_TRIANGLE 0xffffffffu
 
-/* A low-mesh triangle, ready to be sampled. A sample at map position (x, y), in texels from the
- * map's top left, has barycentric weights w1 = b1[0] (x - x0) + b1[1] (y - y0) + b1[2], w2 alike,
- * w0 = 1 - w1 - w2. */
+/* A triangle of the low-poly mesh, ready to be sampled. A sample at map position (x, y), in texels
+ * from the map's top left, has barycentric weights w1 = b1[0] (x - x0) + b1[1] (y - y0) + b1[2], w2
+ * alike, w0 = 1 - w1 - w2. */
 typedef struct bk_triangle {
     float x0, y0;
     float b1[3], b2[3];

@@ -1,10 +1,10 @@
 /* mikkt.c - computes tangents from fans of triangles.
  *
  * The triangles around a vertex form fans: neighbours across shared edges whose texture coordinates
- * have the same winding. The tangent of a fan is the mean of its triangles' tangents, each
- * projected into the plane of the vertex normal and weighted by the angle of its corner. A shader
- * agrees with the map only if three kinds of triangle are treated as the convention's reference
- * code does:
+ * have the same winding. The tangent of a fan is the weighted mean of its triangles' tangents. Each
+ * is projected into the plane of the vertex normal, and its weight is the angle of its corner. A
+ * shader agrees with the map only if three kinds of triangle are treated as in the convention's
+ * reference code:
  *  - A triangle without area in texture space has no tangent. It joins the first fan that reaches
  *    it, takes that fan's winding, and connects the fan with the triangles on its other side.
  *  - A triangle with two coincident corners joins no fan. It takes the tangents of its vertices

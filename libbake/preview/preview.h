@@ -19,7 +19,7 @@ struct bake_preview {
 
 struct bake_preview_file;
 
-/* Creates the PNG under a temporary name. Errors: those of fmt_png_create(), BSQ_ENOMEM. */
+/* Creates the PNG under a temporary name. Errors: those of fmt_image_create(), BSQ_ENOMEM. */
 int bake_preview_open(struct bsq_ctx *ctx, const char *path, struct bake_preview_file **out);
 /* Renders on all threads and completes the file. Call it at most once, not from parallel work.
  * Errors: those of bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */

@@ -55,8 +55,8 @@ static unsigned count_slots(const struct batches *b, uint64_t left)
 
 /* Returns the number of triangles that a batch should have. Small batches stay in caches. But
  * threads wait for each other at the end of a batch, so each thread should sort several of its
- * buckets, and a batch must hold whole buckets. If vertices in a file have no order, each batch may
- * read all of them, so few batches are best. */
+ * buckets. A batch must also hold whole buckets. If vertices in a file have no order, each batch
+ * may read all of them, so few batches are best. */
 static uint64_t wanted_capacity(const struct batches *b)
 {
     const struct buckets *buckets = &b->partition->buckets;

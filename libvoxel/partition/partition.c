@@ -2,8 +2,8 @@
  *
  * The serial step of the reader appends vertices to their streams. When the first faces come, all
  * vertices are known: so are the cube around the scan and, if positions are in a file, the bucket
- * of each vertex. From then on blocks of faces are triangulated on all threads, and a second serial
- * step copies the result to the buckets, in the order of the file. */
+ * of each vertex. From then on all threads triangulate blocks of faces. A second serial step copies
+ * the result to the buckets, in the order of the file. */
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/partition/triangulate.h"
 
@@ -104,8 +104,9 @@ struct shares {
     uint32_t max_levels; /* that vertices' buckets can name */
 };
 
-/* missing: bytes. A larger budget has more blocks at a time, until there are two for each thread,
- * and other shares that grow by less than a third of what is added. */
+/* Fails with the budget that the scan needs. missing: bytes. A larger budget reads more blocks at a
+ * time, until there are two for each thread. Its other shares grow by less than a third of what is
+ * added. */
 static int refuse_vertices(const struct reading *r, uint64_t missing)
 {
     const struct scan *scan = r->scan;

@@ -6,8 +6,8 @@
 #include "libvoxel/partition/run_writer.h"
 #include "libvoxel/partition/triangulate_internal.h"
 
-/* After a block without order the next ones are likely to have none: a vain trial takes a sixteenth
- * of a block's time. */
+/* After a block without order the next ones are likely to have none. A trial that fails takes a
+ * sixteenth of a block's time. */
 #define BLOCKS_WITHOUT_TRIAL 16
 
 static bool is_plain(const struct faces *faces)

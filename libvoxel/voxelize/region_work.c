@@ -1,6 +1,6 @@
 /* region_work.c - one unit of work, in as many parts as the accumulator's memory requires.
  *
- * Parts are cut along x first, then y, then z, and taken in ascending order, so their leaves come
+ * Parts are cut along x first, then y, then z, and taken in ascending order. So their leaves come
  * in the order of the file and are appended. A voxel's fragments come from one part in the order of
  * triangles, however small the part, so results do not depend on memory. */
 #include "libvoxel/voxelize/region_work.h"
@@ -60,8 +60,8 @@ static bool halve(const struct vox_box *window, struct vox_box half[2])
     return false;
 }
 
-/* Reserves memory for the sums as part of the unit's result. If there is too little and all units
- * before this one are written, writes what this unit holds, and then exceeds the limit by at most
+/* Reserves memory for the sums as part of the unit's result. If there is too little, and all units
+ * before this one are written, writes what this unit holds. It then exceeds the limit by at most
  * one part's result. */
 static int reserve_result(struct vox_shared *shared, struct vox_unit *unit,
                           const struct vox_accumulator *sums)

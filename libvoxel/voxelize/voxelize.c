@@ -1,9 +1,9 @@
 /* voxelize.c - makes the grid file from the chunk file.
  *
  * Regions of 128^3 voxels, the lower nodes of the grid, go through a pipeline. The schedule
- * produces the next region with the chunks that touch it, a worker sums the fragments of their
- * triangles, and the grid's writer takes the results in sequence. Every voxel belongs to one region
- * and gets its fragments in the order of the file, so the grid's bytes do not depend on threads or
+ * produces the next region with the chunks that touch it. A worker sums the fragments of their
+ * triangles. The grid's writer takes the results in sequence. Every voxel belongs to one region and
+ * gets its fragments in the order of the file, so the grid's bytes do not depend on threads or
  * budget. */
 #include "libvoxel/voxel.h"
 

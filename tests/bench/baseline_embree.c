@@ -1,6 +1,6 @@
 /* baseline_embree.c - prepares a scan as bakers do that hold it in memory. One thread reads and
  * parses the whole OBJ file into arrays of positions and indices. Then Embree builds its tree over
- * all triangles with all threads. Prints the cost of each phase, without freeing.
+ * all triangles with all threads. Prints the cost of each phase; does not free memory.
  *
  * To be a fair comparison, the parser is as fast as good parsers in memory: it makes no calls per
  * number, frees the text before the tree is built, and grows arrays by remapping. It understands v

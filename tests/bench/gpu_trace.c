@@ -1,7 +1,6 @@
 /* gpu_trace.c - measures how long the kernel takes on an NVIDIA GPU: compared with the limit of its
- * memory, and with other numbers of registers and shapes of blocks than the default. Prints tables
- * in Markdown. Each line is the better of two runs over the whole map; checksums must be the same.
- */
+ * memory, for several numbers of registers and shapes of blocks. Prints tables in Markdown. Each
+ * line is the better of two runs over the whole map; checksums must be the same. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>

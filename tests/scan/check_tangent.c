@@ -1,9 +1,9 @@
 /* check_tangent.c - checks a tangent-space map against the object-space map of the same rays.
  *
  * It decodes the tangent-space values as a MikkTSpace shader does. At the centre of a texel, normal
- * and tangent are interpolated over the low-poly triangle and not normalised, b = sign * cross(n,
- * t), and the result is normalize(m.x t + m.y b + m.z n). The frames at the corners come from
- * libbake; unit tests hold them against those of Blender. All else is independent of libbake. For
+ * and tangent are interpolated over the low-poly triangle and not normalised. With b = sign *
+ * cross(n, t) the result is normalize(m.x t + m.y b + m.z n). The frames at the corners come from
+ * libbake; unit tests compare them with Blender's. Everything else is independent of libbake. For
  * bakes with one sample a texel and charts that do not overlap. */
 #include "libbake/lowpoly/lowpoly.h"
 #include "tests/scan/verdict.h"

@@ -1,9 +1,9 @@
 /* check_vase.c - checks baked maps of the vase against its analytic normals and colours.
  *
- * For each texel it computes the rays from the low-poly mesh, which is a regular grid in texture
- * space, and solves for their crossings with the analytic surface. It compares the mean over the
- * texel's samples with the object-space normal map and the linear colour map. It uses nothing of
- * libbake. */
+ * The low-poly mesh is a regular grid in texture space. For each texel the program computes the
+ * rays from that mesh, and solves for their crossings with the analytic surface. It compares the
+ * mean over the texel's samples with the object-space normal map and the linear colour map. It uses
+ * nothing of libbake. */
 #include "tests/scan/vase.h"
 #include "tests/scan/verdict.h"
 

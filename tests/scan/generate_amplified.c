@@ -119,8 +119,8 @@ static double bump(const struct small *m, const double p[3])
     return m->height * sum;
 }
 
-/* Moves a point of a face onto a surface that is curved by the normals of the corners, so that
- * edges of the small scan are no creases (Boubekeur & Alexa, "Phong Tessellation", 2008). */
+/* Moves a point of a face onto a surface that is curved by the normals of the corners. So edges of
+ * the small scan are no creases (Boubekeur & Alexa, "Phong Tessellation", 2008). */
 static void round_point(const struct small *m, uint64_t f, const double w[3], double p[3])
 {
     double lift[3] = {0};

@@ -7,9 +7,9 @@
  * much as those of the tile before still has launches of at most 0.2 s. A batch has at least one
  * row of the tile and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
  *
- * One thread of the device traces the samples of a texel one after another, about 30 us each on any
- * device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a launch
- * takes some lines of the samples of many texels, and later launches continue. */
+ * One thread of the device traces the samples of a texel one after another. Each takes about 30 us
+ * on any device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a
+ * launch takes some lines of the samples of many texels, and later launches continue. */
 #ifndef BAKE_DEVICE_COMPUTE_LAUNCH_BATCHES_H
 #define BAKE_DEVICE_COMPUTE_LAUNCH_BATCHES_H
 

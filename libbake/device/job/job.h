@@ -1,7 +1,7 @@
 /* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
  *
  * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it.
- * Every other room of device/ stands on this one. */
+ * Every other room of device/ uses this one. */
 #ifndef BAKE_DEVICE_JOB_JOB_H
 #define BAKE_DEVICE_JOB_JOB_H
 

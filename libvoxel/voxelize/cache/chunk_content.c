@@ -85,7 +85,7 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 /* Above this mean square the scan's own normals are trusted more than its facets' planes, even if
  * the two contradict each other. */
 #define LARGE_EDGE_SQUARE 4.0
-/* Above this mean square smooth normals blend well without planes where fragments would be lifted
+/* Above this mean square smooth normals blend well without planes if fragments would be lifted
  * far. */
 #define WIDE_EDGE_SQUARE 6.0
 

@@ -13,7 +13,7 @@ struct vox_own_normals {
 };
 
 /* Returns whether the normals of the triangles from begin to end contradict the triangles' planes
- * so much that blending with the planes would do more harm than good. */
+ * too much. Blending with the planes would then do more harm than good. */
 bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t begin, uint32_t end);
 
 #endif

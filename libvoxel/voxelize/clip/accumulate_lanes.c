@@ -1,9 +1,9 @@
 /* accumulate_lanes.c - the loop over a chunk's triangles.
  *
  * Triangles are collected in blocks. Inside a block they are grouped by the number of voxel planes
- * that cut them along each axis, so that several can be divided and shaded side by side. Their
- * fragments are then added in the order of the triangles, so results do not depend on the grouping.
- * Groups of triangles whose bounds miss the window are skipped. */
+ * that cut them along each axis. So several can be divided and shaded side by side. Their fragments
+ * are then added in the order of the triangles, so results do not depend on the grouping. Groups of
+ * triangles whose bounds miss the window are skipped. */
 #include "libvoxel/voxelize/clip/fragment_block.h"
 
 #include <assert.h>
@@ -272,7 +272,7 @@ static int add_block(const struct vox_accumulation *job)
     return status;
 }
 
-/* Prefetches job the triangle needs in add_group() and later in the block. */
+/* Prefetches what add_group() and the rest of the block need of the triangle. */
 LANES_INLINE void prefetch_triangle(const struct vox_chunk *chunk, uint32_t triangle)
 {
     for (int i = 0; i < 3; i++) {

@@ -4,8 +4,8 @@
  * by side. A fragment then adds the triangle's rows of four, each times a number of the fragment,
  * and comes out in the form of the sums.
  *
- * If a value is q at the first corner and differs by d and e at the others, its mean over a
- * fragment times the fragment's area is area * q + moment[0] * d + moment[1] * e. */
+ * Let a value be q at the first corner, q + d at the second and q + e at the third. Its integral
+ * over a fragment is then area * q + moment[0] * d + moment[1] * e. */
 #ifndef VOX_VOXELIZE_CLIP_SHADE_LANES_H
 #define VOX_VOXELIZE_CLIP_SHADE_LANES_H
 

@@ -213,7 +213,7 @@ static void a_polygon_may_be_too_large_for_a_fan(void **state)
     expect_refused_with_vertices_in_a_file(*state, GIANT, FAN_CORNERS + 1);
 }
 
-/* As fans, the polygons would take more memory than there is. */
+/* As fans, the polygons would exceed the memory budget. */
 static void polygons_may_be_in_too_many_buckets_for_fans(void **state)
 {
     expect_refused_with_vertices_in_a_file(*state, TANGLED, TANGLED_CORNERS);

@@ -1,4 +1,4 @@
-/* test_trace_ray.c - single rays against voxel grids of analytic surfaces: hits are held against
+/* test_trace_ray.c - single rays against voxel grids of analytic surfaces: hits are compared with
  * the surfaces themselves. */
 #include <math.h>
 #include <setjmp.h>

@@ -1,4 +1,4 @@
-/* Estimates of a grid's size, compared with grids that are made; warnings and refusals. */
+/* Compares estimates of a grid's size with grids that are made. Tests warnings and refusals. */
 #include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/libvoxel/scan_fixture.h"

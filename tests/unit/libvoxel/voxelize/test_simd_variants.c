@@ -1,4 +1,5 @@
-/* Functions compiled for several instruction sets: all give the same bits, and right ones. */
+/* Tests that functions compiled for several instruction sets give the same bits, and the right
+ * ones. */
 #include "libvoxel/voxelize/cache/one_ring.h"
 #include "libvoxel/voxelize/clip/accumulate.h"
 #include "base/octahedral.h"

@@ -1,5 +1,5 @@
-/* From a chunk file to a grid file: voxel counts compared with the exact sphere, records with
- * analytic surfaces. */
+/* Voxelizes chunk files. Compares voxel counts with the exact sphere, and records with analytic
+ * surfaces. */
 #include "base/octahedral.h"
 #include "tests/unit/sanitized.h"
 #include "voxelize_fixture.h"

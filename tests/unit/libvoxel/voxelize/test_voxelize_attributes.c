@@ -1,4 +1,4 @@
-/* Normals, colours, materials and textures of a scan in the records of its grid. */
+/* Tests how normals, colours, materials and textures of a scan reach the records of its grid. */
 #include "base/octahedral.h"
 #include "formats/image/image_writer.h"
 #include "voxelize_fixture.h"
@@ -173,8 +173,8 @@ static void test_materials_color_what_has_no_other(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* Writes a texture that rises linearly in light, red with u and green with v, so that its mean over
- * a fragment is its value at the centroid. */
+/* Writes a texture that rises linearly in light, red with u and green with v. So its mean over a
+ * fragment is its value at the centroid. */
 static void write_ramp(const struct vox_fixture *f)
 {
     enum { SIZE = 40 };

@@ -1,4 +1,5 @@
-/* A grid has the same bytes for any budget, number of threads and division into chunks. */
+/* Tests that a grid has the same bytes for any budget, number of threads and division into
+ * chunks. */
 #include "voxelize_fixture.h"
 #include "tests/unit/fixture.h"
 

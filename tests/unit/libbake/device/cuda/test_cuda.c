@@ -258,8 +258,8 @@ static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const
     return memory;
 }
 
-/* If another program takes memory after the grid was found to fit, the grid is traced in passes in
- * the rest, whether or not the device was named. */
+/* If another program takes memory after the grid was found to fit, passes trace the grid in the
+ * rest. This holds whether or not the device was named. */
 static void test_memory_for_others(void **state)
 {
     struct fixture *f = *state;

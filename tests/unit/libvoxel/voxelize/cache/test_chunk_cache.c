@@ -1,4 +1,4 @@
-/* Which chunks a full cache evicts. */
+/* Tests which chunks a full cache evicts. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 

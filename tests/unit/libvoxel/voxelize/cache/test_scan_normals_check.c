@@ -1,4 +1,4 @@
-/* When a scan's own normals contradict its triangles. */
+/* Tests when a scan's own normals contradict its triangles. */
 #include "libvoxel/voxelize/cache/scan_normals_check.h"
 
 #include <math.h>

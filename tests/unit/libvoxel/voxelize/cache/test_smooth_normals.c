@@ -1,4 +1,4 @@
-/* Smooth vertex normals as if the scan were whole, for any division into chunks. */
+/* Tests that smooth vertex normals do not depend on the division into chunks. */
 #include "base/smooth_normals.h"
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 #include "tests/unit/libvoxel/scan_fixture.h"

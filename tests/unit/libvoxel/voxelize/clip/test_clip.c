@@ -1,5 +1,5 @@
-/* Clipping a triangle to voxels, compared with a separating-axis test (Akenine-Moeller 2001), with
- * sampled points, and with what holds of any division into fragments. */
+/* Compares clipping of a triangle to voxels with a separating-axis test (Akenine-Moeller 2001) and
+ * with sampled points. Checks properties that hold for any division into fragments. */
 #include "libvoxel/voxelize/clip/clip.h"
 #include "libvoxel/voxelize/clip/divide_lanes.h"
 #include "tests/unit/libvoxel/scan_fixture.h"

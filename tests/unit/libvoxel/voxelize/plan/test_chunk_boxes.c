@@ -1,6 +1,6 @@
-/* Chunk boxes: every triangle lies in one box of its chunk, and no box reaches across many regions
- * without need. Grids of scattered scans are made as fast as those of compact ones, with the same
- * bytes. */
+/* Tests that every triangle lies in one box of its chunk, and that no box reaches across many
+ * regions without need. Grids of scattered scans are made as fast as those of compact ones, with
+ * the same bytes. */
 #include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/voxelize/voxelize_fixture.h"
 

@@ -1,4 +1,4 @@
-/* The schedule of regions, compared with a list of all pairs, sorted by the definition of the grid
+/* Compares the schedule of regions with a list of all pairs, sorted by the definition of the grid
  * file's order. */
 #include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
