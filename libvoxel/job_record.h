@@ -1,4 +1,4 @@
-/* job_record.h - private to the sorter: what it tells a job's record. */
+/* job_record.h - adds what the sorter learns to a job's record; private to the sorter. */
 #ifndef VOX_JOB_RECORD_H
 #define VOX_JOB_RECORD_H
 

@@ -1,5 +1,5 @@
-/* mtl.h - private to the OBJ reader: Wavefront MTL, of which the diffuse colour (Kd) and texture
- * (map_Kd) of each material are read. */
+/* mtl.h - reads the diffuse colour (Kd) and texture (map_Kd) of each material of Wavefront MTL
+ * files; private to the OBJ reader. */
 #ifndef FMT_MESH_MTL_H
 #define FMT_MESH_MTL_H
 

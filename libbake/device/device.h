@@ -32,7 +32,8 @@ int bake_device_plan(struct bake_device *device, const struct bake_raster *raste
 /* Loads a pass's subgrid into a slot (< BAKE_SLOTS), while other threads may trace tiles from the
  * other one. */
 int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_subgrid *subgrid);
-/* Chooses the slot that tiles are traced from, at first 0. Not while tiles are traced. */
+/* Chooses the slot that tiles are traced from, at first 0. Must not be called while tiles are
+ * traced. */
 void bake_device_use(struct bake_device *device, unsigned slot);
 
 /* Traces one tile: sample_triangles in, width * height texels of
@@ -42,7 +43,8 @@ void bake_device_use(struct bake_device *device, unsigned slot);
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
 
-/* Returns what the device did so far; zeros for the processor. Not while tiles are traced. */
+/* Returns what the device did so far; zeros for the processor. Must not be called while tiles are
+ * traced. */
 void bake_device_times(struct bake_device *device, struct bake_device_times *out);
 
 #endif

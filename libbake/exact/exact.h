@@ -81,7 +81,7 @@ struct bake_exact_batch {
  * for the rays, hits and footprints that the caller allocates. */
 uint64_t bake_exact_capacity(const struct bake_exact *exact);
 
-/* Traces a batch on all threads. Not to be called from parallel work. Errors: BSQ_EDATA for a
+/* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a
  * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch);
 

@@ -61,7 +61,7 @@ struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
                                          double x, double y, bool with_maps);
 
 /* Renders the scan's panel on all threads: PREVIEW_SIDE rows of RGB, `stride` floats apart. Adds
- * PREVIEW_SIDE to the progress. Not to be called from parallel work. Errors: those of
+ * PREVIEW_SIDE to the progress. Must not be called from parallel work. Errors: those of
  * bake_surface_trace(), BSQ_ENOMEM. */
 int bake_preview_scan_panel(const struct bake_preview *preview, const struct preview_view *view,
                             float *pixels, size_t stride);

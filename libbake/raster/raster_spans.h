@@ -61,9 +61,9 @@ struct raster_spans {
     uint32_t row, middle_row, end_row;
 };
 
-/* Starts on the spans of a triangle within a window. A sample belongs to the triangle if its centre
- * is inside, or on a top or left edge: two triangles that share an edge share no sample and leave
- * none out. The triangle must have area. */
+/* Starts the sequence of spans of a triangle within a window. A sample belongs to the triangle if
+ * its centre is inside, or on a top or left edge: two triangles that share an edge share no sample
+ * and leave none out. The triangle must have area. */
 void bake_raster_spans_begin(const struct sample_grid *grid, const struct raster_triangle *triangle,
                              struct raster_window window, struct raster_spans *out);
 

@@ -1,6 +1,6 @@
 /* surface.h - the surface that rays are traced against. Takes a scan file, either a voxel grid or
- * the triangles of a chunk file; gives hits of rays without the caller knowing which of both it is.
- * Maps are traced tile by tile: on a grid by bake_trace_grid_tiles(), which gives the rays to a
+ * the triangles of a chunk file; gives hits of rays. The caller need not know which of the two it
+ * is. Maps are traced tile by tile: on a grid by bake_trace_grid_tiles(), which gives the rays to a
  * device, and on triangles by bake_exact_trace_tiles(). */
 #ifndef BAKE_SURFACE_SURFACE_H
 #define BAKE_SURFACE_SURFACE_H
@@ -44,7 +44,7 @@ struct bake_surface_rays {
     double t_min, t_max;                /* world units, as the hits' t */
     bool distances_only, facing_origin; /* as in struct bake_exact_batch */
 };
-/* Traces any number of rays on all threads. params: used for grids only. Not to be called from
+/* Traces any number of rays on all threads. params: used for grids only. Must not be called from
  * parallel work. Errors: those of bake_exact_trace(). */
 int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
                        const struct bake_surface_rays *rays);

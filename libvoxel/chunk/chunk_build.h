@@ -39,7 +39,7 @@ struct chunk_builder {
 
 /* Returns the memory of one builder in bytes. */
 uint64_t vox_chunk_builder_bytes(uint32_t attributes);
-/* Free with vox_chunk_builder_free(), also after failure. */
+/* Initialises a builder. Free it with vox_chunk_builder_free(), also after failure. */
 int vox_chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
                            const struct record_layout *layout, used_word *used);
 void vox_chunk_builder_free(struct chunk_builder *builder);

@@ -34,7 +34,8 @@ uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads);
 /* Returns the most bytes for each triangle of a batch. */
 uint64_t vox_gather_triangle_bytes(const struct scan *scan);
 
-/* triangles: the batch's capacity. Free with vox_gather_close(), also after failure. */
+/* Opens a window for batches of up to `triangles` triangles. Close it with vox_gather_close(), also
+ * after failure. */
 int vox_gather_open(struct gather_window *window, const struct scan *scan,
                     const struct record_layout *layout, uint64_t triangles);
 void vox_gather_close(struct gather_window *window);

@@ -17,7 +17,7 @@ struct fan_buffer {
 };
 
 uint64_t vox_fan_buffer_bytes(const struct record_layout *layout);
-/* Free with vox_fan_buffer_free(), also after failure. */
+/* Allocates the buffers. Free them with vox_fan_buffer_free(), also after failure. */
 int vox_fan_buffer_init(struct fan_buffer *buffer, struct bsq_ctx *ctx,
                         const struct record_layout *layout);
 void vox_fan_buffer_free(struct fan_buffer *buffer, struct bsq_ctx *ctx);

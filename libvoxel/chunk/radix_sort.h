@@ -15,9 +15,9 @@ struct entry {
 void vox_radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, uint32_t bits);
 
 /* Returns the number of entries of the first chunk, from half of FMT_TRIS_CHUNK_TRIANGLES to all of
- * it. Cuts between neighbours whose keys differ in the highest bit, where the largest Morton cell
- * ends; at the first such place. There must be more than FMT_TRIS_CHUNK_TRIANGLES sorted entries.
- */
+ * it. Cuts at the end of the largest Morton cell: between the two neighbours whose keys differ in
+ * the highest bit, or the first such pair. There must be more than FMT_TRIS_CHUNK_TRIANGLES sorted
+ * entries. */
 uint32_t vox_radix_cut(const struct entry *entries);
 
 #endif

@@ -56,7 +56,8 @@ uint64_t vox_batch_triangle_bytes(const struct scan *scan, const struct partitio
 uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *partition);
 /* Returns the capacity of a batch for all triangles, including the gaps between parts. */
 uint64_t vox_batch_capacity_of_all(const struct partition *partition);
-/* capacity: in triangles. Free with vox_batch_close(), also after failure. */
+/* Opens a batch of up to `capacity` triangles. Close it with vox_batch_close(), also after
+ * failure. */
 int vox_batch_open(struct batch *batch, const struct scan *scan, const struct partition *partition,
                    uint64_t capacity);
 void vox_batch_close(struct batch *batch);

@@ -38,8 +38,8 @@ struct buckets {
     const char *beside; /* output path, next to which the temporary file may be */
 };
 
-/* page_memory: limit for pages in memory, in bytes, but each bucket gets one page in any case. Free
- * with vox_buckets_free(), also after failure. */
+/* Makes empty buckets. page_memory: limit in bytes for pages in memory, but each bucket gets one
+ * page in any case. Free them with vox_buckets_free(), also after failure. */
 int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *beside,
                      uint32_t bucket_count, uint64_t page_bytes, uint64_t page_memory);
 void vox_buckets_free(struct buckets *buckets);

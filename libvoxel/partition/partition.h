@@ -21,7 +21,7 @@ static inline uint64_t used_words(uint64_t vertices)
     return vertices / 64 + 1;
 }
 
-/* From any thread. */
+/* Marks a vertex as used. May be called from any thread. */
 static inline void used_mark(used_word *used, uint64_t vertex)
 {
     used_word *word = &used[vertex / 64];

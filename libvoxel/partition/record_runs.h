@@ -47,7 +47,7 @@ struct run_reader {
     struct bucket_cursor cursor;
 };
 
-/* Free with vox_run_reader_free(), also after failure. */
+/* Initialises a reader. Free it with vox_run_reader_free(), also after failure. */
 int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
                         const struct record_layout *layout);
 void vox_run_reader_free(struct run_reader *reader);

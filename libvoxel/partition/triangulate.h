@@ -1,4 +1,4 @@
-/* triangulate.h - the faces of a block become triangles, delta coded and grouped by bucket.
+/* triangulate.h - turns the faces of a block into triangles, delta coded and grouped by bucket.
  *
  * Works on one block of faces at a time. It needs the positions of first corners and of polygons,
  * or the buckets of their vertices, so blocks can be triangulated on all threads. */
@@ -57,7 +57,7 @@ struct triangulator {
     uint64_t fan_capacity, polygon_capacity[3];
 };
 
-/* Free with vox_triangulator_free(), also after failure. */
+/* Initialises a triangulator. Free it with vox_triangulator_free(), also after failure. */
 int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
                           const struct triangulation_plan *plan);
 void vox_triangulator_free(struct triangulator *t);

@@ -33,7 +33,7 @@ struct scan_bad_index {
     uint64_t face, index;
 };
 
-/* What one block says of its faces. */
+/* Facts about the faces of one block. */
 struct scan_face_check {
     uint32_t max_size; /* corners of the largest face, at least 3 */
     bool lacks_texcoord, has_normals;

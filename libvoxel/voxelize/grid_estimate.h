@@ -1,5 +1,5 @@
-/* grid_estimate.h - estimates how large a grid will be, before hours go into one that does not fit
- * on the disk. */
+/* grid_estimate.h - estimates how large a grid will be, so that one that does not fit on the disk
+ * is refused at once. */
 #ifndef VOX_VOXELIZE_GRID_ESTIMATE_H
 #define VOX_VOXELIZE_GRID_ESTIMATE_H
 

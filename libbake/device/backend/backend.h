@@ -45,7 +45,7 @@ struct bake_backend {
      */
     int (*trace)(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
                  const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
-    /* Not while tiles are traced. NULL: the device is the processor. */
+    /* Must not be called while tiles are traced. NULL: the device is the processor. */
     void (*times)(struct bake_backend *backend, struct bake_device_times *out);
     void (*close)(struct bake_backend *backend);
 };

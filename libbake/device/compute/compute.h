@@ -1,5 +1,4 @@
-/* compute.h - what GPU-like devices, with memory and streams of their own, have in common whatever
- * their API.
+/* compute.h - what all devices with memory and streams of their own share, whatever their API.
  *
  * Takes struct bake_compute_calls from the API's folder, a job and subgrids; gives a struct
  * bake_backend. The grid goes up through a staging buffer, workers trace tiles in launch batches,

@@ -7,7 +7,7 @@
 
 extern const struct bake_device_kind bake_cuda_kind;
 
-/* How kernels are run; measurements try others than the default. */
+/* How kernels are launched. Benchmarks compare other values with the default. */
 struct bake_cuda_tuning {
     unsigned registers;                 /* limit for a thread; 0: the compiler's choice */
     unsigned block_width, block_height; /* threads; a multiple of 32 together, at most 1024 */

@@ -27,7 +27,7 @@ CUresult bake_cuda_memory_init(struct bake_cuda_memory *memory, const struct bak
 /* Returns the bytes of the longest array possible. */
 uint64_t bake_cuda_memory_most(const struct bake_cuda_memory *memory);
 
-/* Allocates an array. One thread at a time. */
+/* Allocates an array. Only one thread may call this at a time. */
 CUresult bake_cuda_memory_get(struct bake_cuda_memory *memory, uint64_t bytes, CUdeviceptr *out);
 /* Frees an array; nothing on the device may use it any more. */
 void bake_cuda_memory_give(struct bake_cuda_memory *memory, CUdeviceptr at);

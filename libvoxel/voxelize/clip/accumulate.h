@@ -15,7 +15,7 @@ int vox_fragment_block_create(struct bsq_ctx *ctx, struct vox_fragment_block **o
 void vox_fragment_block_destroy(struct bsq_ctx *ctx,
                                 struct vox_fragment_block *block); /* NULL is allowed */
 
-/* What is added, and where. */
+/* Which triangles are added, and to which voxels. */
 struct vox_accumulation {
     const struct vox_shading *shading;
     const struct vox_chunk *chunk;

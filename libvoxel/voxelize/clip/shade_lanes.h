@@ -12,7 +12,7 @@
 #include "libvoxel/voxelize/clip/fragment_block.h"
 #include "libvoxel/voxelize/clip/divide_lanes.h"
 
-/* From what the weights of a triangle's fragments are computed. */
+/* Values from which the weights of a triangle's fragments are computed. */
 struct shade_weights {
     doubles squares[3];    /* squared lengths of the corners' normals */
     doubles gaps[3];       /* for corners 01, 12, 20: squared distances of their normals */

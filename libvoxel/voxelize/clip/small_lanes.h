@@ -137,7 +137,7 @@ LANES_INLINE void queue_lanes(struct queue *queue, lane_mask taken, doubles area
 #endif
 }
 
-/* Returns job the weights of queued fragments are computed from. */
+/* Returns the values from which the weights of queued fragments are computed. */
 LANES_INLINE struct shade_weights weights_of(const struct shade_triangles *t, lane_ints number)
 {
 #if LANE_COUNT == 8
