@@ -133,7 +133,7 @@ bool cli_same_file(const char *a, const char *b);
 int cli_check_output(struct cli *cli, const char *path, const char *const *inputs,
                      uint32_t input_count);
 
-/* The same for a picture, whose name must also end in .png. */
+/* Checks the output of a picture in the same way; its name must also end in .png. */
 int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs,
                       uint32_t input_count);
 

@@ -78,8 +78,8 @@ uint64_t fmt_tris_encoded_bound(uint32_t attributes, uint32_t triangle_count,
  * Thread-safe, so that workers can encode. */
 int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_tris_chunk *chunk,
                     void *buffer, uint64_t *size, struct fmt_tris_chunk_info *info);
-/* Appends an encoded chunk and its entry to the table. One thread at a time, in order. Ignores the
- * offset and first triangle of *info. */
+/* Appends an encoded chunk, and its entry to the table. Only one thread may call this at a time, in
+ * the order of the chunks. Ignores the offset and first triangle of *info. */
 int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_t size,
                     const struct fmt_tris_chunk_info *info);
 /* Counts triangles that were left out. */
@@ -87,8 +87,8 @@ void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles);
 /* Writes materials, table and header, syncs and renames the file; frees the writer in any case. */
 int fmt_tris_commit(struct fmt_tris_writer *writer);
 void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
-/* The same for a temporary file (bsq_file_temp()), for chunks that only this process needs. *out
- * receives the complete file; the caller closes it. */
+/* Completes a temporary file (bsq_file_temp()) instead, for chunks that only this process needs.
+ * *out receives the complete file; the caller closes it. */
 int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
                          const struct fmt_tris_header *header, struct fmt_tris_writer **out);
 int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out);

@@ -73,7 +73,7 @@ extern const struct fmt_image_format fmt_exr_format, fmt_png_format;
 /* All formats; ends with NULL. */
 extern const struct fmt_image_format *const fmt_image_formats[];
 
-/* Returns the format that a file's suffix asks for, or NULL. */
+/* Returns the format that a file's suffix names, or NULL. */
 const struct fmt_image_format *fmt_image_format_of(const char *path);
 
 /* Checks that a format can store samples of this type. Errors: BSQ_EUSAGE. */

@@ -106,7 +106,7 @@ struct fmt_mesh_steps {
     /* Called serially in order, after follow of the same block. NULL exactly if follow is. */
     int (*finish)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
 };
-/* As fmt_mesh_read(), with all three steps. */
+/* Reads as fmt_mesh_read() does, with all three steps. */
 int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
                         void *arg, struct fmt_mesh_totals *totals);
 unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader);

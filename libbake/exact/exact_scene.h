@@ -103,7 +103,7 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
     return triangle < other_triangle;
 }
 
-/* Which hits count. */
+/* Limits that a hit must meet to count. */
 struct exact_limits {
     double t_min, t_max;
     bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */

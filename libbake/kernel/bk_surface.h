@@ -20,9 +20,9 @@
 #define BK_MARGIN_SMOOTH 0.2f
 #define BK_MARGIN_FOLD   0.4f
 
-/* A record whose plane is this far from the hit, in voxels, counts as another surface. It belongs
- * to another sheet of the same orientation or to the other side of a crease. Weights fall smoothly
- * to 0 at this distance. */
+/* A record whose plane is this far from the hit, in voxels, belongs to another surface: another
+ * sheet of the same orientation, or the other side of a crease. Weights fall smoothly to 0 at this
+ * distance. */
 #define BK_SHEET_DISTANCE 0.75f
 /* Records are means over their voxels, which lowers slopes by 1/24 of their second derivatives.
  * Take a line and the cubic p whose means are the heights and slopes g of two records. Then p' =

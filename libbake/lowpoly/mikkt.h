@@ -2,7 +2,7 @@
  * to this room.
  *
  * Implemented from the convention's definition (Mikkelsen, "Simulation of Wrinkled Surfaces
- * Revisited", 2008, section 2.2) and held against tangents that Blender computed. A corner is
+ * Revisited", 2008, section 2.2) and compared with tangents that Blender computed. A corner is
  * numbered 3 * triangle + i; the edge with the same number runs from that corner to the next one of
  * its triangle. */
 #ifndef BAKE_LOWPOLY_MIKKT_H

@@ -10,7 +10,7 @@
 #include <string.h>
 
 #define MIB ((uint64_t)1 << 20)
-/* What a block takes in the reader and in its triangulator, as a rule. */
+/* Memory that a block usually takes in the reader and in its triangulator. */
 #define BLOCK_BYTES (6 * MIB)
 /* Corner numbers of a block are 32-bit numbers with bits to spare. */
 #define MAX_CORNERS (UINT32_MAX / 32)

@@ -1,7 +1,7 @@
 /* staging_buffer.h - two halves of host memory through which data goes up to a device.
  *
  * One half is filled while the device copies the other, so the host never copies anything larger.
- * The API allocates the halves and sends them. One thread at a time. */
+ * The API allocates the halves and sends them. Only one thread at a time may use a buffer. */
 #ifndef BAKE_DEVICE_COMPUTE_STAGING_BUFFER_H
 #define BAKE_DEVICE_COMPUTE_STAGING_BUFFER_H
 

@@ -1,8 +1,8 @@
 /* shade_lanes.h - what the fragments of triangles add to their voxels.
  *
  * Roots and quotients are computed for several triangles, or fragments of several triangles, side
- * by side. A fragment then adds the triangle's rows of four, each times a number of the fragment,
- * and comes out in the form of the sums.
+ * by side. What a fragment adds to its voxel's sums is then the sum of the triangle's rows of four,
+ * each multiplied by a number of the fragment.
  *
  * Let a value be q at the first corner, q + d at the second and q + e at the third. Its integral
  * over a fragment is then area * q + moment[0] * d + moment[1] * e. */
@@ -84,8 +84,8 @@ LANES_INLINE void shade_settle_normals(struct shade_triangles *t)
     }
 }
 
-/* Computes what the lengths of interpolated normals, and their agreement with the plane, follow
- * from. */
+/* Computes the values that give the lengths of interpolated normals and their agreement with the
+ * plane. */
 LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
 {
     for (int i = 0; i < 3; i++) {

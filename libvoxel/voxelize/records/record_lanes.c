@@ -9,7 +9,7 @@ LANES_INLINE float_ints record_round_floats(floats x)
     return (float_ints)(x + 12582912.0f) - bits;
 }
 
-/* The same for |x| < 2^51. */
+/* Rounds to the nearest integer, ties to even, for |x| < 2^51. */
 LANES_INLINE lane_ints record_round(doubles x)
 {
     const int64_t bits = INT64_C(0x4338000000000000); /* of 1.5 * 2^52 */

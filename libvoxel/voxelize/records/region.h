@@ -95,7 +95,7 @@ void vox_accumulator_clear(struct vox_accumulator *a);
 uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a,
                                       const struct vox_leaves *leaves);
 /* Appends the voxels to `leaves`, whose ids must all be below those of this accumulator. Fails only
- * for want of memory. */
+ * if memory runs out. */
 int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
                            struct vox_leaves *leaves);
 

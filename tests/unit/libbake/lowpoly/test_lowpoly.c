@@ -112,7 +112,7 @@ static void write_sphere(FILE *file, const double centre[3], int columns, int ro
     }
 }
 
-/* Normals are held against the radial direction. A row of the sphere spans 5.6 degrees. */
+/* Compares normals with the radial direction. A row of the sphere spans 5.6 degrees. */
 static void test_missing_normals_are_smooth(void **state)
 {
     struct fixture *f = *state;
