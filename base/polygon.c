@@ -19,8 +19,7 @@ struct ring {
     const double (*positions)[3];
     struct vector normal; /* Newell's; its length does not matter */
     uint32_t *next, *previous;
-    uint32_t *
-        reflex; /* reflex_count corners that are not strictly convex; the list ends at reflex_end */
+    uint32_t *reflex; /* corners that are not strictly convex; the list ends at reflex_end */
     uint32_t *reflex_end;
     uint32_t size;
 };
