@@ -212,7 +212,7 @@ if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | 
     same few.exr one.exr
     $bake $passes -o few2.exr --gpu-memory 1000
     code 69
-    err_like '^bisque-bake: .*tiles and the low mesh take [0-9]+ bytes'
+    err_like '^bisque-bake: .*tiles and the low-poly mesh take [0-9]+ bytes'
     rm large.nvdb one.exr many.exr few.exr
 else
     echo "# skipped: passes: there is no OpenCL device"

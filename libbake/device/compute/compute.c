@@ -64,12 +64,14 @@ int bake_compute_share_memory(struct bake_compute *compute, const struct bake_jo
         limit = job->device_memory;
     if (triangles > buffer_bytes || samples > buffer_bytes)
         return bsq_fail(compute->ctx, BSQ_ENODEVICE,
-                        "%s: the low mesh's triangles take %" PRIu64 " bytes and a tile's samples "
+                        "%s: the low-poly mesh's triangles take %" PRIu64
+                        " bytes and a tile's samples "
                         "%" PRIu64 ", a buffer of this device holds %" PRIu64,
                         compute->device_name, triangles, samples, buffer_bytes);
     if (fixed >= limit)
         return bsq_fail(compute->ctx, BSQ_ENODEVICE,
-                        "%s: tiles and the low mesh take %" PRIu64 " bytes of the device's memory, "
+                        "%s: tiles and the low-poly mesh take %" PRIu64
+                        " bytes of the device's memory, "
                         "%" PRIu64 " are allowed: give more, or fewer --threads",
                         compute->device_name, fixed, limit);
     compute->base.memory_bytes = limit - fixed;
