@@ -7,6 +7,10 @@
 
 #include "libvoxel/voxel.h"
 
+/* log2 of elements in a segment. Large segments of any stream are multiples of a huge page. */
+#define STREAM_LARGE_SHIFT 19u
+#define STREAM_SMALL_SHIFT 16u
+
 struct sort_limits {
     uint64_t stream_bytes; /* attribute streams in memory */
     uint32_t stream_shift; /* log2 of elements in a segment of a stream */

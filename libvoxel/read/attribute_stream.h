@@ -7,10 +7,6 @@
 
 #include "libvoxel/read/spill_buffer.h"
 
-/* log2 of elements in a segment. Large segments of any stream are multiples of a huge page. */
-#define STREAM_LARGE_SHIFT 19u
-#define STREAM_SMALL_SHIFT 16u
-
 struct attribute_stream {
     struct spill_buffer spill;
     uint32_t element_bytes;
