@@ -74,7 +74,7 @@ static void unmap(const struct bake_cuda_memory *memory, const struct bake_cuda_
 
 static CUresult map(struct bake_cuda_memory *memory, struct bake_cuda_array *array, uint64_t bytes)
 {
-    const uint64_t step = memory->step_bytes, whole = (bytes + step - 1) / step * step;
+    const uint64_t whole = bsq_align_up(bytes, memory->step_bytes);
     CUresult code = memory->api->cuMemAddressReserve(&array->at, whole, 0, 0, 0);
 
     if (code != CUDA_SUCCESS)
