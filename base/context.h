@@ -27,12 +27,12 @@ extern "C" {
 /** Status codes. Each is a negated exit code of sysexits(3), so a tool's exit code is -status. */
 enum bsq_status {
     BSQ_OK = 0,           /**< Success. */
-    BSQ_EUSAGE = -64,     /**< Arguments that make no sense, or a budget that is too small. */
+    BSQ_EUSAGE = -64,     /**< Arguments that make no sense. */
     BSQ_EDATA = -65,      /**< Input that is damaged or not of the expected kind. */
     BSQ_ENOINPUT = -66,   /**< Input that does not exist or cannot be read. */
     BSQ_ENODEVICE = -69,  /**< No such compute device. */
     BSQ_EBUG = -70,       /**< An invariant of Bisque does not hold. */
-    BSQ_ENOMEM = -71,     /**< The system or the budget has no memory left. */
+    BSQ_ENOMEM = -71,     /**< The system has no memory left, or the budget is too small. */
     BSQ_ECANTCREAT = -73, /**< Output that cannot be created. */
     BSQ_EIO = -74,        /**< Reading or writing failed; a full disk is one reason. */
     BSQ_EINTR = -75,      /**< bsq_interrupt() was called. */

@@ -218,7 +218,7 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
     struct sort_limits limits;
     uint64_t budget = bsq_memory_left(ctx), least = vox_memory_min(bsq_threads(ctx));
     if (budget < least)
-        return bsq_fail(ctx, BSQ_EUSAGE,
+        return bsq_fail(ctx, BSQ_ENOMEM,
                         "sorting with %u threads needs at least %llu MiB of memory, it may use "
                         "%llu MiB",
                         bsq_threads(ctx), (unsigned long long)(least / MIB),

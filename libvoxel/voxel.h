@@ -73,7 +73,7 @@ void vox_sort_defaults(struct vox_sort_options *options);
 
 /** Sorts the triangles of a scan in space and writes them as a chunk file (formats/FORMATS.md).
  * Fills in *report. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged input and for a scan without any
- * triangle that has an area; BSQ_EUSAGE if the budget is below vox_memory_min(); BSQ_ENOMEM;
+ * triangle that has an area; BSQ_ENOMEM, also if the budget is below vox_memory_min();
  * BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
              struct vox_sort_report *report);
@@ -169,7 +169,7 @@ void vox_voxelize_defaults(struct vox_voxelize_options *options);
  * area-weighted mean over the fragments of triangles that are clipped to it.
  *
  * Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file; BSQ_EUSAGE for a resolution or voxel
- * size that no grid can have, and if the budget is below vox_memory_min(); BSQ_ENOMEM;
+ * size that no grid can have; BSQ_ENOMEM, also if the budget is below vox_memory_min();
  * BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR; those of vox_check_export(). */
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report);

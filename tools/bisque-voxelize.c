@@ -108,11 +108,11 @@ static int check_memory(struct cli *cli)
     char limit[CLI_TEXT];
     if (bsq_memory_limit(cli->ctx) >= least)
         return 0;
-    return cli_usage(cli, "--memory: %s is too small, %u thread%s need at least %lluMiB",
-                     cli->memory_text ? cli->memory_text
-                                      : cli_size_text(bsq_memory_limit(cli->ctx), limit),
-                     bsq_threads(cli->ctx), bsq_threads(cli->ctx) == 1 ? "" : "s",
-                     (unsigned long long)least_mib);
+    return bsq_fail(cli->ctx, BSQ_ENOMEM, "--memory: %s is too small, %u thread%s at least %lluMiB",
+                    cli->memory_text ? cli->memory_text
+                                     : cli_size_text(bsq_memory_limit(cli->ctx), limit),
+                    bsq_threads(cli->ctx), bsq_threads(cli->ctx) == 1 ? " needs" : "s need",
+                    (unsigned long long)least_mib);
 }
 
 /* ---- --parse-only ---- */

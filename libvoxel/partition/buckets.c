@@ -74,7 +74,7 @@ static int take_page(struct buckets *buckets, struct bucket *bucket)
 static int list_page(struct buckets *buckets, struct bucket *bucket, uint64_t place)
 {
     if (buckets->page_count >= BUCKET_NONE)
-        return bsq_fail(buckets->ctx, BSQ_EUSAGE,
+        return bsq_fail(buckets->ctx, BSQ_ENOMEM,
                         "the scan is too large for pages of %u bytes; more memory is needed",
                         buckets->page_bytes);
     int status = bsq_grow(buckets->ctx, "buckets", buckets->page_count + 1, sizeof *buckets->pages,

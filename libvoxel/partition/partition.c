@@ -115,7 +115,7 @@ static int refuse_vertices(const struct reading *r, uint64_t missing)
     if (slots > r->slot_count)
         missing += (slots - r->slot_count) * BLOCK_BYTES;
     const uint64_t needed = limit + missing / 2 * 3 + MIB;
-    return bsq_fail(scan->ctx, BSQ_EUSAGE,
+    return bsq_fail(scan->ctx, BSQ_ENOMEM,
                     "%s: sorting %llu vertices needs about %llu MiB of memory, it may use %llu MiB",
                     scan->paths[0], (unsigned long long)scan_count(scan, SCAN_POSITIONS),
                     (unsigned long long)(needed / MIB), (unsigned long long)(limit / MIB));

@@ -175,7 +175,7 @@ static int refuse_polygon(const struct triangulator *t, const struct faces *face
     uint64_t bytes = 0;
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         bytes += scan->streams[i].spill.bytes;
-    return bsq_fail(t->ctx, BSQ_EUSAGE,
+    return bsq_fail(t->ctx, BSQ_ENOMEM,
                     "%s: splitting a polygon of %u corners needs all vertices in memory, about "
                     "%llu MiB; it may use %llu MiB",
                     scan->paths[faces->block->file], size,

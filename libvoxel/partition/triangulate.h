@@ -63,7 +63,7 @@ int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
 void vox_triangulator_free(struct triangulator *t);
 
 /* Triangulates a block whose indices are in range. max_size: corners of its largest face. Errors:
- * BSQ_EUSAGE if a polygon cannot be split because positions are in a file. */
+ * BSQ_ENOMEM if a polygon cannot be split because positions are in a file. */
 int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *block,
                           uint32_t max_size);
 

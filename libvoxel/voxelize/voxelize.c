@@ -84,7 +84,7 @@ static int make_plan(const struct job *job, struct plan *plan)
     uint64_t need =
         plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
     if (available < need)
-        return bsq_fail(job->ctx, BSQ_EUSAGE,
+        return bsq_fail(job->ctx, BSQ_ENOMEM,
                         "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
                         "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
                         job->options->tris_path, bsq_memory_limit(job->ctx), job->workers, need,

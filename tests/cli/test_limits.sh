@@ -40,13 +40,31 @@ else
 fi
 
 run bisque-voxelize vase.obj -o small.nvdb --memory 16M --threads 2
-code 64
+code 71
 err_like '^bisque-voxelize: --memory: 16M is too small, 2 threads need at least [0-9]*MiB$'
 least=$(sed -n 's/.*at least \([0-9]*\)MiB$/\1/p' "$err")
 run bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory "${least}M" --threads 2
 code 0
 same vase.nvdb small.nvdb
 rm -f small.nvdb small.tris
+
+# Too little memory has one exit code in all programs.
+"$TESTS/generate-scan" vase-low -o low.obj
+run bisque-bake vase.nvdb low.obj -o normal.exr --maps normal --device cpu --size 64
+code 0
+for scan in vase.nvdb vase.tris; do
+    run bisque-bake $scan low.obj -o small.exr --maps normal --device cpu --size 64 --memory 1k
+    code 71
+    err_like '^bisque-bake: the memory budget is too small: '
+done
+run bisque-compare normal.exr normal.exr --memory 1k
+code 71
+err_like '^bisque-compare: the memory budget is too small: '
+run bisque-voxelize vase.tris -o small.nvdb --memory 1k
+code 71
+err_like '^bisque-voxelize: --memory: 1k is too small, '
+files low.obj normal.exr vase.nvdb vase.obj vase.tris
+rm -f low.obj normal.exr
 
 # ---- disk ----
 

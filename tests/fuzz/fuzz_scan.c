@@ -98,7 +98,7 @@ static int sort_otherwise(struct bsq_ctx *ctx)
     limits.stream_bytes = 0;
     limits.two_passes = way == TWO_PASSES;
     int status = vox_sort_with_limits(ctx, &options, &limits, &report);
-    return status == BSQ_EUSAGE ? BSQ_EDATA : status; /* polygons may need vertices in memory */
+    return status == BSQ_ENOMEM ? BSQ_EDATA : status; /* polygons may need vertices in memory */
 }
 
 static void require_same_chunks(void)

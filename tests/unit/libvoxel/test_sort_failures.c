@@ -62,7 +62,7 @@ static void too_little_memory_is_refused(void **state)
 {
     struct sort_fixture *f = *state;
     sort_open_context(f, vox_memory_min(2) - 1, 2);
-    assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), BSQ_EUSAGE);
+    assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), BSQ_ENOMEM);
     sort_open_context(f, 64 * MIB, 2);
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"));
 }
@@ -85,7 +85,7 @@ static void too_many_vertices_are_refused(void **state)
     for (int passes = 0; passes < 2; passes++) {
         limits.two_passes = passes;
         sort_open_context(f, 60 * MIB, 2);
-        assert_int_equal(vox_sort_with_limits(f->ctx, &options, &limits, &f->report), BSQ_EUSAGE);
+        assert_int_equal(vox_sort_with_limits(f->ctx, &options, &limits, &f->report), BSQ_ENOMEM);
         const char *message = strstr(bsq_error(f->ctx), ": sorting ");
         assert_non_null(message);
         assert_int_equal(
@@ -121,7 +121,7 @@ static void memory_may_run_out_anywhere(void **state)
             sort_open_context(f, memory, 2);
             int status = vox_sort_with_limits(f->ctx, &options, &limits, &f->report);
             failures += status < 0;
-            assert_true(status == 0 || status == BSQ_ENOMEM || (spilled && status == BSQ_EUSAGE));
+            assert_true(status == 0 || status == BSQ_ENOMEM);
             assert_int_equal(bsq_memory_used(f->ctx), 0);
             assert_int_equal(access(f->tris, F_OK) == 0, status == 0);
             unlink(f->tris);

@@ -182,7 +182,7 @@ static void expect_refused_with_vertices_in_a_file(struct sort_fixture *f, unsig
     expect_sorted(f, sort_polygons(f, flags, 0));
     assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
     for (unsigned way = 1; way < 3; way++) {
-        assert_int_equal(sort_polygons(f, flags, way), BSQ_EUSAGE);
+        assert_int_equal(sort_polygons(f, flags, way), BSQ_ENOMEM);
         if (corners > 0)
             assert_non_null(strstr(bsq_error(f->ctx), message));
         assert_non_null(strstr(bsq_error(f->ctx), "all vertices in memory, about "));
