@@ -49,7 +49,10 @@ LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.
-$(foreach l,$(libs),$(eval src.$(l) := $(sort $(shell find $(l) -name '*.c'))))
+# The helper is a program of its own.
+src.helper := libbake/device/helper/bisque-devices.c
+$(foreach l,$(libs),$(eval src.$(l) := $(filter-out $(src.helper),$(sort $(shell find $(l) \
+    -name '*.c')))))
 objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1))) \
     $(foreach s,$(simd),$(patsubst %,$(BUILD)/obj/%.$(s).o,$(filter %_lanes.c,$(src.$(1)))))
 archive.base     := $(BUILD)/lib/libbisque-base.a
@@ -73,10 +76,12 @@ module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
 
 programs := bisque-voxelize bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
+# Asks drivers for their devices; installed beside the modules and found like them.
+helper   := $(BUILD)/lib/bisque/bisque-devices
 
 .PHONY: all
 ## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(module_files) $(bins)
+all: $(archives) $(module_files) $(helper) $(bins)
 
 $(BUILD)/obj/%.c.o: %.c
 	@mkdir -p $(@D)
@@ -176,6 +181,11 @@ $(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
 endef
 $(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p))))
 
+$(helper): $(BUILD)/obj/$(src.helper).o $(archives)
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $< $(archive.libbake) $(archive.formats) $(archive.base) \
+	    $(LIBS.all)
+
 # ---- tests ----
 # tests/unit/LIB/ROOM/test_NAME.c becomes the cmocka program $(BUILD)/tests/LIB/test_NAME, so NAME
 # is unique within a library. It links LIB and the libraries that LIB may include.
@@ -200,7 +210,8 @@ $(foreach l,base formats libvoxel libbake exhaustion,$(eval src.helpers.$(l) := 
 define unit_rule
 $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
     $(helpers.$(call unit_lib,$(1))) \
-    | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(BUILD)/tests/lib)
+    | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(BUILD)/tests/lib) \
+    $(if $(filter libbake exhaustion,$(call unit_lib,$(1))),$(helper))
 	@mkdir -p $$(@D)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(needs.$(call unit_lib,$(1))) -lcmocka \
 	    $(if $(filter base,$(call unit_lib,$(1))),,$$(LIBS.formats) $$(LIBS.bake) $$(LIBS.tests)) \
@@ -227,7 +238,8 @@ $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(ar
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
 
-# Drivers for tests: a CUDA driver without a GPU, and an OpenCL driver that crashes.
+# Drivers for tests: a CUDA driver without a GPU, an OpenCL driver that crashes, and an OpenCL
+# library that starts CUDA.
 fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
 $(fake_cuda): $(patsubst %.c,$(BUILD)/obj/%.c.o,$(wildcard tests/fake/fake_*.c tests/fake/ptx_*.c))
 	@mkdir -p $(@D)
@@ -236,6 +248,12 @@ crashing_driver := $(BUILD)/tests/fake/crashing_driver.so
 $(crashing_driver): $(BUILD)/obj/tests/fake/crashing_driver.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -o $@ $^
+
+nvidia_opencl := $(BUILD)/tests/fake/nvidia/libOpenCL.so.1
+$(nvidia_opencl): $(BUILD)/obj/tests/fake/nvidia_opencl.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libOpenCL.so.1 -o $@ $^ -ldl
+fakes := $(fake_cuda) $(crashing_driver) $(nvidia_opencl)
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_headers := base/version.h base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
@@ -302,11 +320,11 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
-unit: $(unit_bins) $(module_files) $(fake_cuda) $(crashing_driver)
+unit: $(unit_bins) $(module_files) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) \
-    $(fake_cuda) $(crashing_driver) $(faults)
+    $(fakes) $(faults)
 
 ## test: build and run all tests, with the packages that are installed
 test: tests-build
@@ -319,7 +337,7 @@ threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/tes
     formats/test_texture libvoxel/% libbake/%),$(unit_bins))
 .PHONY: test-threads
 ## test-threads: the tests of parallel work; config=tsan finds races
-test-threads: all $(threaded_bins) $(generator) $(fake_cuda) $(crashing_driver)
+test-threads: all $(threaded_bins) $(generator) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(threaded_bins) tests/cli/test_threads.sh
 
 ## check: install missing packages, build, run all tests
@@ -387,8 +405,8 @@ $(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
 
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
 rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
-$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) | $(module_files) \
-    $(BUILD)/tests/lib
+$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) \
+    | $(module_files) $(helper) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 # The native device with counters. Its objects come before the library's when linking.
@@ -398,7 +416,7 @@ $(BUILD)/counted/%.c.o: %.c
 	$(CC) $(CPPFLAGS) $(CFLAGS) -c $< -o $@
 $(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
 $(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) \
-    | $(module_files) $(BUILD)/tests/lib
+    | $(module_files) $(helper) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
 $(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
@@ -439,17 +457,18 @@ bench-gpu: gpu-bundle
 	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
 
 ## gpu-bundle: collect what bench-gpu needs on a machine that cannot build, in build/gpu
-gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace
+gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace $(helper)
 	rm -rf $(gpu_bundle)
-	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib
-	cp $^ $(gpu_bundle)/bin
-	strip $(gpu_bundle)/bin/*
+	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib/bisque
+	cp $(filter-out $(helper),$^) $(gpu_bundle)/bin
+	cp $(helper) $(gpu_bundle)/lib/bisque
+	strip $(gpu_bundle)/bin/* $(gpu_bundle)/lib/bisque/*
 	ldd $(gpu_bundle)/bin/* | awk '$$2 == "=>" && $$3 ~ /^\// { print $$3 }' | sort -u | \
 	    grep -Ev '/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc[+][+])[.]so' | \
 	    xargs -I LIB cp LIB $(gpu_bundle)/lib
 
 # ---- quality ----
-sources_c := $(foreach l,$(libs),$(src.$(l))) $(wildcard tools/*.c)
+sources_c := $(foreach l,$(libs),$(src.$(l))) $(src.helper) $(wildcard tools/*.c)
 # The sources that .clang-format applies to.
 formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
     -name '*.c' -o -name '*.h' -o -name '*.cc' -o -name '*.cl'))
@@ -501,6 +520,7 @@ install: all
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
 	install -m 644 $(module_files) $(moddir)
+	install -m 755 $(helper) $(moddir)
 	install -m 644 $(archives) $(libdir)
 	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
 	    -o $(moddir)/module_directory.c.o

@@ -93,8 +93,8 @@ static int find_places(struct bsq_ctx *ctx, struct places *places)
     return status;
 }
 
-/* Reports a module that is in none of the places. */
-static int fail_missing(struct bsq_ctx *ctx, const char *name, const char *purpose,
+/* Reports a file that is in none of the places. */
+static int fail_missing(struct bsq_ctx *ctx, const char *what, const char *purpose,
                         const struct places *places)
 {
     const char *listed[PLACES] = {"", "", ""};
@@ -103,15 +103,15 @@ static int fail_missing(struct bsq_ctx *ctx, const char *name, const char *purpo
     for (int i = 0; i < PLACES; i++)
         if (places->directories[i])
             listed[count++] = places->directories[i];
-    return bsq_fail(ctx, BSQ_ENOINPUT,
-                    "%s need the module bisque-%s.so, which is not in %s%s%s%s%s", purpose, name,
+    return bsq_fail(ctx, BSQ_ENOINPUT, "%s need %s, which is not in %s%s%s%s%s", purpose, what,
                     listed[0], count > 2 ? ", " : "", count > 2 ? listed[1] : "",
                     count > 1 ? " or " : "", count > 1 ? listed[count - 1] : "");
 }
 
-/* Finds the module's file. The first place that has one decides: a file further down the list was
- * not installed with this program. */
-static int find(struct bsq_ctx *ctx, const char *name, const char *purpose, char **out)
+/* The first place that has the file decides: one further down the list was not installed with this
+ * program. */
+int fmt_module_find(struct bsq_ctx *ctx, const char *what, const char *file, const char *purpose,
+                    char **out)
 {
     struct places places;
     int status = find_places(ctx, &places);
@@ -122,7 +122,7 @@ static int find(struct bsq_ctx *ctx, const char *name, const char *purpose, char
     for (int i = 0; i < PLACES && !*out && status == 0; i++) {
         if (!places.directories[i])
             continue;
-        if (asprintf(out, "%s/bisque-%s.so", places.directories[i], name) < 0) {
+        if (asprintf(out, "%s/%s", places.directories[i], file) < 0) {
             *out = NULL;
             status = bsq_fail(ctx, BSQ_ENOMEM, "no memory to look for modules");
         } else if (access(*out, F_OK) != 0) {
@@ -131,8 +131,21 @@ static int find(struct bsq_ctx *ctx, const char *name, const char *purpose, char
         }
     }
     if (status == 0 && !*out)
-        status = fail_missing(ctx, name, purpose, &places);
+        status = fail_missing(ctx, what, purpose, &places);
     places_free(&places);
+    return status;
+}
+
+static int find_module(struct bsq_ctx *ctx, const char *name, const char *purpose, char **out)
+{
+    char *what = NULL;
+    int status;
+
+    *out = NULL;
+    if (asprintf(&what, "the module bisque-%s.so", name) < 0)
+        return bsq_fail(ctx, BSQ_ENOMEM, "no memory to look for modules");
+    status = fmt_module_find(ctx, what, strrchr(what, ' ') + 1, purpose, out);
+    free(what);
     return status;
 }
 
@@ -141,7 +154,7 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
 {
     const struct fmt_module *module = NULL;
     char *path;
-    int status = find(ctx, name, purpose, &path);
+    int status = find_module(ctx, name, purpose, &path);
 
     *out = NULL;
     if (status != 0)

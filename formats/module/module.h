@@ -52,6 +52,11 @@ struct fmt_module {
 int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
                     const struct fmt_module **out);
 
+/* Finds a file that is installed beside the modules; *out is its path, free() it. Errors name the
+ * file as `what`: "PURPOSE need WHAT, which is not in ...". Errors: BSQ_ENOINPUT, BSQ_ENOMEM. */
+int fmt_module_find(struct bsq_ctx *ctx, const char *what, const char *file, const char *purpose,
+                    char **out);
+
 /* The directory that modules are installed in; compiled in. */
 extern const char fmt_module_directory[];
 

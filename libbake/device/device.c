@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "libbake/device/cuda/cuda.h"
+#include "libbake/device/driver/driver.h"
 #include "libbake/device/native/native.h"
 #include "libbake/device/opencl/opencl.h"
 
@@ -42,7 +43,7 @@ static bool parse(const char *name, const struct bake_device_kind *kind, int64_t
         return false;
     if (name[length] == '\0')
         return true;
-    if (!kind->next_gpu || name[length] != ':' || name[length + 1] < '0' || name[length + 1] > '9')
+    if (!kind->drivers || name[length] != ':' || name[length + 1] < '0' || name[length + 1] > '9')
         return false;
     errno = 0;
     number = strtoul(name + length + 1, &end, 10);
@@ -103,23 +104,53 @@ static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
     return status;
 }
 
+/* ---- finding ---- */
+
+/* Lists the devices of a kind. Errors: BSQ_ENODEVICE if a driver crashes or hangs; BSQ_EINTR;
+ * BSQ_ENOMEM. */
+static int list_kind(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                     struct bake_device_list *out)
+{
+    *out = (struct bake_device_list){0};
+    return kind->drivers ? bake_probe(ctx, kind, out) : kind->list(ctx, out);
+}
+
+/* Lists the devices of a kind. Drivers that cannot be used are a warning. */
+static int list_or_warn(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                        struct bake_device_list *out)
+{
+    int status = list_kind(ctx, kind, out);
+
+    if (status == BSQ_ENODEVICE) {
+        bsq_warn(ctx, "%s", bsq_error(ctx));
+        bsq_clear_error(ctx);
+        return 0;
+    }
+    if (status == 0 && out->warning[0])
+        bsq_warn(ctx, "%s", out->warning);
+    return status;
+}
+
 /* Opens the first GPU of a kind that works; *out stays NULL if there is none. */
 static int open_gpu(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
                     const struct bake_job *job, struct bake_backend **out)
 {
-    int64_t number = -1;
+    struct bake_device_list list;
+    int status = list_or_warn(ctx, kind, &list);
 
-    if (!kind->next_gpu)
-        return 0;
-    while ((number = kind->next_gpu(ctx, number)) >= 0) {
-        int status = open_loaded(ctx, kind, number, job, out);
+    for (uint64_t i = 0; i < list.count && status == 0 && !*out; i++) {
+        int64_t number;
+        if (!list.devices[i].is_gpu || !parse(list.devices[i].id, kind, &number))
+            continue;
+        status = open_loaded(ctx, kind, number, job, out);
         if (status == BSQ_OK || status == BSQ_EINTR)
-            return status;
-        bsq_warn(ctx, "%s:%" PRId64 " is not used: %s", kind->name, number, bsq_error(ctx));
+            continue;
+        bsq_warn(ctx, "%s is not used: %s", list.devices[i].id, bsq_error(ctx));
         bsq_clear_error(ctx);
+        status = 0;
     }
-    bsq_clear_error(ctx); /* the search itself may have failed */
-    return 0;
+    bake_device_list_free(ctx, &list);
+    return status;
 }
 
 /* Opens the first GPU of any kind that works, and the processor as its fallback; without a GPU, the
@@ -135,16 +166,18 @@ static int open_any(struct bake_device *device)
                                  device->backend ? &device->fallback : &device->backend);
 }
 
+/* Asks the drivers first: they may crash or hang. What they answer otherwise, open() finds too. */
 static int open_named(struct bake_device *device, const char *name)
 {
     int64_t index;
     const struct bake_device_kind *kind = find_kind(name, &index);
-    int status = 0;
+    struct bake_device_list list;
+    int status;
 
     if (!kind)
         return bsq_fail(device->ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
-    if (kind->check)
-        status = kind->check(device->ctx);
+    status = list_kind(device->ctx, kind, &list);
+    bake_device_list_free(device->ctx, &list);
     return status < 0 ? status
                       : open_loaded(device->ctx, kind, index, device->job, &device->backend);
 }
@@ -283,10 +316,14 @@ void bake_device_close(struct bake_device *device)
 int bake_list_devices(struct bsq_ctx *ctx,
                       void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
 {
-    for (int i = 0; i < KINDS; i++) {
-        int status = kinds[i]->list(ctx, fn, arg);
-        if (status < 0)
-            return status;
+    int status = 0;
+
+    for (int i = 0; i < KINDS && status == 0; i++) {
+        struct bake_device_list list;
+        status = list_or_warn(ctx, kinds[i], &list);
+        for (uint64_t n = 0; n < list.count; n++)
+            fn(arg, &list.devices[n]);
+        bake_device_list_free(ctx, &list);
     }
-    return 0;
+    return status;
 }

@@ -86,6 +86,52 @@ if [ -s "$ptx" ]; then
     code 0
     warned "$p warning: CUDA does not start: CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (system has unsupported display driver / cuda driver combination)"
 
+    # ---- drivers that crash or hang, and other processes that ask them ----
+
+    # NVIDIA's OpenCL driver starts CUDA, so it must not be asked by a child of a process that has started CUDA.
+    nvidia() { LD_LIBRARY_PATH=$fake:$fake/nvidia bake "$@"; }
+    FAKE_CUDA_FAIL=cuModuleLoadDataEx:1:218 nvidia --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+    code 0
+    warned "$p warning: opencl:0 is not used: Fake GPU (Fake CUDA): clCreateContext: CL_DEVICE_NOT_AVAILABLE"
+    FAKE_CUDA_FAIL=cuInit:1:-6 cuda --device cuda $maps -o 'x_<MAP>.exr'
+    refused 69 "$p CUDA cannot be used: a driver crashed when it was asked for its devices (Aborted)"
+    LD_LIBRARY_PATH=$fake:$fake/nvidia "$BIN/bisque-bake" --list-devices 2>&- 0<&- | grep -q '^opencl:0'
+    check "devices are listed without standard input and error" $?
+
+    # gone PID: waits until a process has ended; hung: starts a job with a driver that hangs, sets $job and $asking.
+    gone()
+    {
+        for _ in $(seq 200); do
+            [ -d "/proc/$1" ] || return 0
+            case $(cat "/proc/$1/stat" 2>/dev/null) in *") Z "*) return 0 ;; esac
+            sleep 0.05
+        done
+        return 1
+    }
+    hung()
+    {
+        rm -f hang
+        LD_LIBRARY_PATH=$fake FAKE_CUDA_HANG=hang "$BIN/bisque-bake" $maps -o 'x_<MAP>.exr' >"$out" 2>"$err" &
+        job=$!
+        until [ -s hang ]; do sleep 0.05; done
+        asking=$(cat hang)
+    }
+    command="bisque-bake with a driver that hangs"
+    hung
+    kill -TERM "$job"
+    code=0
+    wait "$job" || code=$?
+    code 75
+    gone "$asking"
+    check "the process that asks a driver ends with an interrupted job" $?
+    hung
+    kill -KILL "$job"
+    wait "$job" 2>/dev/null
+    gone "$asking"
+    check "the process that asks a driver ends with a killed job" $?
+
+    # ---- the kernel's PTX ----
+
     command="awk -f check_ptx.awk $ptx" code=0
     awk -f "$top/libbake/kernel/check_ptx.awk" "$ptx" >"$out" 2>"$err" || code=$?
     check "the PTX rounds as the processor does" "$code"
@@ -123,19 +169,46 @@ fi
 
 OCL_ICD_VENDORS=$fake/crashing_driver.so
 export OCL_ICD_VENDORS
-crash="$p warning: OpenCL is not used: a driver crashed when it was asked for its devices (Aborted)"
+crash="OpenCL cannot be used: a driver crashed when it was asked for its devices (Aborted)"
 bake --list-devices
-if [ "$(cat "$err")" = "$crash" ]; then
+if [ "$(cat "$err")" = "$p warning: $crash" ]; then
     code 0
     bake --size 16 --maps mask vase.nvdb low.obj -o mask.exr
     code 0
-    warned "$crash"
-    bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o mask.exr
-    code 69
-    warned "$p OpenCL has no devices (no driver that works is installed)"
+    warned "$p warning: $crash"
+    bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o x.exr
+    refused 69 "$p $crash"
 else
     skip "a driver that crashes" "no OpenCL loader that takes it"
 fi
+OCL_ICD_VENDORS=/nowhere
+bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o x.exr
+if [ "$code" -eq 69 ]; then
+    refused 69 "$p OpenCL has no devices (no driver that works is installed)"
+    bake --list-devices
+    check "no warning if no OpenCL driver is registered" "$(wc -l <"$err")"
+fi
 unset OCL_ICD_VENDORS
+
+# ---- the program that asks drivers is missing, or of another version ----
+
+mkdir -p moved/bin moved/lib/bisque
+cp "$BIN/bisque-bake" moved/bin
+BIN=$PWD/moved/bin
+places="$PWD/moved/bin, $PWD/moved/lib/bisque or "
+bake --device cuda --size 16 --maps mask vase.nvdb low.obj -o x.exr
+code 69
+grep -Fq "$p CUDA devices need the program bisque-devices, which is not in $places" "$err"
+check "a missing bisque-devices is named" $?
+bake --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+code 0
+grep -Fq "$p warning: OpenCL devices need the program bisque-devices, which is not in $places" "$err"
+check "without bisque-devices, the processor bakes" $?
+{ printf '#!/bin/sh\nprintf 99.0.0\n'; echo 'head -c 2000 /dev/zero'; } >moved/lib/bisque/bisque-devices
+chmod +x moved/lib/bisque/bisque-devices
+bake --device cuda --size 16 --maps mask vase.nvdb low.obj -o x.exr
+code 69
+grep -q "^$p CUDA cannot be used: $PWD/moved/lib/bisque/bisque-devices is of version 99\.0\.0, this program is of [0-9.]*$" "$err"
+check "a bisque-devices of another version is refused" $?
 
 finish

@@ -8,14 +8,17 @@
  *  - a thread without a context can do nothing, not even free;
  *  - the first launch takes a 32nd of the memory, as for spilled registers;
  *  - the PTX's entry must have the parameters that launches pass;
+ *  - after fork() in a process that has started CUDA, all calls fail in the child;
  *  - objects that are not freed at exit are counted on standard error.
  * cuInit() reads these environment variables:
  *  - FAKE_CUDA_DEVICES=N: number of devices (1);
  *  - FAKE_CUDA_MEMORY=BYTES: memory of each (1 GiB);
  *  - FAKE_CUDA_TAKEN=BYTES: memory that another program takes after the first cuMemGetInfo();
  *  - FAKE_CUDA_CAPABILITY=NN: compute capability (90);
+ *  - FAKE_CUDA_VERSION=N: CUDA's version, 1000 * major + 10 * minor (13000);
  *  - FAKE_CUDA_FAIL=CALL:N:CODE: the Nth call of a function fails with CODE; if CODE is 700 or
- * more, so do all later calls;
+ * more, so do all later calls; if it is negative, the call raises that signal;
+ *  - FAKE_CUDA_HANG=FILE: cuInit() writes the process's number to the file and never returns;
  *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of event time (default: real time);
  *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel;
  *  - FAKE_CUDA_HOLD=N: the first kernel ends only after a copy was enqueued on an older stream that
@@ -23,9 +26,11 @@
  *  - FAKE_CUDA_MAPS=0: memory cannot be mapped to addresses;
  *  - FAKE_CUDA_PTX=1: runs the PTX that was loaded;
  *  - FAKE_CUDA_COUNT=1: prints at exit how many PTX instructions warps executed. */
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "tests/fake/fake_cuda_internal.h"
 
@@ -33,6 +38,7 @@ struct fake_cuda fake = {.lock = PTHREAD_MUTEX_INITIALIZER, .device_count = -1};
 _Thread_local CUcontext fake_current;
 
 /* Requires the lock. */
+static pid_t process; /* that called cuInit() first */
 static int failing_code;
 static char failing_call[64];
 static unsigned calls_left;
@@ -47,7 +53,7 @@ CUresult fake_begin(const char *call)
 {
     CUresult code = CUDA_SUCCESS;
     pthread_mutex_lock(&fake.lock);
-    if (fake.device_count < 0)
+    if (fake.device_count < 0 || process != getpid())
         code = NOT_INITIALIZED;
     else if (fake.sticky)
         code = fake.sticky;
@@ -56,7 +62,21 @@ CUresult fake_begin(const char *call)
     if (code >= STICKY)
         fake.sticky = code;
     pthread_mutex_unlock(&fake.lock);
+    if (code < 0)
+        raise(-code);
     return code;
+}
+
+static void hang(const char *path)
+{
+    FILE *file = fopen(path, "w");
+
+    if (file) {
+        fprintf(file, "%d\n", (int)getpid());
+        fclose(file);
+    }
+    for (;;)
+        pause();
 }
 
 void fake_count_live(int change)
@@ -90,8 +110,13 @@ static const struct {
 } errors[] = {
     {INVALID_VALUE, "CUDA_ERROR_INVALID_VALUE", "invalid argument"},
     {CUDA_ERROR_OUT_OF_MEMORY, "CUDA_ERROR_OUT_OF_MEMORY", "out of memory"},
+    {NOT_INITIALIZED, "CUDA_ERROR_NOT_INITIALIZED", "initialization error"},
     {NO_DEVICE, "CUDA_ERROR_NO_DEVICE", "no CUDA-capable device is detected"},
     {INVALID_PTX, "CUDA_ERROR_INVALID_PTX", "a PTX JIT compilation failed"},
+    {CUDA_ERROR_JIT_COMPILER_NOT_FOUND, "CUDA_ERROR_JIT_COMPILER_NOT_FOUND",
+     "PTX JIT compiler library not found"},
+    {CUDA_ERROR_UNSUPPORTED_PTX_VERSION, "CUDA_ERROR_UNSUPPORTED_PTX_VERSION",
+     "the provided PTX was compiled with an unsupported toolchain."},
     {719, "CUDA_ERROR_LAUNCH_FAILED", "unspecified launch failure"},
     {803, "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH",
      "system has unsupported display driver / cuda driver combination"},
@@ -121,7 +146,10 @@ CUresult cuInit(unsigned flags)
 {
     const char *fail = getenv("FAKE_CUDA_FAIL");
 
+    if (getenv("FAKE_CUDA_HANG"))
+        hang(getenv("FAKE_CUDA_HANG"));
     pthread_mutex_lock(&fake.lock);
+    process = process ? process : getpid();
     fake.device_count = (int)setting("FAKE_CUDA_DEVICES", 1);
     fake.memory_bytes = setting("FAKE_CUDA_MEMORY", 1u << 30);
     fake.taken_bytes = setting("FAKE_CUDA_TAKEN", 0);
@@ -141,6 +169,12 @@ CUresult cuInit(unsigned flags)
     if (fake.device_count == 0)
         return NO_DEVICE;
     return flags == 0 ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuDriverGetVersion(int *version)
+{
+    *version = (int)setting("FAKE_CUDA_VERSION", 13000);
+    return CUDA_SUCCESS;
 }
 
 CUresult cuDeviceGetCount(int *count)

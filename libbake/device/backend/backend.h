@@ -53,23 +53,34 @@ struct bake_backend {
 /* Device number that stands for the kind's own choice. */
 enum { BAKE_ANY_DEVICE = -1 };
 
+enum { BAKE_WARNING_BYTES = 512 };
+
+/* The devices of a kind. */
+struct bake_device_list {
+    struct bake_device_info *devices;
+    uint64_t count, capacity;
+    char warning[BAKE_WARNING_BYTES]; /* "", or why a driver that is installed cannot be used */
+};
+
+/* Appends a device. Errors: BSQ_ENOMEM. */
+int bake_device_list_add(struct bsq_ctx *ctx, struct bake_device_list *list,
+                         const struct bake_device_info *device);
+void bake_device_list_free(struct bsq_ctx *ctx, struct bake_device_list *list);
+
 /* A kind of device. */
 struct bake_device_kind {
     const char *name; /* as in "--device name" or "--device name:N" */
+    /* What its drivers are called in messages. NULL: it needs none and has a single device, which
+     * is no GPU. */
+    const char *drivers;
     /* Opens device number `index` or BAKE_ANY_DEVICE for a job, without loading the grid.
      * Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
     int (*open)(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
                 struct bake_backend **out);
-    /* Calls fn for each device in the order of their numbers; not at all if no driver is installed.
-     * Warns of drivers that do not work. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
-    int (*list)(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
-                void *arg);
-    /* Returns the number of the first GPU above `after` (-1: of all), or a negative number. NULL:
-     * the kind has a single device, which is no GPU. */
-    int64_t (*next_gpu)(struct bsq_ctx *ctx, int64_t after);
-    /* Fails with BSQ_ENODEVICE if open() would find no device or a driver would crash. NULL: open()
-     * is safe. */
-    int (*check)(struct bsq_ctx *ctx);
+    /* Fills an empty list with the devices in the order of their numbers; with none if no driver is
+     * installed. If the kind needs drivers, this runs in the program bisque-devices, and
+     * bake_probe() gets the list from there. Errors: BSQ_ENOMEM. */
+    int (*list)(struct bsq_ctx *ctx, struct bake_device_list *out);
 };
 
 #endif

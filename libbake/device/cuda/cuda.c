@@ -337,22 +337,9 @@ static const struct bake_compute_calls calls = {.describe = cuda_describe,
 
 /* ---- opening and closing ---- */
 
-/* Records the compiler's messages on one line. */
-static int fail_compile(struct cuda *cuda, CUresult code, char *log)
-{
-    char text[BAKE_CUDA_TEXT];
-
-    for (char *p = log; *p; p++)
-        if (*p == '\n')
-            *p = ' ';
-    return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: compiling the kernel: %s%s%s",
-                    cuda->device.name, bake_cuda_error(&cuda->api, code, text), *log ? ": " : "",
-                    log);
-}
-
 static int load_kernel(struct cuda *cuda)
 {
-    char log[1024] = "";
+    char log[1024] = "", reason[BAKE_CUDA_REASON];
     int options[] = {CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES,
                      CU_JIT_MAX_REGISTERS};
     void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1),
@@ -360,8 +347,10 @@ static int load_kernel(struct cuda *cuda)
     CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, bake_cuda_ptx,
                                                  cuda->tuning.registers ? 3 : 2, options, values);
 
-    if (code != CUDA_SUCCESS)
-        return fail_compile(cuda, code, log);
+    if (code != CUDA_SUCCESS) {
+        bake_cuda_refusal(&cuda->api, code, log, reason);
+        return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
+    }
     code = cuda->api.cuModuleGetFunction(&cuda->kernel, cuda->module, "bake_tile");
     return code == CUDA_SUCCESS ? 0
                                 : bake_compute_fail(&cuda->compute, "cuModuleGetFunction", code);
@@ -484,8 +473,8 @@ static void cuda_close(struct bake_backend *backend)
     bake_compute_free(&cuda->compute);
 }
 
-int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
-                   struct bake_backend **out)
+static int cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                     struct bake_backend **out)
 {
     struct cuda *cuda;
     int status = bsq_calloc(ctx, "CUDA device", 1, sizeof *cuda, &cuda);
@@ -503,3 +492,6 @@ int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *jo
         *out = &cuda->compute.base;
     return status;
 }
+
+const struct bake_device_kind bake_cuda_kind = {
+    .name = "cuda", .drivers = "CUDA", .open = cuda_open, .list = bake_cuda_list};

@@ -23,7 +23,11 @@ typedef struct CUevent_st *CUevent;
 enum {
     CUDA_SUCCESS = 0,
     CUDA_ERROR_OUT_OF_MEMORY = 2,
+    CUDA_ERROR_NOT_INITIALIZED = 3,
     CUDA_ERROR_NO_DEVICE = 100,
+    CUDA_ERROR_JIT_COMPILER_NOT_FOUND = 221,
+    CUDA_ERROR_UNSUPPORTED_PTX_VERSION = 222,
+    CUDA_ERROR_JIT_COMPILATION_DISABLED = 223,
 
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR = 75,
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR = 76,
@@ -65,6 +69,7 @@ _Static_assert(sizeof(struct bake_cuda_access) == 12, "size in NVIDIA's header")
  * since CUDA 11.0. */
 #define BAKE_CUDA_FUNCTIONS(X)                                                                     \
     X(cuInit, cuInit, (unsigned flags))                                                            \
+    X(cuDriverGetVersion, cuDriverGetVersion, (int *version))                                      \
     X(cuGetErrorName, cuGetErrorName, (CUresult code, const char **text))                          \
     X(cuGetErrorString, cuGetErrorString, (CUresult code, const char **text))                      \
     X(cuDeviceGetCount, cuDeviceGetCount, (int *count))                                            \
@@ -156,13 +161,18 @@ CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bak
 /* The kernel for any device, ended by a zero; "" if the build had no compiler for it. */
 extern const char bake_cuda_ptx[];
 
+enum { BAKE_CUDA_REASON = 1200 };
+/* Describes why the driver refused the kernel, in buffer (BAKE_CUDA_REASON bytes): the error, and
+ * what the user can do about it. log: the compiler's messages. */
+void bake_cuda_refusal(const struct bake_cuda_api *api, CUresult code, const char *log,
+                       char *buffer);
+/* Returns the version of CUDA, as 10 * major + minor, whose drivers take PTX of a version in the
+ * same form. */
+int bake_cuda_version_for_ptx(int ptx_version);
+
 /* Loads the driver and finds device number `index`, or the first for BAKE_ANY_DEVICE. Errors:
  * BSQ_ENODEVICE, with the devices that exist. */
 int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
                      struct bake_cuda_device *out);
-
-/* See struct bake_device_kind. */
-int bake_cuda_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
-                   struct bake_backend **out);
 
 #endif

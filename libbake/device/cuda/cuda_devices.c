@@ -17,19 +17,24 @@ enum { LINE_BYTES = BAKE_CUDA_TEXT + 96 };
 static const char *describe_state(const struct bake_cuda_api *api, enum bake_cuda_state state,
                                   CUresult code, char *buffer)
 {
+    const char *visible = getenv("CUDA_VISIBLE_DEVICES");
     char text[BAKE_CUDA_TEXT];
 
-    switch (state) {
-    case BAKE_CUDA_NOT_INSTALLED:
+    if (state == BAKE_CUDA_NOT_INSTALLED)
         return "CUDA is not installed (libcuda.so.1, a part of NVIDIA's driver)";
-    case BAKE_CUDA_TOO_OLD:
+    if (state == BAKE_CUDA_TOO_OLD)
         return "CUDA: NVIDIA's driver is too old; version 450 or later is needed";
-    case BAKE_CUDA_NO_GPU:
+    if (state == BAKE_CUDA_NO_GPU && !visible)
         return "CUDA has no devices";
-    default:
-        snprintf(buffer, LINE_BYTES, "CUDA does not start: %s", bake_cuda_error(api, code, text));
-        return buffer;
-    }
+    if (state == BAKE_CUDA_NO_GPU)
+        snprintf(buffer, LINE_BYTES, "CUDA has no devices (CUDA_VISIBLE_DEVICES is \"%.80s\")",
+                 visible);
+    else
+        snprintf(buffer, LINE_BYTES, "CUDA does not start: %s%s", bake_cuda_error(api, code, text),
+                 code == CUDA_ERROR_NOT_INITIALIZED
+                     ? "; a process cannot use CUDA after fork() if its parent did"
+                     : "");
+    return buffer;
 }
 
 /* Returns the compute capability that the PTX is for, as 10 * major + minor. */
@@ -88,36 +93,23 @@ int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *a
 
 /* ---- listing ---- */
 
-/* Opens the driver for a list or "auto". Writes a warning if there is a driver that cannot be used.
- */
-static bool load_quietly(struct bake_cuda_api *api, int *count, char *warning)
-{
-    char text[LINE_BYTES];
-    CUresult code;
-    enum bake_cuda_state state = bake_cuda_load(api, count, &code);
-
-    warning[0] = '\0';
-    if (state == BAKE_CUDA_NOT_INSTALLED || state == BAKE_CUDA_NO_GPU)
-        return false;
-    if (state != BAKE_CUDA_WORKS)
-        snprintf(warning, LINE_BYTES, "%s", describe_state(api, state, code, text));
-    else if (!bake_cuda_ptx[0])
-        snprintf(warning, LINE_BYTES, "NVIDIA's driver is not used: %s", no_kernel);
-    return !warning[0];
-}
-
-static void ask(struct bake_probe_pipe *replies)
+int bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out)
 {
     struct bake_cuda_api api;
-    char warning[LINE_BYTES];
-    int count;
+    char text[LINE_BYTES];
+    CUresult code;
+    int count, status = 0;
+    enum bake_cuda_state state = bake_cuda_load(&api, &count, &code);
 
-    if (!load_quietly(&api, &count, warning)) {
-        if (warning[0])
-            bake_probe_send_warning(replies, warning);
-        return;
-    }
-    for (int i = 0; i < count; i++) {
+    if (state == BAKE_CUDA_NOT_INSTALLED || state == BAKE_CUDA_NO_GPU)
+        return 0;
+    if (state != BAKE_CUDA_WORKS)
+        snprintf(out->warning, sizeof out->warning, "%s", describe_state(&api, state, code, text));
+    else if (!bake_cuda_ptx[0])
+        snprintf(out->warning, sizeof out->warning, "NVIDIA's driver is not used: %s", no_kernel);
+    if (out->warning[0])
+        return 0;
+    for (int i = 0; i < count && status == 0; i++) {
         struct bake_device_info info = {.is_gpu = true};
         struct bake_cuda_device device;
         if (bake_cuda_device(&api, i, &device) != CUDA_SUCCESS)
@@ -125,30 +117,7 @@ static void ask(struct bake_probe_pipe *replies)
         info.memory_bytes = device.memory_bytes;
         snprintf(info.id, sizeof info.id, "cuda:%d", i);
         snprintf(info.name, sizeof info.name, "%s", device.name);
-        bake_probe_send_device(replies, &info);
+        status = bake_device_list_add(ctx, out, &info);
     }
+    return status;
 }
-
-/* Asks in a child process: if CUDA were started in this one, a later child that asks NVIDIA's
- * OpenCL driver would inherit it, and CUDA does not work after fork(). */
-static int list(struct bsq_ctx *ctx, void (*fn)(void *arg, const struct bake_device_info *device),
-                void *arg)
-{
-    return bake_probe(ctx, "CUDA", ask, fn, arg);
-}
-
-static int64_t next_gpu(struct bsq_ctx *ctx, int64_t after)
-{
-    struct bake_cuda_api api;
-    char warning[LINE_BYTES];
-    int count;
-
-    if (load_quietly(&api, &count, warning))
-        return after + 1 < count ? after + 1 : -1;
-    if (warning[0])
-        bsq_warn(ctx, "%s", warning);
-    return -1;
-}
-
-const struct bake_device_kind bake_cuda_kind = {
-    .name = "cuda", .open = bake_cuda_open, .list = list, .next_gpu = next_gpu};

@@ -1,10 +1,10 @@
 /* driver.h - finds GPU drivers' libraries, and asks drivers for their devices without risk.
  *
- * Takes a library's name or a function that calls a driver; gives the library, or the devices. */
+ * Takes a library's name, or the name of a kind of device; gives the library, or the devices. */
 #ifndef BAKE_DEVICE_DRIVER_DRIVER_H
 #define BAKE_DEVICE_DRIVER_DRIVER_H
 
-#include "libbake/bake.h"
+#include "libbake/device/backend/backend.h"
 
 /* Directories that containers, WSL and distributions put drivers into; ends with NULL. Containers
  * often mount a GPU's driver without telling the dynamic linker. */
@@ -16,17 +16,16 @@ extern const char *const bake_driver_directories[];
 void *bake_driver_library(const char *name, int flags, const char *const directories[],
                           const char **found);
 
-/* For the asking function of bake_probe(): tell a device or a warning to the parent process. */
-struct bake_probe_pipe;
-void bake_probe_send_device(struct bake_probe_pipe *replies, const struct bake_device_info *device);
-void bake_probe_send_warning(struct bake_probe_pipe *replies, const char *line);
+/* Lists the devices of a kind as its `list` does, but in another process: drivers may crash, hang,
+ * print, or keep hundreds of megabytes, and CUDA does not work in a process that was forked from
+ * one that uses it (docs/decisions/0016-drivers-that-misbehave.md). The process runs the program
+ * bisque-devices, which is installed beside the modules. Errors: BSQ_ENODEVICE if a driver crashes
+ * or takes more than 30 s, or without that program; BSQ_EINTR; BSQ_ENOMEM. */
+int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+               struct bake_device_list *out);
 
-/* Calls ask() in a forked process, since drivers may crash, hang, print, or keep hundreds of
- * megabytes (docs/decisions/0016-drivers-that-misbehave.md). After ask() has returned, calls fn
- * (may be NULL) for each device and bsq_warn() for each warning, in the order in which ask() sent
- * them. If ask() crashes or takes more than 30 s, there is one warning and no device. `what` names
- * the drivers in it. Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
-int bake_probe(struct bsq_ctx *ctx, const char *what, void (*ask)(struct bake_probe_pipe *replies),
-               void (*fn)(void *arg, const struct bake_device_info *device), void *arg);
+/* The part of bisque-devices: writes a list to the pipe `to`, for bake_probe(). Returns false if it
+ * cannot. */
+bool bake_probe_answer(int to, const struct bake_device_list *list);
 
 #endif

@@ -67,14 +67,12 @@ static void describe(struct bsq_ctx *ctx, struct bake_device_info *info)
         info->memory_bytes = (uint64_t)pages * (uint64_t)page_bytes;
 }
 
-static int native_list(struct bsq_ctx *ctx,
-                       void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
+static int native_list(struct bsq_ctx *ctx, struct bake_device_list *out)
 {
     struct bake_device_info info;
 
     describe(ctx, &info);
-    fn(arg, &info);
-    return 0;
+    return bake_device_list_add(ctx, out, &info);
 }
 
 static int native_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,

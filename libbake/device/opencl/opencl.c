@@ -340,7 +340,7 @@ static int choose(struct opencl *cl, int64_t index)
     }
     if (count == 0)
         return bsq_fail(cl->compute.ctx, BSQ_ENODEVICE,
-                        "OpenCL has no devices (no driver is installed)");
+                        "OpenCL has no devices (no driver that works is installed)");
     if (!found)
         return bsq_fail(cl->compute.ctx, BSQ_ENODEVICE,
                         "there is no device opencl:%" PRId64 "; there is%s", index, there);
@@ -458,8 +458,8 @@ static void opencl_close(struct bake_backend *backend)
     bake_compute_free(&cl->compute);
 }
 
-int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
-                     struct bake_backend **out)
+static int opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+                       struct bake_backend **out)
 {
     struct opencl *cl;
     int status = bsq_calloc(ctx, "OpenCL device", 1, sizeof *cl, &cl);
@@ -477,3 +477,6 @@ int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *
         *out = &cl->compute.base;
     return status;
 }
+
+const struct bake_device_kind bake_opencl_kind = {
+    .name = "opencl", .drivers = "OpenCL", .open = opencl_open, .list = bake_opencl_list};

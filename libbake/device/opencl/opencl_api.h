@@ -76,8 +76,4 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
 int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
                       const struct bake_opencl_device *device, cl_context context, cl_program *out);
 
-/* See struct bake_device_kind. */
-int bake_opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
-                     struct bake_backend **out);
-
 #endif

@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <cmocka.h>
@@ -18,16 +19,20 @@
 #include "libbake/device/compute/launch_batches.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
-/* Opens the fake driver. A later dlopen() of "libcuda.so.1" finds it among the open libraries. */
+/* Opens the fake driver. A later dlopen() of "libcuda.so.1" finds it among the open libraries, and
+ * bisque-devices finds it in LD_LIBRARY_PATH, beside an OpenCL library that starts CUDA. */
 static int open_fake(void)
 {
-    char path[4096];
+    char path[4096], directories[8300];
     ssize_t length = readlink("/proc/self/exe", path, sizeof path - 64);
 
     assert_true(length > 0);
     path[length] = '\0';
     *strrchr(path, '/') = '\0';
-    strcat(path, "/../fake/libcuda.so.1");
+    strcat(path, "/../fake");
+    snprintf(directories, sizeof directories, "%s:%s/nvidia", path, path);
+    setenv("LD_LIBRARY_PATH", directories, 1);
+    strcat(path, "/libcuda.so.1");
     if (dlopen(path, RTLD_NOW | RTLD_LOCAL))
         return 0;
     fprintf(stderr, "%s\n", dlerror());
@@ -37,7 +42,7 @@ static int open_fake(void)
 static void restore(void)
 {
     static const char *const names[] = {"DEVICES", "MEMORY", "TAKEN", "CAPABILITY", "FAIL",
-                                        "NS",      "HOURS",  "PTX",   "MAPS"};
+                                        "NS",      "HOURS",  "PTX",   "MAPS",       "VERSION"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -153,7 +158,7 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct sh
     struct bake_subgrid whole;
     char why[BAKE_WHY_BYTES];
 
-    assert_int_equal(bake_cuda_open(f->ctx, 0, &f->job, &backend), 0);
+    assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
     bake_subgrid_whole(&f->grid, &f->job.params, &whole);
     assert_int_equal(backend->load(backend, 0, &whole, why), 0);
     for (int i = 0; i < tiles; i++)
@@ -356,6 +361,10 @@ static void test_absent(void **state)
                    "there is no device cuda:2; there is cuda:0 Fake GPU 0, cuda:1 Fake GPU 1");
     setenv("FAKE_CUDA_DEVICES", "0", 1);
     expect_failure(f, "cuda", "CUDA has no devices");
+    setenv("CUDA_VISIBLE_DEVICES", "", 1);
+    setenv("FAKE_CUDA_DEVICES", "0", 1);
+    expect_failure(f, "cuda", "CUDA has no devices (CUDA_VISIBLE_DEVICES is \"\")");
+    unsetenv("CUDA_VISIBLE_DEVICES");
     setenv("FAKE_CUDA_FAIL", "cuInit:1:803", 1);
     expect_failure(f, "cuda",
                    "CUDA does not start: CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (system has unsupported "
@@ -376,8 +385,31 @@ static void test_wrong_architecture(void **state)
     expect_failure(*state, "cuda", message);
 }
 
+/* PTX that is newer than the driver is no error of the compiler. */
+static void test_old_driver(void **state)
+{
+    static const int versions[][2] = {{40, 60},  {63, 100}, {70, 110}, {78, 118}, {80, 120},
+                                      {85, 125}, {86, 127}, {88, 129}, {90, 130}, {91, 131}};
+    struct fixture *f = *state;
+    struct bake_device *device;
+
+    for (size_t i = 0; i < sizeof versions / sizeof *versions; i++)
+        assert_int_equal(bake_cuda_version_for_ptx(versions[i][0]), versions[i][1]);
+    setenv("FAKE_CUDA_VERSION", "11040", 1);
+    setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:222", 1);
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
+    assert_non_null(strstr(bsq_error(f->ctx), "Fake GPU 0: NVIDIA's driver is too old: it is for "
+                                              "CUDA 11.4, and the program's kernel (PTX "));
+    bsq_clear_error(f->ctx);
+}
+
 static void test_compiler_refuses(void **state)
 {
+    setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:221", 1);
+    expect_failure(*state, "cuda",
+                   "Fake GPU 0: compiling the kernel: CUDA_ERROR_JIT_COMPILER_NOT_FOUND (PTX JIT "
+                   "compiler library not found); install libnvidia-ptxjitcompiler.so.1, a part of "
+                   "NVIDIA's driver");
     setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:218", 1);
     expect_failure(
         *state, "cuda",
@@ -545,6 +577,73 @@ static void test_list(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+static void on_any_gpu(void *arg, const struct bake_device_info *info)
+{
+    if (!info->is_gpu)
+        return;
+    strcat(arg, info->id);
+    strcat(arg, " ");
+}
+
+/* Drivers are asked in a process that does not inherit a started CUDA, or else NVIDIA's OpenCL
+ * driver and a second list would find no device. */
+static void test_list_after_cuda_started(void **state)
+{
+    struct fixture *f = *state;
+    struct bsq_ctx *ctx = create_context(0);
+    struct bake_device *device;
+    char listed[256] = "";
+
+    assert_int_equal(bake_device_open(ctx, "cuda", &f->job, &device), 0);
+    assert_int_equal(bake_list_devices(ctx, on_any_gpu, listed), 0);
+    assert_string_equal(listed, "cuda:0 opencl:0 ");
+    bake_device_close(device);
+    listed[0] = '\0';
+    assert_int_equal(bake_list_devices(ctx, on_any_gpu, listed), 0);
+    assert_string_equal(listed, "cuda:0 opencl:0 ");
+    assert_string_equal(warnings, "");
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* A caller that was forked after it had started CUDA is told so. */
+static void test_forked_caller(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_device *device;
+    int ended = -1;
+
+    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
+    bake_device_close(device);
+    pid_t child = fork();
+    if (child == 0) {
+        int status = bake_device_open(f->ctx, "cuda", &f->job, &device);
+        _exit(status == BSQ_ENODEVICE && strstr(bsq_error(f->ctx), "fork()") ? 0 : 1);
+    }
+    assert_int_equal(waitpid(child, &ended, 0), child);
+    assert_int_equal(ended, 0);
+}
+
+/* A driver that crashes is an error with a message for "cuda", a warning for "auto". */
+static void test_crash(void **state)
+{
+    static const char crash[] = "CUDA cannot be used: a driver crashed when it was asked for its "
+                                "devices (Segmentation fault)";
+    struct fixture *f = *state;
+    struct bsq_ctx *ctx = create_context(0);
+    struct bake_device *device;
+
+    setenv("FAKE_CUDA_FAIL", "cuInit:1:-11", 1);
+    assert_int_equal(bake_device_open(ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
+    assert_string_equal(bsq_error(ctx), crash);
+    bsq_clear_error(ctx);
+    assert_int_equal(bake_device_open(ctx, "auto", &f->job, &device), 0);
+    assert_memory_equal(warnings, crash, strlen(crash));
+    assert_string_equal(bake_device_name(device), "cpu, 2 threads");
+    bake_device_close(device);
+    bsq_ctx_destroy(ctx);
+}
+
 /* A driver's library is found in directories that the dynamic linker does not search; a file that
  * is no library is skipped. */
 static void test_directories(void **state)
@@ -588,7 +687,7 @@ static bool has_kernel(void)
     bool has;
 
     setenv("FAKE_CUDA_DEVICES", "0", 1);
-    has = bake_cuda_open(ctx, 0, &nothing, &backend) == BSQ_ENODEVICE &&
+    has = bake_cuda_kind.open(ctx, 0, &nothing, &backend) == BSQ_ENODEVICE &&
           !strstr(bsq_error(ctx), "built without CUDA");
     bsq_ctx_destroy(ctx);
     return has;
@@ -608,6 +707,7 @@ int main(void)
         cmocka_unit_test_setup(test_batches_of_texels, each_setup),
         cmocka_unit_test_setup(test_absent, each_setup),
         cmocka_unit_test_setup(test_wrong_architecture, each_setup),
+        cmocka_unit_test_setup(test_old_driver, each_setup),
         cmocka_unit_test_setup(test_compiler_refuses, each_setup),
         cmocka_unit_test_setup(test_small_device, each_setup),
         cmocka_unit_test_setup(test_opening_fails, each_setup),
@@ -616,6 +716,9 @@ int main(void)
         cmocka_unit_test_setup(test_auto_takes_the_next, each_setup),
         cmocka_unit_test_setup(test_budget, each_setup),
         cmocka_unit_test_setup(test_list, each_setup),
+        cmocka_unit_test_setup(test_list_after_cuda_started, each_setup),
+        cmocka_unit_test_setup(test_forked_caller, each_setup),
+        cmocka_unit_test_setup(test_crash, each_setup),
         cmocka_unit_test_setup(test_directories, each_setup),
     };
     if (open_fake() < 0)

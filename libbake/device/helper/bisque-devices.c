@@ -1,0 +1,58 @@
+/* bisque-devices.c - lists the devices of one kind, for bake_probe(). The libraries start this
+ * program because drivers may crash, hang or print; users call bisque-bake --list-devices. */
+#include <fcntl.h>
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include "libbake/device/cuda/cuda.h"
+#include "libbake/device/driver/driver.h"
+#include "libbake/device/opencl/opencl.h"
+
+enum { LIFE_SECONDS = 60 /* longer than the caller waits */ };
+
+static const struct {
+    const char *kind;
+    int (*list)(struct bsq_ctx *ctx, struct bake_device_list *out);
+} kinds[] = {
+    {"cuda", bake_cuda_list},
+    {"opencl", bake_opencl_list},
+};
+enum { KINDS = sizeof kinds / sizeof kinds[0] };
+
+/* Ends with the caller, dumps no core, and hides what drivers print. Returns a descriptor of what
+ * was the standard output. */
+static int isolate(void)
+{
+    const struct rlimit none = {0, 0};
+    int answer = fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
+
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    alarm(LIFE_SECONDS); /* if the caller ended before that call */
+    setrlimit(RLIMIT_CORE, &none);
+    dup2(STDERR_FILENO, STDOUT_FILENO);
+    return answer;
+}
+
+int main(int argument_count, char **arguments)
+{
+    const struct bsq_ctx_options options = {.threads = 1};
+    struct bake_device_list list = {0};
+    struct bsq_ctx *ctx;
+    int kind = 0, answer;
+
+    while (kind < KINDS && !(argument_count == 2 && strcmp(arguments[1], kinds[kind].kind) == 0))
+        kind++;
+    if (kind == KINDS) {
+        fputs("bisque-devices: is run by Bisque; see bisque-bake --list-devices\n", stderr);
+        return 64;
+    }
+    answer = isolate();
+    if (bsq_ctx_create(&options, &ctx) < 0 || kinds[kind].list(ctx, &list) < 0 ||
+        !bake_probe_answer(answer, &list))
+        _exit(70);
+    _exit(0); /* no driver's destructor */
+}
