@@ -5,6 +5,7 @@
 
 #include <pthread.h>
 #include <stdatomic.h>
+#include <sys/types.h>
 
 #include "base/context.h"
 
@@ -46,6 +47,10 @@ void bsq_pool_destroy(struct bsq_pool *pool);
 /* Returns the directory part of a path ("." if it has none), to be freed with free(); NULL if there
  * is no memory. */
 char *bsq_dirname(const char *path);
+
+/* Opens a file as open(2) does, with O_CLOEXEC and again after EINTR. The descriptor is 3 or more,
+ * and a new file (O_EXCL, O_TMPFILE) is empty. Returns -1 and sets errno on failure. */
+int bsq_open(const char *path, int flags, mode_t mode);
 
 /* Writes all bytes to a descriptor. Returns 0 or an errno. */
 int bsq_pwrite_all(int fd, const void *buffer, uint64_t size, uint64_t offset);

@@ -15,14 +15,36 @@
 #include "base/file.h"
 #include "base/temp_internal.h"
 
-static int open_retrying(const char *path, int flags, mode_t mode)
+/* ---- descriptors ---- */
+
+int bsq_fd_above_standard(int fd)
 {
-    int fd;
-    do
-        fd = open(path, flags, mode);
-    while (fd < 0 && errno == EINTR);
-    return fd;
+    if (fd < 0 || fd > STDERR_FILENO)
+        return fd;
+    int above = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1), error = errno;
+    close(fd);
+    errno = error;
+    return above;
 }
+
+/* A thread may have printed into a new file before its descriptor was moved. */
+int bsq_open(const char *path, int flags, mode_t mode)
+{
+    int first;
+    do
+        first = open(path, flags | O_CLOEXEC, mode);
+    while (first < 0 && errno == EINTR);
+    int fd = bsq_fd_above_standard(first);
+    bool is_new = (flags & O_EXCL) || (flags & O_TMPFILE) == O_TMPFILE;
+    if (fd == first || fd < 0 || !is_new || ftruncate(fd, 0) == 0)
+        return fd;
+    int error = errno;
+    close(fd);
+    errno = error;
+    return -1;
+}
+
+/* ---- input ---- */
 
 int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
 {
@@ -30,7 +52,7 @@ int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
     int status = 0;
     struct stat info;
     /* O_NONBLOCK: opening a pipe must not wait for a writer before it can be refused. */
-    int fd = open_retrying(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK, 0);
+    int fd = bsq_open(path, O_RDONLY | O_NONBLOCK, 0);
     if (fd < 0)
         return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
     char *copy = strdup(path);
@@ -58,7 +80,7 @@ int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct 
     char *path = strdup(file->path);
     if (!path)
         return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", file->path);
-    int fd = fcntl(file->fd, F_DUPFD_CLOEXEC, 0);
+    int fd = fcntl(file->fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
     if (fd < 0) {
         free(path);
         return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", file->path);

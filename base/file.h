@@ -21,6 +21,12 @@ struct bsq_file {
 #define BSQ_FILE_CLOSED {-1, 0, NULL}
 /* clang-format on */
 
+/* Returns a descriptor of 3 or more for the open file `fd`, and closes `fd` if it is less. In a
+ * program whose standard streams are closed, a new file gets a number from 0 to 2, and what any
+ * code prints would go into it. Returns -1 and sets errno if `fd` is -1 or there is no other
+ * descriptor. */
+int bsq_fd_above_standard(int fd);
+
 /* Opens a regular file for reading. Errors: BSQ_ENOINPUT. */
 int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
 

@@ -265,7 +265,7 @@ int bsq_output_sync(struct bsq_output *output)
 
 static int sync_directory(const char *directory)
 {
-    int fd = open(directory, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    int fd = bsq_open(directory, O_RDONLY | O_DIRECTORY, 0);
     if (fd < 0)
         return errno == EACCES ? 0 : errno; /* a directory may be writable but not readable */
     int error;

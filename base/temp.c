@@ -14,6 +14,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/context_internal.h"
+#include "base/file.h"
 #include "base/temp_internal.h"
 
 enum { RANDOM_LETTERS = 6, NAME_BYTES = 200, ATTEMPTS = 100 };
@@ -80,7 +82,8 @@ static bool names_file(int directory_fd, const char *path, int fd)
 static void remove_unowned(int directory_fd, const char *entry)
 {
     struct stat info;
-    int fd = openat(directory_fd, entry, O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+    int fd = bsq_fd_above_standard(
+        openat(directory_fd, entry, O_RDWR | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC));
     if (fd < 0)
         return;
     if (fstat(fd, &info) == 0 && S_ISREG(info.st_mode) && flock(fd, LOCK_EX | LOCK_NB) == 0 &&
@@ -112,9 +115,7 @@ int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd)
 {
     char path[32];
     int error = 0;
-    do
-        *fd = open(directory, O_TMPFILE | O_RDWR | O_CLOEXEC, mode);
-    while (*fd < 0 && errno == EINTR);
+    *fd = bsq_open(directory, O_TMPFILE | O_RDWR, mode);
     if (*fd < 0)
         return errno;
     descriptor_path(*fd, path);
@@ -130,9 +131,9 @@ int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd)
  * leftover and remove it; then returns EEXIST, so that the caller tries another name. */
 static int create_locked(const char *path, mode_t mode, int *fd)
 {
-    *fd = open(path, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, mode);
+    *fd = bsq_open(path, O_RDWR | O_CREAT | O_EXCL, mode);
     if (*fd < 0)
-        return errno == EINTR ? EEXIST : errno;
+        return errno;
     if (lock(*fd) == 0 && names_file(AT_FDCWD, path, *fd))
         return 0;
     close(*fd);

@@ -2,6 +2,7 @@
 #include "tools/cli.h"
 
 #include <errno.h>
+#include <fcntl.h>
 #include <math.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -36,8 +37,20 @@ static void catch_signal(int number)
 
 /* ---- start and end of a program ---- */
 
+/* Occupies the standard descriptors that are closed. Otherwise the next file that is opened would
+ * get such a number, and messages would be written into it. Reading and writing still fail with
+ * EBADF, so that a report that cannot be printed is an error. */
+static void reserve_standard_descriptors(void)
+{
+    for (int fd = STDIN_FILENO; fd <= STDERR_FILENO; fd++) {
+        if (fcntl(fd, F_GETFD) < 0 && open("/", O_PATH | O_DIRECTORY) != fd)
+            _exit(-BSQ_EIO);
+    }
+}
+
 void cli_begin(struct cli *cli, const char *program, char **argv)
 {
+    reserve_standard_descriptors();
     *cli = (struct cli){.program = program};
     clock_gettime(CLOCK_MONOTONIC, &cli->started);
     argv[0] = (char *)program;

@@ -79,8 +79,8 @@ enum {
 
 /* ---- start and end of a program ---- */
 
-/* Starts the clock, ignores SIGPIPE and SIGXFSZ, and makes getopt's messages begin with the
- * program's name. `argv` is main's. */
+/* Reserves closed standard descriptors, starts the clock, ignores SIGPIPE and SIGXFSZ, and makes
+ * getopt's messages begin with the program's name. `argv` is main's. */
 void cli_begin(struct cli *cli, const char *program, char **argv);
 
 /* Handles a common option, whose value is in optarg. Returns 0; 1 if it is not a common option; 2

@@ -12,6 +12,7 @@
 // is decoded from its first row each time.
 #include "formats/texture/texture_module.h"
 
+#include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imagecache.h>
 #include <OpenImageIO/imageio.h>
 
@@ -247,8 +248,58 @@ int fail_read(Textures *textures, const Image &image, int error, std::string rea
                                 image.path.c_str(), reason.c_str());
 }
 
-// Creates an unnamed tiled file for the image's texels. OpenImageIO opens it as /proc/self/fd/N.
-int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOutput> &output)
+// What OpenImageIO writes to a temporary file through. The position in the file is its own: no
+// other user of a descriptor can move it.
+class TemporaryProxy : public OIIO::Filesystem::IOProxy
+{
+  public:
+    TemporaryProxy(const Textures &textures, const struct bsq_file &file)
+        : IOProxy("", Write), textures_(textures), file_(file)
+    {
+    }
+
+    const char *proxytype() const override
+    {
+        return "bisque";
+    }
+
+    size_t read(void *to, size_t size) override
+    {
+        uint64_t got = 0;
+        if (textures_.host->file_read_some(textures_.ctx, &file_, to, size, uint64_t(m_pos), &got))
+            return 0;
+        m_pos += int64_t(got);
+        return size_t(got);
+    }
+
+    size_t write(const void *from, size_t size) override
+    {
+        if (textures_.host->file_write(textures_.ctx, &file_, from, size, uint64_t(m_pos)))
+            return 0;
+        m_pos += int64_t(size);
+        size_ = std::max(size_, size_t(m_pos));
+        return size;
+    }
+
+    size_t size() const override
+    {
+        return size_;
+    }
+
+  private:
+    const Textures &textures_;
+    const struct bsq_file &file_;
+    size_t size_ = 0;
+};
+
+// A temporary tiled file that is being written. The proxy is destroyed after its user.
+struct TiledFile {
+    std::unique_ptr<TemporaryProxy> proxy;
+    std::unique_ptr<OIIO::ImageOutput> output;
+};
+
+// Creates an unnamed tiled file for the image's texels. The cache opens it as /proc/self/fd/N.
+int create_tiled(Textures *textures, Image &image, TiledFile &tiled)
 {
     int status =
         textures->host->file_temp(textures->ctx, nullptr, "texture tiles", &image.temporary);
@@ -258,9 +309,12 @@ int create_tiled(Textures *textures, Image &image, std::unique_ptr<OIIO::ImageOu
     ImageSpec spec(int(image.width), int(image.height), image.channels, image.type);
     spec.tile_width = spec.tile_height = tile_size;
     spec["compression"] = "none";
+    auto &output = tiled.output;
+    tiled.proxy = std::make_unique<TemporaryProxy>(*textures, image.temporary);
     output = OIIO::ImageOutput::create("tiff");
     errno = 0;
-    if (!output || !output->open(image.cached_path, spec))
+    if (!output || !output->set_ioproxy(tiled.proxy.get()) ||
+        !output->open(image.cached_path, spec))
         return fail_tiles(textures, image, errno, output ? output->geterror() : OIIO::geterror());
     output->threads(1);
     image.x = image.y = 0;
@@ -288,13 +342,14 @@ int pass_over(Textures *textures, Image &image)
 {
     const struct fmt_host *host = textures->host;
     struct bsq_ctx *ctx = textures->ctx;
-    std::unique_ptr<OIIO::ImageOutput> output;
+    TiledFile tiled;
+    auto &output = tiled.output;
     void *rows = nullptr;
     int status;
     auto input = open_input(textures, image.path, &status);
     if (!input)
         return status;
-    if (textures->rewrite && !image.tiled && (status = create_tiled(textures, image, output)))
+    if (textures->rewrite && !image.tiled && (status = create_tiled(textures, image, tiled)))
         return status;
     size_t row_bytes = size_t(image.width) * size_t(image.channels) * image.type.size();
     uint32_t strip = image.tiled ? uint32_t(input->spec().tile_height) : uint32_t(tile_size);

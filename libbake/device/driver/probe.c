@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/file.h"
 #include "base/version.h"
 #include "formats/module/module.h"
 #include "libbake/device/driver/driver.h"
@@ -70,15 +71,6 @@ struct child {
     bool late;
 };
 
-/* Moves a descriptor above those of the standard streams, which may be closed here. */
-static int raise_descriptor(int fd)
-{
-    int raised = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
-
-    close(fd);
-    return raised;
-}
-
 /* Starts a program whose standard output is `to`. It has no other descriptor, and hides what
  * drivers print. Returns 0 or an errno. */
 static int spawn(const char *path, const char *argument, int to, pid_t *out)
@@ -106,8 +98,8 @@ static int start(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const
 
     if (pipe2(ends, O_CLOEXEC) < 0)
         return bsq_fail_errno(ctx, BSQ_ENODEVICE, errno, "asking for %s devices", kind->drivers);
-    out->pipe = raise_descriptor(ends[0]);
-    ends[1] = raise_descriptor(ends[1]);
+    out->pipe = bsq_fd_above_standard(ends[0]);
+    ends[1] = bsq_fd_above_standard(ends[1]);
     if (out->pipe < 0 || ends[1] < 0)
         code = EMFILE;
     else

@@ -189,6 +189,45 @@ static void test_maps(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+/* ---- closed standard descriptors ---- */
+
+/* A program that uses the library may have closed them; what it prints must not get into files. */
+static void test_standard_descriptors_are_not_used(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_file file, twin, temporary;
+    struct bsq_output *output;
+    struct bsq_map map;
+    int saved[3], found[5], statuses[5];
+    put("in", "0123456789");
+    for (int fd = 0; fd < 3; fd++) {
+        saved[fd] = fcntl(fd, F_DUPFD_CLOEXEC, 3);
+        close(fd);
+    }
+    statuses[0] = bsq_file_open(ctx, "in", &file);
+    statuses[1] = bsq_file_duplicate(ctx, &file, &twin);
+    statuses[2] = bsq_file_temp(ctx, NULL, "testing", &temporary);
+    statuses[3] = bsq_map_open(ctx, "in", &map);
+    statuses[4] = bsq_output_open(ctx, "out", &output);
+    for (int fd = 0; fd < 3; fd++)
+        found[fd] = fcntl(fd, F_GETFD);
+    for (int fd = 0; fd < 3; fd++)
+        dup2(saved[fd], fd), close(saved[fd]);
+    for (int i = 0; i < 5; i++)
+        assert_int_equal(statuses[i], 0);
+    for (int fd = 0; fd < 3; fd++)
+        assert_int_equal(found[fd], -1);
+    assert_true(file.fd > 2 && twin.fd > 2 && temporary.fd > 2 && map.fd > 2);
+    bsq_output_discard(output);
+    bsq_map_close(ctx, &map);
+    bsq_file_close(ctx, &temporary);
+    bsq_file_close(ctx, &twin);
+    bsq_file_close(ctx, &file);
+    unlink("in");
+    bsq_ctx_destroy(ctx);
+}
+
 /* ---- maps of files that change ---- */
 
 enum { PAGE = 4096, PAGES = 64 };
@@ -628,6 +667,7 @@ int main(void)
         cmocka_unit_test(test_every_truncated_length),
         cmocka_unit_test(test_what_cannot_be_opened),
         cmocka_unit_test(test_maps),
+        cmocka_unit_test(test_standard_descriptors_are_not_used),
         cmocka_unit_test(test_map_that_shrinks),
         cmocka_unit_test(test_other_bus_errors),
         cmocka_unit_test(test_temporary_files),
