@@ -19,7 +19,7 @@ int main(int argc, char **argv)
     options.width = options.height = (uint32_t)strtoul(argv[4], NULL, 10);
     options.device = "cpu";
 
-    struct bake_report report;
+    struct bake_report report = {0};
     struct bsq_ctx *ctx;
     int status = bsq_ctx_create(NULL, &ctx);
     if (status < 0)
@@ -29,6 +29,7 @@ int main(int argc, char **argv)
         printf("%s on %s\n", report.hits > 0 ? "hits" : "no hits", report.device);
     else
         fprintf(stderr, "%s\n", bsq_error(ctx));
+    bake_report_free(&report);
     bsq_ctx_destroy(ctx);
     return -status;
 }

@@ -6,16 +6,13 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/clock.h"
-#include "libbake/device/device.h"
-#include "libbake/exact/exact.h"
-#include "libbake/lowpoly/lowpoly.h"
-#include "libbake/maps/maps.h"
+#include "libbake/bake_options.h"
 #include "libbake/preview/preview.h"
-#include "libbake/raster/raster.h"
-#include "libbake/surface/surface.h"
+#include "libbake/tile_bake.h"
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
 
@@ -26,57 +23,16 @@ struct job {
     uint32_t maps;
     struct bake_surface surface;
     struct bake_lowmesh mesh;
-    struct bake_job traced; /* what the device traces */
+    struct bake_udim udim;
+    struct bake_tile *tiles; /* one for each tile of `udim` */
+    struct bake_job traced;  /* what the device traces */
     struct bk_triangle *triangles;
-    struct bake_raster *raster;
-    uint32_t tile_size;
     struct bake_device *device; /* NULL: the triangles of a chunk file are traced */
-    struct bake_image *image;
-    struct bake_map_files *files;
-    struct bake_preview preview;
+    struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
 };
 
-void bake_defaults(struct bake_options *options)
-{
-    *options = (struct bake_options){
-        .maps = BAKE_MAPS_DEFAULT,
-        .width = 2048,
-        .height = 2048,
-        .samples = 2,
-        .front = -1.0,
-        .back = -1.0,
-        .padding = 16,
-        .normal_space = BAKE_TANGENT_SPACE,
-        .sampling = BAKE_TRILINEAR,
-        .device = "auto",
-    };
-}
-
 /* ---- inputs ---- */
-
-int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
-{
-    if (!options->scan_path || !options->mesh_path || !options->output_path)
-        return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
-    if (options->maps >= 1u << BK_MAP_COUNT)
-        return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
-    if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
-                        options->samples, options->samples, BAKE_MAX_SAMPLES);
-    if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
-        isinf(options->back))
-        return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,
-                        options->back);
-    if (options->front == 0.0 && options->back == 0.0)
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "rays of length 0 find nothing: front and back must not both be 0");
-    if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
-        return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    /* The default maps depend on the scan; they are checked again after it was opened. */
-    return bake_map_files_check(ctx, options,
-                                options->maps ? options->maps : (uint32_t)BAKE_MAP_NORMAL);
-}
 
 int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out)
 {
@@ -95,7 +51,34 @@ static int choose_maps(struct job *job)
         if (job->maps & 1u << i && bake_map_table[i].needs_color && !has_color)
             return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
                             job->options->scan_path, bake_map_names[i]);
-    return bake_map_files_check(job->ctx, job->options, job->maps);
+    return bake_check_maps(job->ctx, job->options, job->maps);
+}
+
+/* Notes the tiles and their sizes in the report. */
+static int report_tiles(struct job *job)
+{
+    struct bake_report *report = job->report;
+    report->tiles = calloc(job->udim.count, sizeof *report->tiles);
+    if (!report->tiles)
+        return bsq_fail(job->ctx, BSQ_ENOMEM, "out of memory");
+    report->tile_count = job->udim.count;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        report->tiles[i] = (struct bake_tile_size){.tile = job->tiles[i].place.number,
+                                                   .width = job->tiles[i].options.width,
+                                                   .height = job->tiles[i].options.height};
+    return 0;
+}
+
+static int begin_tiles(struct job *job)
+{
+    int status = bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim);
+    if (status == 0)
+        status = bsq_calloc(job->ctx, "tiles", job->udim.count, sizeof *job->tiles, &job->tiles);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status =
+            bake_tile_begin(job->ctx, job->options, job->maps, &job->udim.tiles[i], &job->tiles[i]);
+    job->report->outside_uv_triangles = job->udim.outside_triangles;
+    return status < 0 ? status : report_tiles(job);
 }
 
 static int open_inputs(struct job *job)
@@ -112,9 +95,10 @@ static int open_inputs(struct job *job)
     if (status < 0)
         return status;
     status = bake_lowmesh_load(job->ctx, job->options->mesh_path, &job->mesh);
-    if (status == 0)
-        job->report->low_triangles = job->mesh.triangle_count;
-    return status;
+    if (status < 0)
+        return status;
+    job->report->low_triangles = job->mesh.triangle_count;
+    return begin_tiles(job);
 }
 
 /* ---- parameters ---- */
@@ -160,26 +144,45 @@ static int set_params(struct job *job)
 
 /* ---- tracing ---- */
 
+/* Returns the number of triangles that lie in tiles to bake. They are the first ones of the mesh.
+ */
+static uint64_t tile_triangles(const struct job *job)
+{
+    const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
+    return last->first + last->count;
+}
+
+static struct bake_tile_scene scene_of(const struct job *job)
+{
+    return (struct bake_tile_scene){.ctx = job->ctx,
+                                    .surface = &job->surface,
+                                    .mesh = &job->mesh,
+                                    .params = &job->traced.params,
+                                    .triangles = job->triangles,
+                                    .triangle_count = (uint32_t)tile_triangles(job),
+                                    .device = job->device};
+}
+
 static int prepare_triangles(struct job *job)
 {
-    const struct bake_options *options = job->options;
-    job->tile_size = bake_tile_size(job->ctx, options->width, options->height, options->samples);
-    struct bake_raster_options raster = {.width = options->width,
-                                         .height = options->height,
-                                         .samples = options->samples,
-                                         .tile_size = job->tile_size};
-    struct bake_raster_report report = {0};
-    int status = bake_raster_create(job->ctx, &job->mesh, &raster, &report, &job->raster);
-    if (status < 0)
-        return status;
-    job->report->degenerate_uv_triangles = report.degenerate_triangles;
-    job->report->outside_uv_triangles = report.outside_triangles;
-    status = bsq_alloc(job->ctx, "triangles of the low-poly mesh", job->mesh.triangle_count,
-                       sizeof *job->triangles, &job->triangles);
+    int status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
     if (status == 0)
-        bake_raster_kernel_triangles(job->raster, job->surface.translation, job->surface.unit,
-                                     job->triangles);
+        status = bsq_alloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
+                           sizeof *job->triangles, &job->triangles);
+    const struct bake_tile_scene scene = scene_of(job);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = bake_tile_rasterise(&scene, &job->tiles[i], job->report);
     return status;
+}
+
+/* Returns the most texels of a raster's tile. */
+static uint32_t most_texels(const struct job *job)
+{
+    uint32_t most = 0;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        if (job->tiles[i].tile_size > most)
+            most = job->tiles[i].tile_size;
+    return most * most;
 }
 
 static int open_device(struct job *job)
@@ -192,8 +195,8 @@ static int open_device(struct job *job)
     }
     job->traced.grid = &job->surface.grid;
     job->traced.triangles = job->triangles;
-    job->traced.triangle_count = (uint32_t)job->mesh.triangle_count;
-    job->traced.tile_texels = job->tile_size * job->tile_size;
+    job->traced.triangle_count = (uint32_t)tile_triangles(job);
+    job->traced.tile_texels = most_texels(job);
     job->traced.device_memory = job->options->gpu_memory_bytes;
     const char *name = job->options->device ? job->options->device : "auto";
     int status = bake_device_open(job->ctx, name, &job->traced, &job->device);
@@ -201,18 +204,6 @@ static int open_device(struct job *job)
         snprintf(job->report->device, sizeof job->report->device, "%s",
                  bake_device_name(job->device));
     return status;
-}
-
-/* Creates the image: in memory if it takes at most half of the memory that is left in the budget,
- * as writing needs the rest. */
-static int create_image(struct job *job)
-{
-    struct bake_image_options image = {.width = job->options->width,
-                                       .height = job->options->height,
-                                       .channels = bake_image_channels_for(job->maps),
-                                       .memory_bytes = bsq_memory_left(job->ctx) / 2,
-                                       .beside = job->options->output_path};
-    return bake_image_create(job->ctx, &image, &job->image);
 }
 
 /* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer
@@ -235,7 +226,7 @@ static int fail_without_hit(const struct job *job)
     const struct bake_lowmesh *low = &job->mesh;
     if (job->report->samples == 0)
         return bsq_fail(job->ctx, BSQ_EDATA,
-                        "%s: no texel lies in a triangle: are the texture coordinates in 0..1?",
+                        "%s: no texel lies in a triangle: is the mesh unwrapped?",
                         job->options->mesh_path);
     /* Seven digits, as float32 has: six would cut the metres off geo-referenced coordinates. */
     return bsq_fail(
@@ -252,40 +243,6 @@ static int fail_without_hit(const struct job *job)
                                     "if the scan's faces are wound inwards");
 }
 
-static struct bake_tiles tiles_of(const struct job *job)
-{
-    return (struct bake_tiles){.raster = job->raster,
-                               .triangles = job->triangles,
-                               .triangle_count = (uint32_t)job->mesh.triangle_count,
-                               .params = &job->traced.params,
-                               .image = job->image,
-                               .tile_size = job->tile_size};
-}
-
-static int trace_exact(struct job *job)
-{
-    const struct bake_exact_tiles tiles = {.tiles = tiles_of(job),
-                                           .exact = job->surface.exact,
-                                           .front = job->report->front,
-                                           .back = job->report->back};
-    return bake_exact_trace_tiles(job->ctx, &tiles, job->report);
-}
-
-static int trace_grid(struct job *job)
-{
-    struct bake_plan plan;
-    int status = bake_device_plan(job->device, job->raster, &plan);
-    const struct bake_grid_tiles tiles = {.tiles = tiles_of(job),
-                                          .device = job->device,
-                                          .surface = &job->surface,
-                                          .plan = plan.pass_count > 0 ? &plan : NULL};
-    job->report->passes = plan.pass_count > 0 ? plan.pass_count : 1;
-    if (status == 0)
-        status = bake_trace_grid_tiles(job->ctx, &tiles, job->report);
-    bake_plan_free(job->ctx, &plan);
-    return status;
-}
-
 static void note_device_times(struct job *job)
 {
     struct bake_device_times times;
@@ -296,9 +253,16 @@ static void note_device_times(struct job *job)
     job->report->kernel_calls = times.launches;
 }
 
+/* Traces all tiles. Their images share half of the memory that is left in the budget, as writing
+ * needs the rest. */
 static int trace(struct job *job)
 {
-    int status = job->surface.exact ? trace_exact(job) : trace_grid(job);
+    const struct bake_tile_scene scene = scene_of(job);
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status =
+            bake_tile_trace(&scene, &job->tiles[i],
+                            bsq_memory_left(job->ctx) / 2 / (job->udim.count - i), job->report);
     if (job->device)
         note_device_times(job);
     if (status == 0 && job->report->hits == 0)
@@ -311,71 +275,92 @@ static void end_tracing(struct job *job)
 {
     bake_device_close(job->device);
     job->device = NULL;
-    bake_raster_free(job->raster);
-    job->raster = NULL;
     bsq_free(job->ctx, job->triangles);
     job->triangles = NULL;
 }
 
 /* ---- output ---- */
 
-static int open_outputs(struct job *job)
+static struct bake_traced traced_of(const struct job *job)
 {
     const char *sampling = job->options->sampling == BAKE_NEAREST ? "nearest" : "trilinear";
-    const struct bake_traced traced = {.front = job->report->front,
-                                       .back = job->report->back,
-                                       .sampling = job->surface.exact ? "exact" : sampling};
-    int status = bake_map_files_open(job->ctx, job->options, job->maps, &traced, &job->files);
+    return (struct bake_traced){.front = job->report->front,
+                                .back = job->report->back,
+                                .sampling = job->surface.exact ? "exact" : sampling};
+}
+
+/* Creates the files of the first tile, so that a directory that cannot be written to is known
+ * before the work; those of other tiles are created when they are written. */
+static int open_outputs(struct job *job)
+{
+    const struct bake_traced traced = traced_of(job);
+    int status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
     if (status == 0 && job->options->preview_path)
         status = bake_preview_open(job->ctx, job->options->preview_path, &job->preview_file);
     return status;
 }
 
-static int create_thumbnail(struct job *job, enum bake_map map, uint32_t side,
-                            struct bake_thumbnail *out)
+/* Returns the side of thumbnails: all of them together may take an eighth of what is left in the
+ * budget. */
+static uint32_t thumbnail_side(const struct job *job)
 {
-    if (!(job->maps & (uint32_t)map))
-        return 0;
-    bake_map_files_set_thumbnail(job->files, map, out);
-    return bake_thumbnail_create(job->ctx, job->options->width, job->options->height, side, out);
+    uint32_t side = PREVIEW_TEXTURE;
+    uint64_t share = bsq_memory_left(job->ctx) / 8 / job->udim.count;
+    while (side > 64 && (uint64_t)side * side * sizeof *job->tiles->normal.texels > share)
+        side /= 2;
+    return side;
 }
 
-static int create_thumbnails(struct job *job)
+static int write_tile(struct job *job, struct bake_tile *tile, uint32_t side)
 {
-    struct bake_preview *preview = &job->preview;
-    uint32_t side = PREVIEW_TEXTURE;
-    uint64_t share = bsq_memory_left(job->ctx) / 8;
-    while (side > 64 && (uint64_t)side * side * sizeof *preview->normal.texels > share)
-        side /= 2;
-    int status = create_thumbnail(job, BAKE_MAP_NORMAL, side, &preview->normal);
+    const struct bake_traced traced = traced_of(job);
+    int status = bake_tile_open_files(job->ctx, tile, &traced);
+    if (status == 0 && job->preview_file)
+        status = bake_tile_create_thumbnails(job->ctx, tile, side);
     if (status == 0)
-        status = create_thumbnail(job, BAKE_MAP_COLOR, side, &preview->color);
+        status = bake_map_files_write(tile->files, tile->image, job->report);
+    bake_image_free(tile->image);
+    tile->image = NULL;
     return status;
 }
 
 static int write_maps(struct job *job)
 {
-    int status = job->preview_file ? create_thumbnails(job) : 0;
-    return status < 0 ? status : bake_map_files_write(job->files, job->image, job->report);
+    const uint32_t side = thumbnail_side(job);
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = write_tile(job, &job->tiles[i], side);
+    return status;
 }
 
 static int write_preview(struct job *job)
 {
     if (!job->preview_file)
         return 0;
-    struct bake_preview *preview = &job->preview;
-    preview->mesh = &job->mesh;
-    preview->surface = &job->surface;
-    preview->params = &job->traced.params;
-    preview->normal_space = job->options->normal_space;
-    preview->green_down = job->options->green_down;
-    return bake_preview_write(job->preview_file, preview);
+    int status = bsq_calloc(job->ctx, "preview", job->udim.count, sizeof *job->preview_tiles,
+                            &job->preview_tiles);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        job->preview_tiles[i] = (struct bake_preview_tile){
+            job->udim.tiles[i], &job->tiles[i].normal, &job->tiles[i].color};
+    const struct bake_preview preview = {.mesh = &job->mesh,
+                                         .surface = &job->surface,
+                                         .params = &job->traced.params,
+                                         .tiles = job->preview_tiles,
+                                         .tile_count = job->udim.count,
+                                         .normal_space = job->options->normal_space,
+                                         .green_down = job->options->green_down};
+    return bake_preview_write(job->preview_file, &preview);
 }
 
 static int commit(struct job *job)
 {
-    int status = bake_map_files_commit(job->files);
-    job->files = NULL;
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        status = bake_map_files_commit(job->tiles[i].files);
+        job->tiles[i].files = NULL;
+    }
     if (status == 0 && job->preview_file) {
         status = bake_preview_commit(job->preview_file);
         job->preview_file = NULL;
@@ -397,8 +382,6 @@ static int run(struct job *job)
         status = prepare_triangles(job);
     if (status == 0)
         status = open_device(job);
-    if (status == 0)
-        status = create_image(job);
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
     if (status == 0)
@@ -407,8 +390,6 @@ static int run(struct job *job)
     job->report->seconds_trace = bsq_seconds_now() - opened;
     if (status == 0)
         status = write_maps(job);
-    bake_image_free(job->image);
-    job->image = NULL;
     double written = bsq_seconds_now();
     if (status == 0)
         status = write_preview(job);
@@ -425,11 +406,12 @@ static int run(struct job *job)
 static void end(struct job *job)
 {
     end_tracing(job);
-    bake_image_free(job->image);
-    bake_map_files_discard(job->files);
+    for (uint32_t i = 0; job->tiles && i < job->udim.count; ++i)
+        bake_tile_end(job->ctx, &job->tiles[i]);
+    bsq_free(job->ctx, job->tiles);
     bake_preview_discard(job->preview_file);
-    bake_thumbnail_free(job->ctx, &job->preview.normal);
-    bake_thumbnail_free(job->ctx, &job->preview.color);
+    bsq_free(job->ctx, job->preview_tiles);
+    bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
     bake_surface_close(&job->surface);
 }
@@ -446,6 +428,37 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
     job->report = report;
     status = run(job);
     end(job);
+    if (status < 0)
+        bake_report_free(report);
     bsq_free(ctx, job);
+    return status;
+}
+
+void bake_report_free(struct bake_report *report)
+{
+    free(report->tiles);
+    report->tiles = NULL;
+    report->tile_count = 0;
+}
+
+int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
+                    void (*fn)(void *arg, const struct bake_tile_info *tile), void *arg)
+{
+    struct bake_lowmesh mesh;
+    struct bake_udim udim = {0};
+    int status = bake_lowmesh_load(ctx, options->mesh_path, &mesh);
+    if (status < 0)
+        return status;
+    struct bake_options all = *options;
+    all.output_path = BAKE_UDIM_TOKEN;
+    status = bake_udim_find(ctx, &all, &mesh, &udim);
+    for (uint32_t i = 0; i < udim.count && status == 0; ++i) {
+        struct bake_tile_info info = {.tile = udim.tiles[i].number,
+                                      .triangles = udim.tiles[i].count};
+        bake_tile_size_of(options, info.tile, &info.width, &info.height);
+        fn(arg, &info);
+    }
+    bake_udim_free(ctx, &udim);
+    bake_lowmesh_free(ctx, &mesh);
     return status;
 }

@@ -47,23 +47,38 @@ enum bake_sample_type {
     BAKE_FLOAT         /**< 32-bit floating point. OpenEXR only. */
 };
 
-/** What bake_run() reads and writes. The caller owns all strings. */
+/** The size of the maps of one UDIM tile, in texels. */
+struct bake_tile_size {
+    uint32_t tile, width, height;
+};
+
+/** UDIM tiles first to last. */
+struct bake_tile_range {
+    uint32_t first, last;
+};
+
+/** What bake_run() reads and writes. The caller owns all strings and arrays. */
 struct bake_options {
     const char
         *scan_path; /**< Input: a grid (.nvdb) or a chunk file (.tris); the content decides. */
     const char *mesh_path; /**< Input: the low-poly mesh, a mesh file with texture coordinates. */
     uint32_t maps;         /**< Bits of enum bake_map. */
-    /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(). It must
-     * contain "<MAP>" if there are several maps. Its suffix, .exr or .png, chooses the format. */
+    /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(), "<UDIM>" and
+     * "<UVTILE>" for the tile. It must contain "<MAP>" if there are several maps, and one of the
+     * others if there are several tiles. Its suffix, .exr or .png, chooses the format. */
     const char *output_path;
-    enum bake_sample_type sample_type; /**< One that the image format can store. */
-    uint32_t width;                    /**< Width of the maps in texels. */
-    uint32_t height;                   /**< Height of the maps in texels. */
-    uint32_t samples;                  /**< N: each texel gets N x N pairs of rays. */
-    double front;                      /**< Length of rays along the normal; < 0: automatic. */
-    double back;                       /**< Length of rays against the normal; < 0: automatic. */
-    uint32_t padding; /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
-    bool green_down;  /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
+    enum bake_sample_type sample_type;         /**< One that the image format can store. */
+    uint32_t width;                            /**< Width of the maps in texels. */
+    uint32_t height;                           /**< Height of the maps in texels. */
+    const struct bake_tile_size *tile_sizes;   /**< Tiles whose maps have another size. */
+    uint32_t tile_size_count;                  /**< Entries of tile_sizes. */
+    const struct bake_tile_range *tile_ranges; /**< Tiles to bake, if triangles lie in them. */
+    uint32_t tile_range_count; /**< Entries of tile_ranges; 0: all tiles with triangles. */
+    uint32_t samples;          /**< N: each texel gets N x N pairs of rays. */
+    double front;              /**< Length of rays along the normal; < 0: automatic. */
+    double back;               /**< Length of rays against the normal; < 0: automatic. */
+    uint32_t padding;          /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
+    bool green_down; /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
     enum bake_normal_space normal_space; /**< Space of the normal map. */
     enum bake_sampling sampling;         /**< For grids. */
     enum bsq_scan_normals scan_normals;  /**< For chunk files without normals. */
@@ -77,6 +92,13 @@ struct bake_options {
 
 /** In an output path: stands for the map's name. */
 #define BAKE_MAP_TOKEN "<MAP>"
+/** In an output path: stands for the number of the UDIM tile, such as 1001. */
+#define BAKE_UDIM_TOKEN "<UDIM>"
+/** In an output path: stands for the tile as u and v from 1 on, such as u1_v1. */
+#define BAKE_UVTILE_TOKEN "<UVTILE>"
+
+/** Numbers of UDIM tiles. Tile 1001 + u + 10 v is the unit square of texture space from (u, v). */
+enum { BAKE_FIRST_TILE = 1001, BAKE_LAST_TILE = 9990 };
 
 enum {
     BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
@@ -97,6 +119,14 @@ int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out)
  * it with free(). Returns NULL if there is no memory. */
 char *bake_map_path(const char *output_path, enum bake_map map);
 
+/** Returns output_path with "<UDIM>" and "<UVTILE>" replaced for a tile. The caller frees it with
+ * free(). Returns NULL if there is no memory. */
+char *bake_tile_path(const char *output_path, uint32_t tile);
+
+/** Finds the size of the maps of a tile in texels. */
+void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32_t *width,
+                       uint32_t *height);
+
 /** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
  * 16 texels of padding, tangent space, any device. */
 void bake_defaults(struct bake_options *options);
@@ -106,7 +136,9 @@ struct bake_report {
     char device[128];                 /**< Name of the device that traced. */
     uint64_t low_triangles;           /**< Triangles of the low-poly mesh. */
     uint64_t degenerate_uv_triangles; /**< Of these, without an area in the map. */
-    uint64_t outside_uv_triangles;    /**< Of these, partly or wholly outside the map. */
+    uint64_t outside_uv_triangles;    /**< Of these, partly or wholly outside the baked tiles. */
+    struct bake_tile_size *tiles;     /**< The UDIM tiles that were baked, by number. */
+    uint32_t tile_count;              /**< Entries of tiles. */
     uint64_t covered_texels;          /**< Texels with at least one sample inside a UV chart. */
     uint64_t samples;                 /**< Samples inside UV charts. */
     uint64_t hits;                    /**< Samples whose rays found the scan. */
@@ -134,7 +166,10 @@ struct bake_report {
  * BSQ_EUSAGE if something is wrong. */
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options);
 
-/** Bakes and writes the maps, and fills in *report.
+/** Bakes and writes the maps, and fills in *report; after success the caller frees it with
+ * bake_report_free().
+ *
+ * Each UDIM tile that triangles lie in has its own maps.
  *
  * The method follows West, "GPU-optimized generation of normal and color maps" (Linkoping 2008):
  * each sample of a texel sends a ray along the interpolated normal and one against it, and the
@@ -146,6 +181,22 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options);
  * BSQ_ENODEVICE; BSQ_EUSAGE for options that contradict each other and for a device name that is
  * not one of BAKE_DEVICE_NAMES; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report);
+
+/** Frees what bake_run() allocated in a report; a zeroed report is allowed. */
+void bake_report_free(struct bake_report *report);
+
+/** A UDIM tile that triangles of a low-poly mesh lie in. */
+struct bake_tile_info {
+    uint32_t tile;          /**< Its number. */
+    uint32_t width, height; /**< Of its maps in texels, by the options. */
+    uint64_t triangles;     /**< In it; a triangle can be in several tiles. */
+};
+
+/** Calls `fn` with `arg` for each UDIM tile that bake_run() would bake, by number. Of the options,
+ * reads mesh_path, the sizes and the tile ranges. Errors: those of reading the mesh; BSQ_EUSAGE as
+ * in bake_run(). */
+int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
+                    void (*fn)(void *arg, const struct bake_tile_info *tile), void *arg);
 
 /** Sets *out if a grid or chunk file has colours. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO. */
 int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out);

@@ -4,19 +4,24 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "tools/bake_tiles.h"
+
 static const char help_format[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
+    "       bisque-bake --list-tiles LOW.obj\n"
     "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-poly mesh: fast from a\n"
     "voxel grid (SCAN.nvdb), or exactly from the scan's own triangles (SCAN.tris).\n"
-    "<MAP> in the output's name is replaced by the name of the map. A name that ends in .exr gives\n"
-    "OpenEXR files, one that ends in .png PNG files.\n"
+    "<MAP> in the output's name is replaced by the name of the map, <UDIM> by the number of the tile,\n"
+    "<UVTILE> by u1_v1 and so on. A name that ends in .exr gives OpenEXR files, one that ends in .png\n"
+    "PNG files.\n"
     "\n"
     "  -o, --output FILE       the maps; must contain \"<MAP>\" if there are several\n"
     "      --maps LIST         the maps to bake, separated by commas:\n"
     "%s"
-    "      --size N | WxH      texels (default: 2048)\n"
+    "      --size N | WxH      texels (default: 2048); by UDIM tile: 1001=4096,*=2048\n"
+    "      --tiles LIST        UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)\n"
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
     "      --front D           length of the rays outwards, in the mesh's units (default: auto)\n"
     "      --back D            length of the rays inwards (default: auto)\n"
@@ -31,11 +36,14 @@ static const char help_format[] =
     "      --preview FILE.png  a picture of the low-poly mesh, the baked mesh and the scan\n"
     "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
     "      --gpu-memory SIZE   most memory of a GPU to use, e.g. 2G (default: what is free)\n"
-    "      --list-devices      print the devices and exit\n" CLI_VERIFY_HELP CLI_COMMON_HELP;
+    "      --list-devices      print the devices and exit\n"
+    "      --list-tiles        print the UDIM tiles of a low-poly mesh and exit\n" CLI_VERIFY_HELP
+        CLI_COMMON_HELP;
 
 enum {
     OPT_MAPS = CLI_OWN,
     OPT_SIZE,
+    OPT_TILES,
     OPT_SAMPLES,
     OPT_FRONT,
     OPT_BACK,
@@ -51,13 +59,15 @@ enum {
     OPT_PREVIEW,
     OPT_DEVICE,
     OPT_GPU_MEMORY,
-    OPT_LIST_DEVICES
+    OPT_LIST_DEVICES,
+    OPT_LIST_TILES
 };
 
 static const struct option long_options[] = {
     {"output", required_argument, NULL, 'o'},
     {"maps", required_argument, NULL, OPT_MAPS},
     {"size", required_argument, NULL, OPT_SIZE},
+    {"tiles", required_argument, NULL, OPT_TILES},
     {"samples", required_argument, NULL, OPT_SAMPLES},
     {"front", required_argument, NULL, OPT_FRONT},
     {"back", required_argument, NULL, OPT_BACK},
@@ -74,6 +84,7 @@ static const struct option long_options[] = {
     {"device", required_argument, NULL, OPT_DEVICE},
     {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
+    {"list-tiles", no_argument, NULL, OPT_LIST_TILES},
     CLI_VERIFY_OPTION,
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
@@ -106,32 +117,6 @@ static int parse_count(struct cli *cli, const char *option, const char *text, ui
     if (status == 0)
         *out = (uint32_t)value;
     return status;
-}
-
-static bool parse_side(const char **text, uint32_t *out)
-{
-    char *end;
-    bool digit = **text >= '0' && **text <= '9';
-    unsigned long long value = strtoull(*text, &end, 10);
-    *text = end;
-    *out = (uint32_t)value;
-    return digit && value >= 1 && value <= BAKE_MAX_SIDE;
-}
-
-/* Parses "2048" or "4096x2048". */
-static int parse_size(struct cli *cli, struct bake_options *bake)
-{
-    const char *at = optarg;
-    bool good = parse_side(&at, &bake->width);
-    bake->height = bake->width;
-    if (good && *at == 'x') {
-        at++;
-        good = parse_side(&at, &bake->height);
-    }
-    if (!good || *at != '\0')
-        return cli_usage(cli, "--size: \"%s\" is not N or WxH with numbers from 1 to %d", optarg,
-                         BAKE_MAX_SIDE);
-    return 0;
 }
 
 static int parse_distance(struct cli *cli, const char *option, double *out)
@@ -222,7 +207,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_MAPS:
         return parse_maps(cli, bake);
     case OPT_SIZE:
-        return parse_size(cli, bake);
+        return bake_parse_sizes(cli, optarg, bake);
+    case OPT_TILES:
+        return bake_parse_tiles(cli, optarg, bake);
     case OPT_SAMPLES:
         return parse_count(cli, "--samples", optarg, 1, BAKE_MAX_SAMPLES, &bake->samples);
     case OPT_FRONT:
@@ -256,6 +243,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_LIST_DEVICES:
         arguments->list_devices = true;
         return 0;
+    case OPT_LIST_TILES:
+        arguments->list_tiles = true;
+        return 0;
     default:
         return common_option(cli, option);
     }
@@ -273,6 +263,10 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
         return 0;
     if (arguments->list_devices)
         return count == 0 ? 0 : cli_usage(cli, "--list-devices takes no files");
+    if (arguments->list_tiles) {
+        bake->mesh_path = inputs[0];
+        return count == 1 ? 0 : cli_usage(cli, "--list-tiles takes one file: LOW.obj");
+    }
     if (count != 2)
         return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",
                          count, count == 1 ? "" : "s");
@@ -288,4 +282,10 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
     bake_defaults(&arguments->bake);
     int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
     return status != 0 ? status : check_arguments(cli, arguments, argc - optind, argv + optind);
+}
+
+void bake_arguments_free(struct bake_arguments *arguments)
+{
+    free((void *)(uintptr_t)arguments->bake.tile_sizes);
+    free((void *)(uintptr_t)arguments->bake.tile_ranges);
 }

@@ -7,7 +7,7 @@
 
 struct bake_arguments {
     struct bake_options bake;
-    bool list_devices;
+    bool list_devices, list_tiles;
     char **files; /* to verify */
     int file_count;
     int sample_option; /* the option that chose bake.sample_type; 0: none */
@@ -15,7 +15,9 @@ struct bake_arguments {
 
 enum { MOST_MAPS = 32 }; /* bits of bake_options.maps */
 
-/* Reads the command line. Returns what cli_parse_options() returns. */
+/* Reads the command line. Free *arguments with bake_arguments_free(), also after a failure. Returns
+ * what cli_parse_options() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
+void bake_arguments_free(struct bake_arguments *arguments);
 
 #endif

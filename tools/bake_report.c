@@ -1,41 +1,76 @@
 /* bake_report.c - see bake_report.h. */
 #include "tools/bake_report.h"
 
-/* Hints are given above this percentage of samples that miss, of samples in overlapping charts, or
- * of triangles outside the map. */
+#include <stdlib.h>
+#include <string.h>
+
+/* Hints are given above this percentage of samples that miss or lie in overlapping charts. */
 enum { HINT_PERCENT = 5 };
 
-/* ---- devices ---- */
+/* ---- devices and tiles ---- */
 
-struct device_list {
+/* A list that a callback prints. */
+struct listing {
     json_t *json; /* NULL: print lines */
     bool failed;
 };
 
+/* Adds an entry, which may be NULL, and takes it. */
+static void add_entry(struct listing *list, json_t *entry)
+{
+    if (!entry || json_array_append_new(list->json, entry) != 0)
+        list->failed = true;
+}
+
+/* Prints a list as JSON under `name`, if JSON is asked for, and frees it. */
+static int end_listing(struct cli *cli, struct listing *list, int status, const char *name)
+{
+    if (cli->json && status == 0)
+        status = cli_print_json(cli, list->failed ? NULL : json_pack("{s:O}", name, list->json));
+    json_decref(list->json);
+    return status;
+}
+
 static void list_device(void *arg, const struct bake_device_info *device)
 {
-    struct device_list *list = arg;
+    struct listing *list = arg;
     char memory[CLI_TEXT];
     if (!list->json) {
         printf("%-10s  %s, %s\n", device->id, device->name,
                cli_size_text(device->memory_bytes, memory));
         return;
     }
-    json_t *entry = json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
+    add_entry(list, json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
                               cli_json_text(device->name), "memory_bytes",
-                              (json_int_t)device->memory_bytes, "is_gpu", (int)device->is_gpu);
-    if (!entry || json_array_append_new(list->json, entry) != 0)
-        list->failed = true;
+                              (json_int_t)device->memory_bytes, "is_gpu", (int)device->is_gpu));
 }
 
 int bake_report_devices(struct cli *cli)
 {
-    struct device_list list = {.json = cli->json ? json_array() : NULL};
+    struct listing list = {.json = cli->json ? json_array() : NULL};
     int status = bake_list_devices(cli->ctx, list_device, &list);
-    if (cli->json && status == 0)
-        status = cli_print_json(cli, list.failed ? NULL : json_pack("{s:O}", "devices", list.json));
-    json_decref(list.json);
-    return status;
+    return end_listing(cli, &list, status, "devices");
+}
+
+static void list_tile(void *arg, const struct bake_tile_info *tile)
+{
+    struct listing *list = arg;
+    if (!list->json) {
+        printf("%u\n", tile->tile);
+        return;
+    }
+    json_t *entry =
+        json_pack("{s:i, s:i, s:i, s:I}", "tile", (int)tile->tile, "width", (int)tile->width,
+                  "height", (int)tile->height, "triangles", (json_int_t)tile->triangles);
+    if (json_array_append_new(list->json, entry) != 0)
+        list->failed = true;
+}
+
+int bake_report_tiles(struct cli *cli, const struct bake_options *options)
+{
+    struct listing list = {.json = cli->json ? json_array() : NULL};
+    int status = bake_list_tiles(cli->ctx, options, list_tile, &list);
+    return end_listing(cli, &list, status, "tiles");
 }
 
 /* ---- maps ---- */
@@ -69,32 +104,45 @@ static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
             percent(report->overlapping_samples, report->samples));
 }
 
-static void hint_at_outside(struct cli *cli, const struct bake_report *report)
+static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
 {
-    char triangles[CLI_TEXT];
-    if (percent(report->outside_uv_triangles, report->low_triangles) > HINT_PERCENT)
-        bsq_warn(
-            cli->ctx,
-            "texture coordinates of %s reach out of 0..1: parts outside, such as other UDIM tiles, "
-            "are not baked",
-            cli_counted_text(report->outside_uv_triangles, "triangle", "triangles", triangles));
+    char triangles[CLI_TEXT], texels[CLI_TEXT], tiles[CLI_TEXT];
+    printf("%s: %s, ", arguments->bake.mesh_path,
+           cli_counted_text(report->low_triangles, "triangle", "triangles", triangles));
+    cli_count_text(report->covered_texels, texels);
+    if (report->tile_count == 1)
+        printf("%s of %ux%u texels covered\n", texels, report->tiles[0].width,
+               report->tiles[0].height);
+    else
+        printf("%s texels covered in %s\n", texels,
+               cli_counted_text(report->tile_count, "tile", "tiles", tiles));
+}
+
+/* Prints the file of each map and tile. */
+static void print_maps(const struct bake_report *report, char *const *paths)
+{
+    for (uint32_t t = 0; t < report->tile_count; t++)
+        for (unsigned i = 0; bake_map_name(i); i++) {
+            char *path = paths[i] ? bake_tile_path(paths[i], report->tiles[t].tile) : NULL;
+            if (path)
+                printf("%s: %s map\n", path, bake_map_name(i));
+            free(path);
+        }
 }
 
 static void print_report(const struct cli *cli, const struct bake_arguments *arguments,
                          const struct bake_report *report, char *const *paths)
 {
     const struct bake_options *bake = &arguments->bake;
-    char triangles[CLI_TEXT], texels[CLI_TEXT], samples[CLI_TEXT], misses[CLI_TEXT];
-    printf("%s: %s, %s of %ux%u texels covered\n", bake->mesh_path,
-           cli_counted_text(report->low_triangles, "triangle", "triangles", triangles),
-           cli_count_text(report->covered_texels, texels), bake->width, bake->height);
+    char samples[CLI_TEXT], misses[CLI_TEXT];
+    print_coverage(arguments, report);
     const char *first = "left out: ";
     const char *next =
         cli_print_count(first, report->degenerate_uv_triangles, "triangle without area in UV space",
                         "triangles without area in UV space");
     next = cli_print_count(next, report->outside_uv_triangles,
-                           "triangle reaching out of 0..1 in UV space",
-                           "triangles reaching out of 0..1 in UV space");
+                           "triangle reaching out of the baked tiles",
+                           "triangles reaching out of the baked tiles");
     next = cli_print_count(next, report->overlapping_samples, "sample of overlapping triangles",
                            "samples of overlapping triangles");
     if (next != first)
@@ -103,9 +151,7 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
            cli_counted_text(report->samples, "sample", "samples", samples),
            cli_count_text(report->misses, misses), percent(report->misses, report->samples),
            report->front, report->back, report->device);
-    for (unsigned i = 0; bake_map_name(i); i++)
-        if (paths[i])
-            printf("%s: %s map\n", paths[i], bake_map_name(i));
+    print_maps(report, paths);
     if (bake->preview_path)
         printf("%s: preview\n", bake->preview_path);
     printf("seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
@@ -122,16 +168,37 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
     cli_print_cost(cli);
 }
 
-static json_t *maps_json(char *const *paths)
+/* Returns an object with the file of each map; tile 0: with the tokens of tiles. NULL: no memory.
+ */
+static json_t *maps_json(char *const *paths, uint32_t tile)
 {
     json_t *maps = json_object();
     for (unsigned i = 0; maps && bake_map_name(i); i++) {
-        if (paths[i] && json_object_set_new(maps, bake_map_name(i), cli_json_text(paths[i])) != 0) {
+        char *path = !paths[i] ? NULL : tile ? bake_tile_path(paths[i], tile) : strdup(paths[i]);
+        if (paths[i] &&
+            (!path || json_object_set_new(maps, bake_map_name(i), cli_json_text(path)) != 0)) {
             json_decref(maps);
             maps = NULL;
         }
+        free(path);
     }
     return maps;
+}
+
+static json_t *tiles_json(const struct bake_report *report, char *const *paths)
+{
+    json_t *tiles = json_array();
+    for (uint32_t i = 0; tiles && i < report->tile_count; i++) {
+        const struct bake_tile_size *tile = &report->tiles[i];
+        json_t *entry =
+            json_pack("{s:i, s:i, s:i, s:o}", "tile", (int)tile->tile, "width", (int)tile->width,
+                      "height", (int)tile->height, "maps", maps_json(paths, tile->tile));
+        if (json_array_append_new(tiles, entry) != 0) {
+            json_decref(tiles);
+            tiles = NULL;
+        }
+    }
+    return tiles;
 }
 
 static int print_json(struct cli *cli, const struct bake_arguments *arguments,
@@ -139,14 +206,15 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
-        "{s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
-        "maps", maps_json(paths), "preview_path", cli_json_text(bake->preview_path), "width",
-        (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
-        "device", cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,
-        "degenerate_uv_triangles", (json_int_t)report->degenerate_uv_triangles,
-        "outside_uv_triangles", (json_int_t)report->outside_uv_triangles, "covered_texels",
+        "maps", maps_json(paths, 0), "tiles", tiles_json(report, paths), "preview_path",
+        cli_json_text(bake->preview_path), "width", (int)bake->width, "height", (int)bake->height,
+        "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),
+        "low_triangles", (json_int_t)report->low_triangles, "degenerate_uv_triangles",
+        (json_int_t)report->degenerate_uv_triangles, "outside_uv_triangles",
+        (json_int_t)report->outside_uv_triangles, "covered_texels",
         (json_int_t)report->covered_texels, "samples", (json_int_t)report->samples, "hits",
         (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
         (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,
@@ -164,7 +232,6 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
 {
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, report);
-    hint_at_outside(cli, report);
     if (cli->json)
         return print_json(cli, arguments, report, paths);
     print_report(cli, arguments, report, paths);

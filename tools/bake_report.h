@@ -4,13 +4,15 @@
 
 #include "tools/bake_arguments.h"
 
-/* Prints what was baked, as lines or as JSON, and warns of many misses, overlaps or triangles
- * outside the map. paths: the file of each map, in the order of bake_map_name(); NULL: not baked.
- */
+/* Prints what was baked, as lines or as JSON, and warns of many misses or overlaps. paths: the file
+ * of each map, in the order of bake_map_name(), with the tokens of tiles; NULL: not baked. */
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths);
 
 /* Prints the devices that can be used, as lines or as JSON. */
 int bake_report_devices(struct cli *cli);
+
+/* Prints the UDIM tiles of the low-poly mesh, as lines or as JSON. */
+int bake_report_tiles(struct cli *cli, const struct bake_options *options);
 
 #endif

@@ -6,7 +6,8 @@
 
 /* ---- outputs ---- */
 
-/* Names the files of all maps to bake. paths: MOST_MAPS entries; the caller frees them. */
+/* Names the files of all maps, of which there is one for each UDIM tile. paths: MOST_MAPS entries;
+ * the caller frees them. */
 static int name_outputs(struct cli *cli, const struct bake_options *bake, char **paths)
 {
     for (unsigned i = 0; bake_map_name(i); i++) {
@@ -28,7 +29,11 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             continue;
         if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
-        status = cli_check_output(cli, paths[i], inputs, 2);
+        /* Tiles are known later; their files lie in the directory of the first. */
+        char *path = bake_tile_path(paths[i], BAKE_FIRST_TILE);
+        status = path ? cli_check_output(cli, path, inputs, 2)
+                      : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", paths[i]);
+        free(path);
     }
     if (status == 0 && bake->preview_path)
         status = cli_check_picture(cli, bake->preview_path, inputs, 2);
@@ -57,6 +62,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
         status = bake_run(cli->ctx, bake, &report);
     if (status == 0)
         status = bake_report_print(cli, arguments, &report, paths);
+    bake_report_free(&report);
     for (unsigned i = 0; i < MOST_MAPS; i++)
         free(paths[i]);
     return status;
@@ -73,6 +79,9 @@ int main(int argc, char **argv)
     if (status == 0 && cli.verify)
         status = cli_verify(&cli, arguments.files, arguments.file_count);
     else if (status == 0)
-        status = arguments.list_devices ? bake_report_devices(&cli) : bake_maps(&cli, &arguments);
+        status = arguments.list_devices ? bake_report_devices(&cli)
+                 : arguments.list_tiles ? bake_report_tiles(&cli, &arguments.bake)
+                                        : bake_maps(&cli, &arguments);
+    bake_arguments_free(&arguments);
     return cli_end(&cli, status);
 }

@@ -98,23 +98,3 @@ uint32_t bake_choose_maps(uint32_t asked, bool has_color)
             maps |= 1u << i;
     return asked == BAKE_MAPS_DEFAULT ? maps : asked;
 }
-
-char *bake_map_path(const char *path, enum bake_map map)
-{
-    unsigned number = 0;
-    while (number < BK_MAP_COUNT - 1 && 1u << number != (uint32_t)map)
-        ++number;
-    const char *name = bake_map_names[number], *at;
-    size_t name_bytes = strlen(name), token_bytes = strlen(BAKE_MAP_TOKEN), length = strlen(path);
-    for (at = strstr(path, BAKE_MAP_TOKEN); at; at = strstr(at + token_bytes, BAKE_MAP_TOKEN))
-        length += name_bytes;
-    char *out = malloc(length + 1), *to = out;
-    while (out && (at = strstr(path, BAKE_MAP_TOKEN))) {
-        to = mempcpy(to, path, (size_t)(at - path));
-        to = mempcpy(to, name, name_bytes);
-        path = at + token_bytes;
-    }
-    if (out)
-        strcpy(to, path);
-    return out;
-}

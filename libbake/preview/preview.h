@@ -7,12 +7,20 @@
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/surface/surface.h"
 #include "libbake/maps/maps.h"
+#include "libbake/udim/udim.h"
+
+/* A UDIM tile with linear thumbnails, whose `texels` are NULL if the map is not baked. */
+struct bake_preview_tile {
+    struct bake_udim_tile place;
+    const struct bake_thumbnail *normal, *color;
+};
 
 struct bake_preview {
     const struct bake_lowmesh *mesh;
     const struct bake_surface *surface;
-    const struct bk_params *params;      /* for a voxel grid */
-    struct bake_thumbnail normal, color; /* linear; `texels` is NULL if the map is not baked */
+    const struct bk_params *params;        /* for a voxel grid */
+    const struct bake_preview_tile *tiles; /* by number */
+    uint32_t tile_count;
     enum bake_normal_space normal_space; /* of the normal map */
     bool green_down;                     /* likewise */
 };

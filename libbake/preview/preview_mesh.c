@@ -2,6 +2,9 @@
  * afterwards, so that the panels with and without maps share it. */
 #include "libbake/preview/preview_view.h"
 
+/* Texture coordinates this far outside a tile still belong to it: those at its border. */
+#define TILE_RIM 0.01f
+
 /* Projects a corner onto the panel: x and y in samples, depth growing towards the camera. */
 static void project(const struct preview_view *view, const double p[3], double out[3])
 {
@@ -109,13 +112,66 @@ static struct bsq_vec3 blend(float (*corners)[3], const float weights[3])
     return bsq_v3(v[0], v[1], v[2]);
 }
 
+/* Returns the tile whose range of triangles has this one; NULL: none. */
+static const struct bake_preview_tile *tile_of(const struct bake_preview *preview,
+                                               uint32_t triangle)
+{
+    uint32_t low = 0, high = preview->tile_count;
+    while (low < high) {
+        const uint32_t middle = low + (high - low) / 2;
+        const struct bake_udim_tile *place = &preview->tiles[middle].place;
+        if (triangle >= place->first && triangle < place->first + place->count)
+            return &preview->tiles[middle];
+        if (triangle < place->first)
+            high = middle;
+        else
+            low = middle + 1;
+    }
+    return NULL;
+}
+
+/* Returns the tile with this number; NULL: none. */
+static const struct bake_preview_tile *tile_numbered(const struct bake_preview *preview,
+                                                     uint32_t number)
+{
+    for (uint32_t i = 0; i < preview->tile_count; ++i)
+        if (preview->tiles[i].place.number == number)
+            return &preview->tiles[i];
+    return NULL;
+}
+
+/* Finds the tile that a point of a triangle lies in, and its place there. A triangle in several
+ * tiles has a copy for each, of which any may be drawn. Returns NULL if no tile was baked there. */
+static const struct bake_preview_tile *
+tile_at(const struct bake_preview *preview, uint32_t triangle, const float weights[3], float at[2])
+{
+    const struct bake_preview_tile *tile = tile_of(preview, triangle);
+    float(*uv)[2] = preview->mesh->texcoords[triangle];
+    int away[2];
+    for (int k = 0; k < 2; ++k) {
+        at[k] = weights[0] * uv[0][k] + weights[1] * uv[1][k] + weights[2] * uv[2][k];
+        const float whole = floorf(at[k]);
+        away[k] =
+            at[k] < -TILE_RIM || at[k] > 1 + TILE_RIM ? (int)fminf(fmaxf(whole, -999), 999) : 0;
+        at[k] -= (float)away[k];
+    }
+    if (!tile || (away[0] == 0 && away[1] == 0))
+        return tile;
+    const int column = (int)bake_udim_column(tile->place.number) + away[0];
+    const int row = (int)bake_udim_row(tile->place.number) + away[1];
+    return column < 0 || column > 9 || row < 0
+               ? NULL
+               : tile_numbered(preview, BAKE_FIRST_TILE + (uint32_t)(column + 10 * row));
+}
+
 /* Applies the normal map as a MikkTSpace shader does: N and T are interpolated, not normalised. */
 static struct bsq_vec3 mapped_normal(const struct bake_preview *preview, uint32_t triangle,
-                                     const float weights[3], float u, float v)
+                                     const float weights[3], const struct bake_thumbnail *map,
+                                     const float at[2])
 {
     const struct bake_lowmesh *mesh = preview->mesh;
     float encoded[3];
-    bake_thumbnail_sample(&preview->normal, u, v, encoded);
+    bake_thumbnail_sample(map, at[0], at[1], encoded);
     struct bsq_vec3 m = bsq_v3(2 * encoded[0] - 1, 2 * encoded[1] - 1, 2 * encoded[2] - 1);
     if (preview->normal_space == BAKE_OBJECT_SPACE)
         return bsq_unit3(m);
@@ -144,17 +200,15 @@ struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
     const float weights[3] = {(float)w[0], (float)w[1], (float)w[2]};
     struct bsq_vec3 normal = bsq_unit3(blend(mesh->normals[triangle], weights));
     struct bsq_vec3 albedo = bake_preview_grey();
-    if (with_maps) {
-        float(*uv)[2] = mesh->texcoords[triangle];
-        float u = weights[0] * uv[0][0] + weights[1] * uv[1][0] + weights[2] * uv[2][0];
-        float v = weights[0] * uv[0][1] + weights[1] * uv[1][1] + weights[2] * uv[2][1];
-        if (preview->normal.texels)
-            normal = mapped_normal(preview, triangle, weights, u, v);
-        if (preview->color.texels) {
-            float color[3];
-            bake_thumbnail_sample(&preview->color, u, v, color);
-            albedo = bsq_v3(color[0], color[1], color[2]);
-        }
+    float at[2];
+    const struct bake_preview_tile *tile =
+        with_maps ? tile_at(preview, triangle, weights, at) : NULL;
+    if (tile && tile->normal->texels)
+        normal = mapped_normal(preview, triangle, weights, tile->normal, at);
+    if (tile && tile->color->texels) {
+        float color[3];
+        bake_thumbnail_sample(tile->color, at[0], at[1], color);
+        albedo = bsq_v3(color[0], color[1], color[2]);
     }
     return bake_preview_shade(view, normal, albedo);
 }

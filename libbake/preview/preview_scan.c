@@ -46,7 +46,7 @@ static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_ex
         return bake_preview_background(row);
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
     /* Without a colour map the mesh is grey; so is the scan, to be compared with it. */
-    struct bsq_vec3 albedo = strip->preview->color.texels
+    struct bsq_vec3 albedo = strip->preview->tiles[0].color->texels
                                  ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
                                  : bake_preview_grey();
     return bake_preview_shade(strip->view, normal, albedo);

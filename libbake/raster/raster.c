@@ -13,17 +13,6 @@
 
 /* ---- lists ---- */
 
-static bool is_outside(const float (*texcoords)[2])
-{
-    for (int i = 0; i < 3; i++) {
-        for (int k = 0; k < 2; k++) {
-            if (!(texcoords[i][k] >= 0 && texcoords[i][k] <= 1))
-                return true;
-        }
-    }
-    return false;
-}
-
 /* Differences and products of floats are exact in double unless their magnitudes are far apart. */
 static bool has_uv_area(const float (*uv)[2])
 {
@@ -50,12 +39,17 @@ static bool overlapped_tiles(const struct bake_raster *raster, uint64_t triangle
     return true;
 }
 
+static uint64_t triangles_end(const struct bake_raster *raster)
+{
+    return raster->options.first + raster->options.count;
+}
+
 /* Counts the triangles that may have samples in each tile. */
 static void count_triangles(const struct bake_raster *raster, uint64_t *counts)
 {
     struct raster_window tiles;
 
-    for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
+    for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         if (!overlapped_tiles(raster, t, &tiles))
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
@@ -100,7 +94,7 @@ static void place_triangles(struct bake_raster *raster, uint64_t *cursors)
 {
     struct raster_window tiles;
 
-    for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
+    for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         if (!overlapped_tiles(raster, t, &tiles))
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
@@ -133,19 +127,17 @@ static int sort_into_tiles(struct bake_raster *raster)
 
 /* ---- creation ---- */
 
-/* Counts triangles without area and those outside of the map. */
+/* Counts triangles without area. */
 static void inspect(const struct bake_raster *raster, struct bake_raster_report *report)
 {
     struct raster_triangle snapped;
 
     memset(report, 0, sizeof(*report));
-    for (uint64_t t = 0; t < raster->mesh->triangle_count; t++) {
+    for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         const float(*uv)[2] = (const float(*)[2])raster->mesh->texcoords[t];
         bool fits = bake_raster_snap(&raster->grid, uv, &snapped);
         if (fits && !(has_uv_area(uv) && bake_raster_has_area(&snapped)))
             report->degenerate_triangles++;
-        else if (is_outside(uv))
-            report->outside_triangles++;
     }
 }
 

@@ -14,14 +14,14 @@ struct bake_raster_options {
     uint32_t width, height; /* of the map in texels */
     uint32_t samples;       /* N, for N x N samples a texel */
     uint32_t tile_size;     /* side in texels; tiles at the right and lower border may be smaller */
+    uint64_t first, count;  /* triangles of the mesh to rasterise */
 };
 
 struct bake_raster_report {
     uint64_t degenerate_triangles; /* without area in texture space */
-    uint64_t outside_triangles;    /* not wholly inside 0..1; what lies outside is not baked */
 };
 
-/* Sorts the triangles into tiles, in time linear in the triangles and the tiles that they overlap.
+/* Sorts triangles into tiles, in time linear in the triangles and the tiles that they overlap.
  * mesh must outlive *out; free *out with bake_raster_free(). Errors: BSQ_EUSAGE for a map that is
  * empty or too large, BSQ_EDATA for too many triangles, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
@@ -41,9 +41,9 @@ struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index
 void bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
                       uint64_t *overlaps);
 
-/* Writes all triangles in the kernel's form, with positions (world - translation) / voxel_size.
- * `out` has one entry per triangle. Triangles without area in texture space, to which no sample
- * refers, are zeroed. */
+/* Writes the rasterised triangles in the kernel's form, with positions (world - translation) /
+ * voxel_size, to their entries of `out`, which has one for each triangle of the mesh. Triangles
+ * without area in texture space, to which no sample refers, are zeroed. */
 void bake_raster_kernel_triangles(const struct bake_raster *raster, const double translation[3],
                                   double voxel_size, struct bk_triangle *out);
 

@@ -106,16 +106,17 @@ void bake_raster_kernel_triangles(const struct bake_raster *raster, const double
     const struct bake_lowmesh *mesh = raster->mesh;
     struct raster_triangle snapped;
 
-    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+    for (uint64_t i = 0; i < raster->options.count; i++) {
+        const uint64_t t = raster->options.first + i;
         memset(&out[t], 0, sizeof(out[t]));
         if (!raster_snap_triangle(raster, t, &snapped))
             continue;
         const struct raster_window samples = bake_raster_bounds(&raster->grid, &snapped);
         set_weights(raster, t, &samples, &out[t]);
-        for (int i = 0; i < 3; i++) {
+        for (int c = 0; c < 3; c++) {
             for (int k = 0; k < 3; k++)
-                out[t].position[i][k] =
-                    (float)((mesh->positions[t][i][k] - translation[k]) / voxel_size);
+                out[t].position[c][k] =
+                    (float)((mesh->positions[t][c][k] - translation[k]) / voxel_size);
         }
         memcpy(out[t].normal, mesh->normals[t], sizeof(out[t].normal));
         memcpy(out[t].tangent, mesh->tangents[t], sizeof(out[t].tangent));

@@ -23,8 +23,11 @@ static int choose_distances(struct rays_scene *scene)
 static int make_raster(struct rays_scene *scene, uint32_t size)
 {
     scene->tile_size = bake_tile_size(scene->ctx, size, size, scene->samples);
-    const struct bake_raster_options options = {
-        .width = size, .height = size, .samples = scene->samples, .tile_size = scene->tile_size};
+    const struct bake_raster_options options = {.width = size,
+                                                .height = size,
+                                                .samples = scene->samples,
+                                                .tile_size = scene->tile_size,
+                                                .count = scene->mesh.triangle_count};
     struct bake_raster_report report = {0};
     int status = bake_raster_create(scene->ctx, &scene->mesh, &options, &report, &scene->raster);
     if (status == 0)

@@ -12,7 +12,10 @@ for scan in low colored; do
 done
 mv low.nvdb plain.nvdb
 rm colored.obj
-start="colored.nvdb low.obj plain.nvdb"
+run bisque-voxelize low.obj -o box.nvdb --resolution 8
+code 0
+rm box.nvdb
+start="box.tris colored.nvdb low.obj plain.nvdb"
 files $start
 
 magic()
@@ -36,8 +39,8 @@ is_png()
 $bake --help
 code 0
 out_like '^Usage: bisque-bake '
-options="output maps size samples front back two-sided sampling normal-space green padding half
-    float png-bits preview device gpu-memory list-devices memory threads progress json help version"
+options="output maps size tiles samples front back two-sided sampling normal-space green padding half
+    float png-bits preview device gpu-memory list-devices list-tiles memory threads progress json help version"
 for option in $options; do
     out_like "  --$option|, --$option"
 done
@@ -86,7 +89,7 @@ $bake $good --maps norm
 refused 64 "$p --maps: \"norm\" is not $known"
 for size in 0 -1 x 1.5 1048577 99999999999999999999 '' 16x 16x0 x16 16x16x16 16X16 '16 x16' 0x10; do
     $bake $good --size "$size"
-    refused 64 "$p --size: \"$size\" is not N or WxH with numbers from 1 to 1048576"
+    refused 64 "$p --size: \"$size\" is not N, WxH or TILE=SIZE,...,\*=SIZE with numbers from 1 to 1048576"
 done
 $bake $good --samples 0
 refused 64 "$p --samples: \"0\" is not a whole number from 1 to 64"
@@ -325,7 +328,7 @@ without_hit 1 5000000 '\(5000000 0 0\) to \(5000001 2 3\): are they in the same 
 without_hit 1000 0 ': are they in the same place and units\?'
 rm away.obj
 
-# ---- charts that overlap or lie outside the map ----
+# ---- charts that overlap ----
 
 # All six sides in one place.
 awk '/^vt / { $2 = NR % 4 < 2 ? .25 : .75; $3 = NR % 4 == 1 || NR % 4 == 2 ? .25 : .75 } { print }' low.obj >stacked.obj
@@ -334,13 +337,63 @@ code 0
 json '.overlapping_samples == .samples'
 grep -q "^$p warning: 100\.0 % of the samples lie in several triangles, because charts overlap: " "$err"
 check "a hint at charts that overlap" $?
-awk '/^vt / { $2 += 0.5 } { print }' low.obj >outside.obj
-$bake $small plain.nvdb outside.obj -o charts.exr --json
+rm charts.exr stacked.obj
+
+# ---- UDIM tiles ----
+
+# The charts in two tiles: 1002, and 1011 from half the height of the map on.
+awk '/^vt / { $2 += 1; $3 *= 2 } { print }' low.obj >two.obj
+$bake --list-tiles two.obj
 code 0
-json '.outside_uv_triangles * 20 > .low_triangles and .overlapping_samples == 0'
-grep -Eq "^$p warning: texture coordinates of [0-9]+ triangles reach out of 0\.\.1: " "$err"
-check "a hint at charts outside the map" $?
-rm charts.exr stacked.obj outside.obj
+[ "$(cat "$out")" = "1002
+1012" ]
+check "tiles are listed" $?
+$bake --list-tiles two.obj --json --size '1012=64x32,*=16'
+code 0
+json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
+$bake --list-tiles
+code 64
+$bake $small plain.nvdb two.obj -o 'one_<MAP>.exr'
+code 64
+err_like "^$p two\.obj is in several UDIM tiles: 1002, 1012; to bake all, put \"<UDIM>\" into the output's name; "
+files two.obj $start
+$bake $small --padding 0 plain.nvdb two.obj -o 'm_<MAP>.<UDIM>.exr' --preview look.png --json
+code 0
+json '.maps == {"normal": "m_normal.<UDIM>.exr"} and [.tiles[].maps.normal] == ["m_normal.1002.exr", "m_normal.1012.exr"]'
+json '[.tiles[].tile] == [1002, 1012] and .outside_uv_triangles == 0 and .misses * 100 < .samples'
+files look.png m_normal.1002.exr m_normal.1012.exr two.obj $start
+# Each tile alone is the same, also under another name.
+$bake $small --padding 0 plain.nvdb two.obj -o n.exr --tiles 1012 --json
+code 0
+json '.outside_uv_triangles > 0 and (.tiles | length) == 1'
+same n.exr m_normal.1012.exr
+$bake $small --padding 0 --threads 1 --memory 16M plain.nvdb two.obj -o 'b_<UVTILE>.exr' --tiles 1001-1009
+code 0
+out_like '^b_u2_v1\.exr: normal map$'
+same b_u2_v1.exr m_normal.1002.exr
+# Tiles of two sizes, from triangles.
+$bake $small box.tris two.obj -o '<UDIM>.png' --size '1002=32x48,*=64'
+code 0
+out_like '^two\.obj: 12 triangles, [0-9,]+ texels covered in 2 tiles$'
+is_png 1002.png 32 48 16
+is_png 1012.png 64 64 16
+# What lies in no tile is an error, unless it is left out on purpose.
+awk '/^vt / { $2 -= 0.5 } { print }' low.obj >outside.obj
+$bake $small plain.nvdb outside.obj -o n.exr
+code 64
+err_like "^$p outside\.obj: [0-9]+ triangles have texture coordinates outside of all UDIM tiles, the first at \(-"
+$bake $small plain.nvdb outside.obj -o n.exr --tiles 1001
+code 0
+out_like '^left out: [0-9]+ triangles reaching out of the baked tiles$'
+for list in 1000 1001-1000 10001 x 1001, 1001- 1001x; do
+    $bake $small plain.nvdb two.obj -o n.exr --tiles $list
+    code 64
+done
+for list in '1001=' '=5' '*=0' '1001=4x' '1001=4,' '1000=4' '4,5'; do
+    $bake plain.nvdb two.obj -o n.exr --size "$list"
+    code 64
+done
+rm look.png *_normal.10??.exr n.exr b_u2_v1.exr 10?2.png outside.obj two.obj
 
 # ---- failures on the way ----
 

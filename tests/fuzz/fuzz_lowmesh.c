@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "libbake/raster/raster.h"
+#include "libbake/udim/udim.h"
 
 enum { SIDE = 12, SAMPLES = 2, TILE = 5 };
 
@@ -47,8 +48,11 @@ static void check_tile(const struct bake_raster *raster, const struct bake_lowme
 
 static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
 {
-    const struct bake_raster_options options = {
-        .width = SIDE, .height = SIDE - 1, .samples = SAMPLES, .tile_size = TILE};
+    const struct bake_raster_options options = {.width = SIDE,
+                                                .height = SIDE - 1,
+                                                .samples = SAMPLES,
+                                                .tile_size = TILE,
+                                                .count = mesh->triangle_count};
     const double translation[3] = {0.5, -2, 1e3};
     struct bake_raster_report report;
     struct bake_raster *raster;
@@ -56,7 +60,7 @@ static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
     int status = bake_raster_create(ctx, mesh, &options, &report, &raster);
     if (status)
         return status;
-    require(report.degenerate_triangles + report.outside_triangles <= mesh->triangle_count,
+    require(report.degenerate_triangles <= mesh->triangle_count,
             "more triangles are reported than exist");
     for (uint32_t i = 0; i < bake_raster_tile_count(raster); i++)
         check_tile(raster, mesh, i);
@@ -68,6 +72,24 @@ static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
     return status;
 }
 
+/* Sorts the mesh by tile, as a bake of all tiles does. */
+static int sort_by_tile(struct bsq_ctx *ctx, const char *path, struct bake_lowmesh *mesh)
+{
+    const struct bake_tile_range all = {BAKE_FIRST_TILE, BAKE_LAST_TILE};
+    struct bake_options options;
+    struct bake_udim udim;
+    bake_defaults(&options);
+    options.mesh_path = path;
+    options.output_path = "<UDIM>.exr";
+    options.tile_ranges = &all;
+    options.tile_range_count = 1;
+    int status = bake_udim_find(ctx, &options, mesh, &udim);
+    if (status == 0)
+        status = bake_udim_arrange(ctx, &options, &udim, mesh);
+    bake_udim_free(ctx, &udim);
+    return status;
+}
+
 static int use(struct bsq_ctx *ctx, const char *path)
 {
     struct bake_lowmesh mesh;
@@ -76,6 +98,8 @@ static int use(struct bsq_ctx *ctx, const char *path)
         return status;
     check_mesh(&mesh);
     status = rasterise(ctx, &mesh);
+    if (status == 0)
+        status = sort_by_tile(ctx, path, &mesh);
     bake_lowmesh_free(ctx, &mesh);
     return status;
 }

@@ -140,7 +140,9 @@ static int bake(struct bsq_ctx *ctx, const char *scan)
     options.padding = 1;
     options.device = "cpu";
     options.two_sided = true;
-    return bake_run(ctx, &options, &report);
+    int status = bake_run(ctx, &options, &report);
+    bake_report_free(&report);
+    return status;
 }
 
 static int bake_grid(struct bsq_ctx *ctx)

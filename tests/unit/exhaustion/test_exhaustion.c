@@ -214,6 +214,7 @@ static int bake(struct bsq_ctx *ctx, const char *scan, const char *output, uint3
     int status = bake_run(ctx, &options, &report);
     if (status == 0)
         assert_int_equal(report.misses, 0);
+    bake_report_free(&report);
     return status;
 }
 

@@ -63,7 +63,8 @@ static void write_grid(const char *path, bool with_color)
     bsq_ctx_destroy(ctx);
 }
 
-static void write_square(const char *path, double offset)
+/* Writes a square whose texture coordinates u are multiplied by `tiles`. */
+static void write_square(const char *path, double offset, double tiles)
 {
     FILE *file = fopen(path, "w");
     assert_non_null(file);
@@ -71,7 +72,8 @@ static void write_square(const char *path, double offset)
         double point[3], u = i & 1 ? square : -square, v = i & 2 ? square : -square;
         analytic_sine_point(&sine, u, v, -depth, point);
         fprintf(file, "v %.9g %.9g %.9g\n", point[0] + offset, point[1], point[2]);
-        fprintf(file, "vt %.9g %.9g\n", i & 1 ? 1 - margin : margin, i & 2 ? 1 - margin : margin);
+        fprintf(file, "vt %.9g %.9g\n", tiles * (i & 1 ? 1 - margin : margin),
+                i & 2 ? 1 - margin : margin);
     }
     fprintf(file, "f 1/1 2/2 4/4 3/3\n");
     fclose(file);
@@ -90,8 +92,8 @@ static int make_scene(void **state)
     sine = analytic_sine_make(wavelength, half, centre);
     write_grid(grey_path, false);
     write_grid(color_path, true);
-    write_square(low_path, 0);
-    write_square(far_path, 1000);
+    write_square(low_path, 0, 1);
+    write_square(far_path, 1000, 1);
     return 0;
 }
 
@@ -135,6 +137,7 @@ static void bake(struct bsq_ctx *ctx, const struct bake_options *options,
     if (status < 0)
         print_message("%s\n", bsq_error(ctx));
     assert_int_equal(status, 0);
+    bake_report_free(report);
 }
 
 static void read_map(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *image)
@@ -148,7 +151,7 @@ static void sample_map(const struct fmt_exr_image *image, uint32_t x, uint32_t y
 {
     static const char *const names[3] = {"R", "G", "B"};
     for (int k = 0; k < 3; ++k)
-        out[k] = (double)image->samples[((size_t)y * SIZE + x) * image->channel_count +
+        out[k] = (double)image->samples[((size_t)y * image->width + x) * image->channel_count +
                                         fmt_exr_channel(image, names[k])];
 }
 
@@ -424,6 +427,63 @@ static void test_preview_is_written_with_the_maps(void **state)
     test_context_end(ctx);
 }
 
+/* ---- UDIM tiles ---- */
+
+/* Compares a tile with the columns of a larger map from `first` on. */
+static void compare_columns(struct bsq_ctx *ctx, const char *tile_path, const char *whole_path,
+                            uint32_t first)
+{
+    struct fmt_exr_image tile, whole;
+    double a[3], b[3];
+    uint32_t seen = 0;
+    assert_int_equal(fmt_exr_read(ctx, tile_path, &tile), 0);
+    assert_int_equal(fmt_exr_read(ctx, whole_path, &whole), 0);
+    assert_int_equal(whole.width, 2 * tile.width);
+    for (uint32_t y = 0; y < tile.height; ++y)
+        for (uint32_t x = 0; x < tile.width; ++x) {
+            sample_map(&tile, x, y, a);
+            sample_map(&whole, first + x, y, b);
+            for (int k = 0; k < 3; ++k)
+                assert_true(fabs(a[k] - b[k]) < 1e-5);
+            seen += a[0] != 0.5 || a[1] != 0.5;
+        }
+    assert_true(seen > tile.width * tile.height / 2); /* not background alone */
+    fmt_exr_image_free(ctx, &tile);
+    fmt_exr_image_free(ctx, &whole);
+}
+
+/* Two tiles of a square that spans both are the halves of a map of twice the width. */
+static void test_tiles_are_parts_of_one_map(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(2, 0);
+    struct bake_options options = options_for(grey_path, in_directory("whole.exr"));
+    struct bake_report whole, tiles;
+    const char *two_path = in_directory("two.obj");
+    write_square(two_path, 0, 2);
+    options.maps = BAKE_MAP_NORMAL;
+    options.padding = 0;
+    options.width = 2 * SIZE;
+    bake(ctx, &options, &whole);
+    options.width = SIZE;
+    options.mesh_path = two_path;
+    options.output_path = in_directory("<UDIM>.exr");
+    assert_int_equal(bake_run(ctx, &options, &tiles), 0);
+    assert_int_equal(tiles.tile_count, 2);
+    assert_int_equal(tiles.tiles[1].tile, 1002);
+    bake_report_free(&tiles);
+    assert_int_equal(tiles.covered_texels, whole.covered_texels);
+    assert_int_equal(tiles.samples, whole.samples);
+    assert_int_equal(tiles.hits, whole.hits);
+    compare_columns(ctx, in_directory("1001.exr"), in_directory("whole.exr"), 0);
+    compare_columns(ctx, in_directory("1002.exr"), in_directory("whole.exr"), SIZE);
+    unlink(in_directory("1001.exr"));
+    unlink(in_directory("1002.exr"));
+    unlink(in_directory("whole.exr"));
+    unlink(in_directory("two.obj"));
+    test_context_end(ctx);
+}
+
 /* ---- errors ---- */
 
 static void expect_failure(const struct bake_options *options, int status, const char *text)
@@ -497,6 +557,7 @@ int main(void)
         cmocka_unit_test(test_bytes_depend_on_neither_threads_nor_budget),
         cmocka_unit_test(test_preview_is_written_with_the_maps),
         cmocka_unit_test(test_errors_name_the_reason),
+        cmocka_unit_test(test_tiles_are_parts_of_one_map),
         cmocka_unit_test(test_interruption_leaves_nothing),
     };
     return cmocka_run_group_tests(tests, make_scene, remove_scene);

@@ -120,6 +120,7 @@ static void bake(struct bsq_ctx *ctx, const struct bake_options *options,
     if (status < 0)
         print_message("%s\n", bsq_error(ctx));
     assert_int_equal(status, 0);
+    bake_report_free(report);
 }
 
 static double channel(const struct fmt_exr_image *image, uint32_t x, uint32_t y, const char *name)

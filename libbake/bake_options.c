@@ -1,0 +1,77 @@
+/* bake_options.c - defaults and checks of a bake's options. */
+#include "libbake/bake_options.h"
+
+#include <math.h>
+
+void bake_defaults(struct bake_options *options)
+{
+    *options = (struct bake_options){
+        .maps = BAKE_MAPS_DEFAULT,
+        .width = 2048,
+        .height = 2048,
+        .samples = 2,
+        .front = -1.0,
+        .back = -1.0,
+        .padding = 16,
+        .normal_space = BAKE_TANGENT_SPACE,
+        .sampling = BAKE_TRILINEAR,
+        .device = "auto",
+    };
+}
+
+static bool is_tile(uint32_t number)
+{
+    return number >= BAKE_FIRST_TILE && number <= BAKE_LAST_TILE;
+}
+
+static int check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    for (uint32_t i = 0; i < options->tile_range_count; ++i) {
+        const struct bake_tile_range *range = &options->tile_ranges[i];
+        if (!is_tile(range->first) || !is_tile(range->last) || range->first > range->last)
+            return bsq_fail(ctx, BSQ_EUSAGE, "tiles %u to %u: UDIM tiles are %d to %d",
+                            range->first, range->last, BAKE_FIRST_TILE, BAKE_LAST_TILE);
+    }
+    for (uint32_t i = 0; i < options->tile_size_count; ++i)
+        if (!is_tile(options->tile_sizes[i].tile))
+            return bsq_fail(ctx, BSQ_EUSAGE, "a size for tile %u: UDIM tiles are %d to %d",
+                            options->tile_sizes[i].tile, BAKE_FIRST_TILE, BAKE_LAST_TILE);
+    return 0;
+}
+
+int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps)
+{
+    int status = bake_map_files_check(ctx, options, maps);
+    for (uint32_t i = 0; i < options->tile_size_count && status == 0; ++i) {
+        struct bake_options tile = *options;
+        tile.width = options->tile_sizes[i].width;
+        tile.height = options->tile_sizes[i].height;
+        status = bake_map_files_check(ctx, &tile, maps);
+    }
+    return status;
+}
+
+int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    if (!options->scan_path || !options->mesh_path || !options->output_path)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
+    if (options->maps >= 1u << BK_MAP_COUNT)
+        return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
+    if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
+                        options->samples, options->samples, BAKE_MAX_SAMPLES);
+    if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
+        isinf(options->back))
+        return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,
+                        options->back);
+    if (options->front == 0.0 && options->back == 0.0)
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "rays of length 0 find nothing: front and back must not both be 0");
+    if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
+        return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
+    int status = check_tile_numbers(ctx, options);
+    /* The default maps depend on the scan; they are checked again after it was opened. */
+    return status < 0 ? status
+                      : bake_check_maps(ctx, options,
+                                        options->maps ? options->maps : (uint32_t)BAKE_MAP_NORMAL);
+}

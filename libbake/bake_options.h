@@ -1,0 +1,10 @@
+/* bake_options.h - checks of a bake's options; private to libbake/. */
+#ifndef BAKE_BAKE_OPTIONS_H
+#define BAKE_BAKE_OPTIONS_H
+
+#include "libbake/maps/maps.h"
+
+/* Checks output path, sample type and the sizes of all tiles for these maps. Errors: BSQ_EUSAGE. */
+int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps);
+
+#endif

@@ -1,0 +1,47 @@
+/* map_path.c - the file names of maps: an output path whose tokens are replaced. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "libbake/maps/maps.h"
+
+/* Returns a copy of `path` with each `token` replaced by `value`; NULL if there is no memory. The
+ * caller frees it. A NULL path is allowed and gives NULL. */
+static char *replace(const char *path, const char *token, const char *value)
+{
+    if (!path)
+        return NULL;
+    size_t value_bytes = strlen(value), token_bytes = strlen(token), length = strlen(path);
+    const char *at;
+    for (at = strstr(path, token); at; at = strstr(at + token_bytes, token))
+        length += value_bytes;
+    char *out = malloc(length + 1), *to = out;
+    while (out && (at = strstr(path, token))) {
+        to = mempcpy(to, path, (size_t)(at - path));
+        to = mempcpy(to, value, value_bytes);
+        path = at + token_bytes;
+    }
+    if (out)
+        strcpy(to, path);
+    return out;
+}
+
+char *bake_map_path(const char *path, enum bake_map map)
+{
+    unsigned number = 0;
+    while (number < BK_MAP_COUNT - 1 && 1u << number != (uint32_t)map)
+        ++number;
+    return replace(path, BAKE_MAP_TOKEN, bake_map_names[number]);
+}
+
+char *bake_tile_path(const char *path, uint32_t tile)
+{
+    const uint32_t place = tile - BAKE_FIRST_TILE;
+    char number[16], uv[32];
+    snprintf(number, sizeof number, "%u", tile);
+    snprintf(uv, sizeof uv, "u%u_v%u", place % 10 + 1, place / 10 + 1);
+    char *numbered = replace(path, BAKE_UDIM_TOKEN, number);
+    char *out = replace(numbered, BAKE_UVTILE_TOKEN, uv);
+    free(numbered);
+    return out;
+}

@@ -1,0 +1,133 @@
+/* tile_bake.c - see tile_bake.h. */
+#include "libbake/tile_bake.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                    const struct bake_udim_tile *place, struct bake_tile *out)
+{
+    *out = (struct bake_tile){.place = *place, .options = *options, .maps = maps};
+    bake_tile_size_of(options, place->number, &out->options.width, &out->options.height);
+    out->output_path = bake_tile_path(options->output_path, place->number);
+    out->options.output_path = out->output_path;
+    return out->output_path ? 0
+                            : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
+}
+
+void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
+{
+    bake_raster_free(tile->raster);
+    bake_image_free(tile->image);
+    bake_map_files_discard(tile->files);
+    bake_thumbnail_free(ctx, &tile->normal);
+    bake_thumbnail_free(ctx, &tile->color);
+    free(tile->output_path);
+    memset(tile, 0, sizeof *tile);
+}
+
+int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                        struct bake_report *report)
+{
+    const struct bake_options *options = &tile->options;
+    tile->tile_size = bake_tile_size(scene->ctx, options->width, options->height, options->samples);
+    const struct bake_raster_options raster = {.width = options->width,
+                                               .height = options->height,
+                                               .samples = options->samples,
+                                               .tile_size = tile->tile_size,
+                                               .first = tile->place.first,
+                                               .count = tile->place.count};
+    struct bake_raster_report counts = {0};
+    int status = bake_raster_create(scene->ctx, scene->mesh, &raster, &counts, &tile->raster);
+    if (status < 0)
+        return status;
+    report->degenerate_uv_triangles += counts.degenerate_triangles;
+    bake_raster_kernel_triangles(tile->raster, scene->surface->translation, scene->surface->unit,
+                                 scene->triangles);
+    return 0;
+}
+
+/* ---- tracing ---- */
+
+static int create_image(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                        uint64_t memory_bytes)
+{
+    const struct bake_image_options image = {.width = tile->options.width,
+                                             .height = tile->options.height,
+                                             .channels = bake_image_channels_for(tile->maps),
+                                             .memory_bytes = memory_bytes,
+                                             .beside = tile->output_path};
+    return bake_image_create(scene->ctx, &image, &tile->image);
+}
+
+static int trace_exact(const struct bake_tile_scene *scene, const struct bake_tiles *tiles,
+                       struct bake_report *report)
+{
+    const struct bake_exact_tiles exact = {.tiles = *tiles,
+                                           .exact = scene->surface->exact,
+                                           .front = report->front,
+                                           .back = report->back};
+    return bake_exact_trace_tiles(scene->ctx, &exact, report);
+}
+
+static int trace_grid(const struct bake_tile_scene *scene, const struct bake_tiles *tiles,
+                      struct bake_report *report)
+{
+    struct bake_plan plan;
+    int status = bake_device_plan(scene->device, tiles->raster, &plan);
+    const struct bake_grid_tiles grid = {.tiles = *tiles,
+                                         .device = scene->device,
+                                         .surface = scene->surface,
+                                         .plan = plan.pass_count > 0 ? &plan : NULL};
+    const uint64_t passes = plan.pass_count > 0 ? plan.pass_count : 1;
+    if (passes > report->passes)
+        report->passes = passes;
+    if (status == 0)
+        status = bake_trace_grid_tiles(scene->ctx, &grid, report);
+    bake_plan_free(scene->ctx, &plan);
+    return status;
+}
+
+int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                    uint64_t memory_bytes, struct bake_report *report)
+{
+    int status = create_image(scene, tile, memory_bytes);
+    if (status < 0)
+        return status;
+    const struct bake_tiles tiles = {.raster = tile->raster,
+                                     .triangles = scene->triangles,
+                                     .triangle_count = scene->triangle_count,
+                                     .params = scene->params,
+                                     .image = tile->image,
+                                     .tile_size = tile->tile_size};
+    status = scene->device ? trace_grid(scene, &tiles, report) : trace_exact(scene, &tiles, report);
+    bake_raster_free(tile->raster);
+    tile->raster = NULL;
+    return status;
+}
+
+/* ---- files ---- */
+
+int bake_tile_open_files(struct bsq_ctx *ctx, struct bake_tile *tile,
+                         const struct bake_traced *traced)
+{
+    return tile->files ? 0
+                       : bake_map_files_open(ctx, &tile->options, tile->maps, traced, &tile->files);
+}
+
+static int create_thumbnail(struct bsq_ctx *ctx, struct bake_tile *tile, enum bake_map map,
+                            uint32_t side, struct bake_thumbnail *out)
+{
+    if (!(tile->maps & (uint32_t)map))
+        return 0;
+    bake_map_files_set_thumbnail(tile->files, map, out);
+    return bake_thumbnail_create(ctx, tile->options.width, tile->options.height, side, out);
+}
+
+int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32_t side)
+{
+    int status = create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal);
+    if (status == 0)
+        status = create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color);
+    return status;
+}

@@ -1,0 +1,58 @@
+/* tile_bake.h - the maps of one UDIM tile: their samples, image and files; private to libbake/. */
+#ifndef BAKE_TILE_BAKE_H
+#define BAKE_TILE_BAKE_H
+
+#include "libbake/maps/maps.h"
+#include "libbake/surface/surface.h"
+#include "libbake/udim/udim.h"
+
+struct bake_tile {
+    struct bake_udim_tile place;
+    struct bake_options options; /* the job's, with the size and output path of this tile */
+    uint32_t maps;
+    char *output_path;
+    uint32_t tile_size; /* side of the raster's tiles in texels */
+    struct bake_raster *raster;
+    struct bake_image *image;
+    struct bake_map_files *files;
+    struct bake_thumbnail normal, color; /* `texels` is NULL if there is none */
+};
+
+/* What all tiles of a job share. */
+struct bake_tile_scene {
+    struct bsq_ctx *ctx;
+    const struct bake_surface *surface;
+    const struct bake_lowmesh *mesh; /* arranged by tile */
+    const struct bk_params *params;
+    struct bk_triangle *triangles; /* of all tiles */
+    uint32_t triangle_count;
+    struct bake_device *device; /* NULL: triangles of a chunk file are traced */
+};
+
+/* Sets the size and output path of a tile. Call bake_tile_end() also after a failure. Errors:
+ * BSQ_ENOMEM. */
+int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                    const struct bake_udim_tile *place, struct bake_tile *out);
+void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile); /* zeroed: allowed */
+
+/* Sorts the tile's triangles for sampling and writes them to scene->triangles. Adds to the report's
+ * degenerate_uv_triangles. Errors: those of bake_raster_create(). */
+int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                        struct bake_report *report);
+
+/* Traces all samples into the tile's image, which takes at most `memory_bytes`, or is in a
+ * temporary file. Frees the raster. Errors: those of bake_image_create(), bake_exact_trace_tiles()
+ * and bake_trace_grid_tiles(). */
+int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                    uint64_t memory_bytes, struct bake_report *report);
+
+/* Creates the tile's files under temporary names, unless they are. Errors: those of
+ * bake_map_files_open(). */
+int bake_tile_open_files(struct bsq_ctx *ctx, struct bake_tile *tile,
+                         const struct bake_traced *traced);
+
+/* Creates thumbnails of normals and colours with sides of at most `side` texels, which
+ * bake_map_files_write() fills. The files must be open. */
+int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32_t side);
+
+#endif

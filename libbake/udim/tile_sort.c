@@ -1,0 +1,207 @@
+/* tile_sort.c - finds the UDIM tiles that each triangle lies in.
+ *
+ * Most triangles lie in one tile, which their bounds tell. The others are tested against each tile
+ * in their bounds, shrunk by half a texel: coordinates that overshoot a tile by less are rounding
+ * of the program that unwrapped the mesh. */
+#include "libbake/udim/tile_sort.h"
+
+#include <math.h>
+
+enum { TRIANGLES_A_CHECK = 1024 };
+
+static bool is_selected(const struct bake_options *options, uint32_t number)
+{
+    for (uint32_t i = 0; i < options->tile_range_count; i++)
+        if (options->tile_ranges[i].first <= number && number <= options->tile_ranges[i].last)
+            return true;
+    return options->tile_range_count == 0;
+}
+
+/* ---- the tiles of a triangle ---- */
+
+/* A triangle in texture space. */
+struct shape {
+    double u[3], v[3];
+    double low[2], high[2];
+};
+
+/* Returns false for a triangle without area. Differences of floats and their products are exact in
+ * double unless their magnitudes are far apart. */
+static bool take_shape(const float (*uv)[2], struct shape *out)
+{
+    for (int i = 0; i < 3; i++) {
+        out->u[i] = uv[i][0];
+        out->v[i] = uv[i][1];
+    }
+    out->low[0] = fmin(out->u[0], fmin(out->u[1], out->u[2]));
+    out->low[1] = fmin(out->v[0], fmin(out->v[1], out->v[2]));
+    out->high[0] = fmax(out->u[0], fmax(out->u[1], out->u[2]));
+    out->high[1] = fmax(out->v[0], fmax(out->v[1], out->v[2]));
+    return (out->u[1] - out->u[0]) * (out->v[2] - out->v[0]) !=
+           (out->u[2] - out->u[0]) * (out->v[1] - out->v[0]);
+}
+
+/* Returns whether a triangle overlaps a rectangle, given by its centre and half its sides: neither
+ * a side of the rectangle nor an edge of the triangle separates them. */
+static bool overlaps(const struct shape *s, const double centre[2], const double half[2])
+{
+    for (int k = 0; k < 2; k++)
+        if (s->low[k] >= centre[k] + half[k] || s->high[k] <= centre[k] - half[k])
+            return false;
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        const double nu = s->v[i] - s->v[j], nv = s->u[j] - s->u[i];
+        const double third = nu * (s->u[k] - s->u[i]) + nv * (s->v[k] - s->v[i]);
+        const double middle = nu * (centre[0] - s->u[i]) + nv * (centre[1] - s->v[i]);
+        const double reach = fabs(nu) * half[0] + fabs(nv) * half[1];
+        if (third > 0 ? middle + reach <= 0 : middle - reach >= 0)
+            return false;
+    }
+    return true;
+}
+
+/* Returns half a texel of a tile's map in texture coordinates. */
+static void half_texel(const struct bake_options *options, uint32_t number, double out[2])
+{
+    uint32_t width, height;
+    bake_tile_size_of(options, number, &width, &height);
+    out[0] = 0.5 / width;
+    out[1] = 0.5 / height;
+}
+
+/* Adds a triangle to a tile. Returns whether the tile is selected. */
+static bool add_to_tile(struct bake_tile_sorter *sorter, uint32_t tile, uint64_t triangle)
+{
+    const bool selected = sorter->selected[tile];
+    if (sorter->order && selected)
+        sorter->order[sorter->places[tile]] = (uint32_t)triangle;
+    sorter->places[tile]++;
+    return selected;
+}
+
+/* Returns the whole numbers first <= i < end below `limit` whose unit interval [i, i + 1] overlaps
+ * low..high. */
+static void overlapped_units(double low, double high, uint32_t limit, uint32_t *first,
+                             uint32_t *end)
+{
+    *first = low > 0 ? (uint32_t)fmin(floor(low), limit) : 0;
+    *end = high > 0 ? (uint32_t)fmin(ceil(high), limit) : 0;
+}
+
+/* Tiles that a triangle was added to. */
+struct added {
+    uint32_t selected, others;
+};
+
+static void count_added(struct added *added, bool selected)
+{
+    added->selected += selected;
+    added->others += !selected;
+}
+
+/* Adds a triangle to the tiles that it overlaps by half a texel. */
+static struct added add_to_overlapped(struct bake_tile_sorter *sorter, const struct shape *shape,
+                                      uint64_t triangle)
+{
+    struct added added = {0};
+    uint32_t first[2], end[2];
+    overlapped_units(shape->low[0], shape->high[0], COLUMNS, &first[0], &end[0]);
+    overlapped_units(shape->low[1], shape->high[1], ROWS, &first[1], &end[1]);
+    for (uint32_t row = first[1]; row < end[1]; row++)
+        for (uint32_t column = first[0]; column < end[0]; column++) {
+            const uint32_t tile = row * COLUMNS + column;
+            const double centre[2] = {column + 0.5, row + 0.5};
+            double half[2];
+            half_texel(sorter->options, BAKE_FIRST_TILE + tile, half);
+            half[0] = 0.5 - half[0];
+            half[1] = 0.5 - half[1];
+            if (overlaps(shape, centre, half))
+                count_added(&added, add_to_tile(sorter, tile, triangle));
+        }
+    return added;
+}
+
+/* Adds a triangle that overlaps no tile by half a texel to the tile of its centre. */
+static struct added add_to_nearest(struct bake_tile_sorter *sorter, const struct shape *shape,
+                                   uint64_t triangle)
+{
+    struct added added = {0};
+    const double u = (shape->u[0] + shape->u[1] + shape->u[2]) / 3;
+    const double v = (shape->v[0] + shape->v[1] + shape->v[2]) / 3;
+    const uint32_t column = u > 0 ? (uint32_t)fmin(u, COLUMNS - 1) : 0;
+    const uint32_t row = v > 0 ? (uint32_t)fmin(v, ROWS - 1) : 0;
+    count_added(&added, add_to_tile(sorter, row * COLUMNS + column, triangle));
+    return added;
+}
+
+/* Returns whether a triangle leaves the square of all tiles by half a texel or more. */
+static bool is_stray(const struct bake_tile_sorter *sorter, const struct shape *s)
+{
+    double half[2];
+    half_texel(sorter->options, 0, half);
+    return !(s->low[0] > -half[0] && s->low[1] > -half[1] && s->high[0] < COLUMNS + half[0] &&
+             s->high[1] < ROWS + half[1]);
+}
+
+/* Returns whether one tile holds a triangle. */
+static bool fits_tile(const struct shape *s, uint32_t *tile)
+{
+    const double column = floor(s->low[0]), row = floor(s->low[1]);
+    const bool fits = column >= 0 && column < COLUMNS && row >= 0 && row < ROWS &&
+                      s->high[0] <= column + 1 && s->high[1] <= row + 1;
+    *tile = fits ? (uint32_t)row * COLUMNS + (uint32_t)column : 0;
+    return fits;
+}
+
+static struct added add_to_tiles(struct bake_tile_sorter *sorter, const struct shape *shape,
+                                 uint64_t triangle, bool stray)
+{
+    struct added added = {0};
+    uint32_t tile;
+    if (fits_tile(shape, &tile)) {
+        count_added(&added, add_to_tile(sorter, tile, triangle));
+        return added;
+    }
+    added = add_to_overlapped(sorter, shape, triangle);
+    return added.selected + added.others > 0 || stray ? added
+                                                      : add_to_nearest(sorter, shape, triangle);
+}
+
+int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t end)
+{
+    int status = 0;
+    for (uint64_t t = 0; t < sorter->mesh->triangle_count && status == 0; t++) {
+        struct shape shape;
+        if (t % TRIANGLES_A_CHECK == 0)
+            status = bsq_check(sorter->ctx);
+        if (!take_shape((const float(*)[2])sorter->mesh->texcoords[t], &shape)) {
+            sorter->flat_triangles++;
+            if (sorter->order)
+                add_to_tile(sorter, first_tile, t);
+            continue;
+        }
+        const bool stray = is_stray(sorter, &shape);
+        const struct added added = add_to_tiles(sorter, &shape, t, stray);
+        if (stray && sorter->stray_triangles++ == 0)
+            sorter->first_stray = t;
+        sorter->outside_triangles += stray || added.others > 0;
+        sorter->unused_triangles += added.selected == 0;
+        if (sorter->order && added.selected == 0)
+            sorter->order[end++] = (uint32_t)t;
+    }
+    return status;
+}
+
+int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *options,
+                            const struct bake_lowmesh *mesh, struct bake_tile_sorter **out)
+{
+    int status = bsq_calloc(ctx, "tiles", 1, sizeof **out, out);
+    if (status < 0)
+        return status;
+    (*out)->ctx = ctx;
+    (*out)->options = options;
+    (*out)->mesh = mesh;
+    for (uint32_t tile = 0; tile < TILES; tile++)
+        (*out)->selected[tile] = is_selected(options, BAKE_FIRST_TILE + tile);
+    return 0;
+}

@@ -1,0 +1,39 @@
+/* tile_sort.h - sorts triangles into UDIM tiles; private to this room. */
+#ifndef BAKE_UDIM_TILE_SORT_H
+#define BAKE_UDIM_TILE_SORT_H
+
+#include "libbake/udim/udim.h"
+
+/* Tile i of these has the number BAKE_FIRST_TILE + i. */
+enum {
+    COLUMNS = 10,
+    ROWS = (BAKE_LAST_TILE - BAKE_FIRST_TILE + 1) / COLUMNS,
+    TILES = COLUMNS * ROWS
+};
+_Static_assert(BAKE_FIRST_TILE + TILES - 1 == BAKE_LAST_TILE, "rows of tiles are whole");
+
+/* A mesh, and what is known of its tiles. */
+struct bake_tile_sorter {
+    struct bsq_ctx *ctx;
+    const struct bake_options *options;
+    const struct bake_lowmesh *mesh;
+    bool selected[TILES];
+    uint64_t places[TILES];     /* number of triangles; while sorting, place of the next one */
+    uint32_t *order;            /* out: triangles by tile; NULL: only count */
+    uint64_t flat_triangles;    /* without area in texture space */
+    uint64_t outside_triangles; /* partly or wholly outside of the selected tiles */
+    uint64_t unused_triangles;  /* wholly outside of them */
+    uint64_t stray_triangles;   /* partly or wholly outside of all tiles */
+    uint64_t first_stray;
+};
+
+/* Creates a sorter that knows which tiles options->tile_ranges selects. Free it with bsq_free(). */
+int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *options,
+                            const struct bake_lowmesh *mesh, struct bake_tile_sorter **out);
+
+/* Counts the triangles of each tile, and all others. With an order, writes each triangle to the
+ * place of each selected tile that it is in, those without area to `first_tile`, and those in no
+ * selected tile to the places from `end` on. */
+int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t end);
+
+#endif
