@@ -23,7 +23,8 @@ struct loader {
     bool has_corners[3];
     /* For one polygon. */
     double (*polygon)[3];
-    uint32_t *triangles, *scratch;
+    uint32_t *triangles;
+    void *scratch;
 };
 
 /* ---- collecting ---- */
@@ -131,13 +132,17 @@ static int fail_corner(struct loader *loader, uint64_t face, uint64_t corner, in
 static int check_corners(struct loader *loader, const uint64_t totals[3])
 {
     uint64_t corner = 0;
-    for (uint64_t face = 0; face < loader->mesh->face_count; face++)
+    for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
+        int status = face % 4096 == 0 ? bsq_check(loader->ctx) : 0;
+        if (status)
+            return status;
         for (uint32_t i = 0; i < loader->face_sizes[face]; i++, corner++)
             for (int kind = 0; kind < 3; kind++) {
                 uint32_t index = loader->corners[kind][corner];
                 if (index >= totals[kind] && (index != UINT32_MAX || kind == 0))
                     return fail_corner(loader, face, corner, kind);
             }
+    }
     return 0;
 }
 
@@ -164,15 +169,15 @@ static int allocate_triangles(struct loader *loader, uint32_t largest_face)
         status = bsq_alloc(ctx, "a polygon", 3 * (uint64_t)largest_face, sizeof *loader->triangles,
                            &loader->triangles);
     if (!status)
-        status = bsq_alloc(ctx, "a polygon", 2 * (uint64_t)largest_face, sizeof *loader->scratch,
-                           &loader->scratch);
+        status =
+            bsq_alloc(ctx, "a polygon", bsq_triangulate_scratch(largest_face), 1, &loader->scratch);
     if (!status)
         mesh->triangle_count = count;
     return status;
 }
 
 /* Splits the polygon whose corners begin at `first` into triangles from number `triangle` on. */
-static void split_face(struct loader *loader, uint64_t face, uint64_t first, uint64_t triangle)
+static int split_face(struct loader *loader, uint64_t face, uint64_t first, uint64_t triangle)
 {
     struct fmt_mesh *mesh = loader->mesh;
     uint32_t size = loader->face_sizes[face];
@@ -180,14 +185,16 @@ static void split_face(struct loader *loader, uint64_t face, uint64_t first, uin
     for (uint32_t i = 0; i < size; i++)
         memcpy(loader->polygon[i], mesh->positions[loader->corners[0][first + i]],
                sizeof *loader->polygon);
-    bsq_triangulate((const double(*)[3])loader->polygon, size, loader->triangles, loader->scratch);
-    for (uint32_t t = 0; t < size - 2; t++) {
+    int status = bsq_triangulate(loader->ctx, (const double(*)[3])loader->polygon, size,
+                                 loader->triangles, loader->scratch);
+    for (uint32_t t = 0; t < size - 2 && status == 0; t++) {
         mesh->faces[triangle + t] = face;
         for (int kind = 0; kind < 3; kind++)
             for (int i = 0; i < 3 && to[kind]; i++)
                 to[kind][triangle + t][i] =
                     loader->corners[kind][first + loader->triangles[3 * t + i]];
     }
+    return status;
 }
 
 static int make_triangles(struct loader *loader)
@@ -199,10 +206,10 @@ static int make_triangles(struct loader *loader)
             largest = loader->face_sizes[face];
     int status = allocate_triangles(loader, largest);
     for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
-        split_face(loader, face, corner, triangle);
+        status = split_face(loader, face, corner, triangle);
         corner += loader->face_sizes[face];
         triangle += loader->face_sizes[face] - 2;
-        if (face % 4096 == 0)
+        if (face % 4096 == 0 && !status)
             status = bsq_check(loader->ctx);
     }
     return status;

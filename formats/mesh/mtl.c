@@ -207,8 +207,10 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
         bool crlf = p + 1 < end && p[0] == '\r' && p[1] == '\n';
         *p = '\0';
         p += 1 + crlf;
-        reader->line++;
-        status = read_line(reader, line);
+        if (reader->line++ % 1024 == 0)
+            status = bsq_check(reader->ctx);
+        if (!status)
+            status = read_line(reader, line);
     }
     return status;
 }
@@ -237,12 +239,4 @@ done:
     bsq_free(ctx, text);
     bsq_file_close(ctx, &file);
     return status;
-}
-
-uint32_t fmt_mtl_find(const struct fmt_materials *materials, const char *name)
-{
-    for (uint32_t i = 0; i < materials->count; i++)
-        if (!strcmp(materials->list[i].name, name))
-            return i;
-    return UINT32_MAX;
 }

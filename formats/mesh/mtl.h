@@ -12,8 +12,6 @@ extern "C" {
 /* Appends the materials of one MTL file. A file that does not exist is a warning, not an error, as
  * scans are often passed on without it. Malformed statements are warnings. */
 int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, struct fmt_materials *materials);
-/* Returns the number of the material with this name, or UINT32_MAX. */
-uint32_t fmt_mtl_find(const struct fmt_materials *materials, const char *name);
 
 #ifdef __cplusplus
 }

@@ -136,6 +136,18 @@ const char *fmt_obj_dependency(const struct fmt_mesh_reader *base, uint32_t inde
     return index < reader->libraries.count ? reader->libraries.list[index].text : NULL;
 }
 
+/* Moves what a library says about a material to the entry of its name, unless faces do not use it
+ * or an earlier library has said it. */
+static void describe(struct obj_reader *reader, uint32_t source, struct fmt_material *from,
+                     struct fmt_materials *out)
+{
+    const uint32_t number = *find_slot(&reader->materials, source, from->name);
+    if (number == 0 || out->list[number - 1].name)
+        return;
+    out->list[number - 1] = *from;
+    from->name = from->texture_path = NULL;
+}
+
 /* Describes the materials of one file from its own libraries. */
 static int read_materials_of(struct obj_reader *reader, uint32_t source, struct fmt_materials *out)
 {
@@ -145,22 +157,20 @@ static int read_materials_of(struct obj_reader *reader, uint32_t source, struct 
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
         if (reader->libraries.list[i].source == source)
             status = fmt_mtl_read(ctx, reader->libraries.list[i].text, &found);
-    for (uint64_t i = 0; i < reader->materials.count && !status; i++) {
-        const struct obj_name *name = &reader->materials.list[i];
-        if (name->source != source)
-            continue;
-        uint32_t number = fmt_mtl_find(&found, name->text);
-        struct fmt_material *material = &out->list[i];
-        status = fmt_string_copy(ctx, name->text, &material->name);
-        if (status || number >= found.count)
-            continue;
-        const struct fmt_material *from = &found.list[number];
-        memcpy(material->diffuse, from->diffuse, sizeof material->diffuse);
-        material->has_diffuse = from->has_diffuse;
-        if (from->texture_path)
-            status = fmt_string_copy(ctx, from->texture_path, &material->texture_path);
-    }
+    for (uint32_t i = 0; i < found.count && !status; i++)
+        describe(reader, source, &found.list[i], out);
     fmt_materials_free(ctx, &found);
+    return status;
+}
+
+/* Names the materials that no library describes. */
+static int name_others(struct obj_reader *reader, struct fmt_materials *out)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < out->count && !status; i++)
+        if (!out->list[i].name)
+            status = fmt_string_copy(reader->base.ctx, reader->materials.list[i].text,
+                                     &out->list[i].name);
     return status;
 }
 
@@ -179,6 +189,8 @@ int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *o
             out->list[i].diffuse[c] = 0.8f;
     for (uint32_t source = 0; source < reader->source_count && !status; source++)
         status = read_materials_of(reader, source, out);
+    if (!status)
+        status = name_others(reader, out);
     if (status)
         fmt_materials_free(reader->base.ctx, out);
     return status;

@@ -193,7 +193,8 @@ static int resolve_statements(struct job *job, struct slot *slot)
     for (uint64_t i = 0; i < block->statement_count && !status; i++) {
         const struct obj_statement *statement = &block->statements[i];
         char *text;
-        if ((status = fmt_obj_statement_text(reader->base.ctx, block, statement, &text)))
+        if ((status = bsq_check(reader->base.ctx)) ||
+            (status = fmt_obj_statement_text(reader->base.ctx, block, statement, &text)))
             break;
         if (statement->kind == OBJ_MTLLIB) {
             status = fmt_obj_enter_libraries(reader, slot->source, text);

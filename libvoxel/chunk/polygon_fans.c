@@ -4,8 +4,8 @@
 
 uint64_t vox_fan_buffer_bytes(const struct record_layout *layout)
 {
-    return FAN_CORNERS *
-           (layout->corner_bytes + sizeof(double[3]) + sizeof(uint32_t[3]) + sizeof(uint32_t[2]));
+    return FAN_CORNERS * (layout->corner_bytes + sizeof(double[3]) + sizeof(uint32_t[3])) +
+           bsq_triangulate_scratch(FAN_CORNERS);
 }
 
 int vox_fan_buffer_init(struct fan_buffer *buffer, struct bsq_ctx *ctx,
@@ -19,7 +19,7 @@ int vox_fan_buffer_init(struct fan_buffer *buffer, struct bsq_ctx *ctx,
                             &buffer->positions)) < 0 ||
         (status = bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[3]), &buffer->triangles)) < 0)
         return status;
-    return bsq_alloc(ctx, what, FAN_CORNERS, sizeof(uint32_t[2]), &buffer->scratch);
+    return bsq_alloc(ctx, what, bsq_triangulate_scratch(FAN_CORNERS), 1, &buffer->scratch);
 }
 
 void vox_fan_buffer_free(struct fan_buffer *buffer, struct bsq_ctx *ctx)
@@ -52,8 +52,8 @@ static void collect_corners(const struct record_layout *layout, const uint8_t *r
         memcpy(corners + (t + 2) * bytes, records + (uint64_t)t * layout->bytes + 2 * bytes, bytes);
 }
 
-static void triangulate(const struct gather_window *window, struct fan_buffer *buffer,
-                        uint32_t corners)
+static int triangulate(struct bsq_ctx *ctx, const struct gather_window *window,
+                       struct fan_buffer *buffer, uint32_t corners)
 {
     for (uint32_t c = 0; c < corners; c++) {
         const uint8_t *corner = buffer->corners + c * window->layout->corner_bytes;
@@ -61,8 +61,8 @@ static void triangulate(const struct gather_window *window, struct fan_buffer *b
         for (int axis = 0; axis < 3; axis++)
             buffer->positions[c][axis] = p[axis];
     }
-    bsq_triangulate((const double(*)[3])buffer->positions, corners, buffer->triangles,
-                    buffer->scratch);
+    return bsq_triangulate(ctx, (const double(*)[3])buffer->positions, corners, buffer->triangles,
+                           buffer->scratch);
 }
 
 static bool is_own(const struct fan_buffer *buffer, const struct morton_cube *cube, uint32_t levels,
@@ -82,15 +82,16 @@ static void put_triangle(const struct record_layout *layout, const struct fan_bu
     memmove(to + 3 * bytes, material, layout->material_bytes);
 }
 
-uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *buffer,
-                              const struct morton_cube *cube, uint32_t levels, uint32_t bucket,
-                              uint8_t *records, uint64_t count)
+int vox_fans_triangulate(struct bsq_ctx *ctx, const struct gather_window *window,
+                         struct fan_buffer *buffer, const struct morton_cube *cube, uint32_t levels,
+                         uint32_t bucket, uint8_t *records, uint64_t *count)
 {
     const struct record_layout *layout = window->layout;
     uint8_t *to = records;
-    for (uint64_t t = 0; t < count;) {
+    int status = 0;
+    for (uint64_t t = 0; t < *count && status == 0;) {
         uint8_t *from = records + t * layout->bytes, *material = from + 3 * layout->corner_bytes;
-        const uint32_t length = fan_length(layout, from, count - t);
+        const uint32_t length = fan_length(layout, from, *count - t);
         t += length;
         if (length == 1) {
             memmove(to, from, layout->bytes);
@@ -98,12 +99,13 @@ uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buf
             continue;
         }
         collect_corners(layout, from, length, buffer->corners);
-        triangulate(window, buffer, length + 2);
-        for (uint32_t i = 0; i < length; i++)
+        status = triangulate(ctx, window, buffer, length + 2);
+        for (uint32_t i = 0; i < length && status == 0; i++)
             if (is_own(buffer, cube, levels, bucket, buffer->triangles + 3 * i)) {
                 put_triangle(layout, buffer, buffer->triangles + 3 * i, material, to);
                 to += layout->bytes;
             }
     }
-    return (uint64_t)(to - records) / layout->bytes;
+    *count = (uint64_t)(to - records) / layout->bytes;
+    return status;
 }

@@ -13,7 +13,8 @@
 struct fan_buffer {
     uint8_t *corners;
     double (*positions)[3];
-    uint32_t *triangles, *scratch;
+    uint32_t *triangles;
+    void *scratch;
 };
 
 uint64_t vox_fan_buffer_bytes(const struct record_layout *layout);
@@ -23,10 +24,10 @@ int vox_fan_buffer_init(struct fan_buffer *buffer, struct bsq_ctx *ctx,
 void vox_fan_buffer_free(struct fan_buffer *buffer, struct bsq_ctx *ctx);
 
 /* Replaces the fans among records of this bucket by their triangles, without those of other
- * buckets. Returns the new count of records. The records are whole runs with the scan's indices,
- * and the window has fetched their vertices. */
-uint64_t vox_fans_triangulate(const struct gather_window *window, struct fan_buffer *buffer,
-                              const struct morton_cube *cube, uint32_t levels, uint32_t bucket,
-                              uint8_t *records, uint64_t count);
+ * buckets, and updates *count. The records are whole runs with the scan's indices, and the window
+ * has fetched their vertices. Errors: BSQ_EINTR. */
+int vox_fans_triangulate(struct bsq_ctx *ctx, const struct gather_window *window,
+                         struct fan_buffer *buffer, const struct morton_cube *cube, uint32_t levels,
+                         uint32_t bucket, uint8_t *records, uint64_t *count);
 
 #endif

@@ -212,16 +212,16 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-/* Triangulates the fans of a bucket and returns the count of its own triangles. Children of a
+/* Triangulates the fans of a bucket and keeps its own triangles; updates *count. Children of a
  * divided bucket have only their own. */
-static uint64_t keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
-                         uint64_t count, unsigned worker)
+static int keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
+                    uint64_t *count, unsigned worker)
 {
     const struct partition *partition = b->partition;
     if (!b->fan_buffers || part->buckets != &partition->buckets)
-        return count;
-    return vox_fans_triangulate(&b->window, &b->fan_buffers[worker], &partition->cube, part->levels,
-                                part->bucket, records, count);
+        return 0;
+    return vox_fans_triangulate(b->ctx, &b->window, &b->fan_buffers[worker], &partition->cube,
+                                part->levels, part->bucket, records, count);
 }
 
 /* Returns scratch memory to sort a part. A worker uses the same memory for all its parts, so it
@@ -253,8 +253,11 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
     struct batch_part *part = &b->parts[index];
-    part->own = keep_own(b, part, b->records + part->record * b->partition->layout.bytes,
-                         part->count, worker);
+    part->own = part->count;
+    int status = keep_own(b, part, b->records + part->record * b->partition->layout.bytes,
+                          &part->own, worker);
+    if (status < 0)
+        return status;
     for (uint64_t done = 0, count; done < part->own; done += count) {
         count = part->own - done < RUN_TRIANGLES ? part->own - done : RUN_TRIANGLES;
         enter_records(b, part, done, (uint32_t)count);
@@ -344,9 +347,8 @@ int vox_batch_read(struct batch *b, const struct batch_part *bucket, uint64_t le
         vox_gather_mark(&b->window, records, *count);
         status = vox_gather_fetch(&b->window, NULL);
     }
-    if (status == 0)
-        *own = keep_own(b, bucket, records, *count, b->reader_count - 1);
-    return status;
+    *own = *count;
+    return status < 0 ? status : keep_own(b, bucket, records, own, b->reader_count - 1);
 }
 
 uint64_t vox_batch_key(const struct batch *b, const uint8_t *record)

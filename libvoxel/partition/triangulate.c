@@ -54,7 +54,8 @@ static int reserve_polygon(struct triangulator *t, uint32_t max_size)
         (status = bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles,
                            &t->polygon_capacity[1])) < 0)
         return status;
-    return bsq_grow(t->ctx, what, max_size, 8, &t->polygon_scratch, &t->polygon_capacity[2]);
+    return bsq_grow(t->ctx, what, bsq_triangulate_scratch(max_size), 1, &t->polygon_scratch,
+                    &t->polygon_capacity[2]);
 }
 
 /* ---- triangles ---- */
@@ -112,8 +113,8 @@ static inline void add_triangle(struct triangulator *t, const struct faces *face
     corners[2] = c;
 }
 
-static void add_polygon(struct triangulator *t, const struct faces *faces, uint32_t first,
-                        uint32_t size)
+static int add_polygon(struct triangulator *t, const struct faces *faces, uint32_t first,
+                       uint32_t size)
 {
     for (uint32_t k = 0; k < size; k++) {
         const float *p = corner_position(t, faces, first + k);
@@ -121,9 +122,11 @@ static void add_polygon(struct triangulator *t, const struct faces *faces, uint3
             t->polygon[k][axis] = p[axis];
     }
     const uint32_t *v = t->polygon_triangles;
-    bsq_triangulate((const double(*)[3])t->polygon, size, t->polygon_triangles, t->polygon_scratch);
-    for (uint32_t i = 0; i < size - 2; i++, v += 3)
+    int status = bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
+                                 t->polygon_scratch);
+    for (uint32_t i = 0; i < size - 2 && status == 0; i++, v += 3)
         add_triangle(t, faces, first + v[0], first + v[1], first + v[2]);
+    return status;
 }
 
 /* ---- fans ----
@@ -218,7 +221,7 @@ static int add_face(struct triangulator *t, const struct faces *faces, uint32_t 
     if (status == 0 && size == 3)
         add_triangle(t, faces, first, first + 1, first + 2);
     else if (status == 0)
-        add_polygon(t, faces, first, size);
+        status = add_polygon(t, faces, first, size);
     return status;
 }
 

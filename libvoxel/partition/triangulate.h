@@ -53,7 +53,8 @@ struct triangulator {
     /* For the largest polygon. */
     uint32_t *fan_buckets;
     double (*polygon)[3];
-    uint32_t *polygon_triangles, *polygon_scratch;
+    uint32_t *polygon_triangles;
+    uint8_t *polygon_scratch;
     uint64_t fan_capacity, polygon_capacity[3];
 };
 

@@ -87,8 +87,11 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     struct fmt_materials found = {0};
     int status = fmt_mesh_read_materials(reader, &found);
-    for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++)
-        status = add_own_material(scan, &found.list[i], i);
+    for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
+        status = bsq_check(scan->ctx);
+        if (status == 0)
+            status = add_own_material(scan, &found.list[i], i);
+    }
     fmt_materials_free(scan->ctx, &found);
     return status;
 }

@@ -13,7 +13,6 @@ static int use(struct bsq_ctx *ctx, const char *path)
         require(m->name != NULL, "a material has no name");
         for (int k = 0; k < 3; k++)
             require(isfinite(m->diffuse[k]), "a colour is not finite");
-        require(fmt_mtl_find(&materials, m->name) <= i, "a name is not found");
     }
     fmt_materials_free(ctx, &materials);
     return status;

@@ -3,12 +3,20 @@
 #include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "base/polygon.h"
 #include "tests/unit/fixture.h"
 
 static uint64_t random_state; /* of test_random() */
+static struct bsq_ctx *ctx;
+
+/* Triangulates with scratch memory of exactly the size that is asked for. */
+static void triangulate(const double (*positions)[3], uint32_t n, uint32_t *triangles)
+{
+    void *scratch = malloc(bsq_triangulate_scratch(n));
+    assert_int_equal(bsq_triangulate(ctx, positions, n, triangles, scratch), 0);
+    free(scratch);
+}
 
 static double random_unit(void)
 {
@@ -68,7 +76,6 @@ static void check_polygon(const double (*corners)[2], uint32_t n, const struct f
 {
     double(*positions)[3] = malloc(n * sizeof *positions);
     uint32_t *triangles = malloc(3 * n * sizeof *triangles);
-    uint32_t *scratch = malloc(2 * n * sizeof *scratch);
     uint32_t *used = calloc(n, sizeof *used);
     double area = 0, sum = 0, size = 0;
     for (uint32_t i = 0; i < n; i++) {
@@ -81,7 +88,7 @@ static void check_polygon(const double (*corners)[2], uint32_t n, const struct f
     double side = area < 0 ? -1 : 1; /* triangles turn as their polygon does */
     double tolerance = 1e-9 * size * size * (1 + sqrt(dot(frame->origin, frame->origin)));
     memset(triangles, 0xff, 3 * n * sizeof *triangles);
-    bsq_triangulate((const double(*)[3])positions, n, triangles, scratch);
+    triangulate((const double(*)[3])positions, n, triangles);
     for (uint32_t t = 0; t < n - 2; t++) {
         double e[2][3], normal[3];
         for (int k = 0; k < 3; k++) {
@@ -104,7 +111,6 @@ static void check_polygon(const double (*corners)[2], uint32_t n, const struct f
         assert_true(used[i] > 0);
     free(positions);
     free(triangles);
-    free(scratch);
     free(used);
 }
 
@@ -194,10 +200,10 @@ static void test_arrowhead(void **state)
     static const double arrow[4][3] = {{0, 0, 0}, {4, 3, 0}, {1, 3, 0}, {0, 6, 0}};
     for (uint32_t first = 0; first < 4; first++) {
         double quad[4][3];
-        uint32_t triangles[6], scratch[8], reflex = (2 + 4 - first) % 4, tip = (reflex + 2) % 4;
+        uint32_t triangles[6], reflex = (2 + 4 - first) % 4, tip = (reflex + 2) % 4;
         for (uint32_t i = 0; i < 4; i++)
             memcpy(quad[i], arrow[(first + i) % 4], sizeof quad[i]);
-        bsq_triangulate((const double(*)[3])quad, 4, triangles, scratch);
+        triangulate((const double(*)[3])quad, 4, triangles);
         for (int t = 0; t < 2; t++) {
             bool has_reflex = false, has_tip = false;
             for (int k = 0; k < 3; k++) {
@@ -214,8 +220,8 @@ static void test_convex_quad_is_cut_at_its_first_corner(void **state)
     (void)state;
     static const double quad[4][3] = {{0, 0, 5}, {1, 0, 5}, {1, 1, 5}, {0, 1, 5}};
     static const uint32_t expected[6] = {0, 1, 2, 0, 2, 3};
-    uint32_t triangles[6], scratch[8];
-    bsq_triangulate(quad, 4, triangles, scratch);
+    uint32_t triangles[6];
+    triangulate(quad, 4, triangles);
     assert_memory_equal(triangles, expected, sizeof expected);
 }
 
@@ -226,15 +232,15 @@ static void test_sign_of_zero_changes_nothing(void **state)
     random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
         double plain[8][3] = {{0}}, negative[8][3];
-        uint32_t expected[18], triangles[18], scratch[16];
+        uint32_t expected[18], triangles[18];
         for (uint32_t k = 0; k < 8; k++) {
             for (int c = 0; c < 2; c++)
                 plain[k][c] = floor(3 * random_unit()) - 1;
             for (int c = 0; c < 3; c++)
                 negative[k][c] = plain[k][c] == 0 && random_unit() < 0.5 ? -0.0 : plain[k][c];
         }
-        bsq_triangulate((const double(*)[3])plain, 8, expected, scratch);
-        bsq_triangulate((const double(*)[3])negative, 8, triangles, scratch);
+        triangulate((const double(*)[3])plain, 8, expected);
+        triangulate((const double(*)[3])negative, 8, triangles);
         assert_memory_equal(triangles, expected, sizeof expected);
     }
 }
@@ -245,7 +251,7 @@ static void test_degenerate(void **state)
     (void)state;
     enum { most = 40 };
     double positions[most][3];
-    uint32_t triangles[3 * most], scratch[2 * most];
+    uint32_t triangles[3 * most];
     random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
         uint32_t n = 3 + (uint32_t)(random_unit() * (most - 3));
@@ -258,33 +264,246 @@ static void test_degenerate(void **state)
                                   : kind == 4 ? random_unit() * 1e200
                                               : random_unit();
         memset(triangles, 0xff, sizeof triangles);
-        bsq_triangulate((const double(*)[3])positions, n, triangles, scratch);
+        triangulate((const double(*)[3])positions, n, triangles);
         for (uint32_t k = 0; k < 3 * (n - 2); k++)
             assert_in_range(triangles[k], 0, n - 1);
         assert_int_equal(triangles[3 * (n - 2)], UINT32_MAX);
     }
 }
 
-static void test_large_polygon_is_quick(void **state)
+/* ---- large polygons ---- */
+
+enum { LARGE = 40000, MEDIUM = 12000 };
+static double large[LARGE][2];
+
+static void place(uint32_t i, double x, double y)
+{
+    large[i][0] = x;
+    large[i][1] = y;
+}
+
+/* Checks both orientations, flat and tilted. */
+static void check_large(uint32_t n)
+{
+    random_state = 1;
+    const struct frame tilted = random_frame(1);
+    check_polygon((const double(*)[2])large, n, &flat);
+    reverse(large, n);
+    check_polygon((const double(*)[2])large, n, &tilted);
+}
+
+/* A strip that winds around the origin: out along one side, back along the other one. Triangles
+ * that overlap would have areas of more than the strip. */
+static void test_large_spiral(void **state)
 {
     (void)state;
-    enum { n = 10000 };
-    static double corners[n][2];
-    random_state = test_seed();
-    clock_t start = clock();
-    random_star(corners, n, 0.3);
-    check_polygon((const double(*)[2])corners, n, &flat);
-    for (uint32_t i = 0; i < n; i++) { /* a comb: half of the corners are reflex */
-        corners[i][0] = i < n - 2 ? i / 2 : (n - 1 - i) * (double)n;
-        corners[i][1] = i < n - 2 ? (i / 2 % 2 ? 1.0 : 9.0) + i % 2 : -1;
+    for (uint32_t i = 0; i < LARGE; i++) {
+        uint32_t along = i < LARGE / 2 ? i : LARGE - 1 - i;
+        double angle = along * 0.0157, radius = 1 + along / 400.0 + (i < LARGE / 2 ? 0.4 : 0);
+        place(i, radius * cos(angle), radius * sin(angle));
     }
-    corners[n - 2][0] = n / 2;
-    corners[n - 1][0] = -1;
-    check_polygon((const double(*)[2])corners, n, &flat);
-    double seconds = (double)(clock() - start) / CLOCKS_PER_SEC;
-    print_message("%.2f s\n", seconds);
-    assert_true(seconds <
-                10); /* quadratic time takes less than 1 s, with sanitizers less than 10 s */
+    check_large(LARGE);
+}
+
+/* The same with four corners a turn, so that triangles span the whole spiral. */
+static void test_large_square_spiral(void **state)
+{
+    (void)state;
+    static const double x[4] = {1, -1, -1, 1}, y[4] = {1, 1, -1, -1};
+    for (uint32_t i = 0; i < LARGE; i++) {
+        uint32_t along = i < LARGE / 2 ? i : LARGE - 1 - i;
+        double radius = 1 + along / 4 + 0.25 * (along % 4) + (i < LARGE / 2 ? 0.1 : 0);
+        place(i, radius * x[along % 4], radius * y[along % 4]);
+    }
+    check_large(LARGE);
+}
+
+static void test_large_star(void **state)
+{
+    (void)state;
+    random_state = test_seed();
+    random_star(large, MEDIUM, 0.05);
+    check_large(MEDIUM);
+}
+
+/* Teeth of equal height have many corners in one line. */
+static void test_large_comb(void **state)
+{
+    (void)state;
+    for (uint32_t i = 0; i < MEDIUM - 2; i++)
+        place(i, i / 2, (i / 2 % 2 ? 1.0 : 9.0) + i % 2);
+    place(MEDIUM - 2, MEDIUM / 2, -1);
+    place(MEDIUM - 1, -1, -1);
+    check_large(MEDIUM);
+}
+
+/* Corners in one line along all sides of a square. */
+static void test_large_collinear(void **state)
+{
+    (void)state;
+    const uint32_t side = MEDIUM / 4;
+    for (uint32_t i = 0; i < MEDIUM; i++) {
+        double t = i % side;
+        place(i,
+              i < side       ? t
+              : i < 2 * side ? side
+              : i < 3 * side ? side - t
+                             : 0,
+              i < side       ? 0
+              : i < 2 * side ? t
+              : i < 3 * side ? side
+                             : side - t);
+    }
+    check_large(MEDIUM);
+}
+
+/* Square holes in a square. A bridge that is walked twice leads from the left side to each hole, or
+ * from each hole to the next. */
+static void test_large_with_holes(void **state)
+{
+    (void)state;
+    enum { holes = 1000 };
+    uint32_t n = 0;
+    place(n++, 0, 0);
+    place(n++, 9, 0);
+    place(n++, 9, 3 * holes);
+    place(n++, 0, 3 * holes);
+    for (uint32_t h = holes; h-- > 0;) {
+        double y = 3 * h;
+        place(n++, 0, y + 1); /* on the left side */
+        place(n++, 3, y + 1);
+        place(n++, 3, y + 2);
+        place(n++, 6, y + 2);
+        place(n++, 6, y + 1);
+        place(n++, 3, y + 1);
+        place(n++, 0, y + 1);
+    }
+    check_large(n);
+}
+
+/* Each corner comes three times. */
+static void test_large_with_repeated_corners(void **state)
+{
+    (void)state;
+    static double corners[MEDIUM / 3][2];
+    random_state = test_seed();
+    random_star(corners, MEDIUM / 3, 0.3);
+    for (uint32_t i = 0; i < MEDIUM / 3 * 3; i++)
+        place(i, corners[i / 3][0], corners[i / 3][1]);
+    check_large(MEDIUM / 3 * 3);
+}
+
+/* Random walks that keep to their own column on the way up and down are simple polygons with
+ * neither symmetry nor order. */
+static void test_random_simple_polygons(void **state)
+{
+    (void)state;
+    random_state = test_seed();
+    for (int i = 0; i < 2000; i++) {
+        uint32_t n = 5 + (uint32_t)(300 * random_unit()), half = n / 2;
+        struct frame frame = random_frame(1);
+        for (uint32_t k = 0; k < n; k++) {
+            double middle = 3 * sin(k < half ? k * 0.9 : (n - 1 - k) * 0.9);
+            double y = k < half ? k : n - 1 - k;
+            place(k, middle + (k < half ? 0.01 + 3 * random_unit() : -0.01 - 3 * random_unit()), y);
+        }
+        if (i % 2)
+            reverse(large, n);
+        check_polygon((const double(*)[2])large, n, &frame);
+    }
+}
+
+/* No two triangles of a small polygon overlap: random points lie in as many triangles as they
+ * should, by the even-odd rule. */
+static void test_triangles_do_not_overlap(void **state)
+{
+    (void)state;
+    double corners[100][2], positions[100][3];
+    uint32_t triangles[300];
+    random_state = test_seed();
+    for (int i = 0; i < 200; i++) {
+        const uint32_t n = 5 + (uint32_t)(95 * random_unit());
+        random_star(corners, n, 0.05);
+        for (uint32_t k = 0; k < n; k++) {
+            memcpy(positions[k], corners[k], sizeof corners[k]);
+            positions[k][2] = 0;
+        }
+        triangulate((const double(*)[3])positions, n, triangles);
+        for (int point = 0; point < 100; point++) {
+            const double x = 2 * random_unit() - 1, y = 2 * random_unit() - 1;
+            uint32_t covers = 0, crossings = 0;
+            for (uint32_t k = 0; k < n; k++) {
+                const double *a = corners[k], *b = corners[(k + 1) % n];
+                if ((a[1] > y) != (b[1] > y))
+                    crossings += x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]);
+            }
+            for (uint32_t t = 0; t < n - 2; t++) {
+                int inside = 0;
+                for (int k = 0; k < 3; k++) {
+                    const double *a = corners[triangles[3 * t + (uint32_t)k]];
+                    const double *b = corners[triangles[3 * t + (uint32_t)(k + 1) % 3]];
+                    inside += (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) > 0;
+                }
+                covers += inside == 3;
+            }
+            assert_int_equal(covers, crossings % 2);
+        }
+    }
+}
+
+/* Self-intersecting polygons of any size end, with triangles of valid corners. */
+static void test_large_degenerate(void **state)
+{
+    (void)state;
+    static double positions[MEDIUM][3];
+    uint32_t *triangles = malloc(3 * MEDIUM * sizeof *triangles);
+    random_state = test_seed();
+    for (int kind = 0; kind < 4; kind++) { /* crossing edges, few points, a line, one point */
+        for (uint32_t i = 0; i < MEDIUM; i++)
+            for (int c = 0; c < 3; c++)
+                positions[i][c] = kind == 0   ? random_unit()
+                                  : kind == 1 ? floor(3 * random_unit())
+                                  : kind == 2 ? (double)(i * 7919 % MEDIUM)
+                                              : 3;
+        memset(triangles, 0xff, 3 * MEDIUM * sizeof *triangles);
+        triangulate((const double(*)[3])positions, MEDIUM, triangles);
+        for (uint32_t i = 0; i < 3 * (MEDIUM - 2); i++)
+            assert_in_range(triangles[i], 0, MEDIUM - 1);
+        assert_int_equal(triangles[3 * (MEDIUM - 2)], UINT32_MAX);
+    }
+    free(triangles);
+}
+
+static void test_interruption(void **state)
+{
+    (void)state;
+    static double positions[MEDIUM][3];
+    uint32_t *triangles = malloc(3 * MEDIUM * sizeof *triangles);
+    void *scratch = malloc(bsq_triangulate_scratch(MEDIUM));
+    random_state = test_seed();
+    random_star(large, MEDIUM, 0.05);
+    for (uint32_t i = 0; i < MEDIUM; i++)
+        memcpy(positions[i], large[i], sizeof large[i]);
+    bsq_interrupt(ctx);
+    assert_int_equal(
+        bsq_triangulate(ctx, (const double(*)[3])positions, MEDIUM, triangles, scratch), BSQ_EINTR);
+    bsq_clear_error(ctx);
+    free(triangles);
+    free(scratch);
+}
+
+static int open_context(void **state)
+{
+    (void)state;
+    ctx = test_context(1, 0);
+    return 0;
+}
+
+static int close_context(void **state)
+{
+    (void)state;
+    test_context_end(ctx);
+    return 0;
 }
 
 int main(void)
@@ -297,7 +516,17 @@ int main(void)
         cmocka_unit_test(test_convex_quad_is_cut_at_its_first_corner),
         cmocka_unit_test(test_sign_of_zero_changes_nothing),
         cmocka_unit_test(test_degenerate),
-        cmocka_unit_test(test_large_polygon_is_quick),
+        cmocka_unit_test(test_large_spiral),
+        cmocka_unit_test(test_large_square_spiral),
+        cmocka_unit_test(test_large_star),
+        cmocka_unit_test(test_large_comb),
+        cmocka_unit_test(test_large_collinear),
+        cmocka_unit_test(test_large_with_holes),
+        cmocka_unit_test(test_large_with_repeated_corners),
+        cmocka_unit_test(test_random_simple_polygons),
+        cmocka_unit_test(test_triangles_do_not_overlap),
+        cmocka_unit_test(test_large_degenerate),
+        cmocka_unit_test(test_interruption),
     };
-    return cmocka_run_group_tests(tests, NULL, NULL);
+    return cmocka_run_group_tests(tests, open_context, close_context);
 }

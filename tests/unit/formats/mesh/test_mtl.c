@@ -106,8 +106,7 @@ static void test_diffuse(void **state)
     assert_diffuse(&f.materials.list[3], 1, 0, 1);
     assert_diffuse(&f.materials.list[4], 0.1f, 0, 0);
     assert_int_equal(f.warnings, 0);
-    assert_int_equal(fmt_mtl_find(&f.materials, "grey"), 1);
-    assert_int_equal(fmt_mtl_find(&f.materials, "Grey"), UINT32_MAX);
+    assert_string_equal(f.materials.list[1].name, "grey");
     close_fixture(&f);
 }
 
@@ -187,7 +186,7 @@ static void test_files_append(void **state)
     const char *path = write_file("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
     assert_int_equal(fmt_mtl_read(f.ctx, path, &f.materials), 0);
     assert_int_equal(f.materials.count, 3);
-    assert_int_equal(fmt_mtl_find(&f.materials, "c"), 2);
+    assert_string_equal(f.materials.list[2].name, "c");
     close_fixture(&f);
 }
 

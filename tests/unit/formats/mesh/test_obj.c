@@ -5,6 +5,7 @@
 #include <cmocka.h>
 
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "tests/unit/formats/mesh/obj_fixture.h"
@@ -155,6 +156,40 @@ static void test_several_files(void **state)
     obj_close(&f);
 }
 
+/* Quadratic time would take minutes. Every seventh material has no description, and others have
+ * two, of which the first counts. */
+static void test_many_materials(void **state)
+{
+    (void)state;
+    enum { count = 200000 };
+    struct obj_fixture f;
+    struct fmt_materials materials;
+    char *obj = malloc(64 + 32 * count), *mtl = malloc(64 * count), *to = mtl;
+    for (int i = count; i-- > 0;)
+        if (i % 7)
+            to += sprintf(to, "newmtl m%d\nKd 0.%06d 0 0\nnewmtl m%d\nKd 1 1 1\n", i, i, i);
+    scratch_text("many.mtl", mtl);
+    to = obj + sprintf(obj, "mtllib many.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    for (int i = 0; i < count; i++)
+        to += sprintf(to, "usemtl m%d\nf 1 2 3\n", i);
+    const char *path = scratch_text("many.obj", obj);
+    obj_read_files(&f, 2, 1, &path);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
+    assert_int_equal(materials.count, count);
+    for (int i = 0; i < count; i++) {
+        char name[32];
+        sprintf(name, "m%d", i);
+        assert_string_equal(materials.list[i].name, name);
+        assert_int_equal(materials.list[i].has_diffuse, i % 7 != 0);
+        assert_true(materials.list[i].diffuse[0] == (i % 7 ? (float)(i / 1e6) : 0.8f));
+    }
+    fmt_materials_free(f.ctx, &materials);
+    obj_close(&f);
+    free(obj);
+    free(mtl);
+}
+
 /* ---- errors ---- */
 
 static void test_errors(void **state)
@@ -275,6 +310,7 @@ int main(void)
         cmocka_unit_test(test_line_ends),
         cmocka_unit_test(test_empty_files),
         cmocka_unit_test(test_several_files),
+        cmocka_unit_test(test_many_materials),
         cmocka_unit_test(test_errors),
         cmocka_unit_test(test_other_kinds_of_files_are_named),
         cmocka_unit_test(test_names_are_recognised),
