@@ -152,14 +152,19 @@ PTX ?= $(if $(ptx_clang),clang,$(if $(ptx_nvcc),nvcc,none))
 ptx.clang = $(ptx_clang) -x cl -cl-std=CL1.2 --target=nvptx64-nvidia-cuda -Xclang -target-cpu \
     -Xclang sm_50 -DBK_PTX -O3 -mllvm -unroll-threshold=3000 -ffp-contract=off \
     -cl-fp32-correctly-rounded-divide-sqrt -S -o $@.tmp $<
+# nvcc writes the version of PTX that its own CUDA has, which older drivers refuse. The kernel needs
+# nothing after 7.0, the version of CUDA 11.0; the assembler beside nvcc checks that.
 ptx.nvcc  = $(ptx_nvcc) -x cu -ptx -arch=compute_75 -O3 --fmad=false -prec-div=true \
-    -prec-sqrt=true -ftz=false -o $@.tmp $<
+    -prec-sqrt=true -ftz=false -o $@.new $< && \
+    sed 's/^\.version .*/.version 7.0/' $@.new > $@.tmp && \
+    { $(dir $(ptx_nvcc))ptxas -arch=sm_75 -o /dev/null $@.tmp || cp $@.new $@.tmp; }
 ptx.none  = false
 $(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.awk \
     $(kernel_sources)
 	@mkdir -p $(@D)
 	@{ $(ptx.$(PTX)) && awk -f libbake/kernel/check_ptx.awk $@.tmp && mv $@.tmp $@; } || \
-	    { echo "libbake: no PTX, so --device cuda will not work (PTX=$(PTX))"; rm -f $@.tmp; : > $@; }
+	    { echo "libbake: no PTX, so --device cuda will not work (PTX=$(PTX))"; : > $@; }; \
+	    rm -f $@.new $@.tmp
 $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
@@ -344,6 +349,25 @@ test-threads: all $(threaded_bins) $(generator) $(fakes)
 check: deps
 	@$(MAKE) --no-print-directory -j$(jobs) tests-build
 	@$(MAKE) --no-print-directory test
+
+# NVIDIA's assemblers and headers, of the last CUDA 12 and of the current CUDA, from PyPI. Each has
+# a virtual environment, since their files have the same names.
+ptx_tools := build/ptx-tools
+pip_cuda12 := nvidia-cuda-nvcc-cu12 nvidia-cuda-runtime-cu12
+pip_cuda13 := nvidia-cuda-nvcc nvidia-cuda-runtime nvidia-cuda-nvdisasm
+$(ptx_tools)/%/installed:
+	@rm -rf $(@D) && mkdir -p $(@D)
+	@python3 -m venv $(@D) && $(@D)/bin/pip install --quiet $(pip_$*) && touch $@
+nvcc_ptx := build/ptx/gen/kernel-nvcc.ptx
+.PHONY: check-ptx
+## check-ptx: assemble the kernel with NVIDIA's assemblers (from PyPI) and check the machine code
+check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
+	@if tests/install-packages.sh python3-venv && \
+	    $(MAKE) -s $(patsubst %,$(ptx_tools)/%/installed,cuda12 cuda13); then \
+	    $(MAKE) -s PTX=nvcc BUILD=build/ptx $(nvcc_ptx) \
+	        ptx_nvcc="$$(find $(ptx_tools)/cuda13 -name nvcc -type f)" && \
+	    tests/ptx/check.sh $(ptx_tools) $(filter-out %-nvcc.ptx,$<) $(nvcc_ptx); \
+	else echo "check-ptx: skipped, NVIDIA's assemblers cannot be installed"; fi
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \

@@ -3,8 +3,8 @@
 # program that fails without naming a failed test counts as one failure.
 set -u
 export CMOCKA_MESSAGE_OUTPUT=TAP
-# Sanitizer options, for programs built with config=tsan or config=asan. die_after_fork=0 because a
-# forked child enumerates the drivers' devices.
+# Sanitizer options, for programs built with config=tsan or config=asan. die_after_fork=0 because
+# some tests fork.
 lint=$(cd "$(dirname "$0")/lint" && pwd) || exit 1
 export TSAN_OPTIONS="suppressions=$lint/tsan.supp die_after_fork=0 ${TSAN_OPTIONS-}"
 export LSAN_OPTIONS="suppressions=$lint/lsan.supp:print_suppressions=0:${LSAN_OPTIONS-}"

@@ -5,6 +5,7 @@
  *  - streams must not use the same memory without waiting for each other, unless all only read;
  *  - device addresses are no host addresses, and copies must stay inside allocations;
  *  - the host's side of a copy must be page-locked; a driver would silently wait;
+ *  - a stream must be asked about a launch before its next launch, as WSL needs;
  *  - a thread without a context can do nothing, not even free;
  *  - the first launch takes a 32nd of the memory, as for spilled registers;
  *  - the PTX's entry must have the parameters that launches pass;
@@ -23,7 +24,6 @@
  *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel;
  *  - FAKE_CUDA_HOLD=N: the first kernel ends only after a copy was enqueued on an older stream that
  *    was waited for N times before; it fails after 20 seconds;
- *  - FAKE_CUDA_MAPS=0: memory cannot be mapped to addresses;
  *  - FAKE_CUDA_PTX=1: runs the PTX that was loaded;
  *  - FAKE_CUDA_COUNT=1: prints at exit how many PTX instructions warps executed. */
 #include <signal.h>
@@ -158,7 +158,6 @@ CUresult cuInit(unsigned flags)
     fake.sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     fake.hours = (double)setting("FAKE_CUDA_HOURS", 0);
     fake.runs_ptx = setting("FAKE_CUDA_PTX", 0);
-    fake.maps_memory = (int)setting("FAKE_CUDA_MAPS", 1);
     fake.hold = (unsigned)setting("FAKE_CUDA_HOLD", 0);
     fake.sticky = 0;
     calls_left = 0;
@@ -210,15 +209,13 @@ CUresult cuDeviceTotalMem_v2(size_t *bytes, CUdevice device)
     return fake_is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;
 }
 
-CUresult cuDeviceGetAttribute(int *value, int attribute, CUdevice device)
+CUresult cuDeviceGetAttribute(int *value, CUdevice_attribute attribute, CUdevice device)
 {
     BEGIN;
     if (attribute == CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR)
         *value = fake.capability / 10;
     else if (attribute == CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR)
         *value = fake.capability % 10;
-    else if (attribute == CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED)
-        *value = fake.maps_memory;
     else
         return INVALID_VALUE;
     return fake_is_device(device) ? CUDA_SUCCESS : INVALID_DEVICE;

@@ -23,7 +23,7 @@ enum {
     INVALID_PTX = 218,
     INVALID_HANDLE = 400,
     NOT_FOUND = 500,
-    NOT_READY = 600,
+    NOT_READY = CUDA_ERROR_NOT_READY,
     STICKY = 700
 };
 
@@ -35,7 +35,6 @@ struct allocation {
     char *memory;
     size_t bytes;
     struct allocation *next;
-    bool mapped, open; /* a piece of a reservation; it may be read and written */
     unsigned uses[MAX_STREAMS], writes[MAX_STREAMS]; /* by pending work of each stream */
 };
 
@@ -51,7 +50,6 @@ struct fake_cuda {
     double sample_seconds, virtual_now, hours;
     unsigned hold; /* FAKE_CUDA_HOLD; 0: not held */
     bool runs_ptx;
-    int maps_memory;
     uint64_t instructions; /* of warps */
 };
 extern struct fake_cuda fake;
@@ -86,21 +84,9 @@ bool fake_is_device(CUdevice device);
 bool fake_take_bytes(size_t bytes);
 /* Under the lock. */
 struct allocation *fake_find_allocation(CUdeviceptr address);
-/* Returns the host address of device memory; NULL if the bytes are not all in one allocation or in
- * mapped pieces of one reservation. */
+/* Returns the host address of device memory; NULL if the bytes are not all in one allocation. */
 void *fake_device_memory(CUdeviceptr address, size_t bytes);
 bool fake_is_locked(const void *memory, size_t bytes);
-
-/* Memory from malloc() that one call hands out and another takes back. Both functions take the
- * lock, which protects the lists. */
-struct fake_block {
-    char *memory;
-    size_t bytes, mapped; /* mapped: bytes in mapped pieces; unless 0 it cannot be taken back */
-    struct fake_block *next;
-};
-void fake_hand_out(struct fake_block **list, char *memory, size_t bytes);
-/* bytes: as handed out, or SIZE_MAX if the caller does not tell. */
-CUresult fake_take_back(struct fake_block **list, const void *memory, size_t bytes);
 
 /* ---- streams ---- */
 

@@ -122,8 +122,8 @@ static int entry_fits(const char *kernel)
     return !at || at > end;
 }
 
-CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count, int *options,
-                            void **values)
+CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
+                            CUjit_option *options, void **values)
 {
     const char *text = image, *target = strstr(text, ".target sm_");
     char *log = NULL;

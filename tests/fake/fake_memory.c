@@ -60,19 +60,13 @@ struct allocation *fake_find_allocation(CUdeviceptr address)
 
 void *fake_device_memory(CUdeviceptr address, size_t bytes)
 {
-    bool found = true;
+    const struct allocation *a;
+    char *at = (char *)(uintptr_t)(address - DEVICE_ADDRESS); // NOLINT: as above
 
     pthread_mutex_lock(&fake.lock);
-    for (size_t done = 0; done < bytes && found;) {
-        const struct allocation *a = fake_find_allocation(address + done);
-        found = a && (!a->mapped || a->open);
-        if (found) /* mapped pieces may be consecutive */
-            done = (size_t)(a->memory + a->bytes - (char *)(uintptr_t)(address - DEVICE_ADDRESS));
-        if (found && done < bytes)
-            found = a->mapped;
-    }
+    a = fake_find_allocation(address);
     pthread_mutex_unlock(&fake.lock);
-    return found ? (char *)(uintptr_t)(address - DEVICE_ADDRESS) : NULL; // NOLINT: as above
+    return a && at + bytes <= a->memory + a->bytes ? at : NULL;
 }
 
 CUresult cuMemFree_v2(CUdeviceptr memory)
@@ -84,7 +78,7 @@ CUresult cuMemFree_v2(CUdeviceptr memory)
     pthread_mutex_lock(&fake.lock);
     for (struct allocation **link = &fake.allocations; *link; link = &(*link)->next) {
         struct allocation *gone = *link;
-        if (gone->memory != at || gone->mapped)
+        if (gone->memory != at)
             continue;
         *link = gone->next;
         fake.used_bytes -= gone->bytes;
@@ -98,27 +92,41 @@ CUresult cuMemFree_v2(CUdeviceptr memory)
     return INVALID_VALUE;
 }
 
-/* ---- blocks ---- */
+/* ---- page-locked memory of the host ---- */
 
-void fake_hand_out(struct fake_block **list, char *memory, size_t bytes)
+struct locked {
+    char *memory;
+    size_t bytes;
+    struct locked *next;
+};
+static struct locked *page_locked; /* requires the lock */
+
+CUresult cuMemAllocHost_v2(void **memory, size_t bytes)
 {
-    struct fake_block *block = malloc(sizeof *block);
+    struct locked *locked;
 
+    BEGIN_IN_CONTEXT;
+    if (bytes == 0)
+        return INVALID_VALUE;
+    *memory = malloc(bytes);
+    locked = malloc(sizeof *locked);
     pthread_mutex_lock(&fake.lock);
-    *block = (struct fake_block){.memory = memory, .bytes = bytes, .next = *list};
-    *list = block;
+    *locked = (struct locked){.memory = *memory, .bytes = bytes, .next = page_locked};
+    page_locked = locked;
     fake.live++;
     pthread_mutex_unlock(&fake.lock);
+    return CUDA_SUCCESS;
 }
 
-CUresult fake_take_back(struct fake_block **list, const void *memory, size_t bytes)
+CUresult cuMemFreeHost(void *memory)
 {
     CUresult code = INVALID_VALUE;
 
+    NEED_CONTEXT;
     pthread_mutex_lock(&fake.lock);
-    for (struct fake_block **link = list; *link; link = &(*link)->next) {
-        struct fake_block *gone = *link;
-        if (gone->memory != memory || (bytes != SIZE_MAX && gone->bytes != bytes) || gone->mapped)
+    for (struct locked **link = &page_locked; *link; link = &(*link)->next) {
+        struct locked *gone = *link;
+        if (gone->memory != memory)
             continue;
         *link = gone->next;
         free(gone->memory);
@@ -131,31 +139,13 @@ CUresult fake_take_back(struct fake_block **list, const void *memory, size_t byt
     return code;
 }
 
-static struct fake_block *page_locked; /* memory of the host */
-
-CUresult cuMemAllocHost_v2(void **memory, size_t bytes)
-{
-    BEGIN_IN_CONTEXT;
-    if (bytes == 0)
-        return INVALID_VALUE;
-    *memory = malloc(bytes);
-    fake_hand_out(&page_locked, *memory, bytes);
-    return CUDA_SUCCESS;
-}
-
-CUresult cuMemFreeHost(void *memory)
-{
-    NEED_CONTEXT;
-    return fake_take_back(&page_locked, memory, SIZE_MAX);
-}
-
 bool fake_is_locked(const void *memory, size_t bytes)
 {
     const char *at = memory;
     bool found = false;
 
     pthread_mutex_lock(&fake.lock);
-    for (const struct fake_block *l = page_locked; l && !found; l = l->next)
+    for (const struct locked *l = page_locked; l && !found; l = l->next)
         found = at >= l->memory && at + bytes <= l->memory + l->bytes;
     pthread_mutex_unlock(&fake.lock);
     return found;

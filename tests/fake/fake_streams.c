@@ -12,6 +12,7 @@ struct CUstream_st {
     pthread_mutex_t lock;         /* protects the work and its execution */
     unsigned number;              /* in the order of creation, from 1 */
     unsigned waits, copies_since; /* calls that waited; copies enqueued after `hold` waits */
+    bool unsubmitted;             /* its last launch was not asked about */
     struct work *first, *last;
     CUstream next;
 };
@@ -50,11 +51,14 @@ static bool note_uses(const struct work *work, CUstream stream, int change)
 
 CUresult fake_append(CUstream stream, const struct work *work)
 {
-    struct work *copy = malloc(sizeof *copy);
+    struct work *copy;
     bool alone;
 
-    *copy = *work;
-    copy->next = NULL;
+    if (work->kind == LAUNCH && stream->unsubmitted) {
+        fputs("fake CUDA: two launches would be submitted at once\n", stderr);
+        return INVALID_VALUE;
+    }
+    stream->unsubmitted |= work->kind == LAUNCH;
     pthread_mutex_lock(&fake.lock);
     alone = note_uses(work, stream, 1);
     if (work->kind == COPY && fake.hold && stream->waits >= fake.hold) {
@@ -62,6 +66,9 @@ CUresult fake_append(CUstream stream, const struct work *work)
         pthread_cond_broadcast(&released);
     }
     pthread_mutex_unlock(&fake.lock);
+    copy = malloc(sizeof *copy);
+    *copy = *work;
+    copy->next = NULL;
     pthread_mutex_lock(&stream->lock);
     if (stream->last)
         stream->last->next = copy;
@@ -115,6 +122,7 @@ static void run_work(struct work *work)
 static void run_stream(CUstream stream, CUevent until)
 {
     pthread_mutex_lock(&stream->lock);
+    stream->unsubmitted = false;
     while (stream->first && !(until && !until->pending)) {
         struct work *work = stream->first;
         stream->first = work->next;
@@ -149,6 +157,18 @@ CUresult cuStreamCreate(CUstream *stream, unsigned flags)
     fake.live++;
     pthread_mutex_unlock(&fake.lock);
     return flags <= CU_STREAM_NON_BLOCKING ? CUDA_SUCCESS : INVALID_VALUE;
+}
+
+CUresult cuStreamQuery(CUstream stream)
+{
+    bool pending;
+
+    BEGIN_IN_CONTEXT;
+    stream->unsubmitted = false;
+    pthread_mutex_lock(&stream->lock);
+    pending = stream->first;
+    pthread_mutex_unlock(&stream->lock);
+    return pending ? NOT_READY : CUDA_SUCCESS;
 }
 
 CUresult cuStreamSynchronize(CUstream stream)

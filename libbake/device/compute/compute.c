@@ -46,6 +46,15 @@ static uint64_t triangle_bytes(const struct bake_job *job)
     return job->triangle_count * (uint64_t)sizeof *job->triangles;
 }
 
+/* Arrays in a block begin at multiples of this. A load of a warp's 32 numbers needs 128. */
+enum { ARRAY_ALIGNMENT = 256 };
+
+/* Returns the bytes that blocks need besides their arrays' bytes. */
+static uint64_t block_waste(const struct bake_compute *compute)
+{
+    return compute->calls->blocks ? BAKE_SLOTS * BAKE_SUBGRID_ARRAYS * ARRAY_ALIGNMENT : 0;
+}
+
 int bake_compute_reserve(struct bake_compute *compute, const char *what, uint64_t bytes)
 {
     int status = bsq_reserve(compute->ctx, what, bytes);
@@ -58,7 +67,7 @@ int bake_compute_share_memory(struct bake_compute *compute, const struct bake_jo
                               uint64_t limit, uint64_t buffer_bytes)
 {
     const uint64_t samples = bake_compute_sample_bytes(compute), triangles = triangle_bytes(job);
-    const uint64_t fixed = worker_bytes(compute) + triangles;
+    const uint64_t fixed = worker_bytes(compute) + triangles + block_waste(compute);
 
     if (job->device_memory && job->device_memory < limit)
         limit = job->device_memory;
@@ -97,13 +106,17 @@ static int send_half(void *device, unsigned half, uint64_t bytes)
     return compute->upload_code == 0 ? bsq_check(compute->ctx) : BSQ_ENODEVICE;
 }
 
-/* Allocates an array; what is put into the staging buffer from now on goes there. */
-static int begin_upload(struct bake_compute *compute, uint64_t bytes, bake_memory *out)
+static int allocate(struct bake_compute *compute, uint64_t bytes, bake_memory *out)
 {
     compute->calls->allocate(compute, bytes, out, &compute->upload_code);
-    compute->upload_to = *out;
-    compute->upload_at = compute->staging.used = 0;
     return compute->upload_code == 0 ? 0 : BSQ_ENODEVICE;
+}
+
+/* Sends what is put into the staging buffer from now on to an array. */
+static void begin_upload(struct bake_compute *compute, bake_memory to)
+{
+    compute->upload_to = to;
+    compute->upload_at = compute->staging.used = 0;
 }
 
 static int finish_upload(struct bake_compute *compute)
@@ -119,8 +132,9 @@ static int finish_upload(struct bake_compute *compute)
 
 int bake_compute_send_triangles(struct bake_compute *compute, const struct bake_job *job)
 {
-    int status = begin_upload(compute, triangle_bytes(job), &compute->triangles);
+    int status = allocate(compute, triangle_bytes(job), &compute->triangles);
 
+    begin_upload(compute, compute->triangles);
     if (status == 0)
         status = bake_staging_put(&compute->staging, job->triangles, triangle_bytes(job));
     if (status == 0)
@@ -129,13 +143,70 @@ int bake_compute_send_triangles(struct bake_compute *compute, const struct bake_
                                    : status;
 }
 
+/* Frees a subgrid's arrays, except a block. */
+static void unload_arrays(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
+{
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
+        if (subgrid->arrays[i] && !compute->calls->blocks)
+            compute->calls->release(compute, subgrid->arrays[i]);
+        subgrid->arrays[i] = 0;
+    }
+    bsq_release(compute->ctx, subgrid->reserved_bytes);
+    subgrid->reserved_bytes = 0;
+}
+
+static void free_block(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
+{
+    if (subgrid->block)
+        compute->calls->release(compute, subgrid->block);
+    subgrid->block = subgrid->block_bytes = 0;
+}
+
 static void unload_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
 {
+    unload_arrays(compute, subgrid);
+    free_block(compute, subgrid);
+}
+
+static int allocate_block(struct bake_compute *compute, struct bake_compute_subgrid *to,
+                          uint64_t bytes)
+{
+    int status = allocate(compute, bytes, &to->block);
+
+    to->block_bytes = status == 0 ? bytes : 0;
+    return status;
+}
+
+/* Provides a block of at least `bytes`. One for passes fits the subgrids of all passes, if there is
+ * memory for it. */
+static int get_block(struct bake_compute *compute, struct bake_compute_subgrid *to, uint64_t bytes,
+                     bool whole)
+{
+    const uint64_t pass = (compute->base.memory_bytes + block_waste(compute)) / BAKE_SLOTS;
+
+    if (bytes <= to->block_bytes)
+        return 0;
+    free_block(compute, to);
+    if (!whole && pass > bytes && allocate_block(compute, to, pass) == 0)
+        return 0;
+    compute->upload_code = 0;
+    return allocate_block(compute, to, bytes);
+}
+
+static int place_in_block(struct bake_compute *compute, struct bake_compute_subgrid *to,
+                          const struct bake_subgrid *subgrid)
+{
+    uint64_t bytes = 0, at = 0;
+    int status;
+
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
-        if (subgrid->arrays[i])
-            compute->calls->release(compute, subgrid->arrays[i]);
-    bsq_release(compute->ctx, subgrid->reserved_bytes);
-    *subgrid = (struct bake_compute_subgrid){0};
+        bytes += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
+    status = get_block(compute, to, bytes, subgrid->whole);
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && status == 0; i++) {
+        to->arrays[i] = subgrid->bytes[i] ? to->block + at : 0;
+        at += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
+    }
+    return status;
 }
 
 static int reserve_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *to,
@@ -160,14 +231,20 @@ static int load_subgrid(struct bake_compute *compute, struct bake_compute_subgri
         *what = compute->calls->attach(compute, &compute->upload_code);
     if (compute->upload_code != 0)
         return BSQ_ENODEVICE;
-    unload_subgrid(compute, to);
+    unload_arrays(compute, to);
     *what = "memory that the device shares";
     if (compute->shares_memory)
         status = reserve_subgrid(compute, to, subgrid);
     to->params = subgrid->params;
+    if (status == 0 && compute->calls->blocks) {
+        *what = "memory for the grid";
+        status = place_in_block(compute, to, subgrid);
+    }
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS && status == 0; i++) {
         *what = bake_subgrid_array_name(i);
-        status = begin_upload(compute, subgrid->bytes[i], &to->arrays[i]);
+        if (!compute->calls->blocks)
+            status = allocate(compute, subgrid->bytes[i], &to->arrays[i]);
+        begin_upload(compute, to->arrays[i]);
         if (status == 0)
             status = bake_subgrid_send(subgrid, i, bake_staging_put, &compute->staging);
         if (status == 0)
@@ -186,8 +263,8 @@ static void learn_memory(struct bake_compute *compute, const struct bake_subgrid
     unload_subgrid(compute, &compute->slots[0]);
     if (compute->calls->free_bytes) {
         const uint64_t free_bytes = compute->calls->free_bytes(compute),
-                       tiles = worker_bytes(compute);
-        const uint64_t grid_bytes = free_bytes > tiles ? free_bytes - tiles : 0;
+                       others = worker_bytes(compute) + block_waste(compute);
+        const uint64_t grid_bytes = free_bytes > others ? free_bytes - others : 0;
         left = grid_bytes < left ? grid_bytes : left;
     }
     base->memory_bytes = left;

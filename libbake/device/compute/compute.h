@@ -19,6 +19,8 @@ typedef uint64_t bake_memory;
 /* A subgrid on the device. */
 struct bake_compute_subgrid {
     bake_memory arrays[BAKE_SUBGRID_ARRAYS];
+    bake_memory block; /* that has all arrays, if the API's `blocks` is set */
+    uint64_t block_bytes;
     struct bk_params params;
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
 };
@@ -42,7 +44,10 @@ struct bake_compute_calls {
     /* Lets the calling thread use the device. NULL: every thread may. */
     const char *(*attach)(struct bake_compute *compute, int *code);
 
-    /* `bytes` is 0 for arrays that the kernel does not read. */
+    /* Memory is a number, to which offsets can be added, and allocating or freeing it waits for the
+     * device. Then all arrays of a slot are in one block, which later subgrids reuse. */
+    bool blocks;
+    /* `bytes` is 0 for arrays that the kernel does not read; not if `blocks` is set. */
     void (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out, int *code);
     void (*release)(struct bake_compute *compute, bake_memory memory);
     /* Returns the device memory that the job may still allocate. NULL: the API cannot tell. */

@@ -9,7 +9,7 @@
 
 #include "libbake/device/compute/compute.h"
 #include "libbake/device/cuda/cuda.h"
-#include "libbake/device/cuda/cuda_memory.h"
+#include "libbake/device/cuda/cuda_api.h"
 
 enum {
     STAGING_BYTES = 16 << 20 /* half of the staging buffer */
@@ -40,7 +40,6 @@ struct cuda {
     struct bake_cuda_api api;
     struct bake_cuda_device device;
     struct bake_cuda_tuning tuning;
-    struct bake_cuda_memory memory;
     CUcontext context;
     CUmodule module;
     CUfunction kernel;
@@ -73,9 +72,9 @@ static const char *cuda_attach(struct bake_compute *compute, int *code)
 
 static void cuda_allocate(struct bake_compute *compute, uint64_t bytes, bake_memory *out, int *code)
 {
-    CUdeviceptr memory;
+    CUdeviceptr memory = 0;
 
-    *code = bake_cuda_memory_get(&((struct cuda *)compute)->memory, bytes, &memory);
+    *code = ((struct cuda *)compute)->api.cuMemAlloc(&memory, bytes);
     *out = memory;
 }
 
@@ -99,7 +98,7 @@ static uint64_t cuda_free_bytes(struct bake_compute *compute)
 
 static void cuda_release(struct bake_compute *compute, bake_memory memory)
 {
-    bake_cuda_memory_give(&((struct cuda *)compute)->memory, memory);
+    ((struct cuda *)compute)->api.cuMemFree(memory);
 }
 
 static void cuda_send_half(struct bake_compute *compute, unsigned half, uint64_t bytes,
@@ -225,6 +224,15 @@ static const char *cuda_send_samples(struct bake_compute *compute, unsigned numb
     return "cuMemcpyHtoDAsync";
 }
 
+/* Submits a launch by itself. Drivers of Windows, which WSL uses, collect launches and submit
+ * several at once, and Windows ends work that takes seconds. */
+static CUresult submit(const struct cuda *cuda, const struct worker *worker)
+{
+    const CUresult code = cuda->api.cuStreamQuery(worker->stream);
+
+    return code == CUDA_ERROR_NOT_READY ? CUDA_SUCCESS : code;
+}
+
 static const char *cuda_launch(struct bake_compute *compute, unsigned number,
                                const struct bake_compute_subgrid *subgrid,
                                const struct bk_tile *tile, const struct bake_launch_batch *batch,
@@ -262,6 +270,8 @@ static const char *cuda_launch(struct bake_compute *compute, unsigned number,
         cuda->kernel, (tile->width + tuning->block_width - 1) / tuning->block_width,
         (rows + tuning->block_height - 1) / tuning->block_height, 1, tuning->block_width,
         tuning->block_height, 1, 0, worker->stream, arguments, NULL);
+    if (*code == CUDA_SUCCESS)
+        *code = submit(cuda, worker);
     return "cuLaunchKernel";
 }
 
@@ -321,6 +331,7 @@ static void cuda_end_tile(struct bake_compute *compute, unsigned number, int cod
 static const struct bake_compute_calls calls = {.describe = cuda_describe,
                                                 .lacks_memory = cuda_lacks_memory,
                                                 .attach = cuda_attach,
+                                                .blocks = true,
                                                 .allocate = cuda_allocate,
                                                 .free_bytes = cuda_free_bytes,
                                                 .release = cuda_release,
@@ -378,14 +389,7 @@ static int ask_memory(struct cuda *cuda, uint64_t *limit)
 {
     CUresult code = free_memory(cuda, limit);
 
-    if (code != CUDA_SUCCESS)
-        return bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
-    code = bake_cuda_memory_init(&cuda->memory, &cuda->api, cuda->device.device,
-                                 cuda->tuning.piece_bytes ? cuda->tuning.piece_bytes
-                                                          : BAKE_MAX_BUFFER_BYTES);
-    return code == CUDA_SUCCESS
-               ? 0
-               : bake_compute_fail(&cuda->compute, "cuMemGetAllocationGranularity", code);
+    return code == CUDA_SUCCESS ? 0 : bake_compute_fail(&cuda->compute, "cuMemGetInfo", code);
 }
 
 static int open_upload(struct cuda *cuda)
@@ -447,8 +451,7 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
     if (status == 0)
         status = ask_memory(cuda, &limit);
     if (status == 0)
-        status =
-            bake_compute_share_memory(compute, job, limit, bake_cuda_memory_most(&cuda->memory));
+        status = bake_compute_share_memory(compute, job, limit, UINT64_MAX);
     if (status == 0)
         status = open_upload(cuda);
     return status < 0 ? status : bake_compute_send_triangles(compute, job);

@@ -13,7 +13,6 @@ int bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out);
 struct bake_cuda_tuning {
     unsigned registers;                 /* limit for a thread; 0: the compiler's choice */
     unsigned block_width, block_height; /* threads; a multiple of 32 together, at most 1024 */
-    uint64_t piece_bytes;               /* longest allocation; 0: BAKE_MAX_BUFFER_BYTES */
 };
 
 #endif

@@ -12,6 +12,8 @@
 
 typedef int CUresult;
 typedef int CUdevice;
+typedef int CUdevice_attribute;
+typedef int CUjit_option;
 typedef unsigned long long CUdeviceptr;
 typedef struct CUctx_st *CUcontext;
 typedef struct CUmod_st *CUmodule;
@@ -28,16 +30,10 @@ enum {
     CUDA_ERROR_JIT_COMPILER_NOT_FOUND = 221,
     CUDA_ERROR_UNSUPPORTED_PTX_VERSION = 222,
     CUDA_ERROR_JIT_COMPILATION_DISABLED = 223,
+    CUDA_ERROR_NOT_READY = 600,
 
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR = 75,
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR = 76,
-
-    CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED = 102,
-
-    CU_MEM_ALLOCATION_TYPE_PINNED = 1,
-    CU_MEM_LOCATION_TYPE_DEVICE = 1,
-    CU_MEM_ACCESS_FLAGS_PROT_READWRITE = 3,
-    CU_MEM_ALLOC_GRANULARITY_MINIMUM = 0,
 
     CU_STREAM_NON_BLOCKING = 1,
     CU_EVENT_BLOCKING_SYNC = 1, /* waiting threads sleep */
@@ -47,26 +43,8 @@ enum {
     CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES = 6
 };
 
-/* CUmemAllocationProp */
-struct bake_cuda_allocation {
-    int type, handle_types;
-    int location_type, location_id;
-    void *windows;
-    unsigned char compression, direct;
-    unsigned short usage;
-    unsigned char reserved[4];
-};
-_Static_assert(sizeof(struct bake_cuda_allocation) == 32, "size in NVIDIA's header");
-
-/* CUmemAccessDesc */
-struct bake_cuda_access {
-    int location_type, location_id;
-    int flags;
-};
-_Static_assert(sizeof(struct bake_cuda_access) == 12, "size in NVIDIA's header");
-
-/* X(name, symbol in the library, parameters). NVIDIA's header maps the names to the same symbols
- * since CUDA 11.0. */
+/* X(name, symbol in the library, parameters). The symbols of CUDA 11.0, which later drivers have
+ * too. `make check-ptx` compares values and types with NVIDIA's header. */
 #define BAKE_CUDA_FUNCTIONS(X)                                                                     \
     X(cuInit, cuInit, (unsigned flags))                                                            \
     X(cuDriverGetVersion, cuDriverGetVersion, (int *version))                                      \
@@ -76,34 +54,20 @@ _Static_assert(sizeof(struct bake_cuda_access) == 12, "size in NVIDIA's header")
     X(cuDeviceGet, cuDeviceGet, (CUdevice * device, int number))                                   \
     X(cuDeviceGetName, cuDeviceGetName, (char *name, int bytes, CUdevice device))                  \
     X(cuDeviceTotalMem, cuDeviceTotalMem_v2, (size_t * bytes, CUdevice device))                    \
-    X(cuDeviceGetAttribute, cuDeviceGetAttribute, (int *value, int attribute, CUdevice device))    \
+    X(cuDeviceGetAttribute, cuDeviceGetAttribute,                                                  \
+      (int *value, CUdevice_attribute attribute, CUdevice device))                                 \
     X(cuDevicePrimaryCtxRetain, cuDevicePrimaryCtxRetain, (CUcontext * context, CUdevice device))  \
     X(cuDevicePrimaryCtxRelease, cuDevicePrimaryCtxRelease_v2, (CUdevice device))                  \
     X(cuCtxSetCurrent, cuCtxSetCurrent, (CUcontext context))                                       \
     X(cuMemGetInfo, cuMemGetInfo_v2, (size_t * free, size_t * total))                              \
     X(cuModuleLoadDataEx, cuModuleLoadDataEx,                                                      \
-      (CUmodule * module, const void *image, unsigned count, int *options, void **values))         \
+      (CUmodule * module, const void *image, unsigned count, CUjit_option *options,                \
+       void **values))                                                                             \
     X(cuModuleUnload, cuModuleUnload, (CUmodule module))                                           \
     X(cuModuleGetFunction, cuModuleGetFunction,                                                    \
       (CUfunction * function, CUmodule module, const char *name))                                  \
     X(cuMemAlloc, cuMemAlloc_v2, (CUdeviceptr * memory, size_t bytes))                             \
     X(cuMemFree, cuMemFree_v2, (CUdeviceptr memory))                                               \
-    X(cuMemGetAllocationGranularity, cuMemGetAllocationGranularity,                                \
-      (size_t * bytes, const struct bake_cuda_allocation *allocation, int option))                 \
-    X(cuMemAddressReserve, cuMemAddressReserve,                                                    \
-      (CUdeviceptr * at, size_t bytes, size_t alignment, CUdeviceptr wanted,                       \
-       unsigned long long flags))                                                                  \
-    X(cuMemAddressFree, cuMemAddressFree, (CUdeviceptr at, size_t bytes))                          \
-    X(cuMemCreate, cuMemCreate,                                                                    \
-      (unsigned long long *handle, size_t bytes, const struct bake_cuda_allocation *allocation,    \
-       unsigned long long flags))                                                                  \
-    X(cuMemRelease, cuMemRelease, (unsigned long long handle))                                     \
-    X(cuMemMap, cuMemMap,                                                                          \
-      (CUdeviceptr at, size_t bytes, size_t offset, unsigned long long handle,                     \
-       unsigned long long flags))                                                                  \
-    X(cuMemUnmap, cuMemUnmap, (CUdeviceptr at, size_t bytes))                                      \
-    X(cuMemSetAccess, cuMemSetAccess,                                                              \
-      (CUdeviceptr at, size_t bytes, const struct bake_cuda_access *access, size_t count))         \
     X(cuMemAllocHost, cuMemAllocHost_v2, (void **memory, size_t bytes))                            \
     X(cuMemFreeHost, cuMemFreeHost, (void *memory))                                                \
     X(cuMemcpyHtoDAsync, cuMemcpyHtoDAsync_v2,                                                     \
@@ -111,6 +75,7 @@ _Static_assert(sizeof(struct bake_cuda_access) == 12, "size in NVIDIA's header")
     X(cuMemcpyDtoHAsync, cuMemcpyDtoHAsync_v2,                                                     \
       (void *to, CUdeviceptr from, size_t bytes, CUstream stream))                                 \
     X(cuStreamCreate, cuStreamCreate, (CUstream * stream, unsigned flags))                         \
+    X(cuStreamQuery, cuStreamQuery, (CUstream stream))                                             \
     X(cuStreamSynchronize, cuStreamSynchronize, (CUstream stream))                                 \
     X(cuStreamDestroy, cuStreamDestroy_v2, (CUstream stream))                                      \
     X(cuEventCreate, cuEventCreate, (CUevent * event, unsigned flags))                             \

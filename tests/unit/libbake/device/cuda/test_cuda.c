@@ -42,7 +42,7 @@ static int open_fake(void)
 static void restore(void)
 {
     static const char *const names[] = {"DEVICES", "MEMORY", "TAKEN", "CAPABILITY", "FAIL",
-                                        "NS",      "HOURS",  "PTX",   "MAPS",       "VERSION"};
+                                        "NS",      "HOURS",  "PTX",   "VERSION"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -287,46 +287,6 @@ static void test_memory_for_others(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-/* No allocation is longer than a limit. A longer array, here the upper nodes, has several; a device
- * that cannot map them traces the grid in passes. */
-static void test_pieces_of_memory(void **state)
-{
-    static const char *const failures[] = {"cuMemAddressReserve:1:304",
-                                           "cuMemCreate:1:304",
-                                           "cuMemCreate:2:304",
-                                           "cuMemMap:1:304",
-                                           "cuMemMap:3:304",
-                                           "cuMemSetAccess:1:304",
-                                           "cuMemSetAccess:2:304"};
-    const struct bake_cuda_tuning tuning = {
-        .registers = 128, .block_width = 8, .block_height = 16, .piece_bytes = (128 << 10) + 1};
-    struct fixture *f = *state;
-    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0), *cuda;
-    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
-    struct bake_device *device;
-
-    f->job.cuda_tuning = &tuning;
-    cuda = traced_sheet_trace(f, "cuda", 0);
-    assert_same(native, cuda, TEXELS);
-    assert_int_equal(live(), 0);
-    for (size_t i = 0; i < sizeof failures / sizeof *failures; i++) {
-        setenv("FAKE_CUDA_FAIL", failures[i], 1);
-        assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
-        assert_non_null(strstr(bsq_error(f->ctx), "CUDA error 304"));
-        bsq_clear_error(f->ctx);
-        assert_int_equal(live(), 0);
-    }
-    restore();
-    setenv("FAKE_CUDA_MAPS", "0", 1);
-    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-    assert_false(bake_device_holds_grid(device));
-    assert_int_equal(bake_device_backend(device)->buffer_bytes, tuning.piece_bytes);
-    bake_device_close(device);
-    f->job.cuda_tuning = NULL;
-    free(native);
-    free(cuda);
-}
-
 /* Several launches trace a texel that has many samples. */
 static void test_batches_of_texels(void **state)
 {
@@ -459,10 +419,10 @@ static void test_opening_fails(void **state)
  * buffer. */
 static void test_tracing_fails(void **state)
 {
-    static const char *const calls[] = {"cuCtxSetCurrent:3",       "cuStreamCreate:2",
-                                        "cuMemAlloc_v2:10",        "cuMemAllocHost_v2:3",
-                                        "cuMemcpyHtoDAsync_v2:10", "cuLaunchKernel:1",
-                                        "cuMemcpyDtoHAsync_v2:1",  "cuEventElapsedTime:1"};
+    static const char *const calls[] = {
+        "cuCtxSetCurrent:3",      "cuStreamCreate:2",        "cuMemAlloc_v2:3",
+        "cuMemAllocHost_v2:3",    "cuMemcpyHtoDAsync_v2:10", "cuLaunchKernel:1",
+        "cuMemcpyDtoHAsync_v2:1", "cuEventElapsedTime:1",    "cuStreamQuery:1"};
     struct fixture *f = *state;
     const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
     struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
@@ -703,7 +663,6 @@ int main(void)
         cmocka_unit_test_setup(test_times_after_days, each_setup),
         cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
         cmocka_unit_test_setup(test_memory_for_others, each_setup),
-        cmocka_unit_test_setup(test_pieces_of_memory, each_setup),
         cmocka_unit_test_setup(test_batches_of_texels, each_setup),
         cmocka_unit_test_setup(test_absent, each_setup),
         cmocka_unit_test_setup(test_wrong_architecture, each_setup),
