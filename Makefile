@@ -291,6 +291,8 @@ fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o \
     $(BUILD)/obj/tests/unit/formats/grid/nvdb_scene.c.o
 fuzz.tris  := $(BUILD)/obj/tests/fuzz/tris_mend.c.o
 fuzz.scan  := $(fuzz.tris)
+fuzz.obj   := $(BUILD)/obj/tests/fuzz/mesh_check.c.o
+fuzz.ply   := $(fuzz.obj)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
@@ -314,7 +316,7 @@ $(BUILD)/tests/torture: tests/faults/torture.c
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)
-## fuzz-NAME: fuzz obj, mtl, tris, nvdb, exr, lowmesh or both stages (scan) for fuzz_seconds=60
+## fuzz-NAME: fuzz obj, ply, mtl, tris, nvdb, exr, lowmesh or both stages (scan) for fuzz_seconds=60
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
 	@mkdir -p build/fuzz/corpus/$*

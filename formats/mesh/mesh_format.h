@@ -13,7 +13,9 @@
 /* Where a face is, for messages. */
 struct fmt_mesh_place {
     const char *path; /* owned by the reader */
-    uint64_t line;    /* from 1; 0: the format has none, so messages count faces */
+    uint64_t line;    /* from 1; 0: the format has none */
+    uint64_t byte;    /* of the file, from 0; 0: unknown, then messages count faces */
+    bool from_zero;   /* the file counts elements from 0, and not from 1 */
     /* By kind: elements of the scan in files before the face's file, and in the face's file. With
      * one file, base is 0. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
@@ -52,7 +54,7 @@ struct fmt_mesh_reader {
 };
 
 /* The registry. The first row also reads files that no row recognises. */
-#define FMT_MESH_FORMATS(ROW) ROW(fmt_obj_format)
+#define FMT_MESH_FORMATS(ROW) ROW(fmt_obj_format) ROW(fmt_ply_format)
 
 #define FMT_MESH_DECLARE(format) extern const struct fmt_mesh_format format;
 FMT_MESH_FORMATS(FMT_MESH_DECLARE)

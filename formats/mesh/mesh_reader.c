@@ -61,8 +61,6 @@ static const struct foreign {
     {"\x28\xb5\x2f\xfd", 4, "a file packed by Zstandard", "unpack it first"},
     {"PK\x03\x04", 4, "a ZIP archive", "unpack it first"},
     {"7z\xbc\xaf\x27\x1c", 6, "a 7z archive", "unpack it first"},
-    {"ply\n", 4, "a PLY file", "export the mesh as OBJ"},
-    {"ply\r", 4, "a PLY file", "export the mesh as OBJ"},
     {"glTF", 4, "a glTF file", "export the mesh as OBJ"},
     {"Kaydara FBX Binary", 18, "an FBX file", "export the mesh as OBJ"},
     {"BLENDER", 7, "a Blender file", "export the mesh as OBJ"},
@@ -197,7 +195,8 @@ const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t i
 
 /* ---- messages about faces ---- */
 
-/* Fails with "path:line: face " and the text, or "path: face 12 " if the format has no lines. */
+/* Fails with "path:line: face " and the text. If the format has no lines, with "path: byte 99: face
+ * " and the text, or "path: face 12 " if the byte is unknown too. */
 __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
                                                            const struct fmt_mesh_place *place,
                                                            uint64_t face, const char *format, ...)
@@ -207,9 +206,12 @@ __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
     va_start(arguments, format);
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
-    if (place->line == 0)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: face %" PRIu64 " %s", place->path, face + 1, text);
-    return bsq_fail(ctx, BSQ_EDATA, "%s:%" PRIu64 ": face %s", place->path, place->line, text);
+    if (place->line > 0)
+        return bsq_fail(ctx, BSQ_EDATA, "%s:%" PRIu64 ": face %s", place->path, place->line, text);
+    if (place->byte > 0)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": face %s", place->path, place->byte,
+                        text);
+    return bsq_fail(ctx, BSQ_EDATA, "%s: face %" PRIu64 " %s", place->path, face + 1, text);
 }
 
 int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
@@ -219,8 +221,9 @@ int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_
     int status = reader->format->locate_face(reader, face, &place);
     if (status < 0)
         return status;
-    return fail_face(reader->ctx, &place, face, "refers to %s %" PRIu64 ", file has %" PRIu64,
-                     fmt_mesh_kind_names[kind], index - place.base[kind] + 1, place.count[kind]);
+    return fail_face(reader->ctx, &place, face, "refers to %s %" PRIu64 "%s, file has %" PRIu64,
+                     fmt_mesh_kind_names[kind], index - place.base[kind] + !place.from_zero,
+                     place.from_zero ? " (counted from 0)" : "", place.count[kind]);
 }
 
 int fmt_mesh_fail_face(struct bsq_ctx *ctx, const char *path, uint64_t face, const char *what)

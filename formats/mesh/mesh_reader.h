@@ -42,6 +42,7 @@ struct fmt_mesh_block {
     const double (*positions)[3];
     const float (*colors)[3]; /* sRGB as written, -1 for a vertex without colour; NULL: no vertex
                                  of the block has one */
+    float color_white; /* value of full intensity in `colors`; 0: 1 or 255, not known which */
     uint64_t texcoord_count, texcoord_base;
     const double (*texcoords)[2];
     uint64_t normal_count, normal_base;

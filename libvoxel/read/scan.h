@@ -48,7 +48,7 @@ struct scan {
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
     bool origin_known, has_colors;
-    float color_scale;        /* from the file's value to 0..255 */
+    float color_scale;        /* to 0..255, of blocks that do not say it; 0: not known yet */
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
     struct fmt_mesh_totals totals;

@@ -160,17 +160,27 @@ static void choose_color_scale(struct scan *scan, const struct fmt_mesh_block *b
         for (int i = 0; i < 3; i++)
             max = fmaxf(max, block->colors[v][i]);
     scan->color_scale = max > unit_color_limit ? 1.0f : 255.0f;
-    scan->has_colors = true;
 }
 
-static uint32_t pack_color(struct scan *scan, const float color[3])
+/* Returns the factor from the block's colours to 0..255. */
+static float color_scale(struct scan *scan, const struct fmt_mesh_block *block)
+{
+    if (block->colors && block->color_white > 0.0f)
+        return 255.0f / block->color_white;
+    if (block->colors && scan->color_scale == 0.0f)
+        choose_color_scale(scan, block);
+    return scan->color_scale;
+}
+
+/* scale: factor to 0..255 */
+static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
 {
     uint32_t packed = 0xff000000u;
     bool clamped = false;
     if (!color_given(color))
         return SCAN_DEFAULT_COLOR;
     for (int i = 0; i < 3; i++) {
-        float value = color[i] * scan->color_scale;
+        float value = color[i] * scale;
         clamped |= value < 0.0f || value > 255.0f;
         value = fminf(fmaxf(value, 0.0f), 255.0f);
         packed |= (uint32_t)(value + 0.5f) << 8 * i;
@@ -183,6 +193,7 @@ static uint32_t pack_color(struct scan *scan, const float color[3])
 static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t end)
 {
     uint64_t begin = scan_count(scan, SCAN_COLORS);
+    const float scale = color_scale(scan, block);
     while (begin < end) {
         uint32_t *to;
         uint64_t capacity;
@@ -192,7 +203,7 @@ static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uin
         uint64_t count = end - begin < capacity ? end - begin : capacity;
         for (uint64_t i = 0; i < count; i++) {
             bool known = block->colors && begin + i >= block->vertex_base;
-            to[i] = known ? pack_color(scan, block->colors[begin + i - block->vertex_base])
+            to[i] = known ? pack_color(scan, block->colors[begin + i - block->vertex_base], scale)
                           : SCAN_DEFAULT_COLOR;
         }
         stream_advance(scan, SCAN_COLORS, count);
@@ -254,8 +265,7 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 {
     if (!scan->origin_known)
         choose_origin(scan, block);
-    if (block->colors && !scan->has_colors)
-        choose_color_scale(scan, block);
+    scan->has_colors |= block->colors != NULL;
     int status = add_positions(scan, block);
     if (status == 0 && scan->has_colors)
         status = add_colors(scan, block, scan_count(scan, SCAN_POSITIONS));

@@ -1,40 +1,8 @@
 /* fuzz_obj.c - fuzz target for OBJ: each mesh that loads has finite positions and valid indices. */
-#include "formats/mesh/mesh_reader.h"
 #include "tests/fuzz/fuzz_file.h"
-
-#include <math.h>
-
-static void check_mesh(const struct fmt_mesh *mesh)
-{
-    for (uint64_t i = 0; i < mesh->vertex_count; i++)
-        for (int c = 0; c < 3; c++)
-            require(isfinite(mesh->positions[i][c]), "a position is not finite");
-    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
-        require(mesh->faces[t] < mesh->face_count, "a face number is out of range");
-        for (int i = 0; i < 3; i++) {
-            require(mesh->vertices[t][i] < mesh->vertex_count, "a vertex index is out of range");
-            if (mesh->corner_texcoords && mesh->corner_texcoords[t][i] != UINT32_MAX)
-                require(mesh->corner_texcoords[t][i] < mesh->texcoord_count,
-                        "a texture coordinate index is out of range");
-            if (mesh->corner_normals && mesh->corner_normals[t][i] != UINT32_MAX)
-                require(mesh->corner_normals[t][i] < mesh->normal_count,
-                        "a normal index is out of range");
-        }
-    }
-}
-
-static int use(struct bsq_ctx *ctx, const char *path)
-{
-    struct fmt_mesh mesh;
-    int status = fmt_mesh_load(ctx, path, &mesh);
-    if (status)
-        return status;
-    check_mesh(&mesh);
-    fmt_mesh_free(ctx, &mesh);
-    return 0;
-}
+#include "tests/fuzz/mesh_check.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.obj", use);
+    return fuzz_file(data, size, "fuzz.obj", fuzz_mesh);
 }

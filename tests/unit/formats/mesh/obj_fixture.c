@@ -118,7 +118,7 @@ void obj_read_text(struct obj_fixture *f, const char *text)
 uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face)
 {
     struct fmt_mesh_place place;
-    assert_int_equal(fmt_obj_format.locate_face(f->reader, face, &place), 0);
+    assert_int_equal(f->reader->format->locate_face(f->reader, face, &place), 0);
     return place.line;
 }
 
@@ -143,10 +143,11 @@ void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, .
     va_end(expected);
 }
 
-void obj_expect_error(const char *text, size_t size, const char *message)
+/* Checks that reading a file of this name and content fails with the message. */
+static void expect_error(const char *name, const char *text, size_t size, const char *message)
 {
     struct obj_fixture f;
-    const char *path = scratch_bytes("bad.obj", text, size);
+    const char *path = scratch_bytes(name, text, size);
     for (unsigned threads = 1; threads <= 3; threads += 2) {
         obj_read_files(&f, threads, 1, &path);
         assert_int_equal(f.status, BSQ_EDATA);
@@ -155,6 +156,16 @@ void obj_expect_error(const char *text, size_t size, const char *message)
         assert_string_equal(error + strlen(scratch_directory) + 1, message);
         obj_close(&f);
     }
+}
+
+void obj_expect_error(const char *text, size_t size, const char *message)
+{
+    expect_error("bad.obj", text, size, message);
+}
+
+void ply_expect_error(const char *text, size_t size, const char *message)
+{
+    expect_error("bad.ply", text, size, message);
 }
 
 void obj_expect_text_error(const char *text, const char *message)

@@ -1,4 +1,4 @@
-/* obj_fixture.h - reads OBJ files into arrays, for the tests of the reader. */
+/* obj_fixture.h - reads mesh files into arrays, for the tests of the readers. */
 #ifndef TEST_OBJ_FIXTURE_H
 #define TEST_OBJ_FIXTURE_H
 
@@ -40,6 +40,7 @@ void obj_assert_material(const struct obj_fixture *f, uint32_t material, const c
 void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...);
 /* Checks that reading `text` fails with "DIRECTORY/" and `message`. */
 void obj_expect_error(const char *text, size_t size, const char *message);
+void ply_expect_error(const char *text, size_t size, const char *message);
 void obj_expect_text_error(const char *text, const char *message);
 
 #endif

@@ -1,0 +1,117 @@
+/* mesh_stream.h - private to formats/mesh: reads files part by part, on all threads.
+ *
+ * A format cuts its files into parts, serially and in order, and parses each part alone. This file
+ * does the rest: it opens the files, runs the pipeline, counts elements, and finds the part that
+ * holds a face again. Everything that depends on earlier parts is done as parts pass in order. */
+#ifndef FMT_MESH_STREAM_H
+#define FMT_MESH_STREAM_H
+
+#include "base/file.h"
+#include "formats/mesh/mesh_arrays.h"
+#include "formats/mesh/mesh_format.h"
+
+/* Bytes of a file that one part has, as a rule. The part and what is parsed from it fit a core's
+ * cache. Fuzz targets cut their small files too. */
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
+#define STREAM_PART_BYTES ((uint64_t)48)
+#else
+#define STREAM_PART_BYTES ((uint64_t)256 << 10)
+#endif
+
+struct stream_source {
+    char *path;
+    uint64_t size;
+    struct bsq_file file; /* open from the first cut to the pass of the last part */
+    /* Elements of the scan in earlier files, and in this file as far as it has passed. */
+    uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
+};
+
+/* What a cut says of a part: enough to parse it again. */
+struct stream_part {
+    uint32_t source;
+    uint64_t offset, size; /* bytes of the file that hold its elements */
+    uint64_t end;          /* all bytes before it belong to this part or to earlier ones */
+    uint64_t first_line;   /* of text, from 1; 0: the format has no lines */
+    uint64_t lines;        /* that the part has */
+    bool failed;           /* it has an error: no part of this file follows */
+    /* For the format: what the part holds, how many of it, and how many came before; how much of
+     * it is still to come, and what the parser must know of the bytes before and tell the next. */
+    uint32_t kind;
+    uint64_t items, first_item, left;
+    uint32_t carry, carry_out;
+};
+
+/* A part and what was parsed from it. The buffers are reused. */
+struct stream_slot {
+    struct stream_part part;
+    uint8_t *bytes; /* of the part; the cut or the parse loads them */
+    uint64_t capacity;
+    bool loaded; /* `bytes` holds the part */
+    struct mesh_arrays arrays;
+    float color_white; /* as in struct fmt_mesh_block */
+    /* Faces with fewer than three corners, which were skipped. Normals, colours and texture
+     * coordinates that are no numbers, and so are missing. */
+    uint64_t short_faces, bad_normals, bad_colors, bad_texcoords;
+    uint64_t last_face; /* parsing stops after this face of the part; UINT64_MAX: never */
+    uint64_t at;        /* line or byte of the file where parsing stopped */
+    char error[200];    /* what is wrong there; "": nothing */
+    struct fmt_mesh_block view;
+};
+
+struct stream_place {
+    struct stream_part part;
+    uint64_t face_base;
+};
+
+struct stream_reader {
+    struct fmt_mesh_reader base; /* must be first */
+    const struct stream_format *stream;
+    struct stream_source *sources;
+    uint32_t source_count;
+    struct stream_place *places; /* parts with faces, in order */
+    uint64_t place_count, place_capacity;
+};
+
+/* What a format does. The reader is a structure that begins with a struct stream_reader. */
+struct stream_format {
+    /* Sets slot->part to the part after `before`, which is all zero but for `source` at the start
+     * of a file. Returns 1, or 0 if the file has no more parts. May load slot->bytes; then it sets
+     * slot->loaded. What is wrong with the file goes to slot->error, as in `parse`. */
+    int (*cut)(struct stream_reader *reader, const struct stream_part *before,
+               struct stream_slot *slot);
+    /* Fills slot->arrays with indices that count from the start of the file. Thread-safe. What is
+     * wrong with the file goes to slot->error, with slot->at: parts are parsed in any order, and
+     * only the first error of the files is reported. */
+    int (*parse)(struct stream_reader *reader, struct stream_slot *slot);
+    /* Completes the arrays by what depends on earlier parts. Serial, in order. May be NULL. */
+    int (*pass)(struct stream_reader *reader, struct stream_slot *slot,
+                struct fmt_mesh_totals *totals);
+};
+
+/* Opens the files once, to see that they can be read, and keeps their paths and sizes. `reader` is
+ * zero but for its ctx. Call fmt_stream_close_sources() also after a failure. */
+int fmt_stream_open_sources(struct stream_reader *reader, const char *const *paths,
+                            uint32_t path_count);
+void fmt_stream_close_sources(struct stream_reader *reader);
+
+/* Implements `read` of struct fmt_mesh_format. */
+int fmt_stream_read(struct stream_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
+                    struct fmt_mesh_totals *totals);
+
+/* Finds the part that holds face number `face` of the scan, and parses it up to this face.
+ * out->line is set if the format has lines, else out->byte. */
+int fmt_stream_locate_face(struct stream_reader *reader, uint64_t face, struct fmt_mesh_place *out);
+
+/* Ensures capacity for `size` bytes of a part and STREAM_PADDING bytes after them. */
+int fmt_stream_reserve(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t size);
+#define STREAM_PADDING ((uint64_t)64)
+
+/* Loads the bytes of a part, unless they are loaded. */
+int fmt_stream_load(struct stream_reader *reader, struct stream_slot *slot);
+
+/* Describes what is wrong with a part, at a line or byte of its file. Returns 0, so that a parse
+ * function can return it. Only the first description of a part is kept. */
+int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+#endif

@@ -1,0 +1,242 @@
+/* ply_element.c - turns numbers of PLY elements into vertices and faces, for text and binary files.
+ */
+#include <inttypes.h>
+#include <math.h>
+
+#include "formats/mesh/ply_internal.h"
+
+/* No file can have this many elements of a kind; callers compare indices as signed numbers. */
+#define INDEX_LIMIT ((int64_t)1 << 61)
+
+int fmt_ply_reserve(struct bsq_ctx *ctx, const struct ply_source *source,
+                    const struct ply_element *element, struct stream_slot *slot,
+                    uint64_t most_items)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    const uint64_t count = slot->part.items;
+    int status = 0;
+    if (element->kind == PLY_VERTICES) {
+        status = fmt_arrays_reserve_positions(ctx, a, count);
+        if (!status && element->role[PLY_RED])
+            status = fmt_arrays_reserve_colors(ctx, a, count);
+        if (!status && source->vertex_normals)
+            status = fmt_arrays_reserve_normals(ctx, a, count);
+        if (!status && source->vertex_texcoords)
+            status = fmt_arrays_reserve_texcoords(ctx, a, count);
+        return status;
+    }
+    const uint64_t faces = element->kind == PLY_STRIPS ? most_items : count;
+    const uint64_t corners = element->kind == PLY_STRIPS ? 3 * most_items : most_items;
+    status = fmt_arrays_reserve_corners(ctx, a, FMT_MESH_VERTEX, corners);
+    if (!status)
+        status = fmt_arrays_reserve_faces(ctx, a, faces);
+    if (!status && source->corner_texcoords)
+        status = fmt_arrays_reserve_corners(ctx, a, FMT_MESH_TEXCOORD, corners);
+    if (!status && source->corner_texcoords)
+        status = fmt_arrays_reserve_texcoords(ctx, a, most_items / 2 + 1);
+    if (!status && source->tags != PLY_TAGS_NONE)
+        status = fmt_arrays_reserve_tags(ctx, a, faces);
+    return status;
+}
+
+/* ---- vertices ---- */
+
+/* Returns what to multiply a colour by. Integers become 0 to 255, real numbers stay. */
+static double color_scale(enum ply_type type)
+{
+    return type == PLY_UINT16 ? 1.0 / 257.0 : 1.0;
+}
+
+void fmt_ply_store_vertex(struct mesh_arrays *arrays, uint64_t vertex,
+                          const struct ply_property *property, double value)
+{
+    const enum ply_role role = property->role;
+    if (role >= PLY_X && role <= PLY_Z)
+        arrays->positions[vertex][role - PLY_X] = value;
+    else if (role >= PLY_NX && role <= PLY_NZ)
+        arrays->normals[vertex][role - PLY_NX] = (float)value;
+    else if (role >= PLY_RED && role <= PLY_BLUE)
+        arrays->colors[vertex][role - PLY_RED] = (float)(value * color_scale(property->type));
+    else if (role == PLY_S || role == PLY_T)
+        arrays->texcoords[vertex][role - PLY_S] = value;
+}
+
+/* Returns whether all numbers are finite. */
+static bool all_finite(const double *numbers, uint64_t count)
+{
+    double poison = 0;
+    for (uint64_t i = 0; i < count; i++)
+        poison += numbers[i] * 0.0;
+    return poison == 0.0;
+}
+
+/* Sets vectors that are not finite to `missing`; returns their number. */
+static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
+{
+    uint64_t bad = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        float *v = vectors[i];
+        if (v[0] * 0.0f + v[1] * 0.0f + v[2] * 0.0f == 0.0f)
+            continue;
+        v[0] = v[1] = v[2] = missing;
+        bad++;
+    }
+    return bad;
+}
+
+/* Returns the first of `count` vectors of `size` numbers that is not finite. */
+static uint64_t find_bad(const double *numbers, uint64_t count, uint64_t size)
+{
+    uint64_t i = 0;
+    while (i < count && all_finite(numbers + i * size, size))
+        i++;
+    return i;
+}
+
+bool fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
+                             struct stream_slot *slot, uint64_t count, uint64_t *bad)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    bool good = all_finite(&a->positions[0][0], 3 * count);
+    a->count[FMT_MESH_VERTEX] = count;
+    *bad = good ? count : find_bad(&a->positions[0][0], count, 3);
+    if (source->vertex_normals) {
+        a->count[FMT_MESH_NORMAL] = count;
+        slot->bad_normals += replace_bad(a->normals, count, 0.0f);
+    }
+    if (source->vertex_texcoords) {
+        a->count[FMT_MESH_TEXCOORD] = count;
+        if (good && !all_finite(&a->texcoords[0][0], 2 * count))
+            *bad = find_bad(&a->texcoords[0][0], count, 2);
+    }
+    if (element->role[PLY_RED]) {
+        a->has_colors = true;
+        slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
+        if (slot->color_white == 0.0f)
+            slot->bad_colors += replace_bad(a->colors, count, -1.0f);
+    }
+    return *bad == count;
+}
+
+/* ---- faces ---- */
+
+bool fmt_ply_add_index(struct stream_slot *slot, struct ply_face *face, int64_t index)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    if (index < 0 || index >= INDEX_LIMIT) {
+        fmt_stream_fail(slot, face->at, "face refers to vertex %" PRId64, index);
+        return false;
+    }
+    a->corners[FMT_MESH_VERTEX][a->corner_count + face->size++] = (uint64_t)index;
+    return true;
+}
+
+void fmt_ply_add_texcoord(struct stream_slot *slot, uint64_t i, double value)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    a->texcoords[a->count[FMT_MESH_TEXCOORD] + i / 2][i % 2] = value;
+}
+
+void fmt_ply_set_material(struct ply_face *face, const struct ply_property *property, double value)
+{
+    if (property->role == PLY_TEXTURE_NUMBER) {
+        face->texture = (int64_t)fmin(fmax(value, -1.0), 4294967296.0);
+    } else if (property->role >= PLY_RED && property->role <= PLY_BLUE) {
+        value *= ply_is_real(property->type) ? 255.0 : color_scale(property->type);
+        face->color[property->role - PLY_RED] = fmin(fmax(value, 0.0), 255.0);
+    }
+}
+
+/* Numbers the texture coordinates of a face's corners. If a list does not fit the face, or has
+ * numbers that are not finite, corners go without. */
+static void finish_texcoords(struct stream_slot *slot, const struct ply_face *face)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    const uint64_t base = a->count[FMT_MESH_TEXCOORD];
+    uint64_t *corners = a->corners[FMT_MESH_TEXCOORD] + a->corner_count;
+    const bool fits = face->texcoords == 2 * face->size;
+    a->has_corners[FMT_MESH_TEXCOORD] = true;
+    if (!fits && face->texcoords > 0)
+        slot->bad_texcoords += face->size;
+    for (uint64_t i = 0; i < face->size; i++) {
+        const bool finite = fits && all_finite(a->texcoords[base + i], 2);
+        corners[i] = finite ? base + i : FMT_MESH_NONE;
+        if (!fits || finite)
+            continue;
+        slot->bad_texcoords++;
+        a->texcoords[base + i][0] = a->texcoords[base + i][1] = 0.0;
+    }
+    a->count[FMT_MESH_TEXCOORD] += fits ? face->size : 0;
+}
+
+/* Finds what decides the face's material. Returns false if it is no texture of the file. */
+static bool finish_tag(const struct ply_source *source, struct stream_slot *slot,
+                       const struct ply_face *face)
+{
+    uint32_t *tag = &slot->arrays.face_tags[slot->arrays.face_count];
+    if (source->tags == PLY_TAGS_COLOR) {
+        *tag = (uint32_t)(face->color[0] + 0.5) | (uint32_t)(face->color[1] + 0.5) << 8 |
+               (uint32_t)(face->color[2] + 0.5) << 16;
+        return true;
+    }
+    *tag = face->texture < 0 ? PLY_NO_TAG : (uint32_t)face->texture;
+    if (face->texture < (int64_t)source->header.texture_count)
+        return true;
+    fmt_stream_fail(slot, face->at, "face has texture %" PRId64 " (counted from 0), file has %u",
+                    face->texture, source->header.texture_count);
+    return false;
+}
+
+bool fmt_ply_finish_face(const struct ply_source *source, struct stream_slot *slot,
+                         const struct ply_face *face)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    if (face->size < 3) {
+        slot->short_faces++;
+        return true;
+    }
+    if (face->size > UINT32_MAX) {
+        fmt_stream_fail(slot, face->at, "a face of %" PRIu64 " corners", face->size);
+        return false;
+    }
+    if (source->tags != PLY_TAGS_NONE && !finish_tag(source, slot, face))
+        return false;
+    if (source->corner_texcoords)
+        finish_texcoords(slot, face);
+    a->face_sizes[a->face_count] = (uint32_t)face->size;
+    a->corner_count += face->size;
+    slot->at = face->at;
+    return a->face_count++ != slot->last_face;
+}
+
+/* ---- strips ---- */
+
+bool fmt_ply_add_to_strip(struct stream_slot *slot, struct ply_strip *strip, int64_t index,
+                          uint64_t at)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    if (index < 0) {
+        strip->run = 0;
+        return true;
+    }
+    if (index >= INDEX_LIMIT) {
+        fmt_stream_fail(slot, at, "face refers to vertex %" PRId64, index);
+        return false;
+    }
+    const uint64_t third = (uint64_t)index, first = strip->last[0], second = strip->last[1];
+    const bool odd = strip->run % 2 != 0, whole = strip->run >= 2;
+    strip->last[0] = second;
+    strip->last[1] = third;
+    strip->run = whole && odd ? 2 : strip->run + 1;
+    /* Strips are joined by triangles without area, which name a vertex twice. */
+    if (!whole || first == second || second == third || third == first)
+        return true;
+    uint64_t *corners = a->corners[FMT_MESH_VERTEX] + a->corner_count;
+    corners[0] = odd ? second : first;
+    corners[1] = odd ? first : second;
+    corners[2] = third;
+    a->corner_count += 3;
+    a->face_sizes[a->face_count] = 3;
+    slot->at = at;
+    return a->face_count++ != slot->last_face;
+}

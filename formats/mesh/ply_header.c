@@ -1,0 +1,291 @@
+/* ply_header.c - see ply_header.h.
+ *
+ * Lines may have any length. A buffer grows with the longest one, so a file can ask for no more
+ * memory than it has bytes, and the budget limits that. */
+#include "formats/mesh/ply_header.h"
+
+#include <inttypes.h>
+#include <string.h>
+
+#include "formats/mesh/mesh_text.h"
+#include "formats/mesh/ply_roles.h"
+
+enum { step_bytes = 4096 };
+
+const uint8_t fmt_ply_type_bytes[PLY_TYPE_COUNT] = {
+    [PLY_INT8] = 1,   [PLY_UINT8] = 1, [PLY_INT16] = 2,  [PLY_UINT16] = 2,  [PLY_INT32] = 4,
+    [PLY_UINT32] = 4, [PLY_INT64] = 8, [PLY_UINT64] = 8, [PLY_FLOAT32] = 4, [PLY_FLOAT64] = 8};
+
+static const struct type_name {
+    const char *name;
+    enum ply_type type;
+} type_names[] = {{"char", PLY_INT8},      {"int8", PLY_INT8},      {"uchar", PLY_UINT8},
+                  {"uint8", PLY_UINT8},    {"short", PLY_INT16},    {"int16", PLY_INT16},
+                  {"ushort", PLY_UINT16},  {"uint16", PLY_UINT16},  {"int", PLY_INT32},
+                  {"int32", PLY_INT32},    {"uint", PLY_UINT32},    {"uint32", PLY_UINT32},
+                  {"long", PLY_INT64},     {"int64", PLY_INT64},    {"ulong", PLY_UINT64},
+                  {"uint64", PLY_UINT64},  {"float", PLY_FLOAT32},  {"float32", PLY_FLOAT32},
+                  {"double", PLY_FLOAT64}, {"float64", PLY_FLOAT64}};
+
+/* The header while it is read, line by line. */
+struct lines {
+    struct bsq_ctx *ctx;
+    const struct bsq_file *file;
+    struct ply_header *header;
+    char *text; /* of the file from the current line on */
+    uint64_t capacity, have;
+    uint64_t size; /* of the current line with its end; header->bytes and lines count it */
+    bool has_format, ended;
+};
+
+/* ---- lines and words ---- */
+
+static int fail_line(const struct lines *l, const char *what, const char *text)
+{
+    char quoted[64];
+    fmt_mesh_quote(text, text + strlen(text), quoted, sizeof quoted);
+    return bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s \"%s\"", l->file->path, l->header->lines,
+                    what, quoted);
+}
+
+/* Loads more of the file behind the text. *got is 0 at the end of the file. */
+static int load_more(struct lines *l, uint64_t *got)
+{
+    uint64_t at = l->header->bytes + l->have;
+    int status =
+        bsq_grow(l->ctx, "header of a PLY file", l->have + step_bytes, 1, &l->text, &l->capacity);
+    if (!status)
+        status = bsq_file_read_some(l->ctx, l->file, l->text + l->have, step_bytes, at, got);
+    if (!status)
+        l->have += *got;
+    return status;
+}
+
+/* Finds the end of the line: at '\n', or at '\r' in a file whose first line ends so. */
+static char *find_end(const struct lines *l, uint64_t from)
+{
+    char *end = memchr(l->text + from, l->header->line_end, l->have - from);
+    if (l->header->lines > 1 || end)
+        return end;
+    end = memchr(l->text + from, '\r', l->have - from);
+    /* A "\r" is the line's end if something else than "\n" follows it. */
+    return end && end + 1 < l->text + l->have && end[1] != '\n' ? end : NULL;
+}
+
+/* Refuses control characters, so that names are fit for messages. */
+static int check_characters(const struct lines *l, const char *end)
+{
+    for (const char *p = l->text; p < end; p++)
+        if (((unsigned char)*p < ' ' && *p != '\t' && *p != '\r') || *p == 127)
+            return bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": a control character in the header",
+                            l->file->path, l->header->lines);
+    return 0;
+}
+
+/* Moves to the next line and ends it with a zero. */
+static int next_line(struct lines *l)
+{
+    uint64_t searched = 0, got = 1;
+    char *end;
+    memmove(l->text, l->text + l->size, l->have - l->size);
+    l->header->bytes += l->size;
+    l->have -= l->size;
+    l->size = 0;
+    l->header->lines++;
+    while (!(end = find_end(l, searched))) {
+        searched = l->have > 0 ? l->have - 1 : 0;
+        int status = load_more(l, &got);
+        if (!status && got == 0)
+            status = bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": the header has no end",
+                              l->file->path, l->header->lines);
+        if (!status)
+            status = bsq_check(l->ctx);
+        if (status)
+            return status;
+    }
+    if (l->header->lines == 1)
+        l->header->line_end = *end;
+    l->size = (uint64_t)(end - l->text) + 1;
+    *end = '\0';
+    return check_characters(l, end);
+}
+
+/* Cuts the next word off *text; returns "" if there is none. */
+static const char *next_word(char **text)
+{
+    static const char blanks[] = " \t\r\v\f";
+    char *word = *text + strspn(*text, blanks);
+    *text = word + strcspn(word, blanks);
+    if (**text)
+        *(*text)++ = '\0';
+    return word;
+}
+
+/* Parses a whole decimal number. Returns false if it is none or does not fit. */
+static bool parse_count(const char *word, uint64_t *out)
+{
+    uint64_t value = 0;
+    if (!*word)
+        return false;
+    for (; *word; word++) {
+        unsigned digit = (unsigned)(unsigned char)*word - '0';
+        if (digit > 9 || __builtin_mul_overflow(value, 10, &value) ||
+            __builtin_add_overflow(value, digit, &value))
+            return false;
+    }
+    *out = value;
+    return true;
+}
+
+/* ---- statements ---- */
+
+static int read_format(struct lines *l, char *rest)
+{
+    static const char *const names[] = {[PLY_ASCII] = "ascii",
+                                        [PLY_LITTLE_ENDIAN] = "binary_little_endian",
+                                        [PLY_BIG_ENDIAN] = "binary_big_endian"};
+    const char *name = next_word(&rest), *version = next_word(&rest);
+    for (int i = 0; i < 3; i++)
+        if (strcmp(name, names[i]) == 0) {
+            l->header->encoding = (enum ply_encoding)i;
+            l->has_format = true;
+        }
+    if (!l->has_format)
+        return fail_line(l, "unknown format", name);
+    return strcmp(version, "1.0") == 0 ? 0 : fail_line(l, "unknown version", version);
+}
+
+static int read_element(struct lines *l, char *rest)
+{
+    struct ply_header *header = l->header;
+    const char *name = next_word(&rest), *count = next_word(&rest);
+    int status = bsq_grow(l->ctx, "header of a PLY file", header->element_count + 1,
+                          sizeof *header->elements, &header->elements, &header->element_capacity);
+    if (status)
+        return status;
+    struct ply_element *element = &header->elements[header->element_count];
+    *element = (struct ply_element){.first_property = header->property_count};
+    if (!parse_count(count, &element->count))
+        return fail_line(l, "not a number of elements:", count);
+    status = fmt_string_copy(l->ctx, name, &element->name);
+    header->element_count += status == 0;
+    return status;
+}
+
+static enum ply_type find_type(const char *name)
+{
+    for (size_t i = 0; i < sizeof type_names / sizeof *type_names; i++)
+        if (strcmp(type_names[i].name, name) == 0)
+            return type_names[i].type;
+    return PLY_NO_TYPE;
+}
+
+static int read_property(struct lines *l, char *rest)
+{
+    struct ply_header *header = l->header;
+    struct ply_property property = {0};
+    const char *word = next_word(&rest);
+    if (header->element_count == 0)
+        return fail_line(l, "a property before any element:", word);
+    if (strcmp(word, "list") == 0) {
+        word = next_word(&rest);
+        property.count_type = find_type(word);
+        if (property.count_type == PLY_NO_TYPE || ply_is_real(property.count_type))
+            return fail_line(l, "not a type of list lengths:", word);
+        word = next_word(&rest);
+    }
+    property.type = find_type(word);
+    if (property.type == PLY_NO_TYPE)
+        return fail_line(l, "unknown type", word);
+    int status =
+        bsq_grow(l->ctx, "header of a PLY file", header->property_count + 1,
+                 sizeof *header->properties, &header->properties, &header->property_capacity);
+    if (!status)
+        status = fmt_string_copy(l->ctx, next_word(&rest), &property.name);
+    if (status)
+        return status;
+    header->properties[header->property_count++] = property;
+    header->elements[header->element_count - 1].property_count++;
+    return 0;
+}
+
+/* Keeps the file name of "comment TextureFile NAME", which may have blanks. */
+static int read_comment(struct lines *l, char *rest)
+{
+    struct ply_header *header = l->header;
+    if (strcmp(next_word(&rest), "TextureFile") != 0)
+        return 0;
+    rest += strspn(rest, " \t\r");
+    size_t length = strlen(rest);
+    while (length > 0 && strchr(" \t\r", rest[length - 1]))
+        rest[--length] = '\0';
+    int status = bsq_grow(l->ctx, "header of a PLY file", header->texture_count + 1,
+                          sizeof *header->textures, &header->textures, &header->texture_capacity);
+    if (!status)
+        status = fmt_string_copy(l->ctx, rest, &header->textures[header->texture_count]);
+    header->texture_count += status == 0;
+    return status;
+}
+
+static int read_statement(struct lines *l)
+{
+    char *rest = l->text;
+    const char *word = next_word(&rest);
+    if (l->header->lines == 1)
+        return strcmp(word, "ply") == 0 ? 0 : fail_line(l, "not a PLY file:", word);
+    if (strcmp(word, "end_header") == 0)
+        l->ended = true;
+    else if (strcmp(word, "format") == 0)
+        return read_format(l, rest);
+    else if (strcmp(word, "element") == 0)
+        return read_element(l, rest);
+    else if (strcmp(word, "property") == 0)
+        return read_property(l, rest);
+    else if (strcmp(word, "comment") == 0)
+        return read_comment(l, rest);
+    else if (*word && strcmp(word, "obj_info") != 0)
+        return fail_line(l, "unknown statement", word);
+    return 0;
+}
+
+/* ---- the whole header ---- */
+
+int fmt_ply_header_read(struct bsq_ctx *ctx, const struct bsq_file *file, struct ply_header *out)
+{
+    struct lines l = {.ctx = ctx, .file = file, .header = out};
+    memset(out, 0, sizeof *out);
+    out->line_end = '\n';
+    int status = bsq_grow(ctx, "header of a PLY file", step_bytes, 1, &l.text, &l.capacity);
+    while (!status && !l.ended) {
+        status = next_line(&l);
+        if (!status)
+            status = read_statement(&l);
+    }
+    out->bytes += l.size;
+    bsq_free(ctx, l.text);
+    if (!status && !l.has_format)
+        status = bsq_fail(ctx, BSQ_EDATA, "%s: the header has no format", file->path);
+    return status ? status : fmt_ply_find_roles(ctx, file, out);
+}
+
+void fmt_ply_header_free(struct bsq_ctx *ctx, struct ply_header *header)
+{
+    for (uint32_t i = 0; i < header->element_count; i++)
+        bsq_free(ctx, header->elements[i].name);
+    for (uint32_t i = 0; i < header->property_count; i++)
+        bsq_free(ctx, header->properties[i].name);
+    for (uint32_t i = 0; i < header->texture_count; i++)
+        bsq_free(ctx, header->textures[i]);
+    bsq_free(ctx, header->elements);
+    bsq_free(ctx, header->properties);
+    bsq_free(ctx, header->textures);
+    memset(header, 0, sizeof *header);
+}
+
+const struct ply_element *fmt_ply_find_element(const struct ply_header *header, enum ply_kind kind)
+{
+    for (uint32_t i = 0; i < header->element_count; i++)
+        if (header->elements[i].kind == kind)
+            return &header->elements[i];
+    return NULL;
+}

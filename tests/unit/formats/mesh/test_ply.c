@@ -1,0 +1,472 @@
+/* test_ply.c - the PLY reader on every kind of element and property, in all three encodings. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "tests/unit/formats/mesh/obj_fixture.h"
+#include "tests/unit/formats/mesh/ply_builder.h"
+
+#define XYZ   "property float x\nproperty float y\nproperty float z\n"
+#define FACES "property list uchar int vertex_indices\n"
+
+/* Reads the built file and frees it. Fails the test if that fails. */
+static void read_built(struct obj_fixture *f, struct ply_builder *b, const char *name)
+{
+    const char *path = scratch_bytes(name, b->bytes, b->size);
+    obj_read_files(f, 2, 1, &path);
+    if (f->status)
+        print_message("%s\n", bsq_error(f->ctx));
+    assert_int_equal(f->status, 0);
+    ply_free(b);
+}
+
+/* Appends vertices (i, 2 i, -i). */
+static void put_vertices(struct ply_builder *b, int count)
+{
+    for (int i = 0; i < count; i++) {
+        ply_put(b, "fff", (double)i, 2.0 * i, -1.0 * i);
+        ply_end(b);
+    }
+}
+
+/* ---- vertices ---- */
+
+static void test_vertex_properties(void **state)
+{
+    (void)state;
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "comment made by hand\nobj_info x\nelement vertex 3\n"
+                  "property uchar red\nproperty double x\nproperty double y\nproperty double z\n"
+                  "property float quality\nproperty uchar green\nproperty uchar blue\n"
+                  "property uchar alpha\nproperty float nx\nproperty float ny\nproperty float nz\n"
+                  "property float s\nproperty double t\n"
+                  "element face 1\n" FACES);
+        for (int i = 0; i < 3; i++) {
+            ply_put(&b, "Cdddf", 10.0 * i, 4e6 + i + 0.1, -i - 0.25, 1e-3, 7.0);
+            ply_put(&b, "CCCffffd", 1.0 + i, 255.0, 128.0, 0.0, 0.0, 2.0, 0.5, 0.1 * i);
+            ply_end(&b);
+        }
+        ply_put(&b, "Ciii", 3.0, 0.0, 1.0, 2.0);
+        ply_end(&b);
+        read_built(&f, &b, "scan.ply");
+        assert_int_equal(f.scan.totals.vertices, 3);
+        for (int i = 0; i < 3; i++) {
+            const double p[3] = {4e6 + i + 0.1, -i - 0.25, 1e-3}, uv[2] = {0.5, 0.1 * i};
+            const float c[3] = {10.0f * (float)i, 1.0f + (float)i, 255}, n[3] = {0, 0, 2};
+            assert_memory_equal(f.scan.positions[i], p, sizeof p);
+            assert_memory_equal(f.scan.colors[i], c, sizeof c);
+            assert_memory_equal(f.scan.normals[i], n, sizeof n);
+            assert_memory_equal(f.scan.texcoords[i], uv, sizeof uv);
+        }
+        for (int kind = 0; kind < 3; kind++)
+            obj_assert_corners(&f, kind, 3, 0, 1, 2);
+        obj_close(&f);
+    }
+}
+
+/* Colours of one vertex in a type; the largest and smallest values of what the reader gives. */
+static void check_colors(const char *type, const char *letters, double high, float expected)
+{
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        char header[300];
+        snprintf(header, sizeof header,
+                 "element vertex 1\n" XYZ "property %s diffuse_red\nproperty %s diffuse_green\n"
+                 "property %s diffuse_blue\nelement face 1\n" FACES,
+                 type, type, type);
+        ply_begin(&b, (enum ply_test_encoding)encoding, header);
+        ply_put(&b, "fff", 1.0, 2.0, 3.0);
+        ply_put(&b, letters, high, 0.0, high);
+        ply_end(&b);
+        ply_put(&b, "Ciii", 3.0, 0.0, 0.0, 0.0);
+        ply_end(&b);
+        read_built(&f, &b, "scan.ply");
+        assert_float_equal(f.scan.colors[0][0], expected, 1e-6);
+        assert_float_equal(f.scan.colors[0][1], 0, 0);
+        assert_float_equal(f.scan.colors[0][2], expected, 1e-6);
+        obj_close(&f);
+    }
+}
+
+static void test_color_types(void **state)
+{
+    (void)state;
+    check_colors("uchar", "CCC", 255, 255);
+    check_colors("uint8", "CCC", 254, 254);
+    check_colors("ushort", "SSS", 65535, 255);
+    check_colors("uint16", "SSS", 257, 1);
+    check_colors("float", "fff", 0.75, 0.75f);
+    check_colors("double", "ddd", 1, 1);
+    check_colors("int", "iii", 200, 200);
+}
+
+/* ---- faces ---- */
+
+/* Indices of each integer type, and polygons. */
+static void test_index_types(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *header, *letters;
+    } types[] = {{"property list char char vertex_index\n", "cccc"},
+                 {"property list uchar uchar vertex_indices\n", "CCCC"},
+                 {"property list short short vertex_index\n", "ssss"},
+                 {"property list ushort ushort vertex_indices\n", "SSSS"},
+                 {"property list int int vertex_index\n", "iiii"},
+                 {"property list uint uint vertex_indices\n", "IIII"},
+                 {"property list uint8 int32 vertex_indices\n", "Ciii"},
+                 {"property list long long vertex_index\n", "llll"},
+                 {"property list ulong uint64 vertex_indices\n", "LLLL"}};
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++)
+        for (size_t i = 0; i < sizeof types / sizeof *types; i++) {
+            struct obj_fixture f;
+            struct ply_builder b;
+            char header[300];
+            const char list[] = {types[i].letters[0], 0}, item[] = {types[i].letters[1], 0};
+            snprintf(header, sizeof header, "element vertex 5\n" XYZ "element face 4\n%s",
+                     types[i].header);
+            ply_begin(&b, (enum ply_test_encoding)encoding, header);
+            put_vertices(&b, 5);
+            ply_put(&b, types[i].letters, 3.0, 0.0, 1.0, 2.0);
+            ply_end(&b);
+            ply_put(&b, list, 5.0);
+            for (int k = 0; k < 5; k++)
+                ply_put(&b, item, 4.0 - k);
+            ply_end(&b);
+            ply_put(&b, list, 2.0); /* a face of two corners is none */
+            ply_put(&b, item, 1.0);
+            ply_put(&b, item, 1.0);
+            ply_end(&b);
+            ply_put(&b, types[i].letters, 3.0, 4.0, 3.0, 0.0);
+            ply_end(&b);
+            read_built(&f, &b, "scan.ply");
+            assert_int_equal(f.scan.totals.faces, 3);
+            assert_int_equal(f.scan.totals.short_faces, 1);
+            obj_assert_corners(&f, 0, 11, 0, 1, 2, 4, 3, 2, 1, 0, 4, 3, 0);
+            obj_assert_corners(&f, 1, 11, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1);
+            obj_close(&f);
+        }
+}
+
+/* Texture coordinates of corners, with textures by number. */
+static void test_corner_texcoords(void **state)
+{
+    (void)state;
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        struct fmt_materials materials;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "comment TextureFile skin one.png\ncomment TextureFile two.jpg\n"
+                  "element vertex 4\n" XYZ "element face 4\n" FACES
+                  "property list uchar float texcoord\nproperty int texnumber\n");
+        put_vertices(&b, 4);
+        ply_put(&b, "CiiiCffffffi", 3.0, 0.0, 1.0, 2.0, 6.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.0);
+        ply_end(&b);
+        ply_put(&b, "CiiiCi", 3.0, 0.0, 1.0, 2.0, 0.0, -1.0); /* has none */
+        ply_end(&b);
+        ply_put(&b, "CiiiCffi", 3.0, 0.0, 1.0, 2.0, 2.0, 9.0, 9.0, 0.0); /* too few */
+        ply_end(&b);
+        ply_put(&b, "CiiiiCffffffffi", 4.0, 0.0, 1.0, 2.0, 3.0, 8.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0,
+                5.0, 5.0, 0.0);
+        ply_end(&b);
+        read_built(&f, &b, "scan.ply");
+        assert_int_equal(f.scan.totals.texcoords, 7);
+        obj_assert_corners(&f, 1, 13, 0, 1, 2, -1, -1, -1, -1, -1, -1, 3, 4, 5, 6);
+        const double uv[7][2] = {{0, 0.25}, {0.5, 0.75}, {1, 1.25}, {2, 2}, {3, 3}, {4, 4}, {5, 5}};
+        assert_memory_equal(f.scan.texcoords, uv, sizeof uv);
+        const uint32_t numbers[4] = {1, FMT_MESH_NO_MATERIAL, 0, 0};
+        assert_memory_equal(f.scan.materials, numbers, sizeof numbers);
+        obj_assert_material(&f, 0, "skin one.png");
+        assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
+        assert_int_equal(materials.count, 2);
+        assert_non_null(strstr(materials.list[1].texture_path, "/two.jpg"));
+        fmt_materials_free(f.ctx, &materials);
+        obj_close(&f);
+    }
+}
+
+/* Colours of faces are materials, in order of appearance. */
+static void test_face_colors(void **state)
+{
+    (void)state;
+    static const double colors[5][3] = {
+        {255, 0, 0}, {255, 0, 0}, {0, 0, 255}, {255, 0, 0}, {1, 2, 3}};
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "element vertex 3\n" XYZ "element face 5\nproperty uchar red\n" FACES
+                  "property uchar green\nproperty uchar blue\nproperty uchar alpha\n");
+        put_vertices(&b, 3);
+        for (int i = 0; i < 5; i++) {
+            ply_put(&b, "CCiiiCCC", colors[i][0], 3.0, 0.0, 1.0, 2.0, colors[i][1], colors[i][2],
+                    255.0);
+            ply_end(&b);
+        }
+        read_built(&f, &b, "scan.ply");
+        const uint32_t numbers[5] = {0, 0, 1, 0, 2};
+        assert_memory_equal(f.scan.materials, numbers, sizeof numbers);
+        assert_int_equal(f.scan.totals.materials, 3);
+        obj_assert_material(&f, 0, "#ff0000");
+        obj_assert_material(&f, 2, "#010203");
+        assert_int_equal(fmt_mesh_read(f.reader, NULL, NULL, NULL), 0); /* the same numbers */
+        obj_assert_material(&f, 1, "#0000ff");
+        obj_close(&f);
+    }
+}
+
+/* ---- strips ---- */
+
+static void test_strips(void **state)
+{
+    (void)state;
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "element vertex 6\n" XYZ
+                  "element tristrips 2\nproperty list int int vertex_indices\n");
+        put_vertices(&b, 6);
+        ply_put(&b, "iiiiiiiiiiii", 11.0, 0.0, 1.0, 2.0, 3.0, 4.0, -1.0, 5.0, 4.0, 3.0, 3.0, 2.0);
+        ply_end(&b);
+        ply_put(&b, "iiii", 3.0, 2.0, 1.0, 0.0);
+        ply_end(&b);
+        read_built(&f, &b, "scan.ply");
+        obj_assert_corners(&f, 0, 15, 0, 1, 2, 2, 1, 3, 2, 3, 4, 5, 4, 3, 2, 1, 0);
+        obj_close(&f);
+    }
+}
+
+/* A strip that is much longer than a part; it begins anew now and then. */
+static void test_long_strip(void **state)
+{
+    (void)state;
+    enum { LENGTH = 400000 };
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "element vertex 3\n" XYZ
+                  "element tristrips 1\nproperty list int int vertex_indices\n");
+        put_vertices(&b, 3);
+        uint64_t faces = 0, run = 0;
+        int64_t strip[3] = {0};
+        uint64_t *expected = malloc(3 * LENGTH * sizeof *expected);
+        assert_non_null(expected);
+        struct ply_builder list = {.encoding = b.encoding};
+        ply_put(&list, "i", (double)LENGTH);
+        for (int i = 0; i < LENGTH; i++) {
+            bool restart = i % 70001 == 70000;
+            int64_t index = restart ? -1 : i % 3;
+            strip[0] = strip[1], strip[1] = strip[2], strip[2] = index;
+            run = restart ? 0 : run + 1;
+            if (run >= 3) {
+                expected[3 * faces] = (uint64_t)strip[run % 2 ? 0 : 1];
+                expected[3 * faces + 1] = (uint64_t)strip[run % 2 ? 1 : 0];
+                expected[3 * faces++ + 2] = (uint64_t)strip[2];
+            }
+            ply_put(&list, "i", (double)index);
+        }
+        b.bytes = realloc(b.bytes, b.size + list.size + 1);
+        memcpy(b.bytes + b.size, list.bytes, list.size);
+        b.size += list.size;
+        ply_end(&b);
+        ply_free(&list);
+        read_built(&f, &b, "scan.ply");
+        assert_int_equal(f.scan.totals.faces, faces);
+        assert_memory_equal(f.scan.corners[0], expected, 3 * faces * sizeof *expected);
+        free(expected);
+        obj_close(&f);
+    }
+}
+
+/* ---- files ---- */
+
+/* Unknown elements and lists are skipped; faces may come before vertices. */
+static void test_order_and_unknown(void **state)
+{
+    (void)state;
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        struct fmt_mesh_estimate estimate;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "element camera 2\nproperty float view_px\nproperty short n\n"
+                  "element face 2\nproperty list uchar float weights\n" FACES "property int flags\n"
+                  "element none 5\nelement edge 1\nproperty list uchar int v\nproperty int a\n"
+                  "element vertex 3\n" XYZ "property list uchar int neighbours\n"
+                  "element last 1\nproperty uchar c\n");
+        for (int i = 0; i < 2; i++, ply_end(&b))
+            ply_put(&b, "fs", 1.5, -3.0);
+        for (int i = 0; i < 2; i++, ply_end(&b))
+            ply_put(&b, "CffCiiii", 2.0, 0.5, 0.5, 3.0, 0.0 + i, 1.0, 2.0 - i, 9.0);
+        ply_put(&b, "Ciii", 2.0, 7.0, 8.0, 9.0);
+        ply_end(&b);
+        for (int i = 0; i < 3; i++, ply_end(&b))
+            ply_put(&b, "fffCi", (double)i, 2.0, 3.0, 1.0, 5.0);
+        ply_put(&b, "C", 1.0);
+        ply_end(&b);
+        read_built(&f, &b, "scan.ply");
+        obj_assert_corners(&f, 0, 6, 0, 1, 2, 1, 1, 1);
+        const double last[3] = {2, 2, 3};
+        assert_memory_equal(f.scan.positions[2], last, sizeof last);
+        assert_int_equal(fmt_mesh_estimate(f.reader, &estimate), 0);
+        assert_false(estimate.faces_come_last);
+        assert_int_equal(estimate.vertices, 3);
+        assert_int_equal(estimate.faces, 2);
+        obj_close(&f);
+    }
+}
+
+static void test_line_ends(void **state)
+{
+    (void)state;
+    static const char *const ends[] = {"\n", "\r\n", "\r"};
+    static const char *const lines[] = {"ply",
+                                        "format ascii 1.0",
+                                        "element vertex 3",
+                                        "property float x",
+                                        "property float y",
+                                        "property\tfloat  z ",
+                                        "element face 1",
+                                        "property list uchar int vertex_index",
+                                        "end_header",
+                                        "0 0 0",
+                                        "\t1 0.5 1e2 ",
+                                        "",
+                                        "2 2 2",
+                                        "  3 0 1 2",
+                                        " "};
+    for (int i = 0; i < 3; i++) {
+        struct obj_fixture f;
+        char text[400] = "";
+        for (size_t k = 0; k < sizeof lines / sizeof *lines; k++) {
+            strcat(text, lines[k]);
+            strcat(text, ends[i]);
+        }
+        obj_read_text(&f, text);
+        assert_int_equal(f.scan.totals.vertices, 3);
+        assert_int_equal(f.scan.totals.bytes, strlen(text));
+        obj_assert_corners(&f, 0, 3, 0, 1, 2);
+        assert_int_equal(obj_line_of_face(&f, 0), 14);
+        obj_close(&f);
+    }
+}
+
+/* A binary body may begin with any byte, also with one that looks like a line end. */
+static void test_body_that_begins_with_a_line_end(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct ply_builder b;
+    ply_begin(
+        &b, PLY_TEST_LITTLE,
+        "element vertex 1\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n" XYZ
+        "element face 1\n" FACES);
+    ply_put(&b, "CCCfffCiii", 10.0, 13.0, 10.0, 1.0, 2.0, 3.0, 3.0, 0.0, 0.0, 0.0);
+    read_built(&f, &b, "scan.ply");
+    const float color[3] = {10, 13, 10};
+    assert_memory_equal(f.scan.colors[0], color, sizeof color);
+    obj_close(&f);
+}
+
+/* Many parts: blocks and messages are the same for any number of threads. */
+static void test_large(void **state)
+{
+    (void)state;
+    enum { VERTICES = 90000 };
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture one, three;
+        struct ply_builder b;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "element vertex 90000\n" XYZ "element face 90000\n" FACES);
+        put_vertices(&b, VERTICES);
+        for (int i = 0; i < VERTICES; i++) {
+            int corners = i % 1000 == 999 ? 4 : 3;
+            ply_put(&b, "C", (double)corners);
+            for (int k = 0; k < corners; k++)
+                ply_put(&b, "i", (double)((i + 7 * k) % VERTICES));
+            ply_end(&b);
+        }
+        const char *path = scratch_bytes("scan.ply", b.bytes, b.size);
+        obj_read_files(&one, 1, 1, &path);
+        obj_read_files(&three, 3, 1, &path);
+        assert_int_equal(one.status | three.status, 0);
+        assert_int_equal(one.scan.totals.bytes, b.size);
+        assert_true(one.scan.blocks > 4);
+        assert_int_equal(one.scan.blocks, three.scan.blocks);
+        assert_int_equal(one.scan.totals.corners, 3 * VERTICES + 90);
+        assert_memory_equal(one.scan.corners[0], three.scan.corners[0],
+                            one.scan.totals.corners * sizeof(uint64_t));
+        assert_memory_equal(one.scan.positions, three.scan.positions,
+                            VERTICES * sizeof *one.scan.positions);
+        assert_int_equal(one.scan.positions[VERTICES - 1][1], 2 * (VERTICES - 1));
+        assert_int_equal(one.scan.corners[0][3 * 999 + 3], (999 + 21) % VERTICES);
+        obj_close(&one);
+        obj_close(&three);
+        ply_free(&b);
+    }
+}
+
+/* Several files are one scan: indices count within their file. */
+static void test_several_files(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct ply_builder b[2];
+    const char *paths[2];
+    ply_begin(&b[0], PLY_TEST_BIG, "element vertex 3\n" XYZ "element face 1\n" FACES);
+    put_vertices(&b[0], 3);
+    ply_put(&b[0], "Ciii", 3.0, 0.0, 1.0, 2.0);
+    ply_begin(&b[1], PLY_TEST_ASCII,
+              "element vertex 4\n" XYZ "property float nx\nproperty float ny\nproperty float nz\n"
+              "element face 2\n" FACES);
+    for (int i = 0; i < 4; i++, ply_end(&b[1]))
+        ply_put(&b[1], "ffffff", 1.0, 2.0, 3.0, 0.0, 0.0, 1.0);
+    ply_put(&b[1], "Ciii", 3.0, 3.0, 1.0, 2.0);
+    ply_end(&b[1]);
+    ply_put(&b[1], "Ciii", 3.0, 3.0, 1.0, 4.0);
+    ply_end(&b[1]);
+    paths[0] = scratch_bytes("one.ply", b[0].bytes, b[0].size);
+    paths[1] = scratch_bytes("two.ply", b[1].bytes, b[1].size);
+    obj_read_files(&f, 2, 2, paths);
+    assert_int_equal(f.status, 0);
+    obj_assert_corners(&f, 0, 9, 0, 1, 2, 6, 4, 5, 6, 4, 7);
+    obj_assert_corners(&f, 2, 9, -1, -1, -1, 3, 1, 2, 3, 1, 4);
+    assert_int_equal(fmt_mesh_fail_index(f.reader, 2, FMT_MESH_VERTEX, 7), BSQ_EDATA);
+    assert_string_equal(strstr(bsq_error(f.ctx), "two.ply"),
+                        "two.ply:18: face refers to vertex 4 (counted from 0), file has 4");
+    obj_close(&f);
+    ply_free(&b[0]);
+    ply_free(&b[1]);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_vertex_properties),
+        cmocka_unit_test(test_color_types),
+        cmocka_unit_test(test_index_types),
+        cmocka_unit_test(test_corner_texcoords),
+        cmocka_unit_test(test_face_colors),
+        cmocka_unit_test(test_strips),
+        cmocka_unit_test(test_long_strip),
+        cmocka_unit_test(test_order_and_unknown),
+        cmocka_unit_test(test_line_ends),
+        cmocka_unit_test(test_body_that_begins_with_a_line_end),
+        cmocka_unit_test(test_large),
+        cmocka_unit_test(test_several_files),
+    };
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
+}
