@@ -235,7 +235,7 @@ scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
 generator := $(BUILD)/tests/generate-scan
 checkers  := $(addprefix $(BUILD)/tests/check-,vase mesh tangent)
 $(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generate*.c))) \
-    text_writer vase)
+    mesh_writer text_writer vase)
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lm
 $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.libbake) \

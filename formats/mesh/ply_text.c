@@ -70,7 +70,7 @@ static bool skip_word(struct text *t)
     return *t->at != '\0' || t->at == t->end || fail_word(t, "text");
 }
 
-/* Reads the length of a list. The rest of the line must be long enough for it. */
+/* Reads the length of a list. The rest of the part must be long enough for it. */
 static bool read_length(struct text *t, uint64_t *out)
 {
     int64_t length;
@@ -79,7 +79,8 @@ static bool read_length(struct text *t, uint64_t *out)
     *out = (uint64_t)length;
     if (length >= 0 && *out <= (uint64_t)(t->end - t->at) / 2)
         return true;
-    fmt_stream_fail(t->slot, t->line, "a list of %" PRId64 " numbers", length);
+    fmt_stream_fail(t->slot, t->line, "a list of %" PRId64 " numbers%s", length,
+                    length < 0 ? "" : " is longer than the text");
     return false;
 }
 

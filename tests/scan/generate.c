@@ -1,5 +1,6 @@
 /* generate.c - the scan generator: writes scans of any size for tests, demos and benchmarks. */
 #include "tests/scan/generate_options.h"
+#include "tests/scan/mesh_writer.h"
 
 #include <getopt.h>
 #include <stdio.h>
@@ -7,11 +8,12 @@
 #include <string.h>
 
 static const char usage[] =
-    "usage: generate-scan [options] vase -o FILE.obj          analytic vase with relief\n"
-    "       generate-scan [options] vase-low -o FILE.obj      its low-poly mesh (40 x 64 quads)\n"
+    "usage: generate-scan [options] vase -o FILE              analytic vase with relief\n"
+    "       generate-scan [options] vase-low -o FILE          its low-poly mesh (40 x 64 quads)\n"
     "       generate-scan [options] sine -o FILE.obj          crossed sine waves on a square of side 100\n"
     "       generate-scan [options] sine-low -o FILE.obj      the square\n"
     "       generate-scan [options] SMALL.obj -o FILE.obj     a small scan, amplified\n"
+    "FILE of the vase may end in .obj, .stl, .ply (binary), .big.ply or .text.ply.\n"
     "  -n, --triangles N     about N triangles (default 2000000)\n"
     "  -c, --colors          vertex colours (vase)\n"
     "      --normals         vertex normals (vase, sine)\n"
@@ -84,7 +86,9 @@ int main(int argc, char **argv)
     }
     if (optind + 1 != argc || !options.output || options.triangles < 1 ||
         !(options.wavelength >= 0) ||
-        (options.corners != 3 && (options.corners < 4 || options.corners % 2)))
+        (options.corners != 3 && (options.corners < 4 || options.corners % 2)) ||
+        (mesh_output_of(options.output) != MESH_OBJ && strncmp(argv[optind], "vase", 4) != 0) ||
+        (mesh_output_of(options.output) == MESH_STL && options.corners != 3))
         return bad_usage();
     if (!strcmp(argv[optind], "vase"))
         generate_vase(&options);

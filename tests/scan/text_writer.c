@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { BUFFER_BYTES = 1 << 20, LONGEST_ITEM = 64 };
+enum { BUFFER_BYTES = 1 << 20, LONGEST_ITEM = 128 };
 
 static void die(const char *what)
 {
@@ -47,6 +47,12 @@ static char *next_item(struct text_writer *writer)
     if (writer->used > BUFFER_BYTES - LONGEST_ITEM)
         flush(writer);
     return writer->buffer + writer->used;
+}
+
+void text_bytes(struct text_writer *writer, const char *bytes, size_t size)
+{
+    memcpy(next_item(writer), bytes, size);
+    writer->used += size;
 }
 
 void text_string(struct text_writer *writer, const char *string)

@@ -16,6 +16,8 @@ struct text_writer {
 void text_open(struct text_writer *writer, const char *path);
 void text_close(struct text_writer *writer);
 
+/* Appends up to 128 bytes. */
+void text_bytes(struct text_writer *writer, const char *bytes, size_t size);
 void text_string(struct text_writer *writer, const char *string);
 /* Writes a blank and a number with six decimals. */
 void text_real(struct text_writer *writer, double value);

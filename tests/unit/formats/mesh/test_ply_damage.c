@@ -79,11 +79,13 @@ static void test_text(void **state)
         {SMALL "0 0 nan\n3 0 0 0\n", "bad.ply:10: \"nan\" is not a finite number"},
         {SMALL "0 0 0 4\n3 0 0 0\n", "bad.ply:10: \"4\" is not expected: the element has ended"},
         {SMALL "0 0 0\n\n", "bad.ply:12: truncated: the file ends after 0 of 1 elements \"face\""},
-        {SMALL "0 0 0\n3 0 0\n", "bad.ply:11: the line ends before an integer"},
+        {SMALL "0 0 0\n3 0 0    \n", "bad.ply:11: the line ends before an integer"},
+        {SMALL "0 0 0\n3 0 0", "bad.ply:11: a list of 3 numbers is longer than the text"},
         {SMALL "0 0 0\n3 0 0.5 0\n", "bad.ply:11: \"0.5\" is not an integer"},
         {SMALL "0 0 0\n3 0 0 -2\n", "bad.ply:11: face refers to vertex -2"},
         {SMALL "0 0 0\n-3 0 0 0\n", "bad.ply:11: a list of -3 numbers"},
-        {SMALL "0 0 0\n9999999 0 0 0\n", "bad.ply:11: a list of 9999999 numbers"},
+        {SMALL "0 0 0\n9999999 0 0 0\n",
+         "bad.ply:11: a list of 9999999 numbers is longer than the text"},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
         ply_expect_error(cases[i].text, strlen(cases[i].text), cases[i].message);
