@@ -11,7 +11,10 @@
 #include "base/parallel.h"
 #include "formats/image/exr_internal.h"
 
-enum { ZIP_LEVEL = 4 }; /* 6 and above take twice the time for 1-2 % of the size */
+enum {
+    ZIP_LEVEL = 4, /* 6 and above take twice the time for 1-2 % of the size */
+    ZIP_ROWS = 16  /* of a block */
+};
 
 struct slot {
     exr_encode_pipeline_t encoder;
@@ -85,7 +88,16 @@ static exr_result_t set_color_attributes(exr_context_t file, bool data)
     return exr_attr_set_chromaticities(file, 0, "chromaticities", &rec709);
 }
 
-static exr_result_t write_header(struct exr_writer *writer, const struct fmt_image_options *options)
+static exr_result_t set_attributes(exr_context_t file, const struct fmt_image_attribute *attributes,
+                                   uint32_t count)
+{
+    exr_result_t r = EXR_ERR_SUCCESS;
+    for (uint32_t a = 0; r == EXR_ERR_SUCCESS && a < count; ++a)
+        r = exr_attr_set_string(file, 0, attributes[a].name, attributes[a].value);
+    return r;
+}
+
+static exr_result_t make_header(struct exr_writer *writer, const struct fmt_image_options *options)
 {
     exr_context_t file = writer->file;
     int part;
@@ -98,11 +110,22 @@ static exr_result_t write_header(struct exr_writer *writer, const struct fmt_ima
         r = exr_add_channel(file, 0, writer->channels[c], type, EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     if (r == EXR_ERR_SUCCESS)
         r = set_color_attributes(file, !options->color);
-    for (uint32_t a = 0; r == EXR_ERR_SUCCESS && a < options->attribute_count; ++a)
-        r = exr_attr_set_string(file, 0, options->attributes[a].name, options->attributes[a].value);
     if (r == EXR_ERR_SUCCESS)
-        r = exr_set_zip_compression_level(file, 0, ZIP_LEVEL);
-    return r == EXR_ERR_SUCCESS ? exr_write_header(file) : r;
+        r = set_attributes(file, options->attributes, options->attribute_count);
+    return r == EXR_ERR_SUCCESS ? exr_set_zip_compression_level(file, 0, ZIP_LEVEL) : r;
+}
+
+static int describe_image(struct fmt_image_writer *base,
+                          const struct fmt_image_attribute *attributes, uint32_t count)
+{
+    struct exr_writer *writer = (struct exr_writer *)base;
+    return fmt_exr_status(&writer->stream, set_attributes(writer->file, attributes, count));
+}
+
+static int start_image(struct fmt_image_writer *base)
+{
+    struct exr_writer *writer = (struct exr_writer *)base;
+    return fmt_exr_status(&writer->stream, exr_write_header(writer->file));
 }
 
 /* Finds the sample of each of the file's channels, which OpenEXR sorts by name. */
@@ -215,23 +238,17 @@ static int write_rows(struct fmt_image_writer *base, const float *samples, uint3
 
 /* ---- from creating to ending ---- */
 
-static int allocate(struct exr_writer *writer)
+static int allocate(struct exr_writer *writer, enum fmt_sample_type type)
 {
     struct bsq_ctx *ctx = writer->base.ctx;
-    uint64_t chunk_bytes = 0;
-    int32_t chunk_rows = 1;
-    exr_result_t r = exr_get_chunk_unpacked_size(writer->file, 0, &chunk_bytes);
-    if (r == EXR_ERR_SUCCESS)
-        r = exr_get_scanlines_per_chunk(writer->file, 0, &chunk_rows);
-    int status = fmt_exr_status(&writer->stream, r);
-    if (status < 0)
-        return status;
-    writer->base.block_rows = (uint32_t)chunk_rows;
+    const uint64_t chunk_bytes = (uint64_t)ZIP_ROWS * writer->base.width *
+                                 writer->base.channel_count * (type == FMT_HALF ? 2 : 4);
+    writer->base.block_rows = ZIP_ROWS;
     uint64_t chunks = ((uint64_t)writer->base.height - 1) / writer->base.block_rows + 1;
     writer->slot_count = 2 * bsq_threads(ctx);
     if (writer->slot_count > chunks)
         writer->slot_count = (unsigned)chunks;
-    status =
+    int status =
         bsq_calloc(ctx, "EXR encoders", writer->slot_count, sizeof *writer->slots, &writer->slots);
     if (status < 0)
         return status;
@@ -259,10 +276,10 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     init.write_fn = write_bytes;
     exr_result_t r = exr_start_write(&writer->file, base->path, EXR_WRITE_FILE_DIRECTLY, &init);
     if (r == EXR_ERR_SUCCESS)
-        r = write_header(writer, options);
+        r = make_header(writer, options);
     int status = fmt_exr_status(&writer->stream, r);
     if (status == 0)
-        status = allocate(writer);
+        status = allocate(writer, options->type);
     return status < 0 ? status : map_channels(writer);
 }
 
@@ -299,6 +316,8 @@ const struct fmt_image_format fmt_exr_format = {
     .usual_type = FMT_HALF,
     .writer_bytes = sizeof(struct exr_writer),
     .create = create_image,
+    .describe = describe_image,
+    .start = start_image,
     .write_rows = write_rows,
     .finish = finish_image,
     .free = free_image,

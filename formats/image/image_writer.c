@@ -103,13 +103,27 @@ static int64_t fill_block(struct fmt_image_writer *writer, const float *samples,
     return status < 0 ? status : (int64_t)taken;
 }
 
+int fmt_image_describe(struct fmt_image_writer *writer,
+                       const struct fmt_image_attribute *attributes, uint32_t count)
+{
+    return writer->format->describe(writer, attributes, count);
+}
+
+/* Writes the header before the first row. */
+static int ensure_started(struct fmt_image_writer *writer)
+{
+    int status = writer->started ? 0 : writer->format->start(writer);
+    writer->started = writer->started || status == 0;
+    return status;
+}
+
 int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows)
 {
     uint32_t left = writer->height - writer->rows_taken;
     if (rows > left)
         return bsq_fail(writer->ctx, BSQ_EBUG, "%s: %u rows too many", writer->path, rows - left);
-    int64_t taken = 0;
-    if (writer->pending_rows > 0)
+    int64_t taken = ensure_started(writer);
+    if (taken == 0 && writer->pending_rows > 0)
         taken = fill_block(writer, samples, rows);
     if (taken < 0)
         return (int)taken;

@@ -31,7 +31,8 @@ struct fmt_image_options {
     /* Samples are linear Rec. 709 light, which integer formats encode as sRGB. Otherwise the file
      * says that they are no colour, so that readers do not transform them. */
     bool color;
-    const struct fmt_image_attribute *attributes; /* a format may leave them out, as PNG does */
+    /* A format may leave them out, as PNG does. See also fmt_image_describe(). */
+    const struct fmt_image_attribute *attributes;
     uint32_t attribute_count;
 };
 
@@ -47,6 +48,10 @@ struct fmt_image_format {
     /* The functions below return 0 or a failure that they have recorded. create() gets a zeroed
      * structure with an open output; it sets block_rows, and a failure is followed by free(). */
     int (*create)(struct fmt_image_writer *writer, const struct fmt_image_options *options);
+    /* Adds attributes to the header, which start() writes before the first row. */
+    int (*describe)(struct fmt_image_writer *writer, const struct fmt_image_attribute *attributes,
+                    uint32_t count);
+    int (*start)(struct fmt_image_writer *writer);
     /* Writes the next rows. Their number is a multiple of block_rows, except at the bottom. */
     int (*write_rows)(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
     /* Completes the output after the last row. */
@@ -66,7 +71,7 @@ struct fmt_image_writer {
     uint32_t rows_taken;
     uint32_t pending_rows;
     float *pending; /* rows that do not fill a block yet */
-    bool finished;
+    bool started, finished;
 };
 
 extern const struct fmt_image_format fmt_exr_format, fmt_png_format;
@@ -84,6 +89,10 @@ int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *for
  * cannot store, BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format, const char *path,
                      const struct fmt_image_options *options, struct fmt_image_writer **out);
+/* Adds attributes that readers need to decode the samples; every format stores them. Texts have at
+ * most 79 characters in their names and are ASCII. Call it before the first row. */
+int fmt_image_describe(struct fmt_image_writer *writer,
+                       const struct fmt_image_attribute *attributes, uint32_t count);
 /* Writes the next `rows` rows, any number: rows x width x channel_count samples. */
 int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
 /* Optional: completes the temporary file, so that little is left that can fail in commit. For jobs

@@ -83,6 +83,20 @@ static int write_chunk(struct png_writer *writer, const char *name, const uint8_
     return 0;
 }
 
+/* Adds a tEXt chunk to the header. */
+static int add_text(struct png_writer *writer, const struct fmt_image_attribute *attribute)
+{
+    /* libpng does not change the texts. */
+    png_text text = {.compression = PNG_TEXT_COMPRESSION_NONE,
+                     .key = (png_charp)(uintptr_t)attribute->name,
+                     .text = (png_charp)(uintptr_t)attribute->value,
+                     .text_length = strlen(attribute->value)};
+    if (setjmp(png_jmpbuf(writer->png)))
+        return BSQ_EIO;
+    png_set_text(writer->png, writer->info, &text, 1);
+    return 0;
+}
+
 static int write_header(struct png_writer *writer)
 {
     const struct fmt_png_layout *layout = &writer->layout;
@@ -192,7 +206,7 @@ static int allocate_slots(struct png_writer *writer)
     return status;
 }
 
-static int start(struct png_writer *writer)
+static int prepare(struct png_writer *writer)
 {
     int status = allocate_slots(writer);
     if (status < 0)
@@ -205,10 +219,24 @@ static int start(struct png_writer *writer)
     if (!writer->info)
         return bsq_fail(writer->base.ctx, BSQ_ENOMEM, "%s: no memory for the PNG writer",
                         writer->base.path);
-    status = write_header(writer);
-    if (status < 0)
-        return status;
-    return write_chunk(writer, "IDAT", zlib_header, sizeof zlib_header);
+    return 0;
+}
+
+static int describe_image(struct fmt_image_writer *base,
+                          const struct fmt_image_attribute *attributes, uint32_t count)
+{
+    struct png_writer *writer = (struct png_writer *)base;
+    int status = 0;
+    for (uint32_t a = 0; status == 0 && a < count; ++a)
+        status = add_text(writer, &attributes[a]);
+    return status;
+}
+
+static int start_image(struct fmt_image_writer *base)
+{
+    struct png_writer *writer = (struct png_writer *)base;
+    int status = write_header(writer);
+    return status < 0 ? status : write_chunk(writer, "IDAT", zlib_header, sizeof zlib_header);
 }
 
 static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
@@ -225,7 +253,7 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
                                              .channel_count = options->channel_count,
                                              .bits = options->type == FMT_UINT16 ? 16 : 8,
                                              .srgb = options->color};
-    return start(writer);
+    return prepare(writer);
 }
 
 static int finish_image(struct fmt_image_writer *base)
@@ -256,6 +284,8 @@ const struct fmt_image_format fmt_png_format = {
     .usual_type = FMT_UINT16,
     .writer_bytes = sizeof(struct png_writer),
     .create = create_image,
+    .describe = describe_image,
+    .start = start_image,
     .write_rows = write_rows,
     .finish = finish_image,
     .free = free_image,

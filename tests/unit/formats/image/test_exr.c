@@ -66,6 +66,7 @@ static float round_to_half(float v)
 static const char *const rgb[3] = {"R", "G", "B"};
 static const struct fmt_image_attribute attributes[] = {{"bisque:map", "normal"},
                                                         {"bisque:front", "0.125"}};
+static const struct fmt_image_attribute decoding = {"bisque:range", "3.5"};
 
 static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
                         enum fmt_sample_type type, const float *samples, uint32_t batch)
@@ -78,6 +79,7 @@ static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
                                         .attribute_count = 2};
     struct fmt_image_writer *writer;
     assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_describe(writer, &decoding, 1), 0);
     for (uint32_t y = 0; y < height; y += batch) {
         uint32_t rows = height - y < batch ? height - y : batch;
         assert_int_equal(fmt_image_write_rows(writer, samples + (size_t)y * width * 3, rows), 0);
@@ -127,6 +129,7 @@ static void test_round_trip_is_exact(void **state)
             assert_int_equal(image.channel_count, 3);
             assert_int_equal(fmt_exr_channel(&image, "A"), UINT32_MAX);
             assert_string_equal(fmt_exr_image_attribute(&image, "bisque:front"), "0.125");
+            assert_string_equal(fmt_exr_image_attribute(&image, "bisque:range"), "3.5");
             assert_null(fmt_exr_image_attribute(&image, "bisque:back"));
             for (size_t i = 0; i < count; ++i) {
                 float expected = type == FMT_HALF ? round_to_half(samples[i]) : samples[i];

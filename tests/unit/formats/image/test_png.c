@@ -231,6 +231,34 @@ static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
     free(samples);
 }
 
+/* Attributes that decode the samples can be added until the first row is written. */
+static void test_described_files_have_text_chunks(void **state)
+{
+    (void)state;
+    static const struct fmt_image_attribute texts[] = {{"bisque:scale", "0.25"},
+                                                       {"bisque:offset", "-1 2 3"}};
+    struct bsq_ctx *ctx = test_context(1, 0);
+    float samples[4] = {0, 0.25f, 0.5f, 1};
+    struct fmt_image_options options = {
+        .width = 4, .height = 1, .channel_count = 1, .type = FMT_UINT16};
+    struct fmt_image_writer *writer;
+    assert_int_equal(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer), 0);
+    for (int i = 0; i < 2; ++i)
+        assert_int_equal(fmt_image_describe(writer, &texts[i], 1), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, 1), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
+    struct image image = read_image();
+    png_textp found;
+    assert_int_equal(png_get_text(image.png, image.info, &found, NULL), 2);
+    for (int i = 0; i < 2; ++i) {
+        assert_string_equal(found[i].key, texts[i].name);
+        assert_string_equal(found[i].text, texts[i].value);
+    }
+    assert_int_equal(sample16(&image, 0, 2), 32768);
+    free_image(&image);
+    test_context_end(ctx);
+}
+
 static void test_nothing_is_left_of_a_discarded_file(void **state)
 {
     (void)state;
@@ -262,6 +290,7 @@ int main(void)
         cmocka_unit_test(test_dither_keeps_the_mean),
         cmocka_unit_test(test_black_and_white_do_not_dither),
         cmocka_unit_test(test_bytes_do_not_depend_on_threads_or_batches),
+        cmocka_unit_test(test_described_files_have_text_chunks),
         cmocka_unit_test(test_nothing_is_left_of_a_discarded_file),
     };
     return cmocka_run_group_tests(tests, make_directory, remove_directory);
