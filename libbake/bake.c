@@ -27,6 +27,7 @@ struct job {
     struct bake_tile *tiles; /* one for each tile of `udim` */
     struct bake_job traced;  /* what the device traces */
     struct bk_triangle *triangles;
+    struct bake_statistics statistics[BK_MAP_COUNT]; /* over all tiles */
     struct bake_device *device; /* NULL: the triangles of a chunk file are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
@@ -34,11 +35,13 @@ struct job {
 
 /* ---- inputs ---- */
 
-int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out)
+int bake_find_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t asked, uint32_t *out)
 {
-    bool has_color;
-    int status = bake_scan_has_color(ctx, scan_path, &has_color);
-    *out = status == 0 ? bake_choose_maps(BAKE_MAPS_DEFAULT, has_color) : BAKE_MAPS_DEFAULT;
+    bool has_color = false;
+    int status = 0;
+    if (asked == BAKE_MAPS_DEFAULT || asked & BAKE_MAPS_ALL)
+        status = bake_scan_has_color(ctx, scan_path, &has_color);
+    *out = status == 0 ? bake_choose_maps(asked, has_color) : asked;
     return status;
 }
 
@@ -284,9 +287,13 @@ static void end_tracing(struct job *job)
 static struct bake_traced traced_of(const struct job *job)
 {
     const char *sampling = job->options->sampling == BAKE_NEAREST ? "nearest" : "trilinear";
-    return (struct bake_traced){.front = job->report->front,
-                                .back = job->report->back,
-                                .sampling = job->surface.exact ? "exact" : sampling};
+    struct bake_traced traced = {.front = job->report->front,
+                                 .back = job->report->back,
+                                 .sampling = job->surface.exact ? "exact" : sampling};
+    memcpy(traced.scan_min, job->surface.scan_min, sizeof traced.scan_min);
+    memcpy(traced.scan_max, job->surface.scan_max, sizeof traced.scan_max);
+    memcpy(traced.image_origin, job->surface.translation, sizeof traced.image_origin);
+    return traced;
 }
 
 /* Creates the files of the first tile, so that a directory that cannot be written to is known
@@ -318,16 +325,27 @@ static int write_tile(struct job *job, struct bake_tile *tile, uint32_t side)
     if (status == 0 && job->preview_file)
         status = bake_tile_create_thumbnails(job->ctx, tile, side);
     if (status == 0)
-        status = bake_map_files_write(tile->files, tile->image, job->report);
+        status = bake_map_files_write(tile->files, tile->image, job->statistics, job->report);
     bake_image_free(tile->image);
     tile->image = NULL;
+    return status;
+}
+
+/* Measures the values of all tiles, since they share the ranges of the maps. */
+static int measure_maps(struct job *job)
+{
+    const double start = bsq_seconds_now();
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = bake_image_measure(job->ctx, job->tiles[i].image, job->maps, job->statistics);
+    job->report->seconds_resolve += bsq_seconds_now() - start;
     return status;
 }
 
 static int write_maps(struct job *job)
 {
     const uint32_t side = thumbnail_side(job);
-    int status = 0;
+    int status = measure_maps(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
         status = write_tile(job, &job->tiles[i], side);
     return status;

@@ -18,11 +18,20 @@ extern "C" {
 /** Maps; bits that can be combined. bake_map_name() lists all maps, also those without a constant
  * here. */
 enum bake_map {
-    BAKE_MAPS_DEFAULT = 0, /**< What bake_default_maps() finds for the scan. */
+    BAKE_MAPS_DEFAULT = 0, /**< What bake_find_maps() finds for the scan. */
     BAKE_MAP_NORMAL = 1,   /**< The unit normal n as n / 2 + 1/2 in R, G, B. */
     BAKE_MAP_COLOR = 2,    /**< Linear Rec. 709 light in EXR, sRGB in PNG. */
-    BAKE_MAP_MASK = 4      /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
+    BAKE_MAP_MASK = 4,     /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
                               charts. */
+    BAKE_MAP_HEIGHT = 8,   /**< Distance along the ray from the low-poly mesh to the hit. */
+    BAKE_MAP_POSITION = 16, /**< Position of the hit. */
+    BAKE_MAPS_ALL = 1 << 30 /**< All maps that the scan can give, and others that are named. */
+};
+
+/** What the samples 0 and 1 of an integer file with positions stand for. */
+enum bake_position_in {
+    BAKE_IN_SPHERE, /**< The ends of the sphere around the scan's bounding box, on each axis. */
+    BAKE_IN_BOX     /**< The ends of the scan's bounding box, on each axis. */
 };
 
 /** Space of a normal map. */
@@ -82,6 +91,10 @@ struct bake_options {
     enum bake_normal_space normal_space; /**< Space of the normal map. */
     enum bake_sampling sampling;         /**< For grids. */
     enum bsq_scan_normals scan_normals;  /**< For chunk files without normals. */
+    /** Distance that the samples 0 and 1 of an integer file with heights stand for, negative and
+     * positive; < 0: the largest of the whole mesh. */
+    double height_range;
+    enum bake_position_in position_in; /**< For integer files. */
     bool two_sided;     /**< Also takes surfaces that face away from the low-poly mesh. */
     const char *device; /**< One of BAKE_DEVICE_NAMES. */
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
@@ -101,6 +114,7 @@ struct bake_options {
 enum { BAKE_FIRST_TILE = 1001, BAKE_LAST_TILE = 9990 };
 
 enum {
+    BAKE_MAX_MAPS = 30,      /**< Largest number of maps. */
     BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
     BAKE_MAX_SAMPLES = 64    /**< Largest N of N x N samples a texel. */
 };
@@ -108,12 +122,14 @@ enum {
 /** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in
  * enum bake_map. Returns NULL after the last map. */
 const char *bake_map_name(unsigned number);
+/** Returns another name of the map, or NULL. */
+const char *bake_map_alias(unsigned number);
 /** Returns what the map shows, in a few words; NULL after the last map. */
 const char *bake_map_summary(unsigned number);
 
-/** Finds out which maps BAKE_MAPS_DEFAULT stands for with this scan. Returns the errors of opening
- * it. */
-int bake_default_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t *out);
+/** Finds out which maps `asked` stands for with this scan: the bits of BAKE_MAPS_DEFAULT and
+ * BAKE_MAPS_ALL become those of maps. Returns the errors of opening the scan. */
+int bake_find_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t asked, uint32_t *out);
 
 /** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
  * it with free(). Returns NULL if there is no memory. */
@@ -130,6 +146,17 @@ void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32
 /** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
  * 16 texels of padding, tangent space, any device. */
 void bake_defaults(struct bake_options *options);
+
+/** How the samples of a file stand for values with a unit: value = origin + offset + scale *
+ * sample, in each channel. */
+struct bake_value_encoding {
+    const char *unit;  /**< NULL: the map is not baked, or its values have no unit. */
+    uint32_t channels; /**< 1 or 3. */
+    double scale[3];
+    double offset[3];
+    double origin[3]; /**< In double precision, as geo-referenced positions need it; else 0. */
+    double range;     /**< Half of the largest scale that an integer file has. */
+};
 
 /** What bake_run() did. Times are wall times in seconds. */
 struct bake_report {
@@ -159,6 +186,7 @@ struct bake_report {
     /** Time with at least one copy of a tile running, on the GPU's clock; 0 for the processor. */
     double seconds_copies;
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
+    struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
     uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
 

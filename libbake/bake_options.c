@@ -12,6 +12,7 @@ void bake_defaults(struct bake_options *options)
         .samples = 2,
         .front = -1.0,
         .back = -1.0,
+        .height_range = -1.0,
         .padding = 16,
         .normal_space = BAKE_TANGENT_SPACE,
         .sampling = BAKE_TRILINEAR,
@@ -55,7 +56,7 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
-    if (options->maps >= 1u << BK_MAP_COUNT)
+    if ((options->maps & ~(uint32_t)BAKE_MAPS_ALL) >= 1u << BK_MAP_COUNT)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
     if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
         return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
@@ -67,11 +68,13 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (options->front == 0.0 && options->back == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "rays of length 0 find nothing: front and back must not both be 0");
+    if (!isfinite(options->height_range) || options->height_range == 0.0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a range of heights of %g holds no heights",
+                        options->height_range);
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
     int status = check_tile_numbers(ctx, options);
     /* The default maps depend on the scan; they are checked again after it was opened. */
     return status < 0 ? status
-                      : bake_check_maps(ctx, options,
-                                        options->maps ? options->maps : (uint32_t)BAKE_MAP_NORMAL);
+                      : bake_check_maps(ctx, options, bake_choose_maps(options->maps, false));
 }

@@ -25,6 +25,8 @@ static const char help_format[] =
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
     "      --front D           length of the rays outwards, in the mesh's units (default: auto)\n"
     "      --back D            length of the rays inwards (default: auto)\n"
+    "      --height-range D    height of white in PNG files (default: the largest of the mesh)\n"
+    "      --position-in SHAPE sphere or box around the scan, for PNG files (default: sphere)\n"
     "      --two-sided         also hit surfaces that face away from the low-poly mesh\n"
     "      --sampling MODE     trilinear or nearest, for grids (default: trilinear)\n"
     "      --scan-normals MODE smooth or flat: for triangles without normals (default: smooth)\n"
@@ -47,6 +49,8 @@ enum {
     OPT_SAMPLES,
     OPT_FRONT,
     OPT_BACK,
+    OPT_HEIGHT_RANGE,
+    OPT_POSITION_IN,
     OPT_TWO_SIDED,
     OPT_SAMPLING,
     OPT_SCAN_NORMALS,
@@ -71,6 +75,8 @@ static const struct option long_options[] = {
     {"samples", required_argument, NULL, OPT_SAMPLES},
     {"front", required_argument, NULL, OPT_FRONT},
     {"back", required_argument, NULL, OPT_BACK},
+    {"height-range", required_argument, NULL, OPT_HEIGHT_RANGE},
+    {"position-in", required_argument, NULL, OPT_POSITION_IN},
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
     {"sampling", required_argument, NULL, OPT_SAMPLING},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
@@ -92,18 +98,41 @@ static const struct option long_options[] = {
 
 /* ---- one option ---- */
 
+/* A word of --maps: the name of a map, another name, or "all". */
+struct map_word {
+    const char *name, *summary;
+    uint32_t maps;
+};
+
+enum { MOST_MAP_WORDS = 2 * MOST_MAPS + 1 };
+
+/* Lists the words; returns their number. */
+static unsigned list_map_words(struct map_word words[MOST_MAP_WORDS])
+{
+    unsigned count = 0;
+    for (unsigned i = 0; bake_map_name(i); i++)
+        words[count++] = (struct map_word){bake_map_name(i), bake_map_summary(i), 1u << i};
+    for (unsigned i = 0; bake_map_name(i); i++)
+        if (bake_map_alias(i))
+            words[count++] = (struct map_word){bake_map_alias(i), NULL, 1u << i};
+    words[count++] = (struct map_word){"all", "all of these that the scan can give", BAKE_MAPS_ALL};
+    return count;
+}
+
 static int parse_maps(struct cli *cli, struct bake_options *bake)
 {
-    const char *words[MOST_MAPS + 1] = {NULL};
-    for (unsigned i = 0; bake_map_name(i); i++)
-        words[i] = bake_map_name(i);
+    struct map_word words[MOST_MAP_WORDS];
+    const char *names[MOST_MAP_WORDS + 1] = {NULL};
+    const unsigned count = list_map_words(words);
+    for (unsigned i = 0; i < count; i++)
+        names[i] = words[i].name;
     char *list = strdup(optarg), *rest = list, *word;
     int status = list ? 0 : cli_usage(cli, "--maps: out of memory");
     bake->maps = 0;
     while (status == 0 && (word = strsep(&rest, ","))) {
         unsigned number = 0;
-        status = cli_parse_word(cli, "--maps", word, words, &number);
-        bake->maps |= 1u << number;
+        status = cli_parse_word(cli, "--maps", word, names, &number);
+        bake->maps |= words[number].maps;
     }
     free(list);
     return status;
@@ -119,13 +148,14 @@ static int parse_count(struct cli *cli, const char *option, const char *text, ui
     return status;
 }
 
-static int parse_distance(struct cli *cli, const char *option, double *out)
+/* Parses a length or "auto", which sets a negative number. */
+static int parse_length(struct cli *cli, const char *option, bool positive, double *out)
 {
     if (strcmp(optarg, "auto") == 0) {
         *out = -1;
         return 0;
     }
-    return cli_parse_length(cli, option, optarg, false, out);
+    return cli_parse_length(cli, option, optarg, positive, out);
 }
 
 static int parse_padding(struct cli *cli, struct bake_options *bake)
@@ -141,6 +171,7 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
 {
     static const char *const greens[] = {"up", "down", NULL};
     static const char *const spaces[] = {"tangent", "object", NULL};
+    static const char *const shapes[] = {"sphere", "box", NULL};
     static const char *const samplings[] = {"trilinear", "nearest", NULL};
     unsigned choice = 0;
     int status;
@@ -148,6 +179,10 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     case OPT_GREEN:
         if ((status = cli_parse_word(cli, "--green", optarg, greens, &choice)) == 0)
             bake->green_down = choice == 1;
+        return status;
+    case OPT_POSITION_IN:
+        if ((status = cli_parse_word(cli, "--position-in", optarg, shapes, &choice)) == 0)
+            bake->position_in = choice == 0 ? BAKE_IN_SPHERE : BAKE_IN_BOX;
         return status;
     case OPT_SCAN_NORMALS:
         return cli_parse_scan_normals(cli, optarg, &bake->scan_normals);
@@ -182,16 +217,27 @@ static int parse_sample_type(struct cli *cli, int option, struct bake_arguments 
     return 0;
 }
 
+/* Returns the name of the first of these maps. */
+static const char *map_of(uint32_t maps)
+{
+    return bake_map_name((unsigned)__builtin_ctz(maps));
+}
+
 static int common_option(struct cli *cli, int option)
 {
-    char maps[1024] = "", help[sizeof help_format + sizeof maps];
+    struct map_word words[MOST_MAP_WORDS];
+    const unsigned count = list_map_words(words);
+    char maps[4096] = "", help[sizeof help_format + sizeof maps], same[64];
     size_t length = 0, width = 10;
-    for (unsigned i = 0; bake_map_name(i); i++)
-        if (strlen(bake_map_name(i)) > width)
-            width = strlen(bake_map_name(i));
-    for (unsigned i = 0; bake_map_name(i) && length < sizeof maps; i++)
-        length += (size_t)snprintf(maps + length, sizeof maps - length, "%28s%-*s  %s\n", "",
-                                   (int)width, bake_map_name(i), bake_map_summary(i));
+    for (unsigned i = 0; i < count; i++)
+        if (strlen(words[i].name) > width)
+            width = strlen(words[i].name);
+    for (unsigned i = 0; i < count && length < sizeof maps; i++) {
+        snprintf(same, sizeof same, "another name of %s", map_of(words[i].maps));
+        length +=
+            (size_t)snprintf(maps + length, sizeof maps - length, "%28s%-*s  %s\n", "", (int)width,
+                             words[i].name, words[i].summary ? words[i].summary : same);
+    }
     snprintf(help, sizeof help, help_format, maps);
     return cli_common_option(cli, option, help);
 }
@@ -213,14 +259,17 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_SAMPLES:
         return parse_count(cli, "--samples", optarg, 1, BAKE_MAX_SAMPLES, &bake->samples);
     case OPT_FRONT:
-        return parse_distance(cli, "--front", &bake->front);
+        return parse_length(cli, "--front", false, &bake->front);
     case OPT_BACK:
-        return parse_distance(cli, "--back", &bake->back);
+        return parse_length(cli, "--back", false, &bake->back);
+    case OPT_HEIGHT_RANGE:
+        return parse_length(cli, "--height-range", true, &bake->height_range);
     case OPT_TWO_SIDED:
         bake->two_sided = true;
         return 0;
     case OPT_GREEN:
     case OPT_NORMAL_SPACE:
+    case OPT_POSITION_IN:
     case OPT_SAMPLING:
     case OPT_SCAN_NORMALS:
         return parse_choice(cli, option, bake);

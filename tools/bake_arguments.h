@@ -13,7 +13,7 @@ struct bake_arguments {
     int sample_option; /* the option that chose bake.sample_type; 0: none */
 };
 
-enum { MOST_MAPS = 32 }; /* bits of bake_options.maps */
+enum { MOST_MAPS = BAKE_MAX_MAPS };
 
 /* Reads the command line. Free *arguments with bake_arguments_free(), also after a failure. Returns
  * what cli_parse_options() returns. */

@@ -118,6 +118,15 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                cli_counted_text(report->tile_count, "tile", "tiles", tiles));
 }
 
+static void print_map(const char *path, const char *name,
+                      const struct bake_value_encoding *encoding)
+{
+    printf("%s: %s map", path, name);
+    if (encoding->unit)
+        printf(", range %g (%s)", encoding->range, encoding->unit);
+    putchar('\n');
+}
+
 /* Prints the file of each map and tile. */
 static void print_maps(const struct bake_report *report, char *const *paths)
 {
@@ -125,7 +134,7 @@ static void print_maps(const struct bake_report *report, char *const *paths)
         for (unsigned i = 0; bake_map_name(i); i++) {
             char *path = paths[i] ? bake_tile_path(paths[i], report->tiles[t].tile) : NULL;
             if (path)
-                printf("%s: %s map\n", path, bake_map_name(i));
+                print_map(path, bake_map_name(i), &report->encodings[i]);
             free(path);
         }
 }
@@ -201,20 +210,49 @@ static json_t *tiles_json(const struct bake_report *report, char *const *paths)
     return tiles;
 }
 
+static json_t *numbers_json(const double numbers[3], uint32_t count)
+{
+    return count == 1 ? json_pack("[f]", numbers[0])
+                      : json_pack("[f, f, f]", numbers[0], numbers[1], numbers[2]);
+}
+
+static json_t *encoding_json(const struct bake_value_encoding *encoding)
+{
+    return json_pack("{s:s, s:f, s:o, s:o, s:o}", "unit", encoding->unit, "range", encoding->range,
+                     "scale", numbers_json(encoding->scale, encoding->channels), "offset",
+                     numbers_json(encoding->offset, encoding->channels), "origin",
+                     numbers_json(encoding->origin, encoding->channels));
+}
+
+/* Returns how the values of the maps that have a unit are stored. */
+static json_t *encodings_json(const struct bake_report *report)
+{
+    json_t *encodings = json_object();
+    for (unsigned i = 0; encodings && bake_map_name(i); i++) {
+        const struct bake_value_encoding *encoding = &report->encodings[i];
+        if (encoding->unit &&
+            json_object_set_new(encodings, bake_map_name(i), encoding_json(encoding)) != 0) {
+            json_decref(encodings);
+            encodings = NULL;
+        }
+    }
+    return encodings;
+}
+
 static int print_json(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths)
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
-        "{s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
-        "maps", maps_json(paths, 0), "tiles", tiles_json(report, paths), "preview_path",
-        cli_json_text(bake->preview_path), "width", (int)bake->width, "height", (int)bake->height,
-        "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),
-        "low_triangles", (json_int_t)report->low_triangles, "degenerate_uv_triangles",
-        (json_int_t)report->degenerate_uv_triangles, "outside_uv_triangles",
-        (json_int_t)report->outside_uv_triangles, "covered_texels",
+        "maps", maps_json(paths, 0), "tiles", tiles_json(report, paths), "encodings",
+        encodings_json(report), "preview_path", cli_json_text(bake->preview_path), "width",
+        (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
+        "device", cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,
+        "degenerate_uv_triangles", (json_int_t)report->degenerate_uv_triangles,
+        "outside_uv_triangles", (json_int_t)report->outside_uv_triangles, "covered_texels",
         (json_int_t)report->covered_texels, "samples", (json_int_t)report->samples, "hits",
         (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
         (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,

@@ -49,11 +49,10 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
     struct bake_report report = {0};
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
-    if (status == 0 && bake->maps == BAKE_MAPS_DEFAULT) {
-        status = bake_default_maps(cli->ctx, bake->scan_path, &bake->maps);
-        if (status == 0)
-            status = bake_check_options(cli->ctx, bake);
-    }
+    if (status == 0)
+        status = bake_find_maps(cli->ctx, bake->scan_path, bake->maps, &bake->maps);
+    if (status == 0)
+        status = bake_check_options(cli->ctx, bake);
     if (status == 0)
         status = name_outputs(cli, bake, paths);
     if (status == 0)

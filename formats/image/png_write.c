@@ -92,7 +92,7 @@ static int add_text(struct png_writer *writer, const struct fmt_image_attribute 
                      .text = (png_charp)(uintptr_t)attribute->value,
                      .text_length = strlen(attribute->value)};
     if (setjmp(png_jmpbuf(writer->png)))
-        return BSQ_EIO;
+        return BSQ_ENOMEM; /* nothing else can fail */
     png_set_text(writer->png, writer->info, &text, 1);
     return 0;
 }

@@ -97,8 +97,9 @@ static enum bake_compare_kind kind_of_map(const struct bake_comparison *c, bool 
 static int check_same_meaning(struct bsq_ctx *ctx, const struct bake_compare_options *o,
                               const struct bake_comparison *c)
 {
-    static const char *const names[] = {"bisque:map", "bisque:normalSpace", "bisque:tangents",
-                                        "bisque:green", "bisque:encoding"};
+    static const char *const names[] = {"bisque:map",   "bisque:normalSpace", "bisque:tangents",
+                                        "bisque:green", "bisque:encoding",    "bisque:unit",
+                                        "bisque:origin"};
     for (unsigned i = 0; !o->force && i < sizeof names / sizeof *names; i++) {
         const char *a = fmt_exr_image_attribute(&c->a, names[i]);
         const char *b = fmt_exr_image_attribute(&c->b, names[i]);

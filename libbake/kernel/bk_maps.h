@@ -16,7 +16,9 @@
 #define BK_MAPS(X)                                                                                 \
     X(normal, 3)                                                                                   \
     X(color, 3)                                                                                    \
-    X(mask, 0)
+    X(mask, 0)                                                                                     \
+    X(height, 1)                                                                                   \
+    X(position, 6)
 
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
@@ -55,6 +57,27 @@ BK_FN void bk_add_mask(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     (void)hit;
     (void)sums;
+}
+
+BK_FN void bk_add_height(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    sums[0] += hit->t;
+}
+
+/* Sums three values and, after them, what rounding added to their sums (Kahan, "Further Remarks on
+ * Reducing Truncation Errors", 1965). The mean of many positions is then as exact as one of them.
+ */
+BK_FN void bk_add_position(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_uint k;
+
+    for (k = 0; k < 3; k++) {
+        const float before = sums[k], term = hit->position[k] - sums[3 + k];
+        const float after = before + term;
+
+        sums[3 + k] = (after - before) - term;
+        sums[k] = after;
+    }
 }
 
 /* Floats of a texel with these maps. */

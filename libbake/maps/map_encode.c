@@ -7,14 +7,22 @@
 #include <stdio.h>
 #include <string.h>
 
-void bake_encoder_init(const struct bake_options *options, uint32_t maps, unsigned number,
+void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, unsigned number,
                        struct bake_encoder *out)
 {
     *out = (struct bake_encoder){.row = &bake_map_table[number],
                                  .offset = bake_image_channels_for(maps & ((1u << number) - 1u)),
-                                 .encoding = {.scale = {1.0f, 1.0f, 1.0f}}};
+                                 .encoding = {.scale = {1.0, 1.0, 1.0}}};
+    const struct bake_encoding *encoding = &out->encoding;
     if (out->row->encode)
-        out->row->encode(options, &out->encoding);
+        out->row->encode(facts, &out->encoding);
+    for (int c = 0; c < 3; ++c) {
+        double shift =
+            out->row->positions ? facts->traced->image_origin[c] - encoding->origin[c] : 0;
+        bool some = encoding->scale[c] != 0.0;
+        out->factor[c] = some ? 1.0 / encoding->scale[c] : 0.0;
+        out->bias[c] = some ? (shift - encoding->offset[c]) / encoding->scale[c] : 0.5;
+    }
 }
 
 static void encode_shares(const float *texels, uint32_t channels, uint32_t width, float *out)
@@ -28,7 +36,6 @@ static void encode_shares(const float *texels, uint32_t channels, uint32_t width
 void bake_encode_row(const struct bake_encoder *encoder, const float *const *sources,
                      const float *texels, uint32_t channels, uint32_t width, float *out)
 {
-    const struct bake_encoding encoding = encoder->encoding;
     const uint32_t count = encoder->row->channels;
     if (!encoder->row->resolve) {
         encode_shares(texels, channels, width, out);
@@ -37,8 +44,9 @@ void bake_encode_row(const struct bake_encoder *encoder, const float *const *sou
     for (uint32_t x = 0; x < width; ++x)
         for (uint32_t c = 0; c < count; ++c)
             *out++ = sources[x]
-                         ? encoding.scale[c] * sources[x][encoder->offset + c] + encoding.bias[c]
-                         : encoding.background[c];
+                         ? (float)(encoder->factor[c] * (double)sources[x][encoder->offset + c] +
+                                   encoder->bias[c])
+                         : encoder->encoding.background[c];
 }
 
 /* ---- attributes ---- */
@@ -64,4 +72,31 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
     bake_add_attribute(out, "bisque:sampling", traced->sampling);
     bake_add_attribute(out, "bisque:front", out->text[1]);
     bake_add_attribute(out, "bisque:back", out->text[2]);
+}
+
+/* Adds numbers, one a channel, as a text. */
+static void add_numbers(struct bake_attributes *out, const char *name, const double *numbers,
+                        uint32_t count, int digits)
+{
+    char *text = out->text[out->count];
+    size_t length = 0;
+    for (uint32_t c = 0; c < count; ++c)
+        length += (size_t)snprintf(text + length, sizeof out->text[0] - length, "%s%.*g",
+                                   c ? " " : "", digits, numbers[c]);
+    bake_add_attribute(out, name, text);
+}
+
+void bake_describe_encoding(const struct bake_encoder *encoder, struct bake_attributes *out)
+{
+    const struct bake_encoding *encoding = &encoder->encoding;
+    const uint32_t channels = encoder->row->channels;
+    out->count = 0;
+    if (!encoder->row->unit)
+        return;
+    add_numbers(out, "bisque:range", &encoding->range, 1, 9);
+    add_numbers(out, "bisque:scale", encoding->scale, channels, 9);
+    add_numbers(out, "bisque:offset", encoding->offset, channels, 9);
+    if (encoder->row->positions)
+        add_numbers(out, "bisque:origin", encoding->origin, channels, 17);
+    bake_add_attribute(out, "bisque:unit", encoder->row->unit);
 }

@@ -9,10 +9,11 @@ struct bake_encoder {
     const struct bake_map_row *row;
     uint32_t offset; /* of the map's first value in a texel of the image */
     struct bake_encoding encoding;
+    double factor[3], bias[3]; /* sample = factor * the image's value + bias */
 };
 
 /* Prepares an encoder for map `number` of an image with the maps `maps`. */
-void bake_encoder_init(const struct bake_options *options, uint32_t maps, unsigned number,
+void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, unsigned number,
                        struct bake_encoder *out);
 
 /* Encodes a row from the results of bake_dilation_row(). channels: of the image. */
@@ -22,6 +23,10 @@ void bake_encode_row(const struct bake_encoder *encoder, const float *const *sou
 /* Lists the attributes of a map's file. The list points to texts in *out. */
 void bake_describe_map(const struct bake_options *options, unsigned number,
                        const struct bake_traced *traced, struct bake_attributes *out);
+
+/* Lists the attributes that decode the samples of a map whose values have a unit; otherwise none.
+ */
+void bake_describe_encoding(const struct bake_encoder *encoder, struct bake_attributes *out);
 
 /* Adds rows of the map, three samples a texel. Every row must be added exactly once. */
 int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,

@@ -16,7 +16,9 @@ enum { BAND_STEP = 64 };
 
 struct map_file {
     uint32_t map; /* bit of enum bake_map */
-    struct bake_encoder encoder;
+    unsigned number;
+    bool integers;
+    struct bake_encoder encoder; /* while writing */
     struct fmt_image_writer *writer;
     struct bake_thumbnail *thumbnail; /* NULL: none */
     float *rows;                      /* of the current band, encoded */
@@ -24,8 +26,10 @@ struct map_file {
 
 struct bake_map_files {
     struct bsq_ctx *ctx;
+    const struct bake_options *options;
+    struct bake_traced traced;
     char *beside; /* path of an output; temporary files go to its directory */
-    uint32_t width, height, padding;
+    uint32_t width, height, padding, maps;
     uint32_t count;
     struct map_file files[BK_MAP_COUNT];
     struct bake_dilation *dilation; /* while writing */
@@ -124,6 +128,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
     int status = choose_format(ctx, options, number, &format, &image.type);
     if (status < 0)
         return status;
+    file->integers = image.type == FMT_UINT8 || image.type == FMT_UINT16;
     char *path = bake_map_path(options->output_path, (enum bake_map)file->map);
     if (!path)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
@@ -141,6 +146,9 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
     if (status < 0)
         return status;
     files->ctx = ctx;
+    files->options = options;
+    files->traced = *traced;
+    files->maps = maps;
     files->width = options->width;
     files->height = options->height;
     files->padding = options->padding;
@@ -152,7 +160,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
             continue;
         struct map_file *file = &files->files[files->count++];
         file->map = 1u << i;
-        bake_encoder_init(options, maps, i, &file->encoder);
+        file->number = i;
         status = open_file(ctx, options, i, traced, file);
     }
     if (status < 0)
@@ -168,6 +176,39 @@ void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map ma
     for (uint32_t i = 0; i < files->count; ++i)
         if (files->files[i].map == (uint32_t)map)
             files->files[i].thumbnail = thumbnail;
+}
+
+/* ---- encoding ---- */
+
+static void report_encoding(const struct bake_encoder *encoder, struct bake_value_encoding *out)
+{
+    const struct bake_encoding *encoding = &encoder->encoding;
+    *out = (struct bake_value_encoding){
+        .unit = encoder->row->unit, .channels = encoder->row->channels, .range = encoding->range};
+    memcpy(out->scale, encoding->scale, sizeof out->scale);
+    memcpy(out->offset, encoding->offset, sizeof out->offset);
+    memcpy(out->origin, encoding->origin, sizeof out->origin);
+}
+
+/* Chooses the encodings of all files, and writes to their headers how to decode them. */
+static int choose_encodings(struct bake_map_files *files,
+                            const struct bake_statistics statistics[BK_MAP_COUNT],
+                            struct bake_report *report)
+{
+    int status = 0;
+    for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
+        struct map_file *file = &files->files[i];
+        const struct bake_encoding_facts facts = {.options = files->options,
+                                                  .traced = &files->traced,
+                                                  .statistics = statistics[file->number],
+                                                  .integers = file->integers};
+        struct bake_attributes attributes;
+        bake_encoder_init(&facts, files->maps, file->number, &file->encoder);
+        bake_describe_encoding(&file->encoder, &attributes);
+        report_encoding(&file->encoder, &report->encodings[file->number]);
+        status = fmt_image_describe(file->writer, attributes.list, attributes.count);
+    }
+    return status;
 }
 
 /* ---- writing ---- */
@@ -236,12 +277,16 @@ static int finish_files(struct bake_map_files *files)
 }
 
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
+                         const struct bake_statistics statistics[BK_MAP_COUNT],
                          struct bake_report *report)
 {
+    int status = choose_encodings(files, statistics, report);
+    if (status < 0)
+        return status;
     files->image_channels = bake_image_channels(image);
     uint32_t band_rows = choose_band_rows(files, image);
     double start = bsq_seconds_now();
-    int status = allocate_rows(files, band_rows);
+    status = allocate_rows(files, band_rows);
     if (status == 0)
         status = bake_dilation_create(files->ctx, image, band_rows, files->padding, files->beside,
                                       &files->dilation);

@@ -1,10 +1,21 @@
 /* map_table.c - the table of maps: how a texel's sums become values, and how files store values. */
 #include "libbake/maps/maps.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/vec.h"
+
+/* Makes samples from 0 to 1 stand for values from -range to range. */
+static void set_range(struct bake_encoding *out, double range, float background)
+{
+    for (int c = 0; c < 3; ++c) {
+        out->scale[c] = 2.0 * range;
+        out->offset[c] = -range;
+        out->background[c] = background;
+    }
+}
 
 /* ---- the normal map ---- */
 
@@ -20,13 +31,14 @@ static bool resolve_direction(const float *sums, uint32_t channels, float weight
 }
 
 /* A texel without a value points straight up in tangent space, and is zero in object space. */
-static void encode_normals(const struct bake_options *options, struct bake_encoding *out)
+static void encode_normals(const struct bake_encoding_facts *facts, struct bake_encoding *out)
 {
-    bool tangent = options->normal_space == BAKE_TANGENT_SPACE;
-    for (int c = 0; c < 3; ++c)
-        out->scale[c] = out->bias[c] = out->background[c] = 0.5f;
-    if (tangent && options->green_down)
-        out->scale[1] = -0.5f;
+    bool tangent = facts->options->normal_space == BAKE_TANGENT_SPACE;
+    set_range(out, 1.0, 0.5f);
+    if (tangent && facts->options->green_down) {
+        out->scale[1] = -out->scale[1];
+        out->offset[1] = -out->offset[1];
+    }
     if (tangent)
         out->background[2] = 1.0f;
 }
@@ -49,6 +61,72 @@ static bool resolve_mean(const float *sums, uint32_t channels, float weight, flo
     return true;
 }
 
+/* ---- heights ---- */
+
+static void encode_heights(const struct bake_encoding_facts *facts, struct bake_encoding *out)
+{
+    const double given = facts->options->height_range;
+    out->range = given > 0.0 ? given : facts->statistics.largest;
+    if (facts->integers)
+        set_range(out, out->range, 0.5f);
+}
+
+/* ---- positions ---- */
+
+/* Positions are whole numbers of float32 steps. An origin is needed if the scan lies so far from 0
+ * that these steps are coarse: farther than FAR times its size. Then positions are exact to 2^-18
+ * of the size in the worst case without an origin, and to 2^-24 with one. */
+#define FAR 64.0
+
+static void choose_origin(const struct bake_traced *traced, double out[3])
+{
+    double size = 0, farthest = 0;
+    for (int k = 0; k < 3; ++k) {
+        size = fmax(size, traced->scan_max[k] - traced->scan_min[k]);
+        farthest = fmax(farthest, fmax(fabs(traced->scan_min[k]), fabs(traced->scan_max[k])));
+    }
+    for (int k = 0; k < 3; ++k)
+        out[k] = farthest > FAR * size ? 0.5 * (traced->scan_min[k] + traced->scan_max[k]) : 0.0;
+}
+
+/* Returns half of the width of the sphere or the box, on the longest axis; sets the halves of all
+ * axes. */
+static double half_widths(const struct bake_encoding_facts *facts, double half[3])
+{
+    double square = 0, longest = 0;
+    for (int k = 0; k < 3; ++k) {
+        half[k] = 0.5 * (facts->traced->scan_max[k] - facts->traced->scan_min[k]);
+        square += half[k] * half[k];
+        longest = fmax(longest, half[k]);
+    }
+    if (facts->options->position_in == BAKE_IN_BOX)
+        return longest;
+    half[0] = half[1] = half[2] = sqrt(square);
+    return half[0];
+}
+
+/* Bounds are those of the scan, so that all low-poly meshes of a scan share them. */
+static void encode_positions(const struct bake_encoding_facts *facts, struct bake_encoding *out)
+{
+    const struct bake_traced *traced = facts->traced;
+    double half[3];
+    choose_origin(traced, out->origin);
+    out->range = half_widths(facts, half);
+    for (int k = 0; facts->integers && k < 3; ++k) {
+        const double centre = 0.5 * (traced->scan_min[k] + traced->scan_max[k]);
+        out->scale[k] = 2.0 * half[k];
+        out->offset[k] = (centre - out->origin[k]) - half[k];
+    }
+}
+
+/* The sums of bk_add_position(): three sums, and what rounding added to each. */
+static bool resolve_position(const float *sums, uint32_t channels, float weight, float *value)
+{
+    for (uint32_t c = 0; c < channels; ++c)
+        value[c] = (float)(((double)sums[c] - (double)sums[3 + c]) * (double)weight);
+    return true;
+}
+
 /* ---- the table ---- */
 
 const struct bake_map_row bake_map_table[] = {
@@ -64,7 +142,23 @@ const struct bake_map_row bake_map_table[] = {
                       .needs_color = true,
                       .color = true,
                       .resolve = resolve_mean},
-    [BK_MAP_mask] = {.summary = "share of a texel's samples that found the surface", .channels = 1},
+    [BK_MAP_mask] = {.summary = "share of a texel's samples that found the surface",
+                     .alias = "opacity",
+                     .channels = 1},
+    [BK_MAP_height] = {.summary = "distance from the low-poly mesh to the scan",
+                       .channels = 1,
+                       .usual_type = BAKE_FLOAT,
+                       .resolve = resolve_mean,
+                       .encode = encode_heights,
+                       .measured = true,
+                       .unit = "mesh unit"},
+    [BK_MAP_position] = {.summary = "positions on the scan",
+                         .channels = 3,
+                         .usual_type = BAKE_FLOAT,
+                         .resolve = resolve_position,
+                         .encode = encode_positions,
+                         .unit = "mesh unit",
+                         .positions = true},
 };
 
 _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
@@ -75,14 +169,22 @@ _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
 const char *const bake_map_names[BK_MAP_COUNT] = {BK_MAPS(MAP_NAME)};
 const uint32_t bake_map_sums[BK_MAP_COUNT] = {BK_MAPS(MAP_SUMS)};
 _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << BK_MAP_color &&
-                   BAKE_MAP_MASK == 1 << BK_MAP_mask,
+                   BAKE_MAP_MASK == 1 << BK_MAP_mask && BAKE_MAP_HEIGHT == 1 << BK_MAP_height &&
+                   BAKE_MAP_POSITION == 1 << BK_MAP_position,
                "bits of bake.h are rows of BK_MAPS");
+_Static_assert((int)BK_MAP_COUNT <= (int)BAKE_MAX_MAPS && (int)BAKE_MAPS_ALL == 1 << BAKE_MAX_MAPS,
+               "every map has a bit");
 
 /* ---- names and choice ---- */
 
 const char *bake_map_name(unsigned number)
 {
     return number < BK_MAP_COUNT ? bake_map_names[number] : NULL;
+}
+
+const char *bake_map_alias(unsigned number)
+{
+    return number < BK_MAP_COUNT ? bake_map_table[number].alias : NULL;
 }
 
 const char *bake_map_summary(unsigned number)
@@ -92,9 +194,11 @@ const char *bake_map_summary(unsigned number)
 
 uint32_t bake_choose_maps(uint32_t asked, bool has_color)
 {
-    uint32_t maps = 0;
+    const bool all = asked & BAKE_MAPS_ALL;
+    uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
-        if (bake_map_table[i].by_default && (has_color || !bake_map_table[i].needs_color))
+        if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
+            (has_color || !bake_map_table[i].needs_color))
             maps |= 1u << i;
-    return asked == BAKE_MAPS_DEFAULT ? maps : asked;
+    return maps;
 }

@@ -14,21 +14,47 @@
 
 /* ---- the table of maps ---- */
 
-/* A sample of a file is scale * value + bias, in each channel. */
+/* How a file stores values, in each channel: value = offset + scale * sample. Values are relative
+ * to a world position, `origin`. */
 struct bake_encoding {
-    float scale[3], bias[3];
+    double scale[3], offset[3]; /* scale 0: there is only one value, which is stored as 1/2 */
+    double origin[3];
+    double range;        /* half of the largest scale that an integer file has */
     float background[3]; /* samples of texels without a value */
+};
+
+/* Statistics of the magnitudes of a map's values, over the valid texels of all its files. */
+struct bake_statistics {
+    uint64_t count;
+    double largest, sum, squares;
+};
+
+/* How maps were traced. */
+struct bake_traced {
+    double front, back;              /* ray lengths as used, in mesh units */
+    const char *sampling;            /* "trilinear", "nearest" or "exact" */
+    double scan_min[3], scan_max[3]; /* bounds of the scan, world */
+    double image_origin[3];          /* world position that the image's positions are relative to */
+};
+
+/* What an encoding may depend on. */
+struct bake_encoding_facts {
+    const struct bake_options *options;
+    const struct bake_traced *traced;
+    struct bake_statistics statistics; /* of the map */
+    bool integers;                     /* the file's samples hold 0 to 1 */
 };
 
 /* Texts for a file's header. Numbers live in `text`. */
 struct bake_attributes {
     struct fmt_image_attribute list[16];
     uint32_t count;
-    char text[3][32];
+    char text[4][96];
 };
 
 struct bake_map_row {
     const char *summary;   /* for --help */
+    const char *alias;     /* another name for --maps, or NULL */
     uint32_t channels;     /* of a value and of the file: 1 or 3 */
     bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */
@@ -40,8 +66,12 @@ struct bake_map_row {
      * value; then the texel has no value in any map. NULL: the map shows the share of covered
      * samples that hit, and is not dilated. */
     bool (*resolve)(const float *sums, uint32_t channels, float weight, float *value);
-    /* Changes *out, which holds scale 1, bias 0 and a black background; NULL: keeps them. */
-    void (*encode)(const struct bake_options *options, struct bake_encoding *out);
+    /* Changes *out, which holds scale 1 and zeros; NULL: keeps them. */
+    void (*encode)(const struct bake_encoding_facts *facts, struct bake_encoding *out);
+    /* The values' unit, for maps whose files say how to decode them; NULL: there is none. */
+    const char *unit;
+    bool measured;  /* the encoding needs statistics */
+    bool positions; /* values in the image are positions relative to bake_traced.image_origin */
     /* Adds the map's own attributes; NULL: there are none. */
     void (*describe)(const struct bake_options *options, struct bake_attributes *out);
 };
@@ -54,7 +84,7 @@ extern const uint32_t bake_map_sums[BK_MAP_COUNT];
 
 void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value);
 
-/* Returns the maps to bake: those asked for, or the default ones. */
+/* Returns the maps to bake: those asked for, all, or the default ones. */
 uint32_t bake_choose_maps(uint32_t asked, bool has_color);
 
 /* ---- the image ---- */
@@ -96,6 +126,11 @@ int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t 
  * `buffer` (count * width * channels floats) after reading. */
 int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,
                     const float **rows);
+
+/* Adds the magnitudes of the values of maps whose rows are `measured`. The sums do not depend on
+ * the number of threads or the budget, but on the order of images. Errors: BSQ_ENOMEM, BSQ_EIO. */
+int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
+                       struct bake_statistics statistics[BK_MAP_COUNT]);
 
 /* ---- tiles ---- */
 
@@ -165,17 +200,11 @@ void bake_thumbnail_sample(const struct bake_thumbnail *thumbnail, float u, floa
 
 struct bake_map_files;
 
-/* How the map was traced, for the files' attributes. */
-struct bake_traced {
-    double front, back;   /* ray lengths as used, in mesh units */
-    const char *sampling; /* "trilinear", "nearest" or "exact" */
-};
-
 /* Checks output path, sample type and size for these maps. Errors: BSQ_EUSAGE. */
 int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps);
 
 /* Creates the files under temporary names, so that a directory that cannot be written to is known
- * before the work. Errors: BSQ_ECANTCREAT, BSQ_ENOMEM. */
+ * before the work. options must outlive them. Errors: BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
                         const struct bake_traced *traced, struct bake_map_files **out);
 
@@ -183,9 +212,11 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
 void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map map,
                                   struct bake_thumbnail *thumbnail);
 
-/* Dilates, encodes and writes all rows of the image. Adds to the report's seconds_padding,
- * seconds_resolve and seconds_write. */
+/* Dilates, encodes and writes all rows of the image. statistics: of all images of the mesh. Sets
+ * the report's encodings. Adds to the report's seconds_padding, seconds_resolve and seconds_write.
+ */
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
+                         const struct bake_statistics statistics[BK_MAP_COUNT],
                          struct bake_report *report);
 
 /* Gives all files their final names; frees in any case. */

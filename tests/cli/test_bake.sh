@@ -39,8 +39,9 @@ is_png()
 $bake --help
 code 0
 out_like '^Usage: bisque-bake '
-options="output maps size tiles samples front back two-sided sampling normal-space green padding half
-    float png-bits preview device gpu-memory list-devices list-tiles memory threads progress json help version"
+options="output maps size tiles samples front back height-range position-in two-sided sampling normal-space green
+    padding half float png-bits preview device gpu-memory list-devices list-tiles memory threads progress json help
+    version"
 for option in $options; do
     out_like "  --$option|, --$option"
 done
@@ -81,8 +82,8 @@ $bake --nonsense
 refused 64 "$p unrecognized option '--nonsense'"
 good="plain.nvdb low.obj -o a_<MAP>.exr"
 known=$(echo $maps | sed 's/ /, /g; s/\(.*\), /\1 or /') # normal, color or mask
-$bake $good --maps normal,height
-refused 64 "$p --maps: \"height\" is not $known"
+$bake $good --maps normal,hight
+refused 64 "$p --maps: \"hight\" is not $known"
 $bake $good --maps normal,
 refused 64 "$p --maps: \"\" is not $known"
 $bake $good --maps norm
@@ -97,6 +98,12 @@ $bake $good --front -1
 refused 64 "$p --front: \"-1\" is not a non-negative number"
 $bake $good --back far
 refused 64 "$p --back: \"far\" is not a non-negative number"
+for range in 0 -1 none nan; do
+    $bake $good --height-range $range
+    refused 64 "$p --height-range: \"$range\" is not a positive number"
+done
+$bake $good --position-in cube
+refused 64 "$p --position-in: \"cube\" is not sphere or box"
 $bake $good --padding some
 refused 64 "$p --padding: \"some\" is not a whole number from 0 to 4294967294"
 $bake $good --green left
@@ -278,6 +285,28 @@ $bake $small plain.nvdb low.obj -o m.png --maps mask
 code 0
 files look.png m.png n.png n8.png $start
 rm look.png m.png n.png
+
+# "all" is every map that the scan gives; "opacity" is the mask.
+$bake $small plain.nvdb low.obj -o 'all_<MAP>.exr' --maps all --json
+code 0
+files all_height.exr all_mask.exr all_normal.exr all_position.exr n8.png $start
+json '.encodings | keys == ["height", "position"]'
+json '.encodings.position | .unit == "mesh unit" and .scale == [1, 1, 1] and .offset == [0, 0, 0] and .origin == [0, 0, 0]'
+$bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --position-in box --height-range 2 --json
+code 0
+json '.maps | keys == ["color", "height", "mask", "normal", "position"]'
+json '.encodings.height == {"unit": "mesh unit", "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
+json '.encodings.position | .scale == [1, 2, 3] and .offset == [0, 0, 0] and .range == 1.5'
+is_png all_height.png 96 96 16
+is_png all_position.png 96 96 16
+rm all_*
+$bake $small plain.nvdb low.obj -o '<MAP>.exr' --maps opacity,mask
+code 0
+files mask.exr n8.png $start
+$bake $small plain.nvdb low.obj -o h.exr --maps height
+code 0
+out_like '^h\.exr: height map, range [0-9.e-]+ \(mesh unit\)$'
+rm mask.exr h.exr
 
 # Options change the map.
 for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \

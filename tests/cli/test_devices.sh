@@ -21,7 +21,8 @@ warned()
 "$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
     "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
-maps="--size 160x96 --float --maps normal,color,mask vase.nvdb low.obj"
+maps="--size 160x96 --float --maps all vase.nvdb low.obj"
+names="normal color mask height position"
 
 # ---- CUDA ----
 
@@ -41,7 +42,7 @@ if [ -s "$ptx" ]; then
     check "nothing is left on the device" "$(wc -l <"$err")"
     cuda --threads 1 $maps -o 'auto_<MAP>.exr' --json
     json '.device == "Fake GPU 0 (CUDA)"'
-    for map in normal color mask; do
+    for map in $names; do
         same cpu_$map.exr cuda_$map.exr
         same cpu_$map.exr auto_$map.exr
     done
@@ -64,7 +65,7 @@ if [ -s "$ptx" ]; then
     FAKE_CUDA_HOLD=2 cuda --device cuda --threads 2 $maps -o 'passes_<MAP>.exr' --gpu-memory $((${least:-1} + 3000000)) --json
     code 0
     json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
-    for map in normal color mask; do
+    for map in $names; do
         same cpu_$map.exr passes_$map.exr
     done
 
@@ -81,7 +82,7 @@ if [ -s "$ptx" ]; then
         cuda --device cuda --threads 2 $maps -o 'beside_<MAP>.exr' --json
     code 0
     json '.passes > 1 and .device == "Fake GPU 0 (CUDA)"'
-    for map in normal color mask; do
+    for map in $names; do
         same cpu_$map.exr beside_$map.exr
     done
 
@@ -159,6 +160,19 @@ else
 fi
 
 # ---- OpenCL ----
+
+if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
+    >/dev/null; then
+    bake --device cpu $maps -o 'cpu_<MAP>.exr'
+    bake --device opencl:0 $maps -o 'opencl_<MAP>.exr'
+    code 0
+    for map in $names; do
+        run bisque-compare --type data cpu_$map.exr opencl_$map.exr --max-p99 1e-5 --max-error 0.02
+        check "$map is the same with OpenCL" "$code"
+    done
+else
+    skip "maps with OpenCL" "there is no OpenCL device"
+fi
 
 OCL_ICD_VENDORS=$fake/crashing_driver.so
 export OCL_ICD_VENDORS

@@ -25,6 +25,7 @@ struct analytic_grid {
     struct cell *cells; /* open addressing */
     uint64_t capacity, count;
     uint32_t facet_noise;
+    double min[3], max[3]; /* of the samples */
 };
 
 static void *must(void *memory)
@@ -39,6 +40,10 @@ struct analytic_grid *analytic_grid_create(void)
     struct analytic_grid *grid = must(calloc(1, sizeof *grid));
     grid->capacity = 1024;
     grid->cells = must(calloc(grid->capacity, sizeof *grid->cells));
+    for (int k = 0; k < 3; k++) {
+        grid->min[k] = INFINITY;
+        grid->max[k] = -INFINITY;
+    }
     return grid;
 }
 
@@ -82,8 +87,11 @@ void analytic_grid_add(struct analytic_grid *grid, const double position[3], con
                        double area, const float color[3])
 {
     int32_t at[3];
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < 3; k++) {
         at[k] = (int32_t)floor(position[k] + 0.5);
+        grid->min[k] = fmin(grid->min[k], position[k]);
+        grid->max[k] = fmax(grid->max[k], position[k]);
+    }
     struct cell *cell = find(grid->cells, grid->capacity, at);
     if (!cell->used) {
         if (2 * ++grid->count > grid->capacity) {
@@ -198,8 +206,8 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
             cells[count++] = &grid->cells[i];
     qsort(cells, count, sizeof *cells, compare_cells);
     for (int k = 0; k < 3; k++) {
-        info.scan_min[k] = -1;
-        info.scan_max[k] = 1;
+        info.scan_min[k] = grid->min[k];
+        info.scan_max[k] = grid->max[k];
     }
     close(mkstemps(path, 5));
     if (fmt_nvdb_create(ctx, path, &info, &writer) < 0)

@@ -72,10 +72,27 @@ static void test_maps_fill_the_channels_they_declare(void **state)
     }
 }
 
+static struct bake_encoder encoder_for(unsigned number, const struct bake_traced *traced,
+                                       bool integers, double largest)
+{
+    const struct bake_options options = options_for(1u << number, "a.exr");
+    const struct bake_encoding_facts facts = {.options = &options,
+                                              .traced = traced,
+                                              .statistics = {1, largest, largest, 0},
+                                              .integers = integers};
+    struct bake_encoder encoder;
+    bake_encoder_init(&facts, 1u << number, number, &encoder);
+    return encoder;
+}
+
 static void test_attributes_fit_their_list(void **state)
 {
     (void)state;
-    const struct bake_traced traced = {.front = 0.125, .back = 1e-300, .sampling = "exact"};
+    const struct bake_traced traced = {.front = 0.125,
+                                       .back = 1e-300,
+                                       .sampling = "exact",
+                                       .scan_min = {-1e-300, -1e300, -1.0 / 3},
+                                       .scan_max = {1e-300, 1e300, 1.0 / 3}};
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         struct bake_options options = options_for(1u << i, "a.exr");
         struct bake_attributes attributes;
@@ -84,6 +101,10 @@ static void test_attributes_fit_their_list(void **state)
         for (uint32_t a = 0; a < attributes.count; ++a)
             if (strcmp(attributes.list[a].name, "bisque:map") == 0)
                 assert_string_equal(attributes.list[a].value, bake_map_name(i));
+        const struct bake_encoder encoder = encoder_for(i, &traced, true, 1.0 / 3);
+        bake_describe_encoding(&encoder, &attributes);
+        assert_true(attributes.count <= sizeof attributes.text / sizeof *attributes.text + 1);
+        assert_int_equal(attributes.count > 0, bake_map_table[i].unit != NULL);
     }
 }
 
@@ -123,11 +144,52 @@ static void test_defaults_need_no_colours(void **state)
     }
 }
 
+/* "All" leaves out what the scan lacks, but not what is named. */
+static void test_all_maps_are_those_that_the_scan_gives(void **state)
+{
+    (void)state;
+    const uint32_t every = (1u << BK_MAP_COUNT) - 1;
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, true), every);
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, false), every & ~(uint32_t)BAKE_MAP_COLOR);
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL | BAKE_MAP_COLOR, false), every);
+}
+
+/* Maps that say how to decode their samples say it correctly, also if there is only one value. */
+static void test_encodings_decode_to_the_values(void **state)
+{
+    (void)state;
+    const struct bake_traced traced = {
+        .scan_min = {-1, 5, 3}, .scan_max = {2, 5, 4}, .image_origin = {0.5, 4, 3}};
+    static const double largest[] = {0.75, 0};
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
+        for (int variant = 0; variant < 4; ++variant) {
+            const bool integers = variant & 1;
+            const struct bake_map_row *row = &bake_map_table[i];
+            const double most = largest[variant >> 1];
+            const struct bake_encoder encoder = encoder_for(i, &traced, integers, most);
+            const float value = (float)most, texel[4] = {1, value, value, value};
+            const float *const source = texel;
+            float samples[3];
+            if (!row->unit)
+                continue;
+            bake_encode_row(&encoder, &source, texel, 4, 1, samples);
+            for (uint32_t c = 0; c < row->channels; ++c) {
+                const struct bake_encoding *e = &encoder.encoding;
+                const double world = e->origin[c] + e->offset[c] + e->scale[c] * (double)samples[c];
+                const double shift = row->positions ? traced.image_origin[c] : 0;
+                assert_true(!integers || (samples[c] >= 0 && samples[c] <= 1));
+                assert_true(fabs(world - shift - (double)value) < 1e-6);
+            }
+        }
+}
+
 static void test_unknown_maps_are_refused(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     for (unsigned bit = BK_MAP_COUNT; bit < 32; ++bit) {
+        if (1u << bit == BAKE_MAPS_ALL)
+            continue;
         struct bake_options options = options_for(1u << bit, "a_<MAP>.exr");
         assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
         assert_non_null(strstr(bsq_error(ctx), "unknown maps: 0x"));
@@ -145,6 +207,8 @@ int main(void)
         cmocka_unit_test(test_attributes_fit_their_list),
         cmocka_unit_test(test_some_format_stores_each_map),
         cmocka_unit_test(test_defaults_need_no_colours),
+        cmocka_unit_test(test_all_maps_are_those_that_the_scan_gives),
+        cmocka_unit_test(test_encodings_decode_to_the_values),
         cmocka_unit_test(test_unknown_maps_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

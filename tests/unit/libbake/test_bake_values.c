@@ -1,0 +1,447 @@
+/* test_bake_values.c - maps of lengths and positions: a sphere is baked onto a smaller sphere of
+ * facets, from voxels and from triangles, and compared with the formula. */
+#include <math.h>
+#include <png.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "formats/image/exr_read.h"
+#include "libbake/bake.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/libbake/analytic_grid.h"
+#include "tests/unit/libbake/triangle_scan.h"
+
+/* Radii of both spheres, in voxels of the grid. The low-poly sphere has quads from a tenth to nine
+ * tenths of the way from pole to pole; the map has 3 x 6 texels a quad. */
+static const double radius = 20, low_radius = 17;
+enum { STEPS = 48, BANDS = 24, SIZE = 144, SCAN_STEPS = 400, SCAN_BANDS = 200 };
+static const double pi = 3.14159265358979323846;
+
+/* The scans: where the sphere is, and how far the map may be from the formula. */
+struct scan {
+    const char *scan, *low;
+    double centre[3], tolerance;
+};
+static const struct scan scans[] = {
+    {"grid.nvdb", "low.obj", {70, -31, 45}, 0.02},
+    {"scan.tris", "low.obj", {70, -31, 45}, 0.002},
+    /* Steps of float32 are 0.03 here. */
+    {"far.tris", "far.obj", {500000.123, 4400000.75, 45}, 0.002},
+};
+enum { SCANS = sizeof scans / sizeof *scans };
+
+static char directory[64];
+
+static const char *in_directory(const char *name)
+{
+    static char path[8][128];
+    static int next;
+    char *out = path[next = (next + 1) % 8];
+    snprintf(out, sizeof path[0], "%s/%s", directory, name);
+    return out;
+}
+
+/* ---- the scene ---- */
+
+/* Computes the unit vector at texture coordinates in 0..1. */
+static void direction_at(double u, double v, double out[3])
+{
+    double polar = pi * (0.9 - 0.8 * v), angle = 2 * pi * u;
+    out[0] = sin(polar) * cos(angle);
+    out[1] = sin(polar) * sin(angle);
+    out[2] = cos(polar);
+}
+
+/* Computes the point of the low-poly sphere at texture coordinates, relative to its centre. */
+static void low_point(double u, double v, double out[3])
+{
+    double column = floor(u * STEPS), row = floor(v * BANDS), corner[4][3];
+    double a = u * STEPS - column, b = v * BANDS - row;
+    for (int i = 0; i < 4; i++)
+        direction_at((column + (i & 1)) / STEPS, (row + (i >> 1)) / BANDS, corner[i]);
+    for (int k = 0; k < 3; k++) {
+        double x = a > b ? corner[1][k] - corner[0][k] : corner[3][k] - corner[2][k];
+        double y = a > b ? corner[3][k] - corner[1][k] : corner[2][k] - corner[0][k];
+        out[k] = low_radius * (corner[0][k] + a * x + b * y);
+    }
+}
+
+static void write_low(const struct scan *scan)
+{
+    FILE *file = fopen(in_directory(scan->low), "w");
+    assert_non_null(file);
+    for (int j = 0; j <= BANDS; j++)
+        for (int i = 0; i <= STEPS; i++) {
+            double n[3];
+            direction_at((double)i / STEPS, (double)j / BANDS, n);
+            fprintf(file, "v %.15g %.15g %.15g\n", scan->centre[0] + low_radius * n[0],
+                    scan->centre[1] + low_radius * n[1], scan->centre[2] + low_radius * n[2]);
+            fprintf(file, "vt %.9g %.9g\nvn %.9g %.9g %.9g\n", (double)i / STEPS, (double)j / BANDS,
+                    n[0], n[1], n[2]);
+        }
+    for (int j = 0; j < BANDS; j++)
+        for (int i = 0; i < STEPS; i++) {
+            int a = j * (STEPS + 1) + i + 1, b = a + 1, c = a + STEPS + 1, d = c + 1;
+            fprintf(file, "f %d/%d/%d %d/%d/%d %d/%d/%d\n", a, a, a, b, b, b, d, d, d);
+            fprintf(file, "f %d/%d/%d %d/%d/%d %d/%d/%d\n", a, a, a, d, d, d, c, c, c);
+        }
+    fclose(file);
+}
+
+static void write_triangles(const struct scan *scan)
+{
+    const double origin[3] = {round(scan->centre[0]), round(scan->centre[1]), 45};
+    struct triangle_scan sphere =
+        triangle_scan_new((SCAN_STEPS + 1) * (SCAN_BANDS + 1), 2 * SCAN_STEPS * SCAN_BANDS);
+    for (uint32_t v = 0; v < sphere.vertex_count; v++) {
+        double polar = pi * (v / (SCAN_STEPS + 1)) / SCAN_BANDS;
+        double angle = 2 * pi * (v % (SCAN_STEPS + 1) % SCAN_STEPS) / SCAN_STEPS;
+        const double n[3] = {sin(polar) * cos(angle), sin(polar) * sin(angle), cos(polar)};
+        for (int k = 0; k < 3; k++)
+            sphere.positions[v][k] = (float)(scan->centre[k] + radius * n[k] - origin[k]);
+    }
+    for (uint32_t q = 0; q < SCAN_STEPS * SCAN_BANDS; q++) {
+        uint32_t a = q / SCAN_STEPS * (SCAN_STEPS + 1) + q % SCAN_STEPS, c = a + SCAN_STEPS + 1;
+        memcpy(sphere.triangles[2 * q], (uint32_t[3]){a, c, c + 1}, 12);
+        memcpy(sphere.triangles[2 * q + 1], (uint32_t[3]){a, c + 1, a + 1}, 12);
+    }
+    triangle_scan_write(&sphere, origin, 5000, in_directory(scan->scan));
+    triangle_scan_free(&sphere);
+}
+
+static void write_grid(const struct scan *scan)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct analytic_grid *grid = analytic_grid_create();
+    analytic_sphere(grid, scan->centre, radius, 8);
+    struct fmt_nvdb_grid opened;
+    analytic_grid_open(ctx, grid, false, &opened);
+    FILE *file = fopen(in_directory(scan->scan), "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(opened.map.data, 1, opened.map.size, file), opened.map.size);
+    fclose(file);
+    fmt_nvdb_close(ctx, &opened);
+    analytic_grid_free(grid);
+    bsq_ctx_destroy(ctx);
+}
+
+static int make_scene(void **state)
+{
+    (void)state;
+    strcpy(directory, "/tmp/bsq-values-XXXXXX");
+    if (!mkdtemp(directory))
+        return -1;
+    write_grid(&scans[0]);
+    write_triangles(&scans[1]);
+    write_triangles(&scans[2]);
+    write_low(&scans[1]);
+    write_low(&scans[2]);
+    return 0;
+}
+
+static int remove_scene(void **state)
+{
+    (void)state;
+    for (int i = 0; i < SCANS; i++) {
+        unlink(in_directory(scans[i].scan));
+        unlink(in_directory(scans[i].low));
+    }
+    return rmdir(directory); /* fails if a bake left files */
+}
+
+/* ---- baking ---- */
+
+static struct bake_options options_for(const struct scan *scan, const char *output)
+{
+    struct bake_options options;
+    bake_defaults(&options);
+    options.scan_path = in_directory(scan->scan);
+    options.mesh_path = in_directory(scan->low);
+    options.output_path = in_directory(output);
+    options.maps = BAKE_MAP_HEIGHT | BAKE_MAP_POSITION;
+    options.width = options.height = SIZE;
+    options.samples = 1;
+    options.device = "cpu";
+    return options;
+}
+
+static struct bake_report bake(const struct bake_options *options, unsigned threads,
+                               uint64_t memory)
+{
+    struct bsq_ctx *ctx = test_context(threads, memory);
+    struct bake_report report;
+    int status = bake_run(ctx, options, &report);
+    if (status < 0)
+        fail_msg("%s", bsq_error(ctx));
+    assert_int_equal((bsq_temp_bytes(ctx) > 0), memory > 0);
+    test_context_end(ctx);
+    return report;
+}
+
+static struct fmt_exr_image take_exr(struct bsq_ctx *ctx, const char *name)
+{
+    struct fmt_exr_image image;
+    assert_int_equal(fmt_exr_read(ctx, in_directory(name), &image), 0);
+    assert_int_equal(image.width, SIZE);
+    unlink(in_directory(name));
+    return image;
+}
+
+static double sample(const struct fmt_exr_image *image, uint32_t texel, const char *channel)
+{
+    return (double)
+        image->samples[(size_t)texel * image->channel_count + fmt_exr_channel(image, channel)];
+}
+
+static void position_at(const struct fmt_exr_image *image, uint32_t texel, double out[3])
+{
+    out[0] = sample(image, texel, "R");
+    out[1] = sample(image, texel, "G");
+    out[2] = sample(image, texel, "B");
+}
+
+static double length(const double v[3])
+{
+    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+}
+
+/* ---- heights and positions ---- */
+
+/* The normals of the low-poly sphere's corners are radial, so every ray is. */
+static void check_texel(const struct scan *scan, const struct bake_value_encoding *encoding,
+                        uint32_t texel, double height, const double position[3])
+{
+    double low[3], at[3], difference[3], displaced[3];
+    low_point((texel % SIZE + 0.5) / SIZE, 1 - (texel / SIZE + 0.5) / SIZE, low);
+    const double low_length = length(low);
+    for (int k = 0; k < 3; k++) {
+        at[k] = (encoding->origin[k] - scan->centre[k]) + position[k];
+        difference[k] = at[k] - low[k] * radius / low_length;
+        displaced[k] = low[k] * (1 + height / low_length) - at[k];
+    }
+    assert_true(fabs(height - (radius - low_length)) < scan->tolerance);
+    assert_true(length(difference) < scan->tolerance);
+    /* The height leads from the low-poly mesh to the position, up to rounding. */
+    assert_true(length(displaced) < 1e-4);
+}
+
+static void test_values_are_those_of_the_formula(void **state)
+{
+    (void)state;
+    for (int s = 0; s < SCANS; s++) {
+        struct bsq_ctx *ctx = test_context(1, 0);
+        struct bake_options options = options_for(&scans[s], "<MAP>.exr");
+        const struct bake_report report = bake(&options, 2, 0);
+        const struct bake_value_encoding *encodings = report.encodings;
+        struct fmt_exr_image height = take_exr(ctx, "height.exr");
+        struct fmt_exr_image position = take_exr(ctx, "position.exr");
+        double largest = 0;
+        assert_int_equal(report.misses, 0);
+        assert_int_equal(report.covered_texels, SIZE * SIZE);
+        for (uint32_t i = 0; i < SIZE * SIZE; i++) {
+            double at[3], h = sample(&height, i, "Y");
+            position_at(&position, i, at);
+            check_texel(&scans[s], &encodings[4], i, h, at);
+            largest = fmax(largest, fabs(h));
+        }
+        assert_string_equal(fmt_exr_image_attribute(&height, "bisque:unit"), "mesh unit");
+        assert_string_equal(fmt_exr_image_attribute(&height, "bisque:scale"), "1");
+        assert_string_equal(fmt_exr_image_attribute(&position, "bisque:offset"), "0 0 0");
+        assert_true(encodings[3].range == largest);
+        fmt_exr_image_free(ctx, &height);
+        fmt_exr_image_free(ctx, &position);
+        test_context_end(ctx);
+    }
+}
+
+/* A scan far from 0 has an origin of its own, which is the same in the file and in the report. */
+static void test_far_positions_have_an_origin(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    for (int s = 1; s < SCANS; s++) {
+        struct bake_options options = options_for(&scans[s], "p.exr");
+        options.maps = BAKE_MAP_POSITION;
+        const struct bake_report report = bake(&options, 1, 0);
+        struct fmt_exr_image image = take_exr(ctx, "p.exr");
+        double origin[3];
+        assert_int_equal(sscanf(fmt_exr_image_attribute(&image, "bisque:origin"), "%lf %lf %lf",
+                                &origin[0], &origin[1], &origin[2]),
+                         3);
+        for (int k = 0; k < 3; k++) {
+            assert_true(origin[k] == report.encodings[4].origin[k]);
+            assert_true(s == 1 ? origin[k] == 0 : fabs(origin[k] - scans[s].centre[k]) < 1e-3);
+        }
+        fmt_exr_image_free(ctx, &image);
+    }
+    test_context_end(ctx);
+}
+
+/* Means of many samples are as exact as single samples. */
+static void test_means_lose_no_precision(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct bake_options options = options_for(&scans[0], "p.exr");
+    options.maps = BAKE_MAP_POSITION;
+    options.width = options.height = 1;
+    options.samples = BAKE_MAX_SAMPLES;
+    bake(&options, 1, 0);
+    struct fmt_exr_image image;
+    assert_int_equal(fmt_exr_read(ctx, in_directory("p.exr"), &image), 0);
+    /* The mean over whole turns is the axis; float32 has steps of 7.6e-6 at 70. */
+    assert_true(fabs(sample(&image, 0, "R") - scans[0].centre[0]) < 1e-4);
+    assert_true(fabs(sample(&image, 0, "G") - scans[0].centre[1]) < 1e-4);
+    assert_true(fabs(sample(&image, 0, "B") - scans[0].centre[2]) < 1e-4);
+    fmt_exr_image_free(ctx, &image);
+    unlink(in_directory("p.exr"));
+    test_context_end(ctx);
+}
+
+/* ---- PNG ---- */
+
+struct png_image {
+    png_structp png;
+    png_infop info;
+};
+
+static struct png_image take_png(const char *name)
+{
+    struct png_image image;
+    FILE *file = fopen(in_directory(name), "rb");
+    assert_non_null(file);
+    image.png = png_create_read_struct(PNG_LIBPNG_VER_STRING, NULL, NULL, NULL);
+    image.info = png_create_info_struct(image.png);
+    png_init_io(image.png, file);
+    png_read_png(image.png, image.info, PNG_TRANSFORM_IDENTITY, NULL);
+    fclose(file);
+    unlink(in_directory(name));
+    return image;
+}
+
+/* Returns the first number of a text. */
+static double png_number(const struct png_image *image, const char *key)
+{
+    png_textp texts;
+    const int count = png_get_text(image->png, image->info, &texts, NULL);
+    for (int i = 0; i < count; i++)
+        if (strcmp(texts[i].key, key) == 0)
+            return strtod(texts[i].text, NULL);
+    fail_msg("no text %s", key);
+    return NAN;
+}
+
+/* Checks that all samples of a PNG stand for the values of the EXR, up to half a step. */
+static void check_png(struct bsq_ctx *ctx, const char *map, const struct bake_value_encoding *exr,
+                      const struct bake_value_encoding *png)
+{
+    static const char *const names[2][3] = {{"Y", NULL, NULL}, {"R", "G", "B"}};
+    char name[32];
+    snprintf(name, sizeof name, "%s.exr", map);
+    struct fmt_exr_image raw = take_exr(ctx, name);
+    snprintf(name, sizeof name, "%s.png", map);
+    struct png_image image = take_png(name);
+    const png_bytepp rows = png_get_rows(image.png, image.info);
+    assert_int_equal(png_get_bit_depth(image.png, image.info), 16);
+    assert_true(fabs(png_number(&image, "bisque:scale") - png->scale[0]) < 1e-8 * png->scale[0]);
+    assert_true(fabs(png_number(&image, "bisque:offset") - png->offset[0]) < 1e-6);
+    for (uint32_t i = 0; i < SIZE * SIZE; i++)
+        for (uint32_t c = 0; c < png->channels; c++) {
+            const png_bytep at = rows[i / SIZE] + 2 * (i % SIZE * png->channels + c);
+            const double stored = (at[0] << 8 | at[1]) / 65535.0;
+            const double value =
+                (png->origin[c] - exr->origin[c]) + png->offset[c] + png->scale[c] * stored;
+            const double step = png->scale[c] / 65535;
+            assert_true(fabs(value - sample(&raw, i, names[png->channels == 3][c])) <
+                        0.5 * step + 1e-5);
+        }
+    png_destroy_read_struct(&image.png, &image.info, NULL);
+    fmt_exr_image_free(ctx, &raw);
+}
+
+static void test_png_files_decode_to_the_values(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    for (int s = 0; s < SCANS; s++)
+        for (int variant = 0; variant < 2; variant++) {
+            struct bake_options raw = options_for(&scans[s], "<MAP>.exr");
+            struct bake_options scaled = options_for(&scans[s], "<MAP>.png");
+            scaled.height_range = variant == 0 ? -1 : 5;
+            scaled.position_in = variant == 0 ? BAKE_IN_SPHERE : BAKE_IN_BOX;
+            const struct bake_report exr = bake(&raw, 1, 0), png = bake(&scaled, 1, 0);
+            assert_true(png.encodings[3].range == (variant == 0 ? exr.encodings[3].range : 5));
+            assert_true(fabs(png.encodings[4].range - (variant == 0 ? sqrt(3) : 1) * radius) <
+                        0.01);
+            check_png(ctx, "height", &exr.encodings[3], &png.encodings[3]);
+            check_png(ctx, "position", &exr.encodings[4], &png.encodings[4]);
+        }
+    test_context_end(ctx);
+}
+
+static void test_options_that_hold_nothing_are_refused(void **state)
+{
+    (void)state;
+    static const double ranges[] = {0, INFINITY, NAN};
+    struct bsq_ctx *ctx = test_context(1, 0);
+    for (size_t i = 0; i < sizeof ranges / sizeof *ranges; i++) {
+        struct bake_options options = options_for(&scans[0], "<MAP>.png");
+        options.height_range = ranges[i];
+        assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
+        assert_non_null(strstr(bsq_error(ctx), "range"));
+        bsq_clear_error(ctx);
+    }
+    test_context_end(ctx);
+}
+
+/* ---- determinism ---- */
+
+static uint64_t take_hash(const char *name)
+{
+    FILE *file = fopen(in_directory(name), "rb");
+    uint64_t hash = UINT64_C(1469598103934665603);
+    assert_non_null(file);
+    for (int c; (c = fgetc(file)) != EOF;)
+        hash = (hash ^ (uint64_t)c) * UINT64_C(1099511628211);
+    fclose(file);
+    unlink(in_directory(name));
+    return hash;
+}
+
+/* Ranges are measured over the whole mesh, in the same order for any threads and budget. */
+static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
+{
+    (void)state;
+    static const struct {
+        unsigned threads;
+        uint64_t memory;
+    } runs[] = {{1, 0}, {5, 0}, {2, UINT64_C(24) << 20}, {1, UINT64_C(20) << 20}};
+    static const char *const maps[] = {"height.png", "position.png"};
+    for (int s = 0; s < 2; s++) {
+        uint64_t expected[2] = {0};
+        for (size_t r = 0; r < sizeof runs / sizeof *runs; r++) {
+            struct bake_options options = options_for(&scans[s], "<MAP>.png");
+            options.width = options.height = 1000; /* 20 MB of values */
+            bake(&options, runs[r].threads, runs[r].memory);
+            for (int m = 0; m < 2; m++) {
+                const uint64_t hash = take_hash(maps[m]);
+                expected[m] = r == 0 ? hash : expected[m];
+                assert_true(hash == expected[m]);
+            }
+        }
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_values_are_those_of_the_formula),
+        cmocka_unit_test(test_far_positions_have_an_origin),
+        cmocka_unit_test(test_means_lose_no_precision),
+        cmocka_unit_test(test_png_files_decode_to_the_values),
+        cmocka_unit_test(test_options_that_hold_nothing_are_refused),
+        cmocka_unit_test(test_bytes_depend_on_neither_threads_nor_budget),
+    };
+    return cmocka_run_group_tests(tests, make_scene, remove_scene);
+}
