@@ -308,6 +308,26 @@ code 0
 out_like '^h\.exr: height map, range [0-9.e-]+ \(mesh unit\)$'
 rm mask.exr h.exr
 
+# Far from 0, positions have an origin, the same from a grid and from triangles.
+awk '/^v / { printf "v %.4f %.4f %.4f\n", $2 + 500000.25, $3 + 4400000.5, $4; next } { print }' low.obj >far.obj
+run bisque-voxelize far.obj -o far.nvdb --resolution 96
+code 0
+for surface in nvdb tris; do
+    $bake --device cpu --size 96 far.$surface far.obj -o "${surface}_<MAP>.exr" --maps height,position --json
+    code 0
+    json '.encodings.position.origin == [500000.75, 4400001.5, 1.5]'
+done
+# Voxels are 0.031 wide, and the maps differ by less than half of that at edges. Without an origin, steps of float32 would be 0.5.
+run bisque-compare nvdb_height.exr tris_height.exr --max-median 1e-5 --max-error 0.0155
+check "heights from a grid and from triangles agree" "$code"
+run bisque-compare nvdb_position.exr tris_position.exr --max-median 1e-5 --max-error 0.0155
+check "positions from a grid and from triangles agree" "$code"
+$bake $small plain.nvdb low.obj -o near.exr --maps position
+run bisque-compare near.exr nvdb_position.exr
+code 65
+err_like '^bisque-compare: near\.exr has bisque:origin "0 0 0", nvdb_position\.exr has "500000\.75 4400001\.5 1\.5"'
+rm far.* nvdb_* tris_* near.exr
+
 # Options change the map.
 for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \
     "--sampling nearest" "--samples 3"; do

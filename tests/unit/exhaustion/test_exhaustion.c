@@ -231,7 +231,7 @@ static int bake_preview(struct bsq_ctx *ctx)
 
 static int bake_exact(struct bsq_ctx *ctx)
 {
-    return bake(ctx, "scan.tris", "e_<MAP>.png", BAKE_MAP_NORMAL | BAKE_MAP_COLOR, NULL);
+    return bake(ctx, "scan.tris", "e_<MAP>.png", BAKE_MAPS_ALL, NULL);
 }
 
 static int compare(struct bsq_ctx *ctx)
