@@ -60,29 +60,14 @@ static void write_inputs(void)
 
 static bool expected_name(const char *name)
 {
-    static const char *const names[] = {".",
-                                        "..",
-                                        "scan.obj",
-                                        "scan.mtl",
-                                        "low.obj",
-                                        "scan.tris",
-                                        "scan.nvdb",
-                                        "g_normal.exr",
-                                        "g_color.exr",
-                                        "g_mask.exr",
-                                        "e_normal.png",
-                                        "e_color.png",
-                                        "a_normal.exr",
-                                        "heat.png",
-                                        "hist.png",
-                                        "preview.png",
-                                        "out.tris",
-                                        "out.nvdb",
-                                        "scan.tris.job"};
+    static const char *const names[] = {
+        ".",         "..",           "scan.obj",    "scan.mtl",   "low.obj",      "scan.tris",
+        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr", "a_normal.exr", "heat.png",
+        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",   "scan.tris.job"};
     for (unsigned i = 0; i < sizeof names / sizeof *names; i++)
         if (strcmp(names[i], name) == 0)
             return true;
-    return false;
+    return strncmp(name, "e_", 2) == 0; /* the maps of bake_exact(), which bakes all */
 }
 
 /* Returns the number of open descriptors. Fails the test if a job left a file behind. */
