@@ -90,7 +90,7 @@ $bake $good --maps norm
 refused 64 "$p --maps: \"norm\" is not $known"
 for size in 0 -1 x 1.5 1048577 99999999999999999999 '' 16x 16x0 x16 16x16x16 16X16 '16 x16' 0x10; do
     $bake $good --size "$size"
-    refused 64 "$p --size: \"$size\" is not N, WxH or TILE=SIZE,...,\*=SIZE with numbers from 1 to 1048576"
+    refused 64 "$p --size: \"$size\" is not N, WxH or TILE=SIZE,...,*=SIZE with numbers from 1 to 1048576"
 done
 $bake $good --samples 0
 refused 64 "$p --samples: \"0\" is not a whole number from 1 to 64"
@@ -307,6 +307,23 @@ $bake $small plain.nvdb low.obj -o h.exr --maps height
 code 0
 out_like '^h\.exr: height map, range [0-9.e-]+ \(mesh unit\)$'
 rm mask.exr h.exr
+
+# UDIM tiles share a range: that of the side which is farther from the scan. A tile alone has its own.
+awk '/^v / && $2 == 1 { $2 = 0.9 } /^vt / && ++corner > 20 { $2 += 1 } { print }' low.obj >tiles.obj
+heights="--maps height --front 0.3 --back 0.3"
+$bake $small $heights plain.nvdb tiles.obj -o 'both_<UDIM>.png' --json
+code 0
+range=$(jq .encodings.height.range "$out")
+$bake $small $heights plain.nvdb tiles.obj -o 'alone_<UDIM>.png' --tiles 1001 --json
+first=$(jq .encodings.height.range "$out")
+$bake $small $heights plain.nvdb tiles.obj -o 'alone_<UDIM>.png' --tiles 1002 --json
+json ".encodings.height.range as \$second | $range == ([$first, \$second] | max) and $first != \$second"
+for tile in 1001 1002; do
+    $bake $small $heights plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --height-range "$range"
+    code 0
+    same given_$tile.png both_$tile.png
+done
+rm both_* alone_* given_* tiles.obj
 
 # Far from 0, positions have an origin, the same from a grid and from triangles.
 awk '/^v / { printf "v %.4f %.4f %.4f\n", $2 + 500000.25, $3 + 4400000.5, $4; next } { print }' low.obj >far.obj
