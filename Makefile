@@ -287,8 +287,9 @@ $(xxh3): tests/naive/xxh3.c
 fuzz_sources := $(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c))
 fuzz_names   := $(fuzz_sources:tests/fuzz/fuzz_%.c=%)
 fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
-fuzz.nvdb  := $(BUILD)/obj/tests/fuzz/grid_patch.c.o \
-    $(BUILD)/obj/tests/unit/formats/grid/nvdb_scene.c.o
+fuzz.nvdb  := $(patsubst %,$(BUILD)/obj/tests/%.c.o,fuzz/grid_patch fuzz/grid_use \
+    unit/formats/grid/nvdb_scene)
+fuzz.overwritten := $(fuzz.nvdb)
 fuzz.tris  := $(BUILD)/obj/tests/fuzz/tris_mend.c.o
 fuzz.scan  := $(fuzz.tris)
 fuzz.obj   := $(BUILD)/obj/tests/fuzz/mesh_check.c.o
@@ -316,7 +317,7 @@ $(BUILD)/tests/torture: tests/faults/torture.c
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)
-## fuzz-NAME: fuzz obj, ply, mtl, tris, nvdb, exr, lowmesh or both stages (scan) for fuzz_seconds=60
+## fuzz-NAME: fuzz obj, ply, mtl, tris, nvdb, overwritten (grids), exr, lowmesh or scan (both stages) for fuzz_seconds=60
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
 	@mkdir -p build/fuzz/corpus/$*
@@ -370,6 +371,11 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 	        ptx_nvcc="$$(find $(ptx_tools)/cuda13 -name nvcc -type f)" && \
 	    tests/ptx/check.sh $(ptx_tools) $(filter-out %-nvcc.ptx,$<) $(nvcc_ptx); \
 	else echo "check-ptx: skipped, NVIDIA's assemblers cannot be installed"; fi
+
+## check-long: check, and many more rounds of the tests of chance
+.PHONY: check-long
+check-long: check
+	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/cli/test_overwritten.sh
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \

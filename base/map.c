@@ -186,6 +186,24 @@ int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
     return status;
 }
 
+/* Returns whether the mapped bytes are those of the file when it was opened. */
+static bool is_sound(const struct bsq_map *map)
+{
+    struct stat info;
+    return !map->range ||
+           (fstat(map->fd, &info) == 0 && (uint64_t)info.st_size == map->size &&
+            info.st_mtim.tv_sec == map->modified.tv_sec &&
+            info.st_mtim.tv_nsec == map->modified.tv_nsec && !atomic_load(&map->range->lost));
+}
+
+int bsq_map_explain(struct bsq_ctx *ctx, const struct bsq_map *map, int status)
+{
+    if (status == BSQ_EINTR || is_sound(map))
+        return status;
+    bsq_clear_error(ctx);
+    return bsq_map_check(ctx, map);
+}
+
 int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
 {
     struct stat info;
@@ -198,8 +216,7 @@ int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
                         map->path, (unsigned long long)map->size, (unsigned long long)info.st_size);
     if (atomic_load(&map->range->lost))
         return bsq_fail_errno(ctx, BSQ_EIO, EIO, "%s: reading the mapped file", map->path);
-    if ((uint64_t)info.st_size != map->size || info.st_mtim.tv_sec != map->modified.tv_sec ||
-        info.st_mtim.tv_nsec != map->modified.tv_nsec)
+    if (!is_sound(map))
         return bsq_fail(ctx, BSQ_EIO, "%s: was changed while it was read", map->path);
     return 0;
 }

@@ -445,6 +445,8 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
     job->options = options;
     job->report = report;
     status = run(job);
+    if (status < 0)
+        status = bake_surface_explain(&job->surface, status);
     end(job);
     if (status < 0)
         bake_report_free(report);

@@ -92,7 +92,9 @@ enum {
 };
 
 /* A mapped grid. All pointers are into the map and valid until fmt_nvdb_close(). The nodes of a
- * level are contiguous, and fmt_nvdb_open() has checked the offsets that they contain. */
+ * level are contiguous, and fmt_nvdb_open() has checked the offsets that they contain. But another
+ * process may change the file later: who follows an offset, a value index or a rank bounds it by
+ * the counts here, which are copies. */
 struct fmt_nvdb_grid {
     struct bsq_map map;
     struct fmt_nvdb_info info;
@@ -117,8 +119,8 @@ struct fmt_nvdb_grid {
 };
 
 /* Maps a grid. Checks magic, version, type, sizes, and every node offset, mask and prefix sum that
- * a traversal follows, so that no later access leaves the map. Reads all nodes once, on all
- * threads, but no channels. Errors: BSQ_ENOINPUT; BSQ_EDATA naming what is wrong; BSQ_EIO. */
+ * a traversal follows. Reads all nodes once, on all threads, but no channels. Errors: BSQ_ENOINPUT;
+ * BSQ_EDATA naming what is wrong; BSQ_EIO, also if the file changes meanwhile. */
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out);
 void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
 /* Checks what fmt_nvdb_open() does not: the checksums of all sections, that padding is zero, and
@@ -126,7 +128,8 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
  * goes. Errors: BSQ_EDATA naming the section or the record. */
 int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 
-/* Returns the value index of the voxel at index coordinates, 0 if it is not active. */
+/* Returns the value index of the voxel at index coordinates, at most voxel_count; 0 if it is not
+ * active. */
 uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3]);
 /* Returns record number `index`, from 1 to record_count - 1. */
 struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index);

@@ -1,7 +1,8 @@
 /* nvdb_check_header.c - checks that Bisque wrote a file, and finds its sections.
  *
  * A few counts determine the layout. They are read first and bounded by the file's size. Then the
- * layout is computed from them, and every offset and count in the file must agree with it. */
+ * layout is computed from them, and every offset and count in the file must agree with it. All
+ * checks and results are of a copy of the header, because the file may change meanwhile. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
@@ -13,12 +14,22 @@ struct head {
     const char *path;
     const uint8_t *file;
     uint64_t size;
-    const struct nvdb_file_header *header;
-    const struct nvdb_file_meta *meta;
-    const struct nvdb_grid_data *grid;
-    const struct nvdb_tree_data *tree;
-    const struct nvdb_root *root;
+    /* Copies, with zeros after the end of the file. */
+    struct nvdb_file_header header;
+    struct nvdb_file_meta meta;
+    struct nvdb_grid_data grid;
+    struct nvdb_tree_data tree;
+    struct nvdb_root root;
+    struct nvdb_record record; /* valid after read_counts() */
 };
+
+/* Copies bytes of the file; those after its end stay as they are. */
+static void copy_part(const struct head *h, uint64_t offset, void *to, uint64_t bytes)
+{
+    uint64_t left = offset < h->size ? h->size - offset : 0;
+    if (left > 0)
+        memcpy(to, h->file + offset, left < bytes ? left : bytes);
+}
 
 static int damaged(const struct head *h, const char *what)
 {
@@ -27,7 +38,7 @@ static int damaged(const struct head *h, const char *what)
 
 static int fail_version(const struct head *h)
 {
-    uint32_t v = h->header->version;
+    uint32_t v = h->header.version;
     return bsq_fail(h->ctx, BSQ_EDATA,
                     "%s: NanoVDB file of version %" PRIu32 ".%" PRIu32 ".%" PRIu32
                     ": Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)",
@@ -53,11 +64,11 @@ static int fail_foreign(const struct head *h)
         "Mask",   "Half",  "uint32", "bool",  "RGBA8",   "Float4",    "Float8",     "Float16",
         "FloatN", "Vec4f", "Vec4d",  "Index", "OnIndex", "IndexMask", "OnIndexMask"};
     char name[64];
-    uint64_t start = sizeof(*h->header) + sizeof(*h->meta);
+    uint64_t start = sizeof(h->header) + sizeof(h->meta);
     uint64_t available = h->size - start;
     copy_name((const char *)h->file + start,
-              h->meta->name_bytes < available ? h->meta->name_bytes : available, name);
-    uint32_t type = h->meta->grid_type;
+              h->meta.name_bytes < available ? h->meta.name_bytes : available, name);
+    uint32_t type = h->meta.grid_type;
     if (type == 0 || type >= sizeof(types) / sizeof(*types))
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: grid \"%s\" of type number %" PRIu32 " is not a Bisque surface grid",
@@ -70,7 +81,7 @@ static int fail_foreign(const struct head *h)
 static int fail_compressed(const struct head *h)
 {
     static const char *const codecs[] = {"none", "ZIP", "BLOSC"};
-    uint16_t codec = h->header->codec;
+    uint16_t codec = h->header.codec;
     return bsq_fail(h->ctx, BSQ_EDATA,
                     "%s: compressed NanoVDB file (codec %s): Bisque reads uncompressed ones",
                     h->path, codec < 3 ? codecs[codec] : "unknown");
@@ -80,35 +91,35 @@ static int fail_compressed(const struct head *h)
  * another kind, and the messages name it. */
 static int check_file_header(struct head *h)
 {
-    if (h->size >= sizeof(uint64_t) && (__builtin_bswap64(h->header->magic) == NVDB_MAGIC ||
-                                        __builtin_bswap64(h->header->magic) == NVDB_MAGIC_FILE))
+    if (h->size >= sizeof(uint64_t) && (__builtin_bswap64(h->header.magic) == NVDB_MAGIC ||
+                                        __builtin_bswap64(h->header.magic) == NVDB_MAGIC_FILE))
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: NanoVDB file of a big-endian machine: Bisque reads little-endian ones",
                         h->path);
     if (h->size < sizeof(uint64_t) ||
-        (h->header->magic != NVDB_MAGIC && h->header->magic != NVDB_MAGIC_GRID &&
-         h->header->magic != NVDB_MAGIC_FILE))
+        (h->header.magic != NVDB_MAGIC && h->header.magic != NVDB_MAGIC_GRID &&
+         h->header.magic != NVDB_MAGIC_FILE))
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: not a NanoVDB file", h->path);
     uint64_t least =
-        FMT_NVDB_GRID_OFFSET + sizeof(*h->grid) + sizeof(*h->tree) + NVDB_ROOT_BYTES_MASK;
+        FMT_NVDB_GRID_OFFSET + sizeof(h->grid) + sizeof(h->tree) + NVDB_ROOT_BYTES_MASK;
     if (h->size < least)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: truncated: %" PRIu64 " bytes are too few", h->path,
                         h->size);
-    if (h->header->magic == NVDB_MAGIC_GRID)
+    if (h->header.magic == NVDB_MAGIC_GRID)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: a NanoVDB grid without file header", h->path);
-    if (h->header->magic == NVDB_MAGIC_FILE || h->header->version >> 21 != 32)
+    if (h->header.magic == NVDB_MAGIC_FILE || h->header.version >> 21 != 32)
         return fail_version(h);
-    if (h->header->grid_count != 1)
+    if (h->header.grid_count != 1)
         return bsq_fail(h->ctx, BSQ_EDATA, "%s: %u grids: a Bisque surface grid stands alone",
-                        h->path, h->header->grid_count);
-    uint32_t type = h->meta->grid_type;
+                        h->path, h->header.grid_count);
+    uint32_t type = h->meta.grid_type;
     if (type != FMT_NVDB_MASK && type != FMT_NVDB_ONINDEX)
         return fail_foreign(h);
-    if (h->header->codec != 0)
+    if (h->header.codec != 0)
         return fail_compressed(h);
-    if (h->meta->name_bytes != NVDB_NAME_BYTES)
+    if (h->meta.name_bytes != NVDB_NAME_BYTES)
         return fail_foreign(h);
-    if (h->header->version != nvdb_version((enum fmt_nvdb_type)type))
+    if (h->header.version != nvdb_version((enum fmt_nvdb_type)type))
         return fail_version(h);
     return 0;
 }
@@ -116,7 +127,7 @@ static int check_file_header(struct head *h)
 /* Checks GridData and RootData, except for offsets and counts, which check_layout() compares. */
 static int check_grid_data(const struct head *h)
 {
-    const struct nvdb_grid_data *grid = h->grid;
+    const struct nvdb_grid_data *grid = &h->grid;
     if (grid->magic != NVDB_MAGIC)
         return damaged(h, "magic number of the grid");
     if (grid->grid_bytes != h->size - FMT_NVDB_GRID_OFFSET)
@@ -124,7 +135,7 @@ static int check_grid_data(const struct head *h)
                         "%s: truncated or damaged: the grid has %" PRIu64
                         " bytes, the file has %" PRIu64 " for it",
                         h->path, grid->grid_bytes, h->size - FMT_NVDB_GRID_OFFSET);
-    if (grid->version != h->header->version || grid->grid_type != h->meta->grid_type)
+    if (grid->version != h->header.version || grid->grid_type != h->meta.grid_type)
         return damaged(h, "version or type of the grid");
     if (grid->flags != (NVDB_HAS_BBOX | NVDB_BREADTH_FIRST) || grid->grid_index != 0 ||
         grid->grid_count != 1)
@@ -139,23 +150,23 @@ static int check_grid_data(const struct head *h)
             return damaged(h, "transform");
     for (int axis = 0; axis < 3; axis++)
         if (!isfinite(grid->map.translation[axis]) ||
-            h->root->bbox_min[axis] > h->root->bbox_max[axis])
+            h->root.bbox_min[axis] > h->root.bbox_max[axis])
             return damaged(h, "translation or bounds");
     return 0;
 }
 
 /* Reads the counts that determine the layout; checks each against the file's size. */
-static int read_counts(const struct head *h, struct nvdb_counts *counts)
+static int read_counts(struct head *h, struct nvdb_counts *counts)
 {
-    counts->type = (enum fmt_nvdb_type)h->grid->grid_type;
-    counts->leaves = h->tree->node_count[0];
-    counts->lowers = h->tree->node_count[1];
-    counts->uppers = h->tree->node_count[2];
-    counts->voxels = h->tree->voxel_count;
+    counts->type = (enum fmt_nvdb_type)h->grid.grid_type;
+    counts->leaves = h->tree.node_count[0];
+    counts->lowers = h->tree.node_count[1];
+    counts->uppers = h->tree.node_count[2];
+    counts->voxels = h->tree.voxel_count;
     counts->seconds = 0;
-    if (h->grid->blind_count != 4 && h->grid->blind_count != 5)
+    if (h->grid.blind_count != 4 && h->grid.blind_count != 5)
         return fail_foreign(h);
-    counts->has_color = h->grid->blind_count == 5;
+    counts->has_color = h->grid.blind_count == 5;
     if (counts->uppers == 0 || counts->lowers < counts->uppers || counts->leaves < counts->lowers ||
         counts->voxels < counts->leaves || counts->voxels / 512 > counts->leaves)
         return damaged(h, "node counts");
@@ -164,40 +175,40 @@ static int read_counts(const struct head *h, struct nvdb_counts *counts)
     fmt_nvdb_layout_compute(counts, &layout);
     if (layout.file_bytes > h->size)
         return damaged(h, "node counts");
-    struct nvdb_record record;
-    memcpy(&record, h->file + h->size - sizeof(record), sizeof(record));
-    if (memcmp(record.magic, NVDB_RECORD_MAGIC, sizeof(record.magic)) != 0)
+    struct nvdb_record *record = &h->record;
+    memcpy(record, h->file + h->size - sizeof(*record), sizeof(*record));
+    if (memcmp(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic)) != 0)
         return fail_foreign(h);
-    if (record.version != FMT_NVDB_RECORD_VERSION)
+    if (record->version != FMT_NVDB_RECORD_VERSION)
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: surface grid of version %" PRIu32 ": this Bisque reads version %d",
-                        h->path, record.version, FMT_NVDB_RECORD_VERSION);
-    if (record.flags != (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) ||
-        record.second_count > counts->voxels || record.second_count > UINT32_MAX ||
-        record.record_checksum != fmt_nvdb_record_checksum(&record))
+                        h->path, record->version, FMT_NVDB_RECORD_VERSION);
+    if (record->flags != (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) ||
+        record->second_count > counts->voxels || record->second_count > UINT32_MAX ||
+        record->record_checksum != fmt_nvdb_record_checksum(record))
         return damaged(h, "\"bisque\" record");
     for (int axis = 0; axis < 3; axis++)
-        if (!isfinite(record.scan_min[axis]) || !isfinite(record.scan_max[axis]))
+        if (!isfinite(record->scan_min[axis]) || !isfinite(record->scan_max[axis]))
             return damaged(h, "scan bounds");
-    counts->seconds = record.second_count;
+    counts->seconds = record->second_count;
     return 0;
 }
 
 /* Compares every offset and size in the file with the layout. */
 static int check_layout(const struct head *h, const struct nvdb_layout *layout)
 {
-    uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(*h->grid);
+    uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(h->grid);
     static const enum nvdb_section level[3] = {NVDB_LEAVES, NVDB_LOWERS, NVDB_UPPERS};
     for (int i = 0; i < 3; i++)
-        if (h->tree->node_offset[i] != layout->section[level[i]].offset - tree ||
-            h->tree->tile_count[i] != 0)
+        if (h->tree.node_offset[i] != layout->section[level[i]].offset - tree ||
+            h->tree.tile_count[i] != 0)
             return damaged(h, "node offsets");
-    if (h->tree->node_offset[3] != layout->root - tree ||
-        h->root->tile_count != h->tree->node_count[2])
+    if (h->tree.node_offset[3] != layout->root - tree ||
+        h->root.tile_count != h->tree.node_count[2])
         return damaged(h, "root node");
-    if (h->grid->blind_offset !=
+    if (h->grid.blind_offset !=
             (int64_t)(layout->section[NVDB_BLIND].offset - FMT_NVDB_GRID_OFFSET) ||
-        h->grid->value_count != 1 + h->tree->voxel_count)
+        h->grid.value_count != 1 + h->tree.voxel_count)
         return damaged(h, "blind data offset");
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     fmt_nvdb_fill_blind(layout, blind);
@@ -205,11 +216,11 @@ static int check_layout(const struct head *h, const struct nvdb_layout *layout)
                layout->section[NVDB_BLIND].size) != 0)
         return damaged(h, "channel descriptions");
     uint8_t file_head[FMT_NVDB_GRID_OFFSET];
-    fmt_nvdb_fill_file_head(h->grid, h->tree, h->root, file_head);
+    fmt_nvdb_fill_file_head(&h->grid, &h->tree, &h->root, file_head);
     if (memcmp(h->file, file_head, sizeof(file_head)) != 0)
         return damaged(h, "file header");
-    if (fmt_nvdb_head_crc(h->file, layout) != h->grid->checksum[0] ||
-        h->grid->checksum[1] != UINT32_MAX)
+    if (fmt_nvdb_head_crc(h->file, layout) != h->grid.checksum[0] ||
+        h->grid.checksum[1] != UINT32_MAX)
         return damaged(h, "checksum of the grid's header");
     return 0;
 }
@@ -217,19 +228,18 @@ static int check_layout(const struct head *h, const struct nvdb_layout *layout)
 static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
                       const struct nvdb_layout *layout, struct fmt_nvdb_grid *grid)
 {
-    const struct nvdb_record *record =
-        (const void *)(h->file + layout->section[NVDB_RECORD].offset);
+    const struct nvdb_record *record = &h->record;
     grid->info.type = counts->type;
     grid->info.has_color = counts->has_color;
-    grid->info.voxel_size = h->grid->map.matrix[0];
+    grid->info.voxel_size = h->grid.map.matrix[0];
     grid->info.source_triangles = record->source_triangles;
-    memcpy(grid->info.translation, h->grid->map.translation, sizeof(grid->info.translation));
+    memcpy(grid->info.translation, h->grid.map.translation, sizeof(grid->info.translation));
     memcpy(grid->info.scan_min, record->scan_min, sizeof(grid->info.scan_min));
     memcpy(grid->info.scan_max, record->scan_max, sizeof(grid->info.scan_max));
-    memcpy(grid->index_min, h->root->bbox_min, sizeof(grid->index_min));
-    memcpy(grid->index_max, h->root->bbox_max, sizeof(grid->index_max));
+    memcpy(grid->index_min, h->root.bbox_min, sizeof(grid->index_min));
+    memcpy(grid->index_max, h->root.bbox_max, sizeof(grid->index_max));
     grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
-    grid->grid_bytes = h->grid->grid_bytes;
+    grid->grid_bytes = h->grid.grid_bytes;
     grid->root = h->file + layout->root;
     grid->tiles = h->file + layout->tiles;
     grid->uppers = h->file + layout->section[NVDB_UPPERS].offset;
@@ -251,15 +261,15 @@ static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
 
 int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 {
-    struct head h = {ctx, grid->map.path, grid->map.data, grid->map.size, 0, 0, 0, 0, 0};
-    h.header = (const void *)h.file;
+    struct head h = {
+        .ctx = ctx, .path = grid->map.path, .file = grid->map.data, .size = grid->map.size};
+    uint64_t at = FMT_NVDB_GRID_OFFSET;
     int status;
-    if (h.size < sizeof(*h.header))
-        return bsq_fail(ctx, BSQ_EDATA, "%s: not a NanoVDB file", h.path);
-    h.meta = (const void *)(h.file + sizeof(*h.header));
-    h.grid = (const void *)(h.file + FMT_NVDB_GRID_OFFSET);
-    h.tree = (const void *)(h.file + FMT_NVDB_GRID_OFFSET + sizeof(*h.grid));
-    h.root = (const void *)(h.file + FMT_NVDB_GRID_OFFSET + sizeof(*h.grid) + sizeof(*h.tree));
+    copy_part(&h, 0, &h.header, sizeof(h.header));
+    copy_part(&h, sizeof(h.header), &h.meta, sizeof(h.meta));
+    copy_part(&h, at, &h.grid, sizeof(h.grid));
+    copy_part(&h, at += sizeof(h.grid), &h.tree, sizeof(h.tree));
+    copy_part(&h, at += sizeof(h.tree), &h.root, sizeof(h.root));
     status = check_file_header(&h);
     if (status == 0)
         status = check_grid_data(&h);

@@ -4,7 +4,8 @@
  * with its right neighbour: its children must be successive, and the neighbour's first child must
  * follow its last one. With the first and last child of a level fixed, each child then has exactly
  * one parent. This needs no memory and runs on all threads. Entries of the channel "second" are
- * checked in the same way. */
+ * checked in the same way. A node is read more than once, and the file may change in between, so
+ * numbers of children are bounded where they are used. */
 #include <inttypes.h>
 #include <string.h>
 
@@ -157,6 +158,8 @@ static int check_upper(const struct check *c, uint64_t number)
     uint64_t child = children.first;
     for (int word = 0; word < 512; word++) {
         for (uint64_t bits = upper->child_mask[word]; bits; bits &= bits - 1, child++) {
+            if (child == children.end)
+                return bad_node(c, "upper", number, "child");
             const struct nvdb_lower *lower = &c->lowers[child];
             int32_t expected[3], found[3];
             child_origin(origin, (uint32_t)(64 * word + __builtin_ctzll(bits)), 5, NVDB_LOWER_DIM,
@@ -207,6 +210,8 @@ static int check_lower(const struct check *c, uint64_t number)
     uint64_t child = children.first;
     for (int word = 0; word < 64; word++) {
         for (uint64_t bits = lower->child_mask[word]; bits; bits &= bits - 1, child++) {
+            if (child == children.end)
+                return bad_node(c, "lower", number, "child");
             int32_t leaf_origin[3];
             child_origin(origin, (uint32_t)(64 * word + __builtin_ctzll(bits)), 4, NVDB_LEAF_DIM,
                          leaf_origin);

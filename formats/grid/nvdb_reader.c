@@ -1,7 +1,7 @@
 /* nvdb_reader.c - recognises and opens grid files, and looks up voxels.
  *
- * The lookup descends through root, upper node, lower node and leaf. It follows offsets that
- * fmt_nvdb_open() has checked. It is the reference for the kernel's traversal. */
+ * The lookup descends through root, upper node, lower node and leaf. It is the reference for the
+ * kernel's traversal, and like that it bounds every offset and rank that it follows. */
 #include <string.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
@@ -25,8 +25,7 @@ int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *o
     status = fmt_nvdb_check_header(ctx, out);
     if (status == 0)
         status = fmt_nvdb_check_nodes(ctx, out);
-    if (status == 0)
-        status = bsq_map_check(ctx, &out->map);
+    status = bsq_map_explain(ctx, &out->map, status);
     if (status)
         fmt_nvdb_close(ctx, out);
     return status;
@@ -53,27 +52,52 @@ static const struct nvdb_tile *find_tile(const struct fmt_nvdb_grid *grid, uint6
     return low < grid->tile_count && tiles[low].key == key ? &tiles[low] : NULL;
 }
 
+/* Returns node number `offset` / `bytes` of a level, or NULL if the level has fewer. */
+static const void *node_at(const uint8_t *level, uint64_t offset, uint64_t bytes, uint64_t count)
+{
+    return offset / bytes < count ? level + offset / bytes * bytes : NULL;
+}
+
+/* Return the children of a node whose tables name these offsets, or NULL. */
+static const struct nvdb_upper *upper_of(const struct fmt_nvdb_grid *grid, int64_t child)
+{
+    return node_at(grid->uppers, (uint64_t)child - (uint64_t)(grid->uppers - grid->root),
+                   sizeof(struct nvdb_upper), grid->upper_count);
+}
+
+static const struct nvdb_lower *lower_of(const struct fmt_nvdb_grid *grid,
+                                         const struct nvdb_upper *upper, uint32_t slot)
+{
+    uint64_t base = (uint64_t)((const uint8_t *)upper - grid->lowers);
+    if (!(upper->child_mask[slot >> 6] >> (slot & 63) & 1))
+        return NULL;
+    return node_at(grid->lowers, base + (uint64_t)upper->table[slot], sizeof(struct nvdb_lower),
+                   grid->lower_count);
+}
+
+static const struct nvdb_leaf *leaf_of(const struct fmt_nvdb_grid *grid,
+                                       const struct nvdb_lower *lower, uint32_t slot)
+{
+    uint64_t base = (uint64_t)((const uint8_t *)lower - grid->leaves);
+    if (!(lower->child_mask[slot >> 6] >> (slot & 63) & 1))
+        return NULL;
+    return node_at(grid->leaves, base + (uint64_t)lower->table[slot], sizeof(struct nvdb_leaf),
+                   grid->leaf_count);
+}
+
 uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3])
 {
     const struct nvdb_tile *tile = find_tile(grid, nvdb_root_key(ijk));
-    if (!tile)
-        return 0;
-    const struct nvdb_upper *upper = (const void *)(grid->root + tile->child);
-    uint32_t slot = nvdb_upper_slot(ijk);
-    if (!(upper->child_mask[slot >> 6] >> (slot & 63) & 1))
-        return 0;
-    const struct nvdb_lower *lower = (const void *)((const uint8_t *)upper + upper->table[slot]);
-    slot = nvdb_lower_slot(ijk);
-    if (!(lower->child_mask[slot >> 6] >> (slot & 63) & 1))
-        return 0;
-    const struct nvdb_leaf *leaf = (const void *)((const uint8_t *)lower + lower->table[slot]);
-    slot = nvdb_leaf_slot(ijk);
-    uint32_t word = slot >> 6;
+    const struct nvdb_upper *upper = tile ? upper_of(grid, tile->child) : NULL;
+    const struct nvdb_lower *lower = upper ? lower_of(grid, upper, nvdb_upper_slot(ijk)) : NULL;
+    const struct nvdb_leaf *leaf = lower ? leaf_of(grid, lower, nvdb_lower_slot(ijk)) : NULL;
+    uint32_t slot = nvdb_leaf_slot(ijk), word = slot >> 6;
     uint64_t bit = UINT64_C(1) << (slot & 63);
-    if (!(leaf->mask[word] & bit))
+    if (!leaf || !(leaf->mask[word] & bit))
         return 0;
     uint64_t before = word ? leaf->prefix_sum >> (9 * (word - 1)) & 511 : 0;
-    return leaf->offset + before + nvdb_popcount(leaf->mask[word] & (bit - 1));
+    uint64_t value = leaf->offset + before + nvdb_popcount(leaf->mask[word] & (bit - 1));
+    return value <= grid->voxel_count ? value : 0;
 }
 
 struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index)
@@ -88,7 +112,6 @@ uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)
     assert(v <= grid->voxel_count);
     const uint32_t *word = grid->seconds[v / 32];
     uint32_t bit = UINT32_C(1) << (v % 32);
-    if (!(word[0] & bit))
-        return 0;
-    return 1 + grid->voxel_count + word[1] + nvdb_popcount(word[0] & (bit - 1));
+    uint64_t second = 1 + grid->voxel_count + word[1] + nvdb_popcount(word[0] & (bit - 1));
+    return word[0] & bit && second < grid->record_count ? second : 0;
 }

@@ -2,7 +2,9 @@
  */
 #include "bk_sample.h"
 
-/* Traces rows first_row to end_row - 1 of a tile; work item (x, y) is texel (x, first_row + y). Of
+/* `colors` begins with the linear values of the sRGB codes, as 256 floats.
+ *
+ * Traces rows first_row to end_row - 1 of a tile; work item (x, y) is texel (x, first_row + y). Of
  * each texel it traces lines first_line to end_line - 1 of the samples. The launch with line 0
  * starts the texel's sums, later launches add to them. `texels` holds the whole tile. */
 BK_KERNEL bake_tile(
@@ -27,7 +29,8 @@ BK_KERNEL bake_tile(
     grid.leaves = leaves;
     grid.normals = normals;
     grid.planes = planes;
-    grid.colors = colors;
+    grid.srgb = (const BK_GLOBAL float *)colors;
+    grid.colors = colors + 256;
     grid.seconds = seconds;
     texels += ((bk_ulong)row * tile.width + column) * bk_texel_floats(params.maps);
     if (first_line == 0)

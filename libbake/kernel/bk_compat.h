@@ -19,9 +19,8 @@
 typedef int bk_int;
 typedef uint bk_uint;
 typedef ulong bk_ulong;
-#define BK_GLOBAL   __global
-#define BK_CONSTANT __constant
-#define BK_KERNEL   __kernel void
+#define BK_GLOBAL __global
+#define BK_KERNEL __kernel void
 
 #ifdef BK_PTX
 /* Compiled to PTX by the build, with Clang's built-in functions instead of an OpenCL library. */
@@ -57,7 +56,6 @@ typedef int bk_int;
 typedef unsigned int bk_uint;
 typedef unsigned long long bk_ulong;
 #define BK_GLOBAL
-#define BK_CONSTANT      static __constant__ const
 #define BK_FN            static __device__ __forceinline__
 #define BK_KERNEL        extern "C" __global__ void
 #define BK_RESTRICT      __restrict__
@@ -80,7 +78,6 @@ typedef int32_t bk_int;
 typedef uint32_t bk_uint;
 typedef uint64_t bk_ulong;
 #define BK_GLOBAL
-#define BK_CONSTANT      static const
 #define BK_FN            static inline
 #define bk_sqrt(x)       sqrtf(x)
 #define bk_floor(x)      floorf(x)

@@ -5,8 +5,10 @@
  * index in the array. A cache keeps the nodes of the last lookup, as NanoVDB's ReadAccessor does:
  * neighbouring voxels usually share the leaf.
  *
- * Nothing outside of the arrays is read, whatever the words that are followed hold: a mapped file
- * that shrinks turns into zeros while it is read. */
+ * Nothing outside of the arrays is read, whatever words they hold: another process may change a
+ * mapped file at any time. Every number that comes from the arrays is bounded by a count of struct
+ * bk_grid, in the register that is then used as an index; what was true of a word when the file was
+ * opened may no longer be. */
 #ifndef BAKE_KERNEL_BK_GRID_H
 #define BAKE_KERNEL_BK_GRID_H
 
@@ -35,7 +37,8 @@
 typedef struct bk_grid {
     const BK_GLOBAL bk_ulong *tiles, *uppers, *lowers, *leaves;
     const BK_GLOBAL bk_uint *normals, *planes, *colors, *seconds;
-    bk_uint tile_count, upper_count, lower_count, leaf_count;
+    const BK_GLOBAL float *srgb; /* linear values of the 256 sRGB codes */
+    bk_uint tile_count, upper_count, lower_count, leaf_count, second_count;
     /* Byte distances: root to uppers, uppers to lowers, lowers to leaves. */
     bk_ulong upper_offset, lower_offset, leaf_offset;
     bk_ulong second_base;
@@ -82,6 +85,7 @@ BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
     grid->upper_count = params->upper_count;
     grid->lower_count = params->lower_count;
     grid->leaf_count = params->leaf_count;
+    grid->second_count = params->second_count;
     grid->upper_offset = bk_join(params->upper_offset);
     grid->lower_offset = bk_join(params->lower_offset);
     grid->leaf_offset = bk_join(params->leaf_offset);
@@ -202,16 +206,15 @@ BK_FN bk_ulong bk_leaf_value(const bk_grid *grid, bk_uint leaf, bk_int x, bk_int
     return bk_leaf_rank(grid, words, layer, bit);
 }
 
-/* Returns the number of the second record of the voxel with value index v, or 0. Does not trust the
- * flag in the plane, which may be damaged. */
+/* Returns the number of the second record of the voxel with value index v, or 0. v must be below
+ * grid->second_base. Trusts neither the flag in the plane nor the rank. */
 BK_FN bk_ulong bk_second(const bk_grid *grid, bk_ulong v)
 {
     const BK_GLOBAL bk_uint *pair = grid->seconds + (v >> 5) * 2u;
-    const bk_uint bit = (bk_uint)v & 31u;
+    const bk_uint bit = (bk_uint)v & 31u, bits = pair[0];
+    const bk_ulong rank = (bk_ulong)pair[1] + bk_popcount32(bits & (((bk_uint)1 << bit) - 1u));
 
-    if (!(pair[0] >> bit & 1u))
-        return 0;
-    return grid->second_base + pair[1] + bk_popcount32(pair[0] & (((bk_uint)1 << bit) - 1u));
+    return bits >> bit & 1u && rank < grid->second_count ? grid->second_base + rank : 0;
 }
 
 #endif

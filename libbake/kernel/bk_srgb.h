@@ -1,11 +1,14 @@
 /* bk_srgb.h - the linear value of each 8-bit sRGB code (IEC 61966-2-1), rounded to float. It is a
- * table because pow() differs between devices. */
+ * table because pow() differs between devices.
+ *
+ * Only host code includes it. A device finds the table at the start of the array of colours,
+ * because constant memory serialises a warp whose threads read different entries. */
 #ifndef BAKE_KERNEL_BK_SRGB_H
 #define BAKE_KERNEL_BK_SRGB_H
 
-#include "bk_compat.h"
+enum { BK_SRGB_CODES = 256 };
 
-BK_CONSTANT float bk_srgb[256] = {
+static const float bk_srgb[BK_SRGB_CODES] = {
     0.0f,          0.000303527f,  0.000607054f, 0.000910581f,  0.001214108f,  0.001517635f,
     0.001821162f,  0.0021246888f, 0.002428216f, 0.0027317428f, 0.00303527f,   0.0033465358f,
     0.0036765074f, 0.004024717f,  0.004391442f, 0.0047769533f, 0.0051815165f, 0.0056053917f,

@@ -9,7 +9,6 @@
 #define BAKE_KERNEL_BK_SURFACE_H
 
 #include "bk_grid.h"
-#include "bk_srgb.h"
 #include "bk_vec.h"
 
 #define BK_PLANE_SECOND       (1u << 24)
@@ -50,9 +49,13 @@ BK_FN bk_vec3 bk_decode_normal(bk_uint packed)
     return bk_unit(bk_v3(x >= 0.0f ? x - fold : x + fold, y >= 0.0f ? y - fold : y + fold, z));
 }
 
-BK_FN bk_vec3 bk_decode_color(bk_uint rgba)
+/* Returns the linear colour of record `number`. */
+BK_FN bk_vec3 bk_color_of(const bk_grid *grid, bk_ulong number)
 {
-    return bk_v3(bk_srgb[rgba & 255u], bk_srgb[rgba >> 8 & 255u], bk_srgb[rgba >> 16 & 255u]);
+    const bk_uint rgba = grid->colors[number];
+
+    return bk_v3(grid->srgb[rgba & 255u], grid->srgb[rgba >> 8 & 255u],
+                 grid->srgb[rgba >> 16 & 255u]);
 }
 
 /* ---- BK_WIDTH records at a time ---- */
@@ -363,7 +366,7 @@ BK_FN bk_vec3 bk_blend_color(const bk_grid *grid, const bk_cell *cell, const bk_
     for (i = 0; i < 8; i++) {
         const float w = bk_lane(tents[i], lane);
         if (w > 0.0f)
-            color = bk_add_scaled(color, w, bk_decode_color(grid->colors[cell->numbers[i][lane]]));
+            color = bk_add_scaled(color, w, bk_color_of(grid, cell->numbers[i][lane]));
     }
     return bk_scale(color, 1.0f / weight);
 }

@@ -594,7 +594,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
             if (hits->found >> lane & 1u) {
                 const bk_ulong number = (bk_ulong)(bk_uint)bk_lane(crossing.high, lane) << 32 |
                                         (bk_uint)bk_lane(crossing.low, lane);
-                bk_set_lane3(&hits->color, lane, bk_decode_color(grid->colors[number]));
+                bk_set_lane3(&hits->color, lane, bk_color_of(grid, number));
             }
     if (hits->found && !(params->flags & BK_NEAREST))
         bk_blend_hits(grid, params, cache, &ray, sign, crossing.t, hits);

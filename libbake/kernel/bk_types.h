@@ -42,6 +42,7 @@ typedef struct bk_params {
     /* Byte distances in the file, low word first: from the root to the upper nodes, from those to
      * the lower nodes, from those to the leaves. A child's number follows from its byte offset. */
     bk_uint upper_offset[2], lower_offset[2], leaf_offset[2];
+    bk_uint second_count; /* second records */
 } bk_params;
 
 /* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the

@@ -100,6 +100,13 @@ int bake_surface_check(const struct bake_surface *surface)
     return surface->exact ? 0 : bsq_map_check(surface->ctx, &surface->grid.map);
 }
 
+int bake_surface_explain(const struct bake_surface *surface, int status)
+{
+    return surface->exact || !surface->ctx
+               ? status
+               : bsq_map_explain(surface->ctx, &surface->grid.map, status);
+}
+
 int bake_surface_use_color(struct bake_surface *surface)
 {
     return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : 0;

@@ -159,6 +159,25 @@ else
     refused 69 "$p this program was built without CUDA (neither clang nor nvcc was there)"
 fi
 
+# ---- caches ----
+
+# Programs keep no cache of kernels, so no file in a user's directories can mislead or block them.
+if ! ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
+    mkdir home
+    devices=cpu
+    [ ! -s "$ptx" ] || devices='cpu cuda'
+    for device in $devices; do
+        command="bisque-bake --device $device" code=0
+        LD_LIBRARY_PATH=$fake HOME=$(pwd -P)/home XDG_CACHE_HOME=$(pwd -P)/home LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P)/home \
+            FAULT_CALLS=open FAULT_LOG=$(pwd -P)/opened "$BIN/bisque-bake" --device "$device" --size 16 --maps mask \
+            vase.nvdb low.obj -o mask.exr >"$out" 2>"$err" || code=$?
+        code 0
+        [ ! -s opened ] && [ -z "$(ls -A home)" ]
+        check "--device $device opens no file of a cache" $?
+    done
+    rm -rf home opened
+fi
+
 # ---- OpenCL ----
 
 if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \

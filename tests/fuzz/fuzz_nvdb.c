@@ -1,157 +1,7 @@
 /* fuzz_nvdb.c - fuzz target for grids: lookups and rays in an accepted grid stay in bounds. */
-#include "tests/fuzz/fuzz_file.h"
-#include "tests/fuzz/grid_patch.h"
-
-#include <math.h>
-#include <string.h>
-
 #include "libbake/device/device.h"
-
-enum { SIDE = 6 }; /* texels of the tile that is traced */
-
-static struct patched_grid patched;
-
-/* Replace the functions of base/map.c: the file is in memory already. */
-int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
-{
-    (void)ctx;
-    *out = (struct bsq_map){
-        .data = patched.bytes, .size = patched.size, .path = (char *)(uintptr_t)path, .fd = -1};
-    return 0;
-}
-
-int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
-{
-    (void)ctx;
-    (void)map;
-    return 0;
-}
-
-void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map)
-{
-    (void)ctx;
-    memset(map, 0, sizeof *map);
-}
-
-/* Looks up voxels on and around the diagonal of the bounds, with their records. */
-static void look_up(const struct fmt_nvdb_grid *grid)
-{
-    for (int step = -2; step <= 34; step++) {
-        int32_t at[3];
-        for (int k = 0; k < 3; k++) {
-            int64_t extent = (int64_t)grid->index_max[k] - grid->index_min[k];
-            at[k] = (int32_t)(uint32_t)(grid->index_min[k] + extent * step / 32);
-        }
-        uint64_t value = fmt_nvdb_find(grid, at);
-        require(value <= grid->voxel_count, "a value index out of range");
-        if (!value)
-            continue;
-        fmt_nvdb_get(grid, value);
-        uint64_t second = fmt_nvdb_second(grid, value);
-        require(second < grid->record_count, "a second record out of range");
-        if (second)
-            fmt_nvdb_get(grid, second);
-    }
-}
-
-static void trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                      const float origin[3], const float direction[3], float reach)
-{
-    struct bk_hit hit;
-    bake_trace_ray(grid, params, origin, direction, -reach, reach, direction, &hit);
-    if (!hit.found)
-        return;
-    require(isfinite(hit.t), "a hit at no distance");
-    float length = 0;
-    for (int k = 0; k < 3; k++) {
-        length += hit.normal[k] * hit.normal[k];
-        require(hit.color[k] >= 0.0f && hit.color[k] <= 1.001f, "a colour out of range");
-    }
-    require(fabsf(length - 1.0f) < 0.01f, "a normal that is not a unit vector");
-}
-
-/* Traces rays through the ends of the grid and between them, along axes and askew. */
-static void trace(const struct fmt_nvdb_grid *grid)
-{
-    static const float directions[][3] = {
-        {0, 0, 1},        {0, -1, 0},           {1, 0, 0},
-        {0.6f, 0, -0.8f}, {0.36f, 0.48f, 0.8f}, {-0.57735f, 0.57735f, 0.57735f}};
-    struct bk_params params = {.samples = 1};
-    bake_params_from_grid(grid, &params);
-    for (int step = 0; step <= 8; step++) {
-        float at[3];
-        for (int k = 0; k < 3; k++)
-            at[k] = (float)(grid->index_min[k] +
-                            ((double)grid->index_max[k] - grid->index_min[k]) * step / 8);
-        params.flags = (params.flags & BK_HAS_COLOR) | (step & 1 ? BK_NEAREST : 0) |
-                       (step & 2 ? BK_TWO_SIDED : 0);
-        for (size_t i = 0; i < sizeof directions / sizeof *directions; i++)
-            trace_ray(grid, &params, at, directions[i], step % 3 ? 100.0f : 1e8f);
-    }
-}
-
-/* Makes a skew square through the middle of the grid, a little larger than it. Corner 0 of its two
- * triangles is at the lower or upper end. */
-static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle triangles[2])
-{
-    static const float u[3] = {0.8f, 0, 0.6f}, v[3] = {-0.36f, 0.8f, 0.48f},
-                       normal[3] = {-0.48f, -0.6f, 0.64f};
-    float size = 1;
-    for (int k = 0; k < 3; k++)
-        size = fmaxf(size, 0.6f * ((float)grid->index_max[k] - (float)grid->index_min[k]));
-    for (int t = 0; t < 2; t++) {
-        float sign = t ? -1.0f : 1.0f;
-        struct bk_triangle *triangle = &triangles[t];
-        *triangle = (struct bk_triangle){.b1 = {sign / SIDE, 0, 0}, .b2 = {0, sign / SIDE, 0}};
-        triangle->x0 = triangle->y0 = t ? SIDE : 0;
-        for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 3; k++) {
-                float middle = 0.5f * (float)grid->index_min[k] + 0.5f * (float)grid->index_max[k];
-                float a = i == 1 ? sign : -sign, b = i == 2 ? sign : -sign;
-                triangle->position[i][k] = middle + size * (a * u[k] + b * v[k]);
-                triangle->normal[i][k] = normal[k];
-                triangle->tangent[i][k] = u[k];
-                triangle->tangent[i][3] = 1;
-            }
-    }
-}
-
-/* Traces a tile, to run the code for several rays at a time. */
-static int trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
-{
-    const struct bk_tile tile = {.width = SIDE, .height = SIDE};
-    struct bk_triangle triangles[2];
-    uint32_t samples[SIDE * SIDE];
-    float texels[SIDE * SIDE][BK_SUMS + 6];
-    struct bake_job job = {.grid = grid,
-                           .triangles = triangles,
-                           .triangle_count = 2,
-                           .tile_texels = SIDE * SIDE,
-                           .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
-                                      .samples = 1,
-                                      .unit = 1,
-                                      .front = 50,
-                                      .back = 1e7f}};
-    struct bake_device *device;
-    make_square(grid, triangles);
-    for (uint32_t i = 0; i < SIDE * SIDE; i++)
-        samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
-    bake_params_from_grid(grid, &job.params);
-    int status = bake_device_open(ctx, "cpu", &job, &device);
-    if (status)
-        return status;
-    status = bake_device_trace(device, &tile, samples, texels[0], 0);
-    bake_device_close(device);
-    for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
-        require(texels[i][BK_HITS] <= texels[i][BK_COVERED] && texels[i][BK_COVERED] <= 1,
-                "more hits than samples");
-        require(texels[i][BK_COVERED] == (samples[i] != BK_NO_TRIANGLE),
-                "a sample that is not counted");
-        for (int k = 0; k < 6; k++)
-            require(fabsf(texels[i][BK_SUMS + k]) < 1.01f, "a texel out of range");
-    }
-    return status;
-}
+#include "tests/fuzz/fuzz_file.h"
+#include "tests/fuzz/grid_use.h"
 
 static int use(struct bsq_ctx *ctx)
 {
@@ -159,13 +9,13 @@ static int use(struct bsq_ctx *ctx)
     int status = fmt_nvdb_open(ctx, "fuzz.nvdb", &grid);
     if (status)
         return status;
-    look_up(&grid);
+    grid_use_look_up(&grid);
     status = bake_check_grid(ctx, &grid);
     if (status == 0) {
-        trace(&grid);
-        status = trace_tile(ctx, &grid);
+        grid_use_trace(&grid);
+        status = grid_use_trace_tile(ctx, &grid);
     }
-    if (status == 0 && patched.verify)
+    if (status == 0 && fuzzed_grid.verify)
         status = fmt_nvdb_verify(ctx, &grid);
     fmt_nvdb_close(ctx, &grid);
     return status;
@@ -173,8 +23,8 @@ static int use(struct bsq_ctx *ctx)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    grid_patch_apply(data, size, &patched);
+    grid_patch_apply(data, size, &fuzzed_grid);
     fuzz_in_context(use);
-    grid_patch_revert(&patched);
+    grid_patch_revert(&fuzzed_grid);
     return 0;
 }

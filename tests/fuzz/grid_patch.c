@@ -411,6 +411,21 @@ void grid_patch_apply(const uint8_t *data, size_t size, struct patched_grid *out
     *out = (struct patched_grid){t->bytes, file_size, t, flags & 8};
 }
 
+void grid_patch_begin(const uint8_t *data, size_t size, struct patched_grid *out)
+{
+    struct grid_template *t = template_at(size > 0 ? data[0] % TEMPLATES : 0);
+    *out = (struct patched_grid){t->bytes, t->size, t, size > 0 && data[0] & 8};
+}
+
+void grid_patch_overwrite(const uint8_t *data, size_t size, struct patched_grid *grid)
+{
+    struct cursor from = {data + (size > 0), data + size};
+    uint64_t file_size = grid->size;
+    touch_section(grid->of, NVDB_HEAD);
+    for (int i = 0; i < CHANGES && from.at < from.end; i++)
+        change(grid->of, &from, &file_size);
+}
+
 void grid_patch_revert(struct patched_grid *grid)
 {
     struct grid_template *t = grid->of;

@@ -18,6 +18,10 @@ struct patched_grid {
 
 /* Makes the file of an input. An input with the magic number of a grid file is used as it is. */
 void grid_patch_apply(const uint8_t *data, size_t size, struct patched_grid *out);
+/* Makes the template of an input as it is; then makes the input's changes to it, all of the same
+ * size, and leaves the checksums wrong. An input that is a grid file has no changes. */
+void grid_patch_begin(const uint8_t *data, size_t size, struct patched_grid *out);
+void grid_patch_overwrite(const uint8_t *data, size_t size, struct patched_grid *grid);
 /* Reverts the changes. */
 void grid_patch_revert(struct patched_grid *grid);
 

@@ -3,11 +3,12 @@
 
 #include <assert.h>
 
+#include "libbake/kernel/bk_srgb.h"
 #include "libbake/kernel/bk_trace.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 152, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
-_Static_assert(sizeof(struct bk_params) == 96, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 100, "layout shared with devices");
 
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
@@ -40,6 +41,7 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
     params->leaf_count = grid->leaf_count;
     params->second_base_low = (bk_uint)(grid->voxel_count + 1);
     params->second_base_high = (bk_uint)((grid->voxel_count + 1) >> 32);
+    params->second_count = (bk_uint)(grid->record_count - 1 - grid->voxel_count);
     split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
     split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
     split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
@@ -60,6 +62,7 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
     out->planes = grid->planes;
     out->colors = grid->colors;
     out->seconds = &grid->seconds[0][0];
+    out->srgb = bk_srgb;
 }
 
 void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,

@@ -1,5 +1,7 @@
 /* leaf_set.c - one 4096-bit mask for each lower node in the set; a box sets rows of up to 16 bits.
- */
+ *
+ * The file may change while it is read, so every number from it is bounded here, as in the kernel:
+ * children of wrong numbers count as missing. */
 #include "libbake/device/subgrid/leaf_set.h"
 
 #include <string.h>
@@ -21,17 +23,39 @@ static const uint64_t *leaf_words(const struct fmt_nvdb_grid *grid, uint32_t lea
     return (const uint64_t *)(const void *)grid->leaves + (uint64_t)leaf * BK_LEAF_WORDS;
 }
 
+/* Returns the number of the node at a byte offset from the first node of its level, or BK_NONE. */
+static uint32_t node_at(uint64_t offset, uint32_t node_words, uint32_t count)
+{
+    const uint64_t number = offset / (node_words * UINT64_C(8));
+    return number < count ? (uint32_t)number : BK_NONE;
+}
+
+uint32_t bake_tile_upper(const struct fmt_nvdb_grid *grid, uint64_t child)
+{
+    const uint64_t distance = (uint64_t)(grid->uppers - grid->root);
+    return node_at(child - distance, BK_UPPER_WORDS, grid->upper_count);
+}
+
+uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
+{
+    const uint64_t distance = (uint64_t)(grid->lowers - grid->uppers);
+    const uint64_t node = (uint64_t)upper * BK_UPPER_WORDS;
+    const uint64_t child = node * 8 + upper_words(grid, upper)[BK_UPPER_TABLE + n] - distance;
+    return node_at(child, BK_LOWER_WORDS, grid->lower_count);
+}
+
 uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
 {
     const uint64_t distance = (uint64_t)(grid->leaves - grid->lowers);
     const uint64_t node = (uint64_t)lower * BK_LOWER_WORDS;
     const uint64_t child = node * 8 + lower_words(grid, lower)[BK_LOWER_TABLE + n] - distance;
-    return (uint32_t)(child / (BK_LEAF_WORDS * 8));
+    return node_at(child, BK_LEAF_WORDS, grid->leaf_count);
 }
 
 uint64_t bake_leaf_first(const struct fmt_nvdb_grid *grid, uint32_t leaf)
 {
-    return leaf_words(grid, leaf)[BK_LEAF_OFFSET];
+    const uint64_t first = leaf_words(grid, leaf)[BK_LEAF_OFFSET];
+    return first <= grid->voxel_count ? first : grid->voxel_count;
 }
 
 uint32_t bake_leaf_voxels(const struct fmt_nvdb_grid *grid, uint32_t leaf)
@@ -45,11 +69,13 @@ uint32_t bake_leaf_voxels(const struct fmt_nvdb_grid *grid, uint32_t leaf)
 
 uint64_t bake_seconds_below(const struct fmt_nvdb_grid *grid, uint64_t v)
 {
+    const uint64_t all = grid->record_count - 1 - grid->voxel_count;
     if (v > grid->voxel_count)
-        return grid->record_count - 1 - grid->voxel_count;
+        return all;
     const uint32_t *pair = grid->seconds[v >> 5];
     const uint32_t below = pair[0] & (uint32_t)((UINT64_C(1) << (v & 31)) - 1);
-    return pair[1] + (uint32_t)__builtin_popcount(below);
+    const uint64_t count = (uint64_t)pair[1] + (uint32_t)__builtin_popcount(below);
+    return count < all ? count : all;
 }
 
 int bake_leaf_set_create(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
@@ -117,11 +143,14 @@ static void count_leaves(struct bake_leaf_set *counts, uint32_t lower, uint32_t 
     for (; added; added &= added - 1) {
         const uint32_t n = word * 64 + (uint32_t)__builtin_ctzll(added);
         const uint32_t leaf = bake_lower_leaf(grid, lower, n);
+        if (leaf == BK_NONE)
+            continue;
         const uint64_t first = bake_leaf_first(grid, leaf), voxels = bake_leaf_voxels(grid, leaf);
+        const uint64_t begin = bake_seconds_below(grid, first);
+        const uint64_t end = bake_seconds_below(grid, first + voxels);
         counts->leaf_count++;
         counts->voxel_count += voxels;
-        counts->second_count +=
-            bake_seconds_below(grid, first + voxels) - bake_seconds_below(grid, first);
+        counts->second_count += end > begin ? end - begin : 0;
     }
 }
 
@@ -162,7 +191,6 @@ static int add_in_upper(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
 {
     const struct fmt_nvdb_grid *grid = set->grid;
     const uint64_t *words = upper_words(grid, upper);
-    const uint64_t distance = (uint64_t)(grid->lowers - grid->uppers);
     uint32_t first[3], last[3];
     add_upper(set, upper);
     for (int k = 0; k < 3; k++)
@@ -173,13 +201,11 @@ static int add_in_upper(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
                 const uint32_t n = x << 10 | y << 5 | z;
                 if (!(words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
                     continue;
-                const uint64_t child =
-                    (uint64_t)upper * BK_UPPER_WORDS * 8 + words[BK_UPPER_TABLE + n] - distance;
+                const uint32_t lower = bake_upper_lower(grid, upper, n);
                 const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
                                        origin[1] + (int32_t)(y << BK_LOWER_LOG2),
                                        origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
-                int status =
-                    add_in_lower(ctx, set, (uint32_t)(child / (BK_LOWER_WORDS * 8)), at, low, high);
+                int status = lower == BK_NONE ? 0 : add_in_lower(ctx, set, lower, at, low, high);
                 if (status < 0)
                     return status;
             }
@@ -205,10 +231,9 @@ int bake_leaf_set_add_box(struct bsq_ctx *ctx, struct bake_leaf_set *set, const 
         for (int k = 0; k < 3; k++)
             inside = inside && high[k] >= origin[k] &&
                      low[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
-        if (!inside)
+        const uint32_t upper = inside ? bake_tile_upper(grid, child) : BK_NONE;
+        if (upper == BK_NONE)
             continue;
-        const uint64_t distance = (uint64_t)(grid->uppers - grid->root);
-        const uint32_t upper = (uint32_t)((child - distance) / (BK_UPPER_WORDS * 8));
         int status = add_in_upper(ctx, set, upper, origin, low, high);
         if (status < 0)
             return status;

@@ -44,9 +44,13 @@ void bake_leaf_set_preview(const struct bake_leaf_set *set, const struct bake_le
 
 /* ---- nodes of a grid ---- */
 
-/* Returns the number of the leaf that is child `n` of a lower node; the child must exist. */
+/* Return the number of a child: the upper node at byte offset `child` of a root tile, child n of an
+ * upper node, child n of a lower node. BK_NONE if the grid has no such node. */
+uint32_t bake_tile_upper(const struct fmt_nvdb_grid *grid, uint64_t child);
+uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n);
 uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n);
-/* Returns the value index of a leaf's first voxel, and the number of its voxels. */
+/* Returns the value index of a leaf's first voxel, at most voxel_count, and the number of its
+ * voxels. Their sum may exceed voxel_count + 1 if the file was changed after it was opened. */
 uint64_t bake_leaf_first(const struct fmt_nvdb_grid *grid, uint32_t leaf);
 uint32_t bake_leaf_voxels(const struct fmt_nvdb_grid *grid, uint32_t leaf);
 /* Returns how many voxels with a value index below v have a second record. */

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "libbake/kernel/bk_grid.h"
+#include "libbake/kernel/bk_srgb.h"
 
 const char *bake_subgrid_array_name(int array)
 {
@@ -32,9 +33,10 @@ void bake_subgrid_sizes(const struct fmt_nvdb_grid *grid, const struct bake_leaf
     bytes[BAKE_TILES] = (uint64_t)grid->tile_count * BK_TILE_WORDS * 8;
     bytes[BAKE_UPPERS] = counts->upper_count * BK_UPPER_WORDS * 8;
     bytes[BAKE_LOWERS] = counts->lower_count * BK_LOWER_WORDS * 8;
-    bytes[BAKE_LEAVES] = counts->leaf_count * BK_LEAF_WORDS * 8;
+    /* The kernel reads leaf 0 for rays that are in no leaf. */
+    bytes[BAKE_LEAVES] = (counts->leaf_count + !counts->leaf_count) * BK_LEAF_WORDS * 8;
     bytes[BAKE_NORMALS] = bytes[BAKE_PLANES] = channel;
-    bytes[BAKE_COLORS] = grid->colors ? channel : 0;
+    bytes[BAKE_COLORS] = grid->colors ? sizeof bk_srgb + channel : 0;
     bytes[BAKE_SECONDS] = (counts->voxel_count / 32 + 1) * 8;
 }
 
@@ -74,8 +76,9 @@ static void copy_nodes(const struct bake_leaf_set *set, struct bake_subgrid *sub
         lower->first_voxel = voxels;
         for (uint32_t n = 0; n < 64 * BAKE_MASK_WORDS; n++)
             if (subgrid->leaf_masks[i][n >> 6] >> (n & 63) & 1) {
+                const uint32_t leaf = bake_lower_leaf(set->grid, lower->number, n);
                 leaves++;
-                voxels += bake_leaf_voxels(set->grid, bake_lower_leaf(set->grid, lower->number, n));
+                voxels += leaf == BK_NONE ? 0 : bake_leaf_voxels(set->grid, leaf);
             }
     }
 }
@@ -94,6 +97,7 @@ int bake_subgrid_create(struct bsq_ctx *ctx, const struct bake_leaf_set *set,
     out->params.upper_count = (bk_uint)set->upper_count;
     out->params.lower_count = (bk_uint)set->lower_count;
     out->params.leaf_count = (bk_uint)set->leaf_count;
+    out->params.second_count = (bk_uint)set->second_count;
     out->params.second_base_low = (bk_uint)second_base;
     out->params.second_base_high = (bk_uint)(second_base >> 32);
     bake_subgrid_sizes(set->grid, set, out->bytes);

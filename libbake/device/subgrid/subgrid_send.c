@@ -1,12 +1,16 @@
 /* subgrid_send.c - the arrays of a subgrid, made as they are sent.
  *
  * Nodes are copied with new child tables, leaves with new value offsets, channels leaf by leaf.
- * Children keep their order, so a subgrid is in breadth-first order, as a grid is. */
+ * Children keep their order, so a subgrid is in breadth-first order, as a grid is.
+ *
+ * If the file changes, its nodes no longer agree with the subgrid's counts. Each array has its size
+ * nevertheless: what is too much is cut off, what is missing is zero. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "libbake/device/subgrid/leaf_set.h"
 #include "libbake/kernel/bk_grid.h"
+#include "libbake/kernel/bk_srgb.h"
 
 enum { ENTRIES = 512 /* of a child table, sent at a time */ };
 
@@ -14,11 +18,25 @@ struct sending {
     const struct bake_subgrid *subgrid;
     int (*sink)(void *arg, const void *data, uint64_t bytes);
     void *arg;
+    uint64_t *left; /* bytes of the array that are still to send */
 };
 
+/* Sends bytes of the array, at most those that are left. */
 static int put(const struct sending *s, const void *data, uint64_t bytes)
 {
-    return s->sink(s->arg, data, bytes);
+    const uint64_t sent = bytes < *s->left ? bytes : *s->left;
+    *s->left -= sent;
+    return sent > 0 ? s->sink(s->arg, data, sent) : 0;
+}
+
+/* Sends zeros for all bytes that are left. */
+static int put_zeros(const struct sending *s)
+{
+    static const uint64_t zeros[ENTRIES];
+    int status = 0;
+    while (*s->left > 0 && status == 0)
+        status = put(s, zeros, sizeof zeros);
+    return status;
 }
 
 /* Calls fn for each leaf of the subgrid in order. `first`: value index of its first voxel in the
@@ -36,6 +54,8 @@ static int for_leaves(const struct sending *s,
             for (uint64_t bits = subgrid->leaf_masks[i][w]; bits; bits &= bits - 1) {
                 const uint32_t n = w * 64 + (uint32_t)__builtin_ctzll(bits);
                 const uint32_t leaf = bake_lower_leaf(subgrid->grid, subgrid->lowers[i].number, n);
+                if (leaf == BK_NONE)
+                    continue;
                 status = fn(s, state, leaf, first);
                 if (status != 0)
                     return status;
@@ -76,8 +96,7 @@ static int send_tiles(const struct sending *s)
         uint64_t tile[BK_TILE_WORDS];
         memcpy(tile, grid->tiles + (uint64_t)i * sizeof tile, sizeof tile);
         if (tile[1] != 0) {
-            const uint64_t upper = (tile[1] - distance) / (BK_UPPER_WORDS * 8);
-            const int64_t place = find_upper(s->subgrid, (uint32_t)upper);
+            const int64_t place = find_upper(s->subgrid, bake_tile_upper(grid, tile[1]));
             tile[1] = place < 0 ? 0 : distance + (uint64_t)place * BK_UPPER_WORDS * 8;
         }
         status = put(s, tile, sizeof tile);
@@ -100,20 +119,17 @@ static int send_table(const struct sending *s, uint32_t count, const void *node,
 }
 
 struct upper_node {
-    uint64_t number, place; /* index in the grid and in the subgrid */
+    uint32_t number; /* in the grid */
+    uint64_t place;  /* in the subgrid */
     const uint64_t *words;
 };
 
 /* Returns the index in the subgrid of the lower node that is child n, or -1. */
 static int64_t lower_child(const struct sending *s, const struct upper_node *node, uint32_t n)
 {
-    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
-    const uint64_t distance = (uint64_t)(grid->lowers - grid->uppers);
     if (!(node->words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
         return -1;
-    const uint64_t child =
-        node->number * BK_UPPER_WORDS * 8 + node->words[BK_UPPER_TABLE + n] - distance;
-    return find_lower(s->subgrid, (uint32_t)(child / (BK_LOWER_WORDS * 8)));
+    return find_lower(s->subgrid, bake_upper_lower(s->subgrid->grid, node->number, n));
 }
 
 static uint64_t upper_entry(const struct sending *s, const void *state, uint32_t n)
@@ -191,12 +207,24 @@ static int send_leaf(const struct sending *s, void *state, uint32_t leaf, uint64
     return put(s, words, sizeof words);
 }
 
+/* The value indices of a leaf's voxels, all in the grid. */
+struct values {
+    uint64_t first, count;
+};
+
+static struct values values_of(const struct fmt_nvdb_grid *grid, uint32_t leaf)
+{
+    const uint64_t first = bake_leaf_first(grid, leaf), most = grid->voxel_count + 1 - first;
+    const uint64_t count = bake_leaf_voxels(grid, leaf);
+    return (struct values){first, count < most ? count : most};
+}
+
 static int send_values(const struct sending *s, void *channel, uint32_t leaf, uint64_t first)
 {
-    const uint32_t *values = channel;
+    const struct values values = values_of(s->subgrid->grid, leaf);
+    const uint32_t *records = channel;
     (void)first;
-    return put(s, values + bake_leaf_first(s->subgrid->grid, leaf),
-               bake_leaf_voxels(s->subgrid->grid, leaf) * sizeof *values);
+    return put(s, records + values.first, values.count * sizeof *records);
 }
 
 /* Sends the second records of a leaf, which are contiguous, as its voxels are. */
@@ -205,15 +233,17 @@ static int send_second_values(const struct sending *s, void *channel, uint32_t l
 {
     const struct fmt_nvdb_grid *grid = s->subgrid->grid;
     const uint32_t *seconds = (const uint32_t *)channel + grid->voxel_count + 1;
-    const uint64_t first = bake_leaf_first(grid, leaf);
-    const uint64_t begin = bake_seconds_below(grid, first);
-    const uint64_t end = bake_seconds_below(grid, first + bake_leaf_voxels(grid, leaf));
+    const struct values values = values_of(grid, leaf);
+    const uint64_t begin = bake_seconds_below(grid, values.first);
+    const uint64_t end = bake_seconds_below(grid, values.first + values.count);
     (void)first_in_subgrid;
     return end > begin ? put(s, seconds + begin, (end - begin) * sizeof *seconds) : 0;
 }
 
 static int send_channel(const struct sending *s, const uint32_t *channel)
 {
+    if (s->subgrid->whole)
+        return put(s, channel, *s->left);
     int status = put(s, channel, sizeof *channel);
     if (status == 0)
         status = for_leaves(s, send_values, (void *)(uintptr_t)channel);
@@ -243,11 +273,12 @@ static int send_second_bits(const struct sending *s, void *state, uint32_t leaf,
 {
     const struct fmt_nvdb_grid *grid = s->subgrid->grid;
     struct second_bits *bits = state;
-    const uint64_t old = bake_leaf_first(grid, leaf), voxels = bake_leaf_voxels(grid, leaf);
+    const struct values values = values_of(grid, leaf);
+    const uint64_t old = values.first;
     int status = 0;
-    if (bake_seconds_below(grid, old) == bake_seconds_below(grid, old + voxels))
+    if (bake_seconds_below(grid, old) == bake_seconds_below(grid, old + values.count))
         return 0;
-    for (uint64_t i = 0; i < voxels && status == 0; i++) {
+    for (uint64_t i = 0; i < values.count && status == 0; i++) {
         if (!(grid->seconds[(old + i) >> 5][0] >> ((old + i) & 31) & 1))
             continue;
         status = send_pairs_until(s, bits, (first + i) >> 5);
@@ -263,38 +294,50 @@ static int send_seconds(const struct sending *s)
     return status ? status : send_pairs_until(s, &bits, s->subgrid->voxel_count / 32 + 1);
 }
 
+/* Sends the array of colours, which begins with the kernel's table of sRGB codes. */
+static int send_colors(const struct sending *s)
+{
+    int status = put(s, bk_srgb, sizeof bk_srgb);
+    return status ? status : send_channel(s, s->subgrid->grid->colors);
+}
+
 static int send_whole(const struct sending *s, int array)
 {
     const struct fmt_nvdb_grid *g = s->subgrid->grid;
     const void *data[BAKE_SUBGRID_ARRAYS] = {g->tiles,   g->uppers, g->lowers, g->leaves,
-                                             g->normals, g->planes, g->colors, g->seconds};
-    return put(s, data[array], s->subgrid->bytes[array]);
+                                             g->normals, g->planes, NULL,      g->seconds};
+    return array == BAKE_COLORS ? send_colors(s) : put(s, data[array], *s->left);
+}
+
+static int send_part(const struct sending *s, int array)
+{
+    switch (array) {
+    case BAKE_TILES:
+        return send_tiles(s);
+    case BAKE_UPPERS:
+        return send_uppers(s);
+    case BAKE_LOWERS:
+        return send_lowers(s);
+    case BAKE_LEAVES:
+        return for_leaves(s, send_leaf, NULL);
+    case BAKE_NORMALS:
+        return send_channel(s, s->subgrid->grid->normals);
+    case BAKE_PLANES:
+        return send_channel(s, s->subgrid->grid->planes);
+    case BAKE_COLORS:
+        return send_colors(s);
+    default:
+        return send_seconds(s);
+    }
 }
 
 int bake_subgrid_send(const struct bake_subgrid *subgrid, int array,
                       int (*sink)(void *arg, const void *data, uint64_t bytes), void *arg)
 {
-    const struct sending s = {subgrid, sink, arg};
-    if (subgrid->bytes[array] == 0)
-        return 0;
-    if (subgrid->whole)
-        return send_whole(&s, array);
-    switch (array) {
-    case BAKE_TILES:
-        return send_tiles(&s);
-    case BAKE_UPPERS:
-        return send_uppers(&s);
-    case BAKE_LOWERS:
-        return send_lowers(&s);
-    case BAKE_LEAVES:
-        return for_leaves(&s, send_leaf, NULL);
-    case BAKE_NORMALS:
-        return send_channel(&s, subgrid->grid->normals);
-    case BAKE_PLANES:
-        return send_channel(&s, subgrid->grid->planes);
-    case BAKE_COLORS:
-        return send_channel(&s, subgrid->grid->colors);
-    default:
-        return send_seconds(&s);
-    }
+    uint64_t left = subgrid->bytes[array];
+    const struct sending s = {subgrid, sink, arg, &left};
+    int status = 0;
+    if (left > 0)
+        status = subgrid->whole ? send_whole(&s, array) : send_part(&s, array);
+    return status ? status : put_zeros(&s);
 }

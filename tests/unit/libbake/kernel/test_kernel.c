@@ -12,6 +12,7 @@
 #include "base/octahedral.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_sample.h"
+#include "libbake/kernel/bk_srgb.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
 

@@ -150,7 +150,8 @@ static void load(const struct bake_subgrid *subgrid, struct memory arrays[BAKE_S
     grid->leaves = (const bk_ulong *)(void *)arrays[BAKE_LEAVES].data;
     grid->normals = (const bk_uint *)(void *)arrays[BAKE_NORMALS].data;
     grid->planes = (const bk_uint *)(void *)arrays[BAKE_PLANES].data;
-    grid->colors = (const bk_uint *)(void *)arrays[BAKE_COLORS].data;
+    grid->srgb = (const float *)(void *)arrays[BAKE_COLORS].data;
+    grid->colors = (const bk_uint *)(void *)arrays[BAKE_COLORS].data + 256;
     grid->seconds = (const bk_uint *)(void *)arrays[BAKE_SECONDS].data;
 }
 
