@@ -43,28 +43,36 @@ struct bake_compare_options {
     const char *histogram_path;  /**< Output: the error's distribution, PNG, or NULL. */
     double scale; /**< Error at the top of the pictures' scale; 0: the 99th percentile. */
     bool force; /**< Compares maps even if their attributes say that they hold different things. */
+    /** Takes it as an error if no texel has finite values; otherwise the figures are infinite. */
+    bool ignore_nan;
 };
 
 /** The result of a comparison. Errors are in the unit of bake_compare_unit(). A percentile is the
- * smallest error that is at least as large as the errors of that share of the texels. */
+ * smallest error that is at least as large as the errors of that share of the texels. If no texel
+ * is compared, all figures are infinite. */
 struct bake_compare_report {
     enum bake_compare_kind kind; /**< Never BAKE_COMPARE_AUTO. */
     uint32_t width;              /**< Width of the maps in texels. */
     uint32_t height;             /**< Height of the maps in texels. */
-    uint64_t compared;           /**< Texels that both maps cover. */
-    uint64_t only_a;             /**< Texels that only map a covers. */
-    uint64_t only_b;             /**< Texels that only map b covers. */
-    double agreement;            /**< compared / (compared + only_a + only_b). */
-    double mean;                 /**< Mean error of the compared texels. */
-    double rms;                  /**< Root of the mean square of the error. */
-    double median;               /**< 50th percentile. */
-    double p95;                  /**< 95th percentile. */
-    double p99;                  /**< 99th percentile. */
-    double max;                  /**< Largest error. */
-    uint32_t max_x;              /**< Column of the first texel with the largest error, from 0. */
-    uint32_t max_y;              /**< Row of that texel, from 0 at the top. */
-    double above_1;              /**< Share of the compared texels with an error above 1. */
-    double above_5;              /**< Share of the compared texels with an error above 5. */
+    uint64_t compared;           /**< Texels that both maps cover, with finite values. */
+    /** Texels that both maps cover, with a value in one of them that is NaN or infinite, or with
+     * such a value in a mask. They have no error and are in no figure; a limit should not hold. */
+    uint64_t not_finite;
+    uint64_t not_finite_a; /**< Those of them with such a value in map a or its mask. */
+    uint64_t not_finite_b; /**< Those with such a value in map b or its mask. */
+    uint64_t only_a;       /**< Texels that only map a covers. */
+    uint64_t only_b;       /**< Texels that only map b covers. */
+    double agreement;      /**< Share of the texels that both cover, of those that one does. */
+    double mean;           /**< Mean error of the compared texels. */
+    double rms;            /**< Root of the mean square of the error. */
+    double median;         /**< 50th percentile. */
+    double p95;            /**< 95th percentile. */
+    double p99;            /**< 99th percentile. */
+    double max;            /**< Largest error. */
+    uint32_t max_x;        /**< Column of the first texel with the largest error, from 0. */
+    uint32_t max_y;        /**< Row of that texel, from 0 at the top. */
+    double above_1;        /**< Share of the compared texels with an error above 1. */
+    double above_5;        /**< Share of the compared texels with an error above 5. */
     /** Colours only: peak signal to noise ratio of the sRGB-encoded values, in dB. Infinite if the
      * maps are equal. */
     double psnr;
@@ -84,8 +92,8 @@ const char *bake_compare_unit(enum bake_compare_kind kind);
  * return.
  *
  * Errors: BSQ_ENOINPUT; BSQ_EDATA if a file is damaged or not OpenEXR, if sizes or channels differ
- * or do not suit the kind, if no texel is covered by both maps, if a compared value is not a
- * number, or, without `force`, if both files have an attribute bisque:map, normalSpace, tangents,
+ * or do not suit the kind, if no texel is covered by both maps, if `ignore_nan` leaves none, or,
+ * without `force`, if both files have an attribute bisque:map, normalSpace, tangents,
  * green or encoding and its values differ; BSQ_ECANTCREAT; BSQ_EIO; BSQ_ENOMEM; BSQ_EINTR. */
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                  struct bake_compare_report *report);

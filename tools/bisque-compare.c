@@ -16,6 +16,8 @@ static const char help[] =
     "      --mask-a FILE       mask of the texels that A covers\n"
     "      --mask-b FILE       mask of the texels that B covers; with both, hit agreement is reported\n"
     "      --force             compare maps although their attributes disagree\n"
+    "      --ignore-nan        leave NaN and infinite values out; otherwise they are outside of\n"
+    "                          every limit\n"
     "      --heatmap FILE.png  write a picture of the error of each texel\n"
     "      --histogram FILE.png\n"
     "                          write a picture of the distribution of the error\n"
@@ -31,6 +33,7 @@ enum {
     OPT_MASK_A,
     OPT_MASK_B,
     OPT_FORCE,
+    OPT_IGNORE_NAN,
     OPT_HEATMAP,
     OPT_HISTOGRAM,
     OPT_SCALE,
@@ -45,6 +48,7 @@ static const struct option long_options[] = {
     {"mask-a", required_argument, NULL, OPT_MASK_A},
     {"mask-b", required_argument, NULL, OPT_MASK_B},
     {"force", no_argument, NULL, OPT_FORCE},
+    {"ignore-nan", no_argument, NULL, OPT_IGNORE_NAN},
     {"heatmap", required_argument, NULL, OPT_HEATMAP},
     {"histogram", required_argument, NULL, OPT_HISTOGRAM},
     {"scale", required_argument, NULL, OPT_SCALE},
@@ -111,6 +115,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return 0;
     case OPT_FORCE:
         compare->force = true;
+        return 0;
+    case OPT_IGNORE_NAN:
+        compare->ignore_nan = true;
         return 0;
     case OPT_HEATMAP:
         compare->heatmap_path = optarg;
@@ -192,16 +199,21 @@ static double figure(const struct bake_compare_report *report, enum limit limit)
 static int count_failures(struct cli *cli, const struct arguments *arguments,
                           const struct bake_compare_report *report)
 {
+    const bool spoiled = report->not_finite > 0 && !arguments->compare.ignore_nan;
+    char texels[CLI_TEXT];
     int failures = 0;
     for (int i = 0; i < LIMITS; i++) {
         double limit = arguments->limits[i], value = figure(report, (enum limit)i);
         bool holds = limit_names[i].smallest ? value >= limit : value <= limit;
+        failures += !isnan(limit) && (spoiled || !holds);
         if (isnan(limit) || holds)
             continue;
         fprintf(stderr, "%s: %s %.6g is %s %s %g\n", cli->program, limit_names[i].figure, value,
                 limit_names[i].smallest ? "below" : "above", limit_names[i].option, limit);
-        failures++;
     }
+    if (spoiled && failures > 0)
+        fprintf(stderr, "%s: %s NaN or infinite: outside of every limit\n", cli->program,
+                cli_counted_text(report->not_finite, "texel is", "texels are", texels));
     return failures;
 }
 
@@ -224,32 +236,44 @@ static void print_report(const struct arguments *arguments,
         printf("PSNR: %.2f dB\n", report->psnr);
     if (report->kind == BAKE_COMPARE_DATA)
         printf("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
+    if (report->not_finite > 0)
+        printf("NaN or infinite: %s (%llu in A, %llu in B)\n",
+               cli_counted_text(report->not_finite, "texel", "texels", compared),
+               (unsigned long long)report->not_finite_a, (unsigned long long)report->not_finite_b);
     if (has_agreement(&arguments->compare))
         printf("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
                (unsigned long long)report->only_a, (unsigned long long)report->only_b);
+}
+
+/* JSON has no infinite numbers: they become null. */
+static json_t *json_number(double value)
+{
+    return isfinite(value) ? json_real(value) : json_null();
 }
 
 static int print_json(struct cli *cli, const struct arguments *arguments,
                       const struct bake_compare_report *report, int failures)
 {
     json_t *root = json_pack(
-        "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:i, s:i,"
-        " s:f, s:f, s:b}",
+        "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o,"
+        " s:o, s:o, s:i, s:i, s:f, s:f, s:b}",
         "a_path", cli_json_text(arguments->compare.a_path), "b_path",
         cli_json_text(arguments->compare.b_path), "type", kind_names[report->kind], "unit",
         bake_compare_unit(report->kind), "width", (int)report->width, "height", (int)report->height,
-        "compared", (json_int_t)report->compared, "only_a", (json_int_t)report->only_a, "only_b",
-        (json_int_t)report->only_b, "agreement", report->agreement, "mean", report->mean, "rms",
-        report->rms, "median", report->median, "p95", report->p95, "p99", report->p99, "max",
-        report->max, "max_x", (int)report->max_x, "max_y", (int)report->max_y, "share_above_1",
-        report->above_1, "share_above_5", report->above_5, "within_limits", failures == 0);
-    /* The PSNR of equal maps is infinite, which JSON cannot express. */
+        "compared", (json_int_t)report->compared, "not_finite", (json_int_t)report->not_finite,
+        "not_finite_a", (json_int_t)report->not_finite_a, "not_finite_b",
+        (json_int_t)report->not_finite_b, "only_a", (json_int_t)report->only_a, "only_b",
+        (json_int_t)report->only_b, "agreement", report->agreement, "mean",
+        json_number(report->mean), "rms", json_number(report->rms), "median",
+        json_number(report->median), "p95", json_number(report->p95), "p99",
+        json_number(report->p99), "max", json_number(report->max), "max_x", (int)report->max_x,
+        "max_y", (int)report->max_y, "share_above_1", report->above_1, "share_above_5",
+        report->above_5, "within_limits", failures == 0);
     if (root && report->kind == BAKE_COMPARE_COLOR)
-        json_object_set_new(root, "psnr",
-                            isinf(report->psnr) ? json_null() : json_real(report->psnr));
+        json_object_set_new(root, "psnr", json_number(report->psnr));
     if (root && report->kind == BAKE_COMPARE_DATA) {
-        json_object_set_new(root, "relative_mean", json_real(report->relative_mean));
-        json_object_set_new(root, "relative_max", json_real(report->relative_max));
+        json_object_set_new(root, "relative_mean", json_number(report->relative_mean));
+        json_object_set_new(root, "relative_max", json_number(report->relative_max));
     }
     return cli_print_json(cli, root);
 }

@@ -6,7 +6,7 @@
  *
  * Colours run from near black over purple and orange to light yellow with steadily growing
  * lightness. So the picture reads the same in grey and for colour-blind eyes. Texels that were not
- * compared are blue-grey. */
+ * compared are blue-grey, those with values that are not finite are cyan. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -15,7 +15,7 @@
 #include "libbake/compare/comparison.h"
 
 static const float paper[3] = {0.11f, 0.12f, 0.14f}, ink[3] = {0.92f, 0.92f, 0.90f};
-static const float not_compared[3] = {0.22f, 0.25f, 0.30f};
+static const float not_compared[3] = {0.22f, 0.25f, 0.30f}, not_finite[3] = {0.0f, 0.9f, 0.9f};
 
 /* ---- a font ---- */
 
@@ -187,7 +187,9 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
         for (uint64_t x = 0; x < width; x++) {
             float error = comparison->errors[y * width + x],
                   *pixel = canvas.pixels[y * canvas.width + x];
-            if (error < 0)
+            if (isnan(error))
+                memcpy(pixel, not_finite, sizeof not_finite);
+            else if (error < 0)
                 memcpy(pixel, not_compared, sizeof not_compared);
             else
                 heat((double)error / top, pixel);

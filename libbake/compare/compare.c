@@ -70,12 +70,13 @@ static bool looks_like_normals(const struct bake_comparison *c)
 {
     uint64_t texels = (uint64_t)c->b.width * c->b.height, unit = 0, seen = 0;
     uint64_t step = texels / 65536 + 1;
-    for (uint64_t i = 0; i < texels; i += step, seen++) {
+    for (uint64_t i = 0; i < texels; i += step) {
         float rgb[3], square = 0;
         read_rgb(&c->b, c->b_rgb, i, rgb);
         for (int k = 0; k < 3; k++)
             square += (2 * rgb[k] - 1) * (2 * rgb[k] - 1);
         unit += fabsf(square - 1) < 0.05f;
+        seen += isfinite(square) != 0;
     }
     return unit * 10 > seen * 9;
 }
@@ -178,8 +179,12 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
     (void)worker;
     struct bake_comparison *c = arg;
     for (uint64_t texel = y * c->a.width; texel < (y + 1) * c->a.width; texel++) {
-        bool both = covers(&c->a_mask, texel) && covers(&c->b_mask, texel);
-        c->errors[texel] = both ? error_at(c, texel) : -1;
+        if (!covers(&c->a_mask, texel) || !covers(&c->b_mask, texel))
+            c->errors[texel] = BAKE_NOT_COVERED;
+        else if (!is_finite(&c->a, &c->a_mask, texel) || !is_finite(&c->b, &c->b_mask, texel))
+            c->errors[texel] = NAN;
+        else
+            c->errors[texel] = error_at(c, texel);
     }
     return 0;
 }
@@ -203,7 +208,9 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
         status = bsq_parallel_for(ctx, c.a.height, measure_row, &c);
     if (!status)
         status = bake_comparison_summarise(ctx, options, &c, report);
-    double top = options->scale > 0 ? options->scale : report->p99 > 0 ? report->p99 : 1;
+    double top = options->scale > 0                         ? options->scale
+                 : report->p99 > 0 && isfinite(report->p99) ? report->p99
+                                                            : 1;
     if (!status && options->heatmap_path)
         status = bake_heatmap_write(ctx, &c, top, options->heatmap_path);
     if (!status && options->histogram_path)

@@ -3,15 +3,21 @@
 #ifndef BAKE_COMPARE_COMPARISON_H
 #define BAKE_COMPARE_COMPARISON_H
 
+#include <math.h>
+
 #include "formats/image/exr_read.h"
 #include "libbake/compare.h"
+
+/* Error of a texel that not both maps cover. */
+#define BAKE_NOT_COVERED (-1.0f)
 
 /* Two maps of the same size and the error of each texel. */
 struct bake_comparison {
     struct fmt_exr_image a, b, a_mask, b_mask; /* without a mask, its `samples` are NULL */
     enum bake_compare_kind kind;
     uint32_t a_rgb[3], b_rgb[3]; /* channels R, G and B; not for BAKE_COMPARE_DATA */
-    float *errors;               /* height x width; -1: not compared */
+    /* height x width. BAKE_NOT_COVERED: not compared. NaN: a value is not finite. */
+    float *errors;
 };
 
 static inline void read_rgb(const struct fmt_exr_image *image, const uint32_t rgb[3],
@@ -22,13 +28,25 @@ static inline void read_rgb(const struct fmt_exr_image *image, const uint32_t rg
         out[k] = samples[rgb[k]];
 }
 
-static inline bool covers(const struct fmt_exr_image *mask, uint64_t texel)
+/* Returns whether all values of a texel are finite, that of the map's mask included. */
+static inline bool is_finite(const struct fmt_exr_image *image, const struct fmt_exr_image *mask,
+                             uint64_t texel)
 {
-    return !mask->samples || mask->samples[texel * mask->channel_count] > 0;
+    const float *samples = image->samples + texel * image->channel_count;
+    bool finite = !mask->samples || isfinite(mask->samples[texel * mask->channel_count]);
+    for (uint32_t k = 0; k < image->channel_count; k++)
+        finite = finite && isfinite(samples[k]);
+    return finite;
 }
 
-/* Fills the report. Errors: BSQ_EDATA if no texel was compared or a value is not a number,
- * BSQ_ENOMEM, BSQ_EINTR. */
+/* Returns whether a map covers a texel. A mask that is NaN there does not say that it doesn't. */
+static inline bool covers(const struct fmt_exr_image *mask, uint64_t texel)
+{
+    return !mask->samples || !(mask->samples[texel * mask->channel_count] <= 0);
+}
+
+/* Fills the report. Errors: BSQ_EDATA if no texel is covered by both maps, or none is compared and
+ * ignore_nan is set; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                               const struct bake_comparison *comparison,
                               struct bake_compare_report *report);

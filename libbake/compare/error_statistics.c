@@ -72,6 +72,20 @@ static int find_percentiles(struct bsq_ctx *ctx, const struct bake_comparison *c
     return status;
 }
 
+/* Counts a texel that has no error. */
+static void count_not_compared(const struct bake_comparison *c, uint64_t texel,
+                               struct bake_compare_report *r)
+{
+    if (!isnan(c->errors[texel])) {
+        r->only_a += covers(&c->a_mask, texel) && !covers(&c->b_mask, texel);
+        r->only_b += covers(&c->b_mask, texel) && !covers(&c->a_mask, texel);
+        return;
+    }
+    r->not_finite++;
+    r->not_finite_a += !is_finite(&c->a, &c->a_mask, texel);
+    r->not_finite_b += !is_finite(&c->b, &c->b_mask, texel);
+}
+
 /* Fills in all figures of the error but the percentiles, and the coverage. */
 static void sum_errors(struct bsq_ctx *ctx, const struct bake_comparison *c,
                        struct bake_compare_report *r)
@@ -81,9 +95,8 @@ static void sum_errors(struct bsq_ctx *ctx, const struct bake_comparison *c,
     r->max = -1;
     for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++) {
         double error = c->errors[i];
-        if (error < 0) {
-            r->only_a += covers(&c->a_mask, i) && !covers(&c->b_mask, i);
-            r->only_b += covers(&c->b_mask, i) && !covers(&c->a_mask, i);
+        if (!(error >= 0)) {
+            count_not_compared(c, i, r);
             continue;
         }
         r->compared++;
@@ -102,7 +115,8 @@ static void sum_errors(struct bsq_ctx *ctx, const struct bake_comparison *c,
     r->rms = sqrt(squares / count);
     r->above_1 = above_1 / count;
     r->above_5 = above_5 / count;
-    r->agreement = count / (count + (double)r->only_a + (double)r->only_b);
+    double both = count + (double)r->not_finite;
+    r->agreement = both / (both + (double)r->only_a + (double)r->only_b);
 }
 
 /* Computes the PSNR. */
@@ -113,7 +127,7 @@ static void measure_noise(struct bsq_ctx *ctx, const struct bake_comparison *c,
     double squares = 0;
     for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++) {
         float a[3], b[3];
-        if (c->errors[i] < 0)
+        if (!(c->errors[i] >= 0))
             continue;
         read_rgb(&c->a, c->a_rgb, i, a);
         read_rgb(&c->b, c->b_rgb, i, b);
@@ -132,7 +146,7 @@ static void measure_relative(struct bsq_ctx *ctx, const struct bake_comparison *
     uint64_t samples = (uint64_t)r->width * r->height * c->a.channel_count, count = 0;
     for (uint64_t i = 0; i < samples && !interrupted(ctx, i); i++) {
         double a = fabs((double)c->a.samples[i]), b = fabs((double)c->b.samples[i]);
-        if (c->errors[i / c->a.channel_count] < 0)
+        if (!(c->errors[i / c->a.channel_count] >= 0))
             continue;
         double larger = fmax(a, b), d = fabs((double)c->a.samples[i] - (double)c->b.samples[i]);
         double relative = larger > 0 ? d / larger : 0;
@@ -141,6 +155,15 @@ static void measure_relative(struct bsq_ctx *ctx, const struct bake_comparison *
         count++;
     }
     r->relative_mean /= (double)count;
+}
+
+/* Sets the figures of maps without a texel that is finite in both. */
+static void set_infinite(struct bake_compare_report *r)
+{
+    r->mean = r->rms = r->median = r->p95 = r->p99 = r->max = INFINITY;
+    r->above_1 = r->above_5 = 1;
+    r->psnr = -INFINITY;
+    r->relative_mean = r->relative_max = INFINITY;
 }
 
 int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_options *o,
@@ -153,12 +176,13 @@ int bake_comparison_summarise(struct bsq_ctx *ctx, const struct bake_compare_opt
     int status = bsq_check(ctx);
     if (status < 0)
         return status;
-    if (r->compared == 0)
-        return bsq_fail(ctx, BSQ_EDATA, "no texel is covered by both %s and %s", o->a_path,
-                        o->b_path);
-    if (isnan(r->mean))
-        return bsq_fail(ctx, BSQ_EDATA, "%s or %s has values that are not numbers", o->a_path,
-                        o->b_path);
+    if (r->compared == 0 && (r->not_finite == 0 || o->ignore_nan))
+        return bsq_fail(ctx, BSQ_EDATA, "no texel is covered by both %s and %s%s", o->a_path,
+                        o->b_path, r->not_finite > 0 ? " and finite in both" : "");
+    if (r->compared == 0) {
+        set_infinite(r);
+        return 0;
+    }
     if (c->kind == BAKE_COMPARE_COLOR)
         measure_noise(ctx, c, r);
     if (c->kind == BAKE_COMPARE_DATA)

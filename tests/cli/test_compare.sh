@@ -14,7 +14,7 @@ start="a_mask.exr a_normal.exr box.nvdb low.obj small.exr"
 
 $compare --help
 code 0
-options="type mask mask-a mask-b force heatmap histogram scale max-mean max-median max-p95 max-p99 max-error min-psnr
+options="type mask mask-a mask-b force ignore-nan heatmap histogram scale max-mean max-median max-p95 max-p99 max-error min-psnr
     min-agreement memory threads progress json help version"
 for option in $options; do
     out_like "--$option"
@@ -64,6 +64,86 @@ out_like '^hit agreement: 100.0000 %'
 [ "$(od -An -tx1 -N 4 h.png | tr -d ' \n')" = 89504e47 ] && [ -s g.png ]
 check "pictures are PNG files" $?
 rm h.png g.png t.exr
+
+# bytes HEX...: writes bytes.
+bytes()
+{
+    for byte; do
+        printf "\\$(printf %03o "0x$byte")"
+    done
+}
+# map NAME VALUE...: writes an EXR file of one row and the channel Y; values are float32 as four
+# bytes in hexadecimal, the lowest first.
+map()
+{
+    name=$1 box='00 00 00 00 00 00 00 00' count=$(($# - 1))
+    shift
+    corner="$(printf %02x $((count - 1))) 00 00 00 00 00 00 00"
+    {
+        bytes 76 2f 31 01 02 00 00 00
+        printf 'channels\0chlist\0' && bytes 13 00 00 00 59 00 02 00 00 00 00 00 00 00 01 00 00 00 01 00 00 00 00
+        printf 'compression\0compression\0' && bytes 01 00 00 00 00
+        printf 'dataWindow\0box2i\0' && bytes 10 00 00 00 $box $corner
+        printf 'displayWindow\0box2i\0' && bytes 10 00 00 00 $box $corner
+        printf 'lineOrder\0lineOrder\0' && bytes 01 00 00 00 00
+        printf 'pixelAspectRatio\0float\0' && bytes 04 00 00 00 00 00 80 3f
+        printf 'screenWindowCenter\0v2f\0' && bytes 08 00 00 00 $box
+        printf 'screenWindowWidth\0float\0' && bytes 04 00 00 00 00 00 80 3f 00
+    } >"$name"
+    start_of_row=$(($(wc -c <"$name") + 8))
+    {
+        bytes "$(printf %02x $((start_of_row % 256)))" "$(printf %02x $((start_of_row / 256)))" 00 00 00 00 00 00
+        bytes 00 00 00 00 "$(printf %02x $((4 * count)))" 00 00 00 $*
+    } >>"$name"
+}
+one='00 00 80 3f' nan='00 00 c0 7f' inf='00 00 80 7f'
+map ones.exr "$one" "$one" "$one" "$one"
+map nan.exr "$nan" "$nan" "$nan" "$nan"
+map some.exr "$one" "$nan" "$one" "$inf"
+
+# NaN and infinite values are outside of every limit, in either map.
+$compare ones.exr ones.exr --max-error 0
+code 0
+for pair in 'nan.exr nan.exr' 'nan.exr ones.exr' 'ones.exr nan.exr' 'some.exr ones.exr' 'ones.exr some.exr'; do
+    for limit in --max-error --max-mean --max-median --max-p95 --max-p99; do
+        $compare $pair $limit 1000
+        code 1
+        grep -Eq "^$p [24] texels are NaN or infinite: outside of every limit$" "$err"
+        check "they are named" $?
+    done
+    $compare $pair
+    code 0
+    out_like '^NaN or infinite: [24] texels'
+done
+$compare some.exr ones.exr --json --max-error 0
+code 1
+json '.compared == 2 and .not_finite == 2 and .not_finite_a == 2 and .not_finite_b == 0 and .max == 0 and (.within_limits | not)'
+$compare nan.exr ones.exr --json
+code 0
+json '.compared == 0 and .not_finite == 4 and .mean == null and .max == null and .within_limits'
+$compare some.exr ones.exr --json --max-error 0 --ignore-nan
+code 0
+json '.compared == 2 and .not_finite == 2 and .within_limits'
+$compare nan.exr ones.exr --ignore-nan
+refused 65 "$p no texel is covered by both nan.exr and ones.exr and finite in both"
+$compare ones.exr ones.exr --mask some.exr --max-error 0
+code 1
+$compare ones.exr ones.exr --mask-a ones.exr --mask-b some.exr --min-agreement 0.5
+code 1
+$compare ones.exr ones.exr --mask some.exr --max-error 0 --ignore-nan
+code 0
+
+# Other channels, other sizes.
+map wide.exr "$one" "$one" "$one" "$one" "$one"
+$compare ones.exr wide.exr
+refused 65 "$p ones.exr has 4 x 1 texels, wide.exr has 5 x 1"
+$compare ones.exr ones.exr --mask wide.exr
+refused 65 "$p wide.exr has 5 x 1 texels, ones.exr has 4 x 1"
+$compare a_normal.exr a_mask.exr --force
+refused 65 "$p a_normal.exr and a_mask.exr have different channels"
+$compare ones.exr ones.exr --type color
+refused 65 "$p ones.exr has no channels R, G and B"
+rm ones.exr nan.exr some.exr wide.exr
 
 $compare
 refused 64 "$p two EXR files are needed (see --help)"

@@ -246,6 +246,76 @@ static void different_sizes_and_channels_are_refused(void **state)
     free(a), free(b);
 }
 
+/* A ramp in which NaN and both infinities stand at 10, 20 and 30. */
+static void spoiled_ramp(unsigned i, float *out)
+{
+    *out = i == 10 ? NAN : i == 20 ? INFINITY : i == 30 ? -INFINITY : (float)i + 1;
+}
+
+static void spoiled_mask(unsigned i, float *out)
+{
+    *out = i == 40 ? NAN : i >= 50 ? 0 : 1;
+}
+
+static void never_finite(unsigned i, float *out)
+{
+    out[0] = out[1] = out[2] = i % 2 ? NAN : INFINITY;
+}
+
+static void values_that_are_not_finite_are_counted(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 1, spoiled_ramp, NULL), *heat = path_in(f, "heat.png");
+    char *b = write_map(f, "b.exr", 1, ramp, NULL);
+    char *mask = write_map(f, "m.exr", 1, spoiled_mask, NULL);
+    struct bake_compare_options options = {.a_path = a, .b_path = b, .heatmap_path = heat};
+    for (int i = 0; i < 2; i++) {
+        options.ignore_nan = i == 1;
+        assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+        assert_int_equal(r.compared, 97);
+        assert_int_equal(r.not_finite, 3);
+        assert_int_equal(r.not_finite_a, 3);
+        assert_int_equal(r.not_finite_b, 0);
+        assert_true(r.mean == 1 && r.rms == 1 && r.p99 == 1 && r.max == 1 && r.agreement == 1);
+        assert_true(isfinite(r.relative_mean) && r.relative_max == 1);
+    }
+    options.b_mask_path = mask;
+    assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+    assert_int_equal(r.compared, 46);
+    assert_int_equal(r.not_finite, 4);
+    assert_int_equal(r.not_finite_a, 3);
+    assert_int_equal(r.not_finite_b, 1);
+    assert_int_equal(r.only_a, 50);
+    assert_true(r.agreement == 0.5);
+    free(a), free(b), free(mask), free(heat);
+}
+
+/* Whatever the kind, maps without a finite value have infinite figures, or are an error. */
+static void maps_without_finite_values_have_no_figures(void **state)
+{
+    struct fixture *f = *state;
+    struct bake_compare_report r;
+    char *a = write_map(f, "a.exr", 3, never_finite, NULL),
+         *b = write_map(f, "b.exr", 3, grey, NULL);
+    char *heat = path_in(f, "heat.png"), *hist = path_in(f, "hist.png");
+    for (int kind = BAKE_COMPARE_AUTO; kind <= BAKE_COMPARE_DATA; kind++) {
+        struct bake_compare_options options = {.a_path = kind % 2 ? a : b,
+                                               .b_path = kind % 2 ? b : a,
+                                               .heatmap_path = heat,
+                                               .histogram_path = hist,
+                                               .kind = (enum bake_compare_kind)kind};
+        assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+        assert_true(r.compared == 0 && r.not_finite == 100);
+        assert_true(isinf(r.mean) && isinf(r.median) && isinf(r.max) && isinf(r.relative_max));
+        assert_true(r.psnr < 0 && isinf(r.psnr) && r.agreement == 1);
+        options.ignore_nan = true;
+        assert_int_equal(bake_compare(f->ctx, &options, &r), BSQ_EDATA);
+        bsq_clear_error(f->ctx);
+    }
+    free(a), free(b), free(heat), free(hist);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -255,6 +325,9 @@ int main(void)
         cmocka_unit_test_setup_teardown(masks_give_the_agreement, set_up, tear_down),
         cmocka_unit_test_setup_teardown(data_has_absolute_and_relative_errors, set_up, tear_down),
         cmocka_unit_test_setup_teardown(equal_colours_have_no_noise, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(values_that_are_not_finite_are_counted, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(maps_without_finite_values_have_no_figures, set_up,
+                                        tear_down),
         cmocka_unit_test_setup_teardown(different_sizes_and_channels_are_refused, set_up,
                                         tear_down),
     };
