@@ -1,6 +1,6 @@
 /* ptx.h - runs the kernel's PTX on the processor, warp by warp, to test without a GPU the text that
  * a GPU's driver gets. Knows the part of PTX (NVIDIA, "PTX ISA", 2013-2025) that compilers use for
- * libbake's kernel. */
+ * libbake's kernel, and refuses the rest: ptx_table.c lists the instructions. */
 #ifndef FAKE_PTX_H
 #define FAKE_PTX_H
 

@@ -10,40 +10,34 @@ enum { MAX_OPERANDS = 6, MAX_PARAMETERS = 64, MAX_BANKS = 16 };
 #define CONSTANT_BASE (1ull << 40)
 #define LOCAL_BASE    (1ull << 41)
 
-enum type { PRED, B16, B32, B64, U16, U32, U64, S16, S32, S64, F32, NO_TYPE };
-
-/* clang-format off */
-#define OPERATIONS(X)                                                                              \
-    X(abs) X(add) X(and) X(bfe) X(bfi) X(bra) X(cvt) X(cvta) X(div) X(ld) X(mad) X(max) X(min)     \
-    X(mov) X(mul) X(neg) X(not) X(or) X(popc) X(rcp) X(ret) X(selp) X(setp) X(shl) X(shr) X(sqrt)  \
-    X(st) X(sub) X(xor)
-/* clang-format on */
-#define OPERATION_NUMBER(name) OP_##name,
-enum operation { OPERATIONS(OPERATION_NUMBER) OPERATION_COUNT };
-
 enum special { TID_X, TID_Y, NTID_X, NTID_Y, CTAID_X, CTAID_Y, SPECIALS };
 
 enum space { PARAMETER, GLOBAL, CONSTANT, LOCAL };
-enum half { WHOLE, LOW, HIGH, WIDE };
-enum relation { EQ, NE, LT, LE, GT, GE };
+
+/* An instruction of PTX under its full name, as "mul.wide.u32". */
+struct row {
+    const char *name;
+    /* Of the result and the operands: p predicate, h 16 bits, w 32, d 64; a capital letter: that or
+     * more. */
+    const char *widths;
+    enum { COMPUTE, LOAD, STORE, BRANCH, RETURN } kind;
+    uint64_t (*compute)(uint64_t a, uint64_t b, uint64_t c, uint64_t d);
+    enum space space; /* of a load or store */
+    unsigned bytes;   /* of each register that it moves */
+    unsigned vector;  /* number of these registers */
+};
 
 struct operand {
     enum { REGISTER, VALUE, SPECIAL } kind;
     unsigned number; /* of the register */
+    char width;      /* of the register */
     uint64_t value;  /* a constant, or the offset from the register */
 };
 
 struct instruction {
-    enum operation operation;
-    enum type type, from;
-    enum space space;
-    enum half half;
-    enum relation relation;
-    bool unordered; /* the relation holds if a side is NaN */
-    bool floor, truncate;
+    const struct row *row;
     int guard; /* number of the predicate register, -1: none */
     bool unless;
-    unsigned vector;     /* number of registers of a load or store */
     unsigned target;     /* of a branch */
     unsigned reconverge; /* instruction at which threads that diverge here reconverge */
     unsigned operand_count;
@@ -51,7 +45,7 @@ struct instruction {
 };
 
 struct bank {
-    char prefix[8];
+    char prefix[8], width;
     unsigned first, count;
 };
 
@@ -66,19 +60,15 @@ struct ptx {
     char constant_name[64];
 };
 
-extern const unsigned ptx_type_bytes[];
-
 /* Prints on standard error what is unknown or impossible. Returns false. */
 bool ptx_refuse(const char *what, const char *text);
 
 /* Finds the instruction at which diverged threads reconverge, for each branch. */
 void ptx_find_reconvergence(struct ptx *ptx);
 
-/* Extends the low bits of a value, as those of a type, to 64 bits. */
-uint64_t ptx_narrow(uint64_t value, enum type type);
-/* Returns the result of an operation on registers. */
-uint64_t ptx_compute(const struct instruction *in, const uint64_t v[MAX_OPERANDS]);
-/* Returns the type of a result, which may differ from its operands'. */
-enum type ptx_result_type(const struct instruction *in);
+/* Returns the instruction of this name, or NULL. */
+const struct row *ptx_find_row(const char *name);
+/* Returns the low bits of a value, as many as a width has. */
+uint64_t ptx_cut(uint64_t value, char width);
 
 #endif

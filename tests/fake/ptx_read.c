@@ -6,13 +6,6 @@
 
 #include "tests/fake/ptx_internal.h"
 
-static const char *const type_names[] = {"pred", "b16", "b32", "b64", "u16", "u32",
-                                         "u64",  "s16", "s32", "s64", "f32"};
-const unsigned ptx_type_bytes[] = {1, 2, 4, 8, 2, 4, 8, 2, 4, 8, 4, 0};
-
-#define OPERATION_NAME(name) #name,
-static const char *const operation_names[] = {OPERATIONS(OPERATION_NAME)};
-
 static const char *const special_names[] = {"%tid.x",  "%tid.y",   "%ntid.x",
                                             "%ntid.y", "%ctaid.x", "%ctaid.y"};
 
@@ -43,7 +36,7 @@ static int find_name(const char *const *names, int count, const char *name)
 }
 
 /* Finds the register "%rd12" in its bank. */
-static bool read_register(const struct ptx *ptx, const char *text, unsigned *out)
+static bool read_register(const struct ptx *ptx, const char *text, struct operand *out)
 {
     for (unsigned i = 0; i < ptx->bank_count; i++) {
         const struct bank *bank = &ptx->banks[i];
@@ -51,13 +44,14 @@ static bool read_register(const struct ptx *ptx, const char *text, unsigned *out
         char *end;
         if (strncmp(text, bank->prefix, length) != 0)
             continue;
-        *out = bank->first;
+        *out = (struct operand){
+            .kind = REGISTER, .number = bank->first, .width = bank->width, .value = out->value};
         if (bank->count == 0 && text[length] == '\0')
             return true;
         if (bank->count == 0 || !isdigit((unsigned char)text[length]))
             continue;
-        *out += (unsigned)strtoul(text + length, &end, 10);
-        if (*end == '\0' && *out < bank->first + bank->count)
+        out->number += (unsigned)strtoul(text + length, &end, 10);
+        if (*end == '\0' && out->number < bank->first + bank->count)
             return true;
     }
     return false;
@@ -100,12 +94,11 @@ static bool read_operand(const struct reader *r, char *text, struct operand *out
     if ((special = find_name(special_names, SPECIALS, text)) >= 0) {
         out->kind = SPECIAL;
         out->number = (unsigned)special;
+        out->width = 'w';
         return true;
     }
-    if (text[0] == '%') {
-        out->kind = REGISTER;
-        return read_register(r->ptx, text, &out->number) || ptx_refuse("no register", text);
-    }
+    if (text[0] == '%')
+        return read_register(r->ptx, text, out) || ptx_refuse("no register", text);
     if (strncmp(text, "0f", 2) == 0 || strncmp(text, "0F", 2) == 0) {
         out->value = strtoull(text + 2, &end, 16);
         return *end == '\0' || ptx_refuse("no number", text);
@@ -121,65 +114,28 @@ static bool read_operand(const struct reader *r, char *text, struct operand *out
     return true;
 }
 
-static bool read_relation(const char *name, struct instruction *out)
+/* Returns whether an operand may stand where the row has this width. */
+static bool fits(const struct operand *operand, char width)
 {
-    static const char *const relations[] = {"eq", "ne", "lt", "le", "gt", "ge"};
-    static const char *const unordered[] = {"equ", "neu", "ltu", "leu", "gtu", "geu"};
-    int number = find_name(relations, 6, name);
+    static const char widths[] = "phwd";
+    const char *wanted = strchr(widths, tolower((unsigned char)width));
 
-    if (number < 0 && (number = find_name(unordered, 6, name)) >= 0)
-        out->unordered = true;
-    if (number >= 0)
-        out->relation = (enum relation)number;
-    return number >= 0;
+    if (operand->kind == VALUE || operand->width == width)
+        return true;
+    return isupper((unsigned char)width) && strchr(wanted, operand->width);
 }
 
-/* Reads a suffix of the operation, as in "mul.wide.u32". */
-static bool read_suffix(const char *part, struct instruction *out)
+/* Checks number and widths of the operands. In a load or store, the address may be a constant. */
+static bool check_operands(const struct instruction *in)
 {
-    static const char *const spaces[] = {"param", "global", "const", "local"};
-    static const char *const halves[] = {"", "lo", "hi", "wide"};
-    int number = find_name(type_names, NO_TYPE, part);
+    const char *widths = in->row->widths;
 
-    if (number >= 0) {
-        if (out->type == NO_TYPE)
-            out->type = (enum type)number;
-        else
-            out->from = (enum type)number;
-        return true;
-    }
-    if (out->operation == OP_setp && read_relation(part, out))
-        return true;
-    if ((number = find_name(spaces, 4, part)) >= 0) {
-        out->space = (enum space)number;
-        return true;
-    }
-    if ((number = find_name(halves, 4, part)) > 0) {
-        out->half = (enum half)number;
-        return true;
-    }
-    if (part[0] == 'v' && (part[1] == '2' || part[1] == '4')) {
-        out->vector = (unsigned)(part[1] - '0');
-        return true;
-    }
-    out->floor |= strcmp(part, "rmi") == 0;
-    out->truncate |= strcmp(part, "rzi") == 0;
-    return out->floor || out->truncate || strcmp(part, "rn") == 0 || strcmp(part, "nc") == 0 ||
-           strcmp(part, "uni") == 0 || strcmp(part, "to") == 0;
-}
-
-static bool read_mnemonic(char *text, struct instruction *out)
-{
-    char *state, *part = strtok_r(text, ".", &state);
-    const int operation = find_name(operation_names, OPERATION_COUNT, part);
-
-    if (operation < 0)
-        return ptx_refuse("no operation", part);
-    out->operation = (enum operation)operation;
-    while ((part = strtok_r(NULL, ".", &state)))
-        if (!read_suffix(part, out))
-            return ptx_refuse("no suffix", part);
-    return true;
+    if (in->operand_count != strlen(widths))
+        return false;
+    for (unsigned i = 0; i < in->operand_count; i++)
+        if (!fits(&in->operands[i], widths[i]))
+            return false;
+    return in->row->kind == STORE || in->operand_count == 0 || in->operands[0].kind == REGISTER;
 }
 
 static unsigned find_label(const struct reader *r, const char *name)
@@ -195,7 +151,7 @@ static bool read_operands(const struct reader *r, char *text, struct instruction
 {
     char *state, *part;
 
-    if (out->operation == OP_bra) {
+    if (out->row->kind == BRANCH) {
         out->target = find_label(r, strtok_r(text, " \t", &state));
         return out->target != UINT32_MAX || ptx_refuse("no label", text);
     }
@@ -205,32 +161,35 @@ static bool read_operands(const struct reader *r, char *text, struct instruction
         if (!read_operand(r, part, &out->operands[out->operand_count++]))
             return false;
     }
-    return true;
+    return check_operands(out) || ptx_refuse("wrong operands", out->row->name);
 }
 
 /* Reads an instruction, as "@%p1 add.s32 %r1, %r2, 3". */
 static bool read_instruction(const struct reader *r, char *text)
 {
-    struct instruction in = {.guard = -1, .type = NO_TYPE, .from = NO_TYPE, .vector = 1};
+    struct instruction in = {.guard = -1};
     struct ptx *ptx = r->ptx;
     char *rest;
 
     if (text[0] == '@') {
-        unsigned guard;
+        struct operand guard = {.value = 0};
         in.unless = text[1] == '!';
         rest = strpbrk(text, " \t");
         if (!rest)
             return ptx_refuse("no instruction", text);
         *rest++ = '\0';
-        if (!read_register(ptx, text + 1 + in.unless, &guard))
+        if (!read_register(ptx, text + 1 + in.unless, &guard) || guard.width != 'p')
             return ptx_refuse("no predicate", text);
-        in.guard = (int)guard;
+        in.guard = (int)guard.number;
         text = rest + strspn(rest, " \t");
     }
     rest = text + strcspn(text, " \t");
     if (*rest)
         *rest++ = '\0';
-    if (!read_mnemonic(text, &in) || !read_operands(r, rest, &in))
+    in.row = ptx_find_row(text);
+    if (!in.row)
+        return ptx_refuse("no instruction", text);
+    if (!read_operands(r, rest, &in))
         return false;
     if (ptx->count == ptx->capacity) {
         ptx->capacity = ptx->capacity ? 2 * ptx->capacity : 4096;
@@ -243,12 +202,18 @@ static bool read_instruction(const struct reader *r, char *text)
 /* Reads ".reg .b32 %r<17>" or ".reg .b64 %SP". */
 static bool read_registers(struct ptx *ptx, const char *text)
 {
+    static const char *const types[] = {"pred", "b16", "u16", "s16", "b32", "u32",
+                                        "s32",  "f32", "b64", "u64", "s64"};
     struct bank *bank = &ptx->banks[ptx->bank_count++];
     unsigned count = 0;
+    char type[8];
+    int number;
 
     if (ptx->bank_count == MAX_BANKS ||
-        sscanf(text, ".reg .%*s %7[^<;]<%u>", bank->prefix, &count) < 1)
+        sscanf(text, ".reg .%7s %7[^<;]<%u>", type, bank->prefix, &count) < 2 ||
+        (number = find_name(types, sizeof types / sizeof types[0], type)) < 0)
         return ptx_refuse("no registers", text);
+    bank->width = "phhhwwwwddd"[number];
     bank->first = ptx->registers;
     bank->count = count;
     ptx->registers += count ? count : 1;

@@ -21,9 +21,9 @@ static unsigned split(const struct ptx *ptx, struct block *blocks, unsigned *blo
 
     begins[0] = 1;
     for (unsigned i = 0; i < ptx->count; i++)
-        if (ptx->code[i].operation == OP_bra || ptx->code[i].operation == OP_ret) {
+        if (ptx->code[i].row->kind == BRANCH || ptx->code[i].row->kind == RETURN) {
             begins[i + 1] = 1;
-            if (ptx->code[i].operation == OP_bra)
+            if (ptx->code[i].row->kind == BRANCH)
                 begins[ptx->code[i].target] = 1;
         }
     for (unsigned i = 0; i < ptx->count; i++) {
@@ -45,11 +45,11 @@ static void link_blocks(const struct ptx *ptx, struct block *blocks, unsigned co
         const struct instruction *last;
         block->end = blocks[b + 1].first;
         last = &ptx->code[block->end - 1];
-        if (last->operation == OP_bra)
+        if (last->row->kind == BRANCH)
             block->next[block->next_count++] = block_of[last->target];
-        if (last->operation == OP_ret)
+        if (last->row->kind == RETURN)
             block->next[block->next_count++] = count;
-        else if (last->operation != OP_bra || last->guard >= 0)
+        else if (last->row->kind != BRANCH || last->guard >= 0)
             block->next[block->next_count++] = b + 1;
     }
 }

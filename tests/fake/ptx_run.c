@@ -59,15 +59,14 @@ static void *find_memory(struct warp *warp, struct thread *thread, enum space sp
     }
 }
 
-/* Runs ld and st. */
 static bool move_memory(struct warp *warp, struct thread *thread, const struct instruction *in)
 {
-    const bool store = in->operation == OP_st;
-    const unsigned first = store ? 1 : 0, bytes = ptx_type_bytes[in->type];
-    uint64_t address = get(thread, &in->operands[store ? 0 : in->vector]);
+    const bool store = in->row->kind == STORE;
+    const unsigned first = store ? 1 : 0, bytes = in->row->bytes;
+    uint64_t address = get(thread, &in->operands[store ? 0 : in->row->vector]);
 
-    for (unsigned i = 0; i < in->vector; i++, address += bytes) {
-        void *memory = find_memory(warp, thread, in->space, address, bytes);
+    for (unsigned i = 0; i < in->row->vector; i++, address += bytes) {
+        void *memory = find_memory(warp, thread, in->row->space, address, bytes);
         const struct operand *operand = &in->operands[first + i];
         uint64_t value = 0;
         if (!memory) {
@@ -94,15 +93,16 @@ static bool is_on(const struct thread *thread, const struct instruction *in)
 static bool step(struct warp *warp, struct thread *thread, const struct instruction *in)
 {
     uint64_t values[MAX_OPERANDS] = {0};
+    const char *widths = in->row->widths;
 
     if (!is_on(thread, in))
         return true;
-    if (in->operation == OP_ld || in->operation == OP_st)
+    if (in->row->kind != COMPUTE)
         return move_memory(warp, thread, in);
     for (unsigned i = 1; i < in->operand_count; i++)
-        values[i] = get(thread, &in->operands[i]);
+        values[i] = ptx_cut(get(thread, &in->operands[i]), widths[i]);
     thread->registers[in->operands[0].number] =
-        ptx_narrow(ptx_compute(in, values), ptx_result_type(in));
+        ptx_cut(in->row->compute(values[1], values[2], values[3], values[4]), widths[0]);
     return true;
 }
 
@@ -141,15 +141,15 @@ static bool run_warp(struct warp *warp)
             continue;
         }
         warp->launch->instructions++;
-        if (in->operation == OP_bra) {
+        if (in->row->kind == BRANCH) {
             branch(warp, in);
             fine = warp->path_count + 2 < MAX_PATHS || ptx_refuse("branches are too deep", "");
             continue;
         }
-        for (int i = 0; i < LANES && fine && in->operation != OP_ret; i++)
+        for (int i = 0; i < LANES && fine && in->row->kind != RETURN; i++)
             if (path->threads >> i & 1)
                 fine = step(warp, &warp->threads[i], in);
-        path->place = in->operation == OP_ret ? warp->ptx->count : path->place + 1;
+        path->place = in->row->kind == RETURN ? warp->ptx->count : path->place + 1;
     }
     return fine;
 }
