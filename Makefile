@@ -294,6 +294,7 @@ fuzz.tris  := $(BUILD)/obj/tests/fuzz/tris_mend.c.o
 fuzz.scan  := $(fuzz.tris)
 fuzz.obj   := $(BUILD)/obj/tests/fuzz/mesh_check.c.o
 fuzz.ply   := $(fuzz.obj)
+fuzz.stl   := $(fuzz.obj)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
@@ -317,7 +318,7 @@ $(BUILD)/tests/torture: tests/faults/torture.c
 
 fuzz_seconds ?= 60
 .PHONY: $(fuzz_names:%=fuzz-%)
-## fuzz-NAME: fuzz obj, ply, mtl, tris, nvdb, overwritten (grids), exr, lowmesh or scan (both stages) for fuzz_seconds=60
+## fuzz-NAME: fuzz obj, ply, stl, mtl, tris, nvdb, overwritten (grids), exr, lowmesh or scan (both stages) for fuzz_seconds=60
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
 	@mkdir -p build/fuzz/corpus/$*

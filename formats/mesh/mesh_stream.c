@@ -279,6 +279,7 @@ static void free_slot(struct bsq_ctx *ctx, struct stream_slot *slot)
 {
     fmt_arrays_free(ctx, &slot->arrays);
     bsq_free(ctx, slot->bytes);
+    bsq_free(ctx, slot->work);
 }
 
 static unsigned count_slots(const struct stream_reader *reader)

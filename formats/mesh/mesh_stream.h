@@ -48,6 +48,9 @@ struct stream_slot {
     uint64_t capacity;
     bool loaded; /* `bytes` holds the part */
     struct mesh_arrays arrays;
+    uint8_t *work; /* memory of the format */
+    uint64_t work_capacity;
+    int64_t balance;   /* a count of the format */
     float color_white; /* as in struct fmt_mesh_block */
     /* Faces with fewer than three corners, which were skipped. Normals, colours and texture
      * coordinates that are no numbers, and so are missing. */

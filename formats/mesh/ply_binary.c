@@ -207,7 +207,7 @@ static void parse_piece(const struct ply_element *element, struct stream_slot *s
                 swap);
 }
 
-/* Returns how many numbers the lists of the part can have. */
+/* Returns more than the lists of the part can have numbers. */
 static uint64_t most_items(const struct ply_element *element, const struct stream_slot *slot)
 {
     static const enum ply_role lists[] = {PLY_INDICES, PLY_CORNER_TEXCOORDS};
@@ -217,7 +217,7 @@ static uint64_t most_items(const struct ply_element *element, const struct strea
         if (p && fmt_ply_type_bytes[p->type] < least)
             least = fmt_ply_type_bytes[p->type];
     }
-    return slot->part.size / least;
+    return slot->part.size / least + 1;
 }
 
 int fmt_ply_parse_binary(struct bsq_ctx *ctx, const struct ply_source *source,

@@ -17,9 +17,36 @@ compare()
 }
 
 compare
+# STL files have positions only, and no shared vertices.
+for order in "" "--shuffle 7"; do
+    for suffix in obj stl; do
+        # shellcheck disable=SC2086 # the order is no option or two words
+        "$TESTS/generate-scan" --triangles 20000 $order vase -o "scan.$suffix"
+        run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 200
+        code 0
+    done
+    same scan.obj.tris scan.stl.tris
+    same scan.obj.nvdb scan.stl.nvdb
+done
+run bisque-voxelize scan.stl -o small.nvdb --resolution 200 --memory 64M --threads 1
+code 0
+same scan.obj.nvdb small.nvdb
+
 compare --colors --normals --uvs --shuffle 1
 compare --corners 6 --colors
 compare --offset 500000,4000000,300
+
+# Files that other programs wrote.
+for kind in plain colors; do
+    run bisque-voxelize "$top/tests/meshes/$kind.obj" -o "$kind.nvdb" --voxel-size 0.02
+    code 0
+    for file in "$top/tests/meshes/$kind".*.*; do
+        run bisque-voxelize "$file" -o other.nvdb --tris other.tris --voxel-size 0.02
+        code 0
+        same "$kind.nvdb" other.nvdb
+        same "$kind.tris" other.tris
+    done
+done
 
 # A budget that puts vertices into a file.
 "$TESTS/generate-scan" --triangles 2000000 vase -o large.ply

@@ -7,7 +7,10 @@
 
 static void append(struct ply_builder *b, const void *bytes, size_t size)
 {
-    b->bytes = realloc(b->bytes, b->size + size + 1);
+    if (b->size + size > b->capacity) {
+        b->capacity = 2 * (b->size + size);
+        b->bytes = realloc(b->bytes, b->capacity);
+    }
     if (!b->bytes)
         abort();
     memcpy(b->bytes + b->size, bytes, size);

@@ -9,7 +9,7 @@ enum ply_test_encoding { PLY_TEST_ASCII, PLY_TEST_LITTLE, PLY_TEST_BIG, PLY_TEST
 
 struct ply_builder {
     char *bytes; /* owned */
-    size_t size, header_size;
+    size_t size, capacity, header_size;
     enum ply_test_encoding encoding;
 };
 

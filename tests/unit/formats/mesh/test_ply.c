@@ -278,7 +278,9 @@ static void test_long_strip(void **state)
             }
             ply_put(&list, "i", (double)index);
         }
-        b.bytes = realloc(b.bytes, b.size + list.size + 1);
+        b.capacity = b.size + list.size + 1;
+        b.bytes = realloc(b.bytes, b.capacity);
+        assert_non_null(b.bytes);
         memcpy(b.bytes + b.size, list.bytes, list.size);
         b.size += list.size;
         ply_end(&b);

@@ -1,0 +1,221 @@
+/* stl_text.c - STL files in text: any number of solids, words in any case and on any line.
+ *
+ * Only "vertex" and the ends of loops matter. Files are cut after a line that begins with
+ * "endfacet". */
+#include <strings.h>
+
+#include "formats/mesh/mesh_text.h"
+#include "formats/mesh/obj_number.h"
+#include "formats/mesh/stl_internal.h"
+
+/* ---- cutting ---- */
+
+static bool is_line_end(uint8_t c)
+{
+    return c == '\n' || c == '\r';
+}
+
+/* Returns whether "endfacet" begins a line at `at`. */
+static bool is_end_of_facet(const uint8_t *text, uint64_t at)
+{
+    if ((text[at] | 32) != 'e' || strncasecmp((const char *)text + at, "endfacet", 8) != 0)
+        return false;
+    while (at > 0 && (text[at - 1] == ' ' || text[at - 1] == '\t'))
+        at--;
+    return at == 0 || is_line_end(text[at - 1]);
+}
+
+/* Returns the position after the last facet in `size` bytes; 0: there is none. */
+static uint64_t find_cut(const uint8_t *text, uint64_t size)
+{
+    for (uint64_t at = size; at >= 9; at--)
+        if (text[at - 1] <= ' ' && is_end_of_facet(text, at - 9))
+            return at - 1;
+    return 0;
+}
+
+static uint64_t count_lines(const uint8_t *text, uint64_t size)
+{
+    uint64_t lines = 0;
+    for (uint64_t i = 0; i < size; i++)
+        lines += text[i] == '\n';
+    return lines;
+}
+
+int fmt_stl_cut_text(struct stream_reader *reader, const struct stream_part *before,
+                     struct stream_slot *slot)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    const struct stream_source *source = &reader->sources[before->source];
+    struct stream_part *part = &slot->part;
+    uint64_t have = 0, size = 0, left = source->size - before->end;
+    part->offset = before->end;
+    part->first_line = before->end == 0 ? 1 : before->first_line + before->lines;
+    if (left == 0)
+        return 0;
+    for (uint64_t wanted = STREAM_PART_BYTES; size == 0; wanted *= 2) {
+        const uint64_t load = wanted < left ? wanted : left;
+        int status = fmt_stream_reserve(ctx, slot, load);
+        if (!status)
+            status = bsq_file_read(ctx, &source->file, slot->bytes + have, load - have,
+                                   part->offset + have);
+        if (!status)
+            status = bsq_check(ctx);
+        if (status)
+            return status;
+        have = load;
+        size = have == left ? left : find_cut(slot->bytes, have);
+    }
+    part->size = size;
+    part->end = part->offset + size;
+    part->lines = count_lines(slot->bytes, size);
+    slot->loaded = true;
+    return 1;
+}
+
+/* ---- parsing ---- */
+
+struct text {
+    struct bsq_ctx *ctx;
+    struct stream_slot *slot;
+    const char *at, *end;
+    uint64_t line, facet_line;
+    uint64_t size; /* corners of the current loop */
+    int status;
+};
+
+static bool fail_word(struct text *t, const char *what)
+{
+    const char *end = t->at;
+    char quoted[44];
+    while ((unsigned char)*end > ' ')
+        end++;
+    fmt_mesh_quote(t->at, end, quoted, sizeof quoted);
+    if (t->at >= t->end)
+        fmt_stream_fail(t->slot, t->line, "truncated: the file ends within a facet");
+    else
+        fmt_stream_fail(t->slot, t->line, "\"%s\" is not %s", quoted, what);
+    return false;
+}
+
+/* Moves to the next word. Returns false at the end of the part. */
+static bool next_word(struct text *t)
+{
+    for (; t->at < t->end && (unsigned char)*t->at <= ' ' && *t->at != '\0'; t->at++)
+        t->line += *t->at == '\n';
+    return t->at < t->end;
+}
+
+/* Skips the word at the current position if it is `word`. */
+static bool take(struct text *t, const char *word)
+{
+    const size_t size = strlen(word);
+    if (strncasecmp(t->at, word, size) != 0 || (unsigned char)t->at[size] > ' ')
+        return false;
+    t->at += size;
+    return true;
+}
+
+static bool skip_numbers(struct text *t, int count)
+{
+    for (int i = 0; i < count; i++) {
+        if (!next_word(t))
+            return fail_word(t, "");
+        while ((unsigned char)*t->at > ' ')
+            t->at++;
+    }
+    return true;
+}
+
+static bool read_vertex(struct text *t)
+{
+    struct mesh_arrays *a = &t->slot->arrays;
+    double position[3];
+    for (int i = 0; i < 3; i++) {
+        next_word(t);
+        const char *after = obj_number(t->at, &position[i]);
+        if (!after || t->at >= t->end)
+            return fail_word(t, "a finite number");
+        t->at = after;
+    }
+    const uint64_t corner = a->corner_count + t->size;
+    t->status = fmt_arrays_reserve_corners(t->ctx, a, FMT_MESH_VERTEX, corner + 1);
+    if (t->status)
+        return false;
+    a->corners[FMT_MESH_VERTEX][corner] = fmt_stl_weld(t->slot, position, NULL);
+    t->size++;
+    return true;
+}
+
+/* Ends a loop. Returns false if parsing must stop. */
+static bool finish_loop(struct text *t)
+{
+    struct mesh_arrays *a = &t->slot->arrays;
+    const uint64_t size = t->size;
+    t->size = 0;
+    if (size < 3) {
+        t->slot->short_faces++;
+        return true;
+    }
+    t->status = fmt_arrays_reserve_faces(t->ctx, a, a->face_count + 1);
+    if (t->status || size > UINT32_MAX)
+        return false;
+    a->face_sizes[a->face_count] = (uint32_t)size;
+    a->corner_count += size;
+    t->slot->at = t->facet_line;
+    return a->face_count++ != t->slot->last_face;
+}
+
+/* Skips the name of a solid: the rest of the line. */
+static bool skip_name(struct text *t, int solids)
+{
+    t->slot->balance += solids;
+    while (t->at < t->end && !is_line_end((uint8_t)*t->at))
+        t->at++;
+    return true;
+}
+
+/* Reads the statement at the current position. Returns false if parsing must stop. */
+static bool read_statement(struct text *t)
+{
+    if (take(t, "vertex"))
+        return read_vertex(t);
+    if (take(t, "facet")) {
+        t->facet_line = t->line;
+        return true;
+    }
+    if (take(t, "normal"))
+        return skip_numbers(t, 3);
+    if (take(t, "outer")) {
+        t->size = 0;
+        return true;
+    }
+    if (take(t, "loop") || take(t, "endfacet"))
+        return true;
+    if (take(t, "endloop"))
+        return finish_loop(t);
+    if (take(t, "solid"))
+        return skip_name(t, 1);
+    return take(t, "endsolid") ? skip_name(t, -1) : fail_word(t, "a word of STL files");
+}
+
+int fmt_stl_parse_text(struct bsq_ctx *ctx, struct stream_slot *slot)
+{
+    /* "vertex 0 0 0" takes 13 bytes. */
+    int status = fmt_stl_begin_weld(ctx, slot, slot->part.size / 13 + 1);
+    if (status)
+        return status;
+    memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
+    slot->bytes[slot->part.size] = '\n';
+    struct text t = {.ctx = ctx,
+                     .slot = slot,
+                     .at = (const char *)slot->bytes,
+                     .end = (const char *)slot->bytes + slot->part.size,
+                     .line = slot->part.first_line};
+    bool more = true;
+    while (more && next_word(&t))
+        more = read_statement(&t);
+    if (more && t.size > 0)
+        fail_word(&t, "");
+    return t.status;
+}

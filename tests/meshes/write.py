@@ -1,0 +1,69 @@
+# Writes the meshes of this folder. Needs Python 3.11, numpy 2.4.6, trimesh 5.2.0, meshio 5.3.5,
+# plyfile 1.1.5 and numpy-stl 4.1.1 from PyPI.
+import meshio
+import numpy
+import plyfile
+import stl
+import trimesh
+
+
+def make_mesh():
+    """Returns vertices and triangles of a bumpy patch of 6 x 6 cells."""
+    side = 7
+    points = [(i / 8, j / 8, (i * j % 3) / 8) for j in range(side) for i in range(side)]
+    triangles = []
+    for j in range(side - 1):
+        for i in range(side - 1):
+            a = j * side + i
+            triangles += [(a, a + 1, a + side + 1), (a, a + side + 1, a + side)]
+    return numpy.array(points), numpy.array(triangles)
+
+
+points, triangles = make_mesh()
+colors = numpy.array([(i * 5 % 256, i * 3 % 256, 255 - i) for i in range(len(points))], numpy.uint8)
+
+with open("plain.obj", "w") as out:
+    for p in points:
+        out.write("v %g %g %g\n" % tuple(p))
+    for t in triangles:
+        out.write("f %d %d %d\n" % tuple(t + 1))
+with open("colors.obj", "w") as out:
+    for p, c in zip(points, colors):
+        out.write("v %g %g %g %d %d %d\n" % (*p, *c))
+    for t in triangles:
+        out.write("f %d %d %d\n" % tuple(t + 1))
+
+mesh = trimesh.Trimesh(points, triangles, process=False)
+mesh.export("plain.trimesh.ply", encoding="binary", vertex_normal=False)
+mesh.export("plain.trimesh.text.ply", encoding="ascii", vertex_normal=False)
+mesh.export("plain.trimesh.stl")
+mesh.export("plain.trimesh.text.stl", file_type="stl_ascii")
+mesh.visual.vertex_colors = colors
+mesh.export("colors.trimesh.ply", encoding="binary", vertex_normal=False)
+
+cells = [("triangle", triangles)]
+data = {name: colors[:, i] for i, name in enumerate(("red", "green", "blue"))}
+meshio.Mesh(points, cells).write("plain.meshio.ply", binary=True)
+meshio.Mesh(points, cells).write("plain.meshio.text.ply", binary=False)
+meshio.Mesh(points, cells).write("plain.meshio.stl", binary=True)
+meshio.Mesh(points, cells).write("plain.meshio.text.stl", binary=False)
+meshio.Mesh(points, cells, point_data=data).write("colors.meshio.ply", binary=True)
+
+vertex = numpy.array(
+    [(*p, *c) for p, c in zip(points, colors)],
+    dtype=[(n, "f8") for n in "xyz"] + [(n, "u1") for n in ("red", "green", "blue")],
+)
+face = numpy.empty(len(triangles), dtype=[("vertex_indices", "u2", (3,)), ("flag", "i2")])
+face["vertex_indices"] = triangles
+face["flag"] = 7
+elements = [
+    plyfile.PlyElement.describe(face, "face"),
+    plyfile.PlyElement.describe(vertex, "vertex", comments=["faces come first"]),
+]
+plyfile.PlyData(elements, byte_order=">").write("colors.plyfile.ply")
+plyfile.PlyData(elements, text=True).write("colors.plyfile.text.ply")
+
+solid = stl.mesh.Mesh(numpy.zeros(len(triangles), dtype=stl.mesh.Mesh.dtype))
+solid.vectors = points[triangles].astype(numpy.float32)
+solid.save("plain.numpy.stl", mode=stl.Mode.BINARY)
+solid.save("plain.numpy.text.stl", mode=stl.Mode.ASCII)

@@ -1,0 +1,292 @@
+/* test_stl.c - the STL reader on text and binary files, colours, and wrong files. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "tests/unit/fixture.h"
+#include "tests/unit/formats/mesh/obj_fixture.h"
+
+/* A binary file of `count` triangles. Corner k of triangle i is at (i, k, 0), but corner 0 is at
+ * the origin. */
+struct binary {
+    unsigned char bytes[84 + 50 * 8 + 8];
+    size_t size;
+};
+
+static void put_triangle(struct binary *b, const float corners[3][3], unsigned attribute)
+{
+    const float normal[3] = {NAN, NAN, NAN}; /* ignored */
+    unsigned char *to = b->bytes + b->size;
+    memcpy(to, normal, 12);
+    memcpy(to + 12, corners, 36);
+    to[48] = (unsigned char)attribute;
+    to[49] = (unsigned char)(attribute >> 8);
+    b->size += 50;
+}
+
+static struct binary make_binary(const char *header, unsigned count, const unsigned *attributes)
+{
+    struct binary b = {.size = 84};
+    memcpy(b.bytes, header, strlen(header));
+    b.bytes[80] = (unsigned char)count;
+    for (unsigned i = 0; i < count; i++) {
+        const float corners[3][3] = {{0, 0, 0}, {(float)i, 1, 0.5f}, {(float)i, 2, 0.5f}};
+        put_triangle(&b, corners, attributes ? attributes[i] : 0);
+    }
+    return b;
+}
+
+static void read_bytes(struct obj_fixture *f, const void *bytes, size_t size)
+{
+    const char *path = scratch_bytes("scan.stl", bytes, size);
+    obj_read_files(f, 2, 1, &path);
+    if (f->status)
+        print_message("%s\n", bsq_error(f->ctx));
+    assert_int_equal(f->status, 0);
+    assert_int_equal(f->scan.totals.bytes, size);
+}
+
+/* Equal vertices are one. The name at the start does not make a file text. */
+static void test_binary(void **state)
+{
+    (void)state;
+    static const char *const headers[] = {"a scan", "solid scan", "solid\nfacet normal"};
+    for (int i = 0; i < 3; i++) {
+        struct obj_fixture f;
+        struct binary b = make_binary(headers[i], 3, NULL);
+        read_bytes(&f, b.bytes, b.size);
+        assert_int_equal(f.scan.totals.faces, 3);
+        assert_int_equal(f.scan.totals.vertices, 7);
+        obj_assert_corners(&f, 0, 9, 0, 1, 2, 0, 3, 4, 0, 5, 6);
+        const double last[3] = {2, 2, 0.5};
+        assert_memory_equal(f.scan.positions[6], last, sizeof last);
+        assert_float_equal(f.scan.colors[0][0], -1, 0);
+        obj_close(&f);
+    }
+}
+
+static void test_text(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    const char *text = "solid one facet of many\r\n facet normal nan 0 1\n  outer loop\n"
+                       "   vertex 0 0 0\n   vertex 1 0 0\n   vertex 0 1e0 0\n  endloop\n endfacet\n"
+                       "endsolid one\n\n"
+                       "SOLID\nFACET NORMAL 0 0 1 OUTER LOOP VERTEX 1 0 0 VERTEX 1 1 0\n"
+                       "VERTEX 0.5 1 0 VERTEX 0 1 0 ENDLOOP ENDFACET\n"
+                       "facet\nouter loop\nvertex 1 1 1\nvertex 2 2 2\nendloop\nendfacet\nendsolid";
+    const char *path = scratch_text("text.dat", text); /* its content tells */
+    obj_read_files(&f, 2, 1, &path);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(f.scan.totals.faces, 2);
+    assert_int_equal(f.scan.totals.short_faces, 1);
+    assert_int_equal(f.scan.totals.bytes, strlen(text));
+    obj_assert_corners(&f, 0, 7, 0, 1, 2, 1, 3, 4, 2);
+    const double corner[3] = {0.5, 1, 0};
+    assert_memory_equal(f.scan.positions[4], corner, sizeof corner);
+    assert_int_equal(obj_line_of_face(&f, 0), 2);
+    assert_int_equal(obj_line_of_face(&f, 1), 12);
+    obj_close(&f);
+}
+
+/* Many parts give what one part gives, apart from vertices that are equal across parts. */
+static void test_large(void **state)
+{
+    (void)state;
+    enum { TRIANGLES = 20000 };
+    char *text = malloc(TRIANGLES * 160 + 100);
+    unsigned char *binary = calloc(1, 84 + 50 * TRIANGLES);
+    assert_non_null(text);
+    assert_non_null(binary);
+    size_t size = (size_t)sprintf(text, "solid many\n");
+    const uint32_t count = TRIANGLES;
+    memcpy(binary + 80, &count, 4);
+    for (int i = 0; i < TRIANGLES; i++) {
+        const float corners[9] = {(float)i, 0, 0, (float)i + 1, 0, 0, (float)i, 1, 0};
+        memcpy(binary + 84 + 50 * i + 12, corners, 36);
+        size += (size_t)sprintf(text + size,
+                                "facet normal 0 0 1\nouter loop\nvertex %d 0 0\nvertex %d 0 0\n"
+                                "vertex %d 1 0\nendloop\nendfacet\n",
+                                i, i + 1, i);
+    }
+    size += (size_t)sprintf(text + size, "endsolid many\n");
+    const struct {
+        const void *bytes;
+        size_t size;
+    } files[2] = {{text, size}, {binary, 84 + 50 * TRIANGLES}};
+    for (int n = 0; n < 2; n++) {
+        struct obj_fixture f;
+        read_bytes(&f, files[n].bytes, files[n].size);
+        assert_true(f.scan.blocks > 2);
+        assert_int_equal(f.scan.totals.faces, TRIANGLES);
+        assert_in_range(f.scan.totals.vertices, 2 * TRIANGLES + 1, 2 * TRIANGLES + 100);
+        for (int i = 0; i < TRIANGLES; i++) {
+            const double *p = f.scan.positions[f.scan.corners[0][3 * i + 1]];
+            assert_true(p[0] == i + 1 && p[1] == 0 && p[2] == 0);
+        }
+        assert_int_equal(obj_line_of_face(&f, 15000), n == 0 ? 2 + 7 * 15000 : 0);
+        obj_close(&f);
+    }
+    free(text);
+    free(binary);
+}
+
+static void assert_color(const struct obj_fixture *f, uint64_t corner, float r, float g, float b)
+{
+    const float *color = f->scan.colors[f->scan.corners[0][corner]];
+    assert_float_equal(color[0], r, 1e-4);
+    assert_float_equal(color[1], g, 1e-4);
+    assert_float_equal(color[2], b, 1e-4);
+}
+
+/* VisCAM and SolidView: blue in the lowest bits; the highest bit is set if there is a colour. */
+static void test_viscam_colors(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    const unsigned attributes[3] = {0x8000 | 31, 0x8000 | 31 << 10 | 15 << 5, 31};
+    struct binary b = make_binary("a scan", 3, attributes);
+    read_bytes(&f, b.bytes, b.size);
+    assert_color(&f, 0, 0, 0, 255);
+    assert_color(&f, 4, 255, 15 * 255.0f / 31, 0);
+    assert_color(&f, 8, -1, -1, -1);
+    obj_close(&f);
+}
+
+/* Magics: red in the lowest bits; the highest bit is set if a triangle has the object's colour. */
+static void test_magics_colors(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    const unsigned attributes[3] = {31, 0x8000 | 31, 31 << 10};
+    struct binary b = make_binary("made by hand COLOR=\012\024\036\377,MATERIAL=", 3, attributes);
+    read_bytes(&f, b.bytes, b.size);
+    assert_color(&f, 0, 255, 0, 0);
+    assert_color(&f, 4, 10, 20, 30);
+    assert_color(&f, 8, 0, 0, 255);
+    obj_close(&f);
+}
+
+/* ---- wrong files ---- */
+
+static void expect_error(const void *bytes, size_t size, const char *message)
+{
+    const char *path = scratch_bytes("bad.stl", bytes, size);
+    struct obj_fixture f;
+    obj_read_files(&f, 2, 1, &path);
+    assert_int_equal(f.status, BSQ_EDATA);
+    assert_string_equal(bsq_error(f.ctx) + strlen(scratch_directory) + 1, message);
+    obj_close(&f);
+}
+
+static void test_wrong_text(void **state)
+{
+    (void)state;
+#define START "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n"
+    static const struct {
+        const char *text, *message;
+    } cases[] = {
+        {START "vertex 0 0 x\n", "bad.stl:5: \"x\" is not a finite number"},
+        {START "vertex 0 0 inf\n", "bad.stl:5: \"inf\" is not a finite number"},
+        {START "vertex 0 0", "bad.stl:5: truncated: the file ends within a facet"},
+        {START "vertex 0 0 1\n", "bad.stl:6: truncated: the file ends within a facet"},
+        {START "vortex 0 0 1\n", "bad.stl:5: \"vortex\" is not a word of STL files"},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        expect_error(cases[i].text, strlen(cases[i].text), cases[i].message);
+}
+
+static void test_wrong_binary(void **state)
+{
+    (void)state;
+    struct binary b = make_binary("a scan", 3, NULL);
+    const float corners[3][3] = {{0, 0, 0}, {1, 0, INFINITY}, {0, 1, 0}};
+    expect_error(b.bytes, 83, "bad.stl: truncated: 83 bytes are no STL file");
+    expect_error(b.bytes, b.size - 1,
+                 "bad.stl: truncated: the header counts 3 triangles, the file has 2");
+    put_triangle(&b, corners, 0);
+    b.bytes[80] = 4;
+    expect_error(b.bytes, b.size,
+                 "bad.stl: byte 234: a corner has a coordinate that is not finite");
+    memset(b.bytes + 80, 0xff, 4);
+    expect_error(b.bytes, b.size,
+                 "bad.stl: truncated: the header counts 4294967295 triangles, the file has 4");
+}
+
+/* Every length of both kinds: an error in one line, or all triangles that the file still has. */
+static void test_every_length(void **state)
+{
+    (void)state;
+    struct binary b = make_binary("a scan", 3, NULL);
+    const char *text = START "vertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\nendsolid\n";
+    for (size_t size = 0; size <= b.size; size++) {
+        struct obj_fixture f;
+        const char *path = scratch_bytes("cut.stl", b.bytes, size);
+        obj_read_files(&f, 1, 1, &path);
+        assert_int_equal(f.status, size == b.size ? 0 : BSQ_EDATA);
+        obj_close(&f);
+    }
+    for (size_t size = 5; size <= strlen(text); size++) {
+        struct obj_fixture f;
+        const char *path = scratch_bytes("cut.stl", text, size);
+        obj_read_files(&f, 1, 1, &path);
+        if (size >= strlen(text) - 1)
+            assert_int_equal(f.status, 0);
+        if (f.status == 0)
+            assert_int_equal(f.scan.totals.faces, strstr(text, "endloop") + 7 - text <= (long)size);
+        else
+            assert_int_equal(f.status, BSQ_EDATA);
+        obj_close(&f);
+    }
+}
+
+static void note_warning(void *user, const char *line)
+{
+    strcat(user, line + strlen(scratch_directory) + 1);
+    strcat(user, "\n");
+}
+
+static void check_warning(const void *bytes, size_t size, const char *expected)
+{
+    char warnings[300] = "";
+    struct bsq_ctx_options options = {
+        .threads = 1, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
+    struct bsq_ctx *ctx;
+    struct fmt_mesh_reader *reader;
+    const char *path = scratch_bytes("odd.stl", bytes, size);
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
+    for (int i = 0; i < 2; i++)
+        assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), 0);
+    fmt_mesh_close(reader);
+    assert_string_equal(warnings, expected);
+    test_context_end(ctx);
+}
+
+static void test_warnings(void **state)
+{
+    (void)state;
+    struct binary b = make_binary("a scan", 3, NULL);
+    const char *text = START "vertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\n";
+    check_warning(b.bytes, b.size + 8, "odd.stl: 8 bytes after the last triangle not read\n");
+    check_warning(text, strlen(text),
+                  "odd.stl: \"endsolid\" is missing: the file may be incomplete\n");
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_binary),        cmocka_unit_test(test_text),
+        cmocka_unit_test(test_large),         cmocka_unit_test(test_viscam_colors),
+        cmocka_unit_test(test_magics_colors), cmocka_unit_test(test_wrong_text),
+        cmocka_unit_test(test_wrong_binary),  cmocka_unit_test(test_every_length),
+        cmocka_unit_test(test_warnings),
+    };
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
+}
