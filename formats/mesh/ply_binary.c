@@ -44,15 +44,38 @@ static void read_property(struct mesh_arrays *a, const uint8_t *from, uint64_t e
         copy_property(a, from, each, count, p, p->type, swap);
 }
 
+/* Copies positions of three floats in a row, which most scans have. Returns false if they are
+ * something else. */
+static bool copy_positions(struct mesh_arrays *a, const uint8_t *from,
+                           const struct ply_element *element, uint64_t count, bool swap)
+{
+    const struct ply_property *x = element->role[PLY_X];
+    const uint64_t each = element->least_bytes;
+    for (int i = 0; i < 3; i++) {
+        const struct ply_property *p = element->role[PLY_X + i];
+        if (p != x + i || p->type != PLY_FLOAT32 || swap)
+            return false;
+    }
+    from += x->offset;
+    for (uint64_t i = 0; i < count; i++) {
+        float position[3];
+        memcpy(position, from + i * each, sizeof position);
+        for (int k = 0; k < 3; k++)
+            a->positions[i][k] = (double)position[k];
+    }
+    return true;
+}
+
 /* Parses vertices without lists. */
 static void parse_equal_vertices(const struct ply_source *source, const struct ply_element *element,
                                  struct stream_slot *slot, bool swap)
 {
     const struct ply_property *p = source->header.properties + element->first_property;
     const uint64_t each = element->least_bytes, count = slot->part.items;
+    const bool copied = copy_positions(&slot->arrays, slot->bytes, element, count, swap);
     uint64_t bad;
     for (uint32_t i = 0; i < element->property_count; i++)
-        if (p[i].role != PLY_UNUSED)
+        if (p[i].role != PLY_UNUSED && !(copied && p[i].role <= PLY_Z))
             read_property(&slot->arrays, slot->bytes, each, count, &p[i], swap);
     if (!fmt_ply_finish_vertices(source, element, slot, count, &bad))
         fmt_stream_fail(slot, slot->part.offset + bad * each,
@@ -116,25 +139,30 @@ static const uint8_t *read_face_property(struct stream_slot *slot, struct ply_fa
 }
 
 /* Reads triangles of 32-bit indices from `from` on, as long as there is nothing else. Returns the
- * position after them; *items counts down. */
+ * position after them; *items counts down. Returns NULL if an index is negative or beyond 2^31. */
 static const uint8_t *read_triangles(struct stream_slot *slot, const uint8_t *from, uint64_t *items)
 {
     struct mesh_arrays *a = &slot->arrays;
-    uint64_t *corners = a->corners[FMT_MESH_VERTEX] + a->corner_count, count = 0;
-    for (; count < *items && *from == 3; count++, from += 13, corners += 3) {
+    uint64_t *corners = a->corners[FMT_MESH_VERTEX] + a->corner_count;
+    uint32_t *sizes = a->face_sizes + a->face_count, all = 0;
+    const uint64_t most = *items;
+    uint64_t count = 0;
+    for (; count < most && from[13 * count] == 3; count++) {
         uint32_t v[3];
-        memcpy(v, from + 1, sizeof v);
-        if ((v[0] | v[1] | v[2]) >> 31)
-            break; /* negative, or beyond 2^31 */
-        corners[0] = v[0];
-        corners[1] = v[1];
-        corners[2] = v[2];
-        a->face_sizes[a->face_count + count] = 3;
+        memcpy(v, from + 13 * count + 1, sizeof v);
+        for (int k = 0; k < 3; k++) {
+            corners[3 * count + (uint64_t)k] = v[k];
+            all |= v[k];
+        }
     }
+    if (all >> 31)
+        return NULL;
+    for (uint64_t i = 0; i < count; i++)
+        sizes[i] = 3;
     a->face_count += count;
     a->corner_count += 3 * count;
     *items -= count;
-    return from;
+    return from + 13 * count;
 }
 
 /* Returns whether faces are nothing but a list that read_triangles() understands. */
@@ -151,11 +179,12 @@ static void parse_faces(const struct ply_source *source, const struct ply_elemen
                         struct stream_slot *slot, bool swap)
 {
     const struct ply_property *p = source->header.properties + element->first_property;
-    const bool plain = are_plain(source, element, slot);
+    bool plain = are_plain(source, element, slot);
     const uint8_t *from = slot->bytes;
     for (uint64_t left = slot->part.items; left > 0; left--) {
-        if (plain)
-            from = read_triangles(slot, from, &left);
+        const uint8_t *end = plain ? read_triangles(slot, from, &left) : NULL;
+        plain = end != NULL;
+        from = plain ? end : from;
         if (left == 0)
             return;
         struct ply_face face = ply_face_at(slot->part.offset + (uint64_t)(from - slot->bytes));
@@ -227,7 +256,7 @@ int fmt_ply_parse_binary(struct bsq_ctx *ctx, const struct ply_source *source,
     int status = fmt_ply_reserve(ctx, source, element, slot, most_items(element, slot));
     if (status)
         return status;
-    if (element->kind == PLY_VERTICES && !element->has_lists)
+    if (element->kind == PLY_VERTICES && element->list_count == 0)
         parse_equal_vertices(source, element, slot, swap);
     else if (element->kind == PLY_VERTICES)
         parse_uneven_vertices(source, element, slot, swap);

@@ -113,11 +113,34 @@ static uint64_t element_bytes(struct cutter *c, const uint8_t *from, uint64_t ha
     return at;
 }
 
+/* Returns how many elements from byte `at` on are triangles, of at most `limit`. It knows only
+ * elements with one list, whose length is one byte; most scans have no others. *each: bytes of such
+ * a triangle. */
+static uint64_t count_triangles(const struct cutter *c, uint64_t at, uint64_t limit, uint64_t *each)
+{
+    const struct ply_property *p = c->element->role[PLY_INDICES];
+    uint64_t items = 0;
+    *each = 0;
+    if (c->element->list_count != 1 || !p || fmt_ply_type_bytes[p->count_type] != 1)
+        return 0;
+    *each = c->element->least_bytes + 3 * (uint64_t)fmt_ply_type_bytes[p->type];
+    const uint8_t *length = c->slot->bytes + at + p->offset;
+    limit = smaller(limit, (c->have - at) / *each);
+    for (; items < limit && *length == 3; items++)
+        length += *each;
+    return items;
+}
+
 /* Returns how many of the loaded elements are whole. *size: their bytes. */
 static uint64_t count_whole(struct cutter *c, uint64_t *size)
 {
-    uint64_t items = 0, at = 0;
+    uint64_t items = 0, at = 0, each;
     while (items < c->limit) {
+        const uint64_t triangles = count_triangles(c, at, c->limit - items, &each);
+        at += triangles * each;
+        items += triangles;
+        if (items == c->limit)
+            break;
         uint64_t bytes = element_bytes(c, c->slot->bytes + at, c->have - at);
         if (bytes == 0)
             break;
@@ -299,5 +322,5 @@ int fmt_ply_cut(struct stream_reader *reader, const struct stream_part *before,
         return cut_piece(&c, before->carry_out, before->left);
     if (text)
         return cut_text(&c);
-    return c.element->has_lists ? cut_lists(&c) : cut_equal(&c);
+    return c.element->list_count > 0 ? cut_lists(&c) : cut_equal(&c);
 }

@@ -2,6 +2,7 @@
  */
 #include <inttypes.h>
 #include <math.h>
+#include <string.h>
 
 #include "formats/mesh/ply_internal.h"
 
@@ -64,10 +65,13 @@ void fmt_ply_store_vertex(struct mesh_arrays *arrays, uint64_t vertex,
 /* Returns whether all numbers are finite. */
 static bool all_finite(const double *numbers, uint64_t count)
 {
-    double poison = 0;
-    for (uint64_t i = 0; i < count; i++)
-        poison += numbers[i] * 0.0;
-    return poison == 0.0;
+    const uint64_t exponent = 0x7ff0000000000000, one = 0x0010000000000000;
+    uint64_t carries = 0, bits;
+    for (uint64_t i = 0; i < count; i++) {
+        memcpy(&bits, &numbers[i], sizeof bits);
+        carries |= (bits & exponent) + one; /* the largest exponent carries into the sign */
+    }
+    return carries >> 63 == 0;
 }
 
 /* Sets vectors that are not finite to `missing`; returns their number. */

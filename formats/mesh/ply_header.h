@@ -58,7 +58,7 @@ struct ply_property {
     char *name;
     enum ply_type type, count_type; /* count_type: PLY_NO_TYPE, or that of a list's length */
     enum ply_role role;
-    uint64_t offset; /* in an element without lists */
+    uint64_t offset; /* in an element, if no list comes before it */
 };
 
 enum ply_kind { PLY_OTHER, PLY_VERTICES, PLY_FACES, PLY_STRIPS };
@@ -68,7 +68,7 @@ struct ply_element {
     enum ply_kind kind;
     uint64_t count;
     uint32_t first_property, property_count;
-    bool has_lists;
+    uint32_t list_count;
     uint64_t least_bytes; /* of one element in a binary file; all its bytes if it has no lists */
     /* The property with each role; NULL: none. */
     const struct ply_property *role[PLY_ROLE_COUNT];

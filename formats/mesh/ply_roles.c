@@ -85,7 +85,7 @@ static void describe_element(struct ply_header *header, struct ply_element *elem
         struct ply_property *p = &properties[element->first_property + i];
         bool list = p->count_type != PLY_NO_TYPE;
         p->offset = element->least_bytes;
-        element->has_lists |= list;
+        element->list_count += list;
         element->least_bytes += fmt_ply_type_bytes[list ? p->count_type : p->type];
         p->role = role_of(element->kind, p);
         if (element->role[p->role] || (p->role == PLY_INDICES && ply_is_real(p->type)) ||

@@ -51,6 +51,27 @@ static void write_inputs(void)
     file = create("scan.mtl");
     fprintf(file, "newmtl clay\nKd 0.5 0.4 0.3\n");
     fclose(file);
+    file = create("scan.ply");
+    fprintf(file, "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 3\n"
+                  "property float x\nproperty float y\nproperty float z\nproperty float nx\n"
+                  "property float ny\nproperty float nz\nproperty uchar red\n"
+                  "property uchar green\nproperty uchar blue\nelement face 1\n"
+                  "property list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+                  "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+                  "0 0 0 0 0 1 1 2 3\n1 0 0 0 0 1 1 2 3\n0 1 0 0 0 1 1 2 3\n"
+                  "3 0 1 2 6 0 0 1 0 0 1\n4 0 1 2 0\n");
+    fclose(file);
+    file = create("faces.ply");
+    fprintf(file, "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n"
+                  "property float y\nproperty float z\nelement face 1\n"
+                  "property list uchar int vertex_indices\nproperty uchar red\n"
+                  "property uchar green\nproperty uchar blue\nend_header\n"
+                  "0 0 0\n1 0 0\n0 1 0\n3 0 1 2 1 2 3\n");
+    fclose(file);
+    file = create("scan.stl");
+    fprintf(file, "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"
+                  "vertex 0 1 0\nendloop\nendfacet\nendsolid\n");
+    fclose(file);
     file = create("low.obj");
     fprintf(file,
             "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0.1 0.1\nvt 0.9 0.1\nvt 0.9 0.9\nvt 0.1 0.9\n"
@@ -61,9 +82,10 @@ static void write_inputs(void)
 static bool expected_name(const char *name)
 {
     static const char *const names[] = {
-        ".",         "..",           "scan.obj",    "scan.mtl",   "low.obj",      "scan.tris",
-        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr", "a_normal.exr", "heat.png",
-        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",   "scan.tris.job"};
+        ".",         "..",           "scan.obj",    "scan.mtl",   "low.obj",       "scan.tris",
+        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr", "a_normal.exr",  "heat.png",
+        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",   "scan.tris.job", "scan.ply",
+        "faces.ply", "scan.stl"};
     for (unsigned i = 0; i < sizeof names / sizeof *names; i++)
         if (strcmp(names[i], name) == 0)
             return true;
@@ -103,6 +125,34 @@ static int parse(struct bsq_ctx *ctx)
         assert_int_equal(totals.faces, SIDE * SIDE);
     fmt_mesh_close(reader);
     return status;
+}
+
+/* Reads a mesh and its materials. */
+static int parse_file(struct bsq_ctx *ctx, const char *path, uint64_t faces)
+{
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_totals totals;
+    struct fmt_materials materials;
+    int status = fmt_mesh_open(ctx, &path, 1, &reader);
+    if (status < 0)
+        return status;
+    status = fmt_mesh_read(reader, NULL, NULL, &totals);
+    if (status == 0)
+        assert_int_equal(totals.faces, faces);
+    if (status == 0)
+        status = fmt_mesh_read_materials(reader, &materials);
+    if (status == 0)
+        fmt_materials_free(ctx, &materials);
+    fmt_mesh_close(reader);
+    return status;
+}
+
+static int parse_others(struct bsq_ctx *ctx)
+{
+    int status = parse_file(ctx, "scan.ply", 3);
+    if (status == 0)
+        status = parse_file(ctx, "faces.ply", 1);
+    return status == 0 ? parse_file(ctx, "scan.stl", 1) : status;
 }
 
 static int load_mesh(struct bsq_ctx *ctx)
@@ -309,6 +359,7 @@ TEST(bake_grid, 1)
 TEST(bake_preview, 41) /* a large picture; most of its calls are those of bake_grid */
 TEST(bake_exact, 1)
 TEST(compare, 1)
+TEST(parse_others, 1)
 
 static int prepare(struct bsq_ctx *ctx)
 {
@@ -341,7 +392,7 @@ int main(void)
         cmocka_unit_test(test_verify_tris), cmocka_unit_test(test_verify_nvdb),
         cmocka_unit_test(test_bake_grid),   cmocka_unit_test(test_bake_preview),
         cmocka_unit_test(test_bake_exact),  cmocka_unit_test(test_compare),
-        cmocka_unit_test(test_record),
+        cmocka_unit_test(test_record),      cmocka_unit_test(test_parse_others),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

@@ -160,6 +160,37 @@ static void test_index_out_of_range(void **state)
     }
 }
 
+/* Indices beyond 2^31 among plain triangles, signed and not. */
+static void test_large_indices(void **state)
+{
+    (void)state;
+    for (int is_signed = 0; is_signed < 2; is_signed++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        ply_begin(&b, PLY_TEST_LITTLE,
+                  is_signed ? "element vertex 3\n" XYZ "element face 3\n" FACES
+                            : "element vertex 3\n" XYZ
+                              "element face 3\nproperty list uchar uint vertex_indices\n");
+        for (int i = 0; i < 9; i++)
+            ply_put(&b, "f", 0.0);
+        ply_put(&b, "CiiiCIIICiii", 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, is_signed ? -2.0 : 4294967294.0,
+                2.0, 3.0, 2.0, 1.0, 0.0);
+        const char *path = scratch_bytes("bad.ply", b.bytes, b.size);
+        obj_read_files(&f, 1, 1, &path);
+        if (is_signed) {
+            assert_int_equal(f.status, BSQ_EDATA);
+            assert_non_null(strstr(bsq_error(f.ctx), ": face refers to vertex -2"));
+        } else {
+            assert_int_equal(f.status, 0);
+            assert_int_equal(f.scan.totals.faces, 3);
+            assert_int_equal(f.scan.corners[0][4], 4294967294u);
+            assert_int_equal(f.scan.corners[0][8], 0);
+        }
+        obj_close(&f);
+        ply_free(&b);
+    }
+}
+
 /* A file with everything, cut at each length: an error in one line, or the whole mesh. */
 static void test_every_length(void **state)
 {
@@ -263,10 +294,10 @@ static void test_warnings(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_headers),      cmocka_unit_test(test_text),
-        cmocka_unit_test(test_binary),       cmocka_unit_test(test_index_out_of_range),
-        cmocka_unit_test(test_every_length), cmocka_unit_test(test_long_header_line),
-        cmocka_unit_test(test_warnings),
+        cmocka_unit_test(test_headers),          cmocka_unit_test(test_text),
+        cmocka_unit_test(test_binary),           cmocka_unit_test(test_index_out_of_range),
+        cmocka_unit_test(test_large_indices),    cmocka_unit_test(test_every_length),
+        cmocka_unit_test(test_long_header_line), cmocka_unit_test(test_warnings),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }
