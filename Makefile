@@ -243,8 +243,8 @@ $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(ar
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
 
-# Drivers for tests: a CUDA driver without a GPU, an OpenCL driver that crashes, and an OpenCL
-# library that starts CUDA.
+# Drivers for tests: a CUDA driver without a GPU, an OpenCL driver that crashes, an OpenCL library
+# that starts CUDA, and one whose devices are GPUs that fail.
 fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
 $(fake_cuda): $(patsubst %.c,$(BUILD)/obj/%.c.o,$(wildcard tests/fake/fake_*.c tests/fake/ptx_*.c))
 	@mkdir -p $(@D)
@@ -258,7 +258,11 @@ nvidia_opencl := $(BUILD)/tests/fake/nvidia/libOpenCL.so.1
 $(nvidia_opencl): $(BUILD)/obj/tests/fake/nvidia_opencl.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libOpenCL.so.1 -o $@ $^ -ldl
-fakes := $(fake_cuda) $(crashing_driver) $(nvidia_opencl)
+fake_opencl := $(BUILD)/tests/fake/opencl/libOpenCL.so.1
+$(fake_opencl): $(BUILD)/obj/tests/fake/opencl_gpu.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libOpenCL.so.1 -o $@ $^ -ldl
+fakes := $(fake_cuda) $(crashing_driver) $(nvidia_opencl) $(fake_opencl)
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_headers := base/version.h base/context.h libvoxel/voxel.h libbake/bake.h libbake/compare.h

@@ -91,13 +91,21 @@ static int spawn(const char *path, const char *argument, int to, pid_t *out)
     return code;
 }
 
+/* Reports an errno. Also without memory for a process, the job can go on without GPUs. */
+static int fail_start(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const char *path,
+                      int code)
+{
+    return bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: %s does not start: %s", kind->drivers,
+                    path, strerror(code));
+}
+
 static int start(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const char *path,
                  struct child *out)
 {
     int ends[2], code = 0;
 
     if (pipe2(ends, O_CLOEXEC) < 0)
-        return bsq_fail_errno(ctx, BSQ_ENODEVICE, errno, "asking for %s devices", kind->drivers);
+        return fail_start(ctx, kind, path, errno);
     out->pipe = bsq_fd_above_standard(ends[0]);
     ends[1] = bsq_fd_above_standard(ends[1]);
     if (out->pipe < 0 || ends[1] < 0)
@@ -112,8 +120,7 @@ static int start(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const
     }
     if (out->pipe >= 0)
         close(out->pipe);
-    return bsq_fail_errno(ctx, BSQ_ENODEVICE, code, "%s, which asks for %s devices", path,
-                          kind->drivers);
+    return fail_start(ctx, kind, path, code);
 }
 
 /* Reads bytes. *whole: whether all came before the pipe's end and the deadline. */

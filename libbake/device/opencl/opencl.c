@@ -63,10 +63,12 @@ static const char *opencl_describe(const struct bake_compute *compute, int code,
     return bake_opencl_error(code, buffer);
 }
 
-/* Drivers often notice that memory is exhausted only when something is copied there. */
+/* Drivers often notice that memory is exhausted only when something is copied there, and do not
+ * agree on the code. */
 static bool opencl_lacks_memory(int code)
 {
-    return code == CL_MEM_OBJECT_ALLOCATION_FAILURE || code == CL_OUT_OF_RESOURCES;
+    return code == CL_MEM_OBJECT_ALLOCATION_FAILURE || code == CL_OUT_OF_RESOURCES ||
+           code == CL_OUT_OF_HOST_MEMORY || code == CL_INVALID_BUFFER_SIZE;
 }
 
 /* ---- memory ---- */

@@ -38,8 +38,8 @@ static int fail_build(struct program *p, cl_int code)
         used += (size_t)snprintf(line + used, sizeof line - used, "%s", piece);
     }
     bsq_free(p->ctx, log);
-    return bsq_fail(p->ctx, BSQ_ENODEVICE, "%s: clBuildProgram: %s: %s", p->device->name,
-                    bake_opencl_error(code, number), line);
+    return bsq_fail(p->ctx, BSQ_ENODEVICE, "%s: clBuildProgram: %s%s%s", p->device->name,
+                    bake_opencl_error(code, number), *line ? ": " : "", line);
 }
 
 static int build(struct program *p)

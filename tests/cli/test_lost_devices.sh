@@ -1,0 +1,94 @@
+#!/bin/sh
+# GPUs that fail under way: bisque-bake finishes the same maps with the processor and says so once,
+# or ends with one line if the user named the device. The drivers are tests/fake/fake_cuda.c and
+# tests/fake/opencl_gpu.c.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+p=bisque-bake:
+fake=$TESTS/fake
+
+"$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
+    "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
+    "$BIN/bisque-voxelize" --resolution 128 vase.obj -o vase.nvdb >/dev/null || exit 1
+maps="--threads 2 --size 48x32 --float --maps normal,mask vase.nvdb low.obj"
+
+run bisque-bake --device cpu $maps -o 'cpu_<MAP>.exr'
+code 0
+
+cuda() { LD_LIBRARY_PATH=$fake run bisque-bake "$@"; }
+opencl() { LD_LIBRARY_PATH=$fake/opencl run bisque-bake "$@"; }
+
+# survives SETTING: checks the last job: its maps, and that it warned at most once. OpenCL devices
+# may round differently.
+survives()
+{
+    ok=0
+    [ "$code" -eq 0 ] && [ "$(wc -l <"$err")" -le 1 ] && cmp -s cpu_mask.exr x_mask.exr &&
+        "$BIN/bisque-compare" --type normal --max-mean 0.1 cpu_normal.exr x_normal.exr \
+            >/dev/null 2>&1 || ok=1
+    [ ! -s "$err" ] || grep -Eq "is not used: |; going on with cpu, 2 threads$" "$err" || ok=1
+    [ ! -s "$err" ] || warned=$((warned + 1))
+    check "the job survives $1" $ok
+    rm -f x_*.exr
+}
+
+# passes BAKE: sets $memory, with which BAKE takes several passes.
+passes()
+{
+    "$1" --device "$1" $maps -o 'x_<MAP>.exr' --gpu-memory 100K
+    memory=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p; s/.*take \([0-9]*\) bytes of.*/\1/p' "$err")
+    memory=$((${memory:-1} + 700000))
+    "$1" --device "$1" $maps -o 'x_<MAP>.exr' --gpu-memory $memory --json
+    json '.passes > 2'
+}
+
+# ---- CUDA ----
+
+ptx=$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)
+if [ -s "$ptx" ]; then
+    passes cuda
+    warned=0
+    for call in cuCtxSetCurrent cuMemAlloc_v2 cuMemcpyHtoDAsync_v2 cuEventRecord cuEventSynchronize \
+        cuStreamSynchronize cuLaunchKernel cuStreamQuery cuMemcpyDtoHAsync_v2 cuEventElapsedTime; do
+        for number in 1 7; do
+            FAKE_CUDA_FAIL=$call:$number:719 cuda $maps --gpu-memory $memory -o 'x_<MAP>.exr'
+            survives "$call:$number"
+        done
+    done
+    [ "$warned" -ge 15 ]
+    check "most failures were reached: $warned" $?
+    FAKE_CUDA_FAIL=cuStreamQuery:3:719 cuda --device cuda $maps --gpu-memory $memory -o 'x_<MAP>.exr'
+    code 69
+    refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
+else
+    skip "CUDA" "built without clang and nvcc"
+fi
+
+# ---- OpenCL ----
+
+FAKE_OPENCL_REAL=$(ldconfig -p | awk '/libOpenCL\.so\.1 / { print $NF; exit }')
+export FAKE_OPENCL_REAL
+if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list-devices && grep -q '^opencl:0' "$out"; then
+    opencl $maps -o 'x_<MAP>.exr' --json
+    json '.device | startswith("cpu,") | not'
+    passes opencl
+    warned=0
+    for failure in clCreateContext:1 clBuildProgram:1 clCreateBuffer:7 clEnqueueWriteBuffer:7 \
+        clWaitForEvents:7 clSetKernelArg:7 clEnqueueNDRangeKernel:2 clEnqueueReadBuffer:2 \
+        clGetEventProfilingInfo:7 clFinish:3; do
+        FAKE_OPENCL_FAIL=$failure:-5 opencl $maps --gpu-memory $memory -o 'x_<MAP>.exr'
+        survives "$failure"
+    done
+    [ "$warned" -ge 8 ]
+    check "most failures were reached: $warned" $?
+    # A device that has less memory than it says: the codes that drivers give.
+    for code_of_driver in -4 -5 -6 -61; do
+        FAKE_OPENCL_FAIL=clCreateBuffer:5:$code_of_driver:once opencl $maps -o 'x_<MAP>.exr' --json
+        code 0
+        json '.passes > 1 and (.device | startswith("cpu,") | not)'
+        survives "code $code_of_driver"
+    done
+else
+    skip "OpenCL" "no device is installed"
+fi
+finish
