@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "base/context_internal.h"
+#include "base/job_files.h"
 
 /* The message if there is no memory to format one; never freed. */
 static char no_memory_text[] = "out of memory";
@@ -64,6 +65,7 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     }
     pthread_mutex_init(&ctx->error_lock, NULL);
     pthread_mutex_init(&ctx->callback_lock, NULL);
+    pthread_mutex_init(&ctx->files_lock, NULL);
     *out = ctx;
     return 0;
 }
@@ -73,10 +75,12 @@ void bsq_ctx_destroy(struct bsq_ctx *ctx)
     if (!ctx)
         return;
     bsq_pool_destroy(ctx->pool);
+    bsq_forget_files(ctx);
     assert(atomic_load(&ctx->memory_used) == 0 && "memory of this context was not freed");
     bsq_clear_error(ctx);
     pthread_mutex_destroy(&ctx->error_lock);
     pthread_mutex_destroy(&ctx->callback_lock);
+    pthread_mutex_destroy(&ctx->files_lock);
     free((char *)ctx->options.tmpdir);
     free(ctx);
 }

@@ -78,6 +78,10 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out);
  * must be freed before. */
 void bsq_ctx_destroy(struct bsq_ctx *ctx);
 
+/** Forgets which files the job read and wrote, so that the context can be used for another job. A
+ * job must find its inputs unchanged whenever it opens them, and must not write them. */
+void bsq_forget_files(struct bsq_ctx *ctx);
+
 /** Returns the number of worker threads, at least 1. The calling thread counts as one of them. */
 unsigned bsq_threads(const struct bsq_ctx *ctx);
 

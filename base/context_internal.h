@@ -10,6 +10,8 @@
 #include "base/context.h"
 
 struct bsq_pool;
+struct bsq_identity;
+struct job_files;
 
 struct bsq_stage {
     const char *name, *unit; /* name is NULL between stages */
@@ -31,6 +33,9 @@ struct bsq_ctx {
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;
 
+    pthread_mutex_t files_lock;
+    struct job_files *files; /* NULL until the first is noted; guarded by files_lock */
+
     struct bsq_pool *pool; /* NULL until the first parallel call */
 };
 
@@ -43,6 +48,15 @@ int bsq_error_status(struct bsq_ctx *ctx);
 
 /* Stops and frees the threads; NULL is allowed. */
 void bsq_pool_destroy(struct bsq_pool *pool);
+
+/* Notes an input that was opened. Errors: BSQ_EIO if it is not what the first opening of this path
+ * found; those of bsq_note_input(). */
+int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_identity *found);
+
+bool bsq_same_identity(const struct bsq_identity *a, const struct bsq_identity *b);
+
+/* Reports that an input changed while the job read it. Returns BSQ_EIO. */
+int bsq_fail_changed(struct bsq_ctx *ctx, const char *path);
 
 /* Returns the directory part of a path ("." if it has none), to be freed with free(); NULL if there
  * is no memory. */

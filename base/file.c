@@ -46,32 +46,73 @@ int bsq_open(const char *path, int flags, mode_t mode)
 
 /* ---- input ---- */
 
-int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
+static struct bsq_identity identity_of(const struct stat *info)
+{
+    return (struct bsq_identity){.device = info->st_dev,
+                                 .inode = info->st_ino,
+                                 .size = (uint64_t)info->st_size,
+                                 .modified = info->st_mtim};
+}
+
+/* Only an open descriptor shows for sure what kind of file it is. */
+static int check_kind(struct bsq_ctx *ctx, const char *path, const struct stat *info)
+{
+    if (S_ISDIR(info->st_mode))
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, EISDIR, "%s", path);
+    if (!S_ISREG(info->st_mode))
+        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file", path);
+    return 0;
+}
+
+/* Reports that open() failed. A socket gives an error whose text says little. */
+static int fail_open(struct bsq_ctx *ctx, const char *path, int error)
+{
+    if (error == ENXIO)
+        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file", path);
+    return bsq_fail_errno(ctx, BSQ_ENOINPUT, error, "%s", path);
+}
+
+int bsq_file_open_as(struct bsq_ctx *ctx, const char *path, enum bsq_open how, struct bsq_file *out)
 {
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    int status = 0;
     struct stat info;
     /* O_NONBLOCK: opening a pipe must not wait for a writer before it can be refused. */
-    int fd = bsq_open(path, O_RDONLY | O_NONBLOCK, 0);
+    int fd = bsq_open(path, O_RDONLY | O_NONBLOCK | O_NOCTTY, 0);
     if (fd < 0)
-        return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
-    char *copy = strdup(path);
-    if (!copy) {
+        return fail_open(ctx, path, errno);
+    struct bsq_file file = {.fd = fd, .path = strdup(path)};
+    int status = 0;
+    if (!file.path)
         status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
-    } else if (fstat(fd, &info) != 0) {
+    else if (fstat(fd, &info) != 0)
         status = bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
-    } else if (S_ISDIR(info.st_mode)) {
-        status = bsq_fail_errno(ctx, BSQ_ENOINPUT, EISDIR, "%s", path);
-    } else if (!S_ISREG(info.st_mode)) {
-        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file", path);
+    else
+        status = check_kind(ctx, path, &info);
+    if (status == 0) {
+        file.identity = identity_of(&info);
+        file.size = file.identity.size;
+        if (how == BSQ_OPEN_INPUT)
+            status = bsq_hold_input(ctx, path, &file.identity);
     }
-    if (status < 0) {
-        free(copy);
-        close(fd);
-        return status;
-    }
-    *out = (struct bsq_file){.fd = fd, .size = (uint64_t)info.st_size, .path = copy};
-    return 0;
+    if (status == 0)
+        *out = file;
+    else
+        bsq_file_close(ctx, &file);
+    return status;
+}
+
+int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
+{
+    return bsq_file_open_as(ctx, path, BSQ_OPEN_INPUT, out);
+}
+
+int bsq_file_check(struct bsq_ctx *ctx, const struct bsq_file *file)
+{
+    struct stat info;
+    if (fstat(file->fd, &info) != 0)
+        return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s", file->path);
+    struct bsq_identity now = identity_of(&info);
+    return bsq_same_identity(&now, &file->identity) ? 0 : bsq_fail_changed(ctx, file->path);
 }
 
 int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct bsq_file *out)
@@ -85,7 +126,9 @@ int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct 
         free(path);
         return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", file->path);
     }
-    *out = (struct bsq_file){.fd = fd, .size = file->size, .path = path};
+    *out = *file;
+    out->fd = fd;
+    out->path = path;
     return 0;
 }
 

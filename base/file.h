@@ -12,13 +12,20 @@
 extern "C" {
 #endif
 
+/* What tells that a file is still the same and was not written to. */
+struct bsq_identity {
+    uint64_t device, inode, size;
+    struct timespec modified;
+};
+
 struct bsq_file {
-    int fd;        /* -1 when closed */
-    uint64_t size; /* input: size when opened; temporary: bytes appended so far */
-    char *path;    /* for messages; owned */
+    int fd;                       /* -1 when closed */
+    uint64_t size;                /* input: size when opened; temporary: bytes appended so far */
+    char *path;                   /* for messages; owned */
+    struct bsq_identity identity; /* input: when opened */
 };
 /* clang-format off */
-#define BSQ_FILE_CLOSED {-1, 0, NULL}
+#define BSQ_FILE_CLOSED {-1, 0, NULL, {0, 0, 0, {0, 0}}}
 /* clang-format on */
 
 /* Returns a descriptor of 3 or more for the open file `fd`, and closes `fd` if it is less. In a
@@ -27,8 +34,23 @@ struct bsq_file {
  * descriptor. */
 int bsq_fd_above_standard(int fd);
 
-/* Opens a regular file for reading. Errors: BSQ_ENOINPUT. */
+/* How bsq_file_open_as() opens a file. */
+enum bsq_open {
+    BSQ_OPEN_INPUT, /* an input of the job, see base/job_files.h */
+    BSQ_OPEN_OTHER  /* a file that the job may also write, such as its record */
+};
+
+/* Opens a regular file for reading. Never waits: pipes, sockets and devices are refused. An input
+ * that the job has opened before must be the same file, unchanged. Errors: BSQ_ENOINPUT; BSQ_EIO if
+ * the file was changed since; BSQ_EUSAGE if the job writes this file. */
+int bsq_file_open_as(struct bsq_ctx *ctx, const char *path, enum bsq_open how,
+                     struct bsq_file *out);
+
+/* Opens an input: bsq_file_open_as() with BSQ_OPEN_INPUT. */
 int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
+
+/* Returns BSQ_EIO if an input was written to since it was opened. Call it after the last read. */
+int bsq_file_check(struct bsq_ctx *ctx, const struct bsq_file *file);
 
 /* Creates an unnamed temporary file, which is gone when it is closed or the process ends. It lies
  * in the context's tmpdir or, if there is none, in the directory of `beside` (an output path; NULL:

@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "base/context_internal.h"
+#include "base/job_files.h"
 #include "base/output.h"
 #include "base/temp_internal.h"
 
@@ -100,8 +101,10 @@ static int create_temp(struct bsq_output *output)
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out)
 {
     *out = NULL;
-    char *resolved;
-    int status = resolve_path(ctx, path, &resolved);
+    char *resolved = NULL;
+    int status = bsq_note_output(ctx, path);
+    if (status == 0)
+        status = resolve_path(ctx, path, &resolved);
     if (!resolved)
         return status;
     struct bsq_output *output = calloc(1, sizeof *output);
@@ -354,6 +357,7 @@ int bsq_output_commit(struct bsq_output *output)
         bsq_output_discard(output);
         return status;
     }
+    bsq_note_written(output->ctx, output->path);
     int error = sync_directory(output->directory);
     if (error)
         status =

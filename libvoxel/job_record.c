@@ -9,7 +9,7 @@
  * To resume, the lines are made again from the files as they are now, and must be the same. A hash
  * of samples is used because reading whole inputs would take about as long as resuming saves on
  * slow disks. The time of modification reveals edits between samples. */
-#include "base/file.h"
+#include "base/job_files.h"
 #include "base/output.h"
 #include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
@@ -101,7 +101,7 @@ static int describe(struct bsq_ctx *ctx, const char *kind, const char *path, cha
     uint64_t hash = 0;
     *out = NULL;
     if (*kind == 'o' || (*kind == 'm' && access(path, F_OK) == 0)) {
-        int status = bsq_file_open(ctx, path, &file);
+        int status = bsq_file_open_as(ctx, path, BSQ_OPEN_OTHER, &file);
         if (status < 0)
             return status;
         status = fstat(file.fd, &info) == 0 ? hash_samples(ctx, &file, &hash)
@@ -137,7 +137,7 @@ static int load(struct bsq_ctx *ctx, const char *path, uint64_t most, char **tex
     *size = 0;
     if (access(path, F_OK) != 0)
         return 0;
-    int status = bsq_file_open(ctx, path, &file);
+    int status = bsq_file_open_as(ctx, path, BSQ_OPEN_OTHER, &file);
     if (status < 0)
         return status;
     uint64_t bytes = file.size < most ? file.size : most;
@@ -192,6 +192,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
         job->record_path = NULL;
     int status = job->tris_path && job->record_path ? add_line(job, strdup(program))
                                                     : no_memory(ctx, options->tris_path);
+    if (status == 0)
+        status = bsq_note_output(ctx, job->record_path);
     for (uint32_t i = 0; i < options->scan_count && status == 0; i++)
         status = add_input(job, "obj", options->scan_paths[i]);
     if (status == 0 && options->texture_path)
@@ -307,6 +309,8 @@ int vox_job_resume(struct vox_job *job, bool *sorted)
     if (first && strcmp(text, first) == 0) {
         status = check_lines(job, text + begin);
         *sorted = status == 0;
+        if (*sorted)
+            bsq_note_written(job->ctx, job->tris_path);
     }
     bsq_free(job->ctx, text);
     free(first);

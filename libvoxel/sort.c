@@ -4,6 +4,7 @@
  * place (partition/). Batches of buckets are sorted, cut into chunks and written (chunk/). Every
  * step streams, and what does not fit in memory goes to temporary files. */
 #include "base/clock.h"
+#include "base/job_files.h"
 #include "libvoxel/chunk/chunk_writer.h"
 #include "libvoxel/job_record.h"
 #include "libvoxel/partition/partition.h"
@@ -182,7 +183,9 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
     vox_scan_init(&scan, ctx, limits, options->scan_paths, options->tris_path);
-    int status = read_scan(&scan, limits, options, report, &partition);
+    int status = options->temp_tris ? 0 : bsq_note_output(ctx, options->tris_path);
+    if (status == 0)
+        status = read_scan(&scan, limits, options, report, &partition);
     if (status == 0)
         status = sort_scan(&scan, options, &partition, report);
     vox_partition_free(&scan, &partition);

@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/job_files.h"
 #include "tools/bake_report.h"
 
 /* ---- outputs ---- */
@@ -22,8 +23,9 @@ static int name_outputs(struct cli *cli, const struct bake_options *bake, char *
 
 static int check_outputs(struct cli *cli, const struct bake_options *bake, char *const *paths)
 {
-    const char *const inputs[] = {bake->scan_path, bake->mesh_path};
-    int status = 0;
+    int status = bsq_note_input(cli->ctx, bake->scan_path, "the scan");
+    if (status == 0)
+        status = bsq_note_input(cli->ctx, bake->mesh_path, "the low-poly mesh");
     for (unsigned i = 0; i < MOST_MAPS && status == 0; i++) {
         if (!paths[i])
             continue;
@@ -31,12 +33,12 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
         /* Tiles are known later; their files lie in the directory of the first. */
         char *path = bake_tile_path(paths[i], BAKE_FIRST_TILE);
-        status = path ? cli_check_output(cli, path, inputs, 2)
+        status = path ? cli_check_output(cli, path)
                       : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", paths[i]);
         free(path);
     }
     if (status == 0 && bake->preview_path)
-        status = cli_check_picture(cli, bake->preview_path, inputs, 2);
+        status = cli_check_picture(cli, bake->preview_path);
     return status;
 }
 

@@ -2,6 +2,7 @@
 #include <math.h>
 #include <stdio.h>
 
+#include "base/job_files.h"
 #include "libbake/compare.h"
 #include "tools/cli.h"
 
@@ -158,18 +159,19 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
 {
     const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
                             compare->b_mask_path};
-    uint32_t input_count = 2;
-    for (int i = 2; i < 4; i++)
-        if (inputs[i])
-            inputs[input_count++] = inputs[i];
     int status = 0;
+    for (int i = 0; i < 4 && status == 0; i++)
+        if (inputs[i])
+            status = bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask");
+    if (status < 0)
+        return status;
     if (compare->heatmap_path && compare->histogram_path &&
         cli_same_file(compare->heatmap_path, compare->histogram_path))
         return cli_usage(cli, "%s: two outputs have this name", compare->histogram_path);
     if (compare->heatmap_path)
-        status = cli_check_picture(cli, compare->heatmap_path, inputs, input_count);
+        status = cli_check_picture(cli, compare->heatmap_path);
     if (status == 0 && compare->histogram_path)
-        status = cli_check_picture(cli, compare->histogram_path, inputs, input_count);
+        status = cli_check_picture(cli, compare->histogram_path);
     return status;
 }
 

@@ -6,7 +6,7 @@
 #include <sys/stat.h>
 
 #include "base/clock.h"
-#include "base/file.h"
+#include "base/job_files.h"
 #include "formats/file_kind.h"
 #include "formats/mesh/mesh_reader.h"
 #include "tools/voxelize_report.h"
@@ -70,6 +70,16 @@ static int choose_tris_path(struct voxelize_job *job)
     return 0;
 }
 
+static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arguments)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
+        status = bsq_note_input(ctx, arguments->inputs[i], "the scan");
+    if (status == 0 && arguments->texture)
+        status = bsq_note_input(ctx, arguments->texture, "the texture");
+    return status;
+}
+
 static int check_outputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
@@ -82,10 +92,7 @@ static int check_outputs(struct voxelize_job *job)
             if (outputs[j] && cli_same_file(outputs[i], outputs[j]))
                 return cli_usage(job->cli, "%s: two outputs have this name", outputs[i]);
         }
-        int status = cli_check_output(job->cli, outputs[i], &arguments->texture, 1);
-        if (status == 0)
-            status =
-                cli_check_output(job->cli, outputs[i], arguments->inputs, arguments->input_count);
+        int status = cli_check_output(job->cli, outputs[i]);
         if (status < 0)
             return status;
     }
@@ -237,7 +244,9 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
     };
     if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
-    int status = recognise_inputs(&job);
+    int status = note_inputs(cli->ctx, arguments);
+    if (status == 0)
+        status = recognise_inputs(&job);
     if (status == 0)
         status = do_work(&job);
     vox_temp_tris_close(job.temp_tris);

@@ -340,13 +340,8 @@ bool cli_same_file(const char *a, const char *b)
     return same;
 }
 
-int cli_check_output(struct cli *cli, const char *path, const char *const *inputs,
-                     uint32_t input_count)
+int cli_check_output(struct cli *cli, const char *path)
 {
-    for (uint32_t i = 0; i < input_count; i++) {
-        if (inputs[i] && cli_same_file(path, inputs[i]))
-            return cli_usage(cli, "%s: this output would overwrite an input", path);
-    }
     struct bsq_output *output;
     int status = bsq_output_open(cli->ctx, path, &output);
     if (status == 0)
@@ -354,10 +349,9 @@ int cli_check_output(struct cli *cli, const char *path, const char *const *input
     return status;
 }
 
-int cli_check_picture(struct cli *cli, const char *path, const char *const *inputs,
-                      uint32_t input_count)
+int cli_check_picture(struct cli *cli, const char *path)
 {
-    int status = cli_check_output(cli, path, inputs, input_count);
+    int status = cli_check_output(cli, path);
     if (status == 0 && !cli_ends_with(path, ".png"))
         status = cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png", path);
     return status;

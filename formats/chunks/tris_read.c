@@ -5,7 +5,7 @@
  * chunk checks what a checksum does not prove: indices, bounds, finite numbers. So callers use a
  * chunk without checks of their own. */
 #include "formats/chunks/tris_internal.h"
-#include "base/file.h"
+#include "base/job_files.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -132,6 +132,11 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         m->texture_path = text;
         memcpy(text, file->tail + at, record.path_bytes);
         text[record.path_bytes] = '\0';
+        if (text[0] != '/')
+            return fmt_tris_damaged(file, "a texture's path is not absolute");
+        if ((status =
+                 bsq_note_input(file->ctx, text, "the texture that %s names", file->file.path)) < 0)
+            return status;
         text += record.path_bytes + 1;
         at += record.path_bytes;
     }

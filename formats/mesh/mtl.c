@@ -9,7 +9,7 @@
 #include <strings.h>
 #include <unistd.h>
 
-#include "base/file.h"
+#include "base/job_files.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/obj_path.h"
@@ -178,7 +178,12 @@ static int read_map(struct reader *reader, char *p)
     }
     bsq_free(reader->ctx, material->texture_path);
     material->texture_path = NULL;
-    return fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
+    int status = fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
+    if (!status)
+        status =
+            bsq_note_input(reader->ctx, material->texture_path,
+                           "the texture that %s:%" PRIu64 " names", reader->path, reader->line);
+    return status;
 }
 
 static int read_line(struct reader *reader, char *line)
@@ -233,6 +238,8 @@ int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, struct fmt_materials *ma
         goto done;
     memset(text + file.size, 0, OBJ_TEXT_PADDING);
     status = bsq_file_read(ctx, &file, text, file.size, 0);
+    if (!status)
+        status = bsq_file_check(ctx, &file);
     if (!status)
         status = read_text(&reader, text, file.size);
 done:

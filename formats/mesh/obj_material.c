@@ -5,6 +5,7 @@
 #include <string.h>
 #include <xxhash.h>
 
+#include "base/job_files.h"
 #include "formats/mesh/mtl.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
@@ -105,6 +106,9 @@ static int enter_library(struct obj_reader *reader, uint32_t source, const char 
     char *path = NULL;
     uint32_t number;
     int status = fmt_path_find(reader->base.ctx, reader->sources[source].path, name, &path, exists);
+    if (!status && (*exists || !only_existing))
+        status = bsq_note_input(reader->base.ctx, path, "the material library that %s names",
+                                reader->sources[source].path);
     if (!status && (*exists || !only_existing))
         status = fmt_obj_names_enter(reader->base.ctx, &reader->libraries, source, path, &number);
     bsq_free(reader->base.ctx, path);

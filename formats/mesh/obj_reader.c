@@ -116,9 +116,6 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
         int status = bsq_file_open(reader->base.ctx, source->path, &source->file);
         if (status)
             return status;
-        if (source->file.size != source->size)
-            return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s: changed while it was being read",
-                            source->path);
     }
     slot->source = job->next_source;
     slot->index = job->next_index++;
@@ -357,8 +354,11 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     int status = emit_text(job, slot);
     if (!status)
         pass_block(job, slot);
-    if (slot->index + 1 == source->block_count)
+    if (slot->index + 1 == source->block_count) {
+        if (!status)
+            status = bsq_file_check(job->reader->base.ctx, &source->file);
         bsq_file_close(job->reader->base.ctx, &source->file);
+    }
     return status;
 }
 

@@ -3,6 +3,7 @@
  * The table has the materials that faces use and that have a texture or a colour. Texture
  * coordinates are kept if some material has a texture. A textured material has a second entry
  * without texture, for triangles that lack texture coordinates. */
+#include "base/job_files.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -51,7 +52,9 @@ static int use_single_texture(struct scan *scan, const char *texture_path)
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};
     char *path = NULL;
-    int status = resolve_texture(scan, texture_path, &path);
+    int status = bsq_note_input(scan->ctx, texture_path, "the texture");
+    if (status == 0)
+        status = resolve_texture(scan, texture_path, &path);
     if (status < 0)
         return status;
     uint32_t material = add_material(scan, path, white);

@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/job_files.h"
 #include "base/parallel.h"
 #include "formats/grid/nvdb.h"
 #include "libvoxel/voxelize/grid_estimate.h"
@@ -474,6 +475,10 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
     int status = options->vdb_path ? vox_check_export(ctx) : 0;
+    if (status == 0)
+        status = bsq_note_output(ctx, options->grid_path);
+    if (status == 0 && options->vdb_path)
+        status = bsq_note_output(ctx, options->vdb_path);
     if (status == 0)
         status = make_grid(ctx, options, report);
     if (status == 0 && options->vdb_path)

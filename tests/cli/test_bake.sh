@@ -173,7 +173,7 @@ $bake plain.nvdb low.obj -o a.exr --preview none/p.png
 refused 73 "$p none/p.png: cannot be created: No such file or directory"
 cp plain.nvdb plain.exr
 $bake plain.exr low.obj -o plain.exr
-refused 64 "$p plain.exr: this output would overwrite an input"
+refused 64 "$p plain.exr: this output would overwrite the scan"
 rm plain.exr
 for name in a.jpg a 'a_<MAP>.tif' exr; do
     $bake plain.nvdb low.obj -o "$name"
@@ -184,7 +184,7 @@ refused 64 "$p p.jpg: the picture is a PNG file: its name must end in .png"
 $bake plain.nvdb low.obj -o a.PNG --half
 refused 64 "$p a.PNG: PNG files have no half-float samples"
 $bake plain.nvdb low.obj -o a.png --preview low.obj
-refused 64 "$p low.obj: this output would overwrite an input"
+refused 64 "$p low.obj: this output would overwrite the low-poly mesh"
 $bake plain.nvdb low.obj -o a.png --preview ./a.png
 refused 64 "$p a.png: two outputs have this name"
 files $start

@@ -116,11 +116,11 @@ $vox box.obj -o a.nvdb --no-tris --tmpdir none
 code 73
 err_like '^bisque-voxelize: none: temporary file for .*: No such file or directory$'
 $vox box.obj -o box.obj
-refused 64 "$p box.obj: this output would overwrite an input"
+refused 64 "$p box.obj: this output would overwrite the scan"
 $vox box.obj -o ./../here/box.obj
-refused 64 "$p ./../here/box.obj: this output would overwrite an input"
+refused 64 "$p ./../here/box.obj: this output would overwrite box.obj, the scan"
 $vox box.obj -o a.nvdb --vdb box.obj
-refused 64 "$p box.obj: this output would overwrite an input"
+refused 64 "$p box.obj: this output would overwrite the scan"
 $vox box.obj -o a.nvdb --vdb ./a.nvdb
 refused 64 "$p ./a.nvdb: two outputs have this name"
 $vox box.obj -o a.tris --resolution 24
@@ -208,7 +208,7 @@ refused 64 "$p box.tris is already a chunk file: leave out --texture"
 $vox box.tris --parse-only
 refused 64 "$p box.tris: --parse-only reads meshes"
 $vox box.tris -o box.tris
-refused 64 "$p box.tris: this output would overwrite an input"
+refused 64 "$p box.tris: this output would overwrite the scan"
 head -c 100 box.tris >short.tris
 $vox short.tris -o a.nvdb
 code 65

@@ -101,6 +101,8 @@ static void read_materials(const struct bytes *file, const struct header *h, int
         require(file, at + 16 + path <= h->table_at, "a path is cut off");
         const char *text = (const char *)bytes_at(file, at + 16, path);
         require(file, path == 0 || memchr(text, 0, path) == NULL, "a path with a zero byte");
+        require(file, length == NONE || (path > 0 && text[0] == '/'),
+                "a path that is not absolute");
         if (print)
             printf("material %g %g %g %.*s\n", (double)f32(file, at), (double)f32(file, at + 4),
                    (double)f32(file, at + 8), length == NONE ? 4 : (int)path,

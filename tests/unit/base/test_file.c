@@ -18,6 +18,7 @@
 
 #include <cmocka.h>
 
+#include "base/job_files.h"
 #include "base/output.h"
 #include "base/parallel.h"
 
@@ -180,6 +181,7 @@ static void test_maps(void **state)
     assert_string_equal(map.path, "in");
     bsq_map_close(ctx, &map);
     put("in", "");
+    bsq_forget_files(ctx);
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_null(map.data);
     assert_int_equal(map.size, 0);
@@ -267,6 +269,7 @@ static void test_map_that_shrinks(void **state)
     assert_string_equal(bsq_error(ctx), "in: shrank from 262144 to 100 bytes while it was read");
     bsq_map_close(ctx, &map);
     bsq_clear_error(ctx);
+    bsq_forget_files(ctx);
 
     /* The file has its old size again when it is checked, but zeros were read. */
     put_pages("in");
@@ -278,6 +281,7 @@ static void test_map_that_shrinks(void **state)
     assert_string_equal(bsq_error(ctx), "in: reading the mapped file: Input/output error");
     bsq_map_close(ctx, &map);
     bsq_clear_error(ctx);
+    bsq_forget_files(ctx);
 
     put_pages("in");
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);

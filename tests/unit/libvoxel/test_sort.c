@@ -153,6 +153,7 @@ static void spilling_does_not_change_the_file(void **state)
                 limits.stream_bytes = g.n > 200 ? 800 << 10 : 700 << 10; /* some streams */
             if (variant == 9)
                 limits.vertex_bucket_bytes = (uint64_t)(g.n + 1) * (g.n + 1);
+            bsq_forget_files(f->ctx);
             expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
             assert_int_equal(f->report.triangles, 2 * g.n * g.n);
             assert_int_equal(f->report.degenerate_triangles, 3000);
@@ -190,6 +191,7 @@ static void vertices_after_faces_are_found_late(void **state)
             .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         limits.two_passes = late == 2;
+        bsq_forget_files(f->ctx);
         expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles, 2 * g.n * g.n + 40401);
         assert_int_equal(f->report.vertices, (g.n + 1) * (g.n + 1) + 1);
@@ -219,6 +221,7 @@ static void many_triangles_in_one_place_are_sorted(void **state)
         vox_sort_limits_for(256 * MIB, 2, &limits);
         if (small)
             limits.batch_triangles = 70000;
+        bsq_forget_files(f->ctx);
         expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
         assert_int_equal(f->report.triangles, 140001);
         assert_int_equal(f->report.chunks,

@@ -142,6 +142,7 @@ static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
                                              .texture_path = flags & TEXCOORDS ? texture : NULL};
     choose_limits(way, &limits);
     sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
+    bsq_forget_files(f->ctx);
     return vox_sort_with_limits(f->ctx, &options, &limits, &f->report);
 }
 

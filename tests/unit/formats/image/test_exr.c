@@ -14,6 +14,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
+#include "base/job_files.h"
 #include "formats/image/exr_read.h"
 #include "formats/image/image_writer.h"
 #include "tests/unit/fixture.h"
@@ -233,6 +234,7 @@ static void test_reads_tiles_of_other_writers(void **state)
     }
     for (size_t c = 0; c < sizeof compressions / sizeof *compressions; ++c) {
         write_tiled(WIDTH, HEIGHT, compressions[c], pixels);
+        bsq_forget_files(ctx);
         struct fmt_exr_image image;
         assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
         assert_int_equal(image.width, WIDTH);

@@ -87,6 +87,7 @@ static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_
     struct bsq_ctx_options ctx_options = {.memory_bytes = 128 * MIB, .threads = 2};
     bsq_ctx_destroy(f->ctx);
     assert_int_equal(bsq_ctx_create(&ctx_options, &f->ctx), 0);
+    bsq_forget_files(f->ctx);
     return vox_sort_with_limits(f->ctx, &options, limits, report);
 }
 

@@ -47,6 +47,7 @@ static int voxelize(const struct vox_fixture *f, uint32_t resolution, double vox
         .resolution = resolution,
         .voxel_size = voxel_size,
     };
+    bsq_forget_files(f->ctx);
     return vox_voxelize(f->ctx, &options, report);
 }
 

@@ -1,0 +1,88 @@
+#!/bin/sh
+# test_inputs.sh - inputs that are outputs too, that change under way, or that are no regular files.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+p=bisque-voxelize:
+vox="run bisque-voxelize --resolution 16"
+bake="run bisque-bake --device cpu --size 16 --samples 1"
+
+# A textured box: box.obj names box.mtl, whose third line names box_color.png. A baked colour map is
+# the texture.
+write_box >low.obj
+$vox low.obj -o low.nvdb
+$bake low.nvdb low.obj --maps mask -o box_color.png
+code 0
+{ echo 'mtllib box.mtl'; write_box | sed 's/^f /usemtl skin\nf /'; } >box.obj
+printf 'newmtl skin\nKd 1 1 1\nmap_Kd box_color.png\n' >box.mtl
+rm low.nvdb low.tris
+sums()
+{
+    cksum box.obj box.mtl box_color.png low.obj
+}
+before=$(sums)
+start=$(ls -A)
+
+# unchanged: no input was written to, and no file is new.
+unchanged()
+{
+    [ "$(sums)" = "$before" ]
+    check "no input was changed by $command" $?
+    files $start
+}
+
+# ---- outputs that would overwrite inputs that are not on the command line ----
+
+here=$(pwd -P)
+library="the material library that box.obj names"
+texture="the texture that box.mtl:3 names"
+$vox box.obj -o a.nvdb --tris box.mtl
+refused 64 "$p box.mtl: this output would overwrite $library"
+$vox box.obj -o box_color.png --no-tris
+refused 64 "$p box_color.png: this output would overwrite $texture"
+$vox box.obj -o a.nvdb --vdb ./box_color.png
+refused 64 "$p ./box_color.png: this output would overwrite box_color.png, $texture"
+ln box_color.png hard.nvdb
+ln -s box.mtl soft.nvdb
+start=$(ls -A)
+$vox box.obj -o hard.nvdb
+refused 64 "$p hard.nvdb: this output would overwrite box_color.png, $texture"
+$vox box.obj -o soft.nvdb
+refused 64 "$p soft.nvdb: this output would overwrite box.mtl, $library"
+$vox low.obj --texture box_color.png -o hard.nvdb
+refused 64 "$p hard.nvdb: this output would overwrite box_color.png, the texture"
+unchanged
+rm hard.nvdb soft.nvdb
+
+# A texture that is missing may not be created.
+sed 's/box_color/missing/' box.mtl >box2.mtl
+sed 's/box.mtl/box2.mtl/' box.obj >box2.obj
+start=$(ls -A)
+$vox box2.obj -o missing.png
+refused 64 "$p missing.png: this output would overwrite the texture that box2.mtl:3 names"
+unchanged
+
+# The chunk file names its textures.
+$vox box.obj -o box.nvdb
+code 0
+start=$(ls -A)
+for maps in color,normal normal,color mask,color; do
+    $bake box.tris low.obj --maps $maps -o 'box_<MAP>.png'
+    refused 64 "bisque-bake: box_color.png: this output would overwrite $here/box_color.png, the texture that box.tris names"
+done
+$bake box.tris low.obj -o 'box_<MAP>.png'
+refused 64 "bisque-bake: box_color.png: this output would overwrite $here/box_color.png, the texture that box.tris names"
+$bake box.tris low.obj --maps normal -o a.png --preview box_color.png
+refused 64 "bisque-bake: box_color.png: this output would overwrite $here/box_color.png, the texture that box.tris names"
+$vox box.tris -o box_color.png
+refused 64 "$p box_color.png: this output would overwrite $here/box_color.png, the texture that box.tris names"
+unchanged
+
+# The record of a job is an output too.
+cp box.obj a.tris.job
+start=$(ls -A)
+$vox a.tris.job -o a.nvdb
+refused 64 "$p a.tris.job: this output would overwrite the scan"
+unchanged
+rm a.tris.job
+
+finish

@@ -1,0 +1,253 @@
+/* test_job_files.c - inputs that are changed under way, and outputs that are inputs. */
+#include <fcntl.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "base/job_files.h"
+#include "base/output.h"
+
+static char directory[] = "/tmp/bisque-test-job-files.XXXXXX";
+
+static int enter_directory(void **state)
+{
+    (void)state;
+    return mkdtemp(directory) && chdir(directory) == 0 ? 0 : -1;
+}
+
+static int leave_directory(void **state)
+{
+    (void)state;
+    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1;
+}
+
+static int create(void **state)
+{
+    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
+    struct bsq_ctx *ctx;
+    int status = bsq_ctx_create(&options, &ctx);
+    *state = ctx;
+    return status;
+}
+
+static int destroy(void **state)
+{
+    bsq_ctx_destroy(*state);
+    return 0;
+}
+
+static void put(const char *path, const char *text)
+{
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    assert_true(fputs(text, file) >= 0);
+    assert_int_equal(fclose(file), 0);
+}
+
+static void assert_fails(struct bsq_ctx *ctx, int status, int expected, const char *message)
+{
+    assert_int_equal(status, expected);
+    assert_string_equal(bsq_error(ctx), message);
+    bsq_clear_error(ctx);
+}
+
+static int reopen(struct bsq_ctx *ctx, const char *path)
+{
+    struct bsq_file file;
+    int status = bsq_file_open(ctx, path, &file);
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
+/* ---- inputs that change ---- */
+
+static const char changed[] = "in: was changed while it was read";
+
+static void test_replaced_between_openings(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    put("in", "first");
+    assert_int_equal(reopen(ctx, "in"), 0);
+    assert_int_equal(reopen(ctx, "in"), 0);
+    put("other", "other");
+    assert_int_equal(rename("other", "in"), 0);
+    assert_fails(ctx, reopen(ctx, "in"), BSQ_EIO, changed);
+    bsq_forget_files(ctx);
+    assert_int_equal(reopen(ctx, "in"), 0);
+    unlink("in");
+}
+
+/* Two files of one size and time differ by their inode. */
+static void test_replaced_with_the_same_size_and_time(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    const struct timespec times[2] = {{1000, 5}, {1000, 5}};
+    put("in", "first");
+    put("other", "other");
+    assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
+    assert_int_equal(utimensat(AT_FDCWD, "other", times, 0), 0);
+    assert_int_equal(reopen(ctx, "in"), 0);
+    assert_int_equal(rename("other", "in"), 0);
+    assert_fails(ctx, reopen(ctx, "in"), BSQ_EIO, changed);
+    unlink("in");
+}
+
+static void test_written_to_in_place(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    struct timespec times[2] = {{1000, 5}, {1000, 5}};
+    struct bsq_file file;
+    put("in", "first");
+    assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
+    assert_int_equal(bsq_file_open(ctx, "in", &file), 0);
+    assert_int_equal(bsq_file_check(ctx, &file), 0);
+    times[1].tv_nsec++;
+    assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
+    assert_fails(ctx, bsq_file_check(ctx, &file), BSQ_EIO, changed);
+    assert_fails(ctx, reopen(ctx, "in"), BSQ_EIO, changed);
+    times[1].tv_nsec--;
+    assert_int_equal(truncate("in", 4), 0);
+    assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
+    assert_fails(ctx, bsq_file_check(ctx, &file), BSQ_EIO, changed);
+    bsq_file_close(ctx, &file);
+    unlink("in");
+}
+
+static void make_socket(const char *path)
+{
+    struct sockaddr_un address = {.sun_family = AF_UNIX};
+    int fd = socket(AF_UNIX, SOCK_STREAM, 0);
+    strcpy(address.sun_path, path);
+    assert_int_equal(bind(fd, (const struct sockaddr *)&address, sizeof address), 0);
+    close(fd);
+}
+
+static void test_only_regular_files(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    assert_int_equal(mkfifo("fifo", 0600), 0);
+    make_socket("socket");
+    assert_fails(ctx, reopen(ctx, "fifo"), BSQ_ENOINPUT, "fifo: not a regular file");
+    assert_fails(ctx, reopen(ctx, "socket"), BSQ_ENOINPUT, "socket: not a regular file");
+    assert_fails(ctx, reopen(ctx, "/dev/zero"), BSQ_ENOINPUT, "/dev/zero: not a regular file");
+    assert_fails(ctx, reopen(ctx, "."), BSQ_ENOINPUT, ".: Is a directory");
+    unlink("fifo");
+    unlink("socket");
+}
+
+/* ---- outputs that are inputs ---- */
+
+/* An output is an input under any name, whichever of the two is noted first. */
+static void test_links_and_spellings(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    char message[200];
+    put("in", "first");
+    assert_int_equal(link("in", "hard"), 0);
+    assert_int_equal(symlink("in", "soft"), 0);
+    assert_int_equal(symlink(".", "here"), 0);
+    static const char *const names[] = {"in", "hard", "soft", "./in", "here/soft"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        bsq_forget_files(ctx);
+        snprintf(message, sizeof message, "%s: this output would overwrite %sthe scan", names[i],
+                 i == 0 ? "" : "in, ");
+        assert_int_equal(bsq_note_input(ctx, "in", "the %s", "scan"), 0);
+        assert_int_equal(reopen(ctx, "in"), 0);
+        assert_fails(ctx, bsq_note_output(ctx, names[i]), BSQ_EUSAGE, message);
+        bsq_forget_files(ctx);
+        assert_int_equal(bsq_note_output(ctx, names[i]), 0);
+        assert_fails(ctx, bsq_note_input(ctx, "in", "the scan"), BSQ_EUSAGE, message);
+        assert_int_equal(reopen(ctx, "in"), BSQ_EUSAGE);
+        bsq_clear_error(ctx);
+    }
+    unlink("in");
+    unlink("hard");
+    unlink("soft");
+    unlink("here");
+}
+
+/* A file that an input names, and that is missing, may not be created either. */
+static void test_missing_inputs(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    struct bsq_output *output;
+    assert_int_equal(mkdir("sub", 0700), 0);
+    assert_int_equal(symlink("sub/missing", "link"), 0);
+    assert_int_equal(symlink("../link", "sub/again"), 0);
+    assert_int_equal(bsq_note_input(ctx, "./sub/missing", "the texture"), 0);
+    assert_int_equal(bsq_note_input(ctx, "nowhere/missing", "the texture"), 0);
+    assert_int_equal(bsq_note_output(ctx, "missing"), 0);
+    assert_fails(ctx, bsq_output_open(ctx, "sub/missing", &output), BSQ_EUSAGE,
+                 "sub/missing: this output would overwrite ./sub/missing, the texture");
+    assert_fails(ctx, bsq_note_output(ctx, "sub/again"), BSQ_EUSAGE,
+                 "sub/again: this output would overwrite ./sub/missing, the texture");
+    unlink("sub/again");
+    unlink("link");
+    rmdir("sub");
+}
+
+static int write_output(struct bsq_ctx *ctx, const char *path)
+{
+    struct bsq_output *output;
+    int status = bsq_output_open(ctx, path, &output);
+    if (status == 0 && (status = bsq_output_write(output, "x", 1)) == 0)
+        return bsq_output_commit(output);
+    if (status == 0)
+        bsq_output_discard(output);
+    return status;
+}
+
+/* A job may read what it wrote, and write it again. */
+static void test_own_outputs(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    for (int i = 0; i < 2; i++) {
+        assert_int_equal(write_output(ctx, "between"), 0);
+        assert_int_equal(reopen(ctx, "./between"), 0);
+    }
+    unlink("between");
+}
+
+/* Many names are found again, and their memory is counted. */
+static void test_many_inputs(void **state)
+{
+    enum { COUNT = 5000 };
+    struct bsq_ctx *ctx = *state;
+    char name[40];
+    for (int again = 0; again < 2; again++) {
+        for (int i = 0; i < COUNT; i++) {
+            snprintf(name, sizeof name, "texture %d", i);
+            assert_int_equal(bsq_note_input(ctx, name, "texture %d", again), 0);
+        }
+        assert_in_range(bsq_memory_used(ctx), COUNT * 100, COUNT * 400);
+    }
+    assert_fails(ctx, bsq_note_output(ctx, "./texture 4999"), BSQ_EUSAGE,
+                 "./texture 4999: this output would overwrite texture 4999, texture 0");
+    bsq_forget_files(ctx);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(test_replaced_between_openings, create, destroy),
+        cmocka_unit_test_setup_teardown(test_replaced_with_the_same_size_and_time, create, destroy),
+        cmocka_unit_test_setup_teardown(test_written_to_in_place, create, destroy),
+        cmocka_unit_test_setup_teardown(test_only_regular_files, create, destroy),
+        cmocka_unit_test_setup_teardown(test_links_and_spellings, create, destroy),
+        cmocka_unit_test_setup_teardown(test_missing_inputs, create, destroy),
+        cmocka_unit_test_setup_teardown(test_own_outputs, create, destroy),
+        cmocka_unit_test_setup_teardown(test_many_inputs, create, destroy),
+    };
+    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
+}
