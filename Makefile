@@ -286,6 +286,12 @@ $(xxh3): tests/naive/xxh3.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash
 
+# Says how Bisque's readers judge files, for the readers of tests/oracle.
+read_files := $(BUILD)/tests/read-files
+$(read_files): $(BUILD)/obj/tests/oracle/read_files.c.o $(archive.formats) $(archive.base)
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
+
 # Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.NAME lists further
 # objects. Without config=fuzz they become programs that replay files.
 fuzz_sources := $(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c))
@@ -336,8 +342,8 @@ $(fuzz_names:%=fuzz-%): fuzz-%:
 unit: $(unit_bins) $(module_files) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) $(replays) \
-    $(fakes) $(faults)
+tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) \
+    $(read_files) $(replays) $(fakes) $(faults)
 
 ## test: build and run all tests, with the packages that are installed
 test: tests-build
@@ -380,13 +386,14 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 ## check-long: check, and many more rounds of the tests of chance
 .PHONY: check-long
 check-long: check
-	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/cli/test_overwritten.sh
+	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
+	    $(patsubst %,tests/cli/test_%.sh,overwritten oracle)
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
     libpng-dev libjansson-dev libxxhash-dev zlib1g-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd \
-    ocl-icd-libopencl1 jq mandoc
+    ocl-icd-libopencl1 jq mandoc python3 python3-numpy python3-xxhash
 # Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)

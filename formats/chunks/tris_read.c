@@ -142,6 +142,9 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
     }
     if (bsq_align_up(at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
+    while (at < bytes)
+        if (file->tail[at++] != 0)
+            return fmt_tris_damaged(file, "the padding after the materials is not zero");
     return 0;
 }
 

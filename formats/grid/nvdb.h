@@ -15,7 +15,8 @@ extern "C" {
 /* A surface record, packed as in the file. A voxel has one, or two if surfaces of opposite
  * orientation (the sides of a thin wall) share it. Bits of `plane`:
  *
- *    0-15  d * 32767, signed; the plane is n . (x - voxel centre) = d, with d in voxels
+ *    0-15  d * 32767, signed; the plane is n . (x - voxel centre) = d, with d in voxels, at most
+ *          0.87, which is half a voxel's diagonal
  *   16-23  coverage: 255 |sum of area * n'| / sum of area, with n' = n |n . normal of the facet|
  *      24  the voxel has a second record
  *      25  the normal is inconsistent with the plane: it is interpolated over a facet
@@ -28,6 +29,7 @@ struct fmt_nvdb_record {
 #define FMT_NVDB_PLANE_SECOND       (1u << 24)
 #define FMT_NVDB_PLANE_INCONSISTENT (1u << 25)
 enum { FMT_NVDB_FACET_NOISE_SHIFT = 26, FMT_NVDB_FACET_NOISE_MAX = 7 };
+enum { FMT_NVDB_PLANE_MAX = 28507 }; /* greatest |d| * 32767 */
 
 enum fmt_nvdb_type { FMT_NVDB_MASK = 8, FMT_NVDB_ONINDEX = 20 }; /* NanoVDB's GridType numbers */
 

@@ -124,12 +124,10 @@ static int check_file_header(struct head *h)
     return 0;
 }
 
-/* Checks GridData and RootData, except for offsets and counts, which check_layout() compares. */
+/* Checks the numbers that the rest of the head is computed from, see check_head(). */
 static int check_grid_data(const struct head *h)
 {
     const struct nvdb_grid_data *grid = &h->grid;
-    if (grid->magic != NVDB_MAGIC)
-        return damaged(h, "magic number of the grid");
     if (grid->grid_bytes != h->size - FMT_NVDB_GRID_OFFSET)
         return bsq_fail(h->ctx, BSQ_EDATA,
                         "%s: truncated or damaged: the grid has %" PRIu64
@@ -137,17 +135,11 @@ static int check_grid_data(const struct head *h)
                         h->path, grid->grid_bytes, h->size - FMT_NVDB_GRID_OFFSET);
     if (grid->version != h->header.version || grid->grid_type != h->meta.grid_type)
         return damaged(h, "version or type of the grid");
-    if (grid->flags != (NVDB_HAS_BBOX | NVDB_BREADTH_FIRST) || grid->grid_index != 0 ||
-        grid->grid_count != 1)
-        return damaged(h, "grid flags");
     if (strncmp(grid->name, NVDB_GRID_NAME, sizeof(grid->name)) != 0)
         return fail_foreign(h);
     double size = grid->map.matrix[0];
-    if (!(size > 0.0) || !isfinite(size))
+    if (!(size > 0.0) || !isfinite(size) || !isfinite(1.0 / size))
         return damaged(h, "voxel size");
-    for (int i = 0; i < 9; i++)
-        if (grid->map.matrix[i] != (i % 4 == 0 ? size : 0.0))
-            return damaged(h, "transform");
     for (int axis = 0; axis < 3; axis++)
         if (!isfinite(grid->map.translation[axis]) ||
             h->root.bbox_min[axis] > h->root.bbox_max[axis])
@@ -185,6 +177,7 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
                         h->path, record->version, FMT_NVDB_RECORD_VERSION);
     if (record->flags != (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) ||
         record->second_count > counts->voxels || record->second_count > UINT32_MAX ||
+        memcmp(record->reserved, (const uint64_t[4]){0}, sizeof(record->reserved)) != 0 ||
         record->record_checksum != fmt_nvdb_record_checksum(record))
         return damaged(h, "\"bisque\" record");
     for (int axis = 0; axis < 3; axis++)
@@ -194,33 +187,45 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
     return 0;
 }
 
-/* Compares every offset and size in the file with the layout. */
-static int check_layout(const struct head *h, const struct nvdb_layout *layout)
+/* Compares the file up to the root's tiles, except for the CRC-32, with what a writer would write
+ * for these counts, this transform and these bounds. */
+static int check_fixed(const struct head *h, const struct nvdb_counts *counts,
+                       const struct nvdb_layout *layout)
 {
-    uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(h->grid);
-    static const enum nvdb_section level[3] = {NVDB_LEAVES, NVDB_LOWERS, NVDB_UPPERS};
-    for (int i = 0; i < 3; i++)
-        if (h->tree.node_offset[i] != layout->section[level[i]].offset - tree ||
-            h->tree.tile_count[i] != 0)
-            return damaged(h, "node offsets");
-    if (h->tree.node_offset[3] != layout->root - tree ||
-        h->root.tile_count != h->tree.node_count[2])
-        return damaged(h, "root node");
-    if (h->grid.blind_offset !=
-            (int64_t)(layout->section[NVDB_BLIND].offset - FMT_NVDB_GRID_OFFSET) ||
-        h->grid.value_count != 1 + h->tree.voxel_count)
-        return damaged(h, "blind data offset");
+    const uint64_t crc_at = FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, checksum);
+    const struct {
+        uint64_t end;
+        const char *name;
+    } parts[] = {{FMT_NVDB_GRID_OFFSET, "file header"},
+                 {FMT_NVDB_GRID_OFFSET + sizeof(h->grid), "GridData"},
+                 {layout->root, "TreeData"},
+                 {layout->tiles, "RootData"}};
+    uint8_t expected[NVDB_FIXED_BYTES_MAX];
+    struct fmt_nvdb_info info = {.voxel_size = h->grid.map.matrix[0]};
+    memcpy(info.translation, h->grid.map.translation, sizeof(info.translation));
+    fmt_nvdb_fill_fixed(&info, counts, layout, h->root.bbox_min, h->root.bbox_max, expected);
+    memcpy(expected + crc_at, h->file + crc_at, sizeof(h->grid.checksum[0]));
+    memset(expected + crc_at + 4, 0xff, sizeof(h->grid.checksum[1]));
+    uint64_t begin = 0;
+    for (int i = 0; i < 4; begin = parts[i++].end)
+        if (memcmp(h->file + begin, expected + begin, parts[i].end - begin) != 0)
+            return damaged(h, parts[i].name);
+    return 0;
+}
+
+/* Compares offsets, sizes and all that can be computed with the file. */
+static int check_head(const struct head *h, const struct nvdb_counts *counts,
+                      const struct nvdb_layout *layout)
+{
+    int status = check_fixed(h, counts, layout);
+    if (status)
+        return status;
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     fmt_nvdb_fill_blind(layout, blind);
     if (memcmp(h->file + layout->section[NVDB_BLIND].offset, blind,
                layout->section[NVDB_BLIND].size) != 0)
         return damaged(h, "channel descriptions");
-    uint8_t file_head[FMT_NVDB_GRID_OFFSET];
-    fmt_nvdb_fill_file_head(&h->grid, &h->tree, &h->root, file_head);
-    if (memcmp(h->file, file_head, sizeof(file_head)) != 0)
-        return damaged(h, "file header");
-    if (fmt_nvdb_head_crc(h->file, layout) != h->grid.checksum[0] ||
-        h->grid.checksum[1] != UINT32_MAX)
+    if (fmt_nvdb_head_crc(h->file, layout) != h->grid.checksum[0])
         return damaged(h, "checksum of the grid's header");
     return 0;
 }
@@ -282,7 +287,7 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     fmt_nvdb_layout_compute(&counts, &layout);
     if (layout.file_bytes != h.size)
         return damaged(&h, "file size");
-    status = check_layout(&h, &layout);
+    status = check_head(&h, &counts, &layout);
     if (status == 0)
         fill_grid(&h, &counts, &layout, grid);
     return status;

@@ -115,11 +115,11 @@ uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record)
     return XXH3_64bits(record, offsetof(struct nvdb_record, record_checksum));
 }
 
-void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                        const struct nvdb_layout *layout, const uint64_t *keys,
-                        const int32_t bbox_min[3], const int32_t bbox_max[3], uint8_t *head)
+void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
+                         const struct nvdb_layout *layout, const int32_t bbox_min[3],
+                         const int32_t bbox_max[3], uint8_t *head)
 {
-    memset(head, 0, layout->section[NVDB_HEAD].size);
+    memset(head, 0, layout->tiles);
     struct nvdb_grid_data grid = {0};
     fill_grid(info, counts, layout, bbox_min, bbox_max, &grid);
     struct nvdb_tree_data tree = {0};
@@ -132,6 +132,13 @@ void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_coun
     memcpy(head + FMT_NVDB_GRID_OFFSET, &grid, sizeof(grid));
     memcpy(head + FMT_NVDB_GRID_OFFSET + sizeof(grid), &tree, sizeof(tree));
     memcpy(head + layout->root, &root, sizeof(root));
+}
+
+void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
+                        const struct nvdb_layout *layout, const uint64_t *keys,
+                        const int32_t bbox_min[3], const int32_t bbox_max[3], uint8_t *head)
+{
+    fmt_nvdb_fill_fixed(info, counts, layout, bbox_min, bbox_max, head);
     uint64_t child = layout->section[NVDB_UPPERS].offset - layout->root;
     for (uint32_t i = 0; i < counts->uppers; i++) {
         struct nvdb_tile tile = {.key = keys[i], .child = (int64_t)child};

@@ -97,6 +97,12 @@ struct nvdb_root {
 };
 enum { NVDB_ROOT_BYTES_MASK = 64, NVDB_ROOT_BYTES_ONINDEX = 96 };
 
+/* Bytes of section NVDB_HEAD before the tiles, at most. */
+enum {
+    NVDB_FIXED_BYTES_MAX = FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data) +
+                           sizeof(struct nvdb_tree_data) + NVDB_ROOT_BYTES_ONINDEX
+};
+
 struct nvdb_tile {
     uint64_t key;
     int64_t child; /* from RootData */
@@ -263,6 +269,11 @@ void fmt_nvdb_bbox_extend(int32_t bbox_min[3], int32_t bbox_max[3], const int32_
 /* Fills the first 224 bytes of the file from its GridData, TreeData and RootData. */
 void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvdb_tree_data *tree,
                              const struct nvdb_root *root, uint8_t head[FMT_NVDB_GRID_OFFSET]);
+/* Fills section NVDB_HEAD up to the tiles, layout->tiles bytes, with zeros for the checksum. Reads
+ * only voxel size and translation of `info`. */
+void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
+                         const struct nvdb_layout *layout, const int32_t bbox_min[3],
+                         const int32_t bbox_max[3], uint8_t *head);
 /* Fills section NVDB_HEAD with its checksum. keys: of the root tiles. bbox: of all voxels. */
 void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
                         const struct nvdb_layout *layout, const uint64_t *keys,

@@ -1,10 +1,11 @@
 /* nvdb_verify.c - checks a whole grid file: each section against its checksum, and each record.
  *
- * Only verifying checks records. The baker is safe with any bits in a record, and reading all
- * channels would take most of the time of opening a grid. Voxels are checked in tasks of whole
- * entries of the channel "second"; their ranks, which fmt_nvdb_check_nodes() has checked, give the
- * numbers of a task's second records. */
+ * Only verifying checks records, and bytes of nodes that a traversal does not follow. The baker is
+ * safe with any bits in a record, and reading all channels would take most of the time of opening a
+ * grid. Voxels are checked in tasks of whole entries of the channel "second"; their ranks, which
+ * fmt_nvdb_check_nodes() has checked, give the numbers of a task's second records. */
 #include <inttypes.h>
+#include <stdlib.h>
 #include <sys/mman.h>
 #include <unistd.h>
 #include <xxhash.h>
@@ -89,6 +90,57 @@ static int verify_padding(const struct verify *v)
     return 0;
 }
 
+/* ---- nodes ---- */
+
+static int bad_node(const struct verify *v, const char *level, uint64_t number, const char *what)
+{
+    return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: %s node %" PRIu64 " has a wrong %s",
+                    v->grid->map.path, level, number, what);
+}
+
+/* Returns what is wrong with bytes of a node that no reader of Bisque follows, or NULL. */
+static const char *fault_of_node(uint64_t flags, const uint64_t statistics[4],
+                                 const uint64_t *child_mask, const int64_t *table, uint32_t slots)
+{
+    uint64_t unused = 0;
+    for (uint32_t i = 0; i < slots; i++)
+        unused |= child_mask[i / 64] >> (i % 64) & 1 ? 0 : (uint64_t)table[i];
+    if (flags != NVDB_NODE_HAS_BBOX)
+        return "flag";
+    if (statistics[0] | statistics[1] | statistics[2] | statistics[3])
+        return "statistic";
+    return unused ? "offset without a child" : NULL;
+}
+
+static int verify_upper(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    const struct verify *v = arg;
+    const struct nvdb_upper *node =
+        (const struct nvdb_upper *)(const void *)v->grid->uppers + index;
+    const char *fault =
+        fault_of_node(node->flags, node->statistics, node->child_mask, node->table, 32768);
+    return fault ? bad_node(v, "upper", index, fault) : bsq_check(v->ctx);
+}
+
+static int verify_lower(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    const struct verify *v = arg;
+    const struct nvdb_lower *node =
+        (const struct nvdb_lower *)(const void *)v->grid->lowers + index;
+    const char *fault =
+        fault_of_node(node->flags, node->statistics, node->child_mask, node->table, 4096);
+    forget_pages(v->grid, node, sizeof *node);
+    return fault ? bad_node(v, "lower", index, fault) : bsq_check(v->ctx);
+}
+
+static int verify_nodes(struct verify *v)
+{
+    int status = bsq_parallel_for(v->ctx, v->grid->upper_count, verify_upper, v);
+    return status ? status : bsq_parallel_for(v->ctx, v->grid->lower_count, verify_lower, v);
+}
+
 /* ---- records ---- */
 
 static int bad_record(const struct verify *v, uint64_t number, const char *what)
@@ -105,7 +157,7 @@ static const char *fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, b
         return "normal";
     uint32_t noise = plane >> FMT_NVDB_FACET_NOISE_SHIFT;
     if (noise > FMT_NVDB_FACET_NOISE_MAX || (noise > 0 && (plane & FMT_NVDB_PLANE_INCONSISTENT)) ||
-        (plane & 0xffff) == 0x8000)
+        abs((int16_t)(plane & 0xffff)) > FMT_NVDB_PLANE_MAX)
         return "plane";
     if (!(plane & FMT_NVDB_PLANE_SECOND) != !second)
         return "mark of a second record";
@@ -159,5 +211,7 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     int status = bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &v);
     if (status == 0)
         status = verify_padding(&v);
+    if (status == 0)
+        status = verify_nodes(&v);
     return status ? status : verify_records(&v);
 }

@@ -3,7 +3,7 @@
  * An input is u8 flags (bits 0-1: template, bit 2: leave the checksums wrong, bit 3: verify), then
  * changes: u8 kind and its operands. A place is a number among the bytes that are in or beside
  * words that are not zero, so that 16 bits are enough; SET_FAR counts all bytes of the file. Some
- * changes keep the tree valid: they move or scale the grid, or move a voxel. */
+ * changes keep the grid valid: they move or scale the grid, or move a voxel. */
 #include "tests/fuzz/grid_patch.h"
 
 #include <sanitizer/asan_interface.h>
@@ -41,6 +41,7 @@ struct grid_template {
     uint32_t *places, place_count; /* offset of each place */
     struct nvdb_range changed[RANGES];
     int changed_count;
+    bool remake; /* the head is made again from the tree's bounds, voxel size and translation */
 };
 
 struct cursor {
@@ -340,6 +341,7 @@ static void change(struct grid_template *t, struct cursor *from, uint64_t *size)
 {
     enum change kind = (enum change)kinds[take(from, 1) % sizeof kinds];
     uint64_t a, b;
+    t->remake |= kind == MOVE || kind == SCALE || kind == SHIFT || kind == MOVE_BIT;
     switch (kind) {
     case SET:
         set_bytes(t, t->places[take(from, 2) % t->place_count], from);
@@ -374,6 +376,22 @@ static void change(struct grid_template *t, struct cursor *from, uint64_t *size)
     }
 }
 
+/* Makes the head again up to its tiles, for a grid that was moved or scaled. */
+static void remake_head(const struct grid_template *t)
+{
+    const struct nvdb_tree_data *tree = tree_data(t);
+    const struct nvdb_root root = *root_data(t);
+    struct fmt_nvdb_info info = {.voxel_size = grid_data(t)->map.matrix[0]};
+    struct nvdb_counts counts = {.type = (enum fmt_nvdb_type)grid_data(t)->grid_type,
+                                 .uppers = tree->node_count[2],
+                                 .lowers = tree->node_count[1],
+                                 .leaves = tree->node_count[0],
+                                 .voxels = tree->voxel_count};
+    memcpy(info.translation, grid_data(t)->map.translation, sizeof info.translation);
+    fmt_nvdb_fill_fixed(&info, &counts, &t->layout, root.bbox_min, root.bbox_max, t->bytes);
+    grid_data(t)->checksum[1] = UINT32_MAX;
+}
+
 /* Corrects the file header, which repeats parts of GridData, and all checksums. */
 static void mend(struct grid_template *t)
 {
@@ -381,7 +399,10 @@ static void mend(struct grid_template *t)
     struct nvdb_record *record = nodes(t, NVDB_RECORD);
     touch_section(t, NVDB_HEAD);
     touch_section(t, NVDB_RECORD);
-    fmt_nvdb_fill_file_head(grid_data(t), tree_data(t), root_data(t), t->bytes);
+    if (t->remake)
+        remake_head(t);
+    else
+        fmt_nvdb_fill_file_head(grid_data(t), tree_data(t), root_data(t), t->bytes);
     grid_data(t)->checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
     for (int i = 0; i < NVDB_RECORD; i++) {
         const struct nvdb_range *range = &layout->section[i];
@@ -435,9 +456,11 @@ void grid_patch_revert(struct patched_grid *grid)
         const struct nvdb_range *range = &t->changed[i];
         memcpy(t->bytes + range->offset, t->original + range->offset, range->size);
     }
-    if (t)
+    if (t) {
         t->changed_count = 0;
-    else
+        t->remake = false;
+    } else {
         free(grid->bytes);
+    }
     grid->bytes = NULL;
 }

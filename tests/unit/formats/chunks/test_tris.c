@@ -461,6 +461,33 @@ static void padding_is_zero(void **state)
     free(bytes);
 }
 
+/* A path of two bytes leaves six bytes of padding after the materials. */
+static void padding_of_materials_is_zero(void **state)
+{
+    struct fixture *f = *state;
+    struct fmt_tris_material material = {.texture_path = (char *)"/a"};
+    const struct fmt_tris_header header = {.material_count = 1, .materials = &material};
+    struct fmt_tris_writer *writer;
+    size_t size;
+    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_commit(writer), 0);
+    uint8_t *bytes = read_bytes(f->path, &size);
+    assert_int_equal(read_all(f), 0);
+    for (size_t at = size - 6; at < size; at++) {
+        assert_int_equal(bytes[at], 0);
+        bytes[at] = 1;
+        uint64_t sum = XXH3_64bits(bytes + 152, size - 152);
+        memcpy(bytes + 128, &sum, 8);
+        sum = XXH3_64bits(bytes, 144);
+        memcpy(bytes + 144, &sum, 8);
+        write_bytes(f->path, bytes, size);
+        assert_int_equal(read_all(f), BSQ_EDATA);
+        assert_non_null(strstr(bsq_error(f->ctx), "after the materials is not zero"));
+        bytes[at] = 0;
+    }
+    free(bytes);
+}
+
 static void values_out_of_range_are_found(void **state)
 {
     static const struct {
@@ -539,11 +566,17 @@ int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, setup, teardown)
     const struct CMUnitTest tests[] = {
-        TEST(every_set_of_attributes_comes_back),  TEST(large_chunks_come_back),
-        TEST(a_file_without_chunks_is_valid),      TEST(bytes_are_those_of_the_specification),
-        TEST(every_truncated_length_is_found),     TEST(every_flipped_bit_is_found),
-        TEST(sizes_are_compared_with_the_file),    TEST(padding_is_zero),
-        TEST(values_out_of_range_are_found),       TEST(other_files_are_refused),
+        TEST(every_set_of_attributes_comes_back),
+        TEST(large_chunks_come_back),
+        TEST(a_file_without_chunks_is_valid),
+        TEST(bytes_are_those_of_the_specification),
+        TEST(every_truncated_length_is_found),
+        TEST(every_flipped_bit_is_found),
+        TEST(sizes_are_compared_with_the_file),
+        TEST(padding_is_zero),
+        TEST(padding_of_materials_is_zero),
+        TEST(values_out_of_range_are_found),
+        TEST(other_files_are_refused),
         TEST(nothing_remains_of_a_discarded_file),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

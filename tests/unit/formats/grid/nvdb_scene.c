@@ -46,15 +46,17 @@ static int compare_voxels(const void *a, const void *b)
     return compare(((const struct scene_voxel *)a)->ijk, ((const struct scene_voxel *)b)->ijk);
 }
 
-/* Returns a random valid record: no half of a normal and no plane offset is -32768, and colours are
- * opaque. */
+/* Returns a random valid record: no half of a normal is -32768, the plane is in the voxel, and
+ * colours are opaque. */
 static struct fmt_nvdb_record random_record(uint64_t *state)
 {
     struct fmt_nvdb_record r = {(uint32_t)scene_next(state), (uint32_t)scene_next(state) & 0xffffff,
                                 (uint32_t)scene_next(state) | 0xff000000u};
     r.normal ^= (r.normal & 0xffff) == 0x8000;
     r.normal ^= r.normal >> 16 == 0x8000 ? 0x10000 : 0;
-    r.plane ^= (r.plane & 0xffff) == 0x8000;
+    int distance = (int16_t)(r.plane & 0xffff);
+    if (abs(distance) > FMT_NVDB_PLANE_MAX)
+        r.plane = (r.plane & 0xff0000) | ((uint32_t)(distance / 2) & 0xffff);
     return r;
 }
 

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
+#include <xxhash.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
 #include "tests/unit/fixture.h"
@@ -203,6 +204,70 @@ static void test_forged(void **state)
     flip_bytes(FMT_NVDB_ONINDEX, true, 13);
 }
 
+/* ---- bytes that Bisque does not use ---- */
+
+/* Corrects all checksums. */
+static void forge_all(uint8_t *bytes, uint64_t size, const struct nvdb_layout *layout)
+{
+    struct nvdb_record *record = (void *)(bytes + size - sizeof(*record));
+    forge(bytes, size, layout);
+    for (int i = 0; i < NVDB_RECORD; i++)
+        record->checksum[i] =
+            XXH3_64bits(bytes + layout->section[i].offset, layout->section[i].size);
+    forge(bytes, size, layout);
+}
+
+/* Sets four bytes, and checks that opening or else verifying the file fails with this message. */
+static void assert_refused(const struct small_file *file, uint64_t at, uint32_t value,
+                           const char *message)
+{
+    uint8_t *bytes = malloc(file->size);
+    struct fmt_nvdb_grid grid;
+    memcpy(bytes, file->bytes, file->size);
+    memcpy(bytes + at, &value, sizeof(value));
+    forge_all(bytes, file->size, &file->layout);
+    int status = open_bytes(file->ctx, bytes, file->size, &grid);
+    if (status == 0)
+        status = fmt_nvdb_verify(file->ctx, &grid);
+    assert_int_equal(status, BSQ_EDATA);
+    if (!strstr(bsq_error(file->ctx), message))
+        fail_msg("\"%s\" does not say \"%s\"", bsq_error(file->ctx), message);
+    free(bytes);
+}
+
+/* Other programs may use them, so they are as FORMATS.md says. */
+static void test_unused_bytes(void **state)
+{
+    (void)state;
+    struct small_file file;
+    small_file_open(&file, FMT_NVDB_ONINDEX);
+    const uint64_t grid = FMT_NVDB_GRID_OFFSET, root = file.layout.root;
+    const uint64_t map = grid + offsetof(struct nvdb_grid_data, map);
+    assert_refused(&file, grid + offsetof(struct nvdb_grid_data, grid_index), 1, "GridData");
+    assert_refused(&file, grid + offsetof(struct nvdb_grid_data, name) + 20, 1, "GridData");
+    assert_refused(&file, map + offsetof(struct nvdb_map, inverse_f), 1, "GridData");
+    assert_refused(&file, map + offsetof(struct nvdb_map, inverse), 1, "GridData");
+    assert_refused(&file, map + offsetof(struct nvdb_map, matrix) + 12, 1u << 31, "GridData");
+    /* An edge whose inverse is not finite. */
+    assert_refused(&file, map + offsetof(struct nvdb_map, matrix) + 4, 0x00001000, "voxel size");
+    assert_refused(&file, root + sizeof(struct nvdb_root), 1, "RootData");
+
+    const uint64_t record = file.size - sizeof(struct nvdb_record);
+    assert_refused(&file, record + offsetof(struct nvdb_record, reserved), 1, "\"bisque\" record");
+    const uint64_t upper = file.layout.section[NVDB_UPPERS].offset;
+    assert_refused(&file, upper + offsetof(struct nvdb_upper, flags), 3, "flag");
+    assert_refused(&file, upper + offsetof(struct nvdb_upper, statistics), 1, "statistic");
+    assert_refused(&file, upper + sizeof(struct nvdb_upper) - 8, 1, "offset without a child");
+    const uint64_t lower = file.layout.section[NVDB_LOWERS].offset;
+    assert_refused(&file, lower + offsetof(struct nvdb_lower, flags), 0, "flag");
+    assert_refused(&file, lower + offsetof(struct nvdb_lower, statistics), 1, "statistic");
+    assert_refused(&file, lower + sizeof(struct nvdb_lower) - 8, 1, "offset without a child");
+    const uint64_t planes = file.layout.section[NVDB_PLANES].offset;
+    assert_refused(&file, planes + 4, FMT_NVDB_PLANE_MAX + 1, "plane");
+    assert_refused(&file, planes + 4, 65536 - FMT_NVDB_PLANE_MAX - 1, "plane");
+    small_file_close(&file);
+}
+
 static void assert_open_fails(const uint8_t *bytes, uint64_t size, const char *expected)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
@@ -248,9 +313,8 @@ static void test_messages(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_truncated),
-        cmocka_unit_test(test_flipped),
-        cmocka_unit_test(test_forged),
+        cmocka_unit_test(test_truncated), cmocka_unit_test(test_flipped),
+        cmocka_unit_test(test_forged),    cmocka_unit_test(test_unused_bytes),
         cmocka_unit_test(test_messages),
     };
     return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);

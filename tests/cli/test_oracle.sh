@@ -1,0 +1,49 @@
+#!/bin/sh
+# test_oracle.sh - Bisque's readers of .tris and .nvdb files, and readers in Python that were written
+# from FORMATS.md alone, accept the same files and read the same content. Compares COUNT files of each
+# kind, made from SEED; LONG=1 takes many from a new seed. Files on which they differ are kept in
+# KEEP; tests/oracle/read_file.py and --verify repeat the verdicts.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+if [ -n "${LONG-}" ]; then
+    count=${COUNT:-40000} seed=${SEED:-$(date +%s)}
+else
+    count=${COUNT:-1500} seed=${SEED:-1}
+fi
+keep=${KEEP:-$(dirname "$TESTS")/disagreements}
+
+# Another Python than Debian's may come first in PATH, without Debian's packages.
+python=
+for candidate in python3 /usr/bin/python3; do
+    [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
+done
+if [ -z "$python" ]; then
+    skip "readers in Python" "python3-numpy or python3-xxhash is not installed"
+    finish
+    exit
+fi
+
+"$TESTS/generate-scan" --triangles 2000 --colors --normals --uvs vase -o vase.obj
+printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
+printf 'P3 1 1 255 9 9 9\n' >dot.ppm
+{ printf 'mtllib vase.mtl\nusemtl glaze\n'; cat vase.obj; } >full.obj
+run bisque-voxelize full.obj -o full.nvdb --resolution 30
+code 0
+run bisque-voxelize full.tris -o on.nvdb --grid-type onindex --resolution 20
+code 0
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 .02\nv 1 0 .02\nv 1 1 .02\nf 3 2 1\nf 4 5 6\n' >sheet.obj
+run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
+code 0
+
+command=read_file.py code=0
+"$python" -B "$top/tests/oracle/read_file.py" ./*.tris ./*.nvdb >"$out" 2>"$err" || code=$?
+[ "$code" -eq 0 ] && [ "$(grep -c ': ok$' "$out")" -eq 5 ]
+check "files of bisque-voxelize are as FORMATS.md says" $?
+
+command=compare.py code=0
+"$python" -B "$top/tests/oracle/compare.py" --count "$count" --seed "$seed" \
+    --keep "$keep" "$TESTS/read-files" ./*.tris ./*.nvdb "$top"/tests/fuzz/corpus/tris/* \
+    >"$out" 2>"$err" || code=$?
+grep '^#' "$out"
+check "both readers agree on $count files of each kind; others are in $keep" "$code"
+finish
