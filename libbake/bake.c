@@ -11,6 +11,7 @@
 
 #include "base/clock.h"
 #include "libbake/bake_options.h"
+#include "libbake/curvature/curvature.h"
 #include "libbake/preview/preview.h"
 #include "libbake/tile_bake.h"
 
@@ -27,8 +28,8 @@ struct job {
     struct bake_tile *tiles; /* one for each tile of `udim` */
     struct bake_job traced;  /* what the device traces */
     struct bk_triangle *triangles;
-    struct bake_statistics statistics[BK_MAP_COUNT]; /* over all tiles */
-    struct bake_device *device; /* NULL: the triangles of a chunk file are traced */
+    struct bake_measures measures; /* over all tiles */
+    struct bake_device *device;    /* NULL: the triangles of a chunk file are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
 };
@@ -273,6 +274,26 @@ static int trace(struct job *job)
     return status;
 }
 
+/* The processor traces from here on, so the curvature is the same for all devices. */
+static int trace_curvature(struct job *job)
+{
+    const double given = job->options->curvature_radius;
+    int status = 0;
+    job->measures.curvature_radius =
+        given > 0 ? given
+                  : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        const struct bake_curvature curvature = {
+            .surface = &job->surface,
+            .params = &job->traced.params,
+            .image = job->tiles[i].image,
+            .place = bake_image_channels_for(job->maps & (BAKE_MAP_CURVATURE - 1)),
+            .radius = job->measures.curvature_radius};
+        status = bake_curvature_trace(job->ctx, &curvature);
+    }
+    return status;
+}
+
 /* Frees what is needed for tracing only. */
 static void end_tracing(struct job *job)
 {
@@ -325,7 +346,7 @@ static int write_tile(struct job *job, struct bake_tile *tile, uint32_t side)
     if (status == 0 && job->preview_file)
         status = bake_tile_create_thumbnails(job->ctx, tile, side);
     if (status == 0)
-        status = bake_map_files_write(tile->files, tile->image, job->statistics, job->report);
+        status = bake_map_files_write(tile->files, tile->image, &job->measures, job->report);
     bake_image_free(tile->image);
     tile->image = NULL;
     return status;
@@ -337,7 +358,8 @@ static int measure_maps(struct job *job)
     const double start = bsq_seconds_now();
     int status = 0;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = bake_image_measure(job->ctx, job->tiles[i].image, job->maps, job->statistics);
+        status =
+            bake_image_measure(job->ctx, job->tiles[i].image, job->maps, job->measures.statistics);
     job->report->seconds_resolve += bsq_seconds_now() - start;
     return status;
 }
@@ -404,6 +426,8 @@ static int run(struct job *job)
     job->report->seconds_open = opened - started;
     if (status == 0)
         status = trace(job);
+    if (status == 0 && job->maps & BAKE_MAP_CURVATURE)
+        status = trace_curvature(job);
     end_tracing(job);
     job->report->seconds_trace = bsq_seconds_now() - opened;
     if (status == 0)

@@ -24,8 +24,9 @@ enum bake_map {
     BAKE_MAP_MASK = 4,     /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
                               charts. */
     BAKE_MAP_HEIGHT = 8,   /**< Distance along the ray from the low-poly mesh to the hit. */
-    BAKE_MAP_POSITION = 16, /**< Position of the hit. */
-    BAKE_MAPS_ALL = 1 << 30 /**< All maps that the scan can give, and others that are named. */
+    BAKE_MAP_POSITION = 16,  /**< Position of the hit. */
+    BAKE_MAP_CURVATURE = 32, /**< Mean curvature of the scan, positive where it is convex. */
+    BAKE_MAPS_ALL = 1 << 30  /**< All maps that the scan can give, and others that are named. */
 };
 
 /** What the samples 0 and 1 of an integer file with positions stand for. */
@@ -95,6 +96,12 @@ struct bake_options {
      * positive; < 0: the largest of the whole mesh. */
     double height_range;
     enum bake_position_in position_in; /**< For integer files. */
+    /** Curvature that the samples 0 and 1 of an integer file with curvature stand for, negative and
+     * positive; < 0: the mean magnitude of the whole mesh plus its standard deviation. */
+    double curvature_range;
+    /** Distance around a hit within which curvature is measured; < 0: two texels of the map and,
+     * for grids, at least two voxels. */
+    double curvature_radius;
     bool two_sided;     /**< Also takes surfaces that face away from the low-poly mesh. */
     const char *device; /**< One of BAKE_DEVICE_NAMES. */
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
@@ -156,6 +163,7 @@ struct bake_value_encoding {
     double offset[3];
     double origin[3]; /**< In double precision, as geo-referenced positions need it; else 0. */
     double range;     /**< Half of the largest scale that an integer file has. */
+    double radius;    /**< In which curvature was measured; else 0. */
 };
 
 /** What bake_run() did. Times are wall times in seconds. */

@@ -13,6 +13,8 @@ void bake_defaults(struct bake_options *options)
         .front = -1.0,
         .back = -1.0,
         .height_range = -1.0,
+        .curvature_range = -1.0,
+        .curvature_radius = -1.0,
         .padding = 16,
         .normal_space = BAKE_TANGENT_SPACE,
         .sampling = BAKE_TRILINEAR,
@@ -71,6 +73,12 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (!isfinite(options->height_range) || options->height_range == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE, "a range of heights of %g holds no heights",
                         options->height_range);
+    if (!isfinite(options->curvature_range) || options->curvature_range == 0.0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a range of curvature of %g holds no curvature",
+                        options->curvature_range);
+    if (!isfinite(options->curvature_radius) || options->curvature_radius == 0.0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "curvature cannot be measured within %g",
+                        options->curvature_radius);
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
     int status = check_tile_numbers(ctx, options);

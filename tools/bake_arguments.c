@@ -27,6 +27,8 @@ static const char help_format[] =
     "      --back D            length of the rays inwards (default: auto)\n"
     "      --height-range D    height of white in PNG files (default: the largest of the mesh)\n"
     "      --position-in SHAPE sphere or box around the scan, for PNG files (default: sphere)\n"
+    "      --curvature-radius D  distance around a hit for curvature (default: 2 texels)\n"
+    "      --curvature-range C   curvature of white in PNG files (default: by the whole mesh)\n"
     "      --two-sided         also hit surfaces that face away from the low-poly mesh\n"
     "      --sampling MODE     trilinear or nearest, for grids (default: trilinear)\n"
     "      --scan-normals MODE smooth or flat: for triangles without normals (default: smooth)\n"
@@ -51,6 +53,8 @@ enum {
     OPT_BACK,
     OPT_HEIGHT_RANGE,
     OPT_POSITION_IN,
+    OPT_CURVATURE_RADIUS,
+    OPT_CURVATURE_RANGE,
     OPT_TWO_SIDED,
     OPT_SAMPLING,
     OPT_SCAN_NORMALS,
@@ -77,6 +81,8 @@ static const struct option long_options[] = {
     {"back", required_argument, NULL, OPT_BACK},
     {"height-range", required_argument, NULL, OPT_HEIGHT_RANGE},
     {"position-in", required_argument, NULL, OPT_POSITION_IN},
+    {"curvature-radius", required_argument, NULL, OPT_CURVATURE_RADIUS},
+    {"curvature-range", required_argument, NULL, OPT_CURVATURE_RANGE},
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
     {"sampling", required_argument, NULL, OPT_SAMPLING},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
@@ -264,6 +270,10 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return parse_length(cli, "--back", false, &bake->back);
     case OPT_HEIGHT_RANGE:
         return parse_length(cli, "--height-range", true, &bake->height_range);
+    case OPT_CURVATURE_RADIUS:
+        return parse_length(cli, "--curvature-radius", true, &bake->curvature_radius);
+    case OPT_CURVATURE_RANGE:
+        return parse_length(cli, "--curvature-range", true, &bake->curvature_range);
     case OPT_TWO_SIDED:
         bake->two_sided = true;
         return 0;

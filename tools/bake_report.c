@@ -218,8 +218,9 @@ static json_t *numbers_json(const double numbers[3], uint32_t count)
 
 static json_t *encoding_json(const struct bake_value_encoding *encoding)
 {
-    return json_pack("{s:s, s:f, s:o, s:o, s:o}", "unit", encoding->unit, "range", encoding->range,
-                     "scale", numbers_json(encoding->scale, encoding->channels), "offset",
+    return json_pack("{s:s, s:f, s:f, s:o, s:o, s:o}", "unit", encoding->unit, "radius",
+                     encoding->radius, "range", encoding->range, "scale",
+                     numbers_json(encoding->scale, encoding->channels), "offset",
                      numbers_json(encoding->offset, encoding->channels), "origin",
                      numbers_json(encoding->origin, encoding->channels));
 }

@@ -18,7 +18,8 @@
     X(color, 3)                                                                                    \
     X(mask, 0)                                                                                     \
     X(height, 1)                                                                                   \
-    X(position, 6)
+    X(position, 6)                                                                                 \
+    X(curvature, 9)
 
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
@@ -78,6 +79,13 @@ BK_FN void bk_add_position(const bk_map_hit *hit, BK_GLOBAL float *sums)
         sums[3 + k] = (after - before) - term;
         sums[k] = after;
     }
+}
+
+/* Sums where the hits are and how they are oriented; libbake/curvature/ looks around them. */
+BK_FN void bk_add_curvature(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_add_position(hit, sums);
+    bk_add3(sums + 6, hit->normal);
 }
 
 /* Floats of a texel with these maps. */

@@ -98,5 +98,7 @@ void bake_describe_encoding(const struct bake_encoder *encoder, struct bake_attr
     add_numbers(out, "bisque:offset", encoding->offset, channels, 9);
     if (encoder->row->positions)
         add_numbers(out, "bisque:origin", encoding->origin, channels, 17);
+    if (encoding->radius > 0.0)
+        add_numbers(out, "bisque:curvatureRadius", &encoding->radius, 1, 9);
     bake_add_attribute(out, "bisque:unit", encoder->row->unit);
 }

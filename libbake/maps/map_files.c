@@ -183,16 +183,17 @@ void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map ma
 static void report_encoding(const struct bake_encoder *encoder, struct bake_value_encoding *out)
 {
     const struct bake_encoding *encoding = &encoder->encoding;
-    *out = (struct bake_value_encoding){
-        .unit = encoder->row->unit, .channels = encoder->row->channels, .range = encoding->range};
+    *out = (struct bake_value_encoding){.unit = encoder->row->unit,
+                                        .channels = encoder->row->channels,
+                                        .range = encoding->range,
+                                        .radius = encoding->radius};
     memcpy(out->scale, encoding->scale, sizeof out->scale);
     memcpy(out->offset, encoding->offset, sizeof out->offset);
     memcpy(out->origin, encoding->origin, sizeof out->origin);
 }
 
 /* Chooses the encodings of all files, and writes to their headers how to decode them. */
-static int choose_encodings(struct bake_map_files *files,
-                            const struct bake_statistics statistics[BK_MAP_COUNT],
+static int choose_encodings(struct bake_map_files *files, const struct bake_measures *measures,
                             struct bake_report *report)
 {
     int status = 0;
@@ -200,7 +201,8 @@ static int choose_encodings(struct bake_map_files *files,
         struct map_file *file = &files->files[i];
         const struct bake_encoding_facts facts = {.options = files->options,
                                                   .traced = &files->traced,
-                                                  .statistics = statistics[file->number],
+                                                  .statistics = measures->statistics[file->number],
+                                                  .curvature_radius = measures->curvature_radius,
                                                   .integers = file->integers};
         struct bake_attributes attributes;
         bake_encoder_init(&facts, files->maps, file->number, &file->encoder);
@@ -277,10 +279,9 @@ static int finish_files(struct bake_map_files *files)
 }
 
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
-                         const struct bake_statistics statistics[BK_MAP_COUNT],
-                         struct bake_report *report)
+                         const struct bake_measures *measures, struct bake_report *report)
 {
-    int status = choose_encodings(files, statistics, report);
+    int status = choose_encodings(files, measures, report);
     if (status < 0)
         return status;
     files->image_channels = bake_image_channels(image);

@@ -66,8 +66,8 @@ uint32_t bake_image_channels_for(uint32_t maps)
 {
     uint32_t channels = 1;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
-        if (maps & 1u << i && bake_map_table[i].resolve)
-            channels += bake_map_table[i].channels;
+        if (maps & 1u << i)
+            channels += bake_map_values(i);
     return channels;
 }
 

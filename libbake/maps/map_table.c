@@ -127,6 +127,29 @@ static bool resolve_position(const float *sums, uint32_t channels, float weight,
     return true;
 }
 
+/* ---- curvature ---- */
+
+/* The position of the hits and their mean normal, from the sums of bk_add_curvature(). */
+static bool resolve_curvature(const float *sums, uint32_t channels, float weight, float *value)
+{
+    (void)channels;
+    resolve_position(sums, 3, weight, value);
+    return resolve_direction(sums + 6, 3, weight, value + 3);
+}
+
+/* The usual range leaves out the sharpest edges, which would make all else grey. */
+static void encode_curvature(const struct bake_encoding_facts *facts, struct bake_encoding *out)
+{
+    const struct bake_statistics *statistics = &facts->statistics;
+    const double given = facts->options->curvature_range, count = (double)statistics->count;
+    const double mean = count > 0 ? statistics->sum / count : 0;
+    const double variance = count > 0 ? statistics->squares / count - mean * mean : 0;
+    out->radius = facts->curvature_radius;
+    out->range = given > 0.0 ? given : mean + sqrt(fmax(variance, 0));
+    if (facts->integers)
+        set_range(out, out->range, 0.5f);
+}
+
 /* ---- the table ---- */
 
 const struct bake_map_row bake_map_table[] = {
@@ -159,6 +182,14 @@ const struct bake_map_row bake_map_table[] = {
                          .encode = encode_positions,
                          .unit = "mesh unit",
                          .positions = true},
+    [BK_MAP_curvature] = {.summary = "mean curvature of the scan, positive where it is convex",
+                          .channels = 1,
+                          .values = 6,
+                          .usual_type = BAKE_FLOAT,
+                          .resolve = resolve_curvature,
+                          .encode = encode_curvature,
+                          .measured = true,
+                          .unit = "1 / mesh unit"},
 };
 
 _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
@@ -170,12 +201,19 @@ const char *const bake_map_names[BK_MAP_COUNT] = {BK_MAPS(MAP_NAME)};
 const uint32_t bake_map_sums[BK_MAP_COUNT] = {BK_MAPS(MAP_SUMS)};
 _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << BK_MAP_color &&
                    BAKE_MAP_MASK == 1 << BK_MAP_mask && BAKE_MAP_HEIGHT == 1 << BK_MAP_height &&
-                   BAKE_MAP_POSITION == 1 << BK_MAP_position,
+                   BAKE_MAP_POSITION == 1 << BK_MAP_position &&
+                   BAKE_MAP_CURVATURE == 1 << BK_MAP_curvature,
                "bits of bake.h are rows of BK_MAPS");
 _Static_assert((int)BK_MAP_COUNT <= (int)BAKE_MAX_MAPS && (int)BAKE_MAPS_ALL == 1 << BAKE_MAX_MAPS,
                "every map has a bit");
 
 /* ---- names and choice ---- */
+
+uint32_t bake_map_values(unsigned i)
+{
+    const struct bake_map_row *row = &bake_map_table[i];
+    return !row->resolve ? 0 : row->values ? row->values : row->channels;
+}
 
 const char *bake_map_name(unsigned number)
 {

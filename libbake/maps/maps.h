@@ -19,6 +19,7 @@
 struct bake_encoding {
     double scale[3], offset[3]; /* scale 0: there is only one value, which is stored as 1/2 */
     double origin[3];
+    double radius;       /* of curvature; else 0 */
     double range;        /* half of the largest scale that an integer file has */
     float background[3]; /* samples of texels without a value */
 };
@@ -27,6 +28,12 @@ struct bake_encoding {
 struct bake_statistics {
     uint64_t count;
     double largest, sum, squares;
+};
+
+/* What is known when all images of a mesh are complete. */
+struct bake_measures {
+    struct bake_statistics statistics[BK_MAP_COUNT];
+    double curvature_radius; /* world units */
 };
 
 /* How maps were traced. */
@@ -42,7 +49,8 @@ struct bake_encoding_facts {
     const struct bake_options *options;
     const struct bake_traced *traced;
     struct bake_statistics statistics; /* of the map */
-    bool integers;                     /* the file's samples hold 0 to 1 */
+    double curvature_radius;
+    bool integers; /* the file's samples hold 0 to 1 */
 };
 
 /* Texts for a file's header. Numbers live in `text`. */
@@ -53,9 +61,12 @@ struct bake_attributes {
 };
 
 struct bake_map_row {
-    const char *summary;   /* for --help */
-    const char *alias;     /* another name for --maps, or NULL */
-    uint32_t channels;     /* of a value and of the file: 1 or 3 */
+    const char *summary; /* for --help */
+    const char *alias;   /* another name for --maps, or NULL */
+    uint32_t channels;   /* of the file: 1 or 3 */
+    /* Floats that `resolve` writes, if there are more; a later step takes them and leaves the
+     * channels in their front. 0: as many as channels. */
+    uint32_t values;
     bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */
     bool color;            /* values are linear light; otherwise data, which is not transformed */
@@ -78,6 +89,8 @@ struct bake_map_row {
 
 /* Rows in the order of BK_MAPS; row i is bit i of enum bake_map. */
 extern const struct bake_map_row bake_map_table[];
+/* Returns the floats of row i in a texel of the image. */
+uint32_t bake_map_values(unsigned i);
 /* Name and sums of row i, from BK_MAPS. */
 extern const char *const bake_map_names[BK_MAP_COUNT];
 extern const uint32_t bake_map_sums[BK_MAP_COUNT];
@@ -212,12 +225,11 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
 void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map map,
                                   struct bake_thumbnail *thumbnail);
 
-/* Dilates, encodes and writes all rows of the image. statistics: of all images of the mesh. Sets
+/* Dilates, encodes and writes all rows of the image. measures: of all images of the mesh. Sets
  * the report's encodings. Adds to the report's seconds_padding, seconds_resolve and seconds_write.
  */
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
-                         const struct bake_statistics statistics[BK_MAP_COUNT],
-                         struct bake_report *report);
+                         const struct bake_measures *measures, struct bake_report *report);
 
 /* Gives all files their final names; frees in any case. */
 int bake_map_files_commit(struct bake_map_files *files);

@@ -74,7 +74,7 @@ static void resolve_texel(const float *texel, uint32_t maps, float *out)
         if (row->resolve) {
             if (!row->resolve(sums, row->channels, weight, out) && *share > 0.0f)
                 *share = BAKE_MISSED;
-            out += row->channels;
+            out += bake_map_values(i);
         }
         sums += bake_map_sums[i];
     }

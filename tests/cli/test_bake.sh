@@ -39,7 +39,7 @@ is_png()
 $bake --help
 code 0
 out_like '^Usage: bisque-bake '
-options="output maps size tiles samples front back height-range position-in two-sided sampling normal-space green
+options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range two-sided sampling normal-space green
     padding half float png-bits preview device gpu-memory list-devices list-tiles memory threads progress json help
     version"
 for option in $options; do
@@ -101,6 +101,10 @@ refused 64 "$p --back: \"far\" is not a non-negative number"
 for range in 0 -1 none nan; do
     $bake $good --height-range $range
     refused 64 "$p --height-range: \"$range\" is not a positive number"
+done
+for option in curvature-radius curvature-range; do
+    $bake $good --$option 0
+    refused 64 "$p --$option: \"0\" is not a positive number"
 done
 $bake $good --position-in cube
 refused 64 "$p --position-in: \"cube\" is not sphere or box"
@@ -289,14 +293,22 @@ rm look.png m.png n.png
 # "all" is every map that the scan gives; "opacity" is the mask.
 $bake $small plain.nvdb low.obj -o 'all_<MAP>.exr' --maps all --json
 code 0
-files all_height.exr all_mask.exr all_normal.exr all_position.exr n8.png $start
-json '.encodings | keys == ["height", "position"]'
+files all_curvature.exr all_height.exr all_mask.exr all_normal.exr all_position.exr n8.png $start
+json '.encodings | keys == ["curvature", "height", "position"]'
+json '.encodings.curvature | .unit == "1 / mesh unit" and .radius > 0 and .range > 0'
 json '.encodings.position | .unit == "mesh unit" and .scale == [1, 1, 1] and .offset == [0, 0, 0] and .origin == [0, 0, 0]'
 $bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --position-in box --height-range 2 --json
 code 0
-json '.maps | keys == ["color", "height", "mask", "normal", "position"]'
-json '.encodings.height == {"unit": "mesh unit", "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
+json '.maps | keys == ["color", "curvature", "height", "mask", "normal", "position"]'
+json '.encodings.height == {"unit": "mesh unit", "radius": 0, "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
 json '.encodings.position | .scale == [1, 2, 3] and .offset == [0, 0, 0] and .range == 1.5'
+# Curvature of a radius that is given, with a range that is given.
+$bake $small plain.nvdb low.obj -o 'curved.png' --maps curvature --curvature-radius 0.25 --curvature-range 8 --json
+code 0
+json '.encodings.curvature == {"unit": "1 / mesh unit", "radius": 0.25, "range": 8, "scale": [16], "offset": [-8],
+    "origin": [0]}'
+is_png curved.png 96 96 16
+rm curved.png
 is_png all_height.png 96 96 16
 is_png all_position.png 96 96 16
 rm all_*

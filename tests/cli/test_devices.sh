@@ -22,7 +22,7 @@ warned()
     "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
 maps="--size 160x96 --float --maps all vase.nvdb low.obj"
-names="normal color mask height position"
+names="normal color mask height position curvature"
 
 # ---- CUDA ----
 

@@ -18,16 +18,17 @@ static const double radius = 20, low_radius = 17;
 enum { STEPS = 48, BANDS = 24, SIZE = 144, SCAN_STEPS = 400, SCAN_BANDS = 200 };
 static const double pi = 3.14159265358979323846;
 
-/* The scans: where the sphere is, and how far the map may be from the formula. */
+/* The scans: where the sphere is, and how far maps may be from the formula. */
 struct scan {
     const char *scan, *low;
     double centre[3], tolerance;
+    double bend; /* relative error of curvature */
 };
 static const struct scan scans[] = {
-    {"grid.nvdb", "low.obj", {70, -31, 45}, 0.02},
-    {"scan.tris", "low.obj", {70, -31, 45}, 0.002},
+    {"grid.nvdb", "low.obj", {70, -31, 45}, 0.02, 0.1},
+    {"scan.tris", "low.obj", {70, -31, 45}, 0.002, 0.02},
     /* Steps of float32 are 0.03 here. */
-    {"far.tris", "far.obj", {500000.123, 4400000.75, 45}, 0.002},
+    {"far.tris", "far.obj", {500000.123, 4400000.75, 45}, 0.002, 0.02},
 };
 enum { SCANS = sizeof scans / sizeof *scans };
 
@@ -159,7 +160,7 @@ static struct bake_options options_for(const struct scan *scan, const char *outp
     options.scan_path = in_directory(scan->scan);
     options.mesh_path = in_directory(scan->low);
     options.output_path = in_directory(output);
-    options.maps = BAKE_MAP_HEIGHT | BAKE_MAP_POSITION;
+    options.maps = BAKE_MAP_HEIGHT | BAKE_MAP_POSITION | BAKE_MAP_CURVATURE;
     options.width = options.height = SIZE;
     options.samples = 1;
     options.device = "cpu";
@@ -236,6 +237,7 @@ static void test_values_are_those_of_the_formula(void **state)
         const struct bake_value_encoding *encodings = report.encodings;
         struct fmt_exr_image height = take_exr(ctx, "height.exr");
         struct fmt_exr_image position = take_exr(ctx, "position.exr");
+        struct fmt_exr_image curvature = take_exr(ctx, "curvature.exr");
         double largest = 0;
         assert_int_equal(report.misses, 0);
         assert_int_equal(report.covered_texels, SIZE * SIZE);
@@ -243,12 +245,15 @@ static void test_values_are_those_of_the_formula(void **state)
             double at[3], h = sample(&height, i, "Y");
             position_at(&position, i, at);
             check_texel(&scans[s], &encodings[4], i, h, at);
+            assert_true(fabs(sample(&curvature, i, "Y") * radius - 1) < scans[s].bend);
             largest = fmax(largest, fabs(h));
         }
         assert_string_equal(fmt_exr_image_attribute(&height, "bisque:unit"), "mesh unit");
         assert_string_equal(fmt_exr_image_attribute(&height, "bisque:scale"), "1");
         assert_string_equal(fmt_exr_image_attribute(&position, "bisque:offset"), "0 0 0");
         assert_true(encodings[3].range == largest);
+        assert_string_equal(fmt_exr_image_attribute(&curvature, "bisque:unit"), "1 / mesh unit");
+        fmt_exr_image_free(ctx, &curvature);
         fmt_exr_image_free(ctx, &height);
         fmt_exr_image_free(ctx, &position);
         test_context_end(ctx);
@@ -350,11 +355,13 @@ static void check_png(struct bsq_ctx *ctx, const char *map, const struct bake_va
         for (uint32_t c = 0; c < png->channels; c++) {
             const png_bytep at = rows[i / SIZE] + 2 * (i % SIZE * png->channels + c);
             const double stored = (at[0] << 8 | at[1]) / 65535.0;
-            const double value =
-                (png->origin[c] - exr->origin[c]) + png->offset[c] + png->scale[c] * stored;
-            const double step = png->scale[c] / 65535;
-            assert_true(fabs(value - sample(&raw, i, names[png->channels == 3][c])) <
-                        0.5 * step + 1e-5);
+            const double low = (png->origin[c] - exr->origin[c]) + png->offset[c];
+            const double high = low + png->scale[c], step = png->scale[c] / 65535;
+            const double value = sample(&raw, i, names[png->channels == 3][c]);
+            /* Values out of range are cut off. */
+            const double expected = fmin(fmax(value, low), high);
+            assert_true(fabs(low + png->scale[c] * stored - expected) <
+                        0.51 * step + 2e-7 * fabs(value));
         }
     png_destroy_read_struct(&image.png, &image.info, NULL);
     fmt_exr_image_free(ctx, &raw);
@@ -369,12 +376,15 @@ static void test_png_files_decode_to_the_values(void **state)
             struct bake_options raw = options_for(&scans[s], "<MAP>.exr");
             struct bake_options scaled = options_for(&scans[s], "<MAP>.png");
             scaled.height_range = variant == 0 ? -1 : 5;
+            scaled.curvature_range = variant == 0 ? -1 : 0.1;
             scaled.position_in = variant == 0 ? BAKE_IN_SPHERE : BAKE_IN_BOX;
             const struct bake_report exr = bake(&raw, 1, 0), png = bake(&scaled, 1, 0);
             assert_true(png.encodings[3].range == (variant == 0 ? exr.encodings[3].range : 5));
             assert_true(fabs(png.encodings[4].range - (variant == 0 ? sqrt(3) : 1) * radius) <
                         0.01);
             check_png(ctx, "height", &exr.encodings[3], &png.encodings[3]);
+            assert_true(png.encodings[5].range == (variant == 0 ? exr.encodings[5].range : 0.1));
+            check_png(ctx, "curvature", &exr.encodings[5], &png.encodings[5]);
             check_png(ctx, "position", &exr.encodings[4], &png.encodings[4]);
         }
     test_context_end(ctx);
@@ -416,13 +426,14 @@ static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
     static const struct {
         unsigned threads;
         uint64_t memory;
-    } runs[] = {{1, 0}, {5, 0}, {2, UINT64_C(24) << 20}, {1, UINT64_C(20) << 20}};
+    } runs[] = {{1, 0}, {5, 0}, {2, UINT64_C(14) << 20}, {1, UINT64_C(13) << 20}};
     static const char *const maps[] = {"height.png", "position.png"};
     for (int s = 0; s < 2; s++) {
         uint64_t expected[2] = {0};
         for (size_t r = 0; r < sizeof runs / sizeof *runs; r++) {
             struct bake_options options = options_for(&scans[s], "<MAP>.png");
-            options.width = options.height = 1000; /* 20 MB of values */
+            options.maps = BAKE_MAP_HEIGHT | BAKE_MAP_POSITION;
+            options.width = options.height = 640; /* 8 MB of values */
             bake(&options, runs[r].threads, runs[r].memory);
             for (int m = 0; m < 2; m++) {
                 const uint64_t hash = take_hash(maps[m]);

@@ -60,15 +60,20 @@ static void test_maps_fill_the_channels_they_declare(void **state)
     (void)state;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         const struct bake_map_row *row = &bake_map_table[i];
-        float sums[8] = {0.5f, -0.25f, 0.75f}, value[4] = {NAN, NAN, NAN, NAN};
+        const uint32_t values = bake_map_values(i);
+        float sums[16] = {0.5f, -0.25f, 0.75f, 0, 0, 0, 1}, value[8];
         assert_true(row->channels == 1 || row->channels == 3);
         assert_true(bake_map_sums[i] <= sizeof sums / sizeof *sums);
-        assert_int_equal(bake_image_channels_for(1u << i), 1 + (row->resolve ? row->channels : 0));
+        assert_int_equal(bake_image_channels_for(1u << i), 1 + values);
+        assert_int_equal(values > 0, row->resolve != NULL);
+        assert_true(values == 0 || values >= row->channels);
+        for (uint32_t c = 0; c < 8; ++c)
+            value[c] = NAN;
         if (!row->resolve)
             continue;
         assert_true(row->resolve(sums, row->channels, 0.5f, value));
-        for (uint32_t c = 0; c < 4; ++c)
-            assert_int_equal(isnan(value[c]) != 0, c >= row->channels);
+        for (uint32_t c = 0; c < 8; ++c)
+            assert_int_equal(isnan(value[c]) != 0, c >= values);
     }
 }
 
