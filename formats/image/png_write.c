@@ -87,13 +87,13 @@ static int write_chunk(struct png_writer *writer, const char *name, const uint8_
 static int add_text(struct png_writer *writer, const struct fmt_image_attribute *attribute)
 {
     /* libpng does not change the texts. */
-    png_text text = {.compression = PNG_TEXT_COMPRESSION_NONE,
-                     .key = (png_charp)(uintptr_t)attribute->name,
-                     .text = (png_charp)(uintptr_t)attribute->value,
-                     .text_length = strlen(attribute->value)};
+    png_text chunk = {.compression = PNG_TEXT_COMPRESSION_NONE,
+                      .key = (png_charp)(uintptr_t)attribute->name,
+                      .text = (png_charp)(uintptr_t)attribute->value,
+                      .text_length = strlen(attribute->value)};
     if (setjmp(png_jmpbuf(writer->png)))
         return BSQ_ENOMEM; /* nothing else can fail */
-    png_set_text(writer->png, writer->info, &text, 1);
+    png_set_text(writer->png, writer->info, &chunk, 1);
     return 0;
 }
 
