@@ -327,15 +327,24 @@ $(BUILD)/tests/torture: tests/faults/torture.c
 	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -o $@ $<
 
 fuzz_seconds ?= 60
-.PHONY: $(fuzz_names:%=fuzz-%)
-## fuzz-NAME: fuzz obj, ply, stl, mtl, tris, nvdb, overwritten (grids), exr, lowmesh or scan (both stages) for fuzz_seconds=60
+.PHONY: $(fuzz_names:%=fuzz-%) fuzz-all fuzz-all-build fuzz-merge
+## fuzz-NAME: fuzz a target of tests/fuzz for fuzz_seconds=60: obj, ply, stl, mtl, tris, nvdb, …
 $(fuzz_names:%=fuzz-%): fuzz-%:
 	@$(MAKE) --no-print-directory config=fuzz build/fuzz/tests/fuzz-$*
-	@mkdir -p build/fuzz/corpus/$*
-	build/fuzz/tests/fuzz-$* -max_total_time=$(fuzz_seconds) -print_final_stats=1 -timeout=20 \
-	    -malloc_limit_mb=256 -rss_limit_mb=1500 \
-	    $(patsubst %,-dict=%,$(wildcard tests/fuzz/dict/$*.dict)) \
-	    build/fuzz/corpus/$* tests/fuzz/corpus/$*
+	tests/fuzz/run_all.sh $(fuzz_seconds) 1 $*
+
+## fuzz-all: all targets for fuzz_seconds=60 each; inputs that fail are in build/fuzz/failures
+fuzz-all:
+	@$(MAKE) --no-print-directory -j$(jobs) config=fuzz fuzz-all-build
+	tests/fuzz/run_all.sh $(fuzz_seconds) $(jobs) $(fuzz_names)
+fuzz-all-build: $(fuzz_names:%=$(BUILD)/tests/fuzz-%)
+
+## fuzz-merge: add what fuzzing found and reaches new code to tests/fuzz/corpus
+fuzz-merge:
+	@$(MAKE) --no-print-directory -j$(jobs) config=fuzz fuzz-all-build
+	for name in $(fuzz_names); do mkdir -p build/fuzz/corpus/$$name; \
+	    build/fuzz/tests/fuzz-$$name -merge=1 tests/fuzz/corpus/$$name build/fuzz/corpus/$$name \
+	    2>&1 | tail -n 1; done
 
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
@@ -397,11 +406,12 @@ packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools po
 # Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.
 packages_cuda  := $(if $(ptx_clang)$(ptx_nvcc),,clang)
 packages := $(packages_build) $(packages_test)
+packages_fuzz := clang libclang-rt-14-dev
 packages_lint := cppcheck clang-tidy clang-format
 packages_doc  := doxygen
 jobs ?= $(shell nproc)
 
-.PHONY: deps deps-lint deps-doc
+.PHONY: deps deps-lint deps-doc deps-fuzz
 ## deps: install missing Debian packages (with sudo if needed)
 deps:
 	@tests/install-packages.sh $(packages)
@@ -412,6 +422,11 @@ deps-lint:
 	@tests/install-packages.sh $(packages_lint)
 deps-doc:
 	@tests/install-packages.sh $(packages_doc)
+# Any clang that has its fuzzer will do.
+deps-fuzz:
+	@echo 'int LLVMFuzzerTestOneInput(void) { return 0; }' | \
+	    clang -fsanitize=fuzzer,address -x c -o /dev/null - 2>/dev/null || \
+	    tests/install-packages.sh $(packages_fuzz)
 
 # ---- demo ----
 demo_dir ?= demo
