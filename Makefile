@@ -83,12 +83,16 @@ helper   := $(BUILD)/lib/bisque/bisque-devices
 ## all: build the libraries, modules and programs (default), into build/$(config)/
 all: $(archives) $(module_files) $(helper) $(bins)
 
+# Debug information names the folder of the sources. With this name, builds in different folders have
+# the same bytes; debuggers find the sources if they are started there.
+here := PWD=/proc/self/cwd
+
 $(BUILD)/obj/%.c.o: %.c
 	@mkdir -p $(@D)
-	$(CC) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CFLAGS) -c $< -o $@
+	$(here) $(CC) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CFLAGS) -c $< -o $@
 $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
-	$(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
+	$(here) $(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
 # Objects that hold the stamp depend on all headers that it covers.
 stamped := formats/module/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))
 $(stamped:%=$(BUILD)/obj/%.o): $(module_headers)
@@ -107,7 +111,7 @@ simd.avx512 := -DBSQ_SIMD_SUFFIX=avx512 -mavx512f -mavx512vl -mavx512dq -mavx512
 define simd_rule
 $(BUILD)/$(2)/%_lanes.c.$(1).o: %_lanes.c
 	@mkdir -p $$(@D)
-	$$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< \
+	$(here) $$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< \
 	    -o $$@
 endef
 $(foreach s,$(simd),$(foreach d,obj counted,$(eval $(call simd_rule,$(s),$(d)))))
@@ -120,7 +124,7 @@ cppflags.tests   = $(formats_cppflags)
 define archive_rule
 $(archive.$(1)): $$(call objs,$(1))
 	@mkdir -p $$(@D)
-	rm -f $$@ && $$(AR) rcs $$@ $$^
+	rm -f $$@ && $$(AR) rcsD $$@ $$^
 endef
 $(foreach l,$(libs),$(eval $(call archive_rule,$(l))))
 
@@ -396,7 +400,7 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 .PHONY: check-long
 check-long: check
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
-	    $(patsubst %,tests/cli/test_%.sh,overwritten oracle)
+	    $(patsubst %,tests/cli/test_%.sh,overwritten oracle reproducible)
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
@@ -557,7 +561,7 @@ doc: deps-doc $(public_copies)
 
 # Takes the lines of `make -n` that compile one source.
 compile_commands := [inputs | select(test(" -c \\S+ -o ")) | \
-    {$$directory, command: ., file: capture(" -c (?<file>\\S+) -o ").file}]
+    {$$directory, command: ltrimstr("$(here) "), file: capture(" -c (?<file>\\S+) -o ").file}]
 .PHONY: compile_commands.json
 ## compile_commands.json: how each source is compiled, for editors and clangd (needs jq)
 compile_commands.json:
@@ -581,9 +585,9 @@ install: all
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helper) $(moddir)
 	install -m 644 $(archives) $(libdir)
-	$(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
+	$(here) $(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
 	    -o $(moddir)/module_directory.c.o
-	$(AR) r $(libdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
+	$(AR) rD $(libdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
 	rm $(moddir)/module_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
 	for lib in voxel bake; do sed -e 's|@prefix@|$(prefix)|; s|@version@|$(VERSION)|' \
@@ -594,6 +598,14 @@ uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(addprefix $(libdir)/,$(notdir $(archives))) $(libdir)/pkgconfig/bisque-*.pc
 	rm -rf $(incdir) $(moddir)
+
+# ---- sources ----
+dist := build/dist/bisque-$(VERSION).tar.gz
+.PHONY: dist
+## dist: build/dist/bisque-VERSION.tar.gz with the sources of the last commit, and its date
+dist:
+	@mkdir -p $(dir $(dist))
+	git archive --format=tar --prefix=bisque-$(VERSION)/ HEAD | gzip -9n > $(dist)
 
 .PHONY: clean
 ## clean: remove the build folder
