@@ -107,6 +107,11 @@ static void number_texcoords(const struct stream_source *source, struct mesh_arr
         corners[i] = corners[i] == FMT_MESH_NONE ? FMT_MESH_NONE : corners[i] + before;
 }
 
+static bool is_blank(char c)
+{
+    return c == ' ' || c == '\t' || c == '\r' || c == '\n';
+}
+
 /* Warns of bytes after the last element, unless they are blank. */
 static int warn_rest(struct ply_reader *reader, const struct stream_slot *slot)
 {
@@ -117,7 +122,7 @@ static int warn_rest(struct ply_reader *reader, const struct stream_slot *slot)
     uint64_t got, blanks = 0;
     int status =
         bsq_file_read_some(ctx, &source->file, sample, sizeof sample, slot->part.offset, &got);
-    while (!status && blanks < got && memchr(" \t\r\n", sample[blanks], 4))
+    while (!status && blanks < got && is_blank(sample[blanks]))
         blanks++;
     if (!status && blanks < bytes && !reader->read_before)
         bsq_warn(ctx, "%s: %" PRIu64 " bytes after the last element not read", source->path, bytes);

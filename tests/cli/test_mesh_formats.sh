@@ -48,6 +48,94 @@ for kind in plain colors; do
     done
 done
 
+# Colours of faces and textures, as from MTL files.
+cat >square.mtl <<'END'
+newmtl red
+Kd 1 0 0
+newmtl blue
+Kd 0 0 1
+newmtl image
+map_Kd image.ppm
+END
+printf 'P3\n2 2\n255\n255 0 0  0 255 0\n0 0 255  9 90 200\n' >image.ppm
+points='0 0 0
+1 0 0
+1 1 0
+0 1 0'
+{
+    echo 'mtllib square.mtl'
+    echo "$points" | sed 's/^/v /'
+    printf 'usemtl blue\nf 1 2 3\nusemtl red\nf 1 3 4\n'
+} >faces.obj
+xyz='property float x
+property float y
+property float z'
+corners='property list uchar int vertex_index'
+cat >faces.ply <<END
+ply
+format ascii 1.0
+element face 2
+$corners
+property uchar red
+property uchar green
+property uchar blue
+element vertex 4
+$xyz
+end_header
+3 0 1 2 0 0 255
+3 0 2 3 255 0 0
+$points
+END
+{
+    echo 'mtllib square.mtl'
+    echo "$points" | sed 's/^/v /'
+    printf 'vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl image\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n'
+} >texture.obj
+cat >texture.ply <<END
+ply
+format ascii 1.0
+comment TextureFile image.ppm
+element vertex 4
+$xyz
+element face 2
+$corners
+property list uchar float texcoord
+end_header
+$points
+3 0 1 2 6 0 0 1 0 1 1
+3 0 2 3 6 0 0 1 1 0 1
+END
+cat >vertices.ply <<END
+ply
+format ascii 1.0
+comment TextureFile image.ppm
+element vertex 4
+$xyz
+property float s
+property float t
+element face 2
+$corners
+end_header
+0 0 0 0 0
+1 0 0 1 0
+1 1 0 1 1
+0 1 0 0 1
+3 0 1 2
+3 0 2 3
+END
+for name in faces texture; do
+    run bisque-voxelize $name.obj -o $name.nvdb --resolution 64
+    code 0
+    out_like 'voxels'
+    for file in $name.ply vertices.ply; do
+        if [ $name.$file != faces.vertices.ply ]; then
+            run bisque-voxelize $file -o other.nvdb --tris other.tris --resolution 64
+            code 0
+            same $name.nvdb other.nvdb
+        fi
+    done
+done
+
 # A budget that puts vertices into a file.
 "$TESTS/generate-scan" --triangles 2000000 vase -o large.ply
 run bisque-voxelize large.ply -o large.nvdb --resolution 100
