@@ -10,8 +10,9 @@
 
 enum stl_kind {
     STL_TEXT,
-    STL_BINARY,       /* colours as in VisCAM and SolidView */
-    STL_BINARY_MAGICS /* colours as in Materialise Magics */
+    STL_BINARY,        /* colours as in VisCAM and SolidView */
+    STL_BINARY_MAGICS, /* colours as in Materialise Magics */
+    STL_BINARY_MESHLAB /* colours as in MeshLab, which differs from Magics in the highest bit */
 };
 
 /* Bytes of a binary file before its triangles, and of a triangle. */

@@ -39,12 +39,15 @@ static uint32_t load_u32(const char *from)
     return value;
 }
 
-/* Finds "COLOR=" in the header, which Magics writes, and the colour of the object after it. */
+/* Finds "COLOR=" in the header, and the colour of the object after it. Magics writes
+ * "COLOR=rgba,MATERIAL=", MeshLab "COLOR=rgb MATERIAL=". */
 static void find_object_color(const char *head, struct stl_source *out)
 {
     for (size_t i = 0; i + 10 <= 80; i++)
         if (memcmp(head + i, "COLOR=", 6) == 0) {
-            out->kind = STL_BINARY_MAGICS;
+            out->kind = i + 19 <= 80 && memcmp(head + i + 9, " MATERIAL=", 10) == 0
+                            ? STL_BINARY_MESHLAB
+                            : STL_BINARY_MAGICS;
             for (int c = 0; c < 3; c++)
                 out->object_color[c] = (float)(unsigned char)head[i + 6 + (size_t)c];
             return;
@@ -125,15 +128,16 @@ static bool decode_color(const struct stl_source *file, const uint8_t *triangle,
 {
     const uint32_t bits = triangle[48] | (uint32_t)triangle[49] << 8;
     const bool magics = file->kind == STL_BINARY_MAGICS, top = bits >> 15;
+    const bool red_first = file->kind != STL_BINARY, given = magics || top;
     if (magics && top) {
         memcpy(color, file->object_color, sizeof file->object_color);
         return true;
     }
     for (int c = 0; c < 3; c++) {
-        const uint32_t level = bits >> 5 * (magics ? c : 2 - c) & 31;
-        color[c] = magics || top ? (float)level * (255.0f / 31.0f) : -1.0f;
+        const uint32_t level = bits >> 5 * (red_first ? c : 2 - c) & 31;
+        color[c] = given ? (float)level * (255.0f / 31.0f) : -1.0f;
     }
-    return magics || top;
+    return given;
 }
 
 static bool any_color(const struct stl_source *file, const struct stream_slot *slot)

@@ -37,14 +37,16 @@ compare --corners 6 --colors
 compare --offset 500000,4000000,300
 
 # Files that other programs wrote.
-for kind in plain colors; do
+for kind in plain colors faces; do
     run bisque-voxelize "$top/tests/meshes/$kind.obj" -o "$kind.nvdb" --voxel-size 0.02
     code 0
     for file in "$top/tests/meshes/$kind".*.*; do
         run bisque-voxelize "$file" -o other.nvdb --tris other.tris --voxel-size 0.02
         code 0
         same "$kind.nvdb" other.nvdb
-        same "$kind.tris" other.tris
+        if [ $kind != faces ]; then # colours of vertices in STL files, materials in others
+            same "$kind.tris" other.tris
+        fi
     done
 done
 

@@ -1,8 +1,9 @@
 # Writes the meshes of this folder. Needs Python 3.11, numpy 2.4.6, trimesh 5.2.0, meshio 5.3.5,
-# plyfile 1.1.5 and numpy-stl 4.1.1 from PyPI.
+# plyfile 1.1.5, numpy-stl 4.1.1 and pymeshlab 2025.7.post1 from PyPI.
 import meshio
 import numpy
 import plyfile
+import pymeshlab
 import stl
 import trimesh
 
@@ -67,3 +68,27 @@ solid = stl.mesh.Mesh(numpy.zeros(len(triangles), dtype=stl.mesh.Mesh.dtype))
 solid.vectors = points[triangles].astype(numpy.float32)
 solid.save("plain.numpy.stl", mode=stl.Mode.BINARY)
 solid.save("plain.numpy.text.stl", mode=stl.Mode.ASCII)
+
+# MeshLab gives each vertex a quality. Faces are blue and red by turns.
+faces = numpy.array([(i % 2, 0, 1 - i % 2, 1) for i in range(len(triangles))], float)
+with open("faces.mtl", "w") as out:
+    out.write("newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n")
+with open("faces.obj", "w") as out:
+    out.write("mtllib faces.mtl\n")
+    for p in points:
+        out.write("v %g %g %g\n" % tuple(p))
+    for t, color in zip(triangles, faces):
+        out.write("usemtl %s\n" % ("red" if color[0] else "blue"))
+        out.write("f %d %d %d\n" % tuple(t + 1))
+rgba = numpy.hstack([colors / 255, numpy.ones((len(colors), 1))])
+scene = pymeshlab.MeshSet()
+scene.add_mesh(pymeshlab.Mesh(points, triangles, v_color_matrix=rgba))
+scene.save_current_mesh("colors.meshlab.ply", save_face_color=False)
+scene.save_current_mesh("colors.meshlab.text.ply", binary=False, save_face_color=False)
+corners = points[triangles][:, :, :2].reshape(-1, 2)
+scene = pymeshlab.MeshSet()
+scene.add_mesh(pymeshlab.Mesh(points, triangles, f_color_matrix=faces, w_tex_coords_matrix=corners))
+scene.save_current_mesh("faces.meshlab.ply", save_vertex_color=False)
+scene.save_current_mesh("faces.meshlab.stl", colormode=True)
+scene.save_current_mesh("faces.meshlab.viscam.stl", colormode=False)
+scene.save_current_mesh("plain.meshlab.text.stl", binary=False)
