@@ -112,9 +112,10 @@ kib_free()
 # require_disk TRIANGLES LABEL: checks that both scans, a chunk file and temporary files fit the disk.
 require_disk()
 {
-    need=$(($1 * 135 / 1024 + 1024 * 1024))
-    for scan in "$2" "$2-shuffled"; do
-        scan=$(scan_path "$scan")
+    need=$(($1 * 155 / 1024 + 1024 * 1024))
+    for scan in "$2" "$2-shuffled" "$2 ply"; do
+        # shellcheck disable=SC2086 # a name, and a suffix or none
+        scan=$(scan_path $scan)
         [ ! -f "$scan" ] || need=$((need - $(bytes_of "$scan") / 1024))
     done
     free=$(kib_free)
@@ -145,32 +146,36 @@ choose_source()
     }
 }
 
+# scan_path NAME [SUFFIX]
 scan_path()
 {
-    echo "$scans/${scan_name%.obj}-$1.obj"
+    echo "$scans/${scan_name%.obj}-$1.${2:-obj}"
 }
 
-# make_scan NAME TRIANGLES OPTION...: generates a scan unless it exists; sets $made to its path.
+# make_scan NAME SUFFIX TRIANGLES OPTION...: generates a scan unless it exists; sets $made to its path.
 make_scan()
 {
-    made=$(scan_path "$1")
-    count=$2
-    shift 2
+    made=$(scan_path "$1" "$2")
+    count=$3
+    shift 3
     [ -f "$made" ] && return
     say "generating $(basename "$made")"
-    "$TESTS/generate-scan" --triangles "$count" "$@" "$source" -o "$made.part" &&
-        mv "$made.part" "$made" || exit 73
+    "$TESTS/generate-scan" --triangles "$count" "$@" "$source" -o "$work/part.${made##*.}" &&
+        mv "$work/part.${made##*.}" "$made" || exit 73
 }
 
-# use_scans LABEL TRIANGLES: generates the scan in both orders; sets $label, $ordered, $shuffled and so on.
+# use_scans LABEL TRIANGLES: generates the scan in both orders and as PLY; sets $label, $ordered,
+# $shuffled, $ply and so on.
 use_scans()
 {
     label=$1
     require_disk "$2" "$1"
-    make_scan "$1" "$2"
+    make_scan "$1" obj "$2"
     ordered=$made
-    make_scan "$1-shuffled" "$2" --shuffle 1
+    make_scan "$1-shuffled" obj "$2" --shuffle 1
     shuffled=$made
+    make_scan "$1" ply "$2"
+    ply=$made
     bytes=$(bytes_of "$ordered")
     "$BIN/bisque-voxelize" --parse-only --json "$ordered" >"$work/out" || exit 70
     triangles=$(json_number triangles "$work/out")
@@ -213,6 +218,8 @@ job_cat()
     output=/dev/null
     measure "$ordered" 0 cat "$ordered"
     keep cat "cat" - "$bytes"
+    measure "$ply" 0 cat "$ply"
+    keep cat-ply "cat the PLY" - "$(bytes_of "$ply")"
     output=$work/out
 }
 
@@ -295,6 +302,7 @@ job_parse()
 {
     bisque "parse-1" "parse only, 1 thread" embree-parse "$ordered" 0 --parse-only --threads 1
     bisque "parse" "parse only, all threads" embree-parse "$ordered" 0 --parse-only
+    bisque "parse-ply" "parse only, PLY, all threads" cat-ply "$ply" 0 --parse-only
 }
 
 # takes MEMORY: prints the bytes that a job with this budget takes, including the page cache of its
@@ -312,6 +320,14 @@ job_whole()
     grid_facts whole tris_bytes temp_bytes grid_bytes voxels
 }
 
+# The same scan as binary PLY; its outputs are the same.
+job_ply()
+{
+    bisque whole-ply "whole, from PLY" whole "$ply" "$(takes 1G)" --resolution "$resolution" \
+        --memory 1G -o "$work/other.nvdb" && same_bytes "PLY"
+    rm -f "$work/other.nvdb" "$work/other.tris"
+}
+
 # job_grid KEY RESOLUTION AGAINST: makes a grid from the chunk file of job_whole.
 job_grid()
 {
@@ -327,7 +343,7 @@ same_bytes()
     [ "$round" -eq 1 ] && [ -f "$work/whole.tris" ] || return 0
     for ending in tris nvdb; do
         cmp -s "$work/whole.$ending" "$work/other.$ending" && continue
-        say "FAILED: $label, $1: .$ending differs from that with a budget of 1G"
+        say "FAILED: $label, $1: .$ending differs from that of the OBJ with a budget of 1G"
         failed=1
     done
 }
@@ -354,6 +370,7 @@ one_round()
     job_cat
     job_parse
     job_whole
+    job_ply
     job_grid revoxelize "$((resolution / 2))" whole
     job_shuffled shuffled "shuffled faces" 1G
     for memory; do

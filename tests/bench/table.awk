@@ -117,6 +117,7 @@ function scan_goals(scan) {
         goal(scan, title[scan, "whole"] ", seconds", column(wall, scan, "whole"), 2, -1, "%.2f")
     rate_goal(scan, "parse-1", 1)
     rate_goal(scan, "parse", threads)
+    ratio_goal(scan, "parse-ply", 2)
     ratio_goal(scan, "revoxelize", 1 / 3)
     ratio_goal(scan, "shuffled", 2)
     ratio_goal(scan, "whole-256M", 2.5)

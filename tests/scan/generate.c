@@ -12,8 +12,8 @@ static const char usage[] =
     "       generate-scan [options] vase-low -o FILE          its low-poly mesh (40 x 64 quads)\n"
     "       generate-scan [options] sine -o FILE.obj          crossed sine waves on a square of side 100\n"
     "       generate-scan [options] sine-low -o FILE.obj      the square\n"
-    "       generate-scan [options] SMALL.obj -o FILE.obj     a small scan, amplified\n"
-    "FILE of the vase may end in .obj, .stl, .ply (binary), .big.ply or .text.ply.\n"
+    "       generate-scan [options] SMALL.obj -o FILE         a small scan, amplified\n"
+    "FILE may end in .obj or, but for the sine, in .stl, .ply (binary), .big.ply or .text.ply.\n"
     "  -n, --triangles N     about N triangles (default 2000000)\n"
     "  -c, --colors          vertex colours (vase)\n"
     "      --normals         vertex normals (vase, sine)\n"
@@ -87,7 +87,7 @@ int main(int argc, char **argv)
     if (optind + 1 != argc || !options.output || options.triangles < 1 ||
         !(options.wavelength >= 0) ||
         (options.corners != 3 && (options.corners < 4 || options.corners % 2)) ||
-        (mesh_output_of(options.output) != MESH_OBJ && strncmp(argv[optind], "vase", 4) != 0) ||
+        (mesh_output_of(options.output) != MESH_OBJ && strncmp(argv[optind], "sine", 4) == 0) ||
         (mesh_output_of(options.output) == MESH_STL && options.corners != 3))
         return bad_usage();
     if (!strcmp(argv[optind], "vase"))

@@ -5,7 +5,7 @@
  * neighbours share them, and only the small scan is in memory. */
 #include "tests/scan/generate_options.h"
 #include "tests/scan/permutation.h"
-#include "tests/scan/text_writer.h"
+#include "tests/scan/mesh_writer.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -137,7 +137,7 @@ static void round_point(const struct small *m, uint64_t f, const double w[3], do
 }
 
 /* Writes the displaced point with weights (w0, w1, k - w0 - w1) / k on face f. */
-static void put_point(struct small *m, struct text_writer *text, const double *offset, uint64_t f,
+static void put_point(struct small *m, struct mesh_writer *mesh, const double *offset, uint64_t f,
                       uint64_t w0, uint64_t w1)
 {
     double w[3] = {(double)w0 / (double)m->k, (double)w1 / (double)m->k,
@@ -151,10 +151,9 @@ static void put_point(struct small *m, struct text_writer *text, const double *o
     if (m->rounded)
         round_point(m, f, w, p);
     double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), h = bump(m, p);
-    text_string(text, "v");
     for (int i = 0; i < 3; i++)
-        text_real(text, p[i] + (length > 0 ? h * n[i] / length : 0) + offset[i]);
-    text_string(text, "\n");
+        p[i] += (length > 0 ? h * n[i] / length : 0) + offset[i];
+    mesh_vertex(mesh, p, NULL, NULL);
 }
 
 /* Returns the number, from 1, of the point with weights (w0, w1, k - w0 - w1) / k on face f. */
@@ -179,7 +178,7 @@ static uint64_t point_number(const struct small *m, uint64_t f, uint64_t w0, uin
     return m->vertices + m->edges * (k - 1) + f * inner + before + w1;
 }
 
-static void put_points(struct small *m, struct text_writer *text, const double *offset)
+static void put_points(struct small *m, struct mesh_writer *mesh, const double *offset)
 {
     /* A face that has the corner or edge; any of them will do. */
     uint64_t *owner = calloc(m->vertices > m->edges ? m->vertices : m->edges, sizeof *owner);
@@ -189,7 +188,7 @@ static void put_points(struct small *m, struct text_writer *text, const double *
         owner[m->face[i / 3][i % 3]] = i;
     for (uint64_t v = 0; v < m->vertices; v++) {
         uint64_t c = owner[v] % 3;
-        put_point(m, text, offset, owner[v] / 3, c == 0 ? m->k : 0, c == 1 ? m->k : 0);
+        put_point(m, mesh, offset, owner[v] / 3, c == 0 ? m->k : 0, c == 1 ? m->k : 0);
     }
     for (uint64_t i = 0; i < 3 * m->faces; i++)
         owner[m->edge[i / 3][i % 3]] = i;
@@ -199,18 +198,18 @@ static void put_points(struct small *m, struct text_writer *text, const double *
             int forward = m->face[f][c] < m->face[f][(c + 1) % 3];
             w[(c + 1) % 3] = forward ? along : m->k - along;
             w[c] = m->k - w[(c + 1) % 3];
-            put_point(m, text, offset, f, w[0], w[1]);
+            put_point(m, mesh, offset, f, w[0], w[1]);
         }
     for (uint64_t f = 0; f < m->faces; f++)
         for (uint64_t w0 = 1; w0 + 2 <= m->k; w0++)
             for (uint64_t w1 = 1; w0 + w1 < m->k; w1++)
-                put_point(m, text, offset, f, w0, w1);
+                put_point(m, mesh, offset, f, w0, w1);
     free(owner);
 }
 
 /* Writes small triangle t of face f. Row a has 2 (k - a) - 1 of them, upright and inverted in turn.
  */
-static void put_small_face(struct small *m, struct text_writer *text, uint64_t f, uint64_t t)
+static void put_small_face(struct small *m, struct mesh_writer *mesh, uint64_t f, uint64_t t)
 {
     uint64_t a = 0;
     while (t >= 2 * (m->k - a) - 1)
@@ -220,12 +219,10 @@ static void put_small_face(struct small *m, struct text_writer *text, uint64_t f
         uint64_t inverted[3][2] = {{a + 1, b}, {a + 1, b + 1}, {a, b + 1}};
         memcpy(corner, inverted, sizeof corner);
     }
-    text_string(text, "f");
-    for (int c = 0; c < 3; c++) {
-        text_string(text, " ");
-        text_integer(text, point_number(m, f, corner[c][0], corner[c][1]));
-    }
-    text_string(text, "\n");
+    struct mesh_corner corners[3] = {0};
+    for (int c = 0; c < 3; c++)
+        corners[c].vertex = point_number(m, f, corner[c][0], corner[c][1]) - 1;
+    mesh_face(mesh, corners, 3);
 }
 
 static void measure(struct small *m, const struct generate_options *options)
@@ -247,19 +244,23 @@ static void measure(struct small *m, const struct generate_options *options)
 void generate_amplified(const struct generate_options *options, const char *input)
 {
     struct small m = {0};
-    struct text_writer text;
+    struct mesh_writer mesh;
     read_small(&m, input);
     number_edges(&m);
     smooth_normals(&m);
     measure(&m, options);
     m.k = (uint64_t)fmax(1, round(sqrt((double)options->triangles / (double)m.faces)));
-    text_open(&text, options->output);
-    put_points(&m, &text, options->offset);
-    uint64_t count = m.faces * m.k * m.k;
+    const uint64_t count = m.faces * m.k * m.k, inner = (m.k - 1) * (m.k - 2) / 2;
+    const struct mesh_facts facts = {.vertices = m.vertices + m.edges * (m.k - 1) + m.faces * inner,
+                                     .faces = count,
+                                     .far = options->offset[0] != 0 || options->offset[1] != 0 ||
+                                            options->offset[2] != 0};
+    mesh_open(&mesh, options->output, &facts);
+    put_points(&m, &mesh, options->offset);
     for (uint64_t n = 0; n < count; n++) {
         uint64_t face = options->shuffle ? scan_permute(n, count, options->seed) : n;
-        put_small_face(&m, &text, face / (m.k * m.k), face % (m.k * m.k));
+        put_small_face(&m, &mesh, face / (m.k * m.k), face % (m.k * m.k));
     }
-    text_close(&text);
+    mesh_close(&mesh);
     free(m.position), free(m.normal), free(m.face), free(m.edge);
 }
