@@ -60,13 +60,12 @@ void fmt_stream_close_sources(struct stream_reader *reader)
     bsq_free(ctx, reader->places);
 }
 
-/* Opens a file again for its parts. */
-static int reopen(struct stream_reader *reader, struct stream_source *source)
+/* Closes a file after its last part. Errors: BSQ_EIO if it was changed meanwhile. */
+static int close_source(struct stream_reader *reader, struct stream_source *source)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
-    int status = bsq_file_open(ctx, source->path, &source->file);
-    if (!status && source->file.size != source->size)
-        status = bsq_fail(ctx, BSQ_EDATA, "%s: changed while it was being read", source->path);
+    int status = source->file.fd >= 0 ? bsq_file_check(ctx, &source->file) : 0;
+    bsq_file_close(ctx, &source->file);
     return status;
 }
 
@@ -114,7 +113,9 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
     (void)sequence;
     while (job->cut.source < reader->source_count) {
         struct stream_source *source = &reader->sources[job->cut.source];
-        int status = source->file.fd < 0 && job->cut.end == 0 ? reopen(reader, source) : 0;
+        int status = source->file.fd < 0 && job->cut.end == 0
+                         ? bsq_file_open(reader->base.ctx, source->path, &source->file)
+                         : 0;
         slot->loaded = false;
         slot->error[0] = '\0';
         slot->part = (struct stream_part){.source = job->cut.source};
@@ -145,19 +146,21 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
 /* ---- passing in order ---- */
 
 /* Moves on to the file of the next part. The parts of earlier files have all been parsed. */
-static void enter_source(struct job *job, uint32_t number)
+static int enter_source(struct job *job, uint32_t number)
 {
     struct stream_reader *reader = job->reader;
     struct stream_source *source = &reader->sources[number];
     const struct fmt_mesh_totals *totals = job->totals;
-    for (uint32_t i = job->source; i < number; i++)
-        bsq_file_close(reader->base.ctx, &reader->sources[i].file);
+    int status = 0;
+    for (uint32_t i = job->source; i < number && !status; i++)
+        status = close_source(reader, &reader->sources[i]);
     job->source = number;
     job->passed = 0;
     source->base[FMT_MESH_VERTEX] = totals->vertices;
     source->base[FMT_MESH_TEXCOORD] = totals->texcoords;
     source->base[FMT_MESH_NORMAL] = totals->normals;
     memset(source->count, 0, sizeof source->count);
+    return status;
 }
 
 static int fail_part(const struct stream_reader *reader, const struct stream_slot *slot)
@@ -240,8 +243,8 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     struct stream_slot *slot = slot_memory;
     struct stream_reader *reader = job->reader;
     int status = bsq_check(reader->base.ctx);
-    if (sequence == 0 || slot->part.source != job->source)
-        enter_source(job, slot->part.source);
+    if (!status && (sequence == 0 || slot->part.source != job->source))
+        status = enter_source(job, slot->part.source);
     if (!status && slot->error[0])
         status = fail_part(reader, slot);
     if (!status && reader->stream->pass)
@@ -323,8 +326,10 @@ int fmt_stream_read(struct stream_reader *reader, const struct fmt_mesh_steps *s
     struct job job = {.reader = reader, .steps = steps, .arg = arg, .totals = totals};
     reader->place_count = 0;
     int status = run_job(&job);
-    for (uint32_t i = 0; i < reader->source_count; i++)
-        bsq_file_close(reader->base.ctx, &reader->sources[i].file);
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        int closed = close_source(reader, &reader->sources[i]);
+        status = status ? status : closed;
+    }
     return status;
 }
 
@@ -352,7 +357,7 @@ static int parse_again(struct stream_reader *reader, const struct stream_part *p
     struct stream_source *source = &reader->sources[part->source];
     struct stream_slot slot = {.part = *part, .last_face = face};
     bool opened = source->file.fd < 0;
-    int status = opened ? reopen(reader, source) : 0;
+    int status = opened ? bsq_file_open(ctx, source->path, &source->file) : 0;
     if (!status)
         status = fmt_stream_load(reader, &slot);
     if (!status)

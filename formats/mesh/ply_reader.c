@@ -7,6 +7,8 @@
 #include <inttypes.h>
 #include <string.h>
 
+#include "base/job_files.h"
+#include "formats/mesh/obj_path.h"
 #include "formats/mesh/ply_internal.h"
 #include "formats/mesh/ply_roles.h"
 
@@ -31,6 +33,20 @@ static void choose_use(struct ply_source *source)
         source->tags = PLY_TAGS_COLOR;
 }
 
+/* Lists the textures of a file among the inputs of the job. */
+static int note_textures(struct bsq_ctx *ctx, const char *path, const struct ply_header *header)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < header->texture_count && !status; i++) {
+        char *texture = NULL;
+        status = fmt_path_find(ctx, path, header->textures[i], &texture, NULL);
+        if (!status)
+            status = bsq_note_input(ctx, texture, "the texture that %s names", path);
+        bsq_free(ctx, texture);
+    }
+    return status;
+}
+
 static int read_header(struct ply_reader *reader, uint32_t number)
 {
     struct bsq_ctx *ctx = reader->stream.base.ctx;
@@ -39,6 +55,8 @@ static int read_header(struct ply_reader *reader, uint32_t number)
     int status = bsq_file_open(ctx, reader->stream.sources[number].path, &file);
     if (!status)
         status = fmt_ply_header_read(ctx, &file, &source->header);
+    if (!status)
+        status = note_textures(ctx, file.path, &source->header);
     bsq_file_close(ctx, &file);
     if (status)
         return status;

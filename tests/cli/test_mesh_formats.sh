@@ -138,6 +138,11 @@ for name in faces texture; do
     done
 done
 
+# A texture is an input: no output may replace it.
+run bisque-voxelize texture.ply -o a.nvdb --tris image.ppm
+code 64
+err 'bisque-voxelize: image.ppm: this output would overwrite the texture that texture.ply names'
+
 # A budget that puts vertices into a file.
 "$TESTS/generate-scan" --triangles 2000000 vase -o large.ply
 run bisque-voxelize large.ply -o large.nvdb --resolution 100
