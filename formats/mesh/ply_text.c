@@ -73,7 +73,7 @@ static bool skip_word(struct text *t)
 /* Reads the length of a list. The rest of the part must be long enough for it. */
 static bool read_length(struct text *t, uint64_t *out)
 {
-    int64_t length;
+    int64_t length = 0;
     if (!read_integer(t, &length))
         return false;
     *out = (uint64_t)length;
@@ -117,7 +117,7 @@ static bool read_vertex(struct text *t, const struct ply_element *element, uint6
 static bool read_indices(struct text *t, struct ply_face *face)
 {
     uint64_t length;
-    int64_t index;
+    int64_t index = 0;
     if (!read_length(t, &length))
         return false;
     for (uint64_t i = 0; i < length; i++)
@@ -167,7 +167,7 @@ static bool read_strip(struct text *t)
 {
     struct ply_strip strip = {0};
     uint64_t length;
-    int64_t index;
+    int64_t index = 0;
     if (!read_length(t, &length))
         return false;
     for (uint64_t i = 0; i < length; i++)
