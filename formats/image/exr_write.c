@@ -54,12 +54,15 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
     return status < 0 ? -1 : (int64_t)size;
 }
 
-/* Replaces the encoder's own write step, so that blocks reach the file in order. */
+/* Replaces the encoder's own write step, so that blocks reach the file in order. Readers take a
+ * block of the size of its samples as not compressed, but OpenEXR 3.1 compresses a block also if it
+ * gets that size. Then the samples themselves are written. */
 static exr_result_t keep_packed(exr_encode_pipeline_t *encoder)
 {
     struct slot *slot = encoder->encoding_user_data;
-    slot->packed = encoder->compressed_buffer;
-    slot->packed_bytes = encoder->compressed_bytes;
+    const bool smaller = encoder->compressed_bytes < encoder->packed_bytes;
+    slot->packed = smaller ? encoder->compressed_buffer : encoder->packed_buffer;
+    slot->packed_bytes = smaller ? encoder->compressed_bytes : encoder->packed_bytes;
     return EXR_ERR_SUCCESS;
 }
 

@@ -13,6 +13,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 #include <cmocka.h>
+#include <zlib.h>
 
 #include "base/job_files.h"
 #include "formats/image/exr_read.h"
@@ -108,6 +109,59 @@ static void write_bytes(const char *name, const uint8_t *bytes, size_t size)
     assert_int_equal(fwrite(bytes, 1, size, file), size);
     fclose(file);
 }
+
+/* ---- blocks that hardly compress ---- */
+
+enum { NOISE_WIDTH = 24, NOISE_ROWS = 16, NOISE_SAMPLES = NOISE_WIDTH * NOISE_ROWS };
+
+/* Returns the size of samples after OpenEXR's ZIP compression: bytes are reordered and replaced by
+ * differences before zlib compresses them. */
+static size_t zip_size(const float *samples)
+{
+    enum { BYTES = NOISE_SAMPLES * sizeof(float) };
+    const uint8_t *bytes = (const uint8_t *)samples;
+    uint8_t apart[BYTES], packed[2 * BYTES];
+    uLongf size = sizeof packed;
+    for (size_t i = 0; i < BYTES; ++i)
+        apart[(i & 1 ? BYTES / 2 : 0) + i / 2] = bytes[i];
+    for (size_t i = BYTES; --i > 0;)
+        apart[i] = (uint8_t)(apart[i] - apart[i - 1] + 128);
+    assert_int_equal(compress2(packed, &size, apart, BYTES, 4), Z_OK);
+    return size;
+}
+
+/* A compressed block of the size of its samples looks like one that is not compressed. */
+static void test_blocks_that_zip_to_their_own_size_are_kept(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    float samples[NOISE_SAMPLES];
+    uint64_t random = 1;
+    size_t size = 0;
+    for (int trial = 0; trial < 100000 && size != sizeof samples; ++trial) {
+        for (uint32_t i = 0; i < NOISE_SAMPLES; ++i) {
+            /* A few equal samples gain about as much as the header of the stream takes. */
+            const uint32_t noise = (uint32_t)test_random(&random) & 0xbfffffffu;
+            const uint32_t bits = i < (uint32_t)trial % 32 ? 0x3f800000u : noise;
+            memcpy(&samples[i], &bits, sizeof bits);
+        }
+        size = zip_size(samples);
+    }
+    assert_int_equal(size, sizeof samples);
+    const struct fmt_image_options options = {
+        .width = NOISE_WIDTH, .height = NOISE_ROWS, .channel_count = 1, .type = FMT_FLOAT};
+    struct fmt_image_writer *writer;
+    struct fmt_exr_image image;
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, NOISE_ROWS), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
+    assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
+    assert_memory_equal(image.samples, samples, sizeof samples);
+    fmt_exr_image_free(ctx, &image);
+    test_context_end(ctx);
+}
+
+/* ---- sizes ---- */
 
 static const uint32_t sizes[][3] = {/* width, height, rows at a time */
                                     {1, 1, 1},    {37, 53, 7},  {130, 33, 33},
@@ -393,6 +447,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip_is_exact),
+        cmocka_unit_test(test_blocks_that_zip_to_their_own_size_are_kept),
         cmocka_unit_test(test_other_reader_agrees),
         cmocka_unit_test(test_bytes_do_not_depend_on_threads),
         cmocka_unit_test(test_reads_tiles_of_other_writers),
