@@ -422,7 +422,9 @@ int describe_all(Textures *textures, const char *const *paths, uint32_t count)
         if (!entry.second)
             continue;
         textures->images.emplace_back();
-        int status = describe(textures, paths[i], textures->images.back());
+        int status = textures->host->check(textures->ctx);
+        if (!status)
+            status = describe(textures, paths[i], textures->images.back());
         if (status)
             return status;
     }

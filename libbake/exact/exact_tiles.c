@@ -70,7 +70,10 @@ static int count_tile(void *arg, uint64_t index, unsigned number)
     const uint32_t all = tile_samples(job, &tile);
     uint64_t overlaps = 0;
     uint32_t covered = 0, seen = 0;
-    bake_raster_fill(job->tiles->raster, (uint32_t)index, worker->sample_triangles, &overlaps);
+    int status =
+        bake_raster_fill(job->tiles->raster, (uint32_t)index, worker->sample_triangles, &overlaps);
+    if (status < 0)
+        return status;
     worker->overlaps += overlaps;
     for (uint32_t i = 0; i < all; i++)
         covered += worker->sample_triangles[i] != BK_NO_TRIANGLE;
@@ -127,8 +130,10 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
     const uint32_t columns = tile.width * job->tiles->params->samples;
     const uint32_t rows = tile.height * job->tiles->params->samples;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
-    bake_raster_fill(job->tiles->raster, place->index,
-                     job->workers.workers[number].sample_triangles, &overlaps);
+    int status = bake_raster_fill(job->tiles->raster, place->index,
+                                  job->workers.workers[number].sample_triangles, &overlaps);
+    if (status < 0)
+        return status;
     for (uint32_t row = 0; row < rows; row++)
         for (uint32_t column = 0; column < columns; column++, sample++) {
             if (*sample == BK_NO_TRIANGLE)
@@ -200,7 +205,10 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
     uint64_t overlaps, next = job->starts[job->first + index] - job->starts[job->first];
-    bake_raster_fill(job->tiles->raster, place->index, worker->sample_triangles, &overlaps);
+    int status =
+        bake_raster_fill(job->tiles->raster, place->index, worker->sample_triangles, &overlaps);
+    if (status < 0)
+        return status;
     for (uint32_t row = 0; row < tile.height; row++) {
         sum_row(job, &tile, row, worker->sample_triangles, &next, worker->texels);
         bake_tile_worker_resolve(&job->workers, worker, tile.width,

@@ -46,7 +46,7 @@ static bool equal_corners(const struct mikkt_input *input, uint32_t a, uint32_t 
 int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32_t *vertices)
 {
     uint32_t *table = NULL;
-    uint64_t capacity = 16;
+    uint64_t capacity = 16, steps = 0; /* a mesh can be made so that hashes collide */
 
     while (capacity < 2 * (uint64_t)input->corner_count)
         capacity *= 2;
@@ -56,12 +56,13 @@ int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32
     memset(table, 0xff, capacity * sizeof(*table));
     for (uint32_t c = 0; c < input->corner_count && rc == 0; c++) {
         uint64_t slot = hash_corner(input, c) & (capacity - 1);
-        while (table[slot] != MIKKT_NONE && !equal_corners(input, table[slot], c))
-            slot = (slot + 1) & (capacity - 1);
+        for (; table[slot] != MIKKT_NONE && !equal_corners(input, table[slot], c) && rc == 0;
+             slot = (slot + 1) & (capacity - 1))
+            rc = ++steps % MIKKT_CORNERS_A_CHECK == 0 ? bsq_check(ctx) : 0;
         if (table[slot] == MIKKT_NONE)
             table[slot] = c;
         vertices[c] = table[slot];
-        if (c % MIKKT_CORNERS_A_CHECK == 0)
+        if (rc == 0 && ++steps % MIKKT_CORNERS_A_CHECK == 0)
             rc = bsq_check(ctx);
     }
     bsq_free(ctx, table);

@@ -11,6 +11,9 @@
  */
 #define MAX_SAMPLES_A_SIDE (UINT32_C(1) << 24)
 
+/* Triangles between two checks for an interruption. One triangle may overlap all tiles. */
+enum { TRIANGLES_A_CHECK = 64 };
+
 /* ---- lists ---- */
 
 /* Differences and products of floats are exact in double unless their magnitudes are far apart. */
@@ -45,11 +48,14 @@ static uint64_t triangles_end(const struct bake_raster *raster)
 }
 
 /* Counts the triangles that may have samples in each tile. */
-static void count_triangles(const struct bake_raster *raster, uint64_t *counts)
+static int count_triangles(const struct bake_raster *raster, uint64_t *counts)
 {
     struct raster_window tiles;
+    int rc = 0;
 
-    for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
+    for (uint64_t t = raster->options.first; t < triangles_end(raster) && rc == 0; t++) {
+        if (t % TRIANGLES_A_CHECK == 0)
+            rc = bsq_check(raster->ctx);
         if (!overlapped_tiles(raster, t, &tiles))
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
@@ -57,6 +63,7 @@ static void count_triangles(const struct bake_raster *raster, uint64_t *counts)
                 counts[(uint64_t)y * raster->tile_columns + x]++;
         }
     }
+    return rc;
 }
 
 /* Lists the tiles that have triangles, and turns counts[] into the start of each tile's list. */
@@ -90,11 +97,14 @@ static int number_tiles(struct bake_raster *raster, uint64_t *counts)
 }
 
 /* Writes the lists. cursors[tile]: index of its next entry. */
-static void place_triangles(struct bake_raster *raster, uint64_t *cursors)
+static int place_triangles(struct bake_raster *raster, uint64_t *cursors)
 {
     struct raster_window tiles;
+    int rc = 0;
 
-    for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
+    for (uint64_t t = raster->options.first; t < triangles_end(raster) && rc == 0; t++) {
+        if (t % TRIANGLES_A_CHECK == 0)
+            rc = bsq_check(raster->ctx);
         if (!overlapped_tiles(raster, t, &tiles))
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
@@ -104,6 +114,7 @@ static void place_triangles(struct bake_raster *raster, uint64_t *cursors)
             }
         }
     }
+    return rc;
 }
 
 static int sort_into_tiles(struct bake_raster *raster)
@@ -115,12 +126,11 @@ static int sort_into_tiles(struct bake_raster *raster)
                    sizeof(*counts), &counts);
     if (rc < 0)
         return rc;
-    count_triangles(raster, counts);
-    rc = bsq_check(raster->ctx);
+    rc = count_triangles(raster, counts);
     if (rc == 0)
         rc = number_tiles(raster, counts);
     if (rc == 0)
-        place_triangles(raster, counts);
+        rc = place_triangles(raster, counts);
     bsq_free(raster->ctx, counts);
     return rc;
 }

@@ -37,9 +37,10 @@ struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index
 /* Writes the triangle of each sample of a tile, or BK_NO_TRIANGLE: height * N rows of width * N
  * entries. If triangles overlap, the first one in the mesh takes the sample; *overlaps is set to
  * the number of samples inside more than one triangle. A sample on an edge that two triangles share
- * belongs to exactly one of them (top-left rule on exact fixed-point coordinates). Thread-safe. */
-void bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
-                      uint64_t *overlaps);
+ * belongs to exactly one of them (top-left rule on exact fixed-point coordinates). Thread-safe.
+ * Errors: BSQ_EINTR. */
+int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
+                     uint64_t *overlaps);
 
 /* Writes the rasterised triangles in the kernel's form, with positions (world - translation) /
  * voxel_size, to their entries of `out`, which has one for each triangle of the mesh. Triangles

@@ -2,7 +2,8 @@
  *
  * The first triangle in the order of the mesh takes a sample. Painting only detects whether any
  * samples overlap. A second pass counts them, for the few tiles that have some: it needs a mark for
- * each sample. */
+ * each sample. Both stop as soon as no triangle can change the result, so that thousands of
+ * triangles over the same texels cost no more than a few. */
 #include "libbake/raster/raster_index.h"
 
 #include <string.h>
@@ -48,91 +49,116 @@ static uint32_t paint_span(uint32_t *samples, uint32_t count, uint32_t triangle)
     return taken;
 }
 
-/* Paints the triangles of a tile in the order of the mesh. Returns whether any samples overlap. */
-static bool paint_tile(const struct bake_raster *raster, uint32_t index, uint32_t *samples)
+/* Paints the triangles of a tile in the order of the mesh. Sets *overlap if any samples overlap. */
+static int paint_tile(const struct bake_raster *raster, uint32_t index, uint32_t *samples,
+                      bool *overlap)
 {
     const struct raster_window window = tile_window(raster, index);
     const uint64_t stride = window.end_x - window.begin_x;
     struct raster_triangle snapped;
     struct raster_spans spans;
+    uint64_t free = stride * (window.end_y - window.begin_y);
     uint32_t row, begin, end;
-    bool overlap = false;
+    int rc = 0;
 
-    for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1]; k++) {
+    *overlap = false;
+    for (uint64_t k = raster->starts[index];
+         k < raster->starts[index + 1] && !(free == 0 && *overlap) && rc == 0; k++) {
+        rc = bsq_check(raster->ctx);
         if (!raster_snap_triangle(raster, raster->triangles[k], &snapped))
             continue;
         bake_raster_spans_begin(&raster->grid, &snapped, window, &spans);
         while (bake_raster_spans_next(&spans, &row, &begin, &end)) {
             uint32_t *first = samples + (row - window.begin_y) * stride + (begin - window.begin_x);
-            overlap |= paint_span(first, end - begin, raster->triangles[k]) > 0;
+            uint32_t taken = paint_span(first, end - begin, raster->triangles[k]);
+            free -= end - begin - taken;
+            *overlap |= taken > 0;
         }
     }
-    return overlap;
+    return rc;
 }
 
 /* ---- overlaps ---- */
 
 #define MARK_SIDE 256 /* samples; their marks, one bit each, fit 8 KiB */
 
-/* Counts the samples of a painted tile that lie inside more than one triangle: those inside a
- * triangle that does not own them. The window has at most MARK_SIDE x MARK_SIDE samples. */
-static uint64_t count_overlaps_in(const struct bake_raster *raster, uint32_t index,
-                                  const uint32_t *samples, struct raster_window window)
+/* Marks the samples x, begin <= x < end, that another triangle owns. Returns how many were not
+ * marked before. */
+static uint32_t mark_span(const uint32_t *owners, uint64_t *bits, uint32_t begin, uint32_t end,
+                          uint32_t triangle)
+{
+    uint32_t count = 0;
+
+    for (uint32_t x = begin; x < end; x++) {
+        const uint64_t overlapped = owners[x] != triangle, unmarked = ~bits[x / 64] >> x % 64;
+        bits[x / 64] |= overlapped << x % 64;
+        count += (uint32_t)(overlapped & unmarked);
+    }
+    return count;
+}
+
+/* Adds to *count the samples of a painted tile that lie inside more than one triangle: those inside
+ * a triangle that does not own them. The window has at most MARK_SIDE x MARK_SIDE samples. */
+static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
+                             const uint32_t *samples, struct raster_window window, uint64_t *count)
 {
     const struct raster_window tile = tile_window(raster, index);
     const uint64_t stride = tile.end_x - tile.begin_x;
-    uint64_t marks[MARK_SIDE][MARK_SIDE / 64] = {{0}}, count = 0;
+    uint64_t marks[MARK_SIDE][MARK_SIDE / 64] = {{0}};
+    uint64_t unmarked = (uint64_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
     struct raster_triangle snapped;
     struct raster_spans spans;
     uint32_t row, begin, end;
+    int rc = 0;
 
-    for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1]; k++) {
+    for (uint64_t k = raster->starts[index];
+         k < raster->starts[index + 1] && unmarked > 0 && rc == 0; k++) {
+        rc = bsq_check(raster->ctx);
         if (!raster_snap_triangle(raster, raster->triangles[k], &snapped))
             continue;
         bake_raster_spans_begin(&raster->grid, &snapped, window, &spans);
         while (bake_raster_spans_next(&spans, &row, &begin, &end)) {
             const uint32_t *owners = samples + (row - tile.begin_y) * stride;
-            uint64_t *bits = marks[row - window.begin_y];
-            for (uint32_t x = begin; x < end; x++) {
-                uint64_t overlapped = owners[x - tile.begin_x] != raster->triangles[k];
-                bits[(x - window.begin_x) / 64] |= overlapped << (x - window.begin_x) % 64;
-            }
+            uint32_t added =
+                mark_span(owners + (window.begin_x - tile.begin_x), marks[row - window.begin_y],
+                          begin - window.begin_x, end - window.begin_x, raster->triangles[k]);
+            unmarked -= added;
+            *count += added;
         }
     }
-    for (int y = 0; y < MARK_SIDE; y++) {
-        for (int x = 0; x < MARK_SIDE / 64; x++)
-            count += (uint64_t)__builtin_popcountll(marks[y][x]);
-    }
-    return count;
+    return rc;
 }
 
-static uint64_t count_overlaps(const struct bake_raster *raster, uint32_t index,
-                               const uint32_t *samples)
+static int count_overlaps(const struct bake_raster *raster, uint32_t index, const uint32_t *samples,
+                          uint64_t *count)
 {
     const struct raster_window tile = tile_window(raster, index);
-    uint64_t count = 0;
+    int rc = 0;
 
-    for (uint32_t y = tile.begin_y; y < tile.end_y; y += MARK_SIDE) {
-        for (uint32_t x = tile.begin_x; x < tile.end_x; x += MARK_SIDE) {
+    for (uint32_t y = tile.begin_y; y < tile.end_y && rc == 0; y += MARK_SIDE) {
+        for (uint32_t x = tile.begin_x; x < tile.end_x && rc == 0; x += MARK_SIDE) {
             struct raster_window window = {x, y, tile.end_x, tile.end_y};
             if (tile.end_x - x > MARK_SIDE)
                 window.end_x = x + MARK_SIDE;
             if (tile.end_y - y > MARK_SIDE)
                 window.end_y = y + MARK_SIDE;
-            count += count_overlaps_in(raster, index, samples, window);
+            rc = count_overlaps_in(raster, index, samples, window, count);
         }
     }
-    return count;
+    return rc;
 }
 
-void bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
-                      uint64_t *overlaps)
+int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
+                     uint64_t *overlaps)
 {
     const struct raster_window window = tile_window(raster, index);
     const size_t count = (size_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
 
     memset(sample_triangles, 0xff, count * sizeof(*sample_triangles)); /* BK_NO_TRIANGLE */
     *overlaps = 0;
-    if (paint_tile(raster, index, sample_triangles))
-        *overlaps = count_overlaps(raster, index, sample_triangles);
+    bool overlap;
+    int rc = paint_tile(raster, index, sample_triangles, &overlap);
+    if (rc == 0 && overlap)
+        rc = count_overlaps(raster, index, sample_triangles, overlaps);
+    return rc;
 }

@@ -37,12 +37,14 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
     const struct bk_tile tile = {whole.x + texels->x, whole.y + texels->y, texels->width,
                                  texels->height};
     uint64_t overlaps = 0;
-    bake_raster_fill(tiles->raster, piece->tile, worker->sample_triangles, &overlaps);
+    int status = bake_raster_fill(tiles->raster, piece->tile, worker->sample_triangles, &overlaps);
+    if (status < 0)
+        return status;
     /* The overlaps of the whole tile are counted with its first piece. */
     worker->overlaps += texels->x == 0 && texels->y == 0 ? overlaps : 0;
     crop_samples(worker->sample_triangles, &whole, tiles->params->samples, texels);
-    int status = bake_device_trace(trace->grid->device, &tile, worker->sample_triangles,
-                                   worker->texels, number);
+    status = bake_device_trace(trace->grid->device, &tile, worker->sample_triangles, worker->texels,
+                               number);
     if (status == 0)
         status = bake_surface_check(trace->grid->surface);
     if (status < 0)

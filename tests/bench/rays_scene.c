@@ -98,8 +98,10 @@ static int do_tile(void *arg, uint64_t index, unsigned worker)
                                    .tile = bake_raster_tile(loop->scene->raster, (uint32_t)index),
                                    .sample_triangles = loop->sample_triangles[worker],
                                    .texels = loop->texels[worker]};
-    bake_raster_fill(loop->scene->raster, (uint32_t)index, loop->sample_triangles[worker],
-                     &overlaps);
+    int status = bake_raster_fill(loop->scene->raster, (uint32_t)index,
+                                  loop->sample_triangles[worker], &overlaps);
+    if (status < 0)
+        return status;
     return loop->fn(loop->arg, &tile);
 }
 

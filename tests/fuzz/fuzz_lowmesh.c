@@ -40,7 +40,7 @@ static void check_tile(const struct bake_raster *raster, const struct bake_lowme
             "a tile is out of range");
     require(tile.height > 0 && tile.height <= TILE && tile.y + tile.height <= SIDE - 1,
             "a tile is out of range");
-    bake_raster_fill(raster, index, samples, &overlaps);
+    require(bake_raster_fill(raster, index, samples, &overlaps) == 0, "rasterising failed");
     for (uint32_t i = 0; i < tile.width * tile.height * SAMPLES * SAMPLES; i++)
         require(samples[i] == BK_NO_TRIANGLE || samples[i] < mesh->triangle_count,
                 "a sample's triangle is out of range");

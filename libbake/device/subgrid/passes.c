@@ -128,8 +128,7 @@ static int place_split(struct planner *p, uint32_t index)
     struct bake_rectangle stack[STACK] = {{0, 0, tile.width, tile.height}};
     uint64_t overlaps;
     unsigned depth = 1;
-    int status = 0;
-    bake_raster_fill(p->options->raster, index, samples, &overlaps);
+    int status = bake_raster_fill(p->options->raster, index, samples, &overlaps);
     while (depth > 0 && status == 0) {
         const struct bake_rectangle whole = stack[--depth];
         struct bake_rectangle first = whole, second = whole;
@@ -185,7 +184,10 @@ static int find_key(void *arg, uint64_t index, unsigned worker)
     const uint32_t n = job->params.samples, *samples = p->samples[worker];
     uint64_t overlaps, count = 0;
     double at[3] = {0};
-    bake_raster_fill(p->options->raster, (uint32_t)index, p->samples[worker], &overlaps);
+    int status =
+        bake_raster_fill(p->options->raster, (uint32_t)index, p->samples[worker], &overlaps);
+    if (status < 0)
+        return status;
     for (uint64_t i = 0; i < (uint64_t)tile.width * n * tile.height * n; i += STRIDE) {
         if (samples[i] == BK_NO_TRIANGLE)
             continue;
@@ -239,7 +241,9 @@ static int find_nodes(void *arg, void *data, uint64_t sequence, unsigned worker)
     const struct bake_rectangle all = {0, 0, tile.width, tile.height};
     uint64_t overlaps;
     (void)sequence;
-    bake_raster_fill(p->options->raster, slot->tile, p->samples[worker], &overlaps);
+    int status = bake_raster_fill(p->options->raster, slot->tile, p->samples[worker], &overlaps);
+    if (status < 0)
+        return status;
     bake_leaf_set_clear(&slot->nodes);
     return bake_leaf_set_add_rays(p->ctx, &slot->nodes, p->options->job, &tile, p->samples[worker],
                                   &all);

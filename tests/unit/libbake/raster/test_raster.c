@@ -124,7 +124,7 @@ static struct map rasterise(struct fixture *f, uint32_t width, uint32_t height, 
     for (uint32_t k = 0; k < bake_raster_tile_count(raster); k++) {
         struct bk_tile tile = bake_raster_tile(raster, k);
         uint64_t overlaps = UINT64_MAX;
-        bake_raster_fill(raster, k, tile_owners, &overlaps);
+        assert_int_equal(bake_raster_fill(raster, k, tile_owners, &overlaps), 0);
         map.overlaps += overlaps;
         for (uint32_t y = 0; y < tile.height * n; y++)
             memcpy(map.owners + (uint64_t)(tile.y * n + y) * map.columns + tile.x * n,
@@ -446,6 +446,42 @@ static void test_empty_tiles_are_left_out(void **state)
     bake_raster_free(raster);
 }
 
+/* Time must not be the product of triangles and samples, which would be minutes. */
+static void test_many_triangles_over_the_same_texels(void **state)
+{
+    struct fixture *f = *state;
+    const float corners[3][2] = {{-1, -1}, {3, -1}, {-1, 3}};
+    add_triangle(f, corners[0], corners[1], corners[2]);
+    struct map map = rasterise(f, 256, 256, 2, 64);
+    assert_int_equal(map.overlaps, 0);
+    free(map.owners);
+    for (int i = 0; i < 200000; i++)
+        add_triangle(f, corners[0], corners[1], corners[2]);
+    map = rasterise(f, 256, 256, 2, 64);
+    assert_int_equal(map.overlaps, 512 * 512);
+    for (int i = 0; i < 512 * 512; i++)
+        assert_int_equal(map.owners[i], 0);
+    free(map.owners);
+}
+
+static void test_interruption(void **state)
+{
+    struct fixture *f = *state;
+    static uint32_t owners[64 * 64];
+    uint64_t overlaps;
+    struct bake_raster *raster = NULL;
+    struct bake_raster_report report;
+    add_quad(f, 0, 0, 1, 1);
+    const struct bake_raster_options options = {64, 64, 1, 64, 0, f->mesh.triangle_count};
+    assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
+    bsq_interrupt(f->ctx);
+    assert_int_equal(bake_raster_fill(raster, 0, owners, &overlaps), BSQ_EINTR);
+    bake_raster_free(raster);
+    assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), BSQ_EINTR);
+    assert_null(raster);
+    bsq_clear_error(f->ctx);
+}
+
 static void test_senseless_options_are_refused(void **state)
 {
     struct fixture *f = *state;
@@ -613,6 +649,8 @@ int main(void)
         TEST(test_mirrored_triangles_cover_the_same),
         TEST(test_degenerate_triangles_are_counted),
         TEST(test_empty_tiles_are_left_out),
+        TEST(test_many_triangles_over_the_same_texels),
+        TEST(test_interruption),
         TEST(test_senseless_options_are_refused),
         TEST(test_small_budgets_fail_cleanly),
         TEST(test_kernel_triangles),
