@@ -4,34 +4,34 @@
  * bsq_error() needs no lock, and its text never changes under a reader. */
 #include <assert.h>
 #include <errno.h>
-#include <sched.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/context_internal.h"
+#include "base/escape.h"
 #include "base/job_files.h"
 
 /* The message if there is no memory to format one; never freed. */
 static char no_memory_text[] = "out of memory";
 
-static unsigned usable_processors(void)
+/* More threads than processors are of no use, except to show that results do not depend on them. */
+enum { ALWAYS_ALLOWED_THREADS = 64, THREADS_A_PROCESSOR = 4 };
+
+/* Fills in the defaults and the limit of threads. */
+static void resolve_options(struct bsq_ctx_options *options)
 {
-    /* A fixed cpu_set_t ends at 1024 processors, so the set grows until the kernel's fits. */
-    for (int limit = 1024; limit <= 1 << 20; limit *= 2) {
-        cpu_set_t *set = CPU_ALLOC(limit);
-        if (!set)
-            break;
-        size_t size = CPU_ALLOC_SIZE(limit);
-        int failed = sched_getaffinity(0, size, set);
-        int count = failed ? 0 : CPU_COUNT_S(size, set);
-        CPU_FREE(set);
-        if (!failed && count > 0)
-            return (unsigned)count;
-        if (failed && errno != EINVAL)
-            break;
-    }
-    return 1;
+    struct bsq_machine machine;
+    bsq_machine(&machine);
+    uint64_t most = (uint64_t)THREADS_A_PROCESSOR * machine.processors;
+    if (most < ALWAYS_ALLOWED_THREADS)
+        most = ALWAYS_ALLOWED_THREADS;
+    if (options->memory_bytes == 0)
+        options->memory_bytes = machine.memory_bytes / 2;
+    if (options->threads == 0)
+        options->threads = machine.processors;
+    if (options->threads > most)
+        options->threads = (unsigned)most;
 }
 
 const char *bsq_version(void)
@@ -47,10 +47,8 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
         return BSQ_ENOMEM;
     if (options)
         ctx->options = *options;
-    if (ctx->options.memory_bytes == 0)
-        ctx->options.memory_bytes = bsq_default_memory();
-    if (ctx->options.threads == 0)
-        ctx->options.threads = usable_processors();
+    const unsigned wanted_threads = ctx->options.threads;
+    resolve_options(&ctx->options);
 
     const char *tmpdir = ctx->options.tmpdir;
     if (!tmpdir)
@@ -66,6 +64,9 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     pthread_mutex_init(&ctx->error_lock, NULL);
     pthread_mutex_init(&ctx->callback_lock, NULL);
     pthread_mutex_init(&ctx->files_lock, NULL);
+    if (ctx->options.threads < wanted_threads)
+        bsq_warn(ctx, "%u threads are more than this machine can use: %u are used", wanted_threads,
+                 ctx->options.threads);
     *out = ctx;
     return 0;
 }
@@ -95,22 +96,15 @@ const char *bsq_tmpdir(const struct bsq_ctx *ctx)
     return ctx->options.tmpdir;
 }
 
-/* Makes the text one printable line, whatever file names in it contain. */
-static void keep_to_one_line(char *text)
-{
-    for (; *text; text++) {
-        if ((unsigned char)*text < 0x20 || *text == 0x7f)
-            *text = *text == '\t' ? ' ' : '?';
-    }
-}
-
+/* Formats a message as one printable line, whatever names in it contain. */
 static char *format_line(const char *format, va_list arguments)
 {
     char *text = NULL;
     if (vasprintf(&text, format, arguments) < 0)
         return no_memory_text;
-    keep_to_one_line(text);
-    return text;
+    char *line = bsq_escape(text, false);
+    free(text);
+    return line ? line : no_memory_text;
 }
 
 static void free_line(char *text)

@@ -57,8 +57,8 @@ struct bsq_progress {
 
 /** Options of a context. All zeros are the defaults. */
 struct bsq_ctx_options {
-    uint64_t memory_bytes; /**< Memory budget; 0: half of the machine's memory. */
-    unsigned threads;      /**< 0: one for each processor that this process may use. */
+    uint64_t memory_bytes; /**< Budget; 0: half of what machine and control groups allow. */
+    unsigned threads;      /**< 0: one a usable processor. More than 64 and 4 each are lowered. */
     const char *tmpdir; /**< Directory of temporary files. NULL: $TMPDIR, else that of the output.
                          */
     /** Called at most about ten times a second, never concurrently; may be NULL. */

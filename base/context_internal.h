@@ -39,9 +39,20 @@ struct bsq_ctx {
     struct bsq_pool *pool; /* NULL until the first parallel call */
 };
 
-/* Returns half of the memory that the machine or its control group allows this process, in bytes.
- */
-uint64_t bsq_default_memory(void);
+/* What the machine and its control groups allow this process. */
+struct bsq_machine {
+    uint64_t memory_bytes;
+    unsigned processors; /* at least 1 */
+};
+
+void bsq_machine(struct bsq_machine *out);
+
+/* Lowers the limits to those of the control groups that files below `root` describe: "" for this
+ * machine, a directory with proc and sys for tests. */
+void bsq_apply_control_groups(const char *root, struct bsq_machine *machine);
+
+/* Returns the bytes of the budget that a block with a payload of `bytes` takes. */
+uint64_t bsq_block_cost(uint64_t bytes);
 
 /* Returns the code of the first failure, 0 if there was none. */
 int bsq_error_status(struct bsq_ctx *ctx);

@@ -1,13 +1,15 @@
 /* memory.c - the memory budget, and allocation that counts against it.
  *
  * A small block is [slack][64-byte header][payload]; the payload is aligned to 64 bytes. The header
- * holds what malloc() returned, so calloc() and realloc() of the C library can be used.
+ * holds what malloc() returned, so calloc() and realloc() of the C library can be used. The budget
+ * counts all of the block and what malloc() adds: a name of a few bytes costs far more than its
+ * bytes, and a file can have millions of names.
  *
  * A large block is a mapping of its own. Its payload begins at the start of a huge page and may
  * consist of huge pages: first-touch page faults cost more than most of the work on a page, and
  * their cost is per page. Its header ends the small page before the payload. The mapping ends with
  * the last small page of the payload, so resident memory stays within what is counted. Growing
- * moves pages instead of copying them. The budget counts payloads. */
+ * moves pages instead of copying them. The budget counts the payload. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,6 +20,8 @@
 #include "base/context_internal.h"
 
 enum { HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + BSQ_ALIGNMENT };
+/* glibc's malloc() adds a size of 8 bytes and rounds up to 16. */
+enum { MALLOC_HEADER = 8, MALLOC_STEP = 16 };
 
 /* Size of a huge page; on systems with other sizes this is only an alignment. A header needs a page
  * of the smallest size before the payload; systems with larger pages use the C library's blocks
@@ -27,7 +31,7 @@ enum { HEADER_BYTES = 64, OVERHEAD = HEADER_BYTES + BSQ_ALIGNMENT };
 
 struct header {
     void *base;      /* what malloc() returned, or the mapping */
-    uint64_t size;   /* of the payload, as counted */
+    uint64_t size;   /* of the payload */
     uint64_t offset; /* of the payload from base */
     size_t mapped;   /* bytes of the mapping; 0: from malloc() */
 };
@@ -209,6 +213,11 @@ static void *grow_large(void *payload, uint64_t bytes)
 
 /* ---- all blocks ---- */
 
+uint64_t bsq_block_cost(uint64_t bytes)
+{
+    return is_large(bytes) ? bytes : bsq_align_up(bytes + OVERHEAD + MALLOC_HEADER, MALLOC_STEP);
+}
+
 static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size,
                     bool zeroed, void *out)
 {
@@ -216,7 +225,7 @@ static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint6
     uint64_t bytes;
     if (!size_of_array(count, size, &bytes))
         return fail_overflow(ctx, what, count, size);
-    int status = bsq_reserve(ctx, what, bytes);
+    int status = bsq_reserve(ctx, what, bsq_block_cost(bytes));
     if (status < 0)
         return status;
     void *payload = NULL;
@@ -228,7 +237,7 @@ static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint6
             payload = place_header(base, payload_offset(base), bytes, 0);
     }
     if (!payload) {
-        bsq_release(ctx, bytes);
+        bsq_release(ctx, bsq_block_cost(bytes));
         return fail_system(ctx, what, bytes);
     }
     set_pointer(out, payload);
@@ -258,9 +267,9 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
 {
     if (!memory)
         return;
-    uint64_t size = header_of(memory)->size;
+    uint64_t cost = bsq_block_cost(header_of(memory)->size);
     free_block(memory);
-    bsq_release(ctx, size);
+    bsq_release(ctx, cost);
 }
 
 void bsq_prefault(void *at, uint64_t bytes)
@@ -309,6 +318,13 @@ static void *resize(void *payload, uint64_t bytes)
     return grown;
 }
 
+/* Returns what a block of `bytes` costs above `old_cost`. */
+static uint64_t more_cost(uint64_t bytes, uint64_t old_cost)
+{
+    const uint64_t cost = bsq_block_cost(bytes);
+    return cost > old_cost ? cost - old_cost : 0;
+}
+
 int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
              uint64_t *capacity)
 {
@@ -316,7 +332,7 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
         return 0;
     void *payload;
     memcpy(&payload, inout, sizeof payload);
-    uint64_t old_bytes = payload ? header_of(payload)->size : 0;
+    uint64_t old_cost = payload ? bsq_block_cost(header_of(payload)->size) : 0;
 
     uint64_t generous = *capacity + *capacity / 2;
     uint64_t wanted = generous > count ? generous : count;
@@ -326,83 +342,23 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
         if (!size_of_array(wanted, size, &bytes))
             return fail_overflow(ctx, what, count, size);
     }
-    if (!try_reserve(ctx, bytes - old_bytes)) {
+    if (!try_reserve(ctx, more_cost(bytes, old_cost))) {
         /* The requested size may still fit if the extra capacity does not. */
         wanted = count;
         bytes = count * size;
-        int status = bsq_reserve(ctx, what, bytes - old_bytes);
+        int status = bsq_reserve(ctx, what, more_cost(bytes, old_cost));
         if (status < 0)
             return status;
     }
     void *grown = resize(payload, bytes);
     if (!grown) {
-        bsq_release(ctx, bytes - old_bytes);
+        bsq_release(ctx, more_cost(bytes, old_cost));
         return fail_system(ctx, what, bytes);
     }
+    /* The first large block may cost less than the small block before it. */
+    if (bsq_block_cost(bytes) < old_cost)
+        bsq_release(ctx, old_cost - bsq_block_cost(bytes));
     set_pointer(inout, grown);
     *capacity = wanted;
     return 0;
-}
-
-/* ---- the machine's memory ---- */
-
-/* Reads the number in a control group's file. Returns UINT64_MAX for "max" or if there is none. */
-static uint64_t read_limit(const char *path)
-{
-    unsigned long long value;
-    FILE *file = fopen(path, "re");
-    if (!file)
-        return UINT64_MAX;
-    int fields = fscanf(file, "%llu", &value);
-    fclose(file);
-    return fields == 1 ? value : UINT64_MAX;
-}
-
-/* Returns the smallest memory.max from the group at `path` (under the mount point) up to the root.
- */
-static uint64_t smallest_limit(char *path)
-{
-    uint64_t smallest = UINT64_MAX;
-    for (;;) {
-        char *file = NULL;
-        if (asprintf(&file, "/sys/fs/cgroup%s/memory.max", path) < 0)
-            return smallest;
-        uint64_t limit = read_limit(file);
-        free(file);
-        if (limit < smallest)
-            smallest = limit;
-        char *slash = strrchr(path, '/');
-        if (!slash)
-            return smallest;
-        *slash = '\0';
-    }
-}
-
-static uint64_t control_group_limit(void)
-{
-    uint64_t limit = UINT64_MAX;
-    char *line = NULL;
-    size_t line_size = 0;
-    FILE *file = fopen("/proc/self/cgroup", "re");
-    if (!file)
-        return limit;
-    while (getline(&line, &line_size, file) > 0) {
-        if (strncmp(line, "0::/", 4) != 0)
-            continue;
-        line[strcspn(line, "\n")] = '\0';
-        limit = smallest_limit(line + 3);
-    }
-    free(line);
-    fclose(file);
-    return limit;
-}
-
-uint64_t bsq_default_memory(void)
-{
-    long pages = sysconf(_SC_PHYS_PAGES), page_size = sysconf(_SC_PAGE_SIZE);
-    uint64_t memory = UINT64_C(4) << 30;
-    if (pages > 0 && page_size > 0)
-        memory = (uint64_t)pages * (uint64_t)page_size;
-    uint64_t limit = control_group_limit();
-    return (limit < memory ? limit : memory) / 2;
 }

@@ -1,9 +1,9 @@
 /* parallel.c - the thread pool, parallel loops and ordered pipelines.
  *
  * The pool does one thing: it runs a function once on every worker and waits for all. Loops and
- * pipelines are built on it; the calling thread is worker 0. The first parallel call creates the
- * threads, which sleep between calls. If the system refuses threads, fewer threads do all the work.
- */
+ * pipelines are built on it; the calling thread is worker 0. A call creates the threads that it has
+ * work for and that earlier calls did not create; they sleep between calls. If the system refuses
+ * threads, fewer threads do all the work. */
 #include <assert.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -21,15 +21,16 @@ struct bsq_pool {
     pthread_cond_t idle; /* the last worker of a job has returned */
     pool_fn *fn;
     void *arg;
-    uint64_t job;     /* number of the job posted last */
-    unsigned wanted;  /* threads that take part in it, without the caller */
-    unsigned running; /* of those, how many have not returned */
-    bool quit, busy;
+    uint64_t job;             /* number of the job posted last */
+    unsigned wanted;          /* threads that take part in it, without the caller */
+    unsigned running;         /* of those, how many have not returned */
+    bool quit, busy, refused; /* refused: the system creates no more threads */
     unsigned thread_count;
     struct pool_thread {
         pthread_t handle;
         struct bsq_pool *pool;
         unsigned number;
+        uint64_t seen; /* the last job before the thread was created */
     } threads[];
 };
 
@@ -37,7 +38,7 @@ static void *pool_thread_main(void *arg)
 {
     struct pool_thread *self = arg;
     struct bsq_pool *pool = self->pool;
-    uint64_t seen = 0;
+    uint64_t seen = self->seen;
     pthread_mutex_lock(&pool->lock);
     for (;;) {
         while (!pool->quit && pool->job == seen)
@@ -64,18 +65,20 @@ static void *pool_thread_main(void *arg)
  * them. */
 static void start_threads(struct bsq_pool *pool, unsigned count)
 {
+    if (count <= pool->thread_count || pool->refused)
+        return;
     sigset_t all, before;
     sigfillset(&all);
     static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
     for (size_t i = 0; i < sizeof own / sizeof *own; i++)
         sigdelset(&all, own[i]);
     pthread_sigmask(SIG_SETMASK, &all, &before);
-    for (unsigned i = 0; i < count; i++) {
-        struct pool_thread *thread = &pool->threads[i];
-        *thread = (struct pool_thread){.pool = pool, .number = i};
-        if (pthread_create(&thread->handle, NULL, pool_thread_main, thread) != 0)
-            break;
-        pool->thread_count = i + 1;
+    while (pool->thread_count < count && !pool->refused) {
+        struct pool_thread *thread = &pool->threads[pool->thread_count];
+        *thread =
+            (struct pool_thread){.pool = pool, .number = pool->thread_count, .seen = pool->job};
+        pool->refused = pthread_create(&thread->handle, NULL, pool_thread_main, thread) != 0;
+        pool->thread_count += !pool->refused;
     }
     pthread_sigmask(SIG_SETMASK, &before, NULL);
 }
@@ -92,7 +95,6 @@ static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
     pthread_mutex_init(&pool->lock, NULL);
     pthread_cond_init(&pool->wake, NULL);
     pthread_cond_init(&pool->idle, NULL);
-    start_threads(pool, extra);
     ctx->pool = pool;
     return pool;
 }
@@ -122,6 +124,7 @@ static void pool_run(struct bsq_ctx *ctx, unsigned workers, pool_fn *fn, void *a
         fn(arg, 0);
         return;
     }
+    start_threads(pool, workers - 1);
     pthread_mutex_lock(&pool->lock);
     assert(!pool->busy && "parallel calls must not be nested");
     pool->busy = true;
@@ -410,7 +413,9 @@ int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline)
     pthread_mutex_init(&run.lock, NULL);
     pthread_cond_init(&run.changed, NULL);
     int status_before = bsq_error_status(ctx);
-    pool_run(ctx, bsq_threads(ctx), pipeline_worker, &run);
+    /* All slots may be worked on while one is produced and one each is emitted and finished. */
+    const uint64_t most = (uint64_t)pipeline->slot_count + 3, threads = bsq_threads(ctx);
+    pool_run(ctx, (unsigned)(threads < most ? threads : most), pipeline_worker, &run);
     pthread_cond_destroy(&run.changed);
     pthread_mutex_destroy(&run.lock);
     bsq_free(ctx, done);

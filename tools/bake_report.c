@@ -36,8 +36,8 @@ static void list_device(void *arg, const struct bake_device_info *device)
     struct listing *list = arg;
     char memory[CLI_TEXT];
     if (!list->json) {
-        printf("%-10s  %s, %s\n", device->id, device->name,
-               cli_size_text(device->memory_bytes, memory));
+        cli_print("%-10s  %s, %s\n", device->id, device->name,
+                  cli_size_text(device->memory_bytes, memory));
         return;
     }
     add_entry(list, json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
@@ -56,7 +56,7 @@ static void list_tile(void *arg, const struct bake_tile_info *tile)
 {
     struct listing *list = arg;
     if (!list->json) {
-        printf("%u\n", tile->tile);
+        cli_print("%u\n", tile->tile);
         return;
     }
     json_t *entry =
@@ -107,23 +107,23 @@ static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
 static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
 {
     char triangles[CLI_TEXT], texels[CLI_TEXT], tiles[CLI_TEXT];
-    printf("%s: %s, ", arguments->bake.mesh_path,
-           cli_counted_text(report->low_triangles, "triangle", "triangles", triangles));
+    cli_print("%s: %s, ", arguments->bake.mesh_path,
+              cli_counted_text(report->low_triangles, "triangle", "triangles", triangles));
     cli_count_text(report->covered_texels, texels);
     if (report->tile_count == 1)
-        printf("%s of %ux%u texels covered\n", texels, report->tiles[0].width,
-               report->tiles[0].height);
+        cli_print("%s of %ux%u texels covered\n", texels, report->tiles[0].width,
+                  report->tiles[0].height);
     else
-        printf("%s texels covered in %s\n", texels,
-               cli_counted_text(report->tile_count, "tile", "tiles", tiles));
+        cli_print("%s texels covered in %s\n", texels,
+                  cli_counted_text(report->tile_count, "tile", "tiles", tiles));
 }
 
 static void print_map(const char *path, const char *name,
                       const struct bake_value_encoding *encoding)
 {
-    printf("%s: %s map", path, name);
+    cli_print("%s: %s map", path, name);
     if (encoding->unit)
-        printf(", range %g (%s)", encoding->range, encoding->unit);
+        cli_print(", range %g (%s)", encoding->range, encoding->unit);
     putchar('\n');
 }
 
@@ -156,24 +156,25 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
                            "samples of overlapping triangles");
     if (next != first)
         putchar('\n');
-    printf("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n", bake->scan_path,
-           cli_counted_text(report->samples, "sample", "samples", samples),
-           cli_count_text(report->misses, misses), percent(report->misses, report->samples),
-           report->front, report->back, report->device);
+    cli_print("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
+              bake->scan_path, cli_counted_text(report->samples, "sample", "samples", samples),
+              cli_count_text(report->misses, misses), percent(report->misses, report->samples),
+              report->front, report->back, report->device);
     print_maps(report, paths);
     if (bake->preview_path)
-        printf("%s: preview\n", bake->preview_path);
-    printf("seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
-           report->seconds_open, report->seconds_trace, report->seconds_padding,
-           report->seconds_resolve, report->seconds_write, report->seconds_preview);
+        cli_print("%s: preview\n", bake->preview_path);
+    cli_print(
+        "seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
+        report->seconds_open, report->seconds_trace, report->seconds_padding,
+        report->seconds_resolve, report->seconds_write, report->seconds_preview);
     if (report->kernel_calls > 0)
-        printf("device: upload %.2f, kernels %.3f in %s, copies %.3f\n", report->seconds_upload,
-               report->seconds_kernels,
-               cli_counted_text(report->kernel_calls, "call", "calls", samples),
-               report->seconds_copies);
+        cli_print("device: upload %.2f, kernels %.3f in %s, copies %.3f\n", report->seconds_upload,
+                  report->seconds_kernels,
+                  cli_counted_text(report->kernel_calls, "call", "calls", samples),
+                  report->seconds_copies);
     if (report->passes > 1)
-        printf("passes: %s, because the grid is larger than the usable memory of the device\n",
-               cli_count_text(report->passes, samples));
+        cli_print("passes: %s, because the grid is larger than the usable memory of the device\n",
+                  cli_count_text(report->passes, samples));
     cli_print_cost(cli);
 }
 

@@ -224,27 +224,28 @@ static void print_report(const struct arguments *arguments,
 {
     const char *unit = bake_compare_unit(report->kind);
     char compared[CLI_TEXT];
-    printf("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
-           arguments->compare.b_path,
-           cli_counted_text(report->compared, "texel", "texels", compared), report->width,
-           report->height, kind_names[report->kind]);
-    printf("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
-           report->mean, report->rms, report->median, report->p95, report->p99, report->max,
-           report->max_x, report->max_y);
+    cli_print("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
+              arguments->compare.b_path,
+              cli_counted_text(report->compared, "texel", "texels", compared), report->width,
+              report->height, kind_names[report->kind]);
+    cli_print("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
+              report->mean, report->rms, report->median, report->p95, report->p99, report->max,
+              report->max_x, report->max_y);
     if (report->kind != BAKE_COMPARE_DATA)
-        printf("share above 1: %.4g %%, above 5: %.4g %%\n", 100 * report->above_1,
-               100 * report->above_5);
+        cli_print("share above 1: %.4g %%, above 5: %.4g %%\n", 100 * report->above_1,
+                  100 * report->above_5);
     if (report->kind == BAKE_COMPARE_COLOR)
-        printf("PSNR: %.2f dB\n", report->psnr);
+        cli_print("PSNR: %.2f dB\n", report->psnr);
     if (report->kind == BAKE_COMPARE_DATA)
-        printf("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
+        cli_print("relative: mean %.4g, max %.4g\n", report->relative_mean, report->relative_max);
     if (report->not_finite > 0)
-        printf("NaN or infinite: %s (%llu in A, %llu in B)\n",
-               cli_counted_text(report->not_finite, "texel", "texels", compared),
-               (unsigned long long)report->not_finite_a, (unsigned long long)report->not_finite_b);
+        cli_print("NaN or infinite: %s (%llu in A, %llu in B)\n",
+                  cli_counted_text(report->not_finite, "texel", "texels", compared),
+                  (unsigned long long)report->not_finite_a,
+                  (unsigned long long)report->not_finite_b);
     if (has_agreement(&arguments->compare))
-        printf("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
-               (unsigned long long)report->only_a, (unsigned long long)report->only_b);
+        cli_print("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
+                  (unsigned long long)report->only_a, (unsigned long long)report->only_b);
 }
 
 /* JSON has no infinite numbers: they become null. */

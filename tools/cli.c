@@ -12,6 +12,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/escape.h"
 #include "base/output.h"
 
 /* ---- signals ---- */
@@ -102,11 +103,8 @@ int cli_common_option(struct cli *cli, int option, const char *help)
         fputs(help, stdout);
         return 2;
     case CLI_VERSION:
-        printf("%s %s\n", cli->program, BSQ_VERSION);
+        cli_print("%s %s\n", cli->program, BSQ_VERSION);
         return 2;
-    case '?': /* getopt_long() has reported it */
-        cli->reported = true;
-        return BSQ_EUSAGE;
     default:
         return 1;
     }
@@ -119,14 +117,29 @@ static const struct option *find_option(const struct option *options, int option
     return options->name ? options : NULL;
 }
 
+/* Says why getopt_long() returned '?' or ':'. Its own messages would print any bytes. */
+static int refuse_option(struct cli *cli, int option, char *const *argv)
+{
+    const char *word = argv[optind - 1];
+    if (strncmp(word, "--", 2) != 0)
+        return option == ':' ? cli_usage(cli, "option requires an argument -- '%c'", optopt)
+                             : cli_usage(cli, "invalid option -- '%c'", optopt);
+    if (option == ':')
+        return cli_usage(cli, "option '%s' requires an argument", word);
+    if (optopt != 0)
+        return cli_usage(cli, "option '%s': no argument is allowed", word);
+    return cli_usage(cli, "unrecognized option '%s'", word);
+}
+
 int cli_parse_options(struct cli *cli, int argc, char **argv, const struct option *options,
                       int (*take)(struct cli *cli, void *arguments, int option), void *arguments)
 {
-    const char *letters = find_option(options, 'o') ? "o:" : "";
+    const char *letters = find_option(options, 'o') ? ":o:" : ":";
     const char *own_name = NULL;
     int option;
     while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1) {
-        int status = take(cli, arguments, option);
+        int status = option == '?' || option == ':' ? refuse_option(cli, option, argv)
+                                                    : take(cli, arguments, option);
         if (status != 0)
             return status;
         const struct option *own =
@@ -172,12 +185,15 @@ int cli_create_context(struct cli *cli)
 int cli_usage(struct cli *cli, const char *format, ...)
 {
     va_list arguments;
+    char *text = NULL, *line = NULL;
     cli_clear_bar(cli);
-    fprintf(stderr, "%s: ", cli->program);
     va_start(arguments, format);
-    vfprintf(stderr, format, arguments);
+    if (vasprintf(&text, format, arguments) >= 0)
+        line = bsq_escape(text, false);
     va_end(arguments);
-    fputc('\n', stderr);
+    fprintf(stderr, "%s: %s\n", cli->program, line ? line : "out of memory");
+    free(line);
+    free(text);
     cli->reported = true;
     return BSQ_EUSAGE;
 }

@@ -149,6 +149,10 @@ void cli_on_warning(void *user, const char *line);
 /* Removes the progress bar from the terminal, so that a line can be printed. */
 void cli_clear_bar(struct cli *cli);
 
+/* Prints to standard output as printf() does, escaped as bsq_escape() does; newlines stay. Tools
+ * print all reports with this, because names in them come from files and command lines. */
+void cli_print(const char *format, ...) __attribute__((format(printf, 1, 2)));
+
 double cli_seconds(const struct timespec *since);
 uint64_t cli_max_rss_bytes(void);
 
@@ -167,8 +171,7 @@ const char *cli_print_count(const char *separator, uint64_t count, const char *s
 /* Prints the last lines of a report: memory and time. */
 void cli_print_cost(const struct cli *cli);
 
-/* Returns a JSON string, with '?' for each byte that is not ASCII if the text is not UTF-8. NULL
- * gives null. */
+/* Returns a JSON string of the text; if it is not UTF-8, of the escaped text. NULL gives null. */
 json_t *cli_json_text(const char *text);
 /* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
  * that there was no memory for it. */

@@ -116,7 +116,7 @@ void cli_on_warning(void *user, const char *line)
     cli_clear_bar(cli);
     if (cli->progress == CLI_PROGRESS_JSON) {
         json_t *object = json_pack("{s:o}", "warning", cli_json_text(line));
-        if (object && json_dumpf(object, stderr, 0) == 0)
+        if (object && json_dumpf(object, stderr, JSON_ENSURE_ASCII) == 0)
             fputc('\n', stderr);
         json_decref(object);
         return;

@@ -1,9 +1,24 @@
 /* cli_report.c - numbers as text for people, and results as JSON for programs. */
+#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
 
+#include "base/escape.h"
 #include "tools/cli.h"
+
+void cli_print(const char *format, ...)
+{
+    va_list arguments;
+    char *text = NULL, *escaped = NULL;
+    va_start(arguments, format);
+    if (vasprintf(&text, format, arguments) >= 0)
+        escaped = bsq_escape(text, true);
+    va_end(arguments);
+    fputs(escaped ? escaped : "out of memory\n", stdout);
+    free(escaped);
+    free(text);
+}
 
 double cli_seconds(const struct timespec *since)
 {
@@ -57,18 +72,18 @@ const char *cli_print_count(const char *separator, uint64_t count, const char *s
     char text[CLI_TEXT];
     if (count == 0)
         return separator;
-    printf("%s%s %s", separator, cli_count_text(count, text), count == 1 ? singular : plural);
+    cli_print("%s%s %s", separator, cli_count_text(count, text), count == 1 ? singular : plural);
     return ", ";
 }
 
 void cli_print_cost(const struct cli *cli)
 {
     char high[CLI_TEXT], limit[CLI_TEXT], resident[CLI_TEXT];
-    printf("memory: %s of a budget of %s (resident at most %s)\n",
-           cli_size_text(bsq_memory_high(cli->ctx), high),
-           cli_size_text(bsq_memory_limit(cli->ctx), limit),
-           cli_size_text(cli_max_rss_bytes(), resident));
-    printf("time: %.2f s\n", cli_seconds(&cli->started));
+    cli_print("memory: %s of a budget of %s (resident at most %s)\n",
+              cli_size_text(bsq_memory_high(cli->ctx), high),
+              cli_size_text(bsq_memory_limit(cli->ctx), limit),
+              cli_size_text(cli_max_rss_bytes(), resident));
+    cli_print("time: %.2f s\n", cli_seconds(&cli->started));
 }
 
 json_t *cli_json_text(const char *text)
@@ -78,11 +93,7 @@ json_t *cli_json_text(const char *text)
     json_t *string = json_string(text);
     if (string)
         return string;
-    char *copy = strdup(text);
-    for (char *p = copy; p && *p; p++) {
-        if ((unsigned char)*p >= 0x80)
-            *p = '?';
-    }
+    char *copy = bsq_escape(text, true);
     string = copy ? json_string(copy) : NULL;
     free(copy);
     return string;
@@ -113,7 +124,8 @@ int cli_print_json(struct cli *cli, json_t *root)
     if (!root || !head || !cost || json_object_update(head, root) != 0 ||
         json_object_set(head, "cost", cost) != 0)
         status = bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory for the JSON report");
-    else if (json_dumpf(head, stdout, JSON_INDENT(2) | JSON_REAL_PRECISION(15)) != 0 ||
+    else if (json_dumpf(head, stdout,
+                        JSON_INDENT(2) | JSON_ENSURE_ASCII | JSON_REAL_PRECISION(15)) != 0 ||
              fputc('\n', stdout) == EOF)
         status = bsq_fail(cli->ctx, BSQ_EIO, "standard output: the JSON report cannot be written");
     json_decref(head);

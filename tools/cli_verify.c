@@ -8,16 +8,17 @@ static void print_content(const char *path, const struct fmt_verify_report *r)
     cli_counted_text(r->triangles, "triangle", "triangles", triangles);
     cli_size_text(r->file_bytes, size);
     if (r->kind == FMT_VERIFY_TRIS)
-        printf("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version,
-               triangles, cli_counted_text(r->vertices, "vertex", "vertices", more),
-               cli_counted_text(r->chunks, "chunk", "chunks", parts), size);
+        cli_print("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version,
+                  triangles, cli_counted_text(r->vertices, "vertex", "vertices", more),
+                  cli_counted_text(r->chunks, "chunk", "chunks", parts), size);
     else
-        printf("%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
-               path, r->version, r->nanovdb_version[0], r->nanovdb_version[1],
-               r->nanovdb_version[2], r->type == FMT_NVDB_MASK ? "mask" : "onindex",
-               cli_counted_text(r->voxels, "voxel", "voxels", parts),
-               cli_counted_text(r->second_records, "second record", "second records", more),
-               triangles, r->has_color ? ", with colour" : "", size);
+        cli_print(
+            "%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
+            path, r->version, r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
+            r->type == FMT_NVDB_MASK ? "mask" : "onindex",
+            cli_counted_text(r->voxels, "voxel", "voxels", parts),
+            cli_counted_text(r->second_records, "second record", "second records", more), triangles,
+            r->has_color ? ", with colour" : "", size);
 }
 
 static json_t *content_json(const char *path, const struct fmt_verify_report *r)

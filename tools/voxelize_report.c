@@ -4,9 +4,9 @@
 static void print_inputs(const struct voxelize_arguments *arguments)
 {
     if (arguments->input_count == 1)
-        printf("%s: ", arguments->inputs[0]);
+        cli_print("%s: ", arguments->inputs[0]);
     else
-        printf("%u files: ", arguments->input_count);
+        cli_print("%u files: ", arguments->input_count);
 }
 
 static void print_read(const struct voxelize_job *job)
@@ -14,11 +14,11 @@ static void print_read(const struct voxelize_job *job)
     const struct vox_sort_report *sort = &job->sort;
     char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
     print_inputs(job->arguments);
-    printf("%s, %s, %s, %s, %.2f s\n",
-           cli_counted_text(sort->vertices, "vertex", "vertices", vertices),
-           cli_counted_text(sort->faces, "face", "faces", faces),
-           cli_counted_text(sort->triangles, "triangle", "triangles", triangles),
-           cli_size_text(sort->bytes_read, size), sort->seconds_read);
+    cli_print("%s, %s, %s, %s, %.2f s\n",
+              cli_counted_text(sort->vertices, "vertex", "vertices", vertices),
+              cli_counted_text(sort->faces, "face", "faces", faces),
+              cli_counted_text(sort->triangles, "triangle", "triangles", triangles),
+              cli_size_text(sort->bytes_read, size), sort->seconds_read);
     const char *first = "left out: ";
     const char *next = cli_print_count(first, sort->degenerate_triangles, "degenerate triangle",
                                        "degenerate triangles");
@@ -36,18 +36,18 @@ static void print_grid(const struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
     if (!job->sorted_input && !job->resumed && !job->temporary_tris)
-        printf("%s: %s, %s, %.2f s\n", job->tris_path,
-               cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
-               cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
-    printf("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
-           cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
-           (long long)grid->index_max[0] - grid->index_min[0] + 1,
-           (long long)grid->index_max[1] - grid->index_min[1] + 1,
-           (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
-           cli_size_text(grid->grid_bytes, size), grid->has_color ? ", with colour" : "",
-           grid->seconds);
+        cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
+                  cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
+                  cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
+    cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
+              cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
+              (long long)grid->index_max[0] - grid->index_min[0] + 1,
+              (long long)grid->index_max[1] - grid->index_min[1] + 1,
+              (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
+              cli_size_text(grid->grid_bytes, size), grid->has_color ? ", with colour" : "",
+              grid->seconds);
     if (arguments->vdb)
-        printf("%s: the same as OpenVDB\n", arguments->vdb);
+        cli_print("%s: the same as OpenVDB\n", arguments->vdb);
 }
 
 static json_t *inputs_json(const struct voxelize_arguments *arguments)
@@ -130,8 +130,8 @@ int voxelize_report_print(const struct voxelize_job *job)
     if (job->cli->json)
         return print_json(job);
     if (job->resumed)
-        printf("%s: complete from the run before, reading and sorting were skipped\n",
-               job->tris_path);
+        cli_print("%s: complete from the run before, reading and sorting were skipped\n",
+                  job->tris_path);
     else if (!job->sorted_input)
         print_read(job);
     if (!job->arguments->parse_only)

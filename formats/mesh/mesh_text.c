@@ -21,8 +21,7 @@ void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
             length += 3;
             break;
         }
-        unsigned char c = (unsigned char)*text;
-        out[length++] = c == '\t' ? ' ' : c < ' ' || c == 127 ? '?' : (char)c;
+        out[length++] = *text == '\t' ? ' ' : *text ? *text : '?';
     }
     out[length] = '\0';
 }

@@ -49,6 +49,17 @@ json '.files[0] | .kind == "tris" and .version == 1 and .triangles == 12 and .ve
 json '.files[1] | .kind == "nvdb" and .nanovdb_version == [32, 4, 2] and .voxels == 1224 and .voxel_size == 0.125'
 files box.obj box.nvdb box.tris on.nvdb
 
+# Threads that the machine has no use for are not started.
+$verify box.nvdb --json --threads 65536
+code 0
+used=$(jq .cost.threads "$out")
+[ "$used" -ge 64 ] && [ "$used" -lt 65536 ] &&
+    [ "$(cat "$err")" = "$p warning: 65536 threads are more than this machine can use: $used are used" ]
+check "a warning says that $used of 65536 threads are used" $?
+$verify box.nvdb --json --threads 64
+code 0
+json '.cost.threads == 64'
+
 # Attributes, several chunks, second records; memory for one chunk is enough.
 "$TESTS/generate-scan" --triangles 150000 --colors --normals --uvs vase -o vase.obj
 printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl

@@ -7,6 +7,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "base/context_internal.h"
 #include "base/octahedral.h"
 #include "base/parallel.h"
 #include "tests/unit/fixture.h"
@@ -105,7 +106,7 @@ static void test_messages_are_one_line_of_any_length(void **state)
     name[100000] = '\0';
     name[5] = '\n';
     bsq_fail(ctx, BSQ_EDATA, "%s!", name);
-    assert_int_equal(strlen(bsq_error(ctx)), 100001);
+    assert_int_equal(strlen(bsq_error(ctx)), 100004); /* the newline is "\\x0a" */
     assert_null(strchr(bsq_error(ctx), '\n'));
     free(name);
     bsq_ctx_destroy(ctx);
@@ -160,7 +161,7 @@ static void test_warnings_come_one_at_a_time(void **state)
     assert_int_equal(bsq_parallel_for(ctx, 1000, warn_each, ctx), 0);
     assert_int_equal(heard.count, 1000); /* hear() takes no lock, so a race would lose some */
     bsq_warn(ctx, "two\nlines");
-    assert_string_equal(heard.last, "two?lines");
+    assert_string_equal(heard.last, "two\\x0alines");
     bsq_ctx_destroy(ctx);
 }
 
@@ -179,29 +180,50 @@ static void test_interruption(void **state)
 
 /* ---- memory ---- */
 
+/* Small blocks count their header and alignment, and what malloc() adds. */
+static void test_cost_of_blocks(void **state)
+{
+    (void)state;
+    const uint64_t huge = (uint64_t)2 << 20;
+    struct bsq_ctx *ctx = test_context(1, 0);
+    for (uint64_t bytes = 0; bytes < huge - 4096; bytes = bytes * 3 + 1) {
+        char *block;
+        assert_int_equal(bsq_alloc(ctx, "block", bytes, 1, &block), 0);
+        assert_in_range(bsq_memory_used(ctx), bytes + 128 + 8, bytes + 128 + 8 + 15);
+        assert_int_equal(bsq_memory_used(ctx), bsq_block_cost(bytes));
+        bsq_free(ctx, block);
+        assert_int_equal(bsq_memory_used(ctx), 0);
+    }
+    bsq_ctx_destroy(ctx);
+}
+
 static void test_budget(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = test_context(1, 1000);
-    char *a, *b;
+    const uint64_t cost_a = bsq_block_cost(600), cost_b = bsq_block_cost(400);
+    struct bsq_ctx *ctx = test_context(1, cost_a + cost_b);
+    char *a, *b, message[128];
     assert_int_equal(bsq_alloc(ctx, "first", 100, 6, &a), 0);
-    assert_int_equal(bsq_memory_used(ctx), 600);
-    assert_int_equal(bsq_alloc(ctx, "second", 401, 1, &b), BSQ_ENOMEM);
+    assert_int_equal(bsq_memory_used(ctx), cost_a);
+    assert_int_equal(bsq_alloc(ctx, "second", 416, 1, &b), BSQ_ENOMEM);
     assert_null(b);
-    assert_string_equal(bsq_error(ctx), "the memory budget is too small: second needs 401 bytes, "
-                                        "600 of 1000 are in use");
-    assert_int_equal(bsq_memory_used(ctx), 600);
+    snprintf(message, sizeof message,
+             "the memory budget is too small: second needs %llu bytes, %llu of %llu are in use",
+             (unsigned long long)bsq_block_cost(416), (unsigned long long)cost_a,
+             (unsigned long long)(cost_a + cost_b));
+    assert_string_equal(bsq_error(ctx), message);
+    assert_int_equal(bsq_memory_used(ctx), cost_a);
     assert_int_equal(bsq_alloc(ctx, "second", 400, 1, &b), 0);
-    assert_int_equal(bsq_memory_high(ctx), 1000);
+    assert_int_equal(bsq_memory_high(ctx), cost_a + cost_b);
     bsq_free(ctx, a);
-    assert_int_equal(bsq_memory_used(ctx), 400);
-    assert_int_equal(bsq_reserve(ctx, "cache", 601), BSQ_ENOMEM);
-    assert_int_equal(bsq_reserve(ctx, "cache", 600), 0);
-    bsq_release(ctx, 600);
+    assert_int_equal(bsq_memory_used(ctx), cost_b);
+    assert_int_equal(bsq_reserve(ctx, "cache", cost_a + 1), BSQ_ENOMEM);
+    assert_int_equal(bsq_reserve(ctx, "cache", cost_a), 0);
+    bsq_release(ctx, cost_a);
     bsq_free(ctx, b);
     bsq_free(ctx, NULL);
     assert_int_equal(bsq_memory_used(ctx), 0);
-    assert_int_equal(bsq_memory_high(ctx), 1000);
+    assert_int_equal(bsq_memory_high(ctx), cost_a + cost_b);
     bsq_ctx_destroy(ctx);
 }
 
@@ -265,7 +287,7 @@ static void test_growing_keeps_content(void **state)
     for (uint32_t i = 0; i < 1000000; i++)
         assert_int_equal(list[i], i * 2654435761u);
     assert_true(moves < 50); /* log 1e6 / log 1.5 = 34 */
-    assert_int_equal(bsq_memory_used(ctx), capacity * sizeof *list);
+    assert_int_equal(bsq_memory_used(ctx), bsq_block_cost(capacity * sizeof *list));
     bsq_free(ctx, list);
     bsq_ctx_destroy(ctx);
 }
@@ -280,7 +302,7 @@ static void test_large_blocks(void **state)
         uint8_t *block;
         assert_int_equal(bsq_calloc(ctx, "testing", bytes, 1, &block), 0);
         assert_int_equal((uintptr_t)block % 64, 0);
-        assert_int_equal(bsq_memory_used(ctx), bytes);
+        assert_int_equal(bsq_memory_used(ctx), bsq_block_cost(bytes));
         assert_int_equal(block[0] | block[bytes / 2] | block[bytes - 1], 0);
         memset(block, 0xa5, bytes);
         bsq_free(ctx, block);
@@ -296,7 +318,7 @@ static void test_large_blocks(void **state)
         for (uint64_t i = 0; i < capacity; i += 97)
             assert_int_equal(numbers[i], (uint32_t)i * 0x9e3779b1u);
     }
-    assert_int_equal(bsq_memory_used(ctx), 4 * capacity);
+    assert_int_equal(bsq_memory_used(ctx), bsq_block_cost(4 * capacity));
     bsq_free(ctx, numbers);
     assert_int_equal(bsq_memory_used(ctx), 0);
     bsq_ctx_destroy(ctx);
@@ -305,14 +327,14 @@ static void test_large_blocks(void **state)
 static void test_growing_up_to_the_budget(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = test_context(1, 1000);
+    struct bsq_ctx *ctx = test_context(1, bsq_block_cost(1000));
     char *list = NULL;
     uint64_t capacity = 0;
     assert_int_equal(bsq_grow(ctx, "list", 800, 1, &list, &capacity), 0);
     memset(list, 'a', 800);
     assert_int_equal(bsq_grow(ctx, "list", 1000, 1, &list, &capacity), 0);
     assert_int_equal(capacity, 1000);
-    assert_int_equal(bsq_grow(ctx, "list", 1001, 1, &list, &capacity), BSQ_ENOMEM);
+    assert_int_equal(bsq_grow(ctx, "list", 1017, 1, &list, &capacity), BSQ_ENOMEM);
     assert_int_equal(capacity, 1000);
     for (int i = 0; i < 800; i++)
         assert_int_equal(list[i], 'a');
@@ -333,10 +355,10 @@ static int alloc_some(void *arg, uint64_t index, unsigned worker)
 static void test_budget_with_threads(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = test_context(4, 4 * 970);
+    struct bsq_ctx *ctx = test_context(4, 4 * bsq_block_cost(970));
     assert_int_equal(bsq_parallel_for(ctx, 50000, alloc_some, ctx), 0);
     assert_int_equal(bsq_memory_used(ctx), 0);
-    assert_in_range(bsq_memory_high(ctx), 970, 4 * 970);
+    assert_in_range(bsq_memory_high(ctx), bsq_block_cost(970), 4 * bsq_block_cost(970));
     bsq_ctx_destroy(ctx);
 }
 
@@ -454,6 +476,7 @@ int main(void)
         cmocka_unit_test(test_code_and_text_agree),
         cmocka_unit_test(test_warnings_come_one_at_a_time),
         cmocka_unit_test(test_interruption),
+        cmocka_unit_test(test_cost_of_blocks),
         cmocka_unit_test(test_budget),
         cmocka_unit_test(test_sizes_that_overflow),
         cmocka_unit_test(test_blocks_are_aligned_and_zeroed),
