@@ -37,13 +37,13 @@ write_materials()
     }' >materials.obj
 }
 
-# write_covering COUNT: triangles that all cover the whole map, in both orientations.
+# write_covering COUNT: triangles, of which each two cover the whole map.
 write_covering()
 {
     awk -v n="$1" 'BEGIN {
-        print "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt -1 -1\nvt 3 -1\nvt -1 3"
+        print "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1"
         for (i = 0; i < n; i++)
-            print i % 2 ? "f 1/1 2/2 3/3" : "f 1/1 3/3 2/2"
+            print i % 2 ? "f 1/1 2/2 3/3" : "f 1/1 3/3 4/4"
     }'
 }
 
