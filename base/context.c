@@ -22,6 +22,9 @@ enum { ALWAYS_ALLOWED_THREADS = 64, THREADS_A_PROCESSOR = 4 };
 static void resolve_options(struct bsq_ctx_options *options)
 {
     struct bsq_machine machine;
+    if (options->memory_bytes > 0 && options->threads > 0 &&
+        options->threads <= ALWAYS_ALLOWED_THREADS)
+        return; /* nothing depends on the machine */
     bsq_machine(&machine);
     uint64_t most = (uint64_t)THREADS_A_PROCESSOR * machine.processors;
     if (most < ALWAYS_ALLOWED_THREADS)
