@@ -98,7 +98,10 @@ static int open_inputs(struct job *job)
         status = bake_surface_use_color(&job->surface);
     if (status < 0)
         return status;
-    status = bake_lowmesh_load(job->ctx, job->options->mesh_path, &job->mesh);
+    const struct bake_lowmesh_options low = {.path = job->options->mesh_path,
+                                             .cage_path = job->options->cage_path,
+                                             .rays = job->options->rays};
+    status = bake_lowmesh_load(job->ctx, &low, &job->mesh);
     if (status < 0)
         return status;
     job->report->low_triangles = job->mesh.triangle_count;
@@ -121,6 +124,8 @@ static int choose_distances(struct job *job)
         if (options->back >= 0)
             back = options->back;
     }
+    if (options->cage_path)
+        front = job->mesh.cage_distance;
     job->report->front = front;
     job->report->back = back;
     params->front = (float)(front / job->surface.unit);
@@ -143,6 +148,8 @@ static int set_params(struct job *job)
         params->flags |= BK_NEAREST;
     if (options->two_sided)
         params->flags |= BK_TWO_SIDED;
+    if (options->cage_path)
+        params->flags |= BK_CAGE;
     return choose_distances(job);
 }
 
@@ -490,7 +497,8 @@ int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     struct bake_lowmesh mesh;
     struct bake_udim udim = {0};
-    int status = bake_lowmesh_load(ctx, options->mesh_path, &mesh);
+    const struct bake_lowmesh_options low = {.path = options->mesh_path};
+    int status = bake_lowmesh_load(ctx, &low, &mesh);
     if (status < 0)
         return status;
     struct bake_options all = *options;

@@ -41,6 +41,14 @@ enum bake_normal_space {
     BAKE_OBJECT_SPACE   /**< The coordinate system of the meshes. */
 };
 
+/** Directions of rays. Corners of the low-poly mesh have them, and triangles interpolate them. */
+enum bake_rays {
+    BAKE_RAYS_SMOOTH, /**< The mean of the mesh's normals in the same place, also across hard edges
+                         and UV seams, so that rays leave no gaps. */
+    BAKE_RAYS_MESH,   /**< The mesh's normals. */
+    BAKE_RAYS_FACE    /**< The triangles' own normals. */
+};
+
 /** What a ray takes from a grid. */
 enum bake_sampling {
     BAKE_TRILINEAR, /**< Normals and colours blended over the occupied neighbours of the hit. */
@@ -85,10 +93,14 @@ struct bake_options {
     const struct bake_tile_range *tile_ranges; /**< Tiles to bake, if triangles lie in them. */
     uint32_t tile_range_count; /**< Entries of tile_ranges; 0: all tiles with triangles. */
     uint32_t samples;          /**< N: each texel gets N x N pairs of rays. */
-    double front;              /**< Length of rays along the normal; < 0: automatic. */
-    double back;               /**< Length of rays against the normal; < 0: automatic. */
-    uint32_t padding;          /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
-    bool green_down; /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
+    enum bake_rays rays;       /**< Directions of rays without a cage. */
+    /** Input: a mesh with the vertices and faces of the low-poly mesh around it and the scan, or
+     * NULL. Rays start at it, go through the low-poly mesh and take the first surface. */
+    const char *cage_path;
+    double front;     /**< Length of rays along the normal; < 0: automatic. */
+    double back;      /**< Length of rays against the normal; < 0: automatic. */
+    uint32_t padding; /**< Texels to fill around each UV chart; UINT32_MAX: everywhere. */
+    bool green_down;  /**< Flips the green channel of a tangent-space map, as Direct3D expects. */
     enum bake_normal_space normal_space; /**< Space of the normal map. */
     enum bake_sampling sampling;         /**< For grids. */
     enum bsq_scan_normals scan_normals;  /**< For chunk files without normals. */

@@ -79,6 +79,9 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (!isfinite(options->curvature_radius) || options->curvature_radius == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE, "curvature cannot be measured within %g",
                         options->curvature_radius);
+    if (options->cage_path && (options->front >= 0 || options->rays != BAKE_RAYS_SMOOTH))
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "a cage gives the rays' directions and their length in front");
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
     int status = check_tile_numbers(ctx, options);

@@ -29,6 +29,9 @@ static const char help_format[] =
     "      --position-in SHAPE sphere or box around the scan, for PNG files (default: sphere)\n"
     "      --curvature-radius D  distance around a hit for curvature (default: 2 texels)\n"
     "      --curvature-range C   curvature of white in PNG files (default: by the whole mesh)\n"
+    "      --cage FILE         start rays at this mesh, with the vertices and faces of LOW.obj\n"
+    "      --ray-directions D  smooth, mesh (its normals) or face (default: smooth)\n"
+    "      --max-missed P      exit with 1 if more than P %% of the samples find no surface\n"
     "      --two-sided         also hit surfaces that face away from the low-poly mesh\n"
     "      --sampling MODE     trilinear or nearest, for grids (default: trilinear)\n"
     "      --scan-normals MODE smooth or flat: for triangles without normals (default: smooth)\n"
@@ -55,6 +58,9 @@ enum {
     OPT_POSITION_IN,
     OPT_CURVATURE_RADIUS,
     OPT_CURVATURE_RANGE,
+    OPT_CAGE,
+    OPT_RAY_DIRECTIONS,
+    OPT_MAX_MISSED,
     OPT_TWO_SIDED,
     OPT_SAMPLING,
     OPT_SCAN_NORMALS,
@@ -83,6 +89,9 @@ static const struct option long_options[] = {
     {"position-in", required_argument, NULL, OPT_POSITION_IN},
     {"curvature-radius", required_argument, NULL, OPT_CURVATURE_RADIUS},
     {"curvature-range", required_argument, NULL, OPT_CURVATURE_RANGE},
+    {"cage", required_argument, NULL, OPT_CAGE},
+    {"ray-directions", required_argument, NULL, OPT_RAY_DIRECTIONS},
+    {"max-missed", required_argument, NULL, OPT_MAX_MISSED},
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
     {"sampling", required_argument, NULL, OPT_SAMPLING},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
@@ -179,6 +188,7 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     static const char *const spaces[] = {"tangent", "object", NULL};
     static const char *const shapes[] = {"sphere", "box", NULL};
     static const char *const samplings[] = {"trilinear", "nearest", NULL};
+    static const char *const rays[] = {"smooth", "mesh", "face", NULL};
     unsigned choice = 0;
     int status;
     switch (option) {
@@ -189,6 +199,10 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     case OPT_POSITION_IN:
         if ((status = cli_parse_word(cli, "--position-in", optarg, shapes, &choice)) == 0)
             bake->position_in = choice == 0 ? BAKE_IN_SPHERE : BAKE_IN_BOX;
+        return status;
+    case OPT_RAY_DIRECTIONS:
+        if ((status = cli_parse_word(cli, "--ray-directions", optarg, rays, &choice)) == 0)
+            bake->rays = (enum bake_rays)choice;
         return status;
     case OPT_SCAN_NORMALS:
         return cli_parse_scan_normals(cli, optarg, &bake->scan_normals);
@@ -274,12 +288,18 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return parse_length(cli, "--curvature-radius", true, &bake->curvature_radius);
     case OPT_CURVATURE_RANGE:
         return parse_length(cli, "--curvature-range", true, &bake->curvature_range);
+    case OPT_CAGE:
+        bake->cage_path = optarg;
+        return 0;
+    case OPT_MAX_MISSED:
+        return cli_parse_length(cli, "--max-missed", optarg, false, &arguments->max_missed);
     case OPT_TWO_SIDED:
         bake->two_sided = true;
         return 0;
     case OPT_GREEN:
     case OPT_NORMAL_SPACE:
     case OPT_POSITION_IN:
+    case OPT_RAY_DIRECTIONS:
     case OPT_SAMPLING:
     case OPT_SCAN_NORMALS:
         return parse_choice(cli, option, bake);
@@ -339,6 +359,7 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv)
 {
     bake_defaults(&arguments->bake);
+    arguments->max_missed = 100;
     int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
     return status != 0 ? status : check_arguments(cli, arguments, argc - optind, argv + optind);
 }

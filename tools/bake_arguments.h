@@ -8,7 +8,8 @@
 struct bake_arguments {
     struct bake_options bake;
     bool list_devices, list_tiles;
-    char **files; /* to verify */
+    double max_missed; /* percent of the samples */
+    char **files;      /* to verify */
     int file_count;
     int sample_option; /* the option that chose bake.sample_type; 0: none */
 };

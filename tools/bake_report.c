@@ -277,3 +277,14 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
     print_report(cli, arguments, report, paths);
     return 0;
 }
+
+bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,
+                                 const struct bake_report *report)
+{
+    const double missed = percent(report->misses, report->samples);
+    if (missed <= arguments->max_missed)
+        return false;
+    fprintf(stderr, "%s: %g %% of the samples found no surface, more than --max-missed %g\n",
+            cli->program, missed, arguments->max_missed);
+    return true;
+}

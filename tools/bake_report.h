@@ -9,6 +9,10 @@
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths);
 
+/* Returns whether more samples missed than --max-missed allows, and says so on standard error. */
+bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,
+                                 const struct bake_report *report);
+
 /* Prints the devices that can be used, as lines or as JSON. */
 int bake_report_devices(struct cli *cli);
 

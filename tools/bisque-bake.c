@@ -44,7 +44,8 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
 
 /* ---- the work ---- */
 
-static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
+/* Sets *missed if the maps are written but more samples missed than is allowed. */
+static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_options *bake = &arguments->bake;
     char *paths[MOST_MAPS] = {NULL};
@@ -63,6 +64,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments)
         status = bake_run(cli->ctx, bake, &report);
     if (status == 0)
         status = bake_report_print(cli, arguments, &report, paths);
+    *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
     bake_report_free(&report);
     for (unsigned i = 0; i < MOST_MAPS; i++)
         free(paths[i]);
@@ -73,6 +75,7 @@ int main(int argc, char **argv)
 {
     struct cli cli;
     struct bake_arguments arguments = {0};
+    bool missed = false;
     cli_begin(&cli, "bisque-bake", argv);
     int status = bake_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
@@ -82,7 +85,8 @@ int main(int argc, char **argv)
     else if (status == 0)
         status = arguments.list_devices ? bake_report_devices(&cli)
                  : arguments.list_tiles ? bake_report_tiles(&cli, &arguments.bake)
-                                        : bake_maps(&cli, &arguments);
+                                        : bake_maps(&cli, &arguments, &missed);
     bake_arguments_free(&arguments);
-    return cli_end(&cli, status);
+    int code = cli_end(&cli, status);
+    return code ? code : missed;
 }

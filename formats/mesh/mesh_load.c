@@ -5,6 +5,7 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/polygon.h"
 #include "formats/mesh/mesh_reader.h"
@@ -197,6 +198,20 @@ static int split_face(struct loader *loader, uint64_t face, uint64_t first, uint
     return status;
 }
 
+static int hash_faces(struct loader *loader)
+{
+    struct fmt_mesh *mesh = loader->mesh;
+    uint64_t corner = 0;
+    int status = bsq_alloc(loader->ctx, "faces", mesh->face_count, sizeof *mesh->face_keys,
+                           &mesh->face_keys);
+    for (uint64_t face = 0; face < mesh->face_count && !status; face++) {
+        const uint32_t size = loader->face_sizes[face];
+        mesh->face_keys[face] = XXH3_64bits(loader->corners[0] + corner, size * sizeof(uint32_t));
+        corner += size;
+    }
+    return status;
+}
+
 static int make_triangles(struct loader *loader)
 {
     uint32_t largest = 3;
@@ -244,6 +259,8 @@ static int load(struct loader *loader, const char *path)
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
     status = check_corners(loader, counts);
     if (!status)
+        status = hash_faces(loader);
+    if (!status)
         status = make_triangles(loader);
     if (!status)
         normalise(mesh);
@@ -276,5 +293,6 @@ void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh)
     bsq_free(ctx, mesh->corner_texcoords);
     bsq_free(ctx, mesh->corner_normals);
     bsq_free(ctx, mesh->faces);
+    bsq_free(ctx, mesh->face_keys);
     memset(mesh, 0, sizeof *mesh);
 }

@@ -170,7 +170,8 @@ struct fmt_mesh {
     uint32_t (*vertices)[3];
     uint32_t (*corner_texcoords)[3];
     uint32_t (*corner_normals)[3];
-    uint64_t *faces; /* number of the polygon that each triangle came from */
+    uint64_t *faces;     /* number of the polygon that each triangle came from */
+    uint64_t *face_keys; /* of each polygon: a hash of its vertices in order */
     uint64_t face_count;
 };
 

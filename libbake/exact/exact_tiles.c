@@ -139,10 +139,10 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
             if (*sample == BK_NO_TRIANGLE)
                 continue;
             const bk_point point = sample_point(job, &tile, *sample, column, row);
-            const bk_vec3w direction = bk_unitw(point.normal);
+            const bk_start start = bk_start_at(job->tiles->params, &point);
             job->rays[ray] =
-                (struct bake_exact_ray){{point.position.x, point.position.y, point.position.z},
-                                        {direction.x, direction.y, direction.z}};
+                (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
+                                        {start.direction.x, start.direction.y, start.direction.z}};
             if (job->footprints)
                 job->footprints[ray] = *sample;
             ray++;
@@ -173,8 +173,9 @@ static void add_sample(const struct job *job, const bk_point *point,
                           .t = (float)hit->t,
                           .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
                           .color = {hit->color[0], hit->color[1], hit->color[2]}};
+    const bk_start start = bk_start_at(job->tiles->params, point);
     bk_map_hits placed;
-    bk_hits_for_maps(job->tiles->params, point, bk_unitw(point->normal), &hits, &placed);
+    bk_hits_for_maps(job->tiles->params, point, &start, &hits, &placed);
     bk_add_sample(job->tiles->params, &placed, 0, texel);
 }
 
@@ -240,12 +241,15 @@ static uint64_t choose_batch(struct job *job)
 
 static int run_batch(struct job *job, uint64_t texels)
 {
+    const struct bake_exact_tiles *tiles = job->exact_tiles;
+    const bool cage = job->tiles->params->flags & BK_CAGE;
     const struct bake_exact_batch batch = {.rays = job->rays,
                                            .hits = job->hits,
                                            .count = job->starts[job->first + job->count] -
                                                     job->starts[job->first],
-                                           .t_min = -job->exact_tiles->back,
-                                           .t_max = job->exact_tiles->front,
+                                           .t_min = cage ? 0 : -tiles->back,
+                                           .t_max = tiles->front + (cage ? tiles->back : 0),
+                                           .facing_origin = cage,
                                            .footprints = job->footprints,
                                            .footprint_table = job->footprint_table,
                                            .progress = texels};

@@ -5,10 +5,9 @@
 #include "bk_maps.h"
 #include "bk_trace.h"
 
-/* Points of the low-poly mesh. Normal and tangent are interpolated, so they are not unit
- * vectors. */
+/* Points of the low-poly mesh. Vectors are interpolated, so they are not unit vectors. */
 typedef struct bk_point {
-    bk_vec3w position, normal, tangent;
+    bk_vec3w position, direction, normal, tangent;
     bk_fw handedness;
 } bk_point;
 
@@ -30,6 +29,8 @@ BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, bk_fw x, bk_fw
 
     point.position =
         bk_mix(triangle->position[0], triangle->position[1], triangle->position[2], w0, w1, w2);
+    point.direction =
+        bk_mix(triangle->direction[0], triangle->direction[1], triangle->direction[2], w0, w1, w2);
     point.normal =
         bk_mix(triangle->normal[0], triangle->normal[1], triangle->normal[2], w0, w1, w2);
     point.tangent =
@@ -87,11 +88,35 @@ BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_sam
             continue;
         point = bk_point_at(&triangles[samples->triangle[lane]], x, y);
         bk_set_lane3(&points.position, lane, bk_lane3(&point.position, lane));
+        bk_set_lane3(&points.direction, lane, bk_lane3(&point.direction, lane));
         bk_set_lane3(&points.normal, lane, bk_lane3(&point.normal, lane));
         bk_set_lane3(&points.tangent, lane, bk_lane3(&point.tangent, lane));
         bk_set_lane(points.handedness, lane, bk_lane(point.handedness, lane));
     }
     return points;
+}
+
+/* Where rays start, in index space. Without a cage they start at the low-poly mesh and go both
+ * ways. From a cage they go through the low-poly mesh. */
+typedef struct bk_start {
+    bk_vec3w origin, direction, facing; /* unit; `facing`: outwards */
+    bk_fw height;                       /* of the origin over the low-poly mesh */
+} bk_start;
+
+BK_FN bk_start bk_start_at(const bk_params *params, const bk_point *points)
+{
+    bk_start start;
+
+    start.origin = points->position;
+    start.direction = start.facing = bk_unitw(points->direction);
+    start.height = bk_splat(0.0f);
+    if (params->flags & BK_CAGE) {
+        const bk_vec3w out = start.facing;
+        start.height = bk_dotw(points->direction, out);
+        start.origin = bk_add_scaledw(points->position, start.height, out);
+        start.direction = bk_v3w(-out.x, -out.y, -out.z);
+    }
+    return start;
 }
 
 /* Hits as maps take them: see bk_map_hit. Values of lanes whose ray hit nothing mean nothing. */
@@ -101,15 +126,21 @@ typedef struct bk_map_hits {
     bk_vec3w position, normal, map_normal, color;
 } bk_map_hits;
 
-/* Turns hits of rays from points along a unit direction, in index space, into hits for maps. */
-BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, bk_vec3w direction,
+/* Turns hits of rays into hits for maps. Rays from a cage end at params->back behind the low-poly
+ * mesh, each at a length of its own. */
+BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, const bk_start *start,
                             const bk_hits *hits, bk_map_hits *out)
 {
     const bk_fw unit = bk_splat(params->unit);
 
     out->found = hits->found;
     out->t = hits->t * unit;
-    out->position = bk_scalew(bk_add_scaledw(points->position, hits->t, direction), unit);
+    if (params->flags & BK_CAGE) {
+        const bk_fw end = start->height + bk_splat(params->back);
+        out->found &= ~bk_bits(bk_less(end, hits->t));
+        out->t = (start->height - hits->t) * unit;
+    }
+    out->position = bk_scalew(bk_add_scaledw(start->origin, hits->t, start->direction), unit);
     out->normal = out->map_normal = hits->normal;
     if (!(params->flags & BK_OBJECT_SPACE))
         out->map_normal = bk_to_tangent_space(points, hits->normal);
@@ -122,16 +153,19 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
                             bk_map_hits *out)
 {
     const bk_point points = bk_points_at(triangles, samples);
+    const bk_start start = bk_start_at(params, &points);
+    const bk_uint cage = params->flags & BK_CAGE;
     bk_lines lines;
     bk_hits hits;
 
     lines.count = samples->count;
-    lines.origin = points.position;
-    lines.direction = lines.facing = bk_unitw(points.normal);
-    lines.t_min = -params->back;
-    lines.t_max = params->front;
+    lines.origin = start.origin;
+    lines.direction = start.direction;
+    lines.facing = start.facing;
+    lines.t_min = cage ? 0.0f : -params->back;
+    lines.t_max = cage ? params->front + params->back : params->front;
     bk_trace(grid, params, cache, &lines, &hits);
-    bk_hits_for_maps(params, &points, lines.direction, &hits, out);
+    bk_hits_for_maps(params, &points, &start, &hits, out);
 }
 
 BK_FN void bk_copy_lane(const bk_vec3w *from, bk_uint lane, float to[3])

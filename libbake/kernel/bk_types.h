@@ -14,16 +14,18 @@
 typedef struct bk_triangle {
     float x0, y0;
     float b1[3], b2[3];
-    float position[3][3]; /* index space */
-    float normal[3][3];   /* unit, per corner */
-    float tangent[3][4];  /* MikkTSpace: unit xyz, w = sign of the bitangent */
+    float position[3][3];  /* index space */
+    float direction[3][3]; /* of rays, outwards: unit; BK_CAGE: the way to the cage's corner */
+    float normal[3][3];    /* unit, per corner */
+    float tangent[3][4];   /* MikkTSpace: unit xyz, w = sign of the bitangent */
 } bk_triangle;
 
 enum {
     BK_OBJECT_SPACE = 1, /* normals stay in object space */
     BK_NEAREST = 2,      /* no blending over neighbours */
     BK_TWO_SIDED = 4,    /* surfaces that face away count too */
-    BK_HAS_COLOR = 8
+    BK_HAS_COLOR = 8,
+    BK_CAGE = 16 /* rays start at a cage and take the first surface */
 };
 
 /* Job-wide parameters. */
@@ -32,7 +34,7 @@ typedef struct bk_params {
     bk_uint maps;        /* selected ones, see BK_MAPS */
     bk_uint samples;     /* N: N x N samples a texel */
     float unit;          /* side of a voxel in the mesh's units */
-    float front, back;   /* ray lengths in voxels */
+    float front, back;   /* ray lengths in voxels; BK_CAGE: `front` is that of the longest */
     bk_int index_min[3]; /* bounds of the grid's active voxels, inclusive */
     bk_int index_max[3];
     bk_uint upper_count, lower_count, leaf_count;

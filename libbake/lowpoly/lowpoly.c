@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "base/smooth_normals.h"
+#include "libbake/lowpoly/directions.h"
 #include "libbake/lowpoly/mikkt.h"
 
 /* Returns the area vector and the area of a triangle, both doubled. */
@@ -48,6 +49,8 @@ static int allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *ou
     if (rc == 0)
         rc =
             bsq_alloc(ctx, "low-poly mesh tangents", count, sizeof(*out->tangents), &out->tangents);
+    if (rc == 0)
+        rc = bsq_alloc(ctx, "ray directions", count, sizeof(*out->directions), &out->directions);
     return rc;
 }
 
@@ -177,7 +180,9 @@ static void choose_origin(const struct bake_lowmesh *mesh, double origin[3])
         origin[k] = farthest > 64 * size ? (mesh->bounds_min[k] + mesh->bounds_max[k]) / 2 : 0;
 }
 
-static int compute_tangents(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
+/* Computes tangents, and the directions of rays unless a cage gives them. */
+static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                          struct bake_lowmesh *mesh)
 {
     float(*positions)[3][3] = NULL;
     double origin[3];
@@ -196,16 +201,21 @@ static int compute_tangents(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
     rc = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
                     (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
                     mesh->tangents);
+    if (rc == 0 && !options->cage_path)
+        rc = bake_ray_directions(ctx, options->rays, mesh->triangle_count,
+                                 (const float(*)[3][3])positions,
+                                 (const float(*)[3][3])mesh->normals, mesh->directions);
     bsq_free(ctx, positions);
     return rc;
 }
 
-int bake_lowmesh_load(struct bsq_ctx *ctx, const char *path, struct bake_lowmesh *out)
+int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                      struct bake_lowmesh *out)
 {
     struct fmt_mesh mesh = {0};
 
     memset(out, 0, sizeof(*out));
-    int rc = fmt_mesh_load(ctx, path, &mesh);
+    int rc = fmt_mesh_load(ctx, options->path, &mesh);
     if (rc < 0)
         return rc;
     rc = allocate(ctx, mesh.triangle_count, out);
@@ -215,16 +225,17 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const char *path, struct bake_lowmesh
     copy_positions(&mesh, out);
     rc = bsq_check(ctx);
     if (rc == 0)
-        rc = copy_texcoords(ctx, path, &mesh, out);
-    if (rc < 0)
-        goto done;
-    rc = fill_normals(ctx, &mesh, out);
+        rc = copy_texcoords(ctx, options->path, &mesh, out);
+    if (rc == 0)
+        rc = fill_normals(ctx, &mesh, out);
+    if (rc == 0 && options->cage_path)
+        rc = bake_cage_directions(ctx, options->path, &mesh, options->cage_path, out);
 done:
     fmt_mesh_free(ctx, &mesh);
     if (rc == 0)
         rc = bsq_check(ctx);
     if (rc == 0)
-        rc = compute_tangents(ctx, out);
+        rc = compute_frames(ctx, options, out);
     if (rc < 0)
         bake_lowmesh_free(ctx, out);
     return rc;
@@ -236,5 +247,6 @@ void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
     bsq_free(ctx, mesh->normals);
     bsq_free(ctx, mesh->texcoords);
     bsq_free(ctx, mesh->tangents);
+    bsq_free(ctx, mesh->directions);
     memset(mesh, 0, sizeof(*mesh));
 }

@@ -54,8 +54,8 @@ static inline bool mikkt_is_degenerate(const struct mikkt_input *input, uint32_t
     return false;
 }
 
-/* Sets vertices[corner] to the first corner with the same position, normal and texture coordinates;
- * -0 equals 0. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+/* Sets vertices[corner] to the first corner with the same position, and the same normal and texture
+ * coordinates if these are not NULL; -0 equals 0. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32_t *vertices);
 
 /* Sets twins[edge] to the edge between the same two vertices in the opposite direction, or to

@@ -23,8 +23,9 @@ static uint64_t mix_floats(uint64_t hash, const float *values, int count)
 static uint64_t hash_corner(const struct mikkt_input *input, uint32_t corner)
 {
     uint64_t hash = mix_floats(1, input->positions[corner], 3);
-    hash = mix_floats(hash, input->normals[corner], 3);
-    return mix_floats(hash, input->texcoords[corner], 2);
+    if (input->normals)
+        hash = mix_floats(hash, input->normals[corner], 3);
+    return input->texcoords ? mix_floats(hash, input->texcoords[corner], 2) : hash;
 }
 
 static bool equal_floats(const float *a, const float *b, int count)
@@ -39,8 +40,8 @@ static bool equal_floats(const float *a, const float *b, int count)
 static bool equal_corners(const struct mikkt_input *input, uint32_t a, uint32_t b)
 {
     return equal_floats(input->positions[a], input->positions[b], 3) &&
-           equal_floats(input->normals[a], input->normals[b], 3) &&
-           equal_floats(input->texcoords[a], input->texcoords[b], 2);
+           (!input->normals || equal_floats(input->normals[a], input->normals[b], 3)) &&
+           (!input->texcoords || equal_floats(input->texcoords[a], input->texcoords[b], 2));
 }
 
 int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32_t *vertices)

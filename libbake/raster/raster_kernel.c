@@ -100,6 +100,16 @@ static void set_weights(const struct bake_raster *raster, uint64_t triangle,
     set_weight(&w2, x0, y0, out->b2);
 }
 
+/* Copies the directions of rays; the way to a cage is a length in voxels. */
+static void set_directions(const struct bake_lowmesh *mesh, uint64_t triangle, double voxel_size,
+                           struct bk_triangle *out)
+{
+    memcpy(out->direction, mesh->directions[triangle], sizeof(out->direction));
+    for (int c = 0; c < 3 && mesh->cage_distance > 0; c++)
+        for (int k = 0; k < 3; k++)
+            out->direction[c][k] = (float)((double)out->direction[c][k] / voxel_size);
+}
+
 void bake_raster_kernel_triangles(const struct bake_raster *raster, const double translation[3],
                                   double voxel_size, struct bk_triangle *out)
 {
@@ -118,6 +128,7 @@ void bake_raster_kernel_triangles(const struct bake_raster *raster, const double
                 out[t].position[c][k] =
                     (float)((mesh->positions[t][c][k] - translation[k]) / voxel_size);
         }
+        set_directions(mesh, t, voxel_size, &out[t]);
         memcpy(out[t].normal, mesh->normals[t], sizeof(out[t].normal));
         memcpy(out[t].tangent, mesh->tangents[t], sizeof(out[t].tangent));
     }

@@ -38,7 +38,7 @@ static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
                                        const struct bake_lowmesh *mesh, const struct probe *probe)
 {
     double(*positions)[3] = mesh->positions[probe->triangle];
-    float(*normals)[3] = mesh->normals[probe->triangle];
+    float(*directions)[3] = mesh->directions[probe->triangle];
     struct bake_exact_ray ray;
     float normal[3];
     for (int k = 0; k < 3; ++k) {
@@ -47,7 +47,7 @@ static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
             /* Subtracts the translation first: far from the origin, the rounding of the weights'
              * sum would move the point by a long way. */
             p += (double)probe->weights[c] * (positions[c][k] - surface->translation[k]);
-            n += (double)probe->weights[c] * (double)normals[c][k];
+            n += (double)probe->weights[c] * (double)directions[c][k];
         }
         ray.origin[k] = (float)(p / surface->unit);
         normal[k] = (float)n;

@@ -163,6 +163,8 @@ static int reorder_mesh(struct bsq_ctx *ctx, const uint32_t *order, uint64_t cou
     if (status == 0)
         status = reorder(ctx, order, count, sizeof *mesh->tangents, &mesh->tangents);
     if (status == 0)
+        status = reorder(ctx, order, count, sizeof *mesh->directions, &mesh->directions);
+    if (status == 0)
         mesh->triangle_count = count;
     return status;
 }

@@ -123,7 +123,7 @@ static bool trace_pair(const struct embree *embree, uint32_t triangle, float x, 
 {
     const struct bk_params *params = &embree->scene->job.params;
     const bk_point point = bk_point_at(&embree->scene->triangles[triangle], x, y);
-    const bk_vec3w d = bk_unitw(point.normal), back = {-d.x, -d.y, -d.z};
+    const bk_vec3w d = bk_unitw(point.direction), back = {-d.x, -d.y, -d.z};
     float t = params->back, unused;
     bool found = intersect(embree->rtc, point.position, d, params->front, false, &unused);
     if (found && unused < t)

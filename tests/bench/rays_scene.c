@@ -54,7 +54,7 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
     if (status == 0 && out->surface.exact)
         status = bsq_fail(ctx, BSQ_EDATA, "%s is not a grid", scan);
     if (status == 0)
-        status = bake_lowmesh_load(ctx, mesh, &out->mesh);
+        status = bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = mesh}, &out->mesh);
     if (status < 0)
         return status;
     bake_params_from_grid(&out->surface.grid, &out->job.params);

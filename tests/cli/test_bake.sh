@@ -39,7 +39,8 @@ is_png()
 $bake --help
 code 0
 out_like '^Usage: bisque-bake '
-options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range two-sided sampling normal-space green
+options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
+    cage ray-directions max-missed two-sided sampling normal-space green
     padding half float png-bits preview device gpu-memory list-devices list-tiles memory threads progress json help
     version"
 for option in $options; do

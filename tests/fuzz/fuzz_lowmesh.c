@@ -93,7 +93,7 @@ static int sort_by_tile(struct bsq_ctx *ctx, const char *path, struct bake_lowme
 static int use(struct bsq_ctx *ctx, const char *path)
 {
     struct bake_lowmesh mesh;
-    int status = bake_lowmesh_load(ctx, path, &mesh);
+    int status = bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = path}, &mesh);
     if (status)
         return status;
     check_mesh(&mesh);

@@ -103,7 +103,7 @@ static void aim(const struct fmt_nvdb_grid *grid, struct bk_triangle *triangle)
         for (int k = 0; k < 3; k++) {
             const float extent = (float)grid->index_max[k] - (float)grid->index_min[k];
             triangle->position[i][k] = (float)grid->index_min[k] + (i == k ? extent : 0);
-            triangle->normal[i][k] = 1;
+            triangle->direction[i][k] = triangle->normal[i][k] = 1;
             triangle->tangent[i][k] = k == 0;
         }
 }

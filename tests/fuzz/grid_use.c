@@ -116,7 +116,7 @@ static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle tri
                 float middle = 0.5f * (float)grid->index_min[k] + 0.5f * (float)grid->index_max[k];
                 float a = i == 1 ? sign : -sign, b = i == 2 ? sign : -sign;
                 triangle->position[i][k] = middle + size * (a * u[k] + b * v[k]);
-                triangle->normal[i][k] = normal[k];
+                triangle->direction[i][k] = triangle->normal[i][k] = normal[k];
                 triangle->tangent[i][k] = u[k];
                 triangle->tangent[i][3] = 1;
             }

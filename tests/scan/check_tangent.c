@@ -127,7 +127,7 @@ int main(int argc, char **argv)
     struct bsq_ctx *ctx;
     if (bsq_ctx_create(&(struct bsq_ctx_options){.memory_bytes = UINT64_C(8) << 30}, &ctx))
         return 71;
-    if (bake_lowmesh_load(ctx, argv[optind], &c.low)) {
+    if (bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = argv[optind]}, &c.low)) {
         fprintf(stderr, "check-tangent: %s\n", bsq_error(ctx));
         return 65;
     }

@@ -6,7 +6,7 @@
 #include "libbake/kernel/bk_srgb.h"
 #include "libbake/kernel/bk_trace.h"
 
-_Static_assert(sizeof(struct bk_triangle) == 152, "layout shared with devices");
+_Static_assert(sizeof(struct bk_triangle) == 188, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
 _Static_assert(sizeof(struct bk_params) == 100, "layout shared with devices");
 

@@ -88,8 +88,11 @@ static int add_samples(struct ray_bounds *bounds)
     if (count == 0)
         return 0;
     const bk_point points = bk_points_at(bounds->job->triangles, &bounds->samples);
-    const bk_vec3w d = bk_unitw(points.normal), o = points.position;
-    const float f = params->front, b = params->back;
+    const bk_start start = bk_start_at(params, &points);
+    const bk_vec3w d = start.direction, o = start.origin;
+    const bool cage = params->flags & BK_CAGE;
+    const float f = cage ? params->front + params->back : params->front;
+    const float b = cage ? 0.0f : params->back;
     struct box box = nothing;
     extend(o.x + f * d.x, o.x - b * d.x, count, &box.low[0], &box.high[0]);
     extend(o.y + f * d.y, o.y - b * d.y, count, &box.low[1], &box.high[1]);

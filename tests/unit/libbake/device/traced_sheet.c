@@ -43,7 +43,7 @@ static void set_corner(struct bk_triangle *triangle, int corner, const struct an
     analytic_sine_point(sine, u, v, -0.7, point);
     for (int k = 0; k < 3; k++) {
         triangle->position[corner][k] = (float)point[k];
-        triangle->normal[corner][k] = (float)sine->axes[2][k];
+        triangle->direction[corner][k] = triangle->normal[corner][k] = (float)sine->axes[2][k];
         triangle->tangent[corner][k] = (float)sine->axes[0][k];
     }
     triangle->tangent[corner][3] = -1; /* the map's y runs opposite to v */

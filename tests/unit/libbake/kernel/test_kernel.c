@@ -146,7 +146,7 @@ static bk_triangle framed_triangle(uint64_t *seed, bool alike, float handedness)
             }
         }
         for (int k = 0; k < 3; k++) {
-            triangle.normal[corner][k] = (float)n[k];
+            triangle.direction[corner][k] = triangle.normal[corner][k] = (float)n[k];
             triangle.tangent[corner][k] = (float)t[k];
         }
         triangle.tangent[corner][3] = handedness;

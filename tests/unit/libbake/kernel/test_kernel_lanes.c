@@ -64,7 +64,7 @@ static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
         analytic_random_unit(seed, tangent);
         for (int k = 0; k < 3; k++) {
             triangle->position[corner][k] = (float)(centre[k] + between(seed, -20, 20));
-            triangle->normal[corner][k] = (float)normal[k];
+            triangle->direction[corner][k] = triangle->normal[corner][k] = (float)normal[k];
             triangle->tangent[corner][k] = (float)tangent[k];
         }
         triangle->tangent[corner][3] = corner & 1 ? -1.f : 1.f;

@@ -20,6 +20,7 @@ struct fixture {
     char path[64];
     FILE *file;
     struct bake_lowmesh mesh;
+    enum bake_rays rays;
 };
 
 static int set_up(void **state)
@@ -46,10 +47,16 @@ static int tear_down(void **state)
     return 0;
 }
 
+static int load_file(struct fixture *f, const char *path)
+{
+    const struct bake_lowmesh_options options = {.path = path, .rays = f->rays};
+    return bake_lowmesh_load(f->ctx, &options, &f->mesh);
+}
+
 static void load(struct fixture *f)
 {
     assert_int_equal(fclose(f->file), 0);
-    if (bake_lowmesh_load(f->ctx, f->path, &f->mesh) < 0)
+    if (load_file(f, f->path) < 0)
         fail_msg("%s", bsq_error(f->ctx));
 }
 
@@ -66,7 +73,7 @@ static void fail_text(struct fixture *f, const char *text, const char *message)
 
     fputs(text, f->file);
     assert_int_equal(fclose(f->file), 0);
-    assert_int_equal(bake_lowmesh_load(f->ctx, f->path, &f->mesh), BSQ_EDATA);
+    assert_int_equal(load_file(f, f->path), BSQ_EDATA);
     snprintf(expected, sizeof(expected), "%s%s", f->path, message);
     assert_string_equal(bsq_error(f->ctx), expected);
     assert_null(f->mesh.positions);
@@ -231,6 +238,114 @@ static void test_degenerate_triangle_has_a_unit_normal(void **state)
     }
 }
 
+/* ---- ray directions ---- */
+
+/* Two squares of a cube that meet in a hard edge, with normals of their own and a UV seam. The
+ * second one is split the other way, and its vertices are written again. */
+static const char hard_edge[] =
+    "v 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n"
+    "v 1 0 1\nv 1 0 0\nv 1 1 0\nv 1 1 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    "vn 0 0 1\nvn 1 0 0\n"
+    "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n"
+    "f 5/1/2 6/2/2 8/4/2\nf 6/2/2 7/3/2 8/4/2\n";
+
+static void test_directions_are_smooth_over_hard_edges(void **state)
+{
+    struct fixture *f = *state;
+    const float half = (float)sqrt(0.5);
+    load_text(f, hard_edge);
+    assert_vector(f->mesh.directions[0][0], 0, 0, 1);
+    assert_vector(f->mesh.directions[0][1], half, 0, half);
+    assert_vector(f->mesh.directions[1][1], half, 0, half);
+    assert_vector(f->mesh.directions[2][0], half, 0, half);
+    assert_vector(f->mesh.directions[3][2], half, 0, half);
+    assert_vector(f->mesh.directions[2][1], 1, 0, 0);
+    assert_vector(f->mesh.normals[2][0], 1, 0, 0); /* tangent space keeps the mesh's own */
+    assert_true(f->mesh.cage_distance == 0);
+}
+
+static void test_directions_of_the_mesh_and_of_faces(void **state)
+{
+    struct fixture *f = *state;
+    f->rays = BAKE_RAYS_MESH;
+    load_text(f, hard_edge);
+    assert_memory_equal(f->mesh.directions, f->mesh.normals, 4 * sizeof *f->mesh.normals);
+    bake_lowmesh_free(f->ctx, &f->mesh);
+    f->rays = BAKE_RAYS_FACE;
+    bsq_forget_files(f->ctx);
+    assert_non_null(f->file = fopen(f->path, "w"));
+    load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 1 0 0\n"
+                 "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 2/2/1 2/2/1\n");
+    for (int i = 0; i < 3; i++) {
+        assert_vector(f->mesh.directions[0][i], 0, 0, 1);
+        assert_vector(f->mesh.directions[1][i], 1, 0, 0); /* no area */
+    }
+}
+
+/* Normals that agree stay as they are, to the bit; so do those that cancel. */
+static void test_directions_keep_smooth_and_opposite_normals(void **state)
+{
+    struct fixture *f = *state;
+    const double centre[3] = {0};
+    write_sphere(f->file, centre, 12, 7);
+    load(f);
+    assert_memory_equal(f->mesh.directions, f->mesh.normals,
+                        f->mesh.triangle_count * sizeof *f->mesh.normals);
+    bake_lowmesh_free(f->ctx, &f->mesh);
+    bsq_forget_files(f->ctx);
+    assert_non_null(f->file = fopen(f->path, "w"));
+    load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nvn 0 0 -1\n"
+                 "f 1/1/1 2/2/1 3/3/1\nf 1/1/2 3/3/2 2/2/2\n");
+    assert_vector(f->mesh.directions[0][0], 0, 0, 1);
+    assert_vector(f->mesh.directions[1][0], 0, 0, -1);
+}
+
+/* Loads the hard edge with a cage of this text. */
+static int load_with_cage(struct fixture *f, const char *text)
+{
+    char cage[80];
+    snprintf(cage, sizeof cage, "%s.cage.obj", f->path);
+    FILE *file = fopen(cage, "w");
+    assert_non_null(file);
+    fputs(text, file);
+    fclose(file);
+    bsq_forget_files(f->ctx);
+    assert_non_null(f->file = freopen(f->path, "w", f->file));
+    fputs(hard_edge, f->file);
+    fflush(f->file);
+    const struct bake_lowmesh_options options = {.path = f->path, .cage_path = cage};
+    int status = bake_lowmesh_load(f->ctx, &options, &f->mesh);
+    unlink(cage);
+    return status;
+}
+
+#define CAGE_VERTICES "v 0 0 2\nv 2 0 2\nv 2 1 2\nv 0 1 2\nv 2 0 2\nv 4 0 0\nv 2 1 0\nv 2 1 2\n"
+#define CAGE_FACES    "f 1 2 3\nf 1 3 4\nf 5 6 8\n"
+
+static void test_cage(void **state)
+{
+    struct fixture *f = *state;
+    assert_int_equal(load_with_cage(f, CAGE_VERTICES CAGE_FACES "f 6 7 8\n"), 0);
+    assert_vector(f->mesh.directions[0][0], 0, 0, 1);
+    assert_vector(f->mesh.directions[0][1], 1, 0, 1);
+    assert_vector(f->mesh.directions[2][1], 3, 0, 0);
+    assert_true(f->mesh.cage_distance == 3);
+    assert_int_equal(fclose(f->file), 0);
+}
+
+static void test_cages_of_other_meshes(void **state)
+{
+    struct fixture *f = *state;
+    assert_int_equal(load_with_cage(f, CAGE_VERTICES "f 1 2 3\nf 1 4 3\nf 5 6 8\nf 6 7 8\n"),
+                     BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), ".cage.obj:10: face has other vertices than the same "
+                                              "face of the low-poly mesh"));
+    bsq_clear_error(f->ctx);
+    assert_int_equal(load_with_cage(f, CAGE_VERTICES CAGE_FACES), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "8 vertices and 4 faces, not 8 and 3"));
+    assert_int_equal(fclose(f->file), 0);
+}
+
 static void test_no_texture_coordinates(void **state)
 {
     fail_text(*state, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
@@ -249,7 +364,7 @@ static void test_missing_file(void **state)
 {
     struct fixture *f = *state;
     fclose(f->file);
-    assert_int_equal(bake_lowmesh_load(f->ctx, "/nonexistent/low.obj", &f->mesh), BSQ_ENOINPUT);
+    assert_int_equal(load_file(f, "/nonexistent/low.obj"), BSQ_ENOINPUT);
     assert_null(f->mesh.positions);
 }
 
@@ -277,6 +392,11 @@ int main(void)
         TEST(test_attributes_of_the_file),
         TEST(test_zero_and_partly_missing_normals),
         TEST(test_degenerate_triangle_has_a_unit_normal),
+        TEST(test_directions_are_smooth_over_hard_edges),
+        TEST(test_directions_of_the_mesh_and_of_faces),
+        TEST(test_directions_keep_smooth_and_opposite_normals),
+        TEST(test_cage),
+        TEST(test_cages_of_other_meshes),
         TEST(test_no_texture_coordinates),
         TEST(test_a_face_without_texture_coordinates),
         TEST(test_missing_file),

@@ -42,6 +42,7 @@ static int tear_down(void **state)
     free(f->mesh.normals);
     free(f->mesh.texcoords);
     free(f->mesh.tangents);
+    free(f->mesh.directions);
     if (used > 0)
         return -1; /* a failed test does not free its memory */
     bsq_ctx_destroy(f->ctx);
@@ -74,6 +75,7 @@ static void add_triangle(struct fixture *f, const float a[2], const float b[2], 
         m->normals = resized(m->normals, f->capacity, sizeof(*m->normals));
         m->texcoords = resized(m->texcoords, f->capacity, sizeof(*m->texcoords));
         m->tangents = resized(m->tangents, f->capacity, sizeof(*m->tangents));
+        m->directions = resized(m->directions, f->capacity, sizeof(*m->directions));
     }
     uint64_t t = m->triangle_count++;
     for (int i = 0; i < 3; i++) {

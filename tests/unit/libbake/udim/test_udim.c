@@ -27,6 +27,7 @@ static int set_up(void **state)
     status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.normals, &f->mesh.normals);
     status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.texcoords, &f->mesh.texcoords);
     status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.tangents, &f->mesh.tangents);
+    status |= bsq_calloc(f->ctx, "", MOST, sizeof *f->mesh.directions, &f->mesh.directions);
     *state = f;
     return status;
 }
@@ -49,6 +50,7 @@ static void add(struct fixture *f, const float uv[3][2])
     f->mesh.positions[t][2][2] = (double)t;
     f->mesh.normals[t][2][2] = (float)t;
     f->mesh.tangents[t][2][3] = (float)t;
+    f->mesh.directions[t][2][2] = (float)t;
 }
 
 /* Adds a right triangle with its right angle at (u, v). */
@@ -94,6 +96,7 @@ static void expect_order(const struct fixture *f, uint64_t count, const uint32_t
         assert_int_equal((int)f->mesh.positions[t][2][2], order[t]);
         assert_int_equal((int)f->mesh.normals[t][2][2], order[t]);
         assert_int_equal((int)f->mesh.tangents[t][2][3], order[t]);
+        assert_int_equal((int)f->mesh.directions[t][2][2], order[t]);
     }
 }
 

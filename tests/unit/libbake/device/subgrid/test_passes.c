@@ -73,7 +73,8 @@ static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
         analytic_random_unit(seed, tangent);
         for (int k = 0; k < 3; k++) {
             triangle->position[corner][k] = (float)(at[k] + between(seed, -12, 12));
-            triangle->normal[corner][k] = (float)(normal[k] + between(seed, -0.3, 0.3));
+            triangle->direction[corner][k] = triangle->normal[corner][k] =
+                (float)(normal[k] + between(seed, -0.3, 0.3));
             triangle->tangent[corner][k] = (float)tangent[k];
         }
         triangle->tangent[corner][3] = 1;

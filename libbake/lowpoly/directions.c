@@ -1,0 +1,161 @@
+/* directions.c - see directions.h. */
+#include "libbake/lowpoly/directions.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/vec.h"
+#include "libbake/lowpoly/mikkt.h"
+
+enum { CORNERS_A_CHECK = 1 << 14 };
+
+/* Below this share of the weights' sum, normals cancel each other. */
+#define LEAST_SUM 0x1p-10
+
+static struct bsq_vec3 vector(const float v[3])
+{
+    return bsq_v3(v[0], v[1], v[2]);
+}
+
+/* Returns the angle of a triangle at corner i, 0 to pi; 0 if an edge there has no length. */
+static double corner_angle(const float (*p)[3], int i)
+{
+    const struct bsq_vec3 at = vector(p[i]);
+    const struct bsq_vec3 a = bsq_unit3(bsq_sub3(vector(p[(i + 1) % 3]), at));
+    const struct bsq_vec3 b = bsq_unit3(bsq_sub3(vector(p[(i + 2) % 3]), at));
+    return atan2((double)bsq_length3(bsq_cross3(a, b)), (double)bsq_dot3(a, b));
+}
+
+/* ---- smooth ---- */
+
+/* The corners in one place; stored with the first of them. */
+struct place {
+    double sum[3], weights;
+    bool normals_differ;
+};
+
+static void add_corner(struct place *place, const float normal[3], const float first_normal[3],
+                       double weight)
+{
+    for (int k = 0; k < 3; k++)
+        place->sum[k] += weight * (double)normal[k];
+    place->weights += weight;
+    place->normals_differ |= memcmp(normal, first_normal, 3 * sizeof *normal) != 0;
+}
+
+static void choose_direction(const struct place *place, const float normal[3], float out[3])
+{
+    const double *s = place->sum;
+    const double length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
+    memcpy(out, normal, 3 * sizeof *out);
+    if (place->normals_differ && length > LEAST_SUM * place->weights)
+        for (int k = 0; k < 3; k++)
+            out[k] = (float)(s[k] / length);
+}
+
+static int smooth(struct bsq_ctx *ctx, uint32_t count, const float (*positions)[3],
+                  const float (*normals)[3], const uint32_t *firsts, struct place *places,
+                  float (*out)[3])
+{
+    int status = 0;
+    for (uint32_t c = 0; c < count && status == 0; c++) {
+        const uint32_t triangle = c / 3 * 3;
+        add_corner(&places[firsts[c]], normals[c], normals[firsts[c]],
+                   corner_angle(positions + triangle, (int)(c - triangle)));
+        if (c % CORNERS_A_CHECK == 0)
+            status = bsq_check(ctx);
+    }
+    for (uint32_t c = 0; c < count; c++)
+        choose_direction(&places[firsts[c]], normals[c], out[c]);
+    return status;
+}
+
+static int smooth_directions(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][3],
+                             const float (*normals)[3][3], float (*out)[3][3])
+{
+    const uint32_t corners = (uint32_t)(3 * count);
+    const struct mikkt_input input = {.corner_count = corners,
+                                      .positions = (const float(*)[3])positions};
+    uint32_t *firsts = NULL;
+    struct place *places = NULL;
+    int status = bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts);
+    if (status == 0)
+        status = bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places);
+    if (status == 0)
+        status = bake_mikkt_weld(ctx, &input, firsts);
+    if (status == 0)
+        status = smooth(ctx, corners, (const float(*)[3])positions, (const float(*)[3])normals,
+                        firsts, places, (float(*)[3])out);
+    bsq_free(ctx, places);
+    bsq_free(ctx, firsts);
+    return status;
+}
+
+/* ---- all kinds ---- */
+
+static void face_directions(const float (*p)[3], const float (*normals)[3], float (*out)[3])
+{
+    const struct bsq_vec3 n = bsq_unit3(
+        bsq_cross3(bsq_sub3(vector(p[1]), vector(p[0])), bsq_sub3(vector(p[2]), vector(p[0]))));
+    const bool flat = bsq_dot3(n, n) == 0;
+    for (int i = 0; i < 3; i++)
+        memcpy(out[i], flat ? normals[i] : (const float[3]){n.x, n.y, n.z}, sizeof *out);
+}
+
+int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count,
+                        const float (*positions)[3][3], const float (*normals)[3][3],
+                        float (*out)[3][3])
+{
+    if (rays == BAKE_RAYS_SMOOTH)
+        return smooth_directions(ctx, count, positions, normals, out);
+    memcpy(out, normals, count * sizeof *out);
+    for (uint64_t t = 0; t < count && rays == BAKE_RAYS_FACE; t++)
+        face_directions(positions[t], normals[t], out[t]);
+    return bsq_check(ctx);
+}
+
+/* ---- cages ---- */
+
+/* Checks that two meshes have the same faces, corner by corner. */
+static int check_topology(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
+                          const char *cage_path, const struct fmt_mesh *cage)
+{
+    for (uint64_t f = 0; f < mesh->face_count && f < cage->face_count; f++)
+        if (mesh->face_keys[f] != cage->face_keys[f])
+            return fmt_mesh_fail_face(ctx, cage_path, f,
+                                      "has other vertices than the same face of the low-poly mesh");
+    if (mesh->vertex_count != cage->vertex_count || mesh->face_count != cage->face_count)
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: a cage needs the vertices and faces of %s: %llu vertices and %llu "
+                        "faces, not %llu and %llu",
+                        cage_path, path, (unsigned long long)mesh->vertex_count,
+                        (unsigned long long)mesh->face_count,
+                        (unsigned long long)cage->vertex_count,
+                        (unsigned long long)cage->face_count);
+    return 0;
+}
+
+int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
+                         const char *cage_path, struct bake_lowmesh *out)
+{
+    struct fmt_mesh cage;
+    double longest = 0;
+    int status = fmt_mesh_load(ctx, cage_path, &cage);
+    if (status < 0)
+        return status;
+    status = check_topology(ctx, path, mesh, cage_path, &cage);
+    for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++)
+        for (int i = 0; i < 3; i++) {
+            const uint32_t v = mesh->vertices[t][i];
+            double square = 0;
+            for (int k = 0; k < 3; k++) {
+                const double way = cage.positions[v][k] - mesh->positions[v][k];
+                out->directions[t][i][k] = (float)way;
+                square += way * way;
+            }
+            longest = fmax(longest, sqrt(square));
+        }
+    out->cage_distance = longest;
+    fmt_mesh_free(ctx, &cage);
+    return status;
+}

@@ -1,0 +1,129 @@
+#!/bin/sh
+# test_rays.sh - cages, directions of rays and the limit of misses, on two parallel sheets.
+. "$(dirname "$0")/lib.sh"
+
+bake="run bisque-bake"
+p=bisque-bake
+
+# sheet Z R G: a square at height Z in one colour, larger than the low-poly mesh.
+sheet()
+{
+    awk -v z="$1" -v r="$2" -v g="$3" 'BEGIN {
+        for (j = 0; j <= 8; j++) for (i = 0; i <= 8; i++)
+            print "v", -0.5 + i / 4, -0.5 + j / 4, z, r, g, 0
+        for (j = 0; j < 8; j++) for (i = 0; i < 8; i++) {
+            a = 1 + 9 * j + i; print "f", a, a + 1, a + 10, a + 9
+        } }'
+}
+sheet 0.125 1 0 >red.obj
+sheet 0.375 0 1 >green.obj
+# square NAME Z: a square of the same faces as the low-poly mesh, at height Z.
+square()
+{
+    printf 'v 0 0 %s\nv 1 0 %s\nv 1 1 %s\nv 0 1 %s\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' \
+        "$2" "$2" "$2" "$2" >"$1"
+}
+square low.obj 0
+square high_cage.obj 0.5
+square low_cage.obj 0.25
+square above.obj 0.4375
+square above_cage.obj 0.5
+awk '/^f/ { print "f 2 3 4 1"; next } { print }' high_cage.obj >turned.obj
+for scan in red green; do
+    run bisque-voxelize $scan.obj -o $scan.nvdb --voxel-size 0.03125
+    code 0
+done
+run bisque-voxelize red.obj green.obj -o both.nvdb --voxel-size 0.03125
+code 0
+
+# same_color A B: the colour maps show one sheet.
+same_color()
+{
+    run bisque-compare "$1" "$2" --max-error 0.01
+    code 0
+}
+
+# ---- cages ----
+
+small="--device cpu --size 32 --samples 1 --maps color --back 0.0625"
+for kind in nvdb tris; do
+    for scan in red green; do
+        $bake $small --front 0.625 $scan.$kind low.obj -o $scan.exr
+        code 0
+    done
+    # Without a cage the nearer sheet wins, from a cage the outer one.
+    $bake $small --front 0.625 both.$kind low.obj -o near.exr
+    code 0
+    same_color near.exr red.exr
+    $bake $small both.$kind low.obj --cage high_cage.obj -o cage.exr --json
+    code 0
+    json '.misses == 0 and .front == 0.5'
+    same_color cage.exr green.exr
+    # The cage ends the rays in front.
+    $bake $small both.$kind low.obj --cage low_cage.obj -o cage.exr
+    code 0
+    same_color cage.exr red.exr
+    # Behind the low-poly mesh they end at --back.
+    $bake $small both.$kind above.obj --cage above_cage.obj -o cage.exr --back 0.09375
+    code 0
+    same_color cage.exr green.exr
+    $bake $small both.$kind above.obj --cage above_cage.obj -o cage.exr --back 0.03125
+    code 65
+    err_like "^$p: no ray hit "
+done
+$bake $small both.nvdb low.obj --cage turned.obj -o cage.exr
+code 65
+err_like "^$p: turned\.obj:9: face has other vertices than the same face of the low-poly mesh\$"
+$bake $small both.nvdb low.obj --cage missing.obj -o cage.exr
+code 66
+$bake $small both.nvdb low.obj --cage high_cage.obj --front 1 -o cage.exr
+code 64
+$bake $small both.nvdb low.obj --cage high_cage.obj --ray-directions mesh -o cage.exr
+code 64
+if "$BIN/bisque-bake" --list-devices | grep -q '^opencl:0 '; then
+    $bake $small both.nvdb low.obj --cage high_cage.obj --device opencl:0 -o cage.exr
+    code 0
+    same_color cage.exr green.exr
+else
+    echo "# skipped: a cage on OpenCL: there is no OpenCL device"
+fi
+
+# ---- directions ----
+
+write_box >box.obj
+# The same box with a normal for each face, so that its edges are hard.
+{
+    printf 'vn %s\n' '0 0 -1' '0 0 1' '0 -1 0' '0 1 0' '-1 0 0' '1 0 0'
+    awk '/^f/ { n++; for (i = 2; i <= NF; i++) $i = $i "/" n } { print }' box.obj
+} >hard.obj
+run bisque-voxelize box.obj -o box.nvdb --resolution 64 --no-tris
+code 0
+for rays in smooth mesh face; do
+    $bake --device cpu --size 64 --samples 1 --maps normal box.nvdb hard.obj -o $rays.exr --ray-directions $rays
+    code 0
+done
+# Along hard normals and along faces rays are the same; smooth ones differ.
+same mesh.exr face.exr
+! cmp -s smooth.exr mesh.exr
+check "smooth directions differ from hard normals" $?
+$bake --device cpu --size 64 --samples 1 --maps normal box.nvdb hard.obj -o default.exr
+code 0
+same default.exr smooth.exr
+$bake box.nvdb hard.obj -o a.exr --ray-directions up
+refused 64 "$p: --ray-directions: \"up\" is not smooth, mesh or face"
+
+# ---- misses ----
+
+# Half of the low-poly mesh lies beside the scan.
+awk '/^v / { $2 += 1 } { print }' low.obj >aside.obj
+for limit in 40 60; do
+    $bake $small red.nvdb aside.obj --front 0.25 --max-missed $limit -o missed.exr
+    code $((limit < 50))
+    [ -s missed.exr ]
+    check "the map is written whatever the limit says" $?
+    rm -f missed.exr
+    [ $limit = 60 ] || grep -q "^$p: 4[0-9.]* % of the samples found no surface, more than --max-missed 40\$" "$err"
+    check "the message names the limit" $?
+done
+
+finish
