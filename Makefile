@@ -322,11 +322,11 @@ $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$
 
 # A library that lets a program's system calls fail, and the program that runs it; see
 # tests/cli/test_faults.sh. Built without sanitizers, as it is loaded into programs without them.
-faults := $(BUILD)/tests/faults.so $(BUILD)/tests/torture
+faults := $(BUILD)/tests/faults.so $(BUILD)/tests/torture $(BUILD)/tests/no-sockets
 $(BUILD)/tests/faults.so: tests/faults/faults.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -fPIC -shared -o $@ $< -ldl
-$(BUILD)/tests/torture: tests/faults/torture.c
+$(BUILD)/tests/torture $(BUILD)/tests/no-sockets: $(BUILD)/tests/%: tests/faults/%.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 -D_GNU_SOURCE $(WARN) -O1 -g -o $@ $<
 

@@ -34,6 +34,10 @@ struct bsq_file {
  * descriptor. */
 int bsq_fd_above_standard(int fd);
 
+/* Returns the path that `path` leads to if it is a symbolic link, also if there is no such file.
+ * Free it with free(). Returns NULL and sets errno if links form a loop or there is no memory. */
+char *bsq_follow_links(const char *path);
+
 /* How bsq_file_open_as() opens a file. */
 enum bsq_open {
     BSQ_OPEN_INPUT, /* an input of the job, see base/job_files.h */
@@ -112,6 +116,8 @@ struct bsq_map {
     }
 /* Maps a file. An empty file has data NULL and size 0. Errors: BSQ_ENOINPUT. */
 int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out);
+/* Maps an open file and takes it over: closes it on failure. */
+int bsq_map_file(struct bsq_ctx *ctx, struct bsq_file *file, struct bsq_map *out);
 /* Returns BSQ_EIO if the data cannot be relied on: the file shrank, was written to, or could not be
  * read. Call it now and then, and before results are used. Thread-safe. */
 int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map);

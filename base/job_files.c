@@ -16,7 +16,7 @@
 
 /* The first bytes are not counted against the budget, so that jobs with few files have the same
  * memory as without this list. */
-enum { FREE_BYTES = 64 << 10, FIRST_SLOTS = 64, MOST_LINKS = 40 };
+enum { FREE_BYTES = 64 << 10, FIRST_SLOTS = 64 };
 
 /* Where a path leads. */
 struct place {
@@ -51,30 +51,10 @@ struct job_files {
 
 /* ---- places ---- */
 
-/* Replaces *path, which is freed, by the path that the symbolic link names. Returns false if it is
- * no link. */
-static bool follow_link(char **path)
-{
-    char target[4096], *next = NULL;
-    ssize_t size = readlink(*path, target, sizeof target - 1);
-    if (size < 0)
-        return false;
-    target[size] = '\0';
-    const char *slash = strrchr(*path, '/');
-    int directory = target[0] == '/' || !slash ? 0 : (int)(slash + 1 - *path);
-    if (asprintf(&next, "%.*s%s", directory, *path, target) < 0)
-        return false;
-    free(*path);
-    *path = next;
-    return true;
-}
-
 static void find_missing(const char *path, struct place *out)
 {
     struct stat info;
-    char *end = strdup(path);
-    for (int links = 0; end && links < MOST_LINKS && follow_link(&end); links++)
-        ;
+    char *end = bsq_follow_links(path);
     char *directory = end ? bsq_dirname(end) : NULL;
     if (directory && stat(directory, &info) == 0) {
         const char *slash = strrchr(end, '/');

@@ -21,6 +21,7 @@
 #include "base/file.h"
 
 struct bsq_map_range {
+    atomic_uint version;         /* odd while start and end are changed */
     atomic_uintptr_t start, end; /* both 0: not in use */
     atomic_bool lost;            /* the handler has put zeros there */
     struct bsq_map_range *next;
@@ -37,21 +38,34 @@ static uintptr_t page_bytes;
 
 /* ---- the handler ---- */
 
+/* Returns the end of a range if `address` lies in it, else 0.
+ *
+ * Another thread may be reusing the entry for a new map. Then its start and end do not belong
+ * together, and its version says so. Such an entry cannot hold the address: its old map is closed,
+ * and nobody can read its new map yet. So the handler never waits. All accesses are sequentially
+ * consistent. */
+static uintptr_t end_around(const struct bsq_map_range *range, uintptr_t address)
+{
+    unsigned version = atomic_load(&range->version);
+    uintptr_t start = atomic_load(&range->start), end = atomic_load(&range->end);
+    if (version % 2 != 0 || atomic_load(&range->version) != version)
+        return 0;
+    return address >= start && address < end ? end : 0;
+}
+
+/* `lost` is set first: whoever reads the zeros on another thread must also see it. */
 static bool put_zeros(uintptr_t address)
 {
-    struct bsq_map_range *range = atomic_load_explicit(&ranges, memory_order_acquire);
-    for (; range; range = range->next) {
-        uintptr_t end = atomic_load(&range->end);
-        if (address < atomic_load(&range->start) || address >= end)
-            continue;
-        uintptr_t page = address & ~(page_bytes - 1);
-        if (mmap((void *)page, end - page, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED, -1,
-                 0) == MAP_FAILED)
-            return false;
-        atomic_store(&range->lost, true);
-        return true;
-    }
-    return false;
+    struct bsq_map_range *range = atomic_load(&ranges);
+    uintptr_t end = 0;
+    while (range && (end = end_around(range, address)) == 0)
+        range = range->next;
+    if (!range)
+        return false;
+    uintptr_t page = address & ~(page_bytes - 1);
+    atomic_store(&range->lost, true);
+    return mmap((void *)page, end - page, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED, -1,
+                0) != MAP_FAILED;
 }
 
 /* Passes a signal on to the previous handler. By default the process must die of it: a fault comes
@@ -115,6 +129,14 @@ static struct bsq_map_range *find_free(void)
     return range;
 }
 
+static void set_range(struct bsq_map_range *range, uintptr_t start, uintptr_t end)
+{
+    atomic_fetch_add(&range->version, 1);
+    atomic_store(&range->start, start);
+    atomic_store(&range->end, end);
+    atomic_fetch_add(&range->version, 1);
+}
+
 /* Returns NULL if there is no memory. */
 static struct bsq_map_range *watch(const void *data, uint64_t size)
 {
@@ -126,8 +148,7 @@ static struct bsq_map_range *watch(const void *data, uint64_t size)
         uintptr_t start = (uintptr_t)data;
         install();
         atomic_store(&range->lost, false);
-        atomic_store(&range->start, start);
-        atomic_store(&range->end, (start + size + page_bytes - 1) & ~(page_bytes - 1));
+        set_range(range, start, (start + size + page_bytes - 1) & ~(page_bytes - 1));
     }
     if (added) {
         added->next = atomic_load(&ranges);
@@ -140,8 +161,7 @@ static struct bsq_map_range *watch(const void *data, uint64_t size)
 static void unwatch(struct bsq_map_range *range)
 {
     pthread_mutex_lock(&lock);
-    atomic_store(&range->end, 0);
-    atomic_store(&range->start, 0);
+    set_range(range, 0, 0);
     uninstall();
     pthread_mutex_unlock(&lock);
 }
@@ -175,15 +195,20 @@ static int map_file(struct bsq_ctx *ctx, struct bsq_file *file, struct bsq_map *
     return 0;
 }
 
+int bsq_map_file(struct bsq_ctx *ctx, struct bsq_file *file, struct bsq_map *out)
+{
+    *out = (struct bsq_map)BSQ_MAP_CLOSED;
+    int status = map_file(ctx, file, out);
+    bsq_file_close(ctx, file);
+    return status;
+}
+
 int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
 {
     *out = (struct bsq_map)BSQ_MAP_CLOSED;
     struct bsq_file file;
     int status = bsq_file_open(ctx, path, &file);
-    if (status == 0)
-        status = map_file(ctx, &file, out);
-    bsq_file_close(ctx, &file);
-    return status;
+    return status == 0 ? bsq_map_file(ctx, &file, out) : status;
 }
 
 /* Returns whether the mapped bytes are those of the file when it was opened. */

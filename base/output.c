@@ -1,4 +1,4 @@
-/* output.c - a file that appears whole or not at all.
+/* output.c - a file that appears whole or not at all: opening and writing.
  *
  * If the file system supports it (O_TMPFILE), the file has no name until it is complete and on the
  * disk: whatever ends the process, nothing is left. It gets a temporary name only to be renamed at
@@ -8,7 +8,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -16,24 +15,11 @@
 
 #include "base/context_internal.h"
 #include "base/job_files.h"
-#include "base/output.h"
+#include "base/output_internal.h"
 #include "base/temp_internal.h"
 
 /* Bytes written to the disk between two checks of the interruption flag. */
 #define SYNC_BYTES (UINT64_C(32) << 20)
-
-struct bsq_output {
-    struct bsq_ctx *ctx;
-    char *path;      /* final name, symbolic links followed; or a name for messages only */
-    char *directory; /* of both names; NULL: the file gets no final name */
-    char *temp_path; /* NULL: the file has no name */
-    int fd;
-    uint64_t position;
-    uint64_t expected;  /* a file with fewer appended bytes may not be kept */
-    uint64_t sent;      /* bytes whose writing to the disk was started */
-    atomic_bool synced; /* all is on the disk, and nothing was written after that */
-    atomic_int status;  /* first failure; an output that has one cannot be committed */
-};
 
 static int fail_memory(struct bsq_ctx *ctx, const char *path)
 {
@@ -44,6 +30,8 @@ static void free_output(struct bsq_output *output)
 {
     if (output->fd >= 0)
         close(output->fd);
+    if (output->directory_fd >= 0)
+        close(output->directory_fd);
     free(output->temp_path);
     free(output->directory);
     free(output->path);
@@ -52,35 +40,6 @@ static void free_output(struct bsq_output *output)
 
 /* ---- opening ---- */
 
-/* Resolves the final name. Only a regular file may be replaced. A symbolic link is kept, and the
- * file that it names is replaced. */
-static int resolve_path(struct bsq_ctx *ctx, const char *path, char **out)
-{
-    struct stat info;
-    *out = NULL;
-    size_t length = strlen(path);
-    if (length == 0 || path[length - 1] == '/')
-        return bsq_fail(ctx, BSQ_ECANTCREAT, "\"%s\" is not a file name", path);
-    if (stat(path, &info) == 0) {
-        if (S_ISDIR(info.st_mode))
-            return bsq_fail_errno(ctx, BSQ_ECANTCREAT, EISDIR, "%s", path);
-        if (!S_ISREG(info.st_mode))
-            return bsq_fail(ctx, BSQ_ECANTCREAT, "%s: exists and is not a regular file", path);
-        *out = realpath(path, NULL);
-    } else {
-        *out = strdup(path);
-    }
-    if (!*out)
-        return bsq_fail_errno(ctx, BSQ_ECANTCREAT, errno, "%s", path);
-    return 0;
-}
-
-static const char *file_name(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
-}
-
 /* Returns true for errors that mean that the file system, or a layer above it, has no unnamed
  * files. */
 static bool lacks_unnamed(int error)
@@ -88,34 +47,37 @@ static bool lacks_unnamed(int error)
     return error == EOPNOTSUPP || error == EISDIR || error == ENOENT || error == EINVAL;
 }
 
+/* Creates the file. One that replaces another is readable by nobody else in between. */
 static int create_temp(struct bsq_output *output)
 {
-    const char *name = file_name(output->path);
+    struct stat old;
+    const char *name = bsq_file_name(output->path);
+    mode_t mode = stat(output->path, &old) == 0 ? old.st_mode & 0666 : 0666;
     bsq_temp_sweep(output->directory, name);
-    int error = bsq_temp_unnamed(output->directory, 0666, true, &output->fd);
+    int error = bsq_temp_unnamed(output->directory, mode, true, &output->fd);
     if (lacks_unnamed(error))
-        error = bsq_temp_named(output->directory, name, 0666, &output->temp_path, &output->fd);
+        error = bsq_temp_named(output->directory, name, mode, &output->temp_path, &output->fd);
     return error;
 }
 
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out)
 {
     *out = NULL;
-    char *resolved = NULL;
+    char *target = NULL;
     int status = bsq_note_output(ctx, path);
     if (status == 0)
-        status = resolve_path(ctx, path, &resolved);
-    if (!resolved)
+        status = bsq_output_target(ctx, path, &target);
+    if (!target)
         return status;
     struct bsq_output *output = calloc(1, sizeof *output);
     if (!output) {
-        free(resolved);
+        free(target);
         return fail_memory(ctx, path);
     }
     output->ctx = ctx;
-    output->fd = -1;
-    output->path = resolved;
-    output->directory = bsq_dirname(resolved);
+    output->fd = output->directory_fd = -1;
+    output->path = target;
+    output->directory = bsq_dirname(target);
     int error = output->directory ? create_temp(output) : ENOMEM;
     if (error) {
         status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s: cannot be created", path);
@@ -141,6 +103,7 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
     }
     output->ctx = ctx;
     output->fd = file.fd;
+    output->directory_fd = -1;
     output->path = file.path;
     *out = output;
     return 0;
@@ -162,7 +125,7 @@ static void send_to_disk(struct bsq_output *output)
     output->sent = output->position;
 }
 
-static int fail_write(struct bsq_output *output, int error)
+int bsq_output_fail_write(struct bsq_output *output, int error)
 {
     int status = bsq_fail_errno(output->ctx, BSQ_EIO, error, "%s: writing", output->path);
     int none = 0;
@@ -175,7 +138,7 @@ int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t 
 {
     atomic_store_explicit(&output->synced, false, memory_order_relaxed);
     int error = bsq_pwrite_all(output->fd, buffer, size, offset);
-    return error ? fail_write(output, error) : 0;
+    return error ? bsq_output_fail_write(output, error) : 0;
 }
 
 int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t size)
@@ -202,7 +165,7 @@ int bsq_output_expect(struct bsq_output *output, uint64_t size)
     output->expected = size;
     while (fallocate(output->fd, 0, 0, (off64_t)size) != 0) {
         if (errno != EINTR)
-            return prevents_writing(errno) ? fail_write(output, errno) : 0;
+            return prevents_writing(errno) ? bsq_output_fail_write(output, errno) : 0;
         int status = bsq_check(output->ctx);
         if (status < 0)
             return status;
@@ -215,7 +178,7 @@ uint64_t bsq_output_tell(const struct bsq_output *output)
     return output->position;
 }
 
-/* ---- syncing, committing and discarding ---- */
+/* ---- syncing and ending ---- */
 
 /* Checks that the file may be kept: reserved space that was not written would be zeros at its end.
  */
@@ -241,7 +204,7 @@ static int write_back(struct bsq_output *output, uint64_t size)
             return status;
         while (sync_file_range(output->fd, (off64_t)at, (off64_t)SYNC_BYTES, flags) != 0) {
             if (errno == EIO || errno == ENOSPC || errno == EDQUOT)
-                return fail_write(output, errno);
+                return bsq_output_fail_write(output, errno);
             if (errno != EINTR)
                 return 0; /* not every file system can; fsync() follows */
         }
@@ -255,114 +218,17 @@ int bsq_output_sync(struct bsq_output *output)
     int status = check_written(output);
     if (status < 0 || output->synced || !output->directory)
         return status;
-    if (fstat(output->fd, &info) != 0)
-        return fail_write(output, errno);
+    int error = bsq_keep_access(output->fd, output->path);
+    if (error == 0 && fstat(output->fd, &info) != 0)
+        error = errno;
+    if (error)
+        return bsq_output_fail_write(output, error);
     status = write_back(output, (uint64_t)info.st_size);
     while (status == 0 && fsync(output->fd) != 0) {
         if (errno != EINTR)
-            status = fail_write(output, errno);
+            status = bsq_output_fail_write(output, errno);
     }
     output->synced = status == 0;
-    return status;
-}
-
-static int sync_directory(const char *directory)
-{
-    int fd = bsq_open(directory, O_RDONLY | O_DIRECTORY, 0);
-    if (fd < 0)
-        return errno == EACCES ? 0 : errno; /* a directory may be writable but not readable */
-    int error;
-    do
-        error = fsync(fd) == 0 ? 0 : errno;
-    while (error == EINTR);
-    close(fd);
-    return error == EINVAL || error == EROFS ? 0 : error; /* not every file system can */
-}
-
-static int fail_create(struct bsq_output *output, int error)
-{
-    return bsq_fail_errno(output->ctx, BSQ_ECANTCREAT, error, "%s: cannot be created",
-                          output->path);
-}
-
-static int copy_whole(struct bsq_output *output, const struct bsq_file *from, uint64_t size)
-{
-    char buffer[1 << 16];
-    int status = 0;
-    output->position = output->sent = 0;
-    while (status == 0 && output->position < size) {
-        uint64_t left = size - output->position;
-        uint64_t part = left < sizeof buffer ? left : sizeof buffer;
-        status = bsq_check(output->ctx);
-        if (status == 0)
-            status = bsq_file_read(output->ctx, from, buffer, part, output->position);
-        if (status == 0)
-            status = bsq_output_write(output, buffer, part);
-    }
-    return status;
-}
-
-/* Copies the unnamed file to one with a temporary name, on file systems that cannot name it later.
- */
-static int copy_to_named(struct bsq_output *output)
-{
-    struct bsq_file unnamed = {.fd = output->fd, .path = output->path};
-    struct stat info;
-    if (fstat(unnamed.fd, &info) != 0)
-        return fail_write(output, errno);
-    int error = bsq_temp_named(output->directory, file_name(output->path), 0666, &output->temp_path,
-                               &output->fd);
-    int status;
-    if (error) {
-        output->fd = unnamed.fd;
-        return fail_create(output, error);
-    }
-    atomic_store_explicit(&output->synced, false, memory_order_relaxed);
-    status = copy_whole(output, &unnamed, (uint64_t)info.st_size);
-    close(unnamed.fd);
-    return status == 0 ? bsq_output_sync(output) : status;
-}
-
-static int name_temp(struct bsq_output *output)
-{
-    if (output->temp_path)
-        return 0;
-    int error =
-        bsq_temp_link(output->fd, output->directory, file_name(output->path), &output->temp_path);
-    if (error == ENOSPC || error == EDQUOT || error == EIO || error == ENOMEM || error == EROFS)
-        return fail_create(output, error);
-    return error ? copy_to_named(output) : 0;
-}
-
-static int rename_retrying(const char *from, const char *to)
-{
-    int result;
-    do
-        result = rename(from, to);
-    while (result != 0 && errno == EINTR);
-    return result;
-}
-
-/* Keeps the descriptor open, and with it the lock on the temporary name, until that name is gone.
- * fsync() has reported what close() could report. */
-int bsq_output_commit(struct bsq_output *output)
-{
-    assert(output->directory);
-    int status = bsq_output_sync(output);
-    if (status == 0)
-        status = name_temp(output);
-    if (status == 0 && rename_retrying(output->temp_path, output->path) != 0)
-        status = fail_create(output, errno);
-    if (status < 0) {
-        bsq_output_discard(output);
-        return status;
-    }
-    bsq_note_written(output->ctx, output->path);
-    int error = sync_directory(output->directory);
-    if (error)
-        status =
-            bsq_fail_errno(output->ctx, BSQ_EIO, error, "%s: syncing the directory", output->path);
-    free_output(output);
     return status;
 }
 
@@ -372,7 +238,7 @@ int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out)
     int status = check_written(output);
     struct stat info;
     if (status == 0 && fstat(output->fd, &info) != 0)
-        status = fail_write(output, errno);
+        status = bsq_output_fail_write(output, errno);
     if (status == 0) {
         *out = (struct bsq_file){
             .fd = output->fd, .size = (uint64_t)info.st_size, .path = output->path};
@@ -383,6 +249,18 @@ int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out)
     }
     free_output(output);
     return status;
+}
+
+int bsq_output_read(struct bsq_output *output, struct bsq_file *out)
+{
+    struct bsq_file file = {.fd = output->fd, .path = output->path};
+    struct stat info;
+    if (fstat(output->fd, &info) != 0) {
+        *out = (struct bsq_file)BSQ_FILE_CLOSED;
+        return bsq_output_fail_write(output, errno);
+    }
+    file.size = (uint64_t)info.st_size;
+    return bsq_file_duplicate(output->ctx, &file, out);
 }
 
 void bsq_output_discard(struct bsq_output *output)

@@ -1,10 +1,13 @@
-/* output.h - output files that appear whole or not at all.
+/* output.h - output files that appear whole or not at all, alone or in groups.
  *
  * The file is written without a name in the directory of its final name. On file systems without
- * unnamed files it has the name ".NAME.XXXXXX.tmp". bsq_output_commit() syncs it and gives it its
- * final name in one step. A process that ends before that leaves nothing, or a temporary name that
- * the next bsq_output_open() of this output removes. Several jobs may write to one directory, and
- * even to the same output, at the same time. */
+ * unnamed files it has a temporary name, ".NAME.XXXXXXXXXXXX.tmp". bsq_output_commit() syncs it and
+ * gives it its final name in one step. A process that ends before that leaves nothing, or a
+ * temporary name that the next bsq_output_open() of this output removes. Several jobs may write to
+ * one directory, and even to the same output, at the same time.
+ *
+ * A file that replaces another one gets its mode, and its owner, group and access list if the
+ * process may set them. Symbolic links are followed, also to a file that does not exist yet. */
 #ifndef BSQ_OUTPUT_H
 #define BSQ_OUTPUT_H
 
@@ -16,7 +19,8 @@ extern "C" {
 
 struct bsq_output;
 
-/* Creates an output. Errors: BSQ_ECANTCREAT if the directory is missing or not writable. */
+/* Creates an output. Errors: BSQ_ECANTCREAT if the directory is missing or not writable, or if the
+ * name belongs to something that a regular file cannot replace. */
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out);
 
 /* Creates a temporary file, as bsq_file_temp() does, that is written as an output.
@@ -39,14 +43,32 @@ int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t 
 /* Returns the position of the next bsq_output_write(). */
 uint64_t bsq_output_tell(const struct bsq_output *output);
 
-/* Syncs everything to the disk. If several outputs belong together, do this for all before the
- * first is committed. Errors: BSQ_EIO, BSQ_EINTR. */
+/* Opens what was written so far for reading, while the file has no final name yet. */
+int bsq_output_read(struct bsq_output *output, struct bsq_file *out);
+
+/* Syncs everything to the disk. Errors: BSQ_EIO, BSQ_EINTR. */
 int bsq_output_sync(struct bsq_output *output);
 /* Syncs what is not synced yet and gives the file its final name; frees the output in any case.
  * Errors: BSQ_EIO, BSQ_EINTR, BSQ_ECANTCREAT. */
 int bsq_output_commit(struct bsq_output *output);
 /* Removes the file and frees the output; NULL is allowed. */
 void bsq_output_discard(struct bsq_output *output);
+
+/* Outputs of one job, which appear all or not at all. Zeros are an empty group. */
+struct bsq_output_group {
+    struct bsq_output **list;
+    unsigned count;
+};
+
+/* Adds a complete output, which belongs to the group from now on; on failure it is discarded.
+ * Errors: BSQ_ENOMEM. */
+int bsq_output_group_add(struct bsq_output_group *group, struct bsq_output *output);
+/* Syncs all outputs, then gives all their final names; empties the group in any case. If a name
+ * cannot be given, those before it are taken back. Only a process that is killed between two
+ * renames leaves some outputs new and some as before. Errors: as bsq_output_commit(). */
+int bsq_output_group_commit(struct bsq_output_group *group);
+/* Discards all outputs; an empty group is allowed. */
+void bsq_output_group_discard(struct bsq_output_group *group);
 
 #ifdef __cplusplus
 }

@@ -403,15 +403,22 @@ static int write_preview(struct job *job)
 
 static int commit(struct job *job)
 {
+    struct bsq_output_group group = {0};
+    struct bsq_output *preview;
     int status = 0;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
-        status = bake_map_files_commit(job->tiles[i].files);
+        status = bake_map_files_hand_over(job->tiles[i].files, &group);
         job->tiles[i].files = NULL;
     }
     if (status == 0 && job->preview_file) {
-        status = bake_preview_commit(job->preview_file);
+        status = bake_preview_hand_over(job->preview_file, &preview);
         job->preview_file = NULL;
+        if (status == 0)
+            status = bsq_output_group_add(&group, preview);
     }
+    if (status == 0)
+        status = bsq_output_group_commit(&group);
+    bsq_output_group_discard(&group);
     return status;
 }
 

@@ -330,14 +330,15 @@ bool cli_ends_with(const char *text, const char *ending)
 /* Returns the absolute path of a file that need not exist; NULL if its directory does not exist. */
 static char *absolute_name(const char *path)
 {
-    const char *slash = strrchr(path, '/');
-    char *directory = slash ? strndup(path, (size_t)(slash - path + 1)) : strdup(".");
-    char *resolved = directory ? realpath(directory, NULL) : NULL;
-    char *name = NULL;
-    if (resolved && asprintf(&name, "%s/%s", resolved, slash ? slash + 1 : path) < 0)
+    char *target = bsq_follow_links(path), *name = NULL;
+    const char *slash = target ? strrchr(target, '/') : NULL;
+    char *directory = slash ? strndup(target, (size_t)(slash - target + 1)) : strdup(".");
+    char *resolved = target && directory ? realpath(directory, NULL) : NULL;
+    if (resolved && asprintf(&name, "%s/%s", resolved, slash ? slash + 1 : target) < 0)
         name = NULL;
     free(resolved);
     free(directory);
+    free(target);
     return name;
 }
 

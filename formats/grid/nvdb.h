@@ -80,9 +80,12 @@ int fmt_nvdb_append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region
 struct fmt_nvdb_totals {
     uint64_t voxels, second_records, leaves, lowers, uppers, file_bytes;
 };
-/* Writes the whole file from the temporary ones, syncs and renames it; frees the writer in any
- * case. Uses the context's threads. Errors: BSQ_EDATA if the grid has no voxels; BSQ_EIO,
- * BSQ_EINTR. */
+/* Writes the whole file from the temporary ones and syncs it; frees the writer in any case. *out:
+ * the output, for the caller to commit. Uses the context's threads. Errors: BSQ_EDATA if the grid
+ * has no voxels; BSQ_EIO, BSQ_EINTR. */
+int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals,
+                    struct bsq_output **out);
+/* Does the same and commits the output. */
 int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals);
 void fmt_nvdb_discard(struct fmt_nvdb_writer *writer); /* NULL is allowed */
 
@@ -124,6 +127,8 @@ struct fmt_nvdb_grid {
  * a traversal follows. Reads all nodes once, on all threads, but no channels. Errors: BSQ_ENOINPUT;
  * BSQ_EDATA naming what is wrong; BSQ_EIO, also if the file changes meanwhile. */
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out);
+/* Does the same with an open file, which it takes over. */
+int fmt_nvdb_open_file(struct bsq_ctx *ctx, struct bsq_file *file, struct fmt_nvdb_grid *out);
 void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
 /* Checks what fmt_nvdb_open() does not: the checksums of all sections, that padding is zero, and
  * that each record is valid (FORMATS.md, "Channels"). Returns pages of the map to the system as it
@@ -140,12 +145,13 @@ uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v);
 
 /* ---- OpenVDB ---- */
 
-/* Exports a grid as an OpenVDB file for Blender, Houdini and others, whole or not at all: a mask
- * grid "surface", a Vec3f grid "N" (unit normals) and, if the grid has colour, a Vec3f grid "Cd"
- * (linear RGB). Values are those of each voxel's first record. Equal grids give equal bytes.
- * OpenVDB holds all grids in memory, about 13 KiB for each leaf, half of that without colour. That
- * is reserved from the budget; BSQ_ENOMEM names the size needed. */
-int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path);
+/* Exports a grid as an OpenVDB file for Blender, Houdini and others: a mask grid "surface", a Vec3f
+ * grid "N" (unit normals) and, if the grid has colour, a Vec3f grid "Cd" (linear RGB). Values are
+ * those of each voxel's first record. Equal grids give equal bytes. OpenVDB holds all grids in
+ * memory, about 13 KiB for each leaf, half of that without colour. That is reserved from the
+ * budget; BSQ_ENOMEM names the size needed. *out: the complete output, for the caller to commit. */
+int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
+                   struct bsq_output **out);
 
 /* Returns 0 if the module bisque-openvdb.so can be opened, else its error. */
 int fmt_vdb_check(struct bsq_ctx *ctx);

@@ -80,12 +80,12 @@ static const struct node_kind *node_kind(int section)
 
 /* The streams of a section: its first part, and second records after it. Either may be NULL. */
 struct section_streams {
-    const struct nvdb_stream *first, *second;
+    struct nvdb_stream *first, *second;
 };
 
 static struct section_streams streams_of(const struct commit *commit)
 {
-    const struct nvdb_stream *stream = commit->writer->stream;
+    struct nvdb_stream *stream = commit->writer->stream;
     switch (commit->section) {
     case NVDB_LEAVES:
         return (struct section_streams){.first = &stream[STREAM_LEAVES]};
@@ -148,15 +148,30 @@ static void expand_node(const struct node_kind *kind, uint64_t node_offset, cons
     }
 }
 
+/* Reads the next bytes of a stream. At its end, checks that all were as they were written: the grid
+ * must not hold anything else that got into the temporary file. */
+static int read_stream(struct commit *commit, struct nvdb_stream *stream, void *to, uint64_t size,
+                       uint64_t offset)
+{
+    int status = bsq_file_read(commit->ctx, &stream->file, to, size, offset);
+    if (status)
+        return status;
+    XXH3_64bits_update(stream->read, to, size);
+    if (offset + size == stream->file.size &&
+        XXH3_64bits_digest(stream->read) != XXH3_64bits_digest(stream->written))
+        return bsq_fail(commit->ctx, BSQ_EIO, "%s: holds other bytes than were written",
+                        stream->file.path);
+    return 0;
+}
+
 /* Makes the next node in memory. */
 static int make_node(struct commit *commit, const struct node_kind *kind)
 {
-    const struct bsq_file *stubs = &commit->writer->stream[kind->stream].file;
+    struct nvdb_stream *stubs = &commit->writer->stream[kind->stream];
     uint64_t number = commit->done / kind->node_bytes;
     uint64_t offset = commit->layout.section[kind->section].offset + commit->done;
     uint8_t stub[sizeof(struct nvdb_upper_stub)]; /* large enough for a lower node's too */
-    int status =
-        bsq_file_read(commit->ctx, stubs, stub, kind->stub_bytes, number * kind->stub_bytes);
+    int status = read_stream(commit, stubs, stub, kind->stub_bytes, number * kind->stub_bytes);
     if (status == 0)
         expand_node(kind, offset, stub, commit->node, &commit->child);
     return status;
@@ -179,14 +194,14 @@ static int make_from_nodes(struct commit *commit, const struct node_kind *kind, 
 static int make_from_streams(struct commit *commit, const struct section_streams *streams,
                              uint8_t *to, uint64_t *size)
 {
-    const struct bsq_file *first = &streams->first->file;
-    if (commit->done < first->size) {
-        uint64_t left = first->size - commit->done;
+    const uint64_t first_bytes = streams->first->file.size;
+    if (commit->done < first_bytes) {
+        uint64_t left = first_bytes - commit->done;
         *size = *size < left ? *size : left;
-        return bsq_file_read(commit->ctx, first, to, *size, commit->done);
+        return read_stream(commit, streams->first, to, *size, commit->done);
     }
-    const struct bsq_file *second = &streams->second->file;
-    int status = bsq_file_read(commit->ctx, second, to, *size, commit->done - first->size);
+    assert(streams->second);
+    int status = read_stream(commit, streams->second, to, *size, commit->done - first_bytes);
     if (status == 0)
         XXH3_64bits_update(commit->hash, to, *size);
     return status;
@@ -216,7 +231,7 @@ static int begin_section(struct commit *commit)
         return bsq_fail(commit->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
                         commit->writer->path, commit->section);
     if (first)
-        XXH3_copyState(commit->hash, first->hash);
+        XXH3_copyState(commit->hash, first->written);
     else
         XXH3_64bits_reset(commit->hash);
     if (kind)
@@ -355,27 +370,41 @@ static int sync_or_close(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
+static void fill_totals(const struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
 {
+    struct nvdb_layout layout;
+    fmt_nvdb_layout_compute(&writer->counts, &layout);
+    *totals = (struct fmt_nvdb_totals){
+        .voxels = writer->counts.voxels,
+        .second_records = writer->counts.seconds,
+        .leaves = writer->counts.leaves,
+        .lowers = writer->counts.lowers,
+        .uppers = writer->counts.uppers,
+        .file_bytes = layout.file_bytes,
+    };
+}
+
+int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals,
+                    struct bsq_output **out)
+{
+    *out = NULL;
     int status = fmt_nvdb_writer_finish(writer);
     if (status == 0)
         status = write_file(writer);
     if (status == 0)
         status = bsq_parallel_for(writer->ctx, 1 + STREAM_COUNT, sync_or_close, writer);
     if (status == 0) {
-        struct nvdb_layout layout;
-        fmt_nvdb_layout_compute(&writer->counts, &layout);
-        *totals = (struct fmt_nvdb_totals){
-            .voxels = writer->counts.voxels,
-            .second_records = writer->counts.seconds,
-            .leaves = writer->counts.leaves,
-            .lowers = writer->counts.lowers,
-            .uppers = writer->counts.uppers,
-            .file_bytes = layout.file_bytes,
-        };
-        status = bsq_output_commit(writer->output);
+        fill_totals(writer, totals);
+        *out = writer->output;
         writer->output = NULL;
     }
     fmt_nvdb_discard(writer);
     return status;
+}
+
+int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
+{
+    struct bsq_output *output;
+    int status = fmt_nvdb_finish(writer, totals, &output);
+    return status == 0 ? bsq_output_commit(output) : status;
 }

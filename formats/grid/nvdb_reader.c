@@ -16,19 +16,30 @@ bool fmt_vdb_recognise(const char first[8])
     return memcmp(first, " BDV", 4) == 0;
 }
 
+/* Checks a grid that was mapped, and fills in the rest. Closes it on failure. */
+static int check_mapped(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
+{
+    int status = fmt_nvdb_check_header(ctx, grid);
+    if (status == 0)
+        status = fmt_nvdb_check_nodes(ctx, grid);
+    status = bsq_map_explain(ctx, &grid->map, status);
+    if (status)
+        fmt_nvdb_close(ctx, grid);
+    return status;
+}
+
 int fmt_nvdb_open(struct bsq_ctx *ctx, const char *path, struct fmt_nvdb_grid *out)
 {
     memset(out, 0, sizeof(*out));
     int status = bsq_map_open(ctx, path, &out->map);
-    if (status)
-        return status;
-    status = fmt_nvdb_check_header(ctx, out);
-    if (status == 0)
-        status = fmt_nvdb_check_nodes(ctx, out);
-    status = bsq_map_explain(ctx, &out->map, status);
-    if (status)
-        fmt_nvdb_close(ctx, out);
-    return status;
+    return status ? status : check_mapped(ctx, out);
+}
+
+int fmt_nvdb_open_file(struct bsq_ctx *ctx, struct bsq_file *file, struct fmt_nvdb_grid *out)
+{
+    memset(out, 0, sizeof(*out));
+    int status = bsq_map_file(ctx, file, &out->map);
+    return status ? status : check_mapped(ctx, out);
 }
 
 void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)

@@ -14,19 +14,19 @@
 /* ---- streams ---- */
 
 /* beside: path of the output. what: for messages. */
-static int stream_open(struct bsq_ctx *ctx, const char *beside, const char *what, bool hashed,
+static int stream_open(struct bsq_ctx *ctx, const char *beside, const char *what,
                        struct nvdb_stream *stream)
 {
     *stream = (struct nvdb_stream){.ctx = ctx, .file = BSQ_FILE_CLOSED};
     int status = bsq_alloc(ctx, "grid section buffer", NVDB_STREAM_BYTES, 1, &stream->buffer);
     if (status)
         return status;
-    if (hashed) {
-        stream->hash = XXH3_createState();
-        if (!stream->hash)
-            return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
-        XXH3_64bits_reset(stream->hash);
-    }
+    stream->written = XXH3_createState();
+    stream->read = XXH3_createState();
+    if (!stream->written || !stream->read)
+        return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
+    XXH3_64bits_reset(stream->written);
+    XXH3_64bits_reset(stream->read);
     return bsq_file_temp(ctx, beside, what, &stream->file);
 }
 
@@ -36,7 +36,8 @@ void fmt_nvdb_stream_close(struct nvdb_stream *stream)
         return;
     bsq_file_close(stream->ctx, &stream->file);
     bsq_free(stream->ctx, stream->buffer);
-    XXH3_freeState(stream->hash);
+    XXH3_freeState(stream->written);
+    XXH3_freeState(stream->read);
     *stream = (struct nvdb_stream){0};
 }
 
@@ -45,8 +46,7 @@ static int stream_flush(struct nvdb_stream *stream)
 {
     if (stream->fill == 0)
         return 0;
-    if (stream->hash)
-        XXH3_64bits_update(stream->hash, stream->buffer, (size_t)stream->fill);
+    XXH3_64bits_update(stream->written, stream->buffer, (size_t)stream->fill);
     int status = bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
     stream->fill = 0;
     return status;
@@ -131,10 +131,8 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
         goto failed;
     status = bsq_output_open(ctx, path, &writer->output);
     for (int i = 0; i < STREAM_COUNT && status == 0; i++) {
-        bool hashed = i >= STREAM_LEAVES && i <= STREAM_COLORS;
-        hashed |= i == STREAM_SECOND_WORDS;
         if (stream_used(writer, i))
-            status = stream_open(ctx, path, stream_names[i], hashed, &writer->stream[i]);
+            status = stream_open(ctx, path, stream_names[i], &writer->stream[i]);
     }
     if (status)
         goto failed;

@@ -13,7 +13,8 @@ struct nvdb_stream {
     struct bsq_file file;
     uint8_t *buffer;
     uint64_t fill; /* bytes in the buffer */
-    void *hash;    /* XXH3 state of the bytes in the file; NULL if they are not hashed */
+    /* XXH3 states of the bytes that were written to the file, and of those read from it so far. */
+    void *written, *read;
 };
 
 /* Closes a stream and frees its memory; a zeroed stream is allowed. */

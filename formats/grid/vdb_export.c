@@ -36,9 +36,11 @@ int fmt_vdb_check(struct bsq_ctx *ctx)
     return open_module(ctx, &module);
 }
 
-int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path)
+int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
+                   struct bsq_output **out)
 {
     const struct fmt_module *module;
+    *out = NULL;
     struct bsq_output *output = NULL;
     int status = open_module(ctx, &module);
     if (status == 0)
@@ -58,7 +60,8 @@ int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const 
     if (status == 0)
         status = bsq_map_check(ctx, &grid->map);
     if (status == 0)
-        return bsq_output_commit(output);
-    bsq_output_discard(output);
+        *out = output;
+    else
+        bsq_output_discard(output);
     return status;
 }

@@ -4,8 +4,6 @@
 
 #include <string.h>
 
-#include "base/output.h"
-
 const struct fmt_image_format *const fmt_image_formats[] = {&fmt_exr_format, &fmt_png_format, NULL};
 
 const struct fmt_image_format *fmt_image_format_of(const char *path)
@@ -166,17 +164,25 @@ static void free_writer(struct fmt_image_writer *writer)
     bsq_free(ctx, writer);
 }
 
-int fmt_image_commit(struct fmt_image_writer *writer)
+int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out)
 {
     int status = fmt_image_finish(writer);
+    *out = NULL;
     if (status < 0) {
         fmt_image_discard(writer);
         return status;
     }
     writer->format->free(writer);
-    status = bsq_output_commit(writer->output);
+    *out = writer->output;
     free_writer(writer);
-    return status;
+    return 0;
+}
+
+int fmt_image_commit(struct fmt_image_writer *writer)
+{
+    struct bsq_output *output;
+    int status = fmt_image_hand_over(writer, &output);
+    return status == 0 ? bsq_output_commit(output) : status;
 }
 
 void fmt_image_discard(struct fmt_image_writer *writer)

@@ -10,7 +10,7 @@
 #ifndef FMT_IMAGE_IMAGE_WRITER_H
 #define FMT_IMAGE_IMAGE_WRITER_H
 
-#include "base/context.h"
+#include "base/output.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -95,10 +95,12 @@ int fmt_image_describe(struct fmt_image_writer *writer,
                        const struct fmt_image_attribute *attributes, uint32_t count);
 /* Writes the next `rows` rows, any number: rows x width x channel_count samples. */
 int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
-/* Optional: completes the temporary file, so that little is left that can fail in commit. For jobs
- * that write several files and want all or none. */
+/* Optional: completes the file and syncs it. */
 int fmt_image_finish(struct fmt_image_writer *writer);
-/* Gives the file its final name; frees the writer in any case. */
+/* Completes the file; frees the writer in any case. *out: the output, for the caller to commit
+ * together with others. */
+int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out);
+/* Completes the file and gives it its final name; frees the writer in any case. */
 int fmt_image_commit(struct fmt_image_writer *writer);
 void fmt_image_discard(struct fmt_image_writer *writer); /* NULL is allowed */
 

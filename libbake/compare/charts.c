@@ -80,7 +80,9 @@ static int canvas_create(struct bsq_ctx *ctx, uint64_t width, uint64_t height, s
     return status;
 }
 
-static int canvas_write(struct bsq_ctx *ctx, const struct canvas *canvas, const char *path)
+/* Adds the picture to a group of outputs. */
+static int canvas_write(struct bsq_ctx *ctx, const struct canvas *canvas, const char *path,
+                        struct bsq_output_group *group)
 {
     const struct fmt_image_options options = {
         .width = canvas->width, .height = canvas->height, .channel_count = 3, .type = FMT_UINT8};
@@ -88,11 +90,14 @@ static int canvas_write(struct bsq_ctx *ctx, const struct canvas *canvas, const 
     int status = fmt_image_create(ctx, &fmt_png_format, path, &options, &writer);
     if (status)
         return status;
+    struct bsq_output *output;
     status = fmt_image_write_rows(writer, canvas->pixels[0], canvas->height);
-    if (!status)
-        return fmt_image_commit(writer);
-    fmt_image_discard(writer);
-    return status;
+    if (status) {
+        fmt_image_discard(writer);
+        return status;
+    }
+    status = fmt_image_hand_over(writer, &output);
+    return status ? status : bsq_output_group_add(group, output);
 }
 
 /* Fills a rectangle; parts outside of the canvas are ignored. */
@@ -174,7 +179,7 @@ static unsigned dot_size(uint32_t width)
 }
 
 int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
-                       const char *path)
+                       const char *path, struct bsq_output_group *group)
 {
     uint32_t width = comparison->a.width, height = comparison->a.height;
     struct canvas canvas;
@@ -197,7 +202,7 @@ int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *compar
     draw_scale(&canvas, (int64_t)height + 4 * dot, dot, top, bake_compare_unit(comparison->kind),
                true);
     if (status == 0)
-        status = canvas_write(ctx, &canvas, path);
+        status = canvas_write(ctx, &canvas, path, group);
     bsq_free(ctx, canvas.pixels);
     return status;
 }
@@ -230,7 +235,8 @@ static void draw_mark(struct canvas *canvas, double value, double top, int64_t y
 }
 
 int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
-                         const struct bake_compare_report *report, double top, const char *path)
+                         const struct bake_compare_report *report, double top, const char *path,
+                         struct bsq_output_group *group)
 {
     uint64_t bins[BINS], most = 1;
     struct canvas canvas;
@@ -254,7 +260,7 @@ int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comp
     draw_mark(&canvas, report->p99, top, 2, "p99");
     draw_scale(&canvas, CHART_TOP + CHART_HEIGHT - 14, 2, top, bake_compare_unit(report->kind),
                false);
-    status = canvas_write(ctx, &canvas, path);
+    status = canvas_write(ctx, &canvas, path, group);
     bsq_free(ctx, canvas.pixels);
     return status;
 }

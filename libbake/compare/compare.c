@@ -195,6 +195,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
                  struct bake_compare_report *report)
 {
     struct bake_comparison c = {0};
+    struct bsq_output_group pictures = {0};
     memset(report, 0, sizeof *report);
     int status = load(ctx, options, &c);
     if (!status)
@@ -212,9 +213,12 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
                  : report->p99 > 0 && isfinite(report->p99) ? report->p99
                                                             : 1;
     if (!status && options->heatmap_path)
-        status = bake_heatmap_write(ctx, &c, top, options->heatmap_path);
+        status = bake_heatmap_write(ctx, &c, top, options->heatmap_path, &pictures);
     if (!status && options->histogram_path)
-        status = bake_histogram_write(ctx, &c, report, top, options->histogram_path);
+        status = bake_histogram_write(ctx, &c, report, top, options->histogram_path, &pictures);
+    if (!status)
+        status = bsq_output_group_commit(&pictures);
+    bsq_output_group_discard(&pictures);
     bsq_free(ctx, c.errors);
     fmt_exr_image_free(ctx, &c.a), fmt_exr_image_free(ctx, &c.b);
     fmt_exr_image_free(ctx, &c.a_mask), fmt_exr_image_free(ctx, &c.b_mask);

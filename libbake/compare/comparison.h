@@ -5,6 +5,7 @@
 
 #include <math.h>
 
+#include "base/output.h"
 #include "formats/image/exr_read.h"
 #include "libbake/compare.h"
 
@@ -62,12 +63,14 @@ double bake_ciede2000(const double a[3], const double b[3]);
 
 /* ---- pictures ---- */
 
-/* Writes the error of each texel as a PNG, with a scale from 0 to `top` below. */
+/* Writes the error of each texel as a PNG, with a scale from 0 to `top` below. Adds the output to a
+ * group. */
 int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
-                       const char *path);
+                       const char *path, struct bsq_output_group *group);
 /* Writes the distribution of the error from 0 to `top` as a PNG, with the report's mean and
- * percentiles marked. */
+ * percentiles marked. Adds the output to a group. */
 int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
-                         const struct bake_compare_report *report, double top, const char *path);
+                         const struct bake_compare_report *report, double top, const char *path,
+                         struct bsq_output_group *group);
 
 #endif

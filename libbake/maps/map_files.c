@@ -1,8 +1,7 @@
 /* map_files.c - writes the baked image to files, one band of rows after another.
  *
  * For each band, dilation.c finds every texel's source, all threads encode the rows of all maps,
- * and the image writers take the rows. All files are complete before the first gets its final name.
- */
+ * and the image writers take the rows. All files get their final names together. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -323,13 +322,15 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
 
 /* ---- ending ---- */
 
-int bake_map_files_commit(struct bake_map_files *files)
+int bake_map_files_hand_over(struct bake_map_files *files, struct bsq_output_group *group)
 {
     int status = 0;
     for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
-        struct map_file *file = &files->files[i];
-        status = fmt_image_commit(file->writer);
-        file->writer = NULL;
+        struct bsq_output *output;
+        status = fmt_image_hand_over(files->files[i].writer, &output);
+        files->files[i].writer = NULL;
+        if (status == 0)
+            status = bsq_output_group_add(group, output);
     }
     bake_map_files_discard(files);
     return status;

@@ -231,8 +231,8 @@ void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map ma
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
                          const struct bake_measures *measures, struct bake_report *report);
 
-/* Gives all files their final names; frees in any case. */
-int bake_map_files_commit(struct bake_map_files *files);
+/* Adds all complete files to a group of outputs; frees `files` in any case. */
+int bake_map_files_hand_over(struct bake_map_files *files, struct bsq_output_group *group);
 void bake_map_files_discard(struct bake_map_files *files); /* NULL is allowed */
 
 #endif

@@ -164,9 +164,9 @@ int bake_preview_write(struct bake_preview_file *file, const struct bake_preview
     return status;
 }
 
-int bake_preview_commit(struct bake_preview_file *file)
+int bake_preview_hand_over(struct bake_preview_file *file, struct bsq_output **out)
 {
-    int status = fmt_image_commit(file->writer);
+    int status = fmt_image_hand_over(file->writer, out);
     bsq_free(file->ctx, file);
     return status;
 }

@@ -32,8 +32,8 @@ int bake_preview_open(struct bsq_ctx *ctx, const char *path, struct bake_preview
 /* Renders on all threads and completes the file. Call it at most once, not from parallel work.
  * Errors: those of bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview);
-/* Gives the file its final name; frees `file` in any case. */
-int bake_preview_commit(struct bake_preview_file *file);
+/* Frees `file` in any case. *out: the complete output, for the caller to commit. */
+int bake_preview_hand_over(struct bake_preview_file *file, struct bsq_output **out);
 void bake_preview_discard(struct bake_preview_file *file); /* NULL is allowed */
 
 #endif

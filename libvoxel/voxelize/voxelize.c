@@ -426,8 +426,9 @@ static void fill_report(const struct job *job, const struct fmt_nvdb_totals *tot
     memcpy(report->index_max, job->index_max, sizeof report->index_max);
 }
 
+/* *out: the complete grid, without its final name. */
 static int make_grid(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
-                     struct vox_voxelize_report *report)
+                     struct vox_voxelize_report *report, struct bsq_output **out)
 {
     struct job job = {.options = options, .ctx = ctx, .workers = bsq_threads(ctx)};
     struct fmt_nvdb_totals totals;
@@ -439,7 +440,7 @@ static int make_grid(struct bsq_ctx *ctx, const struct vox_voxelize_options *opt
     int status;
     if ((status = set_up(&job)) == 0 && (status = run_pipeline(&job)) == 0) {
         end_pipeline(&job); /* joining the file's sections needs memory too */
-        status = fmt_nvdb_commit(job.writer, &totals);
+        status = fmt_nvdb_finish(job.writer, &totals, out);
         job.writer = NULL;
     }
     if (status == 0)
@@ -448,13 +449,17 @@ static int make_grid(struct bsq_ctx *ctx, const struct vox_voxelize_options *opt
     return status;
 }
 
-static int export_vdb(struct bsq_ctx *ctx, const struct vox_voxelize_options *options)
+static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *from,
+                      struct bsq_output **out)
 {
+    struct bsq_file file;
     struct fmt_nvdb_grid grid;
-    int status = fmt_nvdb_open(ctx, options->grid_path, &grid);
+    int status = bsq_output_read(from, &file);
+    if (status == 0)
+        status = fmt_nvdb_open_file(ctx, &file, &grid);
     if (status < 0)
         return status;
-    status = fmt_vdb_export(ctx, &grid, options->vdb_path);
+    status = fmt_vdb_export(ctx, &grid, path, out);
     fmt_nvdb_close(ctx, &grid);
     return status;
 }
@@ -474,15 +479,23 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
 {
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
+    struct bsq_output_group group = {0};
+    struct bsq_output *grid, *vdb;
     int status = options->vdb_path ? vox_check_export(ctx) : 0;
     if (status == 0)
         status = bsq_note_output(ctx, options->grid_path);
     if (status == 0 && options->vdb_path)
         status = bsq_note_output(ctx, options->vdb_path);
     if (status == 0)
-        status = make_grid(ctx, options, report);
-    if (status == 0 && options->vdb_path)
-        status = export_vdb(ctx, options);
+        status = make_grid(ctx, options, report, &grid);
+    if (status == 0)
+        status = bsq_output_group_add(&group, grid);
+    if (status == 0 && options->vdb_path &&
+        (status = export_vdb(ctx, options->vdb_path, grid, &vdb)) == 0)
+        status = bsq_output_group_add(&group, vdb);
+    if (status == 0)
+        status = bsq_output_group_commit(&group);
+    bsq_output_group_discard(&group);
     report->seconds = bsq_seconds_now() - start;
     return status;
 }

@@ -180,10 +180,10 @@ together()
         tries=$((tries + 1))
         sleep 0.02
     done
-    before=$(ls -A | grep -c '^\.a\.nvdb\.......\.tmp$')
+    before=$(ls -A | grep -c '^\.a\.nvdb\.............\.tmp$')
     LD_PRELOAD=$FAULTS FAULT_PLAIN=$2 "$BIN/bisque-voxelize" scan.tris -o a.nvdb --resolution 32 >/dev/null 2>&1
     same a.nvdb scan.nvdb
-    [ "$(ls -A | grep -c '^\.a\.nvdb\.......\.tmp$')" -eq "$before" ]
+    [ "$(ls -A | grep -c '^\.a\.nvdb\.............\.tmp$')" -eq "$before" ]
     check "a job leaves the $before temporary file(s) of another one alone" $?
     rm a.nvdb flag
     command="the job that stood still" code=0

@@ -341,6 +341,14 @@ int renameat(int from_directory, const char *from, int to_directory, const char 
     return (int)syscall(SYS_renameat2, from_directory, from, to_directory, to, 0);
 }
 
+int renameat2(int from_directory, const char *from, int to_directory, const char *to,
+              unsigned flags)
+{
+    if (fault_path("name", "renameat2", to) == FAIL)
+        return -1;
+    return (int)syscall(SYS_renameat2, from_directory, from, to_directory, to, flags);
+}
+
 int linkat(int from_directory, const char *from, int to_directory, const char *to, int flags)
 {
     if (fault_path("name", "linkat", to) == FAIL)

@@ -16,7 +16,8 @@
  *
  * In every second run the outputs exist before, with other content. What must hold after a run:
  *
- * - Each output is as it was before, or as expected; after success all are as expected.
+ * - Each output is as it was before, or as expected; after success all are as expected. Unless the
+ *   program was killed, the disk stays full, or there is a RECORD, either all are new or none is.
  * - There are no other files. Only a killed program may leave a temporary file, which the next run
  *   removes.
  * - A failure prints one line on standard error, which begins with the program's name, names a file
@@ -144,12 +145,12 @@ static bool is_among(const char *name, char *const *names, int count)
     return false;
 }
 
-/* Returns whether a name has the form ".NAME.XXXXXX.tmp". */
+/* Returns whether a name has the form ".NAME.XXXXXXXXXXXX.tmp". */
 static bool is_temporary(const char *name)
 {
     size_t length = strlen(name);
-    return name[0] == '.' && length > 12 && strcmp(name + length - 4, ".tmp") == 0 &&
-           name[length - 11] == '.';
+    return name[0] == '.' && length > 18 && strcmp(name + length - 4, ".tmp") == 0 &&
+           name[length - 17] == '.';
 }
 
 /* ---- one run ---- */
@@ -223,7 +224,8 @@ static void run_program(struct run *run, const char *what, unsigned long at, boo
 
 /* ---- files that are left ---- */
 
-static void check_output(struct run *run, int i, bool success)
+/* Returns whether the output is new and whole. */
+static bool check_output(struct run *run, int i, bool success)
 {
     struct content now_there = read_file(job.outputs[i]);
     bool is_whole = now_there.bytes && now_there.size == job.whole[i].size &&
@@ -235,6 +237,18 @@ static void check_output(struct run *run, int i, bool success)
     else if (!is_whole && !is_before)
         run->wrong = "an output is neither whole nor as before";
     free(now_there.bytes);
+    return is_whole;
+}
+
+/* A disk that stays full does not let a program take back what it has renamed. */
+static void check_outputs(struct run *run, bool success, bool killed)
+{
+    int whole = 0;
+    for (int i = 0; i < job.output_count; i++)
+        whole += check_output(run, i, success);
+    if (whole > 0 && whole < job.output_count && !killed && !job.record &&
+        strcmp(job.mode, "full") != 0)
+        run->wrong = "only some outputs are new";
 }
 
 static void check_directory(struct run *run, bool success, bool may_leave)
@@ -294,8 +308,7 @@ static void check_run(struct run *run, const char *reason, bool may_fail)
     seen.finished += success;
     seen.killed += killed;
     check_directory(run, success, killed);
-    for (int i = 0; i < job.output_count; i++)
-        check_output(run, i, success);
+    check_outputs(run, success, killed);
     if (success || killed)
         return;
     seen.failed++;

@@ -22,6 +22,11 @@ int bsq_map_open(struct bsq_ctx *ctx, const char *path, struct bsq_map *out)
     return 0;
 }
 
+int bsq_map_file(struct bsq_ctx *ctx, struct bsq_file *file, struct bsq_map *out)
+{
+    return bsq_map_open(ctx, file->path, out);
+}
+
 int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
 {
     (void)ctx;

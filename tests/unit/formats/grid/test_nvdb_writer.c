@@ -7,6 +7,7 @@
 #include <cmocka.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
@@ -176,6 +177,49 @@ static void test_nothing_to_write(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+/* ---- temporary files that change ---- */
+
+static int reads_until_damage = -1; /* negative: none */
+
+/* Replaces the C library's function. Damages one byte of the chosen read. */
+ssize_t pread(int fd, void *to, size_t size, off_t offset)
+{
+    ssize_t got = syscall(SYS_pread64, fd, to, size, offset);
+    if (got > 0 && reads_until_damage-- == 0)
+        ((uint8_t *)to)[got / 2] ^= 1;
+    return got;
+}
+
+/* Whatever gets into a temporary file does not get into the grid unnoticed. */
+static void test_damaged_temporary_files(void **state)
+{
+    (void)state;
+    struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
+    struct fmt_nvdb_region region = small_region(0, 0, 0);
+    region.records = region.second = flagged;
+    region.second_count = 1;
+    unlink(nvdb_path);
+    int damaged = 0;
+    for (int status = BSQ_EIO; status != 0; damaged++) {
+        struct bsq_ctx *ctx = test_context(1, 0);
+        struct fmt_nvdb_writer *writer = new_writer(ctx);
+        struct fmt_nvdb_totals totals;
+        assert_ok(ctx, fmt_nvdb_append(writer, &region));
+        reads_until_damage = damaged;
+        status = fmt_nvdb_commit(writer, &totals);
+        assert_int_equal(status == 0, reads_until_damage >= 0);
+        if (status != 0) {
+            assert_int_equal(status, BSQ_EIO);
+            assert_non_null(strstr(bsq_error(ctx), ": holds other bytes than were written"));
+            assert_int_equal(access(nvdb_path, F_OK), -1);
+        }
+        reads_until_damage = -1;
+        bsq_ctx_destroy(ctx);
+    }
+    assert_true(damaged > 7); /* uppers, lowers, leaves, two channels twice, second words */
+    unlink(nvdb_path);
+}
+
 static void test_limits(void **state)
 {
     (void)state;
@@ -217,9 +261,13 @@ static void test_unwritable(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_region_in_parts), cmocka_unit_test(test_order_of_regions),
-        cmocka_unit_test(test_wrong_regions),   cmocka_unit_test(test_nothing_to_write),
-        cmocka_unit_test(test_limits),          cmocka_unit_test(test_unwritable),
+        cmocka_unit_test(test_region_in_parts),
+        cmocka_unit_test(test_order_of_regions),
+        cmocka_unit_test(test_wrong_regions),
+        cmocka_unit_test(test_nothing_to_write),
+        cmocka_unit_test(test_damaged_temporary_files),
+        cmocka_unit_test(test_limits),
+        cmocka_unit_test(test_unwritable),
     };
     return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);
 }

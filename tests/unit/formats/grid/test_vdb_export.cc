@@ -74,9 +74,10 @@ int write_and_export(bsq_ctx *ctx, scene &scene, uint64_t seed, bool color)
     fmt_nvdb_grid grid;
     if (fmt_nvdb_open(ctx, grid_path.c_str(), &grid))
         fail_msg("%s", bsq_error(ctx));
-    int status = fmt_vdb_export(ctx, &grid, vdb_path.c_str());
+    bsq_output *output;
+    int status = fmt_vdb_export(ctx, &grid, vdb_path.c_str(), &output);
     fmt_nvdb_close(ctx, &grid);
-    return status;
+    return status ? status : bsq_output_commit(output);
 }
 
 void compare_transform(const openvdb::GridBase &grid, const scene &scene)

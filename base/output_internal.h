@@ -1,0 +1,40 @@
+/* output_internal.h - private to base: an output, its final name, and what a file that is replaced
+ * leaves to its successor. */
+#ifndef BSQ_OUTPUT_INTERNAL_H
+#define BSQ_OUTPUT_INTERNAL_H
+
+#include <stdatomic.h>
+
+#include "base/output.h"
+
+struct bsq_output {
+    struct bsq_ctx *ctx;
+    char *path;      /* final name, symbolic links followed; or a name for messages only */
+    char *directory; /* of both names; NULL: the file gets no final name */
+    char *temp_path; /* NULL: the file has no name */
+    bool created;    /* the file has its final name, which no file had before */
+    bool exchanged;  /* the file has its final name, and temp_path is the file that it replaced */
+    int fd, directory_fd; /* -1: not open */
+    uint64_t position;
+    uint64_t expected;  /* a file with fewer appended bytes may not be kept */
+    uint64_t sent;      /* bytes whose writing to the disk was started */
+    atomic_bool synced; /* all is on the disk, and nothing was written after that */
+    atomic_int status;  /* first failure; an output that has one cannot be committed */
+};
+
+/* Records that writing failed, so that the output cannot be committed. Returns BSQ_EIO. */
+int bsq_output_fail_write(struct bsq_output *output, int error);
+
+/* Sets *out to the name of the file that an output `path` would create or replace. Free it with
+ * free(). Errors: BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int bsq_output_target(struct bsq_ctx *ctx, const char *path, char **out);
+
+/* Returns the part of a path after its last slash. */
+const char *bsq_file_name(const char *path);
+
+/* Gives the new file `fd` the mode, owner, group and access list of the file `path` that it is
+ * going to replace, as far as the process may. Whoever could not read the old file cannot read the
+ * new one. Does nothing if there is no such file. Returns 0 or an errno. */
+int bsq_keep_access(int fd, const char *path);
+
+#endif

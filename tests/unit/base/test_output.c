@@ -1,0 +1,433 @@
+/* test_output.c - which file an output replaces, what it inherits, and outputs that belong
+ * together. test_file.c has the rest of outputs. */
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/xattr.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#include "base/output.h"
+#include "base/temp_internal.h"
+
+static char directory[] = "/tmp/bisque-test-output.XXXXXX";
+
+static int enter_directory(void **state)
+{
+    (void)state;
+    return mkdtemp(directory) && chdir(directory) == 0 ? 0 : -1;
+}
+
+static int leave_directory(void **state)
+{
+    (void)state;
+    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1; /* fails if a test left a file */
+}
+
+static int begin(void **state)
+{
+    struct bsq_ctx *ctx;
+    struct bsq_ctx_options options = {.threads = 1};
+    if (bsq_ctx_create(&options, &ctx) < 0)
+        return -1;
+    *state = ctx;
+    return 0;
+}
+
+static int end(void **state)
+{
+    bsq_ctx_destroy(*state);
+    return 0;
+}
+
+static void put(const char *path, const char *text)
+{
+    FILE *file = fopen(path, "w");
+    assert_non_null(file);
+    assert_true(fputs(text, file) >= 0);
+    assert_int_equal(fclose(file), 0);
+}
+
+static void assert_content(const char *path, const char *text)
+{
+    char buffer[100] = "";
+    FILE *file = fopen(path, "r");
+    assert_non_null(file);
+    size_t size = fread(buffer, 1, sizeof buffer - 1, file);
+    fclose(file);
+    assert_int_equal(size, strlen(text));
+    assert_string_equal(buffer, text);
+}
+
+static unsigned files_here(void)
+{
+    unsigned count = 0;
+    DIR *list = opendir(".");
+    for (struct dirent *entry; (entry = readdir(list));)
+        count += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
+    closedir(list);
+    return count;
+}
+
+static struct bsq_output *start(struct bsq_ctx *ctx, const char *path)
+{
+    struct bsq_output *output;
+    assert_int_equal(bsq_output_open(ctx, path, &output), 0);
+    assert_int_equal(bsq_output_write(output, "new", 3), 0);
+    return output;
+}
+
+static void write_new(struct bsq_ctx *ctx, const char *path)
+{
+    assert_int_equal(bsq_output_commit(start(ctx, path)), 0);
+}
+
+static void assert_cannot_create(struct bsq_ctx *ctx, const char *path, const char *message)
+{
+    struct bsq_output *output;
+    assert_int_equal(bsq_output_open(ctx, path, &output), BSQ_ECANTCREAT);
+    assert_null(output);
+    assert_string_equal(bsq_error(ctx), message);
+    bsq_clear_error(ctx);
+}
+
+static bool is_link(const char *path)
+{
+    struct stat info;
+    return lstat(path, &info) == 0 && S_ISLNK(info.st_mode);
+}
+
+/* ---- symbolic links ---- */
+
+static void test_dangling_links_are_followed(void **state)
+{
+    assert_int_equal(mkdir("sub", 0700), 0);
+    assert_int_equal(symlink("second", "sub/first"), 0);
+    assert_int_equal(symlink("../target", "sub/second"), 0);
+    write_new(*state, "sub/first");
+    assert_content("target", "new");
+    assert_true(is_link("sub/first") && is_link("sub/second"));
+    unlink("target");
+
+    char absolute[200];
+    snprintf(absolute, sizeof absolute, "%s/target", directory);
+    assert_int_equal(symlink(absolute, "link"), 0);
+    write_new(*state, "link");
+    assert_content("target", "new");
+    write_new(*state, "link"); /* and now it is a link to a file */
+    assert_true(is_link("link"));
+    unlink("target");
+    unlink("link");
+
+    assert_int_equal(symlink("none/target", "link"), 0);
+    assert_cannot_create(*state, "link", "link: cannot be created: No such file or directory");
+    unlink("link");
+    assert_int_equal(symlink("sub/", "link"), 0);
+    assert_cannot_create(*state, "link", "link: \"sub/\" is not a file name");
+    unlink("link");
+    assert_int_equal(symlink("none/", "link"), 0);
+    assert_cannot_create(*state, "link", "link: \"none/\" is not a file name");
+    unlink("link");
+    unlink("sub/first");
+    unlink("sub/second");
+    rmdir("sub");
+    assert_int_equal(files_here(), 0);
+}
+
+static void test_loops_of_links(void **state)
+{
+    assert_int_equal(symlink("b", "a"), 0);
+    assert_int_equal(symlink("a", "b"), 0);
+    assert_cannot_create(*state, "a", "a: cannot be created: Too many levels of symbolic links");
+    assert_null(bsq_follow_links("a"));
+    assert_int_equal(errno, ELOOP);
+    unlink("a");
+    unlink("b");
+}
+
+static void test_links_to_files_without_a_name(void **state)
+{
+    char path[40], message[100];
+    put("gone", "old");
+    int fd = open("gone", O_RDWR | O_CLOEXEC);
+    unlink("gone");
+    snprintf(path, sizeof path, "/proc/self/fd/%d", fd);
+    snprintf(message, sizeof message, "%s: leads to a file without a name", path);
+    assert_cannot_create(*state, path, message);
+    close(fd);
+}
+
+/* ---- access rights ---- */
+
+static void assert_mode(const char *path, mode_t mode)
+{
+    struct stat info;
+    assert_int_equal(stat(path, &info), 0);
+    assert_int_equal(info.st_mode & 07777, mode);
+}
+
+static void test_mode_is_kept(void **state)
+{
+    static const mode_t modes[] = {0600, 0640, 0666, 0777, 0400, 0604};
+    for (size_t i = 0; i < sizeof modes / sizeof *modes; i++) {
+        put("out", "old");
+        assert_int_equal(chmod("out", modes[i]), 0);
+        write_new(*state, "out");
+        assert_mode("out", modes[i]);
+        assert_content("out", "new");
+        unlink("out");
+    }
+    /* The user takes rights away while the job runs. */
+    put("out", "old");
+    struct bsq_output *output = start(*state, "out");
+    assert_int_equal(bsq_output_sync(output), 0);
+    assert_int_equal(chmod("out", 0600), 0);
+    assert_int_equal(bsq_output_commit(output), 0);
+    assert_mode("out", 0600);
+    unlink("out");
+}
+
+static void test_owner_is_kept(void **state)
+{
+    struct stat info;
+    if (geteuid() != 0)
+        skip();
+    put("out", "old");
+    assert_int_equal(chown("out", 12345, 23456), 0);
+    assert_int_equal(chmod("out", 0640), 0);
+    write_new(*state, "out");
+    assert_int_equal(stat("out", &info), 0);
+    assert_true(info.st_uid == 12345 && info.st_gid == 23456);
+    assert_mode("out", 0640);
+    unlink("out");
+}
+
+static void test_rights_without_the_group(void **state)
+{
+    /* Not root: the file belongs to a group of which this process is no member. */
+    if (geteuid() != 0)
+        skip();
+    put("out", "old");
+    assert_int_equal(chown("out", 12345, 23456), 0);
+    assert_int_equal(chmod("out", 0664), 0);
+    assert_int_equal(chmod(".", 0777), 0);
+    assert_int_equal(setegid(34567), 0);
+    assert_int_equal(seteuid(12345), 0);
+    write_new(*state, "out");
+    assert_int_equal(seteuid(0), 0);
+    assert_int_equal(setegid(0), 0);
+    assert_mode("out", 0644);
+    assert_int_equal(chmod(".", 0700), 0);
+    unlink("out");
+}
+
+/* An access list as the kernel stores it. */
+struct access_list {
+    uint32_t version;
+    struct {
+        uint16_t tag, rights;
+        uint32_t id;
+    } entries[5];
+};
+
+static const struct access_list list_for_12345 = {2,
+                                                  {{0x01, 6, UINT32_MAX},
+                                                   {0x02, 6, 12345},
+                                                   {0x04, 0, UINT32_MAX},
+                                                   {0x10, 6, UINT32_MAX},
+                                                   {0x20, 0, UINT32_MAX}}};
+
+static void test_access_list_is_kept(void **state)
+{
+    struct access_list got = {0};
+    put("out", "old");
+    if (setxattr("out", "system.posix_acl_access", &list_for_12345, sizeof got, 0) != 0) {
+        unlink("out");
+        skip();
+    }
+    write_new(*state, "out");
+    assert_int_equal(getxattr("out", "system.posix_acl_access", &got, sizeof got), sizeof got);
+    assert_memory_equal(&got, &list_for_12345, sizeof got);
+    unlink("out");
+}
+
+/* A directory's default list applies to new files, but not to one that replaces a private file. */
+static void test_default_access_list(void **state)
+{
+    assert_int_equal(mkdir("sub", 0700), 0);
+    if (setxattr("sub", "system.posix_acl_default", &list_for_12345, sizeof list_for_12345, 0) !=
+        0) {
+        rmdir("sub");
+        skip();
+    }
+    put("sub/out", "old");
+    assert_int_equal(removexattr("sub/out", "system.posix_acl_access"), 0);
+    assert_int_equal(chmod("sub/out", 0660), 0);
+    write_new(*state, "sub/out");
+    assert_int_equal(getxattr("sub/out", "system.posix_acl_access", NULL, 0), -1);
+    assert_mode("sub/out", 0660);
+    unlink("sub/out");
+    rmdir("sub");
+}
+
+/* ---- temporary names ---- */
+
+/* Creates a file with a temporary name of "out", and opens and discards an output of that name.
+ * Returns whether the file is still there. */
+static bool stays(struct bsq_ctx *ctx, const char *content, bool marked, bool locked)
+{
+    char *path;
+    int fd;
+    assert_int_equal(bsq_temp_named(".", "out", 0666, &path, &fd), 0);
+    assert_int_equal(write(fd, content, strlen(content)), strlen(content));
+    if (!marked)
+        bsq_temp_unmark(fd);
+    if (!locked)
+        close(fd);
+    bsq_output_discard(start(ctx, "out"));
+    bool there = unlink(path) == 0;
+    free(path);
+    if (locked)
+        close(fd);
+    return there;
+}
+
+static void test_sweep_removes_own_files_only(void **state)
+{
+    static const char *const names[] = {".out.backup.tmp", ".out.abc123.tmp", ".out.tmp",
+                                        ".out.abcdefghijkl.tmp", ".out..............tmp"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        put(names[i], "");
+        setxattr(names[i], "user.bisque.temporary", "", 0, 0);
+        bsq_output_discard(start(*state, "out"));
+        assert_int_equal(unlink(names[i]), 0);
+    }
+    assert_false(stays(*state, "a killed job's", true, false));
+    assert_false(stays(*state, "", true, false));
+    assert_true(stays(*state, "a running job's", true, true));
+    assert_true(stays(*state, "", false, true));
+    /* Killed between open() and the mark. */
+    assert_false(stays(*state, "", false, false));
+    put("attributes", "");
+    bool can_mark = setxattr("attributes", "user.test", "", 0, 0) == 0;
+    unlink("attributes");
+    assert_int_equal(stays(*state, "a user's", false, false), can_mark);
+    assert_int_equal(files_here(), 0);
+}
+
+static void test_outputs_have_no_mark(void **state)
+{
+    put("out", "old");
+    write_new(*state, "out");
+    assert_int_equal(getxattr("out", "user.bisque.temporary", NULL, 0), -1);
+    unlink("out");
+}
+
+/* ---- outputs that belong together ---- */
+
+static struct bsq_output_group start_group(struct bsq_ctx *ctx)
+{
+    struct bsq_output_group group = {0};
+    assert_int_equal(bsq_output_group_add(&group, start(ctx, "a")), 0);
+    assert_int_equal(bsq_output_group_add(&group, start(ctx, "b")), 0);
+    assert_int_equal(bsq_output_group_add(&group, start(ctx, "c")), 0);
+    return group;
+}
+
+static void test_group_appears(void **state)
+{
+    put("b", "old");
+    assert_int_equal(link("b", "other"), 0);
+    struct bsq_output_group group = start_group(*state);
+    assert_int_equal(files_here(), 2);
+    assert_int_equal(bsq_output_group_commit(&group), 0);
+    for (const char *name = "abc"; *name; name++) {
+        char path[] = {*name, '\0'};
+        assert_content(path, "new");
+        assert_int_equal(getxattr(path, "user.bisque.temporary", NULL, 0), -1);
+        unlink(path);
+    }
+    assert_content("other", "old");
+    assert_int_equal(getxattr("other", "user.bisque.temporary", NULL, 0), -1);
+    unlink("other");
+    assert_int_equal(files_here(), 0);
+
+    group = start_group(*state);
+    bsq_output_group_discard(&group);
+    assert_int_equal(files_here(), 0);
+    assert_int_equal(bsq_output_group_commit(&group), 0); /* empty */
+}
+
+/* The name `blocked` becomes a directory before the commit: all others are as they were. */
+static void assert_none(struct bsq_ctx *ctx, const char *blocked)
+{
+    char message[100];
+    put("b", "old");
+    struct bsq_output_group group = start_group(ctx);
+    if (strcmp(blocked, "b") == 0)
+        unlink("b");
+    assert_int_equal(mkdir(blocked, 0700), 0);
+    assert_int_equal(bsq_output_group_commit(&group), BSQ_ECANTCREAT);
+    snprintf(message, sizeof message, "%s: cannot be created: Is a directory", blocked);
+    assert_string_equal(bsq_error(ctx), message);
+    bsq_clear_error(ctx);
+    assert_int_equal(rmdir(blocked), 0);
+    if (strcmp(blocked, "b") != 0) {
+        assert_content("b", "old");
+        assert_int_equal(getxattr("b", "user.bisque.temporary", NULL, 0), -1);
+        unlink("b");
+    }
+    assert_int_equal(files_here(), 0);
+}
+
+static void test_group_appears_not_at_all(void **state)
+{
+    assert_none(*state, "a");
+    assert_none(*state, "b");
+    assert_none(*state, "c");
+}
+
+static void test_reading_before_the_commit(void **state)
+{
+    struct bsq_output *output = start(*state, "out");
+    struct bsq_file file;
+    char text[3];
+    assert_int_equal(bsq_output_read(output, &file), 0);
+    assert_int_equal(file.size, 3);
+    assert_int_equal(bsq_file_read(*state, &file, text, 3, 0), 0);
+    assert_memory_equal(text, "new", 3);
+    bsq_file_close(*state, &file);
+    bsq_output_discard(output);
+    assert_int_equal(files_here(), 0);
+}
+
+#define TEST(name) cmocka_unit_test_setup_teardown(name, begin, end)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(test_dangling_links_are_followed),
+        TEST(test_loops_of_links),
+        TEST(test_links_to_files_without_a_name),
+        TEST(test_mode_is_kept),
+        TEST(test_owner_is_kept),
+        TEST(test_rights_without_the_group),
+        TEST(test_access_list_is_kept),
+        TEST(test_default_access_list),
+        TEST(test_sweep_removes_own_files_only),
+        TEST(test_outputs_have_no_mark),
+        TEST(test_group_appears),
+        TEST(test_group_appears_not_at_all),
+        TEST(test_reading_before_the_commit),
+    };
+    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
+}
