@@ -3,6 +3,13 @@
 # characters, and bytes that are not UTF-8.
 . "$(dirname "$0")/lib.sh"
 
+# checked PROGRAM ARGUMENT...: runs it, and names it in the test's own output without such bytes.
+checked()
+{
+    run "$@"
+    command=$(printf %s "$command" | tr -c ' -~' '?')
+}
+
 # clean: output and messages of the last run are UTF-8 without control characters but newlines.
 clean()
 {
@@ -23,20 +30,20 @@ shows()
 bad=$(printf 'a\033[31mb\302\233c\377d') shown='a\x1b[31mb\xc2\x9bc\xffd'
 
 for program in bisque-voxelize bisque-bake bisque-compare; do
-    run $program "--$bad"
+    checked $program "--$bad"
     code 64
     err "$program: unrecognized option '--$shown'"
-    run $program "--memory=$bad" x
+    checked $program "--memory=$bad" x
     code 64
     clean
-    run $program --help="$bad"
+    checked $program --help="$bad"
     code 64
     clean
 done
-run bisque-voxelize "$bad.obj" -o a.nvdb
+checked bisque-voxelize "$bad.obj" -o a.nvdb
 code 66
 err "bisque-voxelize: $shown.obj: No such file or directory"
-run bisque-compare "$bad.exr" "$bad.exr"
+checked bisque-compare "$bad.exr" "$bad.exr"
 code 66
 clean
 shows "$shown.exr"
@@ -48,33 +55,33 @@ printf 'v 0 0 0\n%s\n' "$bad" >statement.obj
     printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl %s\nf 1/1 2/1 3/1\n' "$bad"
 } >materials.obj
 printf 'newmtl %s\nKd %s\nmap_Kd %s.png\n' "$bad" "$bad" "$bad" >"$bad.mtl"
-run bisque-voxelize materials.obj -o a.nvdb --resolution 8
+checked bisque-voxelize materials.obj -o a.nvdb --resolution 8
 code 0
 clean
 shows "no such texture: material \"$shown\""
 shows "not a colour, ignored: \"$shown\""
 printf 'v 0 0 0\nv 1 0 0\nv %s 1 0\n' "$bad" >number.obj
-run bisque-voxelize number.obj -o b.nvdb
+checked bisque-voxelize number.obj -o b.nvdb
 code 65
 clean
 shows "$shown"
 
 # Reports and JSON: JSON has the name itself if it is UTF-8.
 write_box >box.obj
-run bisque-voxelize box.obj -o "$bad.nvdb" --resolution 8
+checked bisque-voxelize box.obj -o "$bad.nvdb" --resolution 8
 code 0
 clean
 shows "$shown.nvdb"
-run bisque-voxelize --verify "$bad.nvdb" --json
+checked bisque-voxelize --verify "$bad.nvdb" --json
 code 0
 clean
 json ".files[0].path == \"$(printf %s "$shown" | sed 's/\\/\\\\/g').nvdb\""
 valid=$(printf 'a\033\302\233\303\237')
 cp "$bad.nvdb" "$valid.nvdb"
-run bisque-voxelize --verify "$valid.nvdb" --json
+checked bisque-voxelize --verify "$valid.nvdb" --json
 code 0
 clean
 json '.files[0].path == "a\u001b\u009b\u00df.nvdb"'
-run bisque-voxelize --verify "$valid.nvdb" "$bad.obj" --json --progress json
+checked bisque-voxelize --verify "$valid.nvdb" "$bad.obj" --json --progress json
 clean
 finish
