@@ -21,7 +21,7 @@ opt.asan    := -O1 -g -fsanitize=address,undefined,float-cast-overflow -fno-omit
     -fno-sanitize-recover=all
 opt.tsan    := -O1 -g -fsanitize=thread
 opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined,float-cast-overflow \
-    -fno-sanitize-recover=all
+    -fno-sanitize-recover=all -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
 ifndef opt.$(config)
 $(error config=$(config) is not one of release, debug, asan, tsan, fuzz)
 endif
