@@ -26,7 +26,10 @@ enum bake_map {
     BAKE_MAP_HEIGHT = 8,   /**< Distance along the ray from the low-poly mesh to the hit. */
     BAKE_MAP_POSITION = 16,  /**< Position of the hit. */
     BAKE_MAP_CURVATURE = 32, /**< Mean curvature of the scan, positive where it is convex. */
-    BAKE_MAPS_ALL = 1 << 30  /**< All maps that the scan can give, and others that are named. */
+    BAKE_MAP_AO = 64,        /**< Share of the hemisphere above the hit that is open. Grids only. */
+    BAKE_MAP_BENT = 128,     /**< Mean open direction, as BAKE_MAP_NORMAL has it. Grids only. */
+    BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. Grids only. */
+    BAKE_MAPS_ALL = 1 << 30   /**< All maps that the scan can give, and others that are named. */
 };
 
 /** What the samples 0 and 1 of an integer file with positions stand for. */
@@ -114,6 +117,14 @@ struct bake_options {
     /** Distance around a hit within which curvature is measured; < 0: two texels of the map and,
      * for grids, at least two voxels. */
     double curvature_radius;
+    uint32_t ao_rays;   /**< Rays of each hit for BAKE_MAP_AO and BAKE_MAP_BENT, cosine-weighted. */
+    double ao_distance; /**< Length of these rays; <= 0: no limit. */
+    double ao_spread;   /**< Angle of the cone that they fill, in degrees, to 180. */
+    bool ao_falloff;    /**< A surface hides less the farther it is: nothing at ao_distance. */
+    uint32_t thickness_rays; /**< Rays of each hit for BAKE_MAP_THICKNESS, cosine-weighted. */
+    /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
+     * scan's bounding box. */
+    double thickness_distance;
     bool two_sided;     /**< Also takes surfaces that face away from the low-poly mesh. */
     const char *device; /**< One of BAKE_DEVICE_NAMES. */
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
@@ -135,7 +146,8 @@ enum { BAKE_FIRST_TILE = 1001, BAKE_LAST_TILE = 9990 };
 enum {
     BAKE_MAX_MAPS = 30,      /**< Largest number of maps. */
     BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
-    BAKE_MAX_SAMPLES = 64    /**< Largest N of N x N samples a texel. */
+    BAKE_MAX_SAMPLES = 64,   /**< Largest N of N x N samples a texel. */
+    BAKE_MAX_RAYS = 4096     /**< Most rays of a hit. */
 };
 
 /** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in

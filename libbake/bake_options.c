@@ -15,6 +15,11 @@ void bake_defaults(struct bake_options *options)
         .height_range = -1.0,
         .curvature_range = -1.0,
         .curvature_radius = -1.0,
+        .ao_rays = 64,
+        .ao_distance = -1.0,
+        .ao_spread = 180.0,
+        .thickness_rays = 64,
+        .thickness_distance = -1.0,
         .padding = 16,
         .normal_space = BAKE_TANGENT_SPACE,
         .sampling = BAKE_TRILINEAR,
@@ -54,6 +59,24 @@ int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uin
     return status;
 }
 
+/* Checks the rays that start at hits. */
+static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    const uint32_t rays[] = {options->ao_rays, options->thickness_rays};
+    for (int i = 0; i < 2; ++i)
+        if (rays[i] < 1 || rays[i] > BAKE_MAX_RAYS)
+            return bsq_fail(ctx, BSQ_EUSAGE, "%u rays from a hit: must be 1 to %d", rays[i],
+                            BAKE_MAX_RAYS);
+    if (!(options->ao_spread > 0 && options->ao_spread <= 180))
+        return bsq_fail(ctx, BSQ_EUSAGE, "a spread of %g degrees is not above 0 and at most 180",
+                        options->ao_spread);
+    if (!isfinite(options->ao_distance) || !isfinite(options->thickness_distance))
+        return bsq_fail(ctx, BSQ_EUSAGE, "distances of rays from hits must be finite");
+    if (options->ao_falloff && options->ao_distance <= 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");
+    return 0;
+}
+
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
@@ -84,8 +107,11 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
                         "a cage gives the rays' directions and their length in front");
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    int status = check_tile_numbers(ctx, options);
+    int status = check_rays(ctx, options);
+    if (status == 0)
+        status = check_tile_numbers(ctx, options);
     /* The default maps depend on the scan; they are checked again after it was opened. */
-    return status < 0 ? status
-                      : bake_check_maps(ctx, options, bake_choose_maps(options->maps, false));
+    return status < 0
+               ? status
+               : bake_check_maps(ctx, options, bake_choose_maps(options->maps, false, false));
 }

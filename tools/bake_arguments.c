@@ -32,6 +32,13 @@ static const char help_format[] =
     "      --cage FILE         start rays at this mesh, with the vertices and faces of LOW.obj\n"
     "      --ray-directions D  smooth, mesh (its normals) or face (default: smooth)\n"
     "      --max-missed P      exit with 1 if more than P %% of the samples find no surface\n"
+    "      --ao-rays N         rays from each hit for ao and bent (default: 64)\n"
+    "      --ao-distance D     their length (default: none, they reach everything)\n"
+    "      --ao-spread DEG     angle of their cone, to 180 degrees (default: 180)\n"
+    "      --ao-falloff MODE   none or linear: far surfaces hide less (default: none)\n"
+    "      --thickness-rays N  rays from each hit for thickness (default: 64)\n"
+    "      --thickness-distance D\n"
+    "                          their length, white in PNG files (default: the scan's diagonal)\n"
     "      --two-sided         also hit surfaces that face away from the low-poly mesh\n"
     "      --sampling MODE     trilinear or nearest, for grids (default: trilinear)\n"
     "      --scan-normals MODE smooth or flat: for triangles without normals (default: smooth)\n"
@@ -61,6 +68,12 @@ enum {
     OPT_CAGE,
     OPT_RAY_DIRECTIONS,
     OPT_MAX_MISSED,
+    OPT_AO_RAYS,
+    OPT_AO_DISTANCE,
+    OPT_AO_SPREAD,
+    OPT_AO_FALLOFF,
+    OPT_THICKNESS_RAYS,
+    OPT_THICKNESS_DISTANCE,
     OPT_TWO_SIDED,
     OPT_SAMPLING,
     OPT_SCAN_NORMALS,
@@ -92,6 +105,12 @@ static const struct option long_options[] = {
     {"cage", required_argument, NULL, OPT_CAGE},
     {"ray-directions", required_argument, NULL, OPT_RAY_DIRECTIONS},
     {"max-missed", required_argument, NULL, OPT_MAX_MISSED},
+    {"ao-rays", required_argument, NULL, OPT_AO_RAYS},
+    {"ao-distance", required_argument, NULL, OPT_AO_DISTANCE},
+    {"ao-spread", required_argument, NULL, OPT_AO_SPREAD},
+    {"ao-falloff", required_argument, NULL, OPT_AO_FALLOFF},
+    {"thickness-rays", required_argument, NULL, OPT_THICKNESS_RAYS},
+    {"thickness-distance", required_argument, NULL, OPT_THICKNESS_DISTANCE},
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
     {"sampling", required_argument, NULL, OPT_SAMPLING},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
@@ -217,6 +236,35 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     }
 }
 
+/* Parses an option of rays that start at hits. */
+static int parse_rays(struct cli *cli, int option, struct bake_options *bake)
+{
+    static const char *const falloffs[] = {"none", "linear", NULL};
+    unsigned choice = 0;
+    int status = 0;
+    switch (option) {
+    case OPT_AO_RAYS:
+        return parse_count(cli, "--ao-rays", optarg, 1, BAKE_MAX_RAYS, &bake->ao_rays);
+    case OPT_AO_DISTANCE:
+        return cli_parse_length(cli, "--ao-distance", optarg, true, &bake->ao_distance);
+    case OPT_AO_SPREAD:
+        status = cli_parse_length(cli, "--ao-spread", optarg, true, &bake->ao_spread);
+        if (status == 0 && bake->ao_spread > 180)
+            status = cli_usage(cli, "--ao-spread: %s is above 180 degrees", optarg);
+        return status;
+    case OPT_AO_FALLOFF:
+        status = cli_parse_word(cli, "--ao-falloff", optarg, falloffs, &choice);
+        bake->ao_falloff = choice == 1;
+        return status;
+    case OPT_THICKNESS_RAYS:
+        return parse_count(cli, "--thickness-rays", optarg, 1, BAKE_MAX_RAYS,
+                           &bake->thickness_rays);
+    default:
+        return cli_parse_length(cli, "--thickness-distance", optarg, true,
+                                &bake->thickness_distance);
+    }
+}
+
 static int parse_sample_type(struct cli *cli, int option, struct bake_arguments *arguments)
 {
     uint64_t bits = 0;
@@ -293,6 +341,13 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return 0;
     case OPT_MAX_MISSED:
         return cli_parse_length(cli, "--max-missed", optarg, false, &arguments->max_missed);
+    case OPT_AO_RAYS:
+    case OPT_AO_DISTANCE:
+    case OPT_AO_SPREAD:
+    case OPT_AO_FALLOFF:
+    case OPT_THICKNESS_RAYS:
+    case OPT_THICKNESS_DISTANCE:
+        return parse_rays(cli, option, bake);
     case OPT_TWO_SIDED:
         bake->two_sided = true;
         return 0;
@@ -351,6 +406,8 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
                          count, count == 1 ? "" : "s");
     bake->scan_path = inputs[0];
     bake->mesh_path = inputs[1];
+    if (bake->ao_falloff && bake->ao_distance <= 0)
+        return cli_usage(cli, "--ao-falloff needs --ao-distance");
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
     return 0;

@@ -19,7 +19,10 @@
     X(mask, 0)                                                                                     \
     X(height, 1)                                                                                   \
     X(position, 6)                                                                                 \
-    X(curvature, 9)
+    X(curvature, 9)                                                                                \
+    X(ao, 1)                                                                                       \
+    X(bent, 3)                                                                                     \
+    X(thickness, 1)
 
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
@@ -34,6 +37,10 @@ typedef struct bk_map_hit {
     float normal[3];     /* of the scan: unit, object space */
     float map_normal[3]; /* the same in the space of the normal map */
     float color[3];      /* linear RGB, 0 to 1 */
+    /* From grids only, and for maps that need them: */
+    float open;      /* share of the hemisphere that is open */
+    float bent[3];   /* mean open direction in the space of the normal map, with its weight */
+    float thickness; /* mean distance through the solid */
 } bk_map_hit;
 
 BK_FN void bk_add3(BK_GLOBAL float *sums, const float v[3])
@@ -86,6 +93,21 @@ BK_FN void bk_add_curvature(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     bk_add_position(hit, sums);
     bk_add3(sums + 6, hit->normal);
+}
+
+BK_FN void bk_add_ao(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    sums[0] += hit->open;
+}
+
+BK_FN void bk_add_bent(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_add3(sums, hit->bent);
+}
+
+BK_FN void bk_add_thickness(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    sums[0] += hit->thickness;
 }
 
 /* Floats of a texel with these maps. */

@@ -2,8 +2,7 @@
 #ifndef BAKE_KERNEL_BK_SAMPLE_H
 #define BAKE_KERNEL_BK_SAMPLE_H
 
-#include "bk_maps.h"
-#include "bk_trace.h"
+#include "bk_secondary.h"
 
 /* Points of the low-poly mesh. Vectors are interpolated, so they are not unit vectors. */
 typedef struct bk_point {
@@ -119,11 +118,22 @@ BK_FN bk_start bk_start_at(const bk_params *params, const bk_point *points)
     return start;
 }
 
+/* Returns a hash of a sample's place in the map, in texels with n x n samples. */
+BK_FN bk_uint bk_sample_seed(float x, float y, bk_uint n)
+{
+    const bk_uint i = (bk_uint)(bk_int)(x * (float)(bk_int)n);
+    const bk_uint j = (bk_uint)(bk_int)(y * (float)(bk_int)n);
+
+    return bk_hash(i + 0x9e3779b9u * bk_hash(j));
+}
+
 /* Hits as maps take them: see bk_map_hit. Values of lanes whose ray hit nothing mean nothing. */
 typedef struct bk_map_hits {
     bk_uint found; /* bit by bit */
     bk_fw t;
     bk_vec3w position, normal, map_normal, color;
+    bk_fw open, thickness; /* 0 unless bk_look_from_hits() has set them */
+    bk_vec3w bent;
 } bk_map_hits;
 
 /* Turns hits of rays into hits for maps. Rays from a cage end at params->back behind the low-poly
@@ -145,6 +155,45 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     if (!(params->flags & BK_OBJECT_SPACE))
         out->map_normal = bk_to_tangent_space(points, hits->normal);
     out->color = hits->color;
+    out->open = out->thickness = bk_splat(0.0f);
+    out->bent = out->map_normal;
+}
+
+/* Sends rays from hits. A bent direction has the weight of its open rays; a hit without any has the
+ * normal with hardly a weight, so that hidden texels have a direction too. */
+BK_FN void bk_look_from_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                             const bk_samples *samples, const bk_point *points,
+                             const bk_start *start, const bk_hits *hits, bk_map_hits *out)
+{
+    const bk_vec3w position = bk_add_scaledw(start->origin, hits->t, start->direction);
+    const bk_uint n = params->samples;
+    bk_vec3w bent = hits->normal;
+    bk_fw weight = bk_splat(BK_HIDDEN_WEIGHT);
+    bk_uint lane;
+
+    for (lane = 0; lane < samples->count; lane++) {
+        const bk_vec3 outwards = bk_lane3(&start->facing, lane);
+        bk_place_on_scan from;
+        bk_surroundings sums;
+        if (!(out->found >> lane & 1u))
+            continue;
+        from.position = bk_lane3(&position, lane);
+        from.normal = bk_lane3(&hits->normal, lane);
+        from.side =
+            params->flags & BK_TWO_SIDED && bk_dot(from.normal, outwards) < 0.0f ? -1.0f : 1.0f;
+        from.normal = bk_scale(from.normal, from.side);
+        from.seed = bk_sample_seed(samples->x[lane], samples->y[lane], n);
+        sums = bk_look_around(grid, params, cache, &from);
+        bk_set_lane(out->open, lane, sums.open);
+        bk_set_lane(out->thickness, lane, sums.thickness * params->unit);
+        if (bk_dot(sums.bent, sums.bent) > 0.0f) {
+            bk_set_lane3(&bent, lane, bk_unit(sums.bent));
+            bk_set_lane(weight, lane, bk_sqrt(bk_dot(sums.bent, sums.bent)));
+        }
+    }
+    if (!(params->flags & BK_OBJECT_SPACE))
+        bent = bk_to_tangent_space(points, bent);
+    out->bent = bk_scalew(bent, weight);
 }
 
 /* Traces samples. */
@@ -166,6 +215,8 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
     lines.t_max = cage ? params->front + params->back : params->front;
     bk_trace(grid, params, cache, &lines, &hits);
     bk_hits_for_maps(params, &points, &start, &hits, out);
+    if (params->maps & BK_SECONDARY_MAPS)
+        bk_look_from_hits(grid, params, cache, samples, &points, &start, &hits, out);
 }
 
 BK_FN void bk_copy_lane(const bk_vec3w *from, bk_uint lane, float to[3])
@@ -191,6 +242,9 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     bk_copy_lane(&hits->normal, lane, hit.normal);
     bk_copy_lane(&hits->map_normal, lane, hit.map_normal);
     bk_copy_lane(&hits->color, lane, hit.color);
+    bk_copy_lane(&hits->bent, lane, hit.bent);
+    hit.open = bk_lane(hits->open, lane);
+    hit.thickness = bk_lane(hits->thickness, lane);
     bk_add_to_maps(params->maps, &hit, texel);
 }
 

@@ -26,9 +26,6 @@
 /* A hit is less than this many voxels after the border at which it was found. */
 #define BK_BEHIND 1.001f
 
-/* Rays with coordinates of this size or more are not traced. */
-#define BK_FAR 1.0e9f
-
 /* Lines, with the direction in which they are walked. Positions are relative to the lowest corner
  * of the origin's voxel, so that distances keep their precision in large grids. t is in voxels. */
 typedef struct bk_ray {

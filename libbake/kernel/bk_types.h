@@ -8,6 +8,9 @@
 
 #define BK_NO_TRIANGLE 0xffffffffu
 
+/* Rays with coordinates of this size or more are not traced, and none is longer. */
+#define BK_FAR 1.0e9f
+
 /* A triangle of the low-poly mesh, ready to be sampled. A sample at map position (x, y), in texels
  * from the map's top left, has barycentric weights w1 = b1[0] (x - x0) + b1[1] (y - y0) + b1[2], w2
  * alike, w0 = 1 - w1 - w2. */
@@ -25,7 +28,8 @@ enum {
     BK_NEAREST = 2,      /* no blending over neighbours */
     BK_TWO_SIDED = 4,    /* surfaces that face away count too */
     BK_HAS_COLOR = 8,
-    BK_CAGE = 16 /* rays start at a cage and take the first surface */
+    BK_CAGE = 16,        /* rays start at a cage and take the first surface */
+    BK_OPEN_FALLOFF = 32 /* a surface hides less, the farther away it is */
 };
 
 /* Job-wide parameters. */
@@ -45,6 +49,10 @@ typedef struct bk_params {
      * the lower nodes, from those to the leaves. A child's number follows from its byte offset. */
     bk_uint upper_offset[2], lower_offset[2], leaf_offset[2];
     bk_uint second_count; /* second records */
+    /* Rays from hits, see bk_secondary.h. */
+    bk_uint open_rays, thickness_rays; /* a hit */
+    float open_limit, thickness_limit; /* lengths in voxels */
+    float open_sine2;                  /* squared sine of half of the cone's angle */
 } bk_params;
 
 /* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the

@@ -150,6 +150,34 @@ static void encode_curvature(const struct bake_encoding_facts *facts, struct bak
         set_range(out, out->range, 0.5f);
 }
 
+/* ---- maps of rays that start at hits ---- */
+
+/* White is open. */
+static void encode_open(const struct bake_encoding_facts *facts, struct bake_encoding *out)
+{
+    (void)facts;
+    out->background[0] = 1.0f;
+}
+
+double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],
+                               const double scan_max[3])
+{
+    double square = 0;
+    for (int k = 0; k < 3; ++k)
+        square += (scan_max[k] - scan_min[k]) * (scan_max[k] - scan_min[k]);
+    return options->thickness_distance > 0 ? options->thickness_distance : sqrt(square);
+}
+
+static void encode_thickness(const struct bake_encoding_facts *facts, struct bake_encoding *out)
+{
+    const struct bake_traced *traced = facts->traced;
+    const double distance =
+        bake_thickness_distance(facts->options, traced->scan_min, traced->scan_max);
+    out->range = 0.5 * distance;
+    if (facts->integers)
+        out->scale[0] = distance;
+}
+
 /* ---- the table ---- */
 
 const struct bake_map_row bake_map_table[] = {
@@ -190,6 +218,24 @@ const struct bake_map_row bake_map_table[] = {
                           .encode = encode_curvature,
                           .measured = true,
                           .unit = "1 / mesh unit"},
+    [BK_MAP_ao] = {.summary = "ambient occlusion: share of the hemisphere that is open",
+                   .channels = 1,
+                   .needs_grid = true,
+                   .resolve = resolve_mean,
+                   .encode = encode_open},
+    [BK_MAP_bent] = {.summary = "bent normals: mean open directions",
+                     .channels = 3,
+                     .needs_grid = true,
+                     .resolve = resolve_direction,
+                     .encode = encode_normals,
+                     .describe = describe_normals},
+    [BK_MAP_thickness] = {.summary = "mean distance through the solid",
+                          .channels = 1,
+                          .needs_grid = true,
+                          .usual_type = BAKE_FLOAT,
+                          .resolve = resolve_mean,
+                          .encode = encode_thickness,
+                          .unit = "mesh unit"},
 };
 
 _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
@@ -202,7 +248,8 @@ const uint32_t bake_map_sums[BK_MAP_COUNT] = {BK_MAPS(MAP_SUMS)};
 _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << BK_MAP_color &&
                    BAKE_MAP_MASK == 1 << BK_MAP_mask && BAKE_MAP_HEIGHT == 1 << BK_MAP_height &&
                    BAKE_MAP_POSITION == 1 << BK_MAP_position &&
-                   BAKE_MAP_CURVATURE == 1 << BK_MAP_curvature,
+                   BAKE_MAP_CURVATURE == 1 << BK_MAP_curvature && BAKE_MAP_AO == 1 << BK_MAP_ao &&
+                   BAKE_MAP_BENT == 1 << BK_MAP_bent && BAKE_MAP_THICKNESS == 1 << BK_MAP_thickness,
                "bits of bake.h are rows of BK_MAPS");
 _Static_assert((int)BK_MAP_COUNT <= (int)BAKE_MAX_MAPS && (int)BAKE_MAPS_ALL == 1 << BAKE_MAX_MAPS,
                "every map has a bit");
@@ -230,13 +277,14 @@ const char *bake_map_summary(unsigned number)
     return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
 }
 
-uint32_t bake_choose_maps(uint32_t asked, bool has_color)
+uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool exact)
 {
     const bool all = asked & BAKE_MAPS_ALL;
     uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
-            (has_color || !bake_map_table[i].needs_color))
+            (has_color || !bake_map_table[i].needs_color) &&
+            !(exact && bake_map_table[i].needs_grid))
             maps |= 1u << i;
     return maps;
 }

@@ -100,6 +100,14 @@ int bake_surface_check(const struct bake_surface *surface)
     return surface->exact ? 0 : bsq_map_check(surface->ctx, &surface->grid.map);
 }
 
+int bake_scan_is_exact(struct bsq_ctx *ctx, const char *path, bool *out)
+{
+    enum fmt_kind kind = FMT_KIND_OTHER;
+    int status = fmt_recognise_scan(ctx, path, &kind);
+    *out = kind == FMT_KIND_TRIS;
+    return status;
+}
+
 int bake_surface_explain(const struct bake_surface *surface, int status)
 {
     return surface->exact || !surface->ctx

@@ -40,8 +40,9 @@ $bake --help
 code 0
 out_like '^Usage: bisque-bake '
 options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
-    cage ray-directions max-missed two-sided sampling normal-space green
-    padding half float png-bits preview device gpu-memory list-devices list-tiles memory threads progress json help
+    ao-rays ao-distance ao-spread ao-falloff thickness-rays thickness-distance cage ray-directions max-missed two-sided
+    sampling normal-space green padding half float png-bits preview device gpu-memory list-devices list-tiles memory
+    threads progress json help
     version"
 for option in $options; do
     out_like "  --$option|, --$option"
@@ -294,13 +295,14 @@ rm look.png m.png n.png
 # "all" is every map that the scan gives; "opacity" is the mask.
 $bake $small plain.nvdb low.obj -o 'all_<MAP>.exr' --maps all --json
 code 0
-files all_curvature.exr all_height.exr all_mask.exr all_normal.exr all_position.exr n8.png $start
-json '.encodings | keys == ["curvature", "height", "position"]'
+files all_ao.exr all_bent.exr all_curvature.exr all_height.exr all_mask.exr all_normal.exr all_position.exr \
+    all_thickness.exr n8.png $start
+json '.encodings | keys == ["curvature", "height", "position", "thickness"]'
 json '.encodings.curvature | .unit == "1 / mesh unit" and .radius > 0 and .range > 0'
 json '.encodings.position | .unit == "mesh unit" and .scale == [1, 1, 1] and .offset == [0, 0, 0] and .origin == [0, 0, 0]'
 $bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --position-in box --height-range 2 --json
 code 0
-json '.maps | keys == ["color", "curvature", "height", "mask", "normal", "position"]'
+json '.maps | keys == ["ao", "bent", "color", "curvature", "height", "mask", "normal", "position", "thickness"]'
 json '.encodings.height == {"unit": "mesh unit", "radius": 0, "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
 json '.encodings.position | .scale == [1, 2, 3] and .offset == [0, 0, 0] and .range == 1.5'
 # Curvature of a radius that is given, with a range that is given.
@@ -320,6 +322,36 @@ $bake $small plain.nvdb low.obj -o h.exr --maps height
 code 0
 out_like '^h\.exr: height map, range [0-9.e-]+ \(mesh unit\)$'
 rm mask.exr h.exr
+
+# Rays that start at hits need a grid. A box is convex: all of it is open, and bent normals are its normals.
+for map in ao bent thickness; do
+    $bake $small box.tris low.obj -o 'x_<MAP>.exr' --maps normal,$map
+    refused 64 "$p box.tris: the map $map is baked from a grid (.nvdb), not from triangles"
+done
+$bake $small box.tris low.obj -o 'all_<MAP>.exr' --maps all --json
+code 0
+json '.maps | keys == ["curvature", "height", "mask", "normal", "position"]'
+rm all_*
+hits="$small plain.nvdb low.obj --maps ao,bent,thickness,normal,mask"
+$bake $hits -o '1_<MAP>.exr' --threads 1
+code 0
+$bake $hits -o '2_<MAP>.exr' --threads 3 --memory 64M
+code 0
+for map in ao bent thickness; do
+    same 1_$map.exr 2_$map.exr
+done
+run bisque-compare 1_bent.exr 1_normal.exr --mask 1_mask.exr --force --type normal --max-mean 3
+code 0
+$bake $hits -o '3_<MAP>.png' --ao-rays 16 --thickness-distance 2 --json
+code 0
+json '.encodings.thickness | .unit == "mesh unit" and .scale == [2] and .offset == [0] and .range == 1'
+is_png 3_ao.png 96 96 16
+for bad in '--ao-rays 0' '--ao-rays 4097' '--ao-spread 181' '--ao-spread 0' '--ao-falloff square' '--ao-distance 0' \
+    '--ao-falloff linear' '--thickness-rays 0' '--thickness-distance -1'; do
+    $bake $hits -o 'x_<MAP>.exr' $bad
+    code 64
+done
+rm [123]_*
 
 # UDIM tiles share a range: that of the side which is farther from the scan. A tile alone has its own.
 awk '/^v / && $2 == 1 { $2 = 0.9 } /^vt / && ++corner > 20 { $2 += 1 } { print }' low.obj >tiles.obj

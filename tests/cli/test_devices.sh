@@ -21,8 +21,10 @@ warned()
 "$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
     "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
-maps="--size 160x96 --float --maps all vase.nvdb low.obj"
-names="normal color mask height position curvature"
+# Rays from hits are short, so that parts of the grid are enough for them.
+hits="--ao-rays 5 --ao-distance 0.02 --thickness-rays 3 --thickness-distance 0.02"
+maps="--size 160x96 --float --maps all $hits vase.nvdb low.obj"
+names="normal color mask height position curvature ao bent thickness"
 
 # ---- CUDA ----
 
@@ -68,6 +70,17 @@ if [ -s "$ptx" ]; then
     for map in $names; do
         same cpu_$map.exr passes_$map.exr
     done
+
+    # Rays that may reach everything need the whole grid on the device.
+    far="--size 16 --maps ao --ao-rays 3 vase.nvdb low.obj --gpu-memory $((${least:-1} + 3000000))"
+    cuda --device cuda $far -o x.exr
+    code 69
+    grep -q '^bisque-bake: rays that start on the scan reach all of the grid, and ' "$err"
+    check "rays that reach all of the grid are named" $?
+    cuda $far -o auto.exr
+    code 0
+    bake --device cpu $far -o cpu.exr
+    same auto.exr cpu.exr
 
     # Freeing or allocating device memory may wait for the device. So passes allocate nothing: the low-poly mesh, two
     # blocks for subgrids, and two arrays for each worker are all.
@@ -179,6 +192,21 @@ if ! ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
 fi
 
 # ---- OpenCL ----
+
+# Rays from hits, on a device that is compiled at run time. It rounds as the processor does.
+bake --list-devices
+if grep -q '^opencl:0' "$out"; then
+    for device in cpu opencl; do
+        bake --device $device --size 48 --maps ao,bent,thickness --ao-rays 20 vase.nvdb low.obj -o "${device}_<MAP>.exr"
+        code 0
+    done
+    for map in ao bent thickness; do
+        run bisque-compare cpu_$map.exr opencl_$map.exr --type data --max-error 0.002
+        code 0
+    done
+else
+    skip "rays from hits with OpenCL" "no OpenCL device"
+fi
 
 if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
     >/dev/null; then

@@ -7,6 +7,8 @@
  * much as those of the tile before still has launches of at most 0.2 s. A batch has at least one
  * row of the tile and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
  *
+ * Samples whose hits send rays count as several.
+ *
  * One thread of the device traces the samples of a texel one after another. Each takes about 30 us
  * on any device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a
  * launch takes some lines of the samples of many texels, and later launches continue. */

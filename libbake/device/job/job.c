@@ -8,7 +8,7 @@
 
 _Static_assert(sizeof(struct bk_triangle) == 188, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
-_Static_assert(sizeof(struct bk_params) == 100, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 120, "layout shared with devices");
 
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {

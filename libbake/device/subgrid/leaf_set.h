@@ -35,6 +35,8 @@ int bake_leaf_set_add_rays(struct bsq_ctx *ctx, struct bake_leaf_set *set,
                            const struct bake_job *job, const struct bk_tile *tile,
                            const uint32_t *sample_triangles,
                            const struct bake_rectangle *rectangle);
+/* Returns how far rays that start at hits reach from there, in voxels. */
+float bake_secondary_reach(const struct bk_params *params);
 /* Adds the nodes of another set of the same grid. */
 int bake_leaf_set_add(struct bsq_ctx *ctx, struct bake_leaf_set *set,
                       const struct bake_leaf_set *other);

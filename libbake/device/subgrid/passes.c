@@ -298,13 +298,32 @@ static void release(struct planner *p)
     bsq_free(p->ctx, p->order);
 }
 
+/* Fails if rays that start at hits reach across the whole grid: then no part of it is enough. */
+static int check_reach(struct bsq_ctx *ctx, const struct bake_plan_options *options)
+{
+    const struct bk_params *params = &options->job->params;
+    const float reach = bake_secondary_reach(params);
+    bool across = reach > 0;
+    for (int k = 0; k < 3; k++)
+        across = across && (double)reach >= (double)params->index_max[k] - params->index_min[k];
+    return across ? bsq_fail(ctx, BSQ_ENODEVICE,
+                             "rays that start on the scan reach all of the grid, and the device's "
+                             "memory leaves %" PRIu64
+                             " bytes for it: more --gpu-memory, or a shorter --ao-distance and "
+                             "--thickness-distance",
+                             options->subgrid_bytes * options->slots)
+                  : 0;
+}
+
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
                      struct bake_plan *out)
 {
     struct planner p = {
         .ctx = ctx, .options = options, .plan = out, .subgrid_bytes = options->subgrid_bytes};
     *out = (struct bake_plan){0};
-    int status = allocate(&p);
+    int status = check_reach(ctx, options);
+    if (status == 0)
+        status = allocate(&p);
     if (status == 0)
         status = order_tiles(&p);
     if (status == 0) {

@@ -28,14 +28,25 @@ struct ray_bounds {
 static const struct box nothing = {{INFINITY, INFINITY, INFINITY},
                                    {-INFINITY, -INFINITY, -INFINITY}};
 
+float bake_secondary_reach(const struct bk_params *params)
+{
+    float reach = 0;
+    if (params->maps & BK_OPEN_MAPS)
+        reach = params->open_limit + BK_LIFT;
+    if (params->maps & 1u << BK_MAP_thickness)
+        reach = fmaxf(reach, params->thickness_limit);
+    return reach;
+}
+
 static int add_box(struct ray_bounds *bounds)
 {
     const struct bk_params *params = &bounds->job->params;
+    const double margin = MARGIN + ceil((double)bake_secondary_reach(params));
     int32_t low[3], high[3];
     bool some = true;
     for (int k = 0; k < 3; k++) {
-        const double a = floor((double)bounds->box.low[k]) - MARGIN;
-        const double b = ceil((double)bounds->box.high[k]) + MARGIN;
+        const double a = floor((double)bounds->box.low[k]) - margin;
+        const double b = ceil((double)bounds->box.high[k]) + margin;
         const double least = (double)params->index_min[k], most = (double)params->index_max[k];
         some = some && a <= most && b >= least;
         if (!some)

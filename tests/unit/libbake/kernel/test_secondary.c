@@ -1,0 +1,271 @@
+/* test_secondary.c - open shares, bent directions and thickness against formulas. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+
+#include <cmocka.h>
+
+#include "libbake/device/job/job.h"
+#include "libbake/kernel/bk_secondary.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+#define PI 3.14159265358979323846
+
+enum { RAYS = 4096 };
+
+struct scene {
+    struct bsq_ctx *ctx;
+    struct analytic_grid *samples;
+    struct fmt_nvdb_grid file;
+    struct bk_grid grid;
+    struct bk_params params;
+};
+
+static struct scene begin(void)
+{
+    return (struct scene){.ctx = test_context(0, 0), .samples = analytic_grid_create()};
+}
+
+/* Adds a rectangle: centre, two half sides that are at right angles, and the side it faces. */
+static void add_rectangle(struct scene *s, const double centre[3], const double u[3],
+                          const double v[3], double sign)
+{
+    const double step = 0.4;
+    double lengths[2] = {sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]),
+                         sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])};
+    double n[3];
+    const int counts[2] = {(int)(2 * lengths[0] / step), (int)(2 * lengths[1] / step)};
+    for (int k = 0; k < 3; k++)
+        n[k] = sign * (u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3]) /
+               (lengths[0] * lengths[1]);
+    for (int i = 0; i < counts[0]; i++)
+        for (int j = 0; j < counts[1]; j++) {
+            double p[3], a = (2 * i + 1.0) / counts[0] - 1, b = (2 * j + 1.0) / counts[1] - 1;
+            for (int k = 0; k < 3; k++)
+                p[k] = centre[k] + a * u[k] + b * v[k];
+            analytic_grid_add(s->samples, p, n, step * step, NULL);
+        }
+}
+
+static void open_scene(struct scene *s)
+{
+    analytic_grid_open(s->ctx, s->samples, false, &s->file);
+    bake_params_from_grid(&s->file, &s->params);
+    bake_kernel_grid(&s->file, &s->params, &s->grid);
+    s->params.maps = BK_SECONDARY_MAPS;
+    s->params.open_rays = s->params.thickness_rays = RAYS;
+    s->params.open_limit = BK_FAR;
+    s->params.thickness_limit = 1000;
+    s->params.open_sine2 = 1;
+}
+
+static void end(struct scene *s)
+{
+    fmt_nvdb_close(s->ctx, &s->file);
+    analytic_grid_free(s->samples);
+    test_context_end(s->ctx);
+}
+
+static bk_surroundings look(const struct scene *s, const double position[3], const double normal[3])
+{
+    struct bk_cache cache = bk_cache_empty();
+    const bk_place_on_scan from = {
+        .position = bk_v3((float)position[0], (float)position[1], (float)position[2]),
+        .normal = bk_v3((float)normal[0], (float)normal[1], (float)normal[2]),
+        .side = 1,
+        .seed = bk_hash((bk_uint)(int)(1000 * position[0] + position[1]))};
+    return bk_look_around(&s->grid, &s->params, &cache, &from);
+}
+
+static void assert_near(double value, double expected, double tolerance, const char *what)
+{
+    if (!(fabs(value - expected) <= tolerance))
+        print_error("%s: %g, expected %g\n", what, value, expected);
+    assert_true(fabs(value - expected) <= tolerance);
+}
+
+/* ---- directions ---- */
+
+static void directions_are_cosine_weighted(void **state)
+{
+    (void)state;
+    for (bk_uint seed = 0; seed < 100; seed++) {
+        double mean[3] = {0}, square = 0;
+        for (bk_uint i = 0; i < RAYS; i++) {
+            bk_vec3w d = bk_cone_directions(bk_hash(seed), i, RAYS, 1.0f);
+            assert_near(bk_dotw(d, d), 1, 1e-5, "length");
+            mean[0] += d.x / RAYS;
+            mean[1] += d.y / RAYS;
+            mean[2] += d.z / RAYS;
+            square += d.z * d.z / RAYS;
+        }
+        assert_near(mean[0], 0, 1e-3, "mean x");
+        assert_near(mean[1], 0, 1e-3, "mean y");
+        assert_near(mean[2], 2.0 / 3, 1e-3, "mean cosine");
+        assert_near(square, 0.5, 1e-3, "mean squared cosine");
+    }
+}
+
+static void cones_and_frames(void **state)
+{
+    (void)state;
+    uint64_t seed = test_seed();
+    for (int i = 0; i < 2000; i++) {
+        double n[3];
+        analytic_random_unit(&seed, n);
+        if (i == 0)
+            n[0] = n[1] = 0, n[2] = -1;
+        bk_vec3 axis = bk_unit(bk_v3((float)n[0], (float)n[1], (float)n[2]));
+        bk_vec3w d = bk_around(bk_cone_directions((bk_uint)i, (bk_uint)i % 64, 64, 0.25f), axis);
+        assert_near(bk_dotw(d, d), 1, 1e-5, "length");
+        assert_true(bk_dot(bk_lane3(&d, 0), axis) > 0.8659f);
+    }
+    for (int i = 0; i <= 100000; i++) {
+        float u = (float)i / 100000, sine, cosine;
+        bk_turn_sine(u, &sine, &cosine);
+        assert_near(sine, sin(2 * PI * (double)u), 5e-7, "sine");
+        assert_near(cosine, cos(2 * PI * (double)u), 5e-7, "cosine");
+    }
+}
+
+/* ---- open ---- */
+
+/* A floor beside a wall of height h: the floor sees it from distance d under the form factor (1 - d
+ * / sqrt(d^2 + h^2)) / 2 (Howell, "A Catalog of Radiation Heat Transfer Configuration Factors",
+ * B-1), so a large wall hides one half. */
+static void a_wall_hides_half_of_a_floor(void **state)
+{
+    (void)state;
+    struct scene s = begin();
+    const double h = 150;
+    add_rectangle(&s, (double[]){60, 0.3, 0.1}, (double[]){60, 0, 0}, (double[]){0, 600, 0}, 1);
+    add_rectangle(&s, (double[]){0.2, 0.3, h / 2 + 0.1}, (double[]){0, 0, h / 2},
+                  (double[]){0, 600, 0}, -1);
+    open_scene(&s);
+    for (double d = 2; d < 100; d *= 2) {
+        const double at[3] = {0.2 + d, 0.3, 0.1}, up[3] = {0, 0, 1};
+        const bk_surroundings found = look(&s, at, up);
+        const bk_vec3 bent = bk_unit(found.bent);
+        assert_near(found.open, 0.5 + d / sqrt(d * d + h * h) / 2, 0.01, "beside a wall");
+        assert_near(bent.y, 0, 0.03, "bent along the wall");
+        /* The mean of a half disc, 4 / (3 pi), over that of its heights, 2 / 3. */
+        if (d < 5)
+            assert_near(atan2(bent.x, bent.z), atan(2 / PI), 0.03, "bent away from the wall");
+    }
+    end(&s);
+}
+
+/* The floor's middle of a round well sees the sky under the cone tan = r / h: r^2 / (r^2 + h^2). */
+static void a_tube_leaves_a_cone(void **state)
+{
+    (void)state;
+    struct scene s = begin();
+    const double r = 40.3, h = 61;
+    for (double z = 0.2; z < h; z += 0.4)
+        for (double a = 0; a < 2 * PI; a += 0.4 / r) {
+            const double n[3] = {-cos(a), -sin(a), 0};
+            analytic_grid_add(s.samples, (double[]){r * cos(a), r * sin(a), z}, n, 0.16, NULL);
+        }
+    add_rectangle(&s, (double[]){0, 0, 0}, (double[]){r, 0, 0}, (double[]){0, r, 0}, 1);
+    open_scene(&s);
+    const double at[3] = {0.1, 0.2, 0}, up[3] = {0, 0, 1};
+    assert_near(look(&s, at, up).open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)), 0.01,
+                "in a tube");
+    s.params.open_sine2 = 0.1f; /* a cone that fits through the opening */
+    assert_near(look(&s, at, up).open, 1, 0, "in a cone");
+    s.params.open_sine2 = 0.6f;
+    assert_near(look(&s, at, up).open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)) / 0.6, 0.01,
+                "in a wider cone");
+    s.params.open_sine2 = 1;
+    s.params.open_limit = (float)r - 2;
+    assert_near(look(&s, at, up).open, 1, 0, "with short rays");
+    end(&s);
+}
+
+/* A ceiling at height h hides rays of length t = h / cos by 1 - t / limit. Their mean share under a
+ * large ceiling is 2 (h / l) (1 - h / l) + (h / l)^2, with cosines below h / l open. */
+static void falloff_is_linear(void **state)
+{
+    (void)state;
+    struct scene s = begin();
+    const double h = 20.4, l = 100;
+    add_rectangle(&s, (double[]){0, 0, 0}, (double[]){4, 0, 0}, (double[]){0, 4, 0}, 1);
+    add_rectangle(&s, (double[]){0, 0, h}, (double[]){120, 0, 0}, (double[]){0, 120, 0}, -1);
+    open_scene(&s);
+    s.params.open_limit = (float)l;
+    const double share = (h - BK_LIFT) / l;
+    const double at[3] = {0.1, 0.2, 0}, up[3] = {0, 0, 1};
+    assert_near(look(&s, at, up).open, share * share, 0.01, "below a ceiling");
+    s.params.flags |= BK_OPEN_FALLOFF;
+    assert_near(look(&s, at, up).open, 2 * share * (1 - share) + share * share, 0.01,
+                "with falloff");
+    end(&s);
+}
+
+/* ---- convex bodies, and thickness ---- */
+
+/* A ball does not hide itself, and the mean chord is 4 r / 3. */
+static void a_ball_is_open_and_thick(void **state)
+{
+    (void)state;
+    static const double radii[] = {5.3, 12, 40.7};
+    for (int i = 0; i < 3; i++) {
+        struct scene s = begin();
+        const double centre[3] = {3.3, -2.1, 7.7}, r = radii[i];
+        uint64_t seed = test_seed();
+        analytic_sphere(s.samples, centre, r, 3);
+        open_scene(&s);
+        s.params.open_rays = s.params.thickness_rays = 256;
+        double open = 0, thickness = 0;
+        for (int k = 0; k < 100; k++) {
+            double n[3], at[3];
+            analytic_random_unit(&seed, n);
+            for (int axis = 0; axis < 3; axis++)
+                at[axis] = centre[axis] + r * n[axis];
+            const bk_surroundings found = look(&s, at, n);
+            open += found.open / 100;
+            thickness += found.thickness / 100;
+            assert_near(found.open, 1, 0, "of a ball");
+            assert_near(found.thickness, 4 * r / 3, 0.05 * r + 0.5, "thickness of a ball");
+        }
+        assert_near(thickness, 4 * r / 3, 0.02 * r, "mean thickness of a ball");
+        end(&s);
+    }
+}
+
+/* A slab of height h, with rays of at most l: 2 h - h^2 / l. Thin ones have two records a voxel. */
+static void a_slab_is_as_thick_as_it_is(void **state)
+{
+    (void)state;
+    static const double heights[] = {0.4, 1.2, 3.3, 20.6};
+    for (int i = 0; i < 4; i++) {
+        struct scene s = begin();
+        const double h = heights[i], l = 60;
+        add_rectangle(&s, (double[]){0, 0, 0.1}, (double[]){90, 0, 0}, (double[]){0, 90, 0}, -1);
+        add_rectangle(&s, (double[]){0, 0, h + 0.1}, (double[]){90, 0, 0}, (double[]){0, 90, 0}, 1);
+        open_scene(&s);
+        s.params.thickness_limit = (float)l;
+        const double at[3] = {0.3, 0.2, h + 0.1}, up[3] = {0, 0, 1};
+        const bk_surroundings found = look(&s, at, up);
+        assert_near(found.thickness, 2 * h - h * h / l, 0.02 * h + 0.1, "thickness of a slab");
+        assert_near(found.open, 1, 0, "above a slab");
+        end(&s);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(directions_are_cosine_weighted),
+        cmocka_unit_test(cones_and_frames),
+        cmocka_unit_test(a_wall_hides_half_of_a_floor),
+        cmocka_unit_test(a_tube_leaves_a_cone),
+        cmocka_unit_test(falloff_is_linear),
+        cmocka_unit_test(a_ball_is_open_and_thick),
+        cmocka_unit_test(a_slab_is_as_thick_as_it_is),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
