@@ -35,7 +35,7 @@ CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
 LDFLAGS  += -Wl,--as-needed
 
 pc_formats := OpenEXR libpng libxxhash
-pc_texture := OpenImageIO Imath
+pc_texture := OpenImageIO Imath libpng
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
 formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture)) $(module_cppflags)
@@ -64,7 +64,8 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb
-src.texture  := formats/texture/texture_oiio.cc formats/texture/texture_pyramid.cc
+src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pyramid.cc held_input.cc \
+    texture_formats.cc png_rows.c)
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h output.h parallel.h) \

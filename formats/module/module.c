@@ -17,6 +17,7 @@
  * Modules are never closed, because the libraries that they load own threads and exit handlers. */
 #include <dlfcn.h>
 #include <link.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -149,6 +150,39 @@ static int find_module(struct bsq_ctx *ctx, const char *name, const char *purpos
     return status;
 }
 
+/* ---- threads ---- */
+
+/* The libraries of a module start threads when they are opened: log4cplus, which OpenVDB brings,
+ * starts four. If the system refuses one, they end the process. */
+enum { THREADS_NEEDED = 8 };
+
+static void *wait_for_end(void *arg)
+{
+    pthread_mutex_lock(arg);
+    pthread_mutex_unlock(arg);
+    return NULL;
+}
+
+/* Checks that enough threads can be started: all of them wait until the last one has begun. */
+static int check_threads(struct bsq_ctx *ctx, const char *purpose)
+{
+    pthread_t threads[THREADS_NEEDED];
+    pthread_mutex_t gate = PTHREAD_MUTEX_INITIALIZER;
+    int count = 0, error = 0;
+    pthread_mutex_lock(&gate);
+    while (count < THREADS_NEEDED && error == 0) {
+        error = pthread_create(&threads[count], NULL, wait_for_end, &gate);
+        count += error == 0;
+    }
+    pthread_mutex_unlock(&gate);
+    for (int i = 0; i < count; i++)
+        pthread_join(threads[i], NULL);
+    if (error == 0)
+        return 0;
+    return bsq_fail(ctx, BSQ_ENOMEM, "%s need %d threads, of which the system starts only %d",
+                    purpose, THREADS_NEEDED, count);
+}
+
 int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
                     const struct fmt_module **out)
 {
@@ -157,8 +191,12 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
     int status = find_module(ctx, name, purpose, &path);
 
     *out = NULL;
-    if (status != 0)
+    if (status == 0)
+        status = check_threads(ctx, purpose);
+    if (status != 0) {
+        free(path);
         return status;
+    }
     void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);
     if (library)
         module = dlsym(library, "bisque_module");

@@ -26,6 +26,8 @@ extern "C" {
     X(reserve)                                                                                     \
     X(release)                                                                                     \
     X(parallel_for)                                                                                \
+    X(memory_left)                                                                                 \
+    X(file_open)                                                                                   \
     X(file_temp)                                                                                   \
     X(file_close)                                                                                  \
     X(file_read_some)                                                                              \

@@ -2,8 +2,8 @@
  *
  * Takes paths of image files and a share of the memory budget, which holds whatever the size of the
  * images. Gives colours in linear light: texels are converted (from sRGB unless the file says
- * otherwise) before they are averaged. Images are read by OpenImageIO, in a module that is opened
- * at its first use. */
+ * otherwise) before they are averaged. Images are read by OpenImageIO, PNG files by libpng, in a
+ * module that is opened at its first use. texture_formats.cc lists the formats. */
 #ifndef FMT_TEXTURE_TEXTURE_H
 #define FMT_TEXTURE_TEXTURE_H
 

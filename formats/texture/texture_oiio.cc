@@ -9,12 +9,12 @@
 // is the lowest one that takes at most a quarter of the cache. Opening an image builds the pyramid
 // in one pass over the rows, which also finds damaged files. If scanline files do not fit the
 // cache, that pass copies them to a temporary tiled file: a PNG or JPEG that is not read downwards
-// is decoded from its first row each time.
+// is decoded from its first row each time. Files that can only be decoded whole are always copied,
+// one after the other, if the budget has the memory.
 #include "formats/texture/texture_module.h"
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imagecache.h>
-#include <OpenImageIO/imageio.h>
 
 #include <algorithm>
 #include <cctype>
@@ -23,13 +23,14 @@
 #include <memory>
 #include <new>
 #include <string>
+#include <system_error>
 #include <unordered_map>
 #include <vector>
 
 #include <half.h>
-#include <unistd.h>
 
 #include "base/srgb.h"
+#include "formats/texture/held_input.h"
 #include "formats/texture/texture_pyramid.h"
 
 extern "C" {
@@ -40,13 +41,13 @@ namespace
 {
 
 using OIIO::ImageCache;
-using OIIO::ImageInput;
 using OIIO::ImageSpec;
 using OIIO::TypeDesc;
 
 constexpr uint64_t smallest_cache = 12 << 20; // OpenImageIO takes at least 10 MB
 constexpr uint32_t no_image = UINT32_MAX;
 constexpr int tile_size = 64;
+constexpr uint64_t large_chunk = 4 << 20; // smaller tiles or groups of rows are not counted
 constexpr int first_pyramid_level = 2;
 constexpr double cells_across = 4; // least cells along a box in the pyramid level it is read from
 
@@ -58,7 +59,8 @@ struct Transfer {
 };
 
 struct Image {
-    std::string path, cached_path;
+    std::unique_ptr<fmt::HeldImage> file;
+    std::unique_ptr<fmt::HeldImage> copy; // the temporary tiled file; NULL: none
     uint32_t width = 0, height = 0;
     int x = 0, y = 0;             // the first texel in the file's coordinates
     int channels = 0;             // channels that are read: 1 or 3
@@ -75,6 +77,7 @@ struct Textures : fmt_textures {
     const struct fmt_host *host = nullptr;
     struct bsq_ctx *ctx = nullptr;
     uint64_t reserved = 0, tile_bytes = 0;
+    uint64_t chunk_bytes = 0; // reserved too
     int pyramid_level = first_pyramid_level;
     bool rewrite = false; // copy scanline images to temporary tiled files
     ImageCache *cache = nullptr;
@@ -123,43 +126,42 @@ uint64_t decoded_bytes(const Image &image)
     return uint64_t(image.width) * image.height * unsigned(image.channels) * image.type.size();
 }
 
-std::unique_ptr<ImageInput> open_input(Textures *textures, const std::string &path, int *status)
+// Reserves memory for an image that is decoded whole.
+int reserve_whole(Textures *textures, const fmt::HeldImage &file)
 {
-    ImageSpec config;
-    config["oiio:UnassociatedAlpha"] = 1;
-    errno = 0;
-    auto input = ImageInput::open(path, &config);
-    if (!input) {
-        int error = errno;
-        std::string reason = OIIO::geterror();
-        if (error == EMFILE || error == ENFILE || error == EIO) { // not a fault of the image
-            *status =
-                textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, error, "%s", path.c_str());
-            return nullptr;
-        }
-        std::replace(reason.begin(), reason.end(), '\n', ' ');
-        *status = textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a readable image: %s",
-                                       path.c_str(), reason.c_str());
-        return nullptr;
-    }
-    input->threads(1);
-    *status = 0;
-    return input;
+    const fmt::Whole &whole = file.whole;
+    unsigned long long left = textures->host->memory_left(textures->ctx);
+    if (whole.bytes <= left)
+        return textures->host->reserve(textures->ctx, "decoding a texture", whole.bytes);
+    std::string size = whole.width == 0 ? "image"
+                                        : std::to_string(whole.width) + " x " +
+                                              std::to_string(whole.height) + " texels";
+    return textures->host->fail(
+        textures->ctx, BSQ_ENOMEM,
+        "%s: this kind of %s file is decoded whole; its %s need%s %llu MiB of memory, %llu MiB are "
+        "left: convert it to tiled TIFF (oiiotool IN --tile 64 64 -o OUT.tif)",
+        file.path.c_str(), file.kind->name, size.c_str(), whole.width == 0 ? "s" : "",
+        static_cast<unsigned long long>((whole.bytes >> 20) + 1), left >> 20);
 }
 
-int describe(Textures *textures, const char *path, Image &image)
+// Counts large tiles or groups of rows: plug-ins decode one at a time.
+int reserve_chunk(Textures *textures, const fmt::HeldImage &file)
 {
-    int status;
-    image.path = image.cached_path = path;
-    if (access(path, R_OK))
-        return textures->host->fail_errno(textures->ctx, BSQ_ENOINPUT, errno, "%s", path);
-    auto input = open_input(textures, image.path, &status);
-    if (!input)
-        return status;
-    const ImageSpec &spec = input->spec();
-    if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1)
+    uint64_t bytes = fmt::chunk_bytes(*file.kind, file.shape);
+    if (bytes < large_chunk)
+        return 0;
+    int status = textures->host->reserve(textures->ctx, "decoding a texture", bytes);
+    if (!status)
+        textures->chunk_bytes += bytes;
+    return status;
+}
+
+int describe_spec(Textures *textures, Image &image)
+{
+    const ImageSpec &spec = image.file->shape;
+    if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1 || spec.deep)
         return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: not a two-dimensional image",
-                                    path);
+                                    image.file->path.c_str());
     image.width = uint32_t(spec.width);
     image.height = uint32_t(spec.height);
     image.x = spec.x;
@@ -171,7 +173,24 @@ int describe(Textures *textures, const char *path, Image &image)
         image.type = spec.format;
         image.table = find_table(textures, unsigned(spec.format.size()) * 8, file_gamma(spec));
     }
-    return 0;
+    return reserve_chunk(textures, *image.file);
+}
+
+// Reserves memory first, as some plug-ins decode an image when they open it.
+int describe(Textures *textures, const char *path, Image &image)
+{
+    image.file = std::make_unique<fmt::HeldImage>();
+    image.file->host = textures->host;
+    image.file->ctx = textures->ctx;
+    image.file->path = path;
+    int status = image.file->probe();
+    if (!status)
+        status = reserve_whole(textures, *image.file);
+    if (status)
+        return status;
+    status = fmt::HeldInput(image.file.get()).open_image();
+    textures->host->release(textures->ctx, image.file->whole.bytes);
+    return status ? status : describe_spec(textures, image);
 }
 
 // Reserves at most cache_bytes, chooses the pyramids' first level, and leaves the rest to the
@@ -243,9 +262,9 @@ int fail_read(Textures *textures, const Image &image, int error, std::string rea
     std::replace(reason.begin(), reason.end(), '\n', ' ');
     if (error == EIO)
         return textures->host->fail_errno(textures->ctx, BSQ_EIO, error, "%s: %s",
-                                          image.path.c_str(), reason.c_str());
+                                          image.file->path.c_str(), reason.c_str());
     return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: damaged image: %s",
-                                image.path.c_str(), reason.c_str());
+                                image.file->path.c_str(), reason.c_str());
 }
 
 // What OpenImageIO writes to a temporary file through. The position in the file is its own: no
@@ -298,14 +317,19 @@ struct TiledFile {
     std::unique_ptr<OIIO::ImageOutput> output;
 };
 
-// Creates an unnamed tiled file for the image's texels. The cache opens it as /proc/self/fd/N.
+// Creates an unnamed tiled file for the image's texels.
 int create_tiled(Textures *textures, Image &image, TiledFile &tiled)
 {
     int status =
         textures->host->file_temp(textures->ctx, nullptr, "texture tiles", &image.temporary);
     if (status)
         return status;
-    image.cached_path = "/proc/self/fd/" + std::to_string(image.temporary.fd);
+    image.copy = std::make_unique<fmt::HeldImage>();
+    image.copy->host = textures->host;
+    image.copy->ctx = textures->ctx;
+    image.copy->path = image.temporary.path;
+    image.copy->kind = fmt::tiff_kind();
+    image.copy->temporary = image.temporary.fd;
     ImageSpec spec(int(image.width), int(image.height), image.channels, image.type);
     spec.tile_width = spec.tile_height = tile_size;
     spec["compression"] = "none";
@@ -314,14 +338,14 @@ int create_tiled(Textures *textures, Image &image, TiledFile &tiled)
     output = OIIO::ImageOutput::create("tiff");
     errno = 0;
     if (!output || !output->set_ioproxy(tiled.proxy.get()) ||
-        !output->open(image.cached_path, spec))
+        !output->open("tiles.tif", spec)) // the proxy stands for that name
         return fail_tiles(textures, image, errno, output ? output->geterror() : OIIO::geterror());
     output->threads(1);
     image.x = image.y = 0;
     return 0;
 }
 
-int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_t first,
+int read_rows(Textures *textures, const Image &image, fmt::HeldInput &input, uint32_t first,
               uint32_t end, void *rows)
 {
     const ImageSpec &spec = input.spec();
@@ -337,6 +361,24 @@ int read_rows(Textures *textures, const Image &image, ImageInput &input, uint32_
     return fail_read(textures, image, errno, input.geterror());
 }
 
+// Rows of an image, which are freed whatever ends their use.
+struct Rows {
+    Textures *textures;
+    void *data = nullptr;
+    ~Rows()
+    {
+        textures->host->free(textures->ctx, data);
+    }
+};
+
+// Writes tiles one by one. The plug-in's own function would start threads.
+bool write_rows(OIIO::ImageOutput &output, const Image &image, uint32_t first, uint32_t end,
+                const void *rows)
+{
+    return output.ImageOutput::write_tiles(0, int(image.width), int(first), int(end), 0, 1,
+                                           image.type, rows);
+}
+
 // Reads the image once: builds its pyramid and, if textures->rewrite is set, its tiled copy.
 int pass_over(Textures *textures, Image &image)
 {
@@ -344,36 +386,35 @@ int pass_over(Textures *textures, Image &image)
     struct bsq_ctx *ctx = textures->ctx;
     TiledFile tiled;
     auto &output = tiled.output;
-    void *rows = nullptr;
-    int status;
-    auto input = open_input(textures, image.path, &status);
-    if (!input)
+    Rows rows{textures, nullptr};
+    fmt::HeldInput input(image.file.get());
+    int status = input.open_image();
+    if (status)
         return status;
-    if (textures->rewrite && !image.tiled && (status = create_tiled(textures, image, tiled)))
+    bool rewrite = !image.tiled && (textures->rewrite || image.file->whole.bytes > 0);
+    if (rewrite && (status = create_tiled(textures, image, tiled)))
         return status;
     size_t row_bytes = size_t(image.width) * size_t(image.channels) * image.type.size();
-    uint32_t strip = image.tiled ? uint32_t(input->spec().tile_height) : uint32_t(tile_size);
+    uint32_t strip = image.tiled ? uint32_t(input.spec().tile_height) : uint32_t(tile_size);
     strip = std::min(strip, image.height);
-    if ((status = host->alloc(ctx, "texture rows", strip, row_bytes, &rows)))
+    if ((status = host->alloc(ctx, "texture rows", strip, row_bytes, &rows.data)))
         return status;
     image.pyramid = fmt::Pyramid(image.width, image.height, textures->pyramid_level);
     std::vector<float> linear(3 * size_t(image.width));
     for (uint32_t y = 0; y < image.height && !status; y += strip) {
         uint32_t end = std::min(image.height, y + strip);
-        status = read_rows(textures, image, *input, y, end, rows);
+        status = read_rows(textures, image, input, y, end, rows.data);
         for (uint32_t i = y; i < end && !status; i++) {
-            const char *row = static_cast<const char *>(rows) + (i - y) * row_bytes;
+            const char *row = static_cast<const char *>(rows.data) + (i - y) * row_bytes;
             make_linear(image, row, linear.data());
             image.pyramid.add_row(linear.data());
         }
         errno = 0;
-        if (!status && output &&
-            !output->write_tiles(0, int(image.width), int(y), int(end), 0, 1, image.type, rows))
+        if (!status && output && !write_rows(*output, image, y, end, rows.data))
             status = fail_tiles(textures, image, errno, output->geterror());
         if (!status)
             status = host->check(ctx);
     }
-    host->free(ctx, rows);
     errno = 0;
     if (!status && output && !output->close())
         status = fail_tiles(textures, image, errno, output->geterror());
@@ -381,30 +422,73 @@ int pass_over(Textures *textures, Image &image)
     return status;
 }
 
-int pass_over_image(void *arg, uint64_t index, unsigned)
+int pass_over_or_throw(Textures *textures, Image &image)
 {
-    auto *textures = static_cast<Textures *>(arg);
-    Image &image = textures->images[index];
     try {
         return pass_over(textures, image);
     } catch (const std::bad_alloc &) {
         return textures->host->fail(textures->ctx, BSQ_ENOMEM, "%s: out of memory",
-                                    image.path.c_str());
+                                    image.file->path.c_str());
+    } catch (const std::system_error &error) { // a thread cannot be started
+        return textures->host->fail(textures->ctx, BSQ_ENOMEM, "%s: %s", image.file->path.c_str(),
+                                    error.what());
+    } catch (const std::exception &exception) {
+        return fail_read(textures, image, 0, exception.what());
     }
+}
+
+int pass_over_image(void *arg, uint64_t index, unsigned)
+{
+    auto *textures = static_cast<Textures *>(arg);
+    Image &image = textures->images[index];
+    return image.file->whole.bytes > 0 ? 0 : pass_over_or_throw(textures, image);
+}
+
+// Images that are decoded whole come one after the other, so that the memory is needed once.
+int pass_over_all(Textures *textures)
+{
+    int status = textures->host->parallel_for(textures->ctx, textures->images.size(),
+                                              pass_over_image, textures);
+    for (Image &image : textures->images) {
+        uint64_t bytes = image.file->whole.bytes;
+        if (status || bytes == 0)
+            continue;
+        if ((status = reserve_whole(textures, *image.file)))
+            break;
+        status = pass_over_or_throw(textures, image);
+        textures->host->release(textures->ctx, bytes);
+    }
+    return status;
+}
+
+// Adds a file to the cache, which reads it through a HeldInput, and sets its handle.
+bool add_to_cache(ImageCache *cache, Image &image, size_t number)
+{
+    OIIO::ustring name("bisque image " + std::to_string(number));
+    ImageSpec config;
+    fmt::HeldImage *file = image.copy ? image.copy.get() : image.file.get();
+    config.attribute(fmt::HeldInput::attribute, TypeDesc::PTR, &file);
+    if (!cache->add_file(name, fmt::HeldInput::create, &config))
+        return false;
+    image.handle = cache->get_image_handle(name);
+    return image.handle && cache->good(image.handle);
 }
 
 int open_cache(Textures *textures)
 {
     ImageCache *cache = textures->cache = ImageCache::create(false);
+    size_t number = 0;
     cache->attribute("max_memory_MB", float(double(textures->tile_bytes) / (1 << 20)));
     cache->attribute("autotile", tile_size);
     cache->attribute("unassociatedalpha", 1);
     cache->attribute("deduplicate", 0);
     for (Image &image : textures->images) {
-        image.handle = cache->get_image_handle(OIIO::ustring(image.cached_path));
-        if (!image.handle || !cache->good(image.handle))
-            return textures->host->fail(textures->ctx, BSQ_EDATA, "%s: %s", image.path.c_str(),
-                                        cache->geterror().c_str());
+        if (add_to_cache(cache, image, number++))
+            continue;
+        int failed = image.copy ? image.copy->status : image.file->status;
+        return failed ? failed
+                      : textures->host->fail(textures->ctx, BSQ_EDATA, "%s: %s",
+                                             image.file->path.c_str(), cache->geterror().c_str());
     }
     return 0;
 }
@@ -437,8 +521,7 @@ int open_all(Textures *textures, const char *const *paths, uint32_t count, uint6
     if (!status)
         status = share_cache(textures, cache_bytes);
     if (!status)
-        status = textures->host->parallel_for(textures->ctx, textures->images.size(),
-                                              pass_over_image, textures);
+        status = pass_over_all(textures);
     return status ? status : open_cache(textures);
 }
 
@@ -480,6 +563,9 @@ int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle 
             errno = 0;
             auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
                                          0, image.channels);
+            int failed = image.copy ? image.copy->status : image.file->status;
+            if (!tile && failed)
+                return failed; // the file could not be opened again
             if (!tile)
                 return image.temporary.fd >= 0
                            ? fail_tiles(textures, image, errno, cache->geterror())
@@ -562,7 +648,7 @@ void close_textures(struct fmt_textures *opened)
         ImageCache::destroy(textures->cache);
     for (Image &image : textures->images)
         textures->host->file_close(textures->ctx, &image.temporary);
-    textures->host->release(textures->ctx, textures->reserved);
+    textures->host->release(textures->ctx, textures->reserved + textures->chunk_bytes);
     delete textures;
 }
 
@@ -587,7 +673,14 @@ int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v
     // texels.
     double x = (double(u) - std::floor(double(u))) * i.width;
     double y = (std::ceil(double(v)) - double(v)) * i.height;
-    return average(textures, i, x, y, double(du) * i.width, double(dv) * i.height, out);
+    try {
+        return average(textures, i, x, y, double(du) * i.width, double(dv) * i.height, out);
+    } catch (const std::bad_alloc &) {
+        return textures->host->fail(textures->ctx, BSQ_ENOMEM, "%s: out of memory",
+                                    i.file->path.c_str());
+    } catch (const std::exception &exception) {
+        return fail_read(textures, i, 0, exception.what());
+    }
 }
 
 int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *const *paths,
@@ -601,9 +694,12 @@ int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *
     textures->ctx = ctx;
     int status = 0;
     try {
+        OIIO::attribute("exr_threads", -1); // decodes on the calling thread
         status = open_all(textures, paths, count, cache_bytes);
     } catch (const std::bad_alloc &) {
         status = host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
+    } catch (const std::exception &exception) {
+        status = host->fail(ctx, BSQ_EDATA, "a texture cannot be read: %s", exception.what());
     }
     if (status)
         close_textures(textures);

@@ -85,4 +85,55 @@ refused 64 "$p a.tris.job: this output would overwrite the scan"
 unchanged
 rm a.tris.job
 
+# ---- images that are no images, and what a material library may name ----
+
+rm -f hostile.obj
+sed 's/box.mtl/hostile.mtl/' box.obj >hostile.obj
+mkfifo pipe.png
+printf '#EXTM3U\nhttp://127.0.0.1:9/a.ts\n' >stream.png
+start=$(ls -A)
+for name in pipe.png /dev/zero; do
+    printf 'newmtl skin\nmap_Kd %s\n' "$name" >hostile.mtl
+    $vox hostile.obj -o a.nvdb --no-tris
+    code 66
+    err_like "^bisque-voxelize: .*$name: not a regular file\$"
+done
+rm hostile.mtl
+printf 'newmtl skin\nmap_Kd stream.png\n' >hostile.mtl
+$vox hostile.obj -o a.nvdb --no-tris
+code 65
+err_like '^bisque-voxelize: .*stream\.png: not a readable image: it is no PNG'
+printf 'newmtl skin\nmap_Kd http://127.0.0.1:9/a.png\n' >hostile.mtl
+$vox hostile.obj -o a.nvdb --no-tris
+code 0
+grep -q 'no such texture' "$err"
+check "a URL is no texture" $?
+rm a.nvdb hostile.mtl
+files $(echo $start | tr ' ' '\n' | grep -v '^hostile.mtl$')
+rm hostile.obj pipe.png stream.png
+
+# ---- few threads ----
+
+# Opening a module starts eight threads to see that they can be, and its libraries four. No other
+# thread is started for one worker.
+if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
+    skip "few threads" "sanitizers want to be loaded first"
+else
+    export LD_PRELOAD="$TESTS/faults.so"
+    for most in 0 7; do
+        export FAULT_THREADS=$most
+        $vox box.obj -o a.nvdb --no-tris --threads 1
+        refused 71 "$p textures need 8 threads, of which the system starts only $most"
+        $vox low.obj -o a.nvdb --no-tris --threads 1 --vdb a.vdb
+        refused 71 "$p OpenVDB files need 8 threads, of which the system starts only $most"
+    done
+    export FAULT_THREADS=12
+    $vox box.obj -o a.nvdb --no-tris --threads 1
+    code 0
+    $vox low.obj -o a.nvdb --no-tris --threads 1
+    code 0
+    unset LD_PRELOAD FAULT_THREADS
+    rm a.nvdb
+fi
+
 finish

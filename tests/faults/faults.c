@@ -12,12 +12,14 @@
  *               interrupt: SIGTERM before the call;
  *               pause: creates the file FAULT_FLAG and continues when that file is gone
  * FAULT_LOG     file that gets a line for each call that counts
+ * FAULT_THREADS at most this many threads can be started
  * FAULT_PLAIN   1: opening a file without a name (O_TMPFILE) fails with EOPNOTSUPP
  *
  * It replaces symbols. It does not see calls inside libc, for example by stdio. */
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <pthread.h>
 #include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
@@ -361,4 +363,19 @@ int unlink(const char *path)
     return fault_path("remove", "unlink", path) == FAIL
                ? -1
                : (int)syscall(SYS_unlinkat, AT_FDCWD, path, 0);
+}
+
+/* ---- threads ---- */
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*start)(void *),
+                   void *arg)
+{
+    static atomic_ulong started;
+    static int (*next)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+    const char *most = getenv("FAULT_THREADS");
+    if (most && atomic_fetch_add(&started, 1) >= strtoul(most, NULL, 10))
+        return EAGAIN;
+    if (!next)
+        *(void **)&next = dlsym(RTLD_NEXT, "pthread_create");
+    return next(thread, attributes, start, arg);
 }

@@ -4,6 +4,7 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <fcntl.h>
 #include <inttypes.h>
 #include <math.h>
 #include <png.h>
@@ -12,10 +13,31 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
 #include "base/parallel.h"
 #include "formats/texture/texture.h"
 #include "tests/unit/formats/scratch.h"
+
+/* ---- a replacement of a function of the C library ---- */
+
+static const char *watched_path; /* NULL: none */
+static int openings, swap_at;
+static void (*swap)(void);
+
+/* Calls swap() before opening number swap_at of the watched file. */
+int open(const char *path, int flags, ...)
+{
+    va_list arguments;
+    va_start(arguments, flags);
+    unsigned mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(arguments, unsigned) : 0;
+    va_end(arguments);
+    if (watched_path && strcmp(path, watched_path) == 0 && ++openings == swap_at)
+        swap();
+    return (int)syscall(SYS_openat, AT_FDCWD, path, flags, mode);
+}
 
 /* A test image: `channels` bytes a texel, row 0 at the top. */
 struct picture {
@@ -313,6 +335,232 @@ static void test_bad_files(void **state)
     close_fixture(&f);
 }
 
+/* ---- files that are not what they should be ---- */
+
+/* Opens one file and expects a failure, whose message has this text. */
+static void expect_refusal(const char *path, int expected, const char *text)
+{
+    struct fixture f;
+    int status = open_textures(&f, &path, 1, 12 << 20);
+    if (status != expected || !strstr(bsq_error(f.ctx), text))
+        fail_msg("%s: status %d, \"%s\"", path, status, bsq_error(f.ctx));
+    assert_null(strchr(bsq_error(f.ctx), '\n'));
+    close_fixture(&f);
+}
+
+static void test_only_regular_files(void **state)
+{
+    (void)state;
+    const char *path = scratch_path("pipe.png");
+    assert_int_equal(mkfifo(path, 0600), 0);
+    expect_refusal(path, BSQ_ENOINPUT, "pipe.png: not a regular file");
+    expect_refusal(scratch_directory, BSQ_ENOINPUT, "Is a directory");
+    expect_refusal("/dev/zero", BSQ_ENOINPUT, "/dev/zero: not a regular file");
+}
+
+/* OpenImageIO's plug-ins would open these, some of them as streams from a network. */
+static void test_other_formats_are_refused(void **state)
+{
+    (void)state;
+    static const char *const texts[][2] = {
+        {"list.png", "#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n"},
+        {"concat.jpg", "ffconcat version 1.0\nfile 'http://127.0.0.1:9/a.png'\n"},
+        {"description.sdp", "v=0\no=- 0 0 IN IP4 127.0.0.1\nm=video 9 RTP/AVP 96\n"},
+        {"movie.avi", "RIFF    AVI LIST"},
+        {"picture.gif", "GIF89a\1\1"},
+        {"drawing.svg", "<svg xmlns=\"http://www.w3.org/2000/svg\"/>"},
+        {"name.null", "null"},
+        {"empty.png", ""},
+    };
+    for (size_t i = 0; i < sizeof texts / sizeof *texts; i++)
+        expect_refusal(scratch_text(texts[i][0], texts[i][1]), BSQ_EDATA,
+                       "not a readable image: it is no PNG, JPEG, TIFF");
+    expect_refusal("http://127.0.0.1:9/a.png", BSQ_ENOINPUT, "No such file or directory");
+}
+
+/* Headers of images of 30000 x 30000 texels, which decoders would hold whole. */
+static void test_whole_images_beyond_the_budget(void **state)
+{
+    (void)state;
+    static const char png[] =
+        "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x75\x30\0\0\x75\x30\x08\x02\0\0\x01";
+    static const char progressive[] =
+        "\xff\xd8\xff\xc2\0\x11\x08\x75\x30\x75\x30\x03\x01\x22\0\x02\x11\x01\x03\x11\x01\xff\xda\0\x0c"
+        "\x03";
+    static const char separate[] = /* a baseline file with a scan for each component */
+        "\xff\xd8\xff\xc0\0\x11\x08\x75\x30\x75\x30\x03\x01\x22\0\x02\x11\x01\x03\x11\x01\xff\xda\0\x08"
+        "\x01";
+    static const char jp2[] = "\xff\x4f\xff\x51\0\x2f\0\0\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0\0\0"
+                              "\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0\0\0\0\x03";
+    static const char targa[] = "\0\0\x0a\0\0\0\0\0\0\0\0\0\x30\x75\x30\x75\x18\0\0";
+    static const char webp[] = "RIFF\0\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\x2f\x75\0\x2f\x75\0";
+    static const struct {
+        const char *name, *bytes;
+        size_t size;
+        unsigned mebibytes;
+    } cases[] = {
+        {"i.png", png, sizeof png, 3434},
+        {"p.jpg", progressive, sizeof progressive, 2575},
+        {"s.jpg", separate, sizeof separate, 2575},
+        {"j.jp2", jp2, sizeof jp2, 12875},
+        {"t.tga", targa, sizeof targa, 3434},
+        {"w.webp", webp, sizeof webp, 3434},
+    };
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        char text[80];
+        snprintf(text, sizeof text,
+                 "its 30000 x 30000 texels need %u MiB of memory, 256 MiB are left",
+                 cases[i].mebibytes);
+        expect_refusal(scratch_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_ENOMEM,
+                       text);
+    }
+}
+
+/* Writes rows of `bits` for each sample with libpng, which wants them in big-endian order. */
+static const char *write_png_rows(const char *name, const struct picture *p, int bits,
+                                  bool linear_light, int interlace)
+{
+    const char *path = scratch_path(name);
+    FILE *file = fopen(path, "wb");
+    png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, NULL, NULL, NULL);
+    png_infop info = png_create_info_struct(png);
+    png_init_io(png, file);
+    png_set_IHDR(png, info, (png_uint_32)p->width, (png_uint_32)p->height, bits,
+                 p->channels == 1 ? PNG_COLOR_TYPE_GRAY : PNG_COLOR_TYPE_RGB, interlace,
+                 PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+    if (linear_light)
+        png_set_gAMA(png, info, 1.0);
+    png_write_info(png, info);
+    for (int pass = png_set_interlace_handling(png); pass > 0; pass--)
+        for (int y = 0; y < p->height; y++)
+            png_write_row(png, p->texels + y * p->width * p->channels * bits / 8);
+    png_write_end(png, info);
+    png_destroy_write_struct(&png, &info);
+    assert_int_equal(fclose(file), 0);
+    return path;
+}
+
+static void test_interlaced(void **state)
+{
+    (void)state;
+    struct picture p = make_picture(61, 43, 3);
+    struct fixture f;
+    open_one(&f, write_png_rows("interlaced.png", &p, 8, false, PNG_INTERLACE_ADAM7));
+    compare_random_boxes(&f, &p, 200);
+    close_fixture(&f);
+    free(p.texels);
+}
+
+static void test_sixteen_bits_of_linear_light(void **state)
+{
+    (void)state;
+    static uint8_t texels[] = {0x40, 0x00, 0xc0, 0x01}; /* 16384 and 49153 of 65535 */
+    struct picture p = {2, 1, 1, texels};
+    struct fixture f;
+    open_one(&f, write_png_rows("linear.png", &p, 16, true, PNG_INTERLACE_NONE));
+    assert_sample(&f, 0.25, 0.5, 0, 0, 16384 / 65535.0, 16384 / 65535.0, 16384 / 65535.0, 1e-6);
+    assert_sample(&f, 0.75, 0.5, 0, 0, 49153 / 65535.0, 49153 / 65535.0, 49153 / 65535.0, 1e-6);
+    close_fixture(&f);
+}
+
+/* Bytes of a PNG file that are damaged, one at a time: libraries print nothing. */
+static void test_damage_prints_nothing(void **state)
+{
+    (void)state;
+    struct picture p = make_picture(20, 30, 3);
+    const char *path = write_png("damaged.png", &p), *log = scratch_path("stderr");
+    uint8_t bytes[4096];
+    FILE *file = fopen(path, "rb");
+    size_t size = fread(bytes, 1, sizeof bytes, file);
+    fclose(file);
+    fflush(stderr);
+    int before = dup(STDERR_FILENO), here = open(log, O_RDWR | O_CREAT | O_TRUNC, 0600);
+    dup2(here, STDERR_FILENO);
+    int refused = 0;
+    for (size_t at = 8; at < size; at += 7) {
+        bytes[at] ^= 0x5a;
+        struct fixture f;
+        path = scratch_bytes("damaged.png", bytes, at % 2 ? size : at);
+        refused += open_textures(&f, &path, 1, 12 << 20) != 0;
+        close_fixture(&f);
+        bytes[at] ^= 0x5a;
+    }
+    fflush(stderr);
+    dup2(before, STDERR_FILENO);
+    assert_int_equal(lseek(here, 0, SEEK_END), 0);
+    close(here);
+    close(before);
+    assert_true(refused > 20);
+    free(p.texels);
+}
+
+/* Writes a BMP file of 32 bits a texel, whose size depends on the number of texels only. */
+static void write_bmp(const char *path, uint32_t width, uint32_t height)
+{
+    uint8_t header[54] = "BM";
+    uint32_t fields[] = {54 + 4 * width * height, 0, 54, 40, width, height, 1 | 32 << 16};
+    memcpy(header + 2, fields, sizeof fields);
+    FILE *file = fopen(path, "wb");
+    fwrite(header, sizeof header, 1, file);
+    for (uint32_t i = 0; i < 4 * width * height; i++)
+        putc((int)(i % 251), file);
+    assert_int_equal(fclose(file), 0);
+}
+
+/* Overwrites the watched file in place; its size and time stay the same. */
+static void turn_image(void)
+{
+    struct stat info;
+    const char *path = watched_path;
+    watched_path = NULL;
+    assert_int_equal(stat(path, &info), 0);
+    write_bmp(path, 2048, 32);
+    const struct timespec times[2] = {info.st_atim, info.st_mtim};
+    assert_int_equal(utimensat(AT_FDCWD, path, times, 0), 0);
+    watched_path = path;
+}
+
+static int sample_up_and_down(struct fixture *f)
+{
+    float color[3];
+    int status = 0;
+    for (int i = 0; i < 60 && status == 0; i++)
+        status = fmt_texture_sample(f->textures, 0, 0.5f, (float)(i < 30 ? i : 60 - i) / 31.0f, 0,
+                                    0, color);
+    return status;
+}
+
+/* A file that gets another width at any opening but the first, with the same size and time. */
+static void test_image_that_is_turned(void **state)
+{
+    (void)state;
+    const char *path = scratch_path("turned.bmp");
+    int failures = 0;
+    swap = turn_image;
+    openings = 2;
+    /* Opening 2 is the first that reads the layout. Later runs have as many openings as the file is
+     * opened if it never changes. */
+    for (swap_at = 2; openings >= swap_at - 1; swap_at++) {
+        struct fixture f;
+        write_bmp(path, 32, 2048);
+        watched_path = path;
+        openings = 0;
+        int status = open_textures(&f, &path, 1, 12 << 20);
+        if (status == 0)
+            status = sample_up_and_down(&f);
+        watched_path = NULL;
+        if (openings >= swap_at && swap_at > 2) {
+            assert_int_equal(status, BSQ_EIO);
+            assert_non_null(strstr(bsq_error(f.ctx), "turned.bmp: was changed while it was read"));
+            failures++;
+        } else {
+            assert_int_equal(status, 0);
+        }
+        close_fixture(&f);
+    }
+    assert_true(failures >= 2); /* the pass over all rows, and the cache */
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -323,6 +571,13 @@ int main(void)
         cmocka_unit_test(test_threads_see_the_same),
         cmocka_unit_test(test_float_image_is_linear),
         cmocka_unit_test(test_bad_files),
+        cmocka_unit_test(test_only_regular_files),
+        cmocka_unit_test(test_other_formats_are_refused),
+        cmocka_unit_test(test_whole_images_beyond_the_budget),
+        cmocka_unit_test(test_interlaced),
+        cmocka_unit_test(test_sixteen_bits_of_linear_light),
+        cmocka_unit_test(test_damage_prints_nothing),
+        cmocka_unit_test(test_image_that_is_turned),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }

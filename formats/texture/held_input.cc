@@ -1,0 +1,285 @@
+// held_input.cc - reads one image file that must stay what it was when it was first opened.
+#include "formats/texture/held_input.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cmath>
+#include <cstring>
+
+#include "formats/texture/png_rows.h"
+
+namespace fmt
+{
+
+namespace
+{
+
+// PNG files through libpng. The colour space is set as OpenImageIO does it.
+class PngInput final : public OIIO::ImageInput
+{
+  public:
+    explicit PngInput(int fd) : fd(fd)
+    {
+    }
+    ~PngInput() override
+    {
+        fmt_png_rows_close(rows);
+    }
+    const char *format_name() const override
+    {
+        return "png";
+    }
+    bool open(const std::string &, OIIO::ImageSpec &spec) override
+    {
+        struct fmt_png_info info;
+        char message[FMT_PNG_MESSAGE];
+        if (fmt_png_rows_open(fd, &info, message, &rows) < 0) {
+            errorfmt("{}", message);
+            return false;
+        }
+        m_spec = OIIO::ImageSpec(int(info.width), int(info.height), info.channels,
+                                 info.bits == 16 ? OIIO::TypeDesc::UINT16 : OIIO::TypeDesc::UINT8);
+        float gamma = info.gamma > 0 ? std::round(100 * float(1 / info.gamma)) / 100 : 0;
+        m_spec.attribute("oiio:ColorSpace", gamma == 0   ? "sRGB"
+                                            : gamma == 1 ? "linear"
+                                                         : "GammaCorrected");
+        m_spec.attribute("oiio:Gamma", gamma);
+        spec = m_spec;
+        return true;
+    }
+    bool close() override
+    {
+        fmt_png_rows_close(rows);
+        rows = nullptr;
+        return true;
+    }
+    // Skips the rows above; never goes back.
+    bool read_native_scanline(int, int, int y, int, void *data) override
+    {
+        char message[FMT_PNG_MESSAGE];
+        for (; next_row <= y; next_row++)
+            if (fmt_png_rows_read(rows, data, message) < 0) {
+                errorfmt("{}", message);
+                return false;
+            }
+        return true;
+    }
+
+  private:
+    int fd, next_row = 0;
+    struct fmt_png_rows *rows = nullptr;
+};
+
+// Returns whether reading several rows at once starts a pool of threads, which ends the process if
+// the system has none left.
+bool starts_threads(const ImageKind &kind)
+{
+    return std::strcmp(kind.plugin, "tiff") == 0;
+}
+
+bool same_shape(const OIIO::ImageSpec &a, const OIIO::ImageSpec &b)
+{
+    return a.x == b.x && a.y == b.y && a.z == b.z && a.width == b.width && a.height == b.height &&
+           a.depth == b.depth && a.nchannels == b.nchannels && a.tile_width == b.tile_width &&
+           a.tile_height == b.tile_height && a.tile_depth == b.tile_depth && a.format == b.format &&
+           a.channelformats == b.channelformats && a.deep == b.deep;
+}
+
+} // namespace
+
+int HeldImage::probe()
+{
+    struct bsq_file file;
+    int failure = host->file_open(ctx, path.c_str(), &file);
+    if (failure)
+        return failure;
+    Probe found = {host, ctx, &file, {0}};
+    uint64_t got = 0;
+    failure = host->file_read_some(ctx, &file, found.head, sizeof found.head, 0, &got);
+    if (!failure && !(kind = find_image_kind(found)))
+        failure = host->fail(ctx, BSQ_EDATA, "%s: not a readable image: it is no %s", path.c_str(),
+                             image_kinds_text);
+    if (!failure && kind->whole)
+        whole = kind->whole(found);
+    host->file_close(ctx, &file);
+    return failure;
+}
+
+HeldInput::HeldInput(HeldImage *image) : image(image)
+{
+    threads(1);
+}
+
+HeldInput::~HeldInput()
+{
+    close();
+}
+
+bool HeldInput::close()
+{
+    lock_guard guard(*this);
+    inner.reset();
+    if (image)
+        image->host->file_close(image->ctx, &file);
+    return true;
+}
+
+int HeldInput::fail_open(int error, std::string reason)
+{
+    const char *path = image->path.c_str();
+    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    if (image->temporary >= 0)
+        return image->host->fail(image->ctx, BSQ_EIO, "%s: %s", path, reason.c_str());
+    if (error == EMFILE || error == ENFILE || error == EIO) // not a fault of the image
+        return image->host->fail_errno(image->ctx, BSQ_ENOINPUT, error, "%s", path);
+    return image->host->fail(image->ctx, BSQ_EDATA, "%s: not a readable image: %s", path,
+                             reason.c_str());
+}
+
+int HeldInput::check_shape()
+{
+    if (!image->described) {
+        image->shape = inner->spec();
+        image->described = true;
+    }
+    if (same_shape(image->shape, inner->spec()))
+        return 0;
+    return image->host->fail(image->ctx, BSQ_EIO, "%s: was changed while it was read",
+                             image->path.c_str());
+}
+
+int HeldInput::open_inner()
+{
+    OIIO::ImageSpec found, config;
+    config["oiio:UnassociatedAlpha"] = 1;
+    int status =
+        image->temporary >= 0 ? 0 : image->host->file_open(image->ctx, image->path.c_str(), &file);
+    if (status)
+        return status;
+    int fd = image->temporary >= 0 ? image->temporary : file.fd;
+    errno = 0;
+    if (std::strcmp(image->kind->plugin, "png") == 0)
+        inner.reset(new PngInput(fd));
+    else
+        inner = OIIO::ImageInput::create(image->kind->plugin);
+    if (!inner)
+        return fail_open(errno, OIIO::geterror());
+    inner->threads(1);
+    if (!inner->open("/proc/self/fd/" + std::to_string(fd), found, config))
+        return fail_open(errno, inner->geterror());
+    next_row = inner->spec().y;
+    return check_shape();
+}
+
+int HeldInput::open_image()
+{
+    lock_guard guard(*this);
+    close();
+    int status = open_inner();
+    int none = 0;
+    if (status) {
+        close();
+        image->status.compare_exchange_strong(none, status);
+    } else {
+        m_spec = inner->spec();
+        drop_channels();
+    }
+    return status;
+}
+
+// OpenImageIO itself would start threads to leave channels out. Images whose channels differ in
+// type are left to it.
+void HeldInput::drop_channels()
+{
+    int kept = m_spec.nchannels >= 3 ? 3 : 1;
+    inner_texel = texel = m_spec.pixel_bytes(true);
+    if (kept == m_spec.nchannels || !m_spec.channelformats.empty())
+        return;
+    m_spec.nchannels = kept;
+    m_spec.alpha_channel = m_spec.z_channel = -1;
+    m_spec.channelnames.resize(size_t(kept));
+    texel = m_spec.pixel_bytes(true);
+}
+
+// Copies the channels that are given.
+void HeldInput::keep(const void *from, void *to, size_t texels) const
+{
+    const char *in = static_cast<const char *>(from);
+    char *out = static_cast<char *>(to);
+    for (size_t i = 0; i < texels; i++, in += inner_texel, out += texel)
+        std::memcpy(out, in, texel);
+}
+
+bool HeldInput::open(const std::string &, OIIO::ImageSpec &)
+{
+    return false; // without the attribute there is no image
+}
+
+bool HeldInput::open(const std::string &, OIIO::ImageSpec &spec, const OIIO::ImageSpec &config)
+{
+    const auto *value = config.find_attribute(attribute, OIIO::TypeDesc::PTR);
+    if (!value)
+        return false;
+    image = *static_cast<HeldImage *const *>(value->data());
+    if (open_image() != 0) {
+        errorfmt("cannot be opened again");
+        return false;
+    }
+    spec = m_spec;
+    return true;
+}
+
+bool HeldInput::pass_on(bool good)
+{
+    if (!good)
+        errorfmt("{}", inner ? inner->geterror() : "cannot be opened again");
+    return good;
+}
+
+// Prepares for reading rows in sequence.
+bool HeldInput::go_to(int ybegin, int yend)
+{
+    bool good = inner && (ybegin >= next_row || open_image() == 0);
+    next_row = yend;
+    return good;
+}
+
+bool HeldInput::read_native_scanline(int subimage, int miplevel, int y, int z, void *data)
+{
+    lock_guard guard(*this); // the cache's threads share one input
+    bool whole = texel == inner_texel;
+    size_t width = size_t(m_spec.width);
+    scratch.resize(whole ? 0 : width * inner_texel);
+    if (!go_to(y, y + 1) ||
+        !inner->read_native_scanline(subimage, miplevel, y, z, whole ? data : scratch.data()))
+        return pass_on(false);
+    if (!whole)
+        keep(scratch.data(), data, width);
+    return true;
+}
+
+bool HeldInput::read_native_scanlines(int subimage, int miplevel, int ybegin, int yend, int z,
+                                      void *data)
+{
+    if (starts_threads(*image->kind) || texel != inner_texel)
+        return ImageInput::read_native_scanlines(subimage, miplevel, ybegin, yend, z, data);
+    lock_guard guard(*this);
+    return pass_on(go_to(ybegin, yend) &&
+                   inner->read_native_scanlines(subimage, miplevel, ybegin, yend, z, data));
+}
+
+bool HeldInput::read_native_tile(int subimage, int miplevel, int x, int y, int z, void *data)
+{
+    lock_guard guard(*this);
+    bool whole = texel == inner_texel;
+    size_t texels = size_t(m_spec.tile_width) * size_t(m_spec.tile_height);
+    scratch.resize(whole ? 0 : texels * inner_texel);
+    if (!inner ||
+        !inner->read_native_tile(subimage, miplevel, x, y, z, whole ? data : scratch.data()))
+        return pass_on(false);
+    if (!whole)
+        keep(scratch.data(), data, texels);
+    return true;
+}
+
+} // namespace fmt
