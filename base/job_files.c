@@ -88,7 +88,8 @@ static bool same_place(const struct place *a, const struct place *b)
 
 static int fail_memory(struct bsq_ctx *ctx, const char *path)
 {
-    return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
+    bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
+    return BSQ_ENOMEM;
 }
 
 /* Returns the slot of a path: that of its input, or an empty one. Some slot must be empty. */
@@ -125,7 +126,7 @@ static int grow_inputs(struct bsq_ctx *ctx, struct job_files *files, const char 
     int status = count_bytes(ctx, files,
                              (capacity - files->input_capacity) *
                                  (sizeof *files->inputs + 2 * sizeof *files->slots));
-    if (status < 0)
+    if (status != 0)
         return status;
     struct input *inputs = reallocarray(files->inputs, capacity, sizeof *inputs);
     if (inputs)
@@ -167,14 +168,14 @@ static int add_input(struct bsq_ctx *ctx, const char *path, struct input **out)
     if (!files)
         return fail_memory(ctx, path);
     int status = grow_inputs(ctx, files, path);
-    if (status < 0)
+    if (status != 0)
         return status;
     uint64_t *slot = find_slot(files, path);
     if (*slot != 0) {
         *out = &files->inputs[*slot - 1];
         return 0;
     }
-    if ((status = count_bytes(ctx, files, strlen(path) + 1)) < 0)
+    if ((status = count_bytes(ctx, files, strlen(path) + 1)) != 0)
         return status;
     struct input input = {.path = strdup(path)};
     if (!input.path)
