@@ -1,7 +1,7 @@
 // texture_formats.cc - recognises images by their content and tells the memory that decoding takes.
 //
 // Headers are read here, as some plug-ins decode the whole image when they open a file. The factors
-// were measured with OpenImageIO 2.4.7 (docs/decisions/0028).
+// were measured with OpenImageIO 2.4.7 (docs/decisions/0031).
 #include "formats/texture/texture_formats.h"
 
 #include <algorithm>
