@@ -264,8 +264,8 @@ static void test_values_are_those_of_the_formula(void **state)
 static void test_far_positions_have_an_origin(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = test_context(1, 0);
     for (int s = 1; s < SCANS; s++) {
+        struct bsq_ctx *ctx = test_context(1, 0); /* a context holds a file to its first opening */
         struct bake_options options = options_for(&scans[s], "p.exr");
         options.maps = BAKE_MAP_POSITION;
         const struct bake_report report = bake(&options, 1, 0);
@@ -279,8 +279,8 @@ static void test_far_positions_have_an_origin(void **state)
             assert_true(s == 1 ? origin[k] == 0 : fabs(origin[k] - scans[s].centre[k]) < 1e-3);
         }
         fmt_exr_image_free(ctx, &image);
+        test_context_end(ctx);
     }
-    test_context_end(ctx);
 }
 
 /* Means of many samples are as exact as single samples. */
@@ -370,9 +370,9 @@ static void check_png(struct bsq_ctx *ctx, const char *map, const struct bake_va
 static void test_png_files_decode_to_the_values(void **state)
 {
     (void)state;
-    struct bsq_ctx *ctx = test_context(1, 0);
     for (int s = 0; s < SCANS; s++)
         for (int variant = 0; variant < 2; variant++) {
+            struct bsq_ctx *ctx = test_context(1, 0);
             struct bake_options raw = options_for(&scans[s], "<MAP>.exr");
             struct bake_options scaled = options_for(&scans[s], "<MAP>.png");
             scaled.height_range = variant == 0 ? -1 : 5;
@@ -386,8 +386,8 @@ static void test_png_files_decode_to_the_values(void **state)
             assert_true(png.encodings[5].range == (variant == 0 ? exr.encodings[5].range : 0.1));
             check_png(ctx, "curvature", &exr.encodings[5], &png.encodings[5]);
             check_png(ctx, "position", &exr.encodings[4], &png.encodings[4]);
+            test_context_end(ctx);
         }
-    test_context_end(ctx);
 }
 
 static void test_options_that_hold_nothing_are_refused(void **state)
