@@ -231,6 +231,8 @@ bool HeldInput::open(const std::string &, OIIO::ImageSpec &spec, const OIIO::Ima
 
 bool HeldInput::pass_on(bool good)
 {
+    if (!good && image)
+        image->error = errno;
     if (!good)
         errorfmt("{}", inner ? inner->geterror() : "cannot be opened again");
     return good;
@@ -247,6 +249,7 @@ bool HeldInput::go_to(int ybegin, int yend)
 bool HeldInput::read_native_scanline(int subimage, int miplevel, int y, int z, void *data)
 {
     lock_guard guard(*this); // the cache's threads share one input
+    errno = 0;
     bool whole = texel == inner_texel;
     size_t width = size_t(m_spec.width);
     scratch.resize(whole ? 0 : width * inner_texel);
@@ -264,6 +267,7 @@ bool HeldInput::read_native_scanlines(int subimage, int miplevel, int ybegin, in
     if (starts_threads(*image->kind) || texel != inner_texel)
         return ImageInput::read_native_scanlines(subimage, miplevel, ybegin, yend, z, data);
     lock_guard guard(*this);
+    errno = 0;
     return pass_on(go_to(ybegin, yend) &&
                    inner->read_native_scanlines(subimage, miplevel, ybegin, yend, z, data));
 }
@@ -271,6 +275,7 @@ bool HeldInput::read_native_scanlines(int subimage, int miplevel, int ybegin, in
 bool HeldInput::read_native_tile(int subimage, int miplevel, int x, int y, int z, void *data)
 {
     lock_guard guard(*this);
+    errno = 0;
     bool whole = texel == inner_texel;
     size_t texels = size_t(m_spec.tile_width) * size_t(m_spec.tile_height);
     scratch.resize(whole ? 0 : texels * inner_texel);

@@ -358,7 +358,7 @@ int read_rows(Textures *textures, const Image &image, fmt::HeldInput &input, uin
             : input.read_scanlines(0, 0, y0, y1, spec.z, 0, image.channels, image.type, rows);
     if (good)
         return 0;
-    return fail_read(textures, image, errno, input.geterror());
+    return fail_read(textures, image, image.file->error, input.geterror());
 }
 
 // Rows of an image, which are freed whatever ends their use.
@@ -560,16 +560,14 @@ int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle 
     int x_end = int(std::ceil(r.x1)), y_end = int(std::ceil(r.y1));
     for (int y = int(std::floor(r.y0)), next_y = y; y < y_end; y = next_y)
         for (int x = int(std::floor(r.x0)); x < x_end;) {
-            errno = 0;
             auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
                                          0, image.channels);
-            int failed = image.copy ? image.copy->status : image.file->status;
-            if (!tile && failed)
-                return failed; // the file could not be opened again
+            const fmt::HeldImage &held = image.copy ? *image.copy : *image.file;
+            if (!tile && held.status)
+                return held.status; // the file could not be opened again
             if (!tile)
-                return image.temporary.fd >= 0
-                           ? fail_tiles(textures, image, errno, cache->geterror())
-                           : fail_read(textures, image, errno, cache->geterror());
+                return image.copy ? fail_tiles(textures, image, held.error, cache->geterror())
+                                  : fail_read(textures, image, held.error, cache->geterror());
             TypeDesc type;
             const void *texels = cache->tile_pixels(tile, type);
             OIIO::ROI roi = cache->tile_roi(tile);
