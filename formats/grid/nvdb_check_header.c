@@ -268,13 +268,13 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
 {
     struct head h = {
         .ctx = ctx, .path = grid->map.path, .file = grid->map.data, .size = grid->map.size};
-    uint64_t at = FMT_NVDB_GRID_OFFSET;
+    const uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(h.grid);
     int status;
     copy_part(&h, 0, &h.header, sizeof(h.header));
     copy_part(&h, sizeof(h.header), &h.meta, sizeof(h.meta));
-    copy_part(&h, at, &h.grid, sizeof(h.grid));
-    copy_part(&h, at += sizeof(h.grid), &h.tree, sizeof(h.tree));
-    copy_part(&h, at += sizeof(h.tree), &h.root, sizeof(h.root));
+    copy_part(&h, FMT_NVDB_GRID_OFFSET, &h.grid, sizeof(h.grid));
+    copy_part(&h, tree, &h.tree, sizeof(h.tree));
+    copy_part(&h, tree + sizeof(h.tree), &h.root, sizeof(h.root));
     status = check_file_header(&h);
     if (status == 0)
         status = check_grid_data(&h);

@@ -145,7 +145,8 @@ static void a_wall_hides_half_of_a_floor(void **state)
     add_rectangle(&s, (double[]){0.2, 0.3, h / 2 + 0.1}, (double[]){0, 0, h / 2},
                   (double[]){0, 600, 0}, -1);
     open_scene(&s);
-    for (double d = 2; d < 100; d *= 2) {
+    for (int i = 1; i < 7; i++) {
+        const double d = 1 << i;
         const double at[3] = {0.2 + d, 0.3, 0.1}, up[3] = {0, 0, 1};
         const bk_surroundings found = look(&s, at, up);
         const bk_vec3 bent = bk_unit(found.bent);
@@ -164,8 +165,10 @@ static void a_tube_leaves_a_cone(void **state)
     (void)state;
     struct scene s = begin();
     const double r = 40.3, h = 61;
-    for (double z = 0.2; z < h; z += 0.4)
-        for (double a = 0; a < 2 * PI; a += 0.4 / r) {
+    const int rings = (int)(h / 0.4), steps = (int)(2 * PI * r / 0.4);
+    for (int ring = 0; ring < rings; ring++)
+        for (int step = 0; step < steps; step++) {
+            const double z = 0.2 + 0.4 * ring, a = 2 * PI * step / steps;
             const double n[3] = {-cos(a), -sin(a), 0};
             analytic_grid_add(s.samples, (double[]){r * cos(a), r * sin(a), z}, n, 0.16, NULL);
         }
