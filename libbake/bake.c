@@ -4,6 +4,7 @@
  * ray. The files get their final names at the very end, one after another. */
 #include "libbake/bake.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -72,6 +73,7 @@ static int choose_maps(struct job *job)
 static int report_tiles(struct job *job)
 {
     struct bake_report *report = job->report;
+    assert(job->udim.count > 0);
     report->tiles = calloc(job->udim.count, sizeof *report->tiles);
     if (!report->tiles)
         return bsq_fail(job->ctx, BSQ_ENOMEM, "out of memory");

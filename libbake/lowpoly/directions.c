@@ -37,10 +37,11 @@ struct place {
 static void add_corner(struct place *place, const float normal[3], const float first_normal[3],
                        double weight)
 {
-    for (int k = 0; k < 3; k++)
+    for (int k = 0; k < 3; k++) {
         place->sum[k] += weight * (double)normal[k];
+        place->normals_differ |= normal[k] != first_normal[k];
+    }
     place->weights += weight;
-    place->normals_differ |= memcmp(normal, first_normal, 3 * sizeof *normal) != 0;
 }
 
 static void choose_direction(const struct place *place, const float normal[3], float out[3])
