@@ -231,8 +231,9 @@ bool HeldInput::open(const std::string &, OIIO::ImageSpec &spec, const OIIO::Ima
 
 bool HeldInput::pass_on(bool good)
 {
+    int none = 0; // the first reason counts: OpenImageIO may try again, and fail in another way
     if (!good && image)
-        image->error = errno;
+        image->error.compare_exchange_strong(none, errno);
     if (!good)
         errorfmt("{}", inner ? inner->geterror() : "cannot be opened again");
     return good;

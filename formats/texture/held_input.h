@@ -25,7 +25,7 @@ struct HeldImage {
     bool described = false;
     OIIO::ImageSpec shape;      // what the first opening found
     std::atomic<int> status{0}; // first failure that was reported to the context
-    std::atomic<int> error{0};  // errno of the last failed read; OpenImageIO's callers lose it
+    std::atomic<int> error{0};  // errno of the first failed read; OpenImageIO's callers lose it
 
     // Finds out the format and what decoding takes, without decoding. Errors: those of
     // bsq_file_open(); BSQ_EDATA.

@@ -82,7 +82,7 @@ code 0
 stops "one polygon as a scan" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024
 stops "one polygon in little memory" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 \
     --threads 1 --memory 80M
-stops "many materials" bisque-voxelize materials.obj -o slow.nvdb --resolution 1024
+stops "many materials" bisque-voxelize materials.obj -o slow.nvdb --resolution 64 --no-tris
 stops "one polygon as the low-poly mesh" bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
     --device cpu --size 2048
 for surface in nvdb tris; do

@@ -1,5 +1,6 @@
 #!/bin/sh
 # test_mesh_formats.sh - the same mesh in each format gives the same chunks, grid and maps.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 # compare OPTION...: writes the vase in all formats and voxelizes each.

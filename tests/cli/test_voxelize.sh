@@ -270,11 +270,15 @@ code 0
 same "a box.nvdb" box.nvdb
 rm "a box."*
 
-# An output is replaced, with the permissions that any new file has.
+# An output that is replaced keeps its permissions; a new one has those of any new file.
 echo old >old.nvdb
 chmod 600 old.nvdb
 (umask 022 && "$BIN/bisque-voxelize" box.obj -o old.nvdb --resolution 24 --no-tris >"$out")
 same old.nvdb box.nvdb
+[ "$(stat -c %a old.nvdb)" = 600 ]
+check "permissions of a replaced file" $?
+rm old.nvdb
+(umask 022 && "$BIN/bisque-voxelize" box.obj -o old.nvdb --resolution 24 --no-tris >"$out")
 [ "$(stat -c %a old.nvdb)" = 644 ]
 check "permissions of a new file" $?
 rm old.nvdb

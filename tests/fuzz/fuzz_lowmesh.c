@@ -87,7 +87,7 @@ static int sort_by_tile(struct bsq_ctx *ctx, const char *path, struct bake_lowme
     if (status == 0)
         status = bake_udim_arrange(ctx, &options, &udim, mesh);
     bake_udim_free(ctx, &udim);
-    return status;
+    return status == BSQ_EUSAGE ? 0 : status; /* no triangle is in any tile */
 }
 
 static int use(struct bsq_ctx *ctx, const char *path)

@@ -98,6 +98,7 @@ def _read_materials(data, header):
             need(len(part) - at >= path_bytes, "path beyond the materials")
             path = bytes(part[at:at + path_bytes])
             need(0 not in path, "zero byte in a path")
+            need(path.startswith(b"/"), "a path that is not absolute")
             at += path_bytes
         materials.append((tuple(diffuse), path))
     need(len(part) - at < 8 and is_zero(part[at:]), "materials do not fill their part")

@@ -242,6 +242,7 @@ void scan_write(struct bsq_ctx *ctx, const char *path, const struct scan_mesh *m
         memcpy(header.materials, materials, material_count * sizeof *materials);
     if (origin)
         memcpy(header.origin, origin, sizeof header.origin);
+    bsq_forget_files(ctx); /* which may have read an older file of this name */
     assert_int_equal(fmt_tris_create(ctx, path, &header, &writer), 0);
     uint32_t *local = must_alloc(mesh->vertex_count, sizeof *local);
     memset(local, 0xff, mesh->vertex_count * sizeof *local);
