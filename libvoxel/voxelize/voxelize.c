@@ -480,7 +480,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
     struct bsq_output_group group = {0};
-    struct bsq_output *grid, *vdb;
+    struct bsq_output *grid = NULL, *vdb = NULL;
     int status = options->vdb_path ? vox_check_export(ctx) : 0;
     if (status == 0)
         status = bsq_note_output(ctx, options->grid_path);
