@@ -56,6 +56,13 @@ void bake_add_attribute(struct bake_attributes *attributes, const char *name, co
     attributes->list[attributes->count++] = (struct fmt_image_attribute){name, value};
 }
 
+static const char *rays_text(const struct bake_options *options)
+{
+    static const char *const names[] = {
+        [BAKE_RAYS_SMOOTH] = "smooth", [BAKE_RAYS_MESH] = "mesh", [BAKE_RAYS_FACE] = "face"};
+    return options->cage_path ? "cage" : names[options->rays];
+}
+
 void bake_describe_map(const struct bake_options *options, unsigned number,
                        const struct bake_traced *traced, struct bake_attributes *out)
 {
@@ -70,6 +77,7 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
         bake_map_table[number].describe(options, out);
     bake_add_attribute(out, "bisque:samples", out->text[0]);
     bake_add_attribute(out, "bisque:sampling", traced->sampling);
+    bake_add_attribute(out, "bisque:rays", rays_text(options));
     bake_add_attribute(out, "bisque:front", out->text[1]);
     bake_add_attribute(out, "bisque:back", out->text[2]);
 }

@@ -361,7 +361,7 @@ run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 --front 
 code 0
 header map_normal.exr colorInteropID=data oiio:ColorSpace=Raw bisque:map=normal bisque:normalSpace=tangent \
     bisque:tangents=MikkTSpace bisque:green=down "bisque:encoding=n / 2 + 1/2" "bisque:samples=2 x 2" \
-    bisque:sampling=trilinear bisque:front=0.05 bisque:back=0.025
+    bisque:sampling=trilinear bisque:rays=smooth bisque:front=0.05 bisque:back=0.025
 header map_color.exr colorInteropID=lin_rec709_scene oiio:ColorSpace=Linear bisque:map=color
 header map_mask.exr colorInteropID=data oiio:ColorSpace=Raw bisque:map=mask
 run bisque-bake vase.tris low.obj --maps normal --size 32x16 --normal-space object -o exact.exr
