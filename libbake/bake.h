@@ -70,12 +70,15 @@ enum bake_sample_type {
 
 /** The size of the maps of one UDIM tile, in texels. */
 struct bake_tile_size {
-    uint32_t tile, width, height;
+    uint32_t tile;   /**< Number of the tile. */
+    uint32_t width;  /**< Width of its maps. */
+    uint32_t height; /**< Height of its maps. */
 };
 
-/** UDIM tiles first to last. */
+/** A range of UDIM tiles. */
 struct bake_tile_range {
-    uint32_t first, last;
+    uint32_t first; /**< Number of the first tile. */
+    uint32_t last;  /**< Number of the last tile, inclusive. */
 };
 
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */
@@ -183,11 +186,11 @@ void bake_defaults(struct bake_options *options);
 struct bake_value_encoding {
     const char *unit;  /**< NULL: the map is not baked, or its values have no unit. */
     uint32_t channels; /**< 1 or 3. */
-    double scale[3];
-    double offset[3];
-    double origin[3]; /**< In double precision, as geo-referenced positions need it; else 0. */
-    double range;     /**< Half of the largest scale that an integer file has. */
-    double radius;    /**< In which curvature was measured; else 0. */
+    double scale[3];   /**< See above. */
+    double offset[3];  /**< See above. */
+    double origin[3];  /**< In double precision, as geo-referenced positions need it; else 0. */
+    double range;      /**< Half of the largest scale that an integer file has. */
+    double radius;     /**< In which curvature was measured; else 0. */
 };
 
 /** What bake_run() did. Times are wall times in seconds. */
@@ -247,9 +250,10 @@ void bake_report_free(struct bake_report *report);
 
 /** A UDIM tile that triangles of a low-poly mesh lie in. */
 struct bake_tile_info {
-    uint32_t tile;          /**< Its number. */
-    uint32_t width, height; /**< Of its maps in texels, by the options. */
-    uint64_t triangles;     /**< In it; a triangle can be in several tiles. */
+    uint32_t tile;      /**< Its number. */
+    uint32_t width;     /**< Width of its maps in texels, by the options. */
+    uint32_t height;    /**< Height of its maps in texels, by the options. */
+    uint64_t triangles; /**< In it; a triangle can be in several tiles. */
 };
 
 /** Calls `fn` with `arg` for each UDIM tile that bake_run() would bake, by number. Of the options,
