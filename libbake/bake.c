@@ -280,6 +280,7 @@ static int fail_without_hit(const struct job *job)
         low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
         low->bounds_max[1], low->bounds_max[2],
         !in_same_place(scan, low) ? "are they in the same place and units?"
+        : job->options->cage_path ? "try a larger cage, or a larger --back"
         : job->options->two_sided ? "try a larger --front and --back"
                                   : "try a larger --front and --back, or --two-sided "
                                     "if the scan's faces are wound inwards");
@@ -300,11 +301,13 @@ static void note_device_times(struct job *job)
 static int trace(struct job *job)
 {
     const struct bake_tile_scene scene = scene_of(job);
+    const uint64_t kept = bsq_memory_left(job->ctx) / 2;
     int status = 0;
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
         status =
-            bake_tile_trace(&scene, &job->tiles[i],
-                            bsq_memory_left(job->ctx) / 2 / (job->udim.count - i), job->report);
+            bake_tile_trace(&scene, &job->tiles[i], share / (job->udim.count - i), job->report);
+    }
     if (job->device)
         note_device_times(job);
     if (status == 0 && job->report->hits == 0)
@@ -355,12 +358,16 @@ static struct bake_traced traced_of(const struct job *job)
     return traced;
 }
 
-/* Creates the files of the first tile, so that a directory that cannot be written to is known
- * before the work; those of other tiles are created when they are written. */
+/* Checks the files of all tiles before the work, and creates those of the first. Those of other
+ * tiles are created when they are written. */
 static int open_outputs(struct job *job)
 {
     const struct bake_traced traced = traced_of(job);
-    int status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = bake_tile_check_files(job->ctx, &job->tiles[i]);
+    if (status == 0)
+        status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
     if (status == 0 && job->options->preview_path)
         status = bake_preview_open(job->ctx, job->options->preview_path, &job->preview_file);
     return status;

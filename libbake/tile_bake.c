@@ -3,6 +3,9 @@
 
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+
+#include "base/output.h"
 
 int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
                     const struct bake_udim_tile *place, struct bake_tile *out)
@@ -11,8 +14,9 @@ int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uin
     bake_tile_size_of(options, place->number, &out->options.width, &out->options.height);
     out->output_path = bake_tile_path(options->output_path, place->number);
     out->options.output_path = out->output_path;
-    return out->output_path ? 0
-                            : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
+    if (out->output_path)
+        out->beside = bake_map_path(out->output_path, (enum bake_map)(maps & -maps));
+    return out->beside ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
 }
 
 void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
@@ -23,6 +27,7 @@ void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
     free(tile->output_path);
+    free(tile->beside);
     memset(tile, 0, sizeof *tile);
 }
 
@@ -56,7 +61,7 @@ static int create_image(const struct bake_tile_scene *scene, struct bake_tile *t
                                              .height = tile->options.height,
                                              .channels = bake_image_channels_for(tile->maps),
                                              .memory_bytes = memory_bytes,
-                                             .beside = tile->output_path};
+                                             .beside = tile->beside};
     return bake_image_create(scene->ctx, &image, &tile->image);
 }
 
@@ -129,5 +134,43 @@ int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uin
     int status = create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal);
     if (status == 0)
         status = create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color);
+    return status;
+}
+
+/* Returns whether two paths have the same name in the same directory. */
+static bool is_same_path(const char *a, const char *b)
+{
+    const char *name_a = strrchr(a, '/'), *name_b = strrchr(b, '/');
+    struct stat info[2];
+    if (strcmp(name_a ? name_a + 1 : a, name_b ? name_b + 1 : b) != 0)
+        return false;
+    const char *const paths[] = {a, b}, *const names[] = {name_a, name_b};
+    for (int i = 0; i < 2; ++i) {
+        char *directory = names[i] ? strndup(paths[i], (size_t)(names[i] - paths[i]) + 1) : NULL;
+        int result = stat(directory ? directory : ".", &info[i]);
+        free(directory);
+        if (result != 0)
+            return false;
+    }
+    return info[0].st_dev == info[1].st_dev && info[0].st_ino == info[1].st_ino;
+}
+
+int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile)
+{
+    const char *preview = tile->options.preview_path;
+    int status = 0;
+    for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i) {
+        if (!(tile->maps & 1u << i))
+            continue;
+        struct bsq_output *output;
+        char *path = bake_map_path(tile->output_path, (enum bake_map)(1u << i));
+        if (!path)
+            return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
+        if (preview && is_same_path(path, preview))
+            status = bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
+        if (status == 0 && (status = bsq_output_open(ctx, path, &output)) == 0)
+            bsq_output_discard(output);
+        free(path);
+    }
     return status;
 }

@@ -11,6 +11,7 @@ struct bake_tile {
     struct bake_options options; /* the job's, with the size and output path of this tile */
     uint32_t maps;
     char *output_path;
+    char *beside;       /* the path of one map; temporary files go to its directory */
     uint32_t tile_size; /* side of the raster's tiles in texels */
     struct bake_raster *raster;
     struct bake_image *image;
@@ -45,6 +46,10 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
  * and bake_trace_grid_tiles(). */
 int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
                     uint64_t memory_bytes, struct bake_report *report);
+
+/* Checks that the tile's files can be created, are no inputs, and are not the preview. Errors:
+ * BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile);
 
 /* Creates the tile's files under temporary names, unless they are. Errors: those of
  * bake_map_files_open(). */

@@ -59,13 +59,12 @@ static int take_tile_size(struct cli *cli, const char **text, struct bake_option
 int bake_parse_sizes(struct cli *cli, const char *text, struct bake_options *options)
 {
     const char *at = text;
+    const uint32_t width = options->width, height = options->height;
     bool good = take_size(&at, &options->width, &options->height) && *at == '\0';
     int status = 0;
     if (strchr(text, '=')) {
-        struct bake_options defaults;
-        bake_defaults(&defaults);
-        options->width = defaults.width;
-        options->height = defaults.height;
+        options->width = width; /* of tiles that the text does not name */
+        options->height = height;
         at = text;
         do
             status = take_tile_size(cli, &at, options, &good);

@@ -26,16 +26,16 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
     int status = bsq_note_input(cli->ctx, bake->scan_path, "the scan");
     if (status == 0)
         status = bsq_note_input(cli->ctx, bake->mesh_path, "the low-poly mesh");
+    if (status == 0 && bake->cage_path)
+        status = bsq_note_input(cli->ctx, bake->cage_path, "the cage");
     for (unsigned i = 0; i < MOST_MAPS && status == 0; i++) {
         if (!paths[i])
             continue;
         if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
-        /* Tiles are known later; their files lie in the directory of the first. */
-        char *path = bake_tile_path(paths[i], BAKE_FIRST_TILE);
-        status = path ? cli_check_output(cli, path)
-                      : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", paths[i]);
-        free(path);
+        /* bake_run() checks the files of tiles, which are known when the mesh is. */
+        if (!strstr(paths[i], BAKE_UDIM_TOKEN) && !strstr(paths[i], BAKE_UVTILE_TOKEN))
+            status = cli_check_output(cli, paths[i]);
     }
     if (status == 0 && bake->preview_path)
         status = cli_check_picture(cli, bake->preview_path);

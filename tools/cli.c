@@ -8,6 +8,7 @@
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <strings.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -49,9 +50,20 @@ static void reserve_standard_descriptors(void)
     }
 }
 
+/* Allows as many open files as the system does: maps of many UDIM tiles are open together. */
+static void allow_open_files(void)
+{
+    struct rlimit limit;
+    if (getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < limit.rlim_max) {
+        limit.rlim_cur = limit.rlim_max;
+        setrlimit(RLIMIT_NOFILE, &limit);
+    }
+}
+
 void cli_begin(struct cli *cli, const char *program, char **argv)
 {
     reserve_standard_descriptors();
+    allow_open_files();
     *cli = (struct cli){.program = program};
     clock_gettime(CLOCK_MONOTONIC, &cli->started);
     argv[0] = (char *)program;

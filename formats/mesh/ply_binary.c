@@ -198,20 +198,21 @@ static void parse_faces(const struct ply_source *source, const struct ply_elemen
 /* ---- strips ---- */
 
 /* Adds `length` indices at `list` to a strip. Returns false if parsing must stop. */
-static bool add_indices(struct stream_slot *slot, struct ply_strip *strip,
-                        const struct ply_property *p, const uint8_t *list, uint64_t length,
-                        bool swap)
+static bool add_indices(const struct ply_source *source, struct stream_slot *slot,
+                        struct ply_strip *strip, const struct ply_property *p, const uint8_t *list,
+                        uint64_t length, bool swap)
 {
     const uint64_t each = fmt_ply_type_bytes[p->type];
     const uint64_t at = slot->part.offset + (uint64_t)(list - slot->bytes);
     for (uint64_t i = 0; i < length; i++)
-        if (!fmt_ply_add_to_strip(slot, strip, ply_integer(list + i * each, p->type, swap),
+        if (!fmt_ply_add_to_strip(source, slot, strip, ply_integer(list + i * each, p->type, swap),
                                   at + i * each))
             return false;
     return true;
 }
 
-static void parse_strips(const struct ply_element *element, struct stream_slot *slot, bool swap)
+static void parse_strips(const struct ply_source *source, const struct ply_element *element,
+                         struct stream_slot *slot, bool swap)
 {
     const struct ply_property *p = element->role[PLY_INDICES];
     const uint8_t *from = slot->bytes, *list = from;
@@ -220,11 +221,12 @@ static void parse_strips(const struct ply_element *element, struct stream_slot *
     for (uint64_t i = 0; i < slot->part.items && more; i++) {
         struct ply_strip strip = {0};
         from = skip_property(p, from, swap, &list, &length);
-        more = add_indices(slot, &strip, p, list, length, swap);
+        more = add_indices(source, slot, &strip, p, list, length, swap);
     }
 }
 
-static void parse_piece(const struct ply_element *element, struct stream_slot *slot, bool swap)
+static void parse_piece(const struct ply_source *source, const struct ply_element *element,
+                        struct stream_slot *slot, bool swap)
 {
     const struct ply_property *p = element->role[PLY_INDICES];
     const uint64_t each = fmt_ply_type_bytes[p->type];
@@ -232,8 +234,8 @@ static void parse_piece(const struct ply_element *element, struct stream_slot *s
     const uint64_t repeated = strip.run < 2 ? strip.run : 2;
     for (uint64_t i = 0; i < repeated; i++)
         strip.last[2 - repeated + i] = (uint64_t)ply_integer(slot->bytes + i * each, p->type, swap);
-    add_indices(slot, &strip, p, slot->bytes + repeated * each, slot->part.size / each - repeated,
-                swap);
+    add_indices(source, slot, &strip, p, slot->bytes + repeated * each,
+                slot->part.size / each - repeated, swap);
 }
 
 /* Returns more than the lists of the part can have numbers. */
@@ -263,8 +265,8 @@ int fmt_ply_parse_binary(struct bsq_ctx *ctx, const struct ply_source *source,
     else if (element->kind == PLY_FACES)
         parse_faces(source, element, slot, swap);
     else if (slot->part.kind & PLY_PART_PIECE)
-        parse_piece(element, slot, swap);
+        parse_piece(source, element, slot, swap);
     else
-        parse_strips(element, slot, swap);
+        parse_strips(source, element, slot, swap);
     return 0;
 }

@@ -215,8 +215,8 @@ bool fmt_ply_finish_face(const struct ply_source *source, struct stream_slot *sl
 
 /* ---- strips ---- */
 
-bool fmt_ply_add_to_strip(struct stream_slot *slot, struct ply_strip *strip, int64_t index,
-                          uint64_t at)
+bool fmt_ply_add_to_strip(const struct ply_source *source, struct stream_slot *slot,
+                          struct ply_strip *strip, int64_t index, uint64_t at)
 {
     struct mesh_arrays *a = &slot->arrays;
     if (index < 0) {
@@ -241,6 +241,8 @@ bool fmt_ply_add_to_strip(struct stream_slot *slot, struct ply_strip *strip, int
     corners[2] = third;
     a->corner_count += 3;
     a->face_sizes[a->face_count] = 3;
+    if (source->tags != PLY_TAGS_NONE) /* strips have the first texture, and no colours */
+        a->face_tags[a->face_count] = source->tags == PLY_TAGS_TEXTURE ? 0 : PLY_NO_TAG;
     slot->at = at;
     return a->face_count++ != slot->last_face;
 }

@@ -110,8 +110,8 @@ struct ply_strip {
 };
 /* Continues a strip with one index; negative: it begins anew. Adds the triangle. Returns false if
  * parsing must stop. */
-bool fmt_ply_add_to_strip(struct stream_slot *slot, struct ply_strip *strip, int64_t index,
-                          uint64_t at);
+bool fmt_ply_add_to_strip(const struct ply_source *source, struct stream_slot *slot,
+                          struct ply_strip *strip, int64_t index, uint64_t at);
 
 /* ---- ply_material.c ---- */
 

@@ -67,7 +67,7 @@ void fmt_ply_colors_free(struct bsq_ctx *ctx, struct ply_colors *colors)
 static int find_material(struct ply_reader *reader, const struct ply_source *source, uint32_t tag,
                          uint32_t *material)
 {
-    if (source->tags == PLY_TAGS_TEXTURE) {
+    if (tag == PLY_NO_TAG || source->tags == PLY_TAGS_TEXTURE) {
         *material = tag == PLY_NO_TAG ? FMT_MESH_NO_MATERIAL : source->texture_base + tag;
         return 0;
     }

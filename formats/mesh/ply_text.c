@@ -171,7 +171,8 @@ static bool read_strip(struct text *t)
     if (!read_length(t, &length))
         return false;
     for (uint64_t i = 0; i < length; i++)
-        if (!read_integer(t, &index) || !fmt_ply_add_to_strip(t->slot, &strip, index, t->line))
+        if (!read_integer(t, &index) ||
+            !fmt_ply_add_to_strip(t->source, t->slot, &strip, index, t->line))
             return false;
     return true;
 }

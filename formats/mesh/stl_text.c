@@ -8,6 +8,8 @@
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/stl_internal.h"
 
+enum { STATEMENTS_A_CHECK = 4096 };
+
 /* ---- cutting ---- */
 
 static bool is_line_end(uint8_t c)
@@ -213,8 +215,11 @@ int fmt_stl_parse_text(struct bsq_ctx *ctx, struct stream_slot *slot)
                      .end = (const char *)slot->bytes + slot->part.size,
                      .line = slot->part.first_line};
     bool more = true;
-    while (more && next_word(&t))
+    for (uint64_t i = 0; more && next_word(&t); i++) {
+        if (i % STATEMENTS_A_CHECK == 0 && (t.status = bsq_check(ctx)) != 0)
+            return t.status;
         more = read_statement(&t);
+    }
     if (more && t.size > 0)
         fail_word(&t, "");
     return t.status;

@@ -3,6 +3,10 @@
 
 #include <string.h>
 
+/* A vertex whose place is taken this often is not welded: files could be made whose vertices all
+ * have one place. Later stages match vertices by position. */
+enum { MOST_PROBES = 256 };
+
 /* The table: entries are numbers of vertices + 1; 0: empty. At most half of them are used. */
 struct weld {
     uint64_t mask;
@@ -58,11 +62,14 @@ uint64_t fmt_stl_weld(struct stream_slot *slot, const double position[3], const 
     struct weld *weld = (struct weld *)(void *)slot->work;
     struct mesh_arrays *a = &slot->arrays;
     uint64_t i = hash_position(position) & weld->mask;
-    for (; weld->slots[i] != 0; i = (i + 1) & weld->mask)
+    for (int probes = 0; probes < MOST_PROBES && weld->slots[i] != 0; probes++) {
         if (is_same(a, weld->slots[i] - 1, position, color))
             return weld->slots[i] - 1;
+        i = (i + 1) & weld->mask;
+    }
     const uint64_t vertex = a->count[FMT_MESH_VERTEX]++;
-    weld->slots[i] = (uint32_t)vertex + 1;
+    if (weld->slots[i] == 0)
+        weld->slots[i] = (uint32_t)vertex + 1;
     memcpy(a->positions[vertex], position, sizeof a->positions[vertex]);
     if (color)
         memcpy(a->colors[vertex], color, sizeof a->colors[vertex]);

@@ -136,10 +136,21 @@ static int check_topology(struct bsq_ctx *ctx, const char *path, const struct fm
     return 0;
 }
 
+/* Returns how far from the mesh the cage is at least, so that rays have a direction where the two
+ * touch. */
+static float least_distance(const struct bake_lowmesh *mesh)
+{
+    double size = 0;
+    for (int k = 0; k < 3; k++)
+        size = fmax(size, mesh->bounds_max[k] - mesh->bounds_min[k]);
+    return (float)(1e-6 * size);
+}
+
 int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
                          const char *cage_path, struct bake_lowmesh *out)
 {
     struct fmt_mesh cage;
+    const float least = least_distance(out);
     double longest = 0;
     int status = fmt_mesh_load(ctx, cage_path, &cage);
     if (status < 0)
@@ -155,8 +166,10 @@ int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt
                 square += way * way;
             }
             longest = fmax(longest, sqrt(square));
+            for (int k = 0; k < 3 && square == 0; k++)
+                out->directions[t][i][k] = least * out->normals[t][i][k];
         }
-    out->cage_distance = longest;
+    out->cage_distance = fmax(longest, (double)least);
     fmt_mesh_free(ctx, &cage);
     return status;
 }

@@ -488,6 +488,28 @@ code 0
 out_like '^two\.obj: 12 triangles, [0-9,]+ texels covered in 2 tiles$'
 is_png 1002.png 32 48 16
 is_png 1012.png 64 64 16
+# A picture that is also a map of a tile, and directories of tiles that do not exist, are found
+# before the work.
+$bake $small plain.nvdb two.obj -o 'm_<UDIM>.png' --maps normal --preview m_1012.png
+refused 64 "$p m_1012.png: two outputs have this name"
+mkdir -p d/1002
+$bake $small plain.nvdb two.obj -o 'd/<UDIM>/n.exr' --maps normal --progress json
+code 73
+! grep -q tracing "$err"
+check "nothing was traced" $?
+$bake $small plain.nvdb two.obj -o 'd/<UDIM>/n.exr' --maps normal --tiles 1002
+code 0
+# Images that do not fit in memory go to a directory of maps.
+mkdir d/normal d/mask
+$bake --device cpu --samples 1 --memory 20M --size 2048 plain.nvdb low.obj -o 'd/<MAP>/n.exr' --maps normal,mask
+code 0
+[ -s d/mask/n.exr ]
+check "maps are in their directories" $?
+rm -r d
+# The size of other tiles may be given before.
+$bake --list-tiles two.obj --json --size 16 --size 1012=64x32
+code 0
+json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
 # What lies in no tile is an error, unless it is left out on purpose.
 awk '/^vt / { $2 -= 0.5 } { print }' low.obj >outside.obj
 $bake $small plain.nvdb outside.obj -o n.exr

@@ -302,21 +302,11 @@ static uint32_t min_u32(uint32_t a, uint32_t b)
     return a < b ? a : b;
 }
 
-/* Returns what a sample costs, as a multiple of its pair of rays. */
-static uint32_t cost_of(const struct bake_compute *compute)
-{
-    const struct bk_params *params = &compute->params;
-    const uint32_t open = 1u << BK_MAP_ao | 1u << BK_MAP_bent, solid = 1u << BK_MAP_thickness;
-    return 1 + ((params->maps & open ? params->open_rays : 0) +
-                (params->maps & solid ? params->thickness_rays : 0)) /
-                   2;
-}
-
 /* Returns how many lines of a texel's samples one launch traces. */
 static uint32_t lines_of(const struct bake_compute *compute)
 {
     const uint32_t n = compute->params.samples;
-    return min_u32(n, bake_batch_lines(n * cost_of(compute)));
+    return min_u32(n, bake_batch_lines(n * bake_sample_cost(&compute->params)));
 }
 
 static const char *launch_batches(struct bake_compute *compute, unsigned worker,
@@ -326,7 +316,8 @@ static const char *launch_batches(struct bake_compute *compute, unsigned worker,
     struct bake_compute_worker *own = &compute->workers[worker];
     const uint32_t n = compute->params.samples, lines = lines_of(compute);
     const uint32_t rows = bake_batch_rows(
-        &own->sizer, (uint64_t)tile->width * n * lines * cost_of(compute), tile->height);
+        &own->sizer, (uint64_t)tile->width * n * lines * bake_sample_cost(&compute->params),
+        tile->height);
     const char *call = "";
 
     for (uint32_t line = 0; line < n && *code == 0; line += lines)
@@ -371,7 +362,7 @@ static const char *run_tile(struct bake_compute *compute, unsigned worker,
     if (*code == 0)
         call = compute->calls->times(compute, worker, &own->times, code);
     if (*code == 0) {
-        bake_batch_sizer_learn(&own->sizer, samples * cost_of(compute),
+        bake_batch_sizer_learn(&own->sizer, samples * bake_sample_cost(&compute->params),
                                own->times.kernels.end - own->times.kernels.start);
         note_times(compute, &own->times);
     }

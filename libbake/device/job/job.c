@@ -88,3 +88,11 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                            .normal = {hits.normal.x, hits.normal.y, hits.normal.z},
                            .color = {hits.color.x, hits.color.y, hits.color.z}};
 }
+
+uint32_t bake_sample_cost(const struct bk_params *params)
+{
+    const uint32_t open = 1u << BK_MAP_ao | 1u << BK_MAP_bent, solid = 1u << BK_MAP_thickness;
+    return 1 + ((params->maps & open ? params->open_rays : 0) +
+                (params->maps & solid ? params->thickness_rays : 0)) /
+                   2;
+}

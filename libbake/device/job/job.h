@@ -46,4 +46,7 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                     const float origin[3], const float direction[3], float t_min, float t_max,
                     const float facing[3], struct bk_hit *hit);
 
+/* Returns what a sample costs, as a multiple of its pair of rays: maps can send more from hits. */
+uint32_t bake_sample_cost(const struct bk_params *params);
+
 #endif

@@ -7,7 +7,7 @@
 #include "libbake/device/native/native_code.h"
 #include "libbake/kernel/bk_grid.h"
 
-enum { SAMPLES_PER_BAND = 1 << 18 };
+enum { PAIRS_PER_BAND = 1 << 18 };
 
 struct native {
     struct bake_backend base;
@@ -18,11 +18,12 @@ struct native {
     bake_native_tile_fn *tile;
 };
 
-/* Returns the rows of a band. A tile can have many millions of samples, so native_trace() checks
- * for an interruption after each band. A band has whole squares of texels, or is a single row. */
-static uint32_t band_rows(uint64_t row_samples)
+/* Returns the rows of a band. A tile can have many millions of pairs of rays, so native_trace()
+ * checks for an interruption after each band. A band has whole squares of texels, or is a single
+ * row. */
+static uint32_t band_rows(uint64_t row_pairs)
 {
-    const uint64_t rows = SAMPLES_PER_BAND / row_samples;
+    const uint64_t rows = PAIRS_PER_BAND / row_pairs;
     return rows >= BAKE_NATIVE_SQUARE ? (uint32_t)(rows - rows % BAKE_NATIVE_SQUARE) : 1;
 }
 
@@ -31,7 +32,8 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
 {
     struct native *native = (struct native *)backend;
     const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
-    const uint32_t rows = band_rows(tile->width * texel_samples);
+    const uint32_t rows =
+        band_rows(tile->width * texel_samples * bake_sample_cost(&native->params));
 
     (void)slot;
     (void)worker;

@@ -248,6 +248,73 @@ static void test_strips(void **state)
     }
 }
 
+/* Vertices and corners both with texture coordinates: those of corners count. */
+static void test_texcoords_of_vertices_and_corners(void **state)
+{
+    (void)state;
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct obj_fixture f;
+        struct ply_builder b;
+        ply_begin(&b, (enum ply_test_encoding)encoding,
+                  "element vertex 3\n" XYZ "property float s\nproperty float t\n"
+                  "element face 1\n" FACES "property list uchar float texcoord\n");
+        for (int i = 0; i < 3; i++) {
+            ply_put(&b, "fffff", (double)i, 2.0 * i, 0.0, 0.75, 0.75);
+            ply_end(&b);
+        }
+        ply_put(&b, "CiiiCffffff", 3.0, 0.0, 1.0, 2.0, 6.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.5);
+        ply_end(&b);
+        read_built(&f, &b, "both.ply");
+        const double uv[3][2] = {{0, 0}, {0.5, 0}, {0, 0.5}};
+        assert_int_equal(f.scan.totals.texcoords, 3);
+        assert_memory_equal(f.scan.texcoords, uv, sizeof uv);
+        obj_assert_corners(&f, 1, 3, 0, 1, 2);
+        obj_close(&f);
+    }
+}
+
+/* Strips beside faces with colours have none; in a file with textures they have the first. */
+static void test_materials_of_strips(void **state)
+{
+    (void)state;
+    static const char *const colors = "property uchar red\nproperty uchar green\n"
+                                      "property uchar blue\n";
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++)
+        for (int textured = 0; textured < 2; textured++) {
+            struct obj_fixture f;
+            struct ply_builder b;
+            struct fmt_materials materials;
+            char header[512];
+            snprintf(header, sizeof header,
+                     "%selement vertex 3\n" XYZ "%selement face 1\n" FACES "%s"
+                     "element tristrips 1\nproperty list int int vertex_indices\n",
+                     textured ? "comment TextureFile a.png\n" : "",
+                     textured ? "property float s\nproperty float t\n" : "",
+                     textured ? "" : colors);
+            ply_begin(&b, (enum ply_test_encoding)encoding, header);
+            for (int i = 0; i < 3; i++) {
+                ply_put(&b, "fff", (double)i, 2.0 * i, 0.0);
+                if (textured)
+                    ply_put(&b, "ff", 0.25, 0.5);
+                ply_end(&b);
+            }
+            ply_put(&b, "Ciii", 3.0, 0.0, 1.0, 2.0);
+            if (!textured)
+                ply_put(&b, "CCC", 255.0, 255.0, 255.0);
+            ply_end(&b);
+            ply_put(&b, "iiii", 3.0, 2.0, 1.0, 0.0);
+            ply_end(&b);
+            read_built(&f, &b, "strips.ply");
+            assert_int_equal(f.scan.totals.faces, 2);
+            assert_int_equal(f.scan.materials[0], 0);
+            assert_int_equal(f.scan.materials[1], textured ? 0 : FMT_MESH_NO_MATERIAL);
+            assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
+            assert_int_equal(materials.count, 1);
+            fmt_materials_free(f.ctx, &materials);
+            obj_close(&f);
+        }
+}
+
 /* A strip that is much longer than a part; it begins anew now and then. */
 static void test_long_strip(void **state)
 {
@@ -463,6 +530,8 @@ int main(void)
         cmocka_unit_test(test_corner_texcoords),
         cmocka_unit_test(test_face_colors),
         cmocka_unit_test(test_strips),
+        cmocka_unit_test(test_texcoords_of_vertices_and_corners),
+        cmocka_unit_test(test_materials_of_strips),
         cmocka_unit_test(test_long_strip),
         cmocka_unit_test(test_order_and_unknown),
         cmocka_unit_test(test_line_ends),
