@@ -176,6 +176,7 @@ static struct bake_report bake(const struct bake_options *options, unsigned thre
     if (status < 0)
         fail_msg("%s", bsq_error(ctx));
     assert_int_equal((bsq_temp_bytes(ctx) > 0), memory > 0);
+    bake_report_free(&report);
     test_context_end(ctx);
     return report;
 }
