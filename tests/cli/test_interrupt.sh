@@ -79,8 +79,8 @@ write_box >box.obj
 run bisque-voxelize box.obj -o box.nvdb --resolution 64
 code 0
 
-stops "one polygon as a scan" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024
-stops "one polygon in little memory" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 \
+stops "one polygon as a scan" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
+stops "one polygon in little memory" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris \
     --threads 1 --memory 80M
 stops "many materials" bisque-voxelize materials.obj -o slow.nvdb --resolution 64 --no-tris
 stops "one polygon as the low-poly mesh" bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
