@@ -140,11 +140,8 @@ static void take_back_name(struct bsq_output *output)
 {
     if (!bsq_temp_names_file(output->path, output->fd))
         return;
-    if (output->exchanged) {
-        /* If that fails, the old file stays under the temporary name, without the mark by which
-         * jobs know what they may remove. */
-        const bool back = rename_retrying(output->temp_path, output->path, 0) == 0;
-        bsq_temp_unmark_path(back ? output->path : output->temp_path);
+    if (output->exchanged && rename_retrying(output->temp_path, output->path, 0) == 0) {
+        bsq_temp_unmark_path(output->path);
         forget_temp_name(output);
     } else if (output->created) {
         unlink(output->path);
