@@ -4,7 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Reads a number from 1 to `most` and moves *text behind it. */
+/* Reads a number at *text and advances *text past it. Returns false unless the number is 1 to
+ * `most`. */
 static bool take_number(const char **text, unsigned long long most, uint32_t *out)
 {
     char *end;

@@ -32,7 +32,7 @@ enum { BK_COVERED, BK_HITS, BK_SUMS };
 
 /* A hit of one sample's ray. */
 typedef struct bk_map_hit {
-    float t;             /* from the low-poly mesh along its unit normal; negative behind it */
+    float t;             /* signed distance along the ray from the low-poly mesh; outwards: > 0 */
     float position[3];   /* relative to the origin of the grid or of the chunk file */
     float normal[3];     /* of the scan: unit, object space */
     float map_normal[3]; /* the same in the space of the normal map */
