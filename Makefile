@@ -359,10 +359,11 @@ unit: $(unit_bins) $(module_files) $(fakes)
 tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) \
     $(read_files) $(replays) $(fakes) $(faults)
 
+# The scripts take longest, so they start first.
 ## test: build and run all tests, with the packages that are installed
 test: tests-build
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins) \
-	    $(sort $(wildcard tests/cli/test_*.sh))
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(sort $(wildcard tests/cli/test_*.sh)) \
+	    $(unit_bins)
 
 # Other tests start no threads, or only threads that these tests start too.
 threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/test_parallel \
