@@ -1,0 +1,59 @@
+/* bake_job.h - what the files of a bake share; private to libbake/. bake.c runs a job,
+ * bake_inputs.c opens its inputs, bake_trace.c traces its maps and bake_outputs.c writes them. */
+#ifndef BAKE_BAKE_JOB_H
+#define BAKE_BAKE_JOB_H
+
+#include "libbake/bake.h"
+#include "libbake/preview/preview.h"
+#include "libbake/tile_bake.h"
+
+struct bake_run {
+    struct bsq_ctx *ctx;
+    const struct bake_options *options;
+    struct bake_report *report;
+    uint32_t maps;
+    struct bake_surface surface;
+    struct bake_lowmesh mesh;
+    struct bake_udim udim;
+    struct bake_tile *tiles; /* one for each tile of `udim` */
+    struct bake_job traced;  /* what the device traces */
+    struct bk_triangle *triangles;
+    struct bake_measures measures; /* over all tiles */
+    struct bake_device *device;    /* NULL: the triangles of a chunk file are traced */
+    struct bake_preview_tile *preview_tiles;
+    struct bake_preview_file *preview_file;
+};
+
+/* ---- inputs ---- */
+
+/* Opens the scan and the low-poly mesh, chooses the maps and finds the tiles. */
+int bake_open_inputs(struct bake_run *job);
+/* Sets the parameters of rays, for which it measures distances if they are not given. */
+int bake_set_params(struct bake_run *job);
+
+/* ---- tracing ---- */
+
+/* Sorts the triangles of the low-poly mesh by tile and rasterises them. */
+int bake_prepare_triangles(struct bake_run *job);
+/* Opens the device that traces, unless the scan is a chunk file. */
+int bake_open_device(struct bake_run *job);
+/* Traces all tiles. Errors: also BSQ_EDATA if no ray hits. */
+int bake_trace_maps(struct bake_run *job);
+/* Replaces positions and normals in the images by the curvature there. */
+int bake_trace_curvature(struct bake_run *job);
+/* Frees what is needed for tracing only; may be called twice. */
+void bake_end_tracing(struct bake_run *job);
+
+/* ---- outputs ---- */
+
+/* Checks the files of all tiles before the work, and creates those of the first and the preview's.
+ * Those of other tiles are created when they are written. */
+int bake_open_outputs(struct bake_run *job);
+/* Encodes and writes all maps under temporary names. */
+int bake_write_maps(struct bake_run *job);
+/* Renders and writes the preview, if one is asked for. */
+int bake_write_preview(struct bake_run *job);
+/* Gives all outputs their names. */
+int bake_commit_outputs(struct bake_run *job);
+
+#endif

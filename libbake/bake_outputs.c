@@ -1,0 +1,121 @@
+/* bake_outputs.c - writes the maps and the preview of a bake. They get their names together. */
+#include <string.h>
+
+#include "base/clock.h"
+#include "libbake/bake_job.h"
+
+enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
+
+static struct bake_traced traced_of(const struct bake_run *job)
+{
+    const char *sampling = job->options->sampling == BAKE_NEAREST ? "nearest" : "trilinear";
+    struct bake_traced traced = {.front = job->report->front,
+                                 .back = job->report->back,
+                                 .sampling = job->surface.exact ? "exact" : sampling};
+    memcpy(traced.scan_min, job->surface.scan_min, sizeof traced.scan_min);
+    memcpy(traced.scan_max, job->surface.scan_max, sizeof traced.scan_max);
+    memcpy(traced.image_origin, job->surface.translation, sizeof traced.image_origin);
+    return traced;
+}
+
+/* Checks the files of all tiles before the work, and creates those of the first. Those of other
+ * tiles are created when they are written. */
+int bake_open_outputs(struct bake_run *job)
+{
+    const struct bake_traced traced = traced_of(job);
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = bake_tile_check_files(job->ctx, &job->tiles[i]);
+    if (status == 0)
+        status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
+    if (status == 0 && job->options->preview_path)
+        status = bake_preview_open(job->ctx, job->options->preview_path, &job->preview_file);
+    return status;
+}
+
+/* Returns the side of thumbnails: all of them together may take an eighth of what is left in the
+ * budget. */
+static uint32_t thumbnail_side(const struct bake_run *job)
+{
+    uint32_t side = PREVIEW_TEXTURE;
+    uint64_t share = bsq_memory_left(job->ctx) / 8 / job->udim.count;
+    while (side > 64 && (uint64_t)side * side * sizeof *job->tiles->normal.texels > share)
+        side /= 2;
+    return side;
+}
+
+static int write_tile(struct bake_run *job, struct bake_tile *tile, uint32_t side)
+{
+    const struct bake_traced traced = traced_of(job);
+    int status = bake_tile_open_files(job->ctx, tile, &traced);
+    if (status == 0 && job->preview_file)
+        status = bake_tile_create_thumbnails(job->ctx, tile, side);
+    if (status == 0)
+        status = bake_map_files_write(tile->files, tile->image, &job->measures, job->report);
+    bake_image_free(tile->image);
+    tile->image = NULL;
+    return status;
+}
+
+/* Measures the values of all tiles, since they share the ranges of the maps. */
+static int measure_maps(struct bake_run *job)
+{
+    const double start = bsq_seconds_now();
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status =
+            bake_image_measure(job->ctx, job->tiles[i].image, job->maps, job->measures.statistics);
+    job->report->seconds_resolve += bsq_seconds_now() - start;
+    return status;
+}
+
+int bake_write_maps(struct bake_run *job)
+{
+    const uint32_t side = thumbnail_side(job);
+    int status = measure_maps(job);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = write_tile(job, &job->tiles[i], side);
+    return status;
+}
+
+int bake_write_preview(struct bake_run *job)
+{
+    if (!job->preview_file)
+        return 0;
+    int status = bsq_calloc(job->ctx, "preview", job->udim.count, sizeof *job->preview_tiles,
+                            &job->preview_tiles);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        job->preview_tiles[i] = (struct bake_preview_tile){
+            job->udim.tiles[i], &job->tiles[i].normal, &job->tiles[i].color};
+    const struct bake_preview preview = {.mesh = &job->mesh,
+                                         .surface = &job->surface,
+                                         .params = &job->traced.params,
+                                         .tiles = job->preview_tiles,
+                                         .tile_count = job->udim.count,
+                                         .normal_space = job->options->normal_space,
+                                         .green_down = job->options->green_down};
+    return bake_preview_write(job->preview_file, &preview);
+}
+
+int bake_commit_outputs(struct bake_run *job)
+{
+    struct bsq_output_group group = {0};
+    struct bsq_output *preview;
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        status = bake_map_files_hand_over(job->tiles[i].files, &group);
+        job->tiles[i].files = NULL;
+    }
+    if (status == 0 && job->preview_file) {
+        status = bake_preview_hand_over(job->preview_file, &preview);
+        job->preview_file = NULL;
+        if (status == 0)
+            status = bsq_output_group_add(&group, preview);
+    }
+    if (status == 0)
+        status = bsq_output_group_commit(&group);
+    bsq_output_group_discard(&group);
+    return status;
+}

@@ -1,0 +1,164 @@
+/* bake_trace.c - traces the maps of a bake. */
+#include <math.h>
+#include <stdio.h>
+
+#include "libbake/bake_job.h"
+#include "libbake/curvature/curvature.h"
+
+/* Returns the number of triangles that lie in tiles to bake. They are the first ones of the mesh.
+ */
+static uint64_t tile_triangles(const struct bake_run *job)
+{
+    const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
+    return last->first + last->count;
+}
+
+static struct bake_tile_scene scene_of(const struct bake_run *job)
+{
+    return (struct bake_tile_scene){.ctx = job->ctx,
+                                    .surface = &job->surface,
+                                    .mesh = &job->mesh,
+                                    .params = &job->traced.params,
+                                    .triangles = job->triangles,
+                                    .triangle_count = (uint32_t)tile_triangles(job),
+                                    .device = job->device};
+}
+
+int bake_prepare_triangles(struct bake_run *job)
+{
+    int status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
+    if (status == 0)
+        status = bsq_alloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
+                           sizeof *job->triangles, &job->triangles);
+    const struct bake_tile_scene scene = scene_of(job);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+        status = bake_tile_rasterise(&scene, &job->tiles[i], job->report);
+    return status;
+}
+
+/* Returns the most texels of a raster's tile. */
+static uint32_t most_texels(const struct bake_run *job)
+{
+    uint32_t most = 0;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        if (job->tiles[i].tile_size > most)
+            most = job->tiles[i].tile_size;
+    return most * most;
+}
+
+int bake_open_device(struct bake_run *job)
+{
+    if (job->surface.exact) {
+        unsigned threads = bsq_threads(job->ctx);
+        snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s, exact",
+                 threads, threads == 1 ? "" : "s");
+        return 0;
+    }
+    job->traced.grid = &job->surface.grid;
+    job->traced.triangles = job->triangles;
+    job->traced.triangle_count = (uint32_t)tile_triangles(job);
+    job->traced.tile_texels = most_texels(job);
+    job->traced.device_memory = job->options->gpu_memory_bytes;
+    const char *name = job->options->device ? job->options->device : "auto";
+    int status = bake_device_open(job->ctx, name, &job->traced, &job->device);
+    if (status == 0)
+        snprintf(job->report->device, sizeof job->report->device, "%s",
+                 bake_device_name(job->device));
+    return status;
+}
+
+/* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer
+ * rays can help. */
+static bool in_same_place(const struct bake_surface *scan, const struct bake_lowmesh *low)
+{
+    double scan_side = 0, low_side = 0, gap = 0;
+    for (int k = 0; k < 3; ++k) {
+        scan_side = fmax(scan_side, scan->scan_max[k] - scan->scan_min[k]);
+        low_side = fmax(low_side, low->bounds_max[k] - low->bounds_min[k]);
+        gap = fmax(gap, fmax(low->bounds_min[k] - scan->scan_max[k],
+                             scan->scan_min[k] - low->bounds_max[k]));
+    }
+    return low_side < 4 * scan_side && scan_side < 4 * low_side && gap < 0.1 * scan_side;
+}
+
+static int fail_without_hit(const struct bake_run *job)
+{
+    const struct bake_surface *scan = &job->surface;
+    const struct bake_lowmesh *low = &job->mesh;
+    if (job->report->samples == 0)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s: no texel lies in a triangle: is the mesh unwrapped?",
+                        job->options->mesh_path);
+    /* Seven digits, as float32 has: six would cut the metres off geo-referenced coordinates. */
+    return bsq_fail(
+        job->ctx, BSQ_EDATA,
+        "no ray hit within %g in front and %g behind: the scan spans (%.7g %.7g %.7g) to "
+        "(%.7g %.7g %.7g), the low-poly mesh (%.7g %.7g %.7g) to (%.7g %.7g %.7g): %s",
+        job->report->front, job->report->back, scan->scan_min[0], scan->scan_min[1],
+        scan->scan_min[2], scan->scan_max[0], scan->scan_max[1], scan->scan_max[2],
+        low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
+        low->bounds_max[1], low->bounds_max[2],
+        !in_same_place(scan, low) ? "are they in the same place and units?"
+        : job->options->cage_path ? "try a larger cage, or a larger --back"
+        : job->options->two_sided ? "try a larger --front and --back"
+                                  : "try a larger --front and --back, or --two-sided "
+                                    "if the scan's faces are wound inwards");
+}
+
+static void note_device_times(struct bake_run *job)
+{
+    struct bake_device_times times;
+    bake_device_times(job->device, &times);
+    job->report->seconds_upload = times.upload;
+    job->report->seconds_kernels = times.kernels;
+    job->report->seconds_copies = times.copies;
+    job->report->kernel_calls = times.launches;
+}
+
+/* Traces all tiles. Their images share half of the memory that is left in the budget, as writing
+ * needs the rest. */
+int bake_trace_maps(struct bake_run *job)
+{
+    const struct bake_tile_scene scene = scene_of(job);
+    const uint64_t kept = bsq_memory_left(job->ctx) / 2;
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
+        status =
+            bake_tile_trace(&scene, &job->tiles[i], share / (job->udim.count - i), job->report);
+    }
+    if (job->device)
+        note_device_times(job);
+    if (status == 0 && job->report->hits == 0)
+        status = fail_without_hit(job);
+    return status;
+}
+
+/* The processor traces from here on, so the curvature is the same for all devices. */
+int bake_trace_curvature(struct bake_run *job)
+{
+    const double given = job->options->curvature_radius;
+    int status = 0;
+    job->measures.curvature_radius =
+        given > 0 ? given
+                  : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        const struct bake_curvature curvature = {
+            .surface = &job->surface,
+            .params = &job->traced.params,
+            .image = job->tiles[i].image,
+            .place = bake_image_channels_for(job->maps & (BAKE_MAP_CURVATURE - 1)),
+            .radius = job->measures.curvature_radius};
+        status = bake_curvature_trace(job->ctx, &curvature);
+    }
+    return status;
+}
+
+/* Frees what is needed for tracing only. */
+void bake_end_tracing(struct bake_run *job)
+{
+    bake_device_close(job->device);
+    job->device = NULL;
+    bsq_free(job->ctx, job->triangles);
+    job->triangles = NULL;
+}
