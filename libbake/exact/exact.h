@@ -19,7 +19,7 @@ struct bake_exact;
 struct bake_exact_options {
     const char *path;              /* chunk file; must live until bake_exact_close() */
     enum bsq_scan_normals normals; /* if the scan has none of its own */
-    bool two_sided;                /* also hit surfaces that face away */
+    bool two_sided;                /* also hit surfaces that face away; turns their normals */
 };
 
 struct bake_exact_info {
@@ -52,7 +52,7 @@ struct bake_exact_ray {
 struct bake_exact_hit {
     double t;          /* signed distance along the direction */
     uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: no hit */
-    float normal[3];   /* unit, object space */
+    float normal[3];   /* unit, object space; of a surface that faces away: turned round */
     float color[3];    /* linear RGB */
 };
 

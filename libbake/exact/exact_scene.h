@@ -115,6 +115,10 @@ bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
                            const struct bake_exact_ray *ray, const struct exact_limits *limits,
                            struct exact_best *best);
 
+/* Checks whether the winding of a triangle disagrees with its vertex normals. The normals then
+ * decide which side is outside. False if the chunk has no normals. */
+bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t triangle);
+
 /* ---- rays by chunk ---- */
 
 /* The rays that cross each chunk: those of chunk c are rays[starts[c]] to rays[starts[c + 1] - 1],

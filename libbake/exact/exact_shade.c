@@ -84,6 +84,17 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
         out[k] = (float)(n[k] / length);
 }
 
+/* Returns whether the surface faces away, so that the ray hit its back. */
+static bool is_reversed(const struct place *place, const struct bake_exact_batch *batch,
+                        uint64_t ray)
+{
+    const float *d = batch->rays[ray].direction;
+    const double direction[3] = {(double)d[0], (double)d[1], (double)d[2]};
+    const bool along = (dot(place->cross, direction) > 0) !=
+                       bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
+    return along == batch->facing_origin;
+}
+
 /* ---- colours ---- */
 
 /* Computes the width of a ray's footprint in texture space: the steps along the map's rows and
@@ -171,5 +182,8 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     struct place place;
     set_place(&place, slot, (uint32_t)(hit->triangle - first), hit);
     shade_normal(exact, &place, hit->normal);
+    if (exact->options.two_sided && is_reversed(&place, batch, ray))
+        for (int k = 0; k < 3; k++)
+            hit->normal[k] = -hit->normal[k];
     return exact->color ? shade_color(exact, &place, batch, ray, hit->color) : 0;
 }

@@ -67,10 +67,11 @@ static void set_span(struct trace *trace)
     trace->span = exact_span_of(begin, end);
 }
 
-/* Checks whether the winding of a triangle disagrees with its vertex normals. The normals then
- * decide which side is outside. */
-static bool wound_backwards(const struct fmt_tris_chunk *chunk, const uint32_t *v)
+bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t triangle)
 {
+    if (!chunk->normals)
+        return false;
+    const uint32_t *v = chunk->triangles[triangle];
     const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
                 *c = chunk->positions[v[2]];
     struct bsq_vec3 n0 = bsq_oct_unpack(chunk->normals[v[0]]),
@@ -108,9 +109,7 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
         !exact_wins(crossing.t, number, best->t, best->triangle))
         return;
     if (!limits->two_sided) {
-        bool along = crossing.along;
-        if (chunk->normals && wound_backwards(chunk, v))
-            along = !along;
+        const bool along = crossing.along != bake_exact_wound_backwards(chunk, triangle);
         if (along == limits->facing_origin)
             return;
     }

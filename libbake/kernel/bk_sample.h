@@ -172,16 +172,13 @@ BK_FN void bk_look_from_hits(const bk_grid *grid, const bk_params *params, bk_ca
     bk_uint lane;
 
     for (lane = 0; lane < samples->count; lane++) {
-        const bk_vec3 outwards = bk_lane3(&start->facing, lane);
         bk_place_on_scan from;
         bk_surroundings sums;
         if (!(out->found >> lane & 1u))
             continue;
         from.position = bk_lane3(&position, lane);
         from.normal = bk_lane3(&hits->normal, lane);
-        from.side =
-            params->flags & BK_TWO_SIDED && bk_dot(from.normal, outwards) < 0.0f ? -1.0f : 1.0f;
-        from.normal = bk_scale(from.normal, from.side);
+        from.side = hits->reversed >> lane & 1u ? -1.0f : 1.0f;
         from.seed = bk_sample_seed(samples->x[lane], samples->y[lane], n);
         sums = bk_look_around(grid, params, cache, &from);
         bk_set_lane(out->open, lane, sums.open);

@@ -515,10 +515,11 @@ typedef struct bk_lines {
 
 /* Their hits. */
 typedef struct bk_hits {
-    bk_uint found;   /* one bit a lane */
-    bk_fw t;         /* signed distance in voxels along the direction */
-    bk_vec3w normal; /* unit, object space */
-    bk_vec3w color;  /* linear RGB, 0..1 */
+    bk_uint found;    /* one bit a lane */
+    bk_uint reversed; /* alike: BK_TWO_SIDED let the ray hit the back of the scan's surface */
+    bk_fw t;          /* signed distance in voxels along the direction */
+    bk_vec3w normal;  /* unit, object space, along `facing`: turned round if the hit is reversed */
+    bk_vec3w color;   /* linear RGB, 0..1 */
 } bk_hits;
 
 /* Moves hits onto the blended surface and sets its normals and colours. */
@@ -578,6 +579,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     const bk_crossing crossing =
         bk_nearest(grid, params, cache, lines->t_min, lines->t_max, &ray, &inward);
     const bk_fw sign = bk_select(inward, bk_splat(-1.0f), bk_splat(1.0f));
+    const bk_mask back = bk_less(bk_dotw(crossing.normal, lines->facing), zero);
     bk_uint lane;
 
     BK_COUNT(cache, rays, lines->count);
@@ -595,6 +597,12 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
             }
     if (hits->found && !(params->flags & BK_NEAREST))
         bk_blend_hits(grid, params, cache, &ray, sign, crossing.t, hits);
+    hits->reversed = params->flags & BK_TWO_SIDED ? hits->found & bk_bits(back) : 0;
+    if (hits->reversed) {
+        const bk_vec3w n = hits->normal;
+        hits->normal =
+            bk_select3(bk_mask_of(hits->reversed), bk_v3w(-n.x, -n.y, -n.z), hits->normal);
+    }
 }
 
 #endif

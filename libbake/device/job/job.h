@@ -41,7 +41,7 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
 /* Traces one ray on the calling thread with the kernel's code, for previews and tests.
  * origin and unit direction are in index space. Of the hits with t in [t_min, t_max] the one with
  * the smallest |t| wins. Ignores surfaces whose normal has a negative dot product with the unit
- * vector `facing`, unless params->flags has BK_TWO_SIDED. */
+ * vector `facing`, unless params->flags has BK_TWO_SIDED, which turns their normals round. */
 void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                     const float origin[3], const float direction[3], float t_min, float t_max,
                     const float facing[3], struct bk_hit *hit);

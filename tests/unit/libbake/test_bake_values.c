@@ -23,14 +23,19 @@ struct scan {
     const char *scan, *low;
     double centre[3], tolerance;
     double bend; /* relative error of curvature */
+    bool inward; /* the scan is wound inwards */
 };
 static const struct scan scans[] = {
-    {"grid.nvdb", "low.obj", {70, -31, 45}, 0.02, 0.1},
-    {"scan.tris", "low.obj", {70, -31, 45}, 0.002, 0.02},
+    {"grid.nvdb", "low.obj", {70, -31, 45}, 0.02, 0.1, false},
+    {"scan.tris", "low.obj", {70, -31, 45}, 0.002, 0.02, false},
     /* Steps of float32 are 0.03 here. */
-    {"far.tris", "far.obj", {500000.123, 4400000.75, 45}, 0.002, 0.02},
+    {"far.tris", "far.obj", {500000.123, 4400000.75, 45}, 0.002, 0.02, false},
 };
 enum { SCANS = sizeof scans / sizeof *scans };
+static const struct scan inward_scans[] = {
+    {"inward.nvdb", "low.obj", {70, -31, 45}, 0.02, 0.1, true},
+    {"inward.tris", "low.obj", {70, -31, 45}, 0.002, 0.02, true},
+};
 
 static char directory[64];
 
@@ -106,16 +111,40 @@ static void write_triangles(const struct scan *scan)
         uint32_t a = q / SCAN_STEPS * (SCAN_STEPS + 1) + q % SCAN_STEPS, c = a + SCAN_STEPS + 1;
         memcpy(sphere.triangles[2 * q], (uint32_t[3]){a, c, c + 1}, 12);
         memcpy(sphere.triangles[2 * q + 1], (uint32_t[3]){a, c + 1, a + 1}, 12);
+        for (uint32_t t = 2 * q; scan->inward && t < 2 * q + 2; t++) {
+            const uint32_t second = sphere.triangles[t][1];
+            sphere.triangles[t][1] = sphere.triangles[t][2];
+            sphere.triangles[t][2] = second;
+        }
     }
     triangle_scan_write(&sphere, origin, 5000, in_directory(scan->scan));
     triangle_scan_free(&sphere);
+}
+
+/* Adds a sphere whose surface faces its centre, with points along a spiral from pole to pole. */
+static void add_inward_sphere(struct analytic_grid *grid, const struct scan *scan)
+{
+    enum { POINTS = 200000 };
+    for (int i = 0; i < POINTS; i++) {
+        const double z = 1 - (2 * i + 1.0) / POINTS, r = sqrt(1 - z * z), a = 2.399963 * i;
+        const double out[3] = {r * cos(a), r * sin(a), z};
+        double at[3], n[3];
+        for (int k = 0; k < 3; k++) {
+            at[k] = scan->centre[k] + radius * out[k];
+            n[k] = -out[k];
+        }
+        analytic_grid_add(grid, at, n, 4 * pi * radius * radius / POINTS, NULL);
+    }
 }
 
 static void write_grid(const struct scan *scan)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
     struct analytic_grid *grid = analytic_grid_create();
-    analytic_sphere(grid, scan->centre, radius, 8);
+    if (scan->inward)
+        add_inward_sphere(grid, scan);
+    else
+        analytic_sphere(grid, scan->centre, radius, 8);
     struct fmt_nvdb_grid opened;
     analytic_grid_open(ctx, grid, false, &opened);
     FILE *file = fopen(in_directory(scan->scan), "wb");
@@ -136,6 +165,8 @@ static int make_scene(void **state)
     write_grid(&scans[0]);
     write_triangles(&scans[1]);
     write_triangles(&scans[2]);
+    write_grid(&inward_scans[0]);
+    write_triangles(&inward_scans[1]);
     write_low(&scans[1]);
     write_low(&scans[2]);
     return 0;
@@ -148,6 +179,8 @@ static int remove_scene(void **state)
         unlink(in_directory(scans[i].scan));
         unlink(in_directory(scans[i].low));
     }
+    unlink(in_directory(inward_scans[0].scan));
+    unlink(in_directory(inward_scans[1].scan));
     return rmdir(directory); /* fails if a bake left files */
 }
 
@@ -305,6 +338,49 @@ static void test_means_lose_no_precision(void **state)
     test_context_end(ctx);
 }
 
+/* ---- scans that are wound inwards ---- */
+
+/* With two_sided, the back of a surface that faces away is a front: normals and curvature have the
+ * signs of a scan that is wound outwards, like the rays from hits. */
+static void test_backs_are_fronts_if_both_sides_count(void **state)
+{
+    (void)state;
+    for (int s = 0; s < 2; s++) {
+        const struct scan *scan = &inward_scans[s];
+        const uint32_t around = s == 0 ? BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS : 0;
+        struct bsq_ctx *ctx = test_context(1, 0);
+        struct bake_options options = options_for(scan, "<MAP>.exr");
+        options.two_sided = true;
+        options.normal_space = BAKE_OBJECT_SPACE;
+        options.front = options.back = 6;
+        options.ao_rays = options.thickness_rays = 4;
+        options.maps = BAKE_MAP_NORMAL | BAKE_MAP_CURVATURE | around;
+        bake(&options, 2, 0);
+        struct fmt_exr_image curvature = take_exr(ctx, "curvature.exr");
+        struct fmt_exr_image maps[4] = {take_exr(ctx, "normal.exr")};
+        static const char *const others[] = {"bent.exr", "ao.exr", "thickness.exr"};
+        for (int m = 0; around && m < 3; m++)
+            maps[1 + m] = take_exr(ctx, others[m]);
+        for (uint32_t i = 0; i < SIZE * SIZE; i++) {
+            double n[3], low[3];
+            low_point((i % SIZE + 0.5) / SIZE, 1 - (i / SIZE + 0.5) / SIZE, low);
+            for (int m = 0; m < (around ? 2 : 1); m++) {
+                position_at(&maps[m], i, n);
+                const double along =
+                    (2 * n[0] - 1) * low[0] + (2 * n[1] - 1) * low[1] + (2 * n[2] - 1) * low[2];
+                assert_true(along / length(low) > (m == 0 ? 0.99 : 0.5));
+            }
+            assert_true(fabs(sample(&curvature, i, "Y") * radius - 1) < scan->bend);
+            assert_true(!around || sample(&maps[2], i, "Y") == 1);
+            assert_true(!around || fabs(sample(&maps[3], i, "Y") / radius - 4 / 3.0) < 0.5);
+        }
+        fmt_exr_image_free(ctx, &curvature);
+        for (int m = 0; m < (around ? 4 : 1); m++)
+            fmt_exr_image_free(ctx, &maps[m]);
+        test_context_end(ctx);
+    }
+}
+
 /* ---- PNG ---- */
 
 struct png_image {
@@ -451,6 +527,7 @@ int main(void)
         cmocka_unit_test(test_values_are_those_of_the_formula),
         cmocka_unit_test(test_far_positions_have_an_origin),
         cmocka_unit_test(test_means_lose_no_precision),
+        cmocka_unit_test(test_backs_are_fronts_if_both_sides_count),
         cmocka_unit_test(test_png_files_decode_to_the_values),
         cmocka_unit_test(test_options_that_hold_nothing_are_refused),
         cmocka_unit_test(test_bytes_depend_on_neither_threads_nor_budget),
