@@ -38,6 +38,13 @@ enum bake_position_in {
     BAKE_IN_BOX     /**< The ends of the scan's bounding box, on each axis. */
 };
 
+/** The vertical axis of a preview. */
+enum bake_up {
+    BAKE_UP_AUTO, /**< The one on whose lower end the low-poly mesh seems to stand. */
+    BAKE_UP_Y,    /**< Views from the front look along -z. */
+    BAKE_UP_Z     /**< Views from the front look along y. */
+};
+
 /** Space of a normal map. */
 enum bake_normal_space {
     BAKE_TANGENT_SPACE, /**< MikkTSpace tangent frames of the low-poly mesh. */
@@ -134,6 +141,8 @@ struct bake_options {
      * The processor reads the grid from its file and ignores this. */
     uint64_t gpu_memory_bytes;
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
+    uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
+    enum bake_up preview_up;  /**< Vertical axis of the preview. */
 };
 
 /** In an output path: stands for the map's name. */
@@ -150,7 +159,8 @@ enum {
     BAKE_MAX_MAPS = 30,      /**< Largest number of maps. */
     BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
     BAKE_MAX_SAMPLES = 64,   /**< Largest N of N x N samples a texel. */
-    BAKE_MAX_RAYS = 4096     /**< Most rays of a hit. */
+    BAKE_MAX_RAYS = 4096,    /**< Most rays of a hit. */
+    BAKE_MAX_VIEWS = 360     /**< Most views of a preview. */
 };
 
 /** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in

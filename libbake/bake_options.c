@@ -24,6 +24,7 @@ void bake_defaults(struct bake_options *options)
         .normal_space = BAKE_TANGENT_SPACE,
         .sampling = BAKE_TRILINEAR,
         .device = "auto",
+        .preview_views = 4,
     };
 }
 
@@ -86,6 +87,9 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
         return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
                         options->samples, options->samples, BAKE_MAX_SAMPLES);
+    if (options->preview_views < 1 || options->preview_views > BAKE_MAX_VIEWS)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%u views of a preview: must be 1 to %d",
+                        options->preview_views, BAKE_MAX_VIEWS);
     if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
         isinf(options->back))
         return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,

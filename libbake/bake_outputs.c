@@ -29,7 +29,8 @@ int bake_open_outputs(struct bake_run *job)
     if (status == 0)
         status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
     if (status == 0 && job->options->preview_path)
-        status = bake_preview_open(job->ctx, job->options->preview_path, &job->preview_file);
+        status = bake_preview_open(job->ctx, job->options->preview_path,
+                                   job->options->preview_views, &job->preview_file);
     return status;
 }
 
@@ -88,14 +89,17 @@ int bake_write_preview(struct bake_run *job)
         return status;
     for (uint32_t i = 0; i < job->udim.count; ++i)
         job->preview_tiles[i] = (struct bake_preview_tile){
-            job->udim.tiles[i], &job->tiles[i].normal, &job->tiles[i].color};
+            job->udim.tiles[i], &job->tiles[i].normal, &job->tiles[i].color, &job->tiles[i].missed};
     const struct bake_preview preview = {.mesh = &job->mesh,
                                          .surface = &job->surface,
                                          .params = &job->traced.params,
                                          .tiles = job->preview_tiles,
                                          .tile_count = job->udim.count,
                                          .normal_space = job->options->normal_space,
-                                         .green_down = job->options->green_down};
+                                         .green_down = job->options->green_down,
+                                         .two_sided = job->options->two_sided,
+                                         .up = job->options->preview_up,
+                                         .view_count = job->options->preview_views};
     return bake_preview_write(job->preview_file, &preview);
 }
 

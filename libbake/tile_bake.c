@@ -26,6 +26,7 @@ void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
+    bake_thumbnail_free(ctx, &tile->missed);
     free(tile->output_path);
     free(tile->beside);
     memset(tile, 0, sizeof *tile);
@@ -134,6 +135,8 @@ int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uin
     int status = create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal);
     if (status == 0)
         status = create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color);
+    if (status == 0)
+        status = bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed);
     return status;
 }
 

@@ -16,7 +16,7 @@ struct bake_tile {
     struct bake_raster *raster;
     struct bake_image *image;
     struct bake_map_files *files;
-    struct bake_thumbnail normal, color; /* `texels` is NULL if there is none */
+    struct bake_thumbnail normal, color, missed; /* `texels` is NULL if there is none */
 };
 
 /* What all tiles of a job share. */
@@ -56,8 +56,9 @@ int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile);
 int bake_tile_open_files(struct bsq_ctx *ctx, struct bake_tile *tile,
                          const struct bake_traced *traced);
 
-/* Creates thumbnails of normals and colours with sides of at most `side` texels, which
- * bake_map_files_write() fills. The files must be open. */
+/* Creates thumbnails with sides of at most `side` texels: those of normals and colours, which
+ * bake_map_files_write() fills, and that of misses. The files must be open and the image traced.
+ * Errors: those of bake_thumbnail_create() and bake_image_rows(). */
 int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32_t side);
 
 #endif

@@ -48,6 +48,8 @@ static const char help_format[] =
     "      --half, --float     type of OpenEXR samples (default: half for most maps)\n"
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low-poly mesh, the baked mesh and the scan\n"
+    "      --preview-views N   views around the mesh (default: 4)\n"
+    "      --up AXIS           the preview's vertical axis: y, z or auto (default: auto)\n"
     "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
     "      --gpu-memory SIZE   most memory of a GPU to use, e.g. 2G (default: what is free)\n"
     "      --list-devices      print the devices and exit\n"
@@ -84,6 +86,8 @@ enum {
     OPT_FLOAT,
     OPT_PNG_BITS,
     OPT_PREVIEW,
+    OPT_PREVIEW_VIEWS,
+    OPT_UP,
     OPT_DEVICE,
     OPT_GPU_MEMORY,
     OPT_LIST_DEVICES,
@@ -121,6 +125,8 @@ static const struct option long_options[] = {
     {"float", no_argument, NULL, OPT_FLOAT},
     {"png-bits", required_argument, NULL, OPT_PNG_BITS},
     {"preview", required_argument, NULL, OPT_PREVIEW},
+    {"preview-views", required_argument, NULL, OPT_PREVIEW_VIEWS},
+    {"up", required_argument, NULL, OPT_UP},
     {"device", required_argument, NULL, OPT_DEVICE},
     {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
@@ -208,6 +214,7 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     static const char *const shapes[] = {"sphere", "box", NULL};
     static const char *const samplings[] = {"trilinear", "nearest", NULL};
     static const char *const rays[] = {"smooth", "mesh", "face", NULL};
+    static const char *const ups[] = {"auto", "y", "z", NULL};
     unsigned choice = 0;
     int status;
     switch (option) {
@@ -222,6 +229,10 @@ static int parse_choice(struct cli *cli, int option, struct bake_options *bake)
     case OPT_RAY_DIRECTIONS:
         if ((status = cli_parse_word(cli, "--ray-directions", optarg, rays, &choice)) == 0)
             bake->rays = (enum bake_rays)choice;
+        return status;
+    case OPT_UP:
+        if ((status = cli_parse_word(cli, "--up", optarg, ups, &choice)) == 0)
+            bake->preview_up = (enum bake_up)choice;
         return status;
     case OPT_SCAN_NORMALS:
         return cli_parse_scan_normals(cli, optarg, &bake->scan_normals);
@@ -357,6 +368,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_RAY_DIRECTIONS:
     case OPT_SAMPLING:
     case OPT_SCAN_NORMALS:
+    case OPT_UP:
         return parse_choice(cli, option, bake);
     case OPT_PADDING:
         return parse_padding(cli, bake);
@@ -367,6 +379,8 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_PREVIEW:
         bake->preview_path = optarg;
         return 0;
+    case OPT_PREVIEW_VIEWS:
+        return parse_count(cli, "--preview-views", optarg, 1, BAKE_MAX_VIEWS, &bake->preview_views);
     case OPT_GPU_MEMORY:
         return cli_parse_size(cli, "--gpu-memory", optarg, &bake->gpu_memory_bytes);
     case OPT_DEVICE:

@@ -1,4 +1,5 @@
-/* thumbnail.c - box-filtered copies of maps, summed while the rows of the maps are written. */
+/* thumbnail.c - box-filtered copies of maps, summed while the rows of the maps are written, and of
+ * the texels without a hit. */
 #include "libbake/maps/map_encode.h"
 
 #include <math.h>
@@ -73,6 +74,58 @@ int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, ui
     uint32_t last = (first_row + rows - 1) / thumbnail->factor;
     return bsq_parallel_for(ctx, last - first + 1, add_row, &addition);
 }
+
+/* ---- misses ---- */
+
+struct missed_rows {
+    const float *texels; /* of the image */
+    float *marks;        /* 3 a texel */
+    uint32_t width, channels;
+};
+
+static int mark_row(void *arg, uint64_t row, unsigned worker)
+{
+    (void)worker;
+    const struct missed_rows *rows = arg;
+    const float *texel = rows->texels + row * rows->width * rows->channels;
+    float *out = rows->marks + row * rows->width * 3;
+    for (uint32_t x = 0; x < rows->width; ++x, texel += rows->channels, out += 3) {
+        out[0] = texel[0] == BAKE_MISSED ? 1.0f : 0.0f;
+        out[1] = texel[0] > BAKE_OUTSIDE ? 1.0f : 0.0f;
+        out[2] = 0.0f;
+    }
+    return 0;
+}
+
+int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t side,
+                             struct bake_thumbnail *out)
+{
+    enum { STEP = 64 };
+    const uint32_t height = bake_image_height(image);
+    struct missed_rows rows = {.width = bake_image_width(image),
+                               .channels = bake_image_channels(image)};
+    float *buffer = NULL;
+    int status = bake_thumbnail_create(ctx, rows.width, height, side, out);
+    if (status == 0)
+        status =
+            bsq_alloc(ctx, "preview", STEP, (uint64_t)rows.width * 3 * sizeof(float), &rows.marks);
+    if (status == 0 && !bake_image_in_memory(image))
+        status = bsq_alloc(ctx, "preview", STEP,
+                           (uint64_t)rows.width * rows.channels * sizeof(float), &buffer);
+    for (uint32_t y = 0; status == 0 && y < height; y += STEP) {
+        const uint32_t count = height - y < STEP ? height - y : STEP;
+        status = bake_image_rows(image, y, count, buffer, &rows.texels);
+        if (status == 0)
+            status = bsq_parallel_for(ctx, count, mark_row, &rows);
+        if (status == 0)
+            status = bake_thumbnail_add(ctx, out, y, count, rows.marks);
+    }
+    bsq_free(ctx, buffer);
+    bsq_free(ctx, rows.marks);
+    return status;
+}
+
+/* ---- sampling ---- */
 
 /* Finds the two cells around a coordinate and the weight of the second; clamped. */
 static void split(float at, uint32_t size, uint32_t cells[2], float *share)

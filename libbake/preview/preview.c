@@ -1,4 +1,4 @@
-/* preview.c - renders the preview picture band by band on all threads, and writes the PNG. */
+/* preview.c - renders the views one by one, band by band on all threads, and writes the PNG. */
 #include "libbake/preview/preview.h"
 
 #include <string.h>
@@ -10,39 +10,47 @@
 enum {
     PANELS = 3,
     SEPARATOR = 4,
-    WIDTH = PANELS * PREVIEW_SIDE + (PANELS - 1) * SEPARATOR,
-    HEIGHT = PREVIEW_SIDE,
-    BANDS = HEIGHT / PREVIEW_BAND,
+    SIDE_ALONE = 768, /* of the panels of a single view */
+    SIDE = 384,       /* of the panels of each of several views: four take the time of one */
     EXTENTS_A_TASK = 4096
 };
-_Static_assert(HEIGHT % PREVIEW_BAND == 0, "bands fill the picture");
+_Static_assert(SIDE_ALONE % PREVIEW_BAND == 0 && SIDE % PREVIEW_BAND == 0, "bands fill a panel");
 
 enum { PANEL_PLAIN, PANEL_MAPPED, PANEL_SCAN };
 
 struct bake_preview_file {
     struct bsq_ctx *ctx;
+    uint32_t side, width; /* of a panel and of the picture */
     struct fmt_image_writer *writer;
 };
 
 struct rendering {
     struct bsq_ctx *ctx;
     const struct bake_preview *preview;
+    uint32_t side, width; /* as in struct bake_preview_file */
     struct preview_view view;
     struct preview_extent *extents;
     struct preview_band *bands; /* one a worker */
-    float *pixels;              /* HEIGHT x WIDTH x 3 */
+    float *pixels;              /* of a view: side x width x 3 */
 };
 
-int bake_preview_open(struct bsq_ctx *ctx, const char *path, struct bake_preview_file **out)
+int bake_preview_open(struct bsq_ctx *ctx, const char *path, uint32_t view_count,
+                      struct bake_preview_file **out)
 {
     *out = NULL;
-    const struct fmt_image_options options = {
-        .width = WIDTH, .height = HEIGHT, .channel_count = 3, .type = FMT_UINT8, .color = true};
     struct bake_preview_file *file;
     int status = bsq_calloc(ctx, "preview", 1, sizeof *file, &file);
     if (status < 0)
         return status;
     file->ctx = ctx;
+    file->side = view_count == 1 ? SIDE_ALONE : SIDE;
+    file->width = PANELS * file->side + (PANELS - 1) * SEPARATOR;
+    const struct fmt_image_options options = {.width = file->width,
+                                              .height =
+                                                  view_count * (file->side + SEPARATOR) - SEPARATOR,
+                                              .channel_count = 3,
+                                              .type = FMT_UINT8,
+                                              .color = true};
     status = fmt_image_create(ctx, &fmt_png_format, path, &options, &file->writer);
     if (status < 0)
         bake_preview_discard(file);
@@ -67,9 +75,9 @@ static int measure_extents(void *arg, uint64_t task, unsigned worker)
 static struct bsq_vec3 sample(const struct rendering *r, const struct preview_band *band, int panel,
                               uint32_t x, uint32_t y, uint32_t band_y)
 {
-    uint32_t triangle = band->triangle[(size_t)band_y * PREVIEW_SAMPLES + x];
+    uint32_t triangle = band->triangle[(size_t)band_y * r->view.samples + x];
     if (triangle == UINT32_MAX)
-        return bake_preview_background(y / PREVIEW_GRID);
+        return bake_preview_background(y / PREVIEW_GRID, r->side);
     return bake_preview_mesh_sample(r->preview, &r->view, triangle, x + 0.5, y + 0.5,
                                     panel == PANEL_MAPPED);
 }
@@ -77,7 +85,7 @@ static struct bsq_vec3 sample(const struct rendering *r, const struct preview_ba
 static void render_panel_row(const struct rendering *r, const struct preview_band *band, int panel,
                              uint32_t row, float *out)
 {
-    for (uint32_t column = 0; column < PREVIEW_SIDE; ++column, out += 3) {
+    for (uint32_t column = 0; column < r->side; ++column, out += 3) {
         struct bsq_vec3 sum = bsq_v3(0, 0, 0);
         for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
             for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
@@ -101,7 +109,7 @@ static int render_band(void *arg, uint64_t index, unsigned worker)
         for (int panel = PANEL_PLAIN; panel < PANEL_SCAN; ++panel)
             render_panel_row(
                 r, band, panel, row,
-                r->pixels + ((size_t)row * WIDTH + (size_t)panel * (PREVIEW_SIDE + SEPARATOR)) * 3);
+                r->pixels + ((size_t)row * r->width + (size_t)panel * (r->side + SEPARATOR)) * 3);
     bsq_progress_add(r->ctx, PREVIEW_BAND);
     return 0;
 }
@@ -109,20 +117,18 @@ static int render_band(void *arg, uint64_t index, unsigned worker)
 static int allocate(struct rendering *r)
 {
     struct bsq_ctx *ctx = r->ctx;
-    const uint64_t rows = PREVIEW_BAND * PREVIEW_GRID;
+    const uint64_t samples = (uint64_t)PREVIEW_BAND * PREVIEW_GRID * r->side * PREVIEW_GRID;
     int status =
-        bsq_calloc(ctx, "preview", (uint64_t)WIDTH * HEIGHT, 3 * sizeof(float), &r->pixels);
+        bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels);
     if (status == 0)
         status = bsq_alloc(ctx, "preview", r->preview->mesh->triangle_count, sizeof *r->extents,
                            &r->extents);
     if (status == 0)
         status = bsq_calloc(ctx, "preview", bsq_threads(ctx), sizeof *r->bands, &r->bands);
     for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); ++w) {
-        status =
-            bsq_alloc(ctx, "preview", rows * PREVIEW_SAMPLES, sizeof(float), &r->bands[w].depth);
+        status = bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth);
         if (status == 0)
-            status = bsq_alloc(ctx, "preview", rows * PREVIEW_SAMPLES, sizeof(uint32_t),
-                               &r->bands[w].triangle);
+            status = bsq_alloc(ctx, "preview", samples, sizeof(uint32_t), &r->bands[w].triangle);
     }
     return status;
 }
@@ -138,26 +144,49 @@ static void release(struct rendering *r)
     bsq_free(r->ctx, r->pixels);
 }
 
+/* Renders the panels of r->view. */
+static int render_view(struct rendering *r)
+{
+    const uint64_t tasks = (r->preview->mesh->triangle_count - 1) / EXTENTS_A_TASK + 1;
+    int status = bsq_parallel_for(r->ctx, tasks, measure_extents, r);
+    if (status == 0)
+        status = bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r);
+    if (status == 0)
+        status = bake_preview_scan_panel(r->preview, &r->view,
+                                         r->pixels + (size_t)PANEL_SCAN * (r->side + SEPARATOR) * 3,
+                                         (size_t)r->width * 3);
+    return status;
+}
+
+/* Renders and writes all views. The pixels between panels stay black. */
+static int write_views(struct rendering *r, struct fmt_image_writer *writer)
+{
+    const int up = bake_preview_up_axis(r->preview);
+    int status = 0;
+    for (uint32_t i = 0; status == 0 && i < r->preview->view_count; ++i) {
+        bake_preview_view_set(r->preview, i, up, r->side, &r->view);
+        status = render_view(r);
+        if (status == 0)
+            status = fmt_image_write_rows(writer, r->pixels, r->side);
+        if (status < 0 || i + 1 == r->preview->view_count)
+            break;
+        memset(r->pixels, 0, (size_t)SEPARATOR * r->width * 3 * sizeof *r->pixels);
+        status = fmt_image_write_rows(writer, r->pixels, SEPARATOR);
+    }
+    return status;
+}
+
 int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview)
 {
-    struct rendering r = {.ctx = file->ctx, .preview = preview};
-    bake_preview_view_set(preview, &r.view);
+    struct rendering r = {
+        .ctx = file->ctx, .preview = preview, .side = file->side, .width = file->width};
     int status = allocate(&r);
     if (status == 0) {
-        uint64_t tasks = (preview->mesh->triangle_count - 1) / EXTENTS_A_TASK + 1;
-        status = bsq_parallel_for(file->ctx, tasks, measure_extents, &r);
-    }
-    if (status == 0) {
-        bsq_progress_begin(file->ctx, "preview", "rows", 2 * HEIGHT);
-        status = bsq_parallel_for(file->ctx, BANDS, render_band, &r);
-        if (status == 0)
-            status = bake_preview_scan_panel(
-                preview, &r.view, r.pixels + (size_t)PANEL_SCAN * (PREVIEW_SIDE + SEPARATOR) * 3,
-                (size_t)WIDTH * 3);
+        bsq_progress_begin(file->ctx, "preview", "rows",
+                           UINT64_C(2) * r.side * preview->view_count);
+        status = write_views(&r, file->writer);
         bsq_progress_end(file->ctx);
     }
-    if (status == 0)
-        status = fmt_image_write_rows(file->writer, r.pixels, HEIGHT);
     if (status == 0)
         status = fmt_image_finish(file->writer);
     release(&r);

@@ -1,6 +1,6 @@
 /* preview.h - a picture that shows whether a bake is right. Takes the low-poly mesh, thumbnails of
- * its maps and the scan's surface; gives a PNG with three panels of the same view in the same
- * light: the mesh plain, the mesh with its maps, and the scan. */
+ * its maps and the scan's surface; gives a PNG. A row of the picture shows one view of three things
+ * in the same light: the mesh plain, the mesh with its maps, and the scan. Views go around. */
 #ifndef BAKE_PREVIEW_PREVIEW_H
 #define BAKE_PREVIEW_PREVIEW_H
 
@@ -9,10 +9,12 @@
 #include "libbake/maps/maps.h"
 #include "libbake/udim/udim.h"
 
-/* A UDIM tile with linear thumbnails, whose `texels` are NULL if the map is not baked. */
+/* A UDIM tile with linear thumbnails, whose `texels` are NULL if the map is not baked. Channel 0 of
+ * `missed` has the share of texels inside charts whose rays met nothing, channel 1 of the others.
+ */
 struct bake_preview_tile {
     struct bake_udim_tile place;
-    const struct bake_thumbnail *normal, *color;
+    const struct bake_thumbnail *normal, *color, *missed;
 };
 
 struct bake_preview {
@@ -23,12 +25,17 @@ struct bake_preview {
     uint32_t tile_count;
     enum bake_normal_space normal_space; /* of the normal map */
     bool green_down;                     /* likewise */
+    bool two_sided;                      /* the scan was baked from both sides */
+    enum bake_up up;
+    uint32_t view_count; /* that of bake_preview_open() */
 };
 
 struct bake_preview_file;
 
-/* Creates the PNG under a temporary name. Errors: those of fmt_image_create(), BSQ_ENOMEM. */
-int bake_preview_open(struct bsq_ctx *ctx, const char *path, struct bake_preview_file **out);
+/* Creates the PNG under a temporary name. view_count: from 1 on. Errors: those of
+ * fmt_image_create(), BSQ_ENOMEM. */
+int bake_preview_open(struct bsq_ctx *ctx, const char *path, uint32_t view_count,
+                      struct bake_preview_file **out);
 /* Renders on all threads and completes the file. Call it at most once, not from parallel work.
  * Errors: those of bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview);

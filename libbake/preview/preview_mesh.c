@@ -13,8 +13,8 @@ static void project(const struct preview_view *view, const double p[3], double o
         v[k] = p[k] - view->centre[k];
     double right = v[0] * view->right[0] + v[1] * view->right[1] + v[2] * view->right[2];
     double up = v[0] * view->up[0] + v[1] * view->up[1] + v[2] * view->up[2];
-    out[0] = 0.5 * PREVIEW_SAMPLES + view->scale * right;
-    out[1] = 0.5 * PREVIEW_SAMPLES - view->scale * up;
+    out[0] = 0.5 * view->samples + view->scale * right;
+    out[1] = 0.5 * view->samples - view->scale * up;
     out[2] = v[0] * view->toward[0] + v[1] * view->toward[1] + v[2] * view->toward[2];
 }
 
@@ -56,7 +56,7 @@ static uint32_t clamp_sample(double v, double limit)
     return v > 0 ? (v < limit ? (uint32_t)v : (uint32_t)limit) : 0;
 }
 
-static void draw_triangle(double (*p)[3], uint32_t triangle, uint32_t first_row,
+static void draw_triangle(double (*p)[3], uint32_t triangle, uint32_t samples, uint32_t first_row,
                           struct preview_band *band)
 {
     double area = edge(p[0], p[1], p[2][0], p[2][1]);
@@ -66,8 +66,8 @@ static void draw_triangle(double (*p)[3], uint32_t triangle, uint32_t first_row,
     double right = fmax(p[0][0], fmax(p[1][0], p[2][0]));
     double top = fmin(p[0][1], fmin(p[1][1], p[2][1])) - first_row;
     double bottom = fmax(p[0][1], fmax(p[1][1], p[2][1])) - first_row;
-    uint32_t x0 = clamp_sample(left - 0.5, PREVIEW_SAMPLES);
-    uint32_t x1 = clamp_sample(right + 1.0, PREVIEW_SAMPLES);
+    uint32_t x0 = clamp_sample(left - 0.5, samples);
+    uint32_t x1 = clamp_sample(right + 1.0, samples);
     uint32_t y0 = clamp_sample(top - 0.5, PREVIEW_BAND * PREVIEW_GRID);
     uint32_t y1 = clamp_sample(bottom + 1.0, PREVIEW_BAND * PREVIEW_GRID);
     for (uint32_t y = y0; y < y1; ++y)
@@ -76,7 +76,7 @@ static void draw_triangle(double (*p)[3], uint32_t triangle, uint32_t first_row,
             weights_at(p, x + 0.5, first_row + y + 0.5, w);
             if (w[0] < 0 || w[1] < 0 || w[2] < 0)
                 continue;
-            size_t i = (size_t)y * PREVIEW_SAMPLES + x;
+            size_t i = (size_t)y * samples + x;
             float depth = (float)(w[0] * p[0][2] + w[1] * p[1][2] + w[2] * p[2][2]);
             if (band->triangle[i] == UINT32_MAX || depth > band->depth[i]) {
                 band->depth[i] = depth;
@@ -91,14 +91,14 @@ void bake_preview_mesh_band(const struct bake_preview *preview, const struct pre
 {
     const uint32_t rows = PREVIEW_BAND * PREVIEW_GRID;
     float top = (float)first_row, bottom = (float)(first_row + rows);
-    for (size_t i = 0; i < (size_t)rows * PREVIEW_SAMPLES; ++i)
+    for (size_t i = 0; i < (size_t)rows * view->samples; ++i)
         band->triangle[i] = UINT32_MAX;
     for (uint64_t t = 0; t < preview->mesh->triangle_count; ++t) {
         if (extents[t].bottom < top || extents[t].top > bottom)
             continue;
         double p[3][3];
         project_triangle(preview, view, t, p);
-        draw_triangle(p, (uint32_t)t, first_row, band);
+        draw_triangle(p, (uint32_t)t, view->samples, first_row, band);
     }
 }
 
@@ -189,6 +189,18 @@ static struct bsq_vec3 mapped_normal(const struct bake_preview *preview, uint32_
                               bsq_scale3(normal, m.z)));
 }
 
+/* Blends the albedo to red by the share of texels without a hit. */
+static struct bsq_vec3 mark_missed(const struct bake_thumbnail *missed, const float at[2],
+                                   struct bsq_vec3 albedo)
+{
+    float shares[3];
+    bake_thumbnail_sample(missed, at[0], at[1], shares);
+    if (!(shares[0] > 0.0f))
+        return albedo;
+    const float red = shares[0] / (shares[0] + shares[1]);
+    return bsq_add3(bsq_scale3(albedo, 1.0f - red), bsq_scale3(bsq_v3(1.0f, 0.01f, 0.01f), red));
+}
+
 struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
                                          const struct preview_view *view, uint32_t triangle,
                                          double x, double y, bool with_maps)
@@ -210,5 +222,7 @@ struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
         bake_thumbnail_sample(tile->color, at[0], at[1], color);
         albedo = bsq_v3(color[0], color[1], color[2]);
     }
+    if (tile && tile->missed->texels)
+        albedo = mark_missed(tile->missed, at, albedo);
     return bake_preview_shade(view, normal, albedo);
 }

@@ -4,12 +4,11 @@
 
 #include "base/parallel.h"
 
-enum { ROW_RAYS = PREVIEW_SAMPLES * PREVIEW_GRID }; /* rays of a row of pixels */
-
 struct strip {
     const struct bake_preview *preview;
     const struct preview_view *view;
     uint32_t first_row, rows; /* pixels */
+    uint32_t row_rays;        /* of a row of pixels */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
     float *pixels; /* of the panel's first row */
@@ -22,13 +21,13 @@ static int cast_row(void *arg, uint64_t index, unsigned worker)
     const struct strip *strip = arg;
     const struct preview_view *view = strip->view;
     const struct bake_surface *surface = strip->preview->surface;
-    struct bake_exact_ray *ray = strip->rays + index * ROW_RAYS;
-    for (uint32_t i = 0; i < ROW_RAYS; ++i, ++ray) {
-        const double x = i % PREVIEW_SAMPLES + 0.5;
-        const uint64_t row = (strip->first_row + index) * PREVIEW_GRID + i / PREVIEW_SAMPLES;
+    struct bake_exact_ray *ray = strip->rays + index * strip->row_rays;
+    for (uint32_t i = 0; i < strip->row_rays; ++i, ++ray) {
+        const double x = i % view->samples + 0.5;
+        const uint64_t row = (strip->first_row + index) * PREVIEW_GRID + i / view->samples;
         const double y = (double)row + 0.5;
-        const double right = (x - 0.5 * PREVIEW_SAMPLES) / view->scale;
-        const double up = (0.5 * PREVIEW_SAMPLES - y) / view->scale;
+        const double right = (x - 0.5 * view->samples) / view->scale;
+        const double up = (0.5 * view->samples - y) / view->scale;
         for (int k = 0; k < 3; ++k) {
             double p = view->centre[k] + right * view->right[k] + up * view->up[k] +
                        view->scan_depth * view->toward[k];
@@ -43,8 +42,12 @@ static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_ex
                                  uint32_t row)
 {
     if (hit->triangle == BAKE_EXACT_NONE)
-        return bake_preview_background(row);
+        return bake_preview_background(row, strip->view->side);
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
+    const double *toward = strip->view->toward;
+    const double facing = normal.x * toward[0] + normal.y * toward[1] + normal.z * toward[2];
+    if (strip->preview->two_sided && facing < 0)
+        normal = bsq_scale3(normal, -1.0f);
     /* Without a colour map the mesh is grey; so is the scan, to be compared with it. */
     struct bsq_vec3 albedo = strip->preview->tiles[0].color->texels
                                  ? bsq_v3(hit->color[0], hit->color[1], hit->color[2])
@@ -57,15 +60,16 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     const struct strip *strip = arg;
     const uint32_t row = strip->first_row + (uint32_t)index;
-    const struct bake_exact_hit *hits = strip->hits + index * ROW_RAYS;
+    const struct bake_exact_hit *hits = strip->hits + index * strip->row_rays;
     float *out = strip->pixels + row * strip->stride;
-    for (uint32_t column = 0; column < PREVIEW_SIDE; ++column, out += 3) {
+    for (uint32_t column = 0; column < strip->view->side; ++column, out += 3) {
         struct bsq_vec3 sum = bsq_v3(0, 0, 0);
         for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
             for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
                 sum = bsq_add3(
                     sum,
-                    hit_color(strip, &hits[j * PREVIEW_SAMPLES + column * PREVIEW_GRID + i], row));
+                    hit_color(strip, &hits[j * strip->view->samples + column * PREVIEW_GRID + i],
+                              row));
         sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
         out[0] = sum.x;
         out[1] = sum.y;
@@ -81,7 +85,7 @@ static int render_strip(struct strip *strip)
     params.flags &= ~(bk_uint)BK_NEAREST; /* the reference is as accurate as possible */
     const struct bake_surface_rays rays = {.rays = strip->rays,
                                            .hits = strip->hits,
-                                           .count = (uint64_t)strip->rows * ROW_RAYS,
+                                           .count = (uint64_t)strip->rows * strip->row_rays,
                                            .t_min = 0,
                                            .t_max = strip->view->scan_span,
                                            .facing_origin = true};
@@ -97,15 +101,17 @@ int bake_preview_scan_panel(const struct bake_preview *preview, const struct pre
                             float *pixels, size_t stride)
 {
     struct bsq_ctx *ctx = preview->surface->ctx;
-    struct strip strip = {.preview = preview, .view = view, .pixels = pixels, .stride = stride};
-    uint64_t most = bake_surface_capacity(preview->surface) / ROW_RAYS;
-    most = most < 1 ? 1 : most > PREVIEW_SIDE ? PREVIEW_SIDE : most;
-    int status = bsq_alloc(ctx, "preview", most, ROW_RAYS * sizeof *strip.rays, &strip.rays);
+    const uint32_t side = view->side, row_rays = view->samples * PREVIEW_GRID;
+    struct strip strip = {
+        .preview = preview, .view = view, .row_rays = row_rays, .pixels = pixels, .stride = stride};
+    uint64_t most = bake_surface_capacity(preview->surface) / row_rays;
+    most = most < 1 ? 1 : most > side ? side : most;
+    int status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.rays, &strip.rays);
     if (status == 0)
-        status = bsq_alloc(ctx, "preview", most, ROW_RAYS * sizeof *strip.hits, &strip.hits);
-    for (uint32_t row = 0; status == 0 && row < PREVIEW_SIDE; row += strip.rows) {
+        status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.hits, &strip.hits);
+    for (uint32_t row = 0; status == 0 && row < side; row += strip.rows) {
         strip.first_row = row;
-        strip.rows = PREVIEW_SIDE - row < most ? PREVIEW_SIDE - row : (uint32_t)most;
+        strip.rows = side - row < most ? side - row : (uint32_t)most;
         status = render_strip(&strip);
         bsq_progress_add(ctx, strip.rows);
     }

@@ -1,7 +1,7 @@
 /* preview_view.c - places the camera and the lights, and shades. */
 #include "libbake/preview/preview_view.h"
 
-/* Three-quarter view from the front and slightly above; y is up, as in most OBJ files. */
+/* Three-quarter view from the front and slightly above. */
 static const double azimuth = 0.52, elevation = 0.30; /* radians */
 static const double margin = 0.92;                    /* share of the panel that the mesh fills */
 
@@ -10,17 +10,65 @@ static double dot(const double a[3], const double b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-static void set_axes(struct preview_view *view)
+/* Copies a vector that is meant for axis 1 up. With axis 2 up, the front looks to -y, as in
+ * Blender.
+ */
+static void turn(const double v[3], int up, double out[3])
 {
-    double sa = sin(azimuth), ca = cos(azimuth), se = sin(elevation), ce = cos(elevation);
+    out[0] = v[0];
+    out[1] = up == 1 ? v[1] : -v[2];
+    out[2] = up == 1 ? v[2] : v[1];
+}
+
+static void set_axes(double around, int up_axis, struct preview_view *view)
+{
+    double sa = sin(around), ca = cos(around), se = sin(elevation), ce = cos(elevation);
     const double right[3] = {ca, 0, -sa}, up[3] = {-se * sa, ce, -se * ca},
                  toward[3] = {ce * sa, se, ce * ca};
-    for (int k = 0; k < 3; ++k) {
-        view->right[k] = right[k];
-        view->up[k] = up[k];
-        view->toward[k] = toward[k];
-    }
+    turn(right, up_axis, view->right);
+    turn(up, up_axis, view->up);
+    turn(toward, up_axis, view->toward);
 }
+
+/* ---- the vertical axis ---- */
+
+/* Parts of the mesh's longest side: how far above the lower end a base may reach, and how thin a
+ * relief is. */
+static const double base_height = 0.02, relief_depth = 0.25;
+
+/* Returns twice the area, projected along the axis, of triangles below a height that face down. */
+static double base_area(const struct bake_lowmesh *mesh, int axis, double height)
+{
+    const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+    double area = 0;
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
+        const double(*p)[3] = mesh->positions[t];
+        if (fmax(p[0][axis], fmax(p[1][axis], p[2][axis])) > height)
+            continue;
+        double facing =
+            (p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) - (p[1][v] - p[0][v]) * (p[2][u] - p[0][u]);
+        area += fmax(-facing, 0);
+    }
+    return area;
+}
+
+int bake_preview_up_axis(const struct bake_preview *preview)
+{
+    if (preview->up != BAKE_UP_AUTO)
+        return preview->up == BAKE_UP_Z ? 2 : 1;
+    const double *low = preview->mesh->bounds_min, *high = preview->mesh->bounds_max;
+    double longest = 0;
+    for (int k = 0; k < 3; ++k)
+        longest = fmax(longest, high[k] - low[k]);
+    if (high[2] - low[2] < relief_depth * longest)
+        return 1;
+    const double reach = base_height * longest;
+    return base_area(preview->mesh, 2, low[2] + reach) > base_area(preview->mesh, 1, low[1] + reach)
+               ? 2
+               : 1;
+}
+
+/* ---- the view ---- */
 
 static struct bsq_vec3 direction(const struct preview_view *view, double right, double up,
                                  double toward)
@@ -46,7 +94,7 @@ static void frame_mesh(const struct bake_lowmesh *mesh, struct preview_view *vie
         }
     double centre_right = 0.5 * (low[0] + high[0]), centre_up = 0.5 * (low[1] + high[1]);
     double size = fmax(high[0] - low[0], high[1] - low[1]);
-    view->scale = size > 0 ? margin * PREVIEW_SAMPLES / size : 1.0;
+    view->scale = size > 0 ? margin * view->samples / size : 1.0;
     /* Depths are measured from the plane through the world's origin. */
     for (int k = 0; k < 3; ++k)
         view->centre[k] = centre_right * view->right[k] + centre_up * view->up[k];
@@ -69,9 +117,13 @@ static void span_scan(const struct bake_surface *scan, struct preview_view *view
     view->scan_span = nearest - farthest + 2 * rim;
 }
 
-void bake_preview_view_set(const struct bake_preview *preview, struct preview_view *view)
+void bake_preview_view_set(const struct bake_preview *preview, uint32_t index, int up,
+                           uint32_t side, struct preview_view *view)
 {
-    set_axes(view);
+    static const double full_turn = 6.283185307179586;
+    view->side = side;
+    view->samples = side * PREVIEW_GRID;
+    set_axes(azimuth + full_turn * index / preview->view_count, up, view);
     view->key = direction(view, -0.55, 0.65, 0.55);
     view->fill = direction(view, 0.85, 0.05, 0.5);
     frame_mesh(preview->mesh, view);
@@ -102,8 +154,8 @@ struct bsq_vec3 bake_preview_grey(void)
     return bsq_v3(0.6f, 0.6f, 0.6f);
 }
 
-struct bsq_vec3 bake_preview_background(uint32_t row)
+struct bsq_vec3 bake_preview_background(uint32_t row, uint32_t side)
 {
-    float level = 0.16f - 0.10f * (float)row / PREVIEW_SIDE;
+    float level = 0.16f - 0.10f * (float)row / (float)side;
     return bsq_v3(level, level, level);
 }

@@ -6,16 +6,16 @@
 #include "libbake/preview/preview.h"
 
 enum {
-    PREVIEW_SIDE = 768, /* width and height of a panel in pixels */
-    PREVIEW_GRID = 2,   /* samples along a pixel's side */
-    PREVIEW_BAND = 8,   /* pixel rows that a worker renders at a time */
-    PREVIEW_SAMPLES = PREVIEW_SIDE * PREVIEW_GRID
+    PREVIEW_GRID = 2, /* samples along a pixel's side */
+    PREVIEW_BAND = 8  /* pixel rows that a worker renders at a time; divides a panel's side */
 };
 
-/* A parallel projection. With half = PREVIEW_SAMPLES / 2, a point p is on the panel at
+/* A parallel projection. With half = samples / 2, a point p is on the panel at
  * (half + scale * right . (p - centre), half - scale * up . (p - centre)), in samples from the top
  * left. */
 struct preview_view {
+    uint32_t side;                     /* width and height of a panel in pixels */
+    uint32_t samples;                  /* side * PREVIEW_GRID */
     double centre[3];                  /* world */
     double right[3], up[3], toward[3]; /* unit; `toward` points to the camera */
     double scale;                      /* samples per world unit */
@@ -24,18 +24,26 @@ struct preview_view {
     double scan_span;                  /* length of a camera ray that crosses all of the scan */
 };
 
-/* Frames the low-poly mesh. */
-void bake_preview_view_set(const struct bake_preview *preview, struct preview_view *view);
+/* Frames the low-poly mesh. index: of the view, from 0 to preview->view_count - 1. up: the vertical
+ * axis, 1 or 2. side: of a panel, in pixels. */
+void bake_preview_view_set(const struct bake_preview *preview, uint32_t index, int up,
+                           uint32_t side, struct preview_view *view);
+
+/* Returns the vertical axis, 1 or 2, that the options name, or else the mesh suggests: the one on
+ * whose lower end more of the mesh's surface lies flat, as things stand on the ground. Axis 1 if
+ * there is no such difference or the mesh is thin along axis 2. */
+int bake_preview_up_axis(const struct bake_preview *preview);
 
 /* Returns the linear light that a matt surface sends to the camera. */
 struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_vec3 normal,
                                    struct bsq_vec3 albedo);
 
-/* Return linear light: the albedo without a colour map, and the background of a row of pixels. */
+/* Return linear light: the albedo without a colour map, and the background of a row of pixels of a
+ * panel with this side. */
 struct bsq_vec3 bake_preview_grey(void);
-struct bsq_vec3 bake_preview_background(uint32_t row);
+struct bsq_vec3 bake_preview_background(uint32_t row, uint32_t side);
 
-/* The z-buffer of a band: PREVIEW_BAND * PREVIEW_GRID rows of PREVIEW_SAMPLES. One per worker. */
+/* The z-buffer of a band: PREVIEW_BAND * PREVIEW_GRID rows of view.samples. One per worker. */
 struct preview_band {
     float *depth;       /* larger is nearer; only set where there is a triangle */
     uint32_t *triangle; /* UINT32_MAX: none */
@@ -60,8 +68,8 @@ struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
                                          const struct preview_view *view, uint32_t triangle,
                                          double x, double y, bool with_maps);
 
-/* Renders the scan's panel on all threads: PREVIEW_SIDE rows of RGB, `stride` floats apart. Adds
- * PREVIEW_SIDE to the progress. Must not be called from parallel work. Errors: those of
+/* Renders the scan's panel on all threads: view->side rows of RGB, `stride` floats apart. Adds
+ * view->side to the progress. Must not be called from parallel work. Errors: those of
  * bake_surface_trace(), BSQ_ENOMEM. */
 int bake_preview_scan_panel(const struct bake_preview *preview, const struct preview_view *view,
                             float *pixels, size_t stride);

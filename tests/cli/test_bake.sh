@@ -41,7 +41,7 @@ code 0
 out_like '^Usage: bisque-bake '
 options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
     ao-rays ao-distance ao-spread ao-falloff thickness-rays thickness-distance cage ray-directions max-missed two-sided
-    sampling normal-space green padding half float png-bits preview device gpu-memory list-devices list-tiles memory
+    sampling normal-space green padding half float png-bits preview preview-views up device gpu-memory list-devices list-tiles memory
     threads progress json help
     version"
 for option in $options; do
@@ -277,12 +277,21 @@ $bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview look.png -
 code 0
 out_like '^look\.png: preview$'
 is_png n.png 96 48 16
-[ "$(magic look.png 8)" = 89504e470d0a1a0a ]
-check "the preview is a PNG file" $?
+is_png look.png 1160 1548 8
 $bake --device cpu --size 96x48 colored.nvdb low.obj -o n.png --preview grey.png --maps normal
 code 0
 cmp -s look.png grey.png
 check "without a colour map the preview shows the scan without colours" $?
+$bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
+    --preview-views 1 --up z
+code 0
+is_png grey.png 2312 768 8
+for value in 0 361 -1 many; do
+    $bake $small plain.nvdb low.obj -o n.png --preview grey.png --preview-views $value
+    code 64
+done
+$bake $small plain.nvdb low.obj -o n.png --preview grey.png --up x
+code 64
 rm grey.png
 $bake $small plain.nvdb low.obj -o n8.png --png-bits 8 --maps normal
 code 0
