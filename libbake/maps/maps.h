@@ -209,9 +209,9 @@ struct bake_thumbnail {
  */
 int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t full_height,
                           uint32_t side, struct bake_thumbnail *out);
-/* Creates the thumbnail of an image's misses. Channel 0 has the share of texels inside charts without
- * a value, channel 1 that of texels with one, channel 2 is 0. Must not be called from parallel work.
- * Errors: BSQ_ENOMEM, and those of bake_image_rows(). */
+/* Creates the thumbnail of an image's misses. Channel 0 has the share of texels inside charts
+ * without a value, channel 1 that of texels with one, channel 2 is 0. Must not be called from
+ * parallel work. Errors: BSQ_ENOMEM, and those of bake_image_rows(). */
 int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t side,
                              struct bake_thumbnail *out);
 void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail);
