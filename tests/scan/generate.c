@@ -18,6 +18,7 @@ static const char usage[] =
     "  -c, --colors          vertex colours (vase)\n"
     "      --normals         vertex normals (vase, sine)\n"
     "      --uvs             texture coordinates (vase)\n"
+    "      --tiles N         UDIM tiles side by side, at most 10 (vase-low; default 1)\n"
     "      --corners N       polygons with N corners, 3 or an even number (vase; default 3)\n"
     "      --shuffle SEED    faces in random order\n"
     "      --offset X,Y,Z    added to every position\n"
@@ -34,15 +35,21 @@ static int bad_usage(void)
 int main(int argc, char **argv)
 {
     struct generate_options options = {
-        .triangles = 2000000, .corners = 3, .amplitude = 0.002, .wavelength = 0};
-    enum { NORMALS = 256, UVS, CORNERS, SHUFFLE, OFFSET, AMPLITUDE, ROUNDED, WAVELENGTH };
-    static const struct option table[] = {
-        {"triangles", 1, 0, 'n'},         {"colors", 0, 0, 'c'},
-        {"normals", 0, 0, NORMALS},       {"uvs", 0, 0, UVS},
-        {"corners", 1, 0, CORNERS},       {"shuffle", 1, 0, SHUFFLE},
-        {"offset", 1, 0, OFFSET},         {"output", 1, 0, 'o'},
-        {"amplitude", 1, 0, AMPLITUDE},   {"rounded", 0, 0, ROUNDED},
-        {"wavelength", 1, 0, WAVELENGTH}, {0}};
+        .triangles = 2000000, .tiles = 1, .corners = 3, .amplitude = 0.002, .wavelength = 0};
+    enum { NORMALS = 256, UVS, TILES, CORNERS, SHUFFLE, OFFSET, AMPLITUDE, ROUNDED, WAVELENGTH };
+    static const struct option table[] = {{"triangles", 1, 0, 'n'},
+                                          {"colors", 0, 0, 'c'},
+                                          {"normals", 0, 0, NORMALS},
+                                          {"uvs", 0, 0, UVS},
+                                          {"tiles", 1, 0, TILES},
+                                          {"corners", 1, 0, CORNERS},
+                                          {"shuffle", 1, 0, SHUFFLE},
+                                          {"offset", 1, 0, OFFSET},
+                                          {"output", 1, 0, 'o'},
+                                          {"amplitude", 1, 0, AMPLITUDE},
+                                          {"rounded", 0, 0, ROUNDED},
+                                          {"wavelength", 1, 0, WAVELENGTH},
+                                          {0}};
     for (int c; (c = getopt_long(argc, argv, "n:co:", table, NULL)) != -1;) {
         switch (c) {
         case 'n':
@@ -59,6 +66,9 @@ int main(int argc, char **argv)
             break;
         case UVS:
             options.texcoords = 1;
+            break;
+        case TILES:
+            options.tiles = (unsigned)strtoul(optarg, NULL, 10);
             break;
         case CORNERS:
             options.corners = (unsigned)strtoul(optarg, NULL, 10);
@@ -84,8 +94,8 @@ int main(int argc, char **argv)
             return bad_usage();
         }
     }
-    if (optind + 1 != argc || !options.output || options.triangles < 1 ||
-        !(options.wavelength >= 0) ||
+    if (optind + 1 != argc || !options.output || options.triangles < 1 || options.tiles < 1 ||
+        options.tiles > 10 || !(options.wavelength >= 0) ||
         (options.corners != 3 && (options.corners < 4 || options.corners % 2)) ||
         (mesh_output_of(options.output) != MESH_OBJ && strncmp(argv[optind], "sine", 4) == 0) ||
         (mesh_output_of(options.output) == MESH_STL && options.corners != 3))

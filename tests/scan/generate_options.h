@@ -7,6 +7,7 @@
 struct generate_options {
     uint64_t triangles; /* approximate count */
     int colors, normals, texcoords;
+    unsigned tiles;   /* of the low-poly vase's texture coordinates: UDIM tiles side by side */
     unsigned corners; /* 3: triangles, else polygons with this even number of corners */
     int shuffle;      /* faces in random order, by `seed` */
     uint64_t seed;
@@ -19,8 +20,8 @@ struct generate_options {
 
 /* Writes the vase as a regular grid over the analytic surface. */
 void generate_vase(const struct generate_options *options);
-/* Writes the body of the vase as a low-poly mesh of nu x ns quads with texture coordinates (u, s)
- * and normals. */
+/* Writes the body of the vase as a low-poly mesh of nu x ns quads with texture coordinates
+ * (tiles u, s) and normals. */
 void generate_vase_low(const struct generate_options *options, unsigned nu, unsigned ns);
 /* Writes a small scan with each triangle split into k x k and displaced along its normals. */
 void generate_amplified(const struct generate_options *options, const char *input);

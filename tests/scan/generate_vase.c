@@ -71,11 +71,11 @@ static void put_polygon(struct grid *g, uint64_t i, uint64_t j, uint64_t quads)
     put_face(g);
 }
 
-static void put_texcoords(struct grid *g)
+static void put_texcoords(struct grid *g, unsigned tiles)
 {
     for (uint64_t j = 0; j <= g->ns; j++)
         for (uint64_t i = 0; i <= g->nu; i++)
-            mesh_texcoord(&g->mesh, (double)i / (double)g->nu, (double)j / (double)g->ns);
+            mesh_texcoord(&g->mesh, (double)(tiles * i) / (double)g->nu, (double)j / (double)g->ns);
 }
 
 static void put_vertices(struct grid *g, const struct generate_options *options)
@@ -144,7 +144,7 @@ void generate_vase(const struct generate_options *options)
     open_grid(&g, options, count_faces(&g, options), 0);
     put_vertices(&g, options);
     if (options->texcoords)
-        put_texcoords(&g);
+        put_texcoords(&g, 1);
     if (options->normals && mesh_normals_apart(&g.mesh))
         put_normals(&g);
     put_faces(&g, options);
@@ -170,7 +170,7 @@ void generate_vase_low(const struct generate_options *from, unsigned nu, unsigne
                 else
                     mesh_vertex(&g.mesh, p.position, NULL, p.normal);
             }
-    put_texcoords(&g);
+    put_texcoords(&g, options.tiles);
     for (uint64_t n = 0; n < 2ull * nu * ns; n++)
         put_triangle(&g, n);
     close_grid(&g);
