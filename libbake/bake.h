@@ -140,6 +140,9 @@ struct bake_options {
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
      * The processor reads the grid from its file and ignores this. */
     uint64_t gpu_memory_bytes;
+    /** Side of the tiles that OpenEXR files are made of, in texels, to BAKE_MAX_EXR_TILE;
+     * 0: lines. */
+    uint32_t exr_tile_side;
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
     uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
     enum bake_up preview_up;  /**< Vertical axis of the preview. */
@@ -160,7 +163,8 @@ enum {
     BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
     BAKE_MAX_SAMPLES = 64,   /**< Largest N of N x N samples a texel. */
     BAKE_MAX_RAYS = 4096,    /**< Most rays of a hit. */
-    BAKE_MAX_VIEWS = 360     /**< Most views of a preview. */
+    BAKE_MAX_VIEWS = 360,    /**< Most views of a preview. */
+    BAKE_MAX_EXR_TILE = 8192 /**< Largest side of a tile of an OpenEXR file. */
 };
 
 /** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in

@@ -46,6 +46,7 @@ static const char help_format[] =
     "      --green DIR         up (OpenGL) or down (Direct3D), for tangent space (default: up)\n"
     "      --padding N         texels to fill around each chart; all: everywhere (default: 16)\n"
     "      --half, --float     type of OpenEXR samples (default: half for most maps)\n"
+    "      --exr-tiles N       make OpenEXR files of tiles of N x N texels (default: of lines)\n"
     "      --png-bits N        8 (dithered) or 16 (default: 16)\n"
     "      --preview FILE.png  a picture of the low-poly mesh, the baked mesh and the scan\n"
     "      --preview-views N   views around the mesh (default: 4)\n"
@@ -84,6 +85,7 @@ enum {
     OPT_PADDING,
     OPT_HALF,
     OPT_FLOAT,
+    OPT_EXR_TILES,
     OPT_PNG_BITS,
     OPT_PREVIEW,
     OPT_PREVIEW_VIEWS,
@@ -123,6 +125,7 @@ static const struct option long_options[] = {
     {"padding", required_argument, NULL, OPT_PADDING},
     {"half", no_argument, NULL, OPT_HALF},
     {"float", no_argument, NULL, OPT_FLOAT},
+    {"exr-tiles", required_argument, NULL, OPT_EXR_TILES},
     {"png-bits", required_argument, NULL, OPT_PNG_BITS},
     {"preview", required_argument, NULL, OPT_PREVIEW},
     {"preview-views", required_argument, NULL, OPT_PREVIEW_VIEWS},
@@ -376,6 +379,8 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_FLOAT:
     case OPT_PNG_BITS:
         return parse_sample_type(cli, option, arguments);
+    case OPT_EXR_TILES:
+        return parse_count(cli, "--exr-tiles", optarg, 8, BAKE_MAX_EXR_TILE, &bake->exr_tile_side);
     case OPT_PREVIEW:
         bake->preview_path = optarg;
         return 0;

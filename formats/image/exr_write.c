@@ -1,8 +1,8 @@
 /* exr_write.c - streaming EXR writer.
  *
- * OpenEXR compresses blocks of 16 lines independently. Each slot of a pipeline owns an encoder. The
- * slots compress in parallel, and the pipeline writes their bytes from top to bottom. So the file
- * is the same for any number of threads. */
+ * OpenEXR compresses blocks of 16 lines, or tiles, independently. Each slot of a pipeline owns an
+ * encoder. The slots compress in parallel, and the pipeline writes their bytes from top to bottom.
+ * So the file is the same for any number of threads. */
 #include "formats/image/image_writer.h"
 
 #include <string.h>
@@ -18,8 +18,8 @@ enum {
 
 struct slot {
     exr_encode_pipeline_t encoder;
-    bool ready; /* the encoder was initialised */
-    uint32_t first_row;
+    bool ready;           /* the encoder was initialised */
+    uint32_t column, row; /* of a tile in tiles, of a block of lines in lines */
     const float *samples;
     const void *packed; /* compressed block, in the encoder's memory */
     uint64_t packed_bytes;
@@ -36,6 +36,7 @@ struct exr_writer {
     const char *const *channels;   /* names in the order of the samples */
     uint16_t order[MOST_CHANNELS]; /* sample number of each of the file's channels */
     uint32_t rows_written;         /* rows given to encoders */
+    uint32_t tile_side;            /* 0: blocks of lines */
     struct slot *slots;
     unsigned slot_count;
     uint64_t reserved_bytes;
@@ -104,10 +105,14 @@ static exr_result_t make_header(struct exr_writer *writer, const struct fmt_imag
 {
     exr_context_t file = writer->file;
     int part;
-    exr_result_t r = exr_add_part(file, NULL, EXR_STORAGE_SCANLINE, &part);
+    const uint32_t side = options->tile_side;
+    exr_result_t r =
+        exr_add_part(file, NULL, side > 0 ? EXR_STORAGE_TILED : EXR_STORAGE_SCANLINE, &part);
     if (r == EXR_ERR_SUCCESS)
         r = exr_initialize_required_attr_simple(file, 0, (int32_t)options->width,
                                                 (int32_t)options->height, EXR_COMPRESSION_ZIP);
+    if (r == EXR_ERR_SUCCESS && side > 0)
+        r = exr_set_tile_descriptor(file, 0, side, side, EXR_TILE_ONE_LEVEL, EXR_TILE_ROUND_DOWN);
     exr_pixel_type_t type = options->type == FMT_HALF ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT;
     for (uint32_t c = 0; r == EXR_ERR_SUCCESS && c < options->channel_count; ++c)
         r = exr_add_channel(file, 0, writer->channels[c], type, EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
@@ -149,7 +154,7 @@ static int map_channels(struct exr_writer *writer)
 struct batch {
     struct exr_writer *writer;
     const float *samples;
-    uint32_t rows, rows_taken;
+    uint32_t rows, rows_taken, columns_taken; /* columns: of tiles */
 };
 
 static int take_chunk(void *arg, void *slot_memory, uint64_t sequence)
@@ -158,13 +163,19 @@ static int take_chunk(void *arg, void *slot_memory, uint64_t sequence)
     struct batch *batch = arg;
     struct slot *slot = slot_memory;
     struct exr_writer *writer = batch->writer;
+    const uint32_t side = writer->tile_side, width = writer->base.width;
     if (batch->rows_taken == batch->rows)
         return 0;
+    slot->column = batch->columns_taken;
+    slot->row = side > 0 ? writer->rows_written / side : writer->rows_written;
+    slot->samples =
+        batch->samples + ((size_t)batch->rows_taken * width + (size_t)slot->column * side) *
+                             writer->base.channel_count;
+    if (side > 0 && ++batch->columns_taken <= (width - 1) / side)
+        return 1;
     uint32_t left = batch->rows - batch->rows_taken;
-    slot->first_row = writer->rows_written;
-    slot->samples = batch->samples +
-                    (size_t)batch->rows_taken * writer->base.width * writer->base.channel_count;
     uint32_t rows = left < writer->base.block_rows ? left : writer->base.block_rows;
+    batch->columns_taken = 0;
     batch->rows_taken += rows;
     writer->rows_written += rows;
     return 1;
@@ -174,7 +185,10 @@ static exr_result_t prepare_encoder(struct exr_writer *writer, struct slot *slot
 {
     exr_encode_pipeline_t *encoder = &slot->encoder;
     exr_chunk_info_t chunk;
-    exr_result_t r = exr_write_scanline_chunk_info(writer->file, 0, (int)slot->first_row, &chunk);
+    exr_result_t r = writer->tile_side > 0
+                         ? exr_write_tile_chunk_info(writer->file, 0, (int)slot->column,
+                                                     (int)slot->row, 0, 0, &chunk)
+                         : exr_write_scanline_chunk_info(writer->file, 0, (int)slot->row, &chunk);
     if (r != EXR_ERR_SUCCESS)
         return r;
     if (slot->ready)
@@ -220,9 +234,12 @@ static int write_chunk(void *arg, void *slot_memory, uint64_t sequence)
     (void)sequence;
     struct exr_writer *writer = ((struct batch *)arg)->writer;
     const struct slot *slot = slot_memory;
-    return fmt_exr_status(&writer->stream,
-                          exr_write_scanline_chunk(writer->file, 0, (int)slot->first_row,
-                                                   slot->packed, slot->packed_bytes));
+    exr_result_t r = writer->tile_side > 0
+                         ? exr_write_tile_chunk(writer->file, 0, (int)slot->column, (int)slot->row,
+                                                0, 0, slot->packed, slot->packed_bytes)
+                         : exr_write_scanline_chunk(writer->file, 0, (int)slot->row, slot->packed,
+                                                    slot->packed_bytes);
+    return fmt_exr_status(&writer->stream, r);
 }
 
 static int write_rows(struct fmt_image_writer *base, const float *samples, uint32_t rows)
@@ -244,10 +261,13 @@ static int write_rows(struct fmt_image_writer *base, const float *samples, uint3
 static int allocate(struct exr_writer *writer, enum fmt_sample_type type)
 {
     struct bsq_ctx *ctx = writer->base.ctx;
-    const uint64_t chunk_bytes = (uint64_t)ZIP_ROWS * writer->base.width *
+    const uint32_t side = writer->tile_side;
+    const uint32_t columns = side > 0 ? (writer->base.width - 1) / side + 1 : 1;
+    writer->base.block_rows = side > 0 ? side : ZIP_ROWS;
+    const uint64_t chunk_bytes = (uint64_t)writer->base.block_rows *
+                                 (side > 0 ? side : writer->base.width) *
                                  writer->base.channel_count * (type == FMT_HALF ? 2 : 4);
-    writer->base.block_rows = ZIP_ROWS;
-    uint64_t chunks = ((uint64_t)writer->base.height - 1) / writer->base.block_rows + 1;
+    uint64_t chunks = (((uint64_t)writer->base.height - 1) / writer->base.block_rows + 1) * columns;
     writer->slot_count = 2 * bsq_threads(ctx);
     if (writer->slot_count > chunks)
         writer->slot_count = (unsigned)chunks;
@@ -272,6 +292,7 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
                         base->path, options->width, options->height);
     writer->stream.ctx = base->ctx;
     writer->stream.path = base->path;
+    writer->tile_side = options->tile_side;
     writer->channels = options->channel_count == 1 ? grey_name : color_names;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
@@ -317,6 +338,7 @@ const struct fmt_image_format fmt_exr_format = {
     .suffix = ".exr",
     .sample_types = FMT_SAMPLE_BIT(FMT_HALF) | FMT_SAMPLE_BIT(FMT_FLOAT),
     .usual_type = FMT_HALF,
+    .tiles = true,
     .writer_bytes = sizeof(struct exr_writer),
     .create = create_image,
     .describe = describe_image,

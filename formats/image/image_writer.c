@@ -28,6 +28,17 @@ int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *for
                           names[type]);
 }
 
+int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *format,
+                          const char *path, uint32_t tile_side)
+{
+    if (tile_side > 0 && !format->tiles)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: %s files have no tiles", path, format->name);
+    return tile_side <= FMT_MAX_TILE_SIDE
+               ? 0
+               : bsq_fail(ctx, BSQ_EUSAGE, "%s: tiles of %u x %u texels: at most %d", path,
+                          tile_side, tile_side, FMT_MAX_TILE_SIDE);
+}
+
 /* ---- creating ---- */
 
 static int start(struct fmt_image_writer *writer, const char *path,
@@ -56,6 +67,8 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: an image of %u x %u texels", path, options->width,
                         options->height);
     int status = fmt_image_check_type(ctx, format, path, options->type);
+    if (status == 0)
+        status = fmt_image_check_tiles(ctx, format, path, options->tile_side);
     if (status < 0)
         return status;
     void *memory;

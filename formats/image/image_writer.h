@@ -20,6 +20,9 @@ extern "C" {
 enum fmt_sample_type { FMT_UINT8, FMT_UINT16, FMT_HALF, FMT_FLOAT };
 #define FMT_SAMPLE_BIT(type) (1u << (type))
 
+/* A tile takes at most 1 GiB of floats in four channels. */
+enum { FMT_MAX_TILE_SIDE = 8192 };
+
 struct fmt_image_attribute { /* a text for the file's header */
     const char *name, *value;
 };
@@ -31,6 +34,8 @@ struct fmt_image_options {
     /* Samples are linear Rec. 709 light, which integer formats encode as sRGB. Otherwise the file
      * says that they are no colour, so that readers do not transform them. */
     bool color;
+    /* Side of the tiles that the file is made of, to FMT_MAX_TILE_SIDE; 0: it is made of rows. */
+    uint32_t tile_side;
     /* A format may leave them out, as PNG does. See also fmt_image_describe(). */
     const struct fmt_image_attribute *attributes;
     uint32_t attribute_count;
@@ -43,6 +48,7 @@ struct fmt_image_format {
     const char *suffix;    /* of its files, with the dot; case does not matter */
     uint32_t sample_types; /* that it can store: FMT_SAMPLE_BIT() or-ed */
     enum fmt_sample_type usual_type;
+    bool tiles;            /* files may be made of tiles */
     uint64_t writer_bytes; /* of the format's own structure, which begins with the writer */
 
     /* The functions below return 0 or a failure that they have recorded. create() gets a zeroed
@@ -85,8 +91,12 @@ const struct fmt_image_format *fmt_image_format_of(const char *path);
 int fmt_image_check_type(struct bsq_ctx *ctx, const struct fmt_image_format *format,
                          const char *path, enum fmt_sample_type type);
 
-/* Starts the file `path`. Errors: BSQ_EUSAGE for a size, channels or a sample type that the format
- * cannot store, BSQ_ECANTCREAT, BSQ_ENOMEM. */
+/* Checks that a format can store tiles of this side, or rows if it is 0. Errors: BSQ_EUSAGE. */
+int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *format,
+                          const char *path, uint32_t tile_side);
+
+/* Starts the file `path`. Errors: BSQ_EUSAGE for a size, channels, a sample type or tiles that the
+ * format cannot store, BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format, const char *path,
                      const struct fmt_image_options *options, struct fmt_image_writer **out);
 /* Adds attributes that readers need to decode the samples; every format stores them. Texts have at

@@ -78,6 +78,8 @@ static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options
                         (*format)->name, bake_map_names[number], suffix_for(row->sample_types));
     *type = choose_type(options, row->usual_type, *format);
     int status = fmt_image_check_type(ctx, *format, path, *type);
+    if (status == 0)
+        status = fmt_image_check_tiles(ctx, *format, path, options->exr_tile_side);
     if (status == 0 && row->sample_types && !(row->sample_types & FMT_SAMPLE_BIT(*type)))
         status =
             bsq_fail(ctx, BSQ_EUSAGE, "%s: this sample type cannot hold the values of a %s map",
@@ -120,6 +122,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
         .height = options->height,
         .channel_count = bake_map_table[number].channels,
         .color = bake_map_table[number].color,
+        .tile_side = options->exr_tile_side,
         .attributes = attributes.list,
         .attribute_count = attributes.count,
     };

@@ -41,7 +41,7 @@ code 0
 out_like '^Usage: bisque-bake '
 options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
     ao-rays ao-distance ao-spread ao-falloff thickness-rays thickness-distance cage ray-directions max-missed two-sided
-    sampling normal-space green padding half float png-bits preview preview-views up device gpu-memory list-devices list-tiles memory
+    sampling normal-space green padding half float exr-tiles png-bits preview preview-views up device gpu-memory list-devices list-tiles memory
     threads progress json help
     version"
 for option in $options; do
@@ -293,6 +293,22 @@ done
 $bake $small plain.nvdb low.obj -o n.png --preview grey.png --up x
 code 64
 rm grey.png
+$bake $small plain.nvdb low.obj -o lines.exr --maps normal
+code 0
+$bake $small plain.nvdb low.obj -o tiles.exr --maps normal --exr-tiles 40
+code 0
+run bisque-compare lines.exr tiles.exr --max-error 0
+code 0
+cmp -s lines.exr tiles.exr
+check "tiles make another file" $((! $?))
+rm lines.exr tiles.exr
+$bake $small plain.nvdb low.obj -o n.png --maps normal --exr-tiles 40
+code 64
+err_like 'PNG files have no tiles'
+for value in 7 8193 0; do
+    $bake $small plain.nvdb low.obj -o n.exr --maps normal --exr-tiles $value
+    code 64
+done
 $bake $small plain.nvdb low.obj -o n8.png --png-bits 8 --maps normal
 code 0
 is_png n8.png 96 96 8

@@ -71,12 +71,14 @@ static const struct fmt_image_attribute attributes[] = {{"bisque:map", "normal"}
 static const struct fmt_image_attribute decoding = {"bisque:range", "3.5"};
 
 static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
-                        enum fmt_sample_type type, const float *samples, uint32_t batch)
+                        enum fmt_sample_type type, const float *samples, uint32_t batch,
+                        uint32_t tile_side)
 {
     struct fmt_image_options options = {.width = width,
                                         .height = height,
                                         .channel_count = 3,
                                         .type = type,
+                                        .tile_side = tile_side,
                                         .attributes = attributes,
                                         .attribute_count = 2};
     struct fmt_image_writer *writer;
@@ -163,9 +165,11 @@ static void test_blocks_that_zip_to_their_own_size_are_kept(void **state)
 
 /* ---- sizes ---- */
 
-static const uint32_t sizes[][3] = {/* width, height, rows at a time */
-                                    {1, 1, 1},    {37, 53, 7},  {130, 33, 33},
-                                    {16, 16, 16}, {5, 100, 17}, {300, 64, 40}};
+static const uint32_t sizes[][4] = {
+    /* width, height, rows at a time, side of the tiles */
+    {1, 1, 1, 0},     {37, 53, 7, 0},    {130, 33, 33, 0}, {16, 16, 16, 0},
+    {5, 100, 17, 0},  {300, 64, 40, 0},  {1, 1, 1, 8},     {37, 53, 7, 8},
+    {16, 16, 16, 16}, {130, 33, 33, 64}, {5, 100, 17, 33}, {300, 64, 40, 17}};
 
 static void test_round_trip_is_exact(void **state)
 {
@@ -176,7 +180,8 @@ static void test_round_trip_is_exact(void **state)
             uint32_t width = sizes[s][0], height = sizes[s][1];
             size_t count = (size_t)width * height * 3;
             float *samples = random_samples(count, 7 + (uint32_t)s);
-            write_image(ctx, width, height, (enum fmt_sample_type)type, samples, sizes[s][2]);
+            write_image(ctx, width, height, (enum fmt_sample_type)type, samples, sizes[s][2],
+                        sizes[s][3]);
             struct fmt_exr_image image;
             assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
             assert_int_equal(image.width, width);
@@ -197,13 +202,23 @@ static void test_round_trip_is_exact(void **state)
     test_context_end(ctx);
 }
 
+enum { SMALL_WIDTH = 45, SMALL_HEIGHT = 39 };
+
+static void compare_pixels(const ImfRgba *pixels, const float *samples)
+{
+    for (size_t i = 0; i < SMALL_WIDTH * SMALL_HEIGHT; ++i) {
+        assert_true(ImfHalfToFloat(pixels[i].r) == round_to_half(samples[3 * i]));
+        assert_true(ImfHalfToFloat(pixels[i].g) == round_to_half(samples[3 * i + 1]));
+        assert_true(ImfHalfToFloat(pixels[i].b) == round_to_half(samples[3 * i + 2]));
+    }
+}
+
 static void test_other_reader_agrees(void **state)
 {
     (void)state;
-    enum { WIDTH = 45, HEIGHT = 39 };
     struct bsq_ctx *ctx = test_context(3, 0);
-    float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 99);
-    write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 11);
+    float *samples = random_samples((size_t)SMALL_WIDTH * SMALL_HEIGHT * 3, 99);
+    write_image(ctx, SMALL_WIDTH, SMALL_HEIGHT, FMT_HALF, samples, 11, 0);
     ImfInputFile *input = ImfOpenInputFile(path);
     assert_non_null(input);
     const ImfHeader *header = ImfInputHeader(input);
@@ -214,30 +229,46 @@ static void test_other_reader_agrees(void **state)
     assert_string_equal(text, "0.125");
     assert_true(ImfHeaderStringAttribute(header, "oiio:ColorSpace", &text));
     assert_string_equal(text, "Raw");
-    ImfRgba *pixels = calloc(WIDTH * HEIGHT, sizeof *pixels);
-    assert_true(ImfInputSetFrameBuffer(input, pixels, 1, WIDTH));
-    assert_true(ImfInputReadPixels(input, 0, HEIGHT - 1));
-    for (size_t i = 0; i < WIDTH * HEIGHT; ++i) {
-        assert_true(ImfHalfToFloat(pixels[i].r) == round_to_half(samples[3 * i]));
-        assert_true(ImfHalfToFloat(pixels[i].g) == round_to_half(samples[3 * i + 1]));
-        assert_true(ImfHalfToFloat(pixels[i].b) == round_to_half(samples[3 * i + 2]));
-    }
+    ImfRgba *pixels = calloc(SMALL_WIDTH * SMALL_HEIGHT, sizeof *pixels);
+    assert_true(ImfInputSetFrameBuffer(input, pixels, 1, SMALL_WIDTH));
+    assert_true(ImfInputReadPixels(input, 0, SMALL_HEIGHT - 1));
+    compare_pixels(pixels, samples);
     ImfCloseInputFile(input);
     free(pixels);
     free(samples);
     test_context_end(ctx);
 }
 
-static void test_bytes_do_not_depend_on_threads(void **state)
+static void test_other_reader_agrees_on_tiles(void **state)
 {
     (void)state;
+    struct bsq_ctx *ctx = test_context(3, 0);
+    float *samples = random_samples((size_t)SMALL_WIDTH * SMALL_HEIGHT * 3, 98);
+    write_image(ctx, SMALL_WIDTH, SMALL_HEIGHT, FMT_HALF, samples, 11, 16);
+    ImfTiledInputFile *input = ImfOpenTiledInputFile(path);
+    assert_non_null(input);
+    assert_int_equal(ImfTiledInputTileXSize(input), 16);
+    assert_int_equal(ImfTiledInputTileYSize(input), 16);
+    assert_int_equal(ImfTiledInputLevelMode(input), IMF_ONE_LEVEL);
+    ImfRgba *pixels = calloc(SMALL_WIDTH * SMALL_HEIGHT, sizeof *pixels);
+    assert_true(ImfTiledInputSetFrameBuffer(input, pixels, 1, SMALL_WIDTH));
+    assert_true(ImfTiledInputReadTiles(input, 0, 2, 0, 2, 0, 0));
+    compare_pixels(pixels, samples);
+    ImfCloseTiledInputFile(input);
+    free(pixels);
+    free(samples);
+    test_context_end(ctx);
+}
+
+static void compare_threads(uint32_t tile_side)
+{
     enum { WIDTH = 64, HEIGHT = 333 };
     float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 5);
     uint8_t *first = NULL;
     size_t first_size = 0;
     for (unsigned threads = 1; threads <= 5; threads += 2) {
         struct bsq_ctx *ctx = test_context(threads, 0);
-        write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 10 * threads + 1);
+        write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 10 * threads + 1, tile_side);
         size_t size;
         uint8_t *bytes = read_bytes(path, &size);
         if (first) {
@@ -252,6 +283,13 @@ static void test_bytes_do_not_depend_on_threads(void **state)
     }
     free(first);
     free(samples);
+}
+
+static void test_bytes_do_not_depend_on_threads(void **state)
+{
+    (void)state;
+    compare_threads(0);
+    compare_threads(24);
 }
 
 static void write_tiled(int width, int height, int compression, const ImfRgba *pixels)
@@ -324,7 +362,7 @@ static void test_truncated_files_are_refused(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     float *samples = random_samples(20 * 40 * 3, 3);
-    write_image(ctx, 20, 40, FMT_HALF, samples, 40);
+    write_image(ctx, 20, 40, FMT_HALF, samples, 40, 0);
     size_t size;
     free(read_bytes(path, &size));
     for (size_t length = size; length-- > 0;) {
@@ -344,7 +382,7 @@ static void test_flipped_bytes_do_no_harm(void **state)
     print_message("seed %u\n", seed);
     struct bsq_ctx *ctx = test_context(1, UINT64_C(256) << 20);
     float *samples = random_samples(20 * 40 * 3, 3);
-    write_image(ctx, 20, 40, FMT_FLOAT, samples, 40);
+    write_image(ctx, 20, 40, FMT_FLOAT, samples, 40, 0);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
     for (int round = 0; round < 1000; ++round) {
@@ -371,7 +409,7 @@ static void test_sizes_are_held_against_the_budget(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     float *samples = random_samples(64 * 64 * 3, 3);
-    write_image(ctx, 64, 64, FMT_HALF, samples, 64);
+    write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
     /* The attribute is "dataWindow\0box2i\0", a length, and four int32; xMax is the third. */
@@ -396,7 +434,7 @@ static void test_a_table_of_blocks_is_held_against_the_file(void **state)
     (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
     float *samples = random_samples(64 * 64 * 3, 3);
-    write_image(ctx, 64, 64, FMT_HALF, samples, 64);
+    write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
     size_t size;
     uint8_t *bytes = read_bytes(path, &size);
     static const char name[] = "dataWindow\0box2i";
@@ -449,6 +487,7 @@ int main(void)
         cmocka_unit_test(test_round_trip_is_exact),
         cmocka_unit_test(test_blocks_that_zip_to_their_own_size_are_kept),
         cmocka_unit_test(test_other_reader_agrees),
+        cmocka_unit_test(test_other_reader_agrees_on_tiles),
         cmocka_unit_test(test_bytes_do_not_depend_on_threads),
         cmocka_unit_test(test_reads_tiles_of_other_writers),
         cmocka_unit_test(test_truncated_files_are_refused),
