@@ -43,7 +43,7 @@ LIBS.base    := -lm
 LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
 LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
 LIBS.openvdb  = -lopenvdb -ltbb $(shell pkg-config --libs Imath)
-LIBS.bake    := -ldl
+LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 

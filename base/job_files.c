@@ -256,6 +256,29 @@ int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_ident
     return status;
 }
 
+int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role)
+{
+    int status = 0;
+    *path = *role = NULL;
+    pthread_mutex_lock(&ctx->files_lock);
+    const struct job_files *files = ctx->files;
+    for (; status == 0 && files && *next < files->input_count; ++*next) {
+        const struct input *input = &files->inputs[*next];
+        if (!input->opened)
+            continue;
+        *path = strdup(input->path);
+        *role = strdup(input->role ? input->role : "");
+        status = *path && *role ? 1 : fail_memory(ctx, input->path);
+    }
+    pthread_mutex_unlock(&ctx->files_lock);
+    if (status < 0) {
+        free(*path);
+        free(*role);
+        *path = *role = NULL;
+    }
+    return status;
+}
+
 /* ---- outputs ---- */
 
 static int add_output(struct bsq_ctx *ctx, const char *path, struct output **out)

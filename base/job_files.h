@@ -24,6 +24,11 @@ int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ..
  * if the job reads this file; BSQ_ENOMEM. */
 int bsq_note_output(struct bsq_ctx *ctx, const char *path);
 
+/* Sets *path and *role to copies, which the caller frees, of the next opened input from number
+ * *next on, and *next to the number after it. The role is "" if nobody said what it is. Inputs keep
+ * their order. Returns 1; 0 after the last one. Errors: BSQ_ENOMEM. */
+int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role);
+
 /* Notes that an output has its final name now, and that later openings may find another file. */
 void bsq_note_written(struct bsq_ctx *ctx, const char *path);
 

@@ -24,6 +24,8 @@ static int run(struct bake_run *job)
     job->report->seconds_open = opened - started;
     if (status == 0)
         status = bake_trace_maps(job);
+    if (status == 0)
+        status = bake_check_hits(job);
     if (status == 0 && job->maps & BAKE_MAP_CURVATURE)
         status = bake_trace_curvature(job);
     bake_end_tracing(job);
@@ -56,24 +58,38 @@ static void end(struct bake_run *job)
     bake_surface_close(&job->surface);
 }
 
-int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report)
+int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
+                   struct bake_report *report, struct bake_run **out)
 {
     memset(report, 0, sizeof *report);
     struct bake_run *job; /* on the heap for its size */
     int status = bsq_calloc(ctx, "job", 1, sizeof *job, &job);
+    *out = job;
     if (status < 0)
         return status;
     job->ctx = ctx;
     job->options = options;
     job->report = report;
-    status = run(job);
+    return 0;
+}
+
+int bake_end_job(struct bake_run *job, int status)
+{
+    struct bsq_ctx *ctx = job->ctx;
     if (status < 0)
         status = bake_surface_explain(&job->surface, status);
     end(job);
     if (status < 0)
-        bake_report_free(report);
+        bake_report_free(job->report);
     bsq_free(ctx, job);
     return status;
+}
+
+int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report)
+{
+    struct bake_run *job;
+    int status = bake_begin_job(ctx, options, report, &job);
+    return status < 0 ? status : bake_end_job(job, run(job));
 }
 
 void bake_report_free(struct bake_report *report)

@@ -236,8 +236,6 @@ struct bake_report {
     double seconds_copies;
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
     struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
-    /** Chunks of an exact bake that were loaded for rays from hits, counted again each time. */
-    uint64_t chunk_loads;
     uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
 
@@ -263,6 +261,61 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
 
 /** Frees what bake_run() allocated in a report; a zeroed report is allowed. */
 void bake_report_free(struct bake_report *report);
+
+/* ---- a bake as tasks ---- */
+
+/** Most tasks of a plan. */
+enum { BAKE_MAX_TASKS = 65536 };
+
+/** What a task is expected to need. These are estimates, for schedulers. */
+struct bake_task_cost {
+    uint64_t texels;        /**< With a surface of the low-poly mesh. */
+    uint64_t memory_bytes;  /**< A budget with which it need not spill. */
+    uint64_t scratch_bytes; /**< Of temporary files with a smaller budget. */
+    uint64_t part_bytes;    /**< The size of its part file, at most. */
+    double cpu_seconds;     /**< Of one core; machines differ by a factor. */
+};
+
+/** A plan: a bake with all that its tasks must share. */
+struct bake_farm_plan;
+
+/** Writes the plan of a bake for `tasks` tasks to `path`. Measures the automatic distances and the
+ * radius of curvature, finds maps and UDIM tiles, computes checksums of all inputs, and divides the
+ * maps. *kept: the same plan was there already. Fills in the report as far as it is known; the
+ * caller frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EUSAGE for a number of
+ * tasks that is not 1 to BAKE_MAX_TASKS. */
+int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t tasks,
+                    const char *path, bool *kept, struct bake_report *report);
+
+/** Reads a plan; free *out with bake_close_plan(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a file that
+ * is no plan, is damaged, or was written by another version of Bisque. */
+int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out);
+/** Frees a plan; NULL is allowed. */
+void bake_close_plan(struct bake_farm_plan *plan);
+/** Returns the options of the bake; valid until the plan is closed. */
+const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan);
+/** Returns the number of tasks. */
+uint32_t bake_plan_task_count(const struct bake_farm_plan *plan);
+/** Returns what task number `task`, from 0 on, is expected to need. */
+const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *plan, uint32_t task);
+/** Returns the path of the part file of a task, which the caller frees with free(); NULL if there
+ * is no memory. */
+char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task);
+
+/** Bakes one task of a plan and writes its part file. Without `force`, a complete part of the plan
+ * stays as it is, and *kept is set. May run several times at once. Fills in the report; the caller
+ * frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EDATA if an input is not that
+ * of the plan; BSQ_EUSAGE if there is no such task. */
+int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task, bool force,
+                  bool *kept, struct bake_report *report);
+
+/** Writes the maps of a plan from all part files. The maps have the bytes that bake_run() would
+ * write. Without `force`, maps that were merged from this plan before and were not touched since
+ * stay as they are, and *kept is set. Fills in the report; the caller frees it with
+ * bake_report_free(). Errors: those of bake_run(); BSQ_ENOINPUT, which names the missing parts;
+ * BSQ_EDATA for a part that is damaged or of another plan. */
+int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool force, bool *kept,
+                    struct bake_report *report);
 
 /** A UDIM tile that triangles of a low-poly mesh lie in. */
 struct bake_tile_info {

@@ -24,6 +24,11 @@ struct bake_run {
     struct bake_preview_file *preview_file;
 };
 
+/* Begins and ends a job. The report must be empty; a job that failed frees it. */
+int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
+                   struct bake_report *report, struct bake_run **out);
+int bake_end_job(struct bake_run *job, int status); /* returns the status, explained */
+
 /* ---- inputs ---- */
 
 /* Opens the scan and the low-poly mesh, chooses the maps and finds the tiles. */
@@ -35,10 +40,16 @@ int bake_set_params(struct bake_run *job);
 
 /* Sorts the triangles of the low-poly mesh by tile and rasterises them. */
 int bake_prepare_triangles(struct bake_run *job);
+/* Returns what tiles share, after the triangles are prepared. */
+struct bake_tile_scene bake_scene_of(const struct bake_run *job);
 /* Opens the device that traces, unless the scan is a chunk file. */
 int bake_open_device(struct bake_run *job);
-/* Traces all tiles. Errors: also BSQ_EDATA if no ray hits. */
+/* Traces all tiles that have rasters. */
 int bake_trace_maps(struct bake_run *job);
+/* Fails with BSQ_EDATA and a reason if no ray of the report hit. */
+int bake_check_hits(struct bake_run *job);
+/* Chooses the radius in which curvature is measured. */
+void bake_choose_radius(struct bake_run *job);
 /* Replaces positions and normals in the images by the curvature there. */
 int bake_trace_curvature(struct bake_run *job);
 /* Frees what is needed for tracing only; may be called twice. */

@@ -13,7 +13,7 @@ static uint64_t tile_triangles(const struct bake_run *job)
     return last->first + last->count;
 }
 
-static struct bake_tile_scene scene_of(const struct bake_run *job)
+struct bake_tile_scene bake_scene_of(const struct bake_run *job)
 {
     return (struct bake_tile_scene){.ctx = job->ctx,
                                     .surface = &job->surface,
@@ -28,11 +28,12 @@ int bake_prepare_triangles(struct bake_run *job)
 {
     int status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
     if (status == 0)
-        status = bsq_alloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
-                           sizeof *job->triangles, &job->triangles);
-    const struct bake_tile_scene scene = scene_of(job);
+        status = bsq_calloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
+                            sizeof *job->triangles, &job->triangles);
+    const struct bake_tile_scene scene = bake_scene_of(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = bake_tile_rasterise(&scene, &job->tiles[i], job->report);
+        if (!job->tiles[i].in_blocks || job->tiles[i].blocks.count > 0)
+            status = bake_tile_rasterise(&scene, &job->tiles[i], job->report);
     return status;
 }
 
@@ -119,30 +120,41 @@ static void note_device_times(struct bake_run *job)
  * needs the rest. */
 int bake_trace_maps(struct bake_run *job)
 {
-    const struct bake_tile_scene scene = scene_of(job);
+    const struct bake_tile_scene scene = bake_scene_of(job);
     const uint64_t kept = bsq_memory_left(job->ctx) / 2;
     int status = 0;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
-        status =
-            bake_tile_trace(&scene, &job->tiles[i], share / (job->udim.count - i), job->report);
+        if (job->tiles[i].raster)
+            status =
+                bake_tile_trace(&scene, &job->tiles[i], share / (job->udim.count - i), job->report);
     }
     if (job->device)
         note_device_times(job);
-    if (status == 0 && job->report->hits == 0)
-        status = fail_without_hit(job);
     return status;
+}
+
+int bake_check_hits(struct bake_run *job)
+{
+    return job->report->hits == 0 ? fail_without_hit(job) : 0;
+}
+
+void bake_choose_radius(struct bake_run *job)
+{
+    const double given = job->options->curvature_radius;
+    job->measures.curvature_radius =
+        given > 0 ? given
+                  : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
 }
 
 /* The processor traces from here on, so the curvature is the same for all devices. */
 int bake_trace_curvature(struct bake_run *job)
 {
-    const double given = job->options->curvature_radius;
     int status = 0;
-    job->measures.curvature_radius =
-        given > 0 ? given
-                  : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
+    bake_choose_radius(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
+        if (!job->tiles[i].image)
+            continue;
         const struct bake_curvature curvature = {
             .surface = &job->surface,
             .params = &job->traced.params,

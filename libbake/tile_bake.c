@@ -23,6 +23,7 @@ void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
 {
     bake_raster_free(tile->raster);
     bake_image_free(tile->image);
+    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots);
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
@@ -37,12 +38,15 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
 {
     const struct bake_options *options = &tile->options;
     tile->tile_size = bake_tile_size(scene->ctx, options->width, options->height, options->samples);
+    if (tile->in_blocks && tile->tile_size > tile->blocks.side)
+        tile->tile_size = tile->blocks.side;
     const struct bake_raster_options raster = {.width = options->width,
                                                .height = options->height,
                                                .samples = options->samples,
                                                .tile_size = tile->tile_size,
                                                .first = tile->place.first,
-                                               .count = tile->place.count};
+                                               .count = tile->place.count,
+                                               .blocks = tile->in_blocks ? &tile->blocks : NULL};
     struct bake_raster_report counts = {0};
     int status = bake_raster_create(scene->ctx, scene->mesh, &raster, &counts, &tile->raster);
     if (status < 0)
@@ -55,15 +59,17 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
 
 /* ---- tracing ---- */
 
-static int create_image(const struct bake_tile_scene *scene, struct bake_tile *tile,
-                        uint64_t memory_bytes)
+int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes)
 {
-    const struct bake_image_options image = {.width = tile->options.width,
-                                             .height = tile->options.height,
-                                             .channels = bake_image_channels_for(tile->maps),
-                                             .memory_bytes = memory_bytes,
-                                             .beside = tile->beside};
-    return bake_image_create(scene->ctx, &image, &tile->image);
+    const struct bake_blocks *blocks = &tile->blocks;
+    const struct bake_image_options image = {
+        .width = tile->in_blocks ? blocks->side : tile->options.width,
+        .height = tile->in_blocks ? blocks->side * blocks->count : tile->options.height,
+        .channels = bake_image_channels_for(tile->maps),
+        .memory_bytes = memory_bytes,
+        .beside = tile->beside,
+        .blocks = tile->in_blocks ? blocks : NULL};
+    return bake_image_create(ctx, &image, &tile->image);
 }
 
 static int trace_exact(const struct bake_tile_scene *scene, const struct bake_tiles *tiles,
@@ -97,7 +103,7 @@ static int trace_grid(const struct bake_tile_scene *scene, const struct bake_til
 int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
                     uint64_t memory_bytes, struct bake_report *report)
 {
-    int status = create_image(scene, tile, memory_bytes);
+    int status = bake_tile_create_image(scene->ctx, tile, memory_bytes);
     if (status < 0)
         return status;
     const struct bake_tiles tiles = {.raster = tile->raster,

@@ -13,6 +13,8 @@ struct bake_tile {
     char *output_path;
     char *beside;       /* the path of one map; temporary files go to its directory */
     uint32_t tile_size; /* side of the raster's tiles in texels */
+    bool in_blocks;     /* bakes `blocks` only, into an image of them */
+    struct bake_blocks blocks;
     struct bake_raster *raster;
     struct bake_image *image;
     struct bake_map_files *files;
@@ -46,6 +48,10 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
  * and bake_trace_grid_tiles(). */
 int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
                     uint64_t memory_bytes, struct bake_report *report);
+
+/* Creates the tile's image, which takes at most `memory_bytes`, or is in a temporary file. Errors:
+ * those of bake_image_create(). */
+int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
 
 /* Checks that the tile's files can be created, are no inputs, and are not the preview. Errors:
  * BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */

@@ -9,6 +9,9 @@
 static const char help_format[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
+    "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --write-plan PLAN\n"
+    "       bisque-bake --plan PLAN --task I\n"
+    "       bisque-bake --plan PLAN --merge\n"
     "       bisque-bake --list-tiles LOW.obj\n"
     "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-poly mesh: fast from a\n"
@@ -53,6 +56,12 @@ static const char help_format[] =
     "      --up AXIS           the preview's vertical axis: y, z or auto (default: auto)\n"
     "      --device NAME       " BAKE_DEVICE_NAMES " (default: auto)\n"
     "      --gpu-memory SIZE   most memory of a GPU to use, e.g. 2G (default: what is free)\n"
+    "      --tasks N           with --write-plan: divide the bake into N tasks\n"
+    "      --write-plan FILE   write a plan of the tasks, and bake nothing\n"
+    "      --plan FILE         take inputs, output and options from a plan\n"
+    "      --task I            bake task I of the plan, from 0 on, into a part file\n"
+    "      --merge             write the maps from all parts of the plan\n"
+    "      --force             do it again if the part or the maps are there already\n"
     "      --list-devices      print the devices and exit\n"
     "      --list-tiles        print the UDIM tiles of a low-poly mesh and exit\n" CLI_VERIFY_HELP
         CLI_COMMON_HELP;
@@ -93,7 +102,13 @@ enum {
     OPT_DEVICE,
     OPT_GPU_MEMORY,
     OPT_LIST_DEVICES,
-    OPT_LIST_TILES
+    OPT_LIST_TILES,
+    OPT_TASKS,
+    OPT_WRITE_PLAN,
+    OPT_PLAN,
+    OPT_TASK,
+    OPT_MERGE,
+    OPT_FORCE
 };
 
 static const struct option long_options[] = {
@@ -134,6 +149,12 @@ static const struct option long_options[] = {
     {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
     {"list-tiles", no_argument, NULL, OPT_LIST_TILES},
+    {"tasks", required_argument, NULL, OPT_TASKS},
+    {"write-plan", required_argument, NULL, OPT_WRITE_PLAN},
+    {"plan", required_argument, NULL, OPT_PLAN},
+    {"task", required_argument, NULL, OPT_TASK},
+    {"merge", no_argument, NULL, OPT_MERGE},
+    {"force", no_argument, NULL, OPT_FORCE},
     CLI_VERIFY_OPTION,
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
@@ -324,10 +345,41 @@ static int common_option(struct cli *cli, int option)
     return cli_common_option(cli, option, help);
 }
 
+/* Parses an option of a bake's tasks. Returns 1 if it is another option. */
+static int parse_farm_option(struct cli *cli, struct bake_arguments *arguments, int option)
+{
+    switch (option) {
+    case OPT_TASKS:
+        return parse_count(cli, "--tasks", optarg, 1, BAKE_MAX_TASKS, &arguments->tasks);
+    case OPT_WRITE_PLAN:
+        arguments->write_plan = optarg;
+        return 0;
+    case OPT_PLAN:
+        arguments->plan = optarg;
+        return 0;
+    case OPT_TASK:
+        arguments->task_given = true;
+        return parse_count(cli, "--task", optarg, 0, BAKE_MAX_TASKS - 1, &arguments->task);
+    case OPT_MERGE:
+        arguments->merge = true;
+        return 0;
+    case OPT_FORCE:
+        arguments->force = true;
+        return 0;
+    default:
+        return 1;
+    }
+}
+
 static int parse_option(struct cli *cli, void *arg, int option)
 {
     struct bake_arguments *arguments = arg;
     struct bake_options *bake = &arguments->bake;
+    const int status = parse_farm_option(cli, arguments, option);
+    if (status <= 0)
+        return status;
+    if ((option >= CLI_OWN && option != OPT_MAX_MISSED) || option == 'o')
+        arguments->bake_option = option;
     switch (option) {
     case 'o':
         bake->output_path = optarg;
@@ -406,6 +458,39 @@ static int parse_option(struct cli *cli, void *arg, int option)
 
 /* ---- all of them ---- */
 
+/* Returns the long name of an option. */
+static const char *name_of(int option)
+{
+    const struct option *o = long_options;
+    while (o->name && o->val != option)
+        o++;
+    return o->name ? o->name : "";
+}
+
+/* Checks the options of tasks against each other. */
+static int check_tasks(struct cli *cli, const struct bake_arguments *arguments, int inputs)
+{
+    const bool work = arguments->task_given || arguments->merge;
+    if (!arguments->write_plan != !arguments->tasks)
+        return cli_usage(cli, "--tasks and --write-plan need each other");
+    if (work && !arguments->plan)
+        return cli_usage(cli, "--task and --merge need --plan");
+    if (arguments->force && !arguments->plan)
+        return cli_usage(cli, "--force needs --plan");
+    if ((arguments->write_plan || arguments->task_given) && arguments->max_missed < 100)
+        return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
+    if (!arguments->plan)
+        return 0;
+    if (!work || (arguments->task_given && arguments->merge))
+        return cli_usage(cli, "--plan needs one of --task and --merge");
+    if (arguments->write_plan)
+        return cli_usage(cli, "--plan and --write-plan exclude each other");
+    if (arguments->bake_option)
+        return cli_usage(cli, "--plan has the options of the bake: leave out --%s",
+                         name_of(arguments->bake_option));
+    return inputs == 0 ? 0 : cli_usage(cli, "--plan names the inputs: leave out the files");
+}
+
 static int check_arguments(struct cli *cli, struct bake_arguments *arguments, int count,
                            char **inputs)
 {
@@ -420,6 +505,10 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
         bake->mesh_path = inputs[0];
         return count == 1 ? 0 : cli_usage(cli, "--list-tiles takes one file: LOW.obj");
     }
+    if (check_tasks(cli, arguments, count) < 0)
+        return BSQ_EUSAGE;
+    if (arguments->plan)
+        return 0;
     if (count != 2)
         return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",
                          count, count == 1 ? "" : "s");

@@ -8,6 +8,12 @@
 struct bake_arguments {
     struct bake_options bake;
     bool list_devices, list_tiles;
+    const char *write_plan; /* plan to write; NULL: none */
+    const char *plan;       /* plan to work by; NULL: none */
+    uint32_t tasks;         /* of the plan to write; 0: not given */
+    uint32_t task;          /* to bake */
+    bool task_given, merge, force;
+    int bake_option;   /* the last option that is about the bake itself; 0: none */
     double max_missed; /* percent of the samples */
     char **files;      /* to verify */
     int file_count;

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/job_files.h"
+#include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 
 /* ---- outputs ---- */
@@ -60,14 +61,56 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
         status = name_outputs(cli, bake, paths);
     if (status == 0)
         status = check_outputs(cli, bake, paths);
-    if (status == 0)
+    if (status == 0 && arguments->write_plan)
+        status = bake_farm_plan(cli, arguments, &report);
+    else if (status == 0)
         status = bake_run(cli->ctx, bake, &report);
-    if (status == 0)
+    if (status == 0 && !arguments->write_plan) {
         status = bake_report_print(cli, arguments, &report, paths);
-    *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
+        *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
+    }
     bake_report_free(&report);
     for (unsigned i = 0; i < MOST_MAPS; i++)
         free(paths[i]);
+    return status;
+}
+
+/* Merges the parts of a plan. Sets *missed as bake_maps() does. */
+static int merge(struct cli *cli, struct bake_arguments *arguments,
+                 const struct bake_farm_plan *plan, bool *missed)
+{
+    char *paths[MOST_MAPS] = {NULL};
+    struct bake_report report = {0};
+    bool kept = false;
+    arguments->bake = *bake_plan_options(plan);
+    int status = name_outputs(cli, &arguments->bake, paths);
+    if (status == 0)
+        status = check_outputs(cli, &arguments->bake, paths);
+    if (status == 0)
+        status = bake_merge_plan(cli->ctx, plan, arguments->force, &kept, &report);
+    if (status == 0 && kept)
+        status = bake_farm_say_merged(cli, arguments);
+    else if (status == 0)
+        status = bake_report_print(cli, arguments, &report, paths);
+    *missed = status == 0 && !kept && bake_report_too_many_missed(cli, arguments, &report);
+    bake_report_free(&report);
+    for (unsigned i = 0; i < MOST_MAPS; i++)
+        free(paths[i]);
+    /* The plan owns what these point to. */
+    arguments->bake.tile_sizes = NULL;
+    arguments->bake.tile_ranges = NULL;
+    return status;
+}
+
+/* Bakes a task of a plan, or merges its parts. */
+static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool *missed)
+{
+    struct bake_farm_plan *plan;
+    int status = bake_open_plan(cli->ctx, arguments->plan, &plan);
+    if (status == 0)
+        status = arguments->merge ? merge(cli, arguments, plan, missed)
+                                  : bake_farm_task(cli, arguments, plan);
+    bake_close_plan(plan);
     return status;
 }
 
@@ -85,6 +128,7 @@ int main(int argc, char **argv)
     else if (status == 0)
         status = arguments.list_devices ? bake_report_devices(&cli)
                  : arguments.list_tiles ? bake_report_tiles(&cli, &arguments.bake)
+                 : arguments.plan       ? work_by_plan(&cli, &arguments, &missed)
                                         : bake_maps(&cli, &arguments, &missed);
     bake_arguments_free(&arguments);
     int code = cli_end(&cli, status);

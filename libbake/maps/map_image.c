@@ -15,6 +15,7 @@ struct bake_image {
     size_t texel_bytes;
     float *samples; /* NULL: the image is in `file` */
     struct bsq_file file;
+    const struct bake_blocks *blocks; /* NULL: an ordinary image */
 };
 
 /* Chooses between memory and a file, and allocates or creates it. */
@@ -43,6 +44,7 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
     image->width = options->width;
     image->height = options->height;
     image->channels = options->channels;
+    image->blocks = options->blocks;
     image->texel_bytes = options->channels * sizeof(float);
     image->file = (struct bsq_file)BSQ_FILE_CLOSED;
     status = allocate(image, options);
@@ -108,6 +110,19 @@ int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t 
         }
     }
     return 0;
+}
+
+int bake_image_write_tile(struct bake_image *image, const struct bk_tile *tile,
+                          const float *samples)
+{
+    const struct bake_blocks *blocks = image->blocks;
+    uint32_t x = tile->x, y = tile->y;
+    if (blocks) {
+        const uint64_t block = (uint64_t)(y / blocks->side) * blocks->columns + x / blocks->side;
+        x %= blocks->side;
+        y = blocks->slots[block] * blocks->side + y % blocks->side;
+    }
+    return bake_image_write(image, x, y, tile->width, tile->height, samples);
 }
 
 int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,

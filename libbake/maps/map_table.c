@@ -220,15 +220,18 @@ const struct bake_map_row bake_map_table[] = {
                           .unit = "1 / mesh unit"},
     [BK_MAP_ao] = {.summary = "ambient occlusion: share of the hemisphere that is open",
                    .channels = 1,
+                   .needs_grid = true,
                    .resolve = resolve_mean,
                    .encode = encode_open},
     [BK_MAP_bent] = {.summary = "bent normals: mean open directions",
                      .channels = 3,
+                     .needs_grid = true,
                      .resolve = resolve_direction,
                      .encode = encode_normals,
                      .describe = describe_normals},
     [BK_MAP_thickness] = {.summary = "mean distance through the solid",
                           .channels = 1,
+                          .needs_grid = true,
                           .usual_type = BAKE_FLOAT,
                           .resolve = resolve_mean,
                           .encode = encode_thickness,
@@ -274,13 +277,14 @@ const char *bake_map_summary(unsigned number)
     return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
 }
 
-uint32_t bake_choose_maps(uint32_t asked, bool has_color)
+uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool exact)
 {
     const bool all = asked & BAKE_MAPS_ALL;
     uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
-            (has_color || !bake_map_table[i].needs_color))
+            (has_color || !bake_map_table[i].needs_color) &&
+            !(exact && bake_map_table[i].needs_grid))
             maps |= 1u << i;
     return maps;
 }

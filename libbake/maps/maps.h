@@ -69,6 +69,7 @@ struct bake_map_row {
     uint32_t values;
     bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */
+    bool needs_grid;       /* rays start at hits, which exact baking does not do */
     bool color;            /* values are linear light; otherwise data, which is not transformed */
     uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
     /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */
@@ -98,7 +99,7 @@ extern const uint32_t bake_map_sums[BK_MAP_COUNT];
 void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value);
 
 /* Returns the maps to bake: those asked for, all, or the default ones. */
-uint32_t bake_choose_maps(uint32_t asked, bool has_color);
+uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool exact);
 
 /* Returns the length of rays into the solid, in mesh units. */
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],
@@ -120,6 +121,9 @@ struct bake_image_options {
     uint32_t channels;      /* floats a texel: bake_image_channels_for() */
     uint64_t memory_bytes;  /* a larger image goes to a temporary file */
     const char *beside;     /* output path; temporary files go beside it, see bsq_file_temp() */
+    /* Holds these blocks only, each of full size, one below the other: block n has the rows from
+     * n * side on. Then width and height are those of all of them. NULL: an ordinary image. */
+    const struct bake_blocks *blocks;
 };
 
 /* Returns the floats that an image's texel has for these maps. */
@@ -135,9 +139,15 @@ uint32_t bake_image_height(const struct bake_image *image);
 uint32_t bake_image_channels(const struct bake_image *image);
 bool bake_image_in_memory(const struct bake_image *image);
 
-/* Stores a block of texels, interleaved, row by row. Several threads may write disjoint blocks. */
+/* Stores a rectangle of texels, interleaved, row by row. Several threads may write disjoint ones.
+ */
 int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t width,
                      uint32_t height, const float *samples);
+
+/* Stores a tile of the map likewise. For an image of blocks, (x, y) is the tile's place in the map,
+ * and the tile lies in one of the blocks. */
+int bake_image_write_tile(struct bake_image *image, const struct bk_tile *tile,
+                          const float *samples);
 
 /* Points *rows at `count` rows from `y` on: at the image itself if it is in memory, otherwise at
  * `buffer` (count * width * channels floats) after reading. */

@@ -42,6 +42,17 @@ static bool overlapped_tiles(const struct bake_raster *raster, uint64_t triangle
     return true;
 }
 
+/* Returns whether a tile lies in a block to bake. */
+static bool is_selected(const struct bake_raster *raster, uint32_t column, uint32_t row)
+{
+    const struct bake_blocks *blocks = raster->options.blocks;
+    const uint64_t size = raster->options.tile_size;
+    if (!blocks)
+        return true;
+    return blocks->slots[row * size / blocks->side * blocks->columns +
+                         column * size / blocks->side] != BAKE_NO_SLOT;
+}
+
 static uint64_t triangles_end(const struct bake_raster *raster)
 {
     return raster->options.first + raster->options.count;
@@ -60,7 +71,7 @@ static int count_triangles(const struct bake_raster *raster, uint64_t *counts)
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
             for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++)
-                counts[(uint64_t)y * raster->tile_columns + x]++;
+                counts[(uint64_t)y * raster->tile_columns + x] += is_selected(raster, x, y);
         }
     }
     return rc;
@@ -109,6 +120,8 @@ static int place_triangles(struct bake_raster *raster, uint64_t *cursors)
             continue;
         for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
             for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++) {
+                if (!is_selected(raster, x, y))
+                    continue;
                 uint64_t *cursor = &cursors[(uint64_t)y * raster->tile_columns + x];
                 raster->triangles[(*cursor)++] = (uint32_t)t;
             }

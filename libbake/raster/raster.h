@@ -7,6 +7,16 @@
 #include "libbake/kernel/bk_types.h"
 #include "libbake/lowpoly/lowpoly.h"
 
+/* Blocks of a map, squares of texels in row order, of which a job bakes some. Those at the right
+ * and lower border may be smaller. */
+struct bake_blocks {
+    uint32_t side; /* texels; a power of two, which the sides of tiles divide */
+    uint32_t columns, rows;
+    uint32_t count;        /* blocks to bake */
+    const uint32_t *slots; /* for each block: its number among those to bake, or BAKE_NO_SLOT */
+};
+#define BAKE_NO_SLOT UINT32_MAX
+
 /* The triangles of a mesh in texture space, indexed by tile. */
 struct bake_raster;
 
@@ -15,6 +25,8 @@ struct bake_raster_options {
     uint32_t samples;       /* N, for N x N samples a texel */
     uint32_t tile_size;     /* side in texels; tiles at the right and lower border may be smaller */
     uint64_t first, count;  /* triangles of the mesh to rasterise */
+    const struct bake_blocks
+        *blocks; /* makes tiles in these blocks only; NULL: in all of the map */
 };
 
 struct bake_raster_report {
@@ -22,15 +34,15 @@ struct bake_raster_report {
 };
 
 /* Sorts triangles into tiles, in time linear in the triangles and the tiles that they overlap.
- * mesh must outlive *out; free *out with bake_raster_free(). Errors: BSQ_EUSAGE for a map that is
- * empty or too large, BSQ_EDATA for too many triangles, BSQ_ENOMEM, BSQ_EINTR. */
+ * mesh and options->blocks must outlive *out; free *out with bake_raster_free(). Errors: BSQ_EUSAGE
+ * for a map that is empty or too large, BSQ_EDATA for too many triangles, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
                        const struct bake_raster_options *options, struct bake_raster_report *report,
                        struct bake_raster **out);
 void bake_raster_free(struct bake_raster *raster); /* NULL is allowed */
 
 /* Return the number of tiles, and the place of a tile in texels. Tiles are in row order, without
- * those that no triangle overlaps. */
+ * those that no triangle overlaps and those outside of options->blocks. */
 uint32_t bake_raster_tile_count(const struct bake_raster *raster);
 struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index);
 

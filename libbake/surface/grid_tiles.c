@@ -52,8 +52,7 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
     const uint32_t count = tile.width * tile.height;
     bake_tile_worker_resolve(&trace->workers, worker, count, worker->resolved);
     bsq_progress_add(trace->ctx, count);
-    return bake_image_write(tiles->image, tile.x, tile.y, tile.width, tile.height,
-                            worker->resolved);
+    return bake_image_write_tile(tiles->image, &tile, worker->resolved);
 }
 
 static int trace_tile(void *arg, uint64_t index, unsigned number)

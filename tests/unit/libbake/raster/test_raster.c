@@ -105,8 +105,8 @@ struct map {
 static struct bake_raster *create(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
                                   uint32_t tile_size, struct bake_raster_report *report)
 {
-    const struct bake_raster_options options = {width,     height, n,
-                                                tile_size, 0,      f->mesh.triangle_count};
+    const struct bake_raster_options options = {
+        width, height, n, tile_size, 0, f->mesh.triangle_count, NULL};
     struct bake_raster *raster = NULL;
     if (bake_raster_create(f->ctx, &f->mesh, &options, report, &raster) < 0)
         fail_msg("%s", bsq_error(f->ctx));
@@ -474,7 +474,7 @@ static void test_interruption(void **state)
     struct bake_raster *raster = NULL;
     struct bake_raster_report report;
     add_quad(f, 0, 0, 1, 1);
-    const struct bake_raster_options options = {64, 64, 1, 64, 0, f->mesh.triangle_count};
+    const struct bake_raster_options options = {64, 64, 1, 64, 0, f->mesh.triangle_count, NULL};
     assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
     bsq_interrupt(f->ctx);
     assert_int_equal(bake_raster_fill(raster, 0, owners, &overlaps), BSQ_EINTR);
@@ -487,12 +487,12 @@ static void test_interruption(void **state)
 static void test_senseless_options_are_refused(void **state)
 {
     struct fixture *f = *state;
-    const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0},
-                                                  {64, 64, 0, 16, 0, 0},
-                                                  {64, 64, 1, 0, 0, 0},
-                                                  {UINT32_MAX, 64, 2, 64, 0, 0},
-                                                  {1 << 20, 64, 1 << 20, 64, 0, 0},
-                                                  {1 << 20, 1 << 20, 1, 1, 0, 0}};
+    const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL},
+                                                  {64, 64, 0, 16, 0, 0, NULL},
+                                                  {64, 64, 1, 0, 0, 0, NULL},
+                                                  {UINT32_MAX, 64, 2, 64, 0, 0, NULL},
+                                                  {1 << 20, 64, 1 << 20, 64, 0, 0, NULL},
+                                                  {1 << 20, 1 << 20, 1, 1, 0, 0, NULL}};
     for (int k = 0; k < 6; k++) {
         struct bake_raster_report report;
         struct bake_raster *raster = NULL;
@@ -504,13 +504,53 @@ static void test_senseless_options_are_refused(void **state)
     }
 }
 
+/* Rasters of two complementary sets of blocks have all tiles, each in one of them, with the same
+ * samples; the blocks at the border are smaller. */
+static void test_blocks_divide_a_map(void **state)
+{
+    struct fixture *f = *state;
+    enum { WIDTH = 80, HEIGHT = 50, SIDE = 32, COLUMNS = 3, ROWS = 2, TILE = 8 };
+    static uint32_t owners[TILE * TILE], all_owners[TILE * TILE];
+    struct bake_raster_report report;
+    add_jittered_grid(f, 8);
+    struct bake_raster *all = create(f, WIDTH, HEIGHT, 1, TILE, &report);
+    uint32_t found = 0;
+    for (uint32_t part = 0; part < 2; part++) {
+        uint32_t slots[COLUMNS * ROWS], used = 0;
+        for (uint32_t b = 0; b < COLUMNS * ROWS; b++)
+            slots[b] = b % 2 == part ? used++ : BAKE_NO_SLOT;
+        const struct bake_blocks blocks = {SIDE, COLUMNS, ROWS, used, slots};
+        const struct bake_raster_options options = {
+            WIDTH, HEIGHT, 1, TILE, 0, f->mesh.triangle_count, &blocks};
+        struct bake_raster *raster = NULL;
+        assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
+        uint32_t at = 0;
+        for (uint32_t i = 0; i < bake_raster_tile_count(raster); i++, found++) {
+            const struct bk_tile tile = bake_raster_tile(raster, i);
+            uint64_t overlaps;
+            struct bk_tile other = bake_raster_tile(all, at);
+            assert_int_equal((tile.y / SIDE * COLUMNS + tile.x / SIDE) % 2, part);
+            while (other.x != tile.x || other.y != tile.y)
+                other = bake_raster_tile(all, ++at);
+            assert_int_equal(bake_raster_fill(raster, i, owners, &overlaps), 0);
+            assert_int_equal(bake_raster_fill(all, at, all_owners, &overlaps), 0);
+            assert_memory_equal(owners, all_owners,
+                                (size_t)tile.width * tile.height * sizeof *owners);
+        }
+        bake_raster_free(raster);
+    }
+    assert_int_equal(found, bake_raster_tile_count(all));
+    assert_true(found > COLUMNS * ROWS);
+    bake_raster_free(all);
+}
+
 /* Whichever allocation exceeds the budget, all memory is freed. */
 static void test_small_budgets_fail_cleanly(void **state)
 {
     struct fixture *f = *state;
     int rc = BSQ_ENOMEM, failures = 0;
     add_jittered_grid(f, 8);
-    const struct bake_raster_options options = {256, 256, 1, 16, 0, f->mesh.triangle_count};
+    const struct bake_raster_options options = {256, 256, 1, 16, 0, f->mesh.triangle_count, NULL};
     for (uint64_t budget = 1; rc != 0; budget += 64) {
         struct bsq_ctx *ctx = NULL;
         struct bake_raster_report report;
@@ -654,6 +694,7 @@ int main(void)
         TEST(test_many_triangles_over_the_same_texels),
         TEST(test_interruption),
         TEST(test_senseless_options_are_refused),
+        TEST(test_blocks_divide_a_map),
         TEST(test_small_budgets_fail_cleanly),
         TEST(test_kernel_triangles),
         TEST(test_kernel_triangles_of_slivers),

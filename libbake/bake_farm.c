@@ -1,0 +1,488 @@
+/* bake_farm.c - a bake as tasks: writes the plan, bakes one task, merges the parts.
+ *
+ * All three run steps of bake_run(). The plan gives the tasks the distances and the radius that a
+ * single run would measure. Ranges of maps follow from all texels, so the merge measures them. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/parallel.h"
+#include "libbake/bake_job.h"
+#include "libbake/bake_options.h"
+#include "libbake/curvature/curvature.h"
+#include "libbake/exact/exact.h"
+#include "libbake/farm/farm.h"
+#include "libbake/kernel/bk_sample.h"
+
+/* ---- the work in each block ---- */
+
+struct count_job {
+    const struct bake_run *job;
+    const struct bake_raster *raster; /* with one sample a texel; its tiles are blocks */
+    const struct bake_farm_tile *tile;
+    struct bake_farm_block *blocks; /* out, one for each tile of the raster */
+    uint32_t tile_index, side;
+    uint32_t **samples; /* one buffer a worker */
+};
+
+/* Returns where a sample lies on the curve through the scan. */
+static uint64_t place_of(const struct count_job *count, uint32_t triangle, float x, float y)
+{
+    const struct bake_surface *surface = &count->job->surface;
+    const bk_point point = bk_point_at(&count->job->triangles[triangle], x, y);
+    const float at[3] = {point.position.x, point.position.y, point.position.z};
+    float low[3];
+    double side = 0;
+    for (int k = 0; k < 3; k++) {
+        low[k] = (float)((surface->scan_min[k] - surface->translation[k]) / surface->unit);
+        side = fmax(side, (surface->scan_max[k] - surface->scan_min[k]) / surface->unit);
+    }
+    return bake_exact_curve_place(at, low, side);
+}
+
+/* Counts the samples of a block, and places it on the curve by its middle sample. */
+static int count_block(void *arg, uint64_t index, unsigned worker)
+{
+    const struct count_job *count = arg;
+    const struct bk_tile tile = bake_raster_tile(count->raster, (uint32_t)index);
+    uint32_t *samples = count->samples[worker], covered = 0, seen = 0;
+    uint64_t overlaps;
+    int status = bake_raster_fill(count->raster, (uint32_t)index, samples, &overlaps);
+    for (uint32_t i = 0; i < tile.width * tile.height && status == 0; i++)
+        covered += samples[i] != BK_NO_TRIANGLE;
+    struct bake_farm_block *block = &count->blocks[index];
+    *block = (struct bake_farm_block){.tile = count->tile_index,
+                                      .block = tile.y / count->side * count->tile->columns +
+                                               tile.x / count->side,
+                                      .samples = covered};
+    for (uint32_t i = 0; i < tile.width * tile.height && status == 0; i++)
+        if (samples[i] != BK_NO_TRIANGLE && seen++ == covered / 2)
+            block->place = place_of(count, samples[i], (float)(tile.x + i % tile.width) + 0.5f,
+                                    (float)(tile.y + i / tile.width) + 0.5f);
+    return status;
+}
+
+static int create_count_raster(const struct bake_run *job, const struct bake_farm_plan *plan,
+                               uint32_t tile, struct bake_raster **out)
+{
+    const struct bake_tile *from = &job->tiles[tile];
+    const struct bake_raster_options options = {.width = from->options.width,
+                                                .height = from->options.height,
+                                                .samples = 1,
+                                                .tile_size = plan->block_side,
+                                                .first = from->place.first,
+                                                .count = from->place.count};
+    struct bake_raster_report ignored;
+    return bake_raster_create(job->ctx, &job->mesh, &options, &ignored, out);
+}
+
+/* Adds the blocks of a tile to a list. */
+static int count_tile(const struct bake_run *job, const struct bake_farm_plan *plan, uint32_t tile,
+                      uint32_t **samples, struct bake_farm_block **blocks, uint64_t *block_count)
+{
+    static const uint64_t size = sizeof(struct bake_farm_block);
+    struct bake_raster *raster = NULL;
+    int status = create_count_raster(job, plan, tile, &raster);
+    if (status < 0)
+        return status;
+    const uint32_t found = bake_raster_tile_count(raster);
+    struct bake_farm_block *all = NULL;
+    status = bsq_alloc(job->ctx, "blocks", *block_count + found, size, &all);
+    if (status == 0) {
+        if (*block_count > 0)
+            memcpy(all, *blocks, *block_count * size);
+        bsq_free(job->ctx, *blocks);
+        *blocks = all;
+        struct count_job count = {
+            job, raster, &plan->tiles[tile], all + *block_count, tile, plan->block_side, samples};
+        status = bsq_parallel_for(job->ctx, found, count_block, &count);
+        *block_count += found;
+    }
+    bake_raster_free(raster);
+    return status;
+}
+
+/* Removes blocks without samples. Returns the number of those that stay. */
+static uint64_t drop_empty(struct bake_farm_block *blocks, uint64_t count)
+{
+    uint64_t kept = 0;
+    for (uint64_t i = 0; i < count; i++)
+        if (blocks[i].samples > 0)
+            blocks[kept++] = blocks[i];
+    return kept;
+}
+
+/* Divides the blocks of all tiles by the work in them. */
+static int divide(const struct bake_run *job, struct bake_farm_plan *plan)
+{
+    const unsigned workers = bsq_threads(job->ctx);
+    const uint64_t texels = (uint64_t)plan->block_side * plan->block_side;
+    struct bake_farm_block *blocks = NULL;
+    uint32_t **samples;
+    uint64_t count = 0;
+    int status = bsq_calloc(job->ctx, "samples of blocks", workers, sizeof *samples, &samples);
+    for (unsigned w = 0; w < workers && status == 0; w++)
+        status = bsq_alloc(job->ctx, "samples of blocks", texels, sizeof **samples, &samples[w]);
+    for (uint32_t t = 0; t < plan->tile_count && status == 0; t++)
+        status = count_tile(job, plan, t, samples, &blocks, &count);
+    if (status == 0)
+        status = bake_farm_divide(plan, blocks, drop_empty(blocks, count));
+    for (unsigned w = 0; samples && w < workers; w++)
+        bsq_free(job->ctx, samples[w]);
+    bsq_free(job->ctx, samples);
+    bsq_free(job->ctx, blocks);
+    return status;
+}
+
+/* ---- what tasks need ---- */
+
+/* Seconds of one core for a sample's pair of rays on a grid and on triangles, and for a ray from a
+ * hit: about those of a core of 2023. */
+static const double grid_seconds = 0.6e-6, exact_seconds = 5e-6, ray_seconds = 0.25e-6;
+
+static double sample_seconds(const struct bake_run *job)
+{
+    const struct bake_options *options = job->options;
+    double seconds = job->surface.exact ? exact_seconds : grid_seconds;
+    if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
+        seconds += options->ao_rays * ray_seconds;
+    if (job->maps & BAKE_MAP_THICKNESS)
+        seconds += options->thickness_rays * ray_seconds;
+    return seconds;
+}
+
+static void expect_costs(const struct bake_run *job, struct bake_farm_plan *plan)
+{
+    enum { OTHER_BYTES = 256 << 20 }; /* buffers of tiles, rays and chunks */
+    const uint64_t block = (uint64_t)plan->block_side * plan->block_side *
+                           bake_image_channels_for(job->maps) * sizeof(float);
+    const uint64_t open = bsq_memory_used(job->ctx);
+    for (uint32_t t = 0; t < plan->tile_count; t++)
+        for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
+            plan->costs[plan->tiles[t].tasks[b]].part_bytes += block;
+    for (uint32_t i = 0; i < plan->task_count; i++) {
+        struct bake_task_cost *cost = &plan->costs[i];
+        cost->scratch_bytes = cost->part_bytes;
+        cost->memory_bytes = open + OTHER_BYTES + 2 * cost->part_bytes;
+        cost->cpu_seconds = (double)cost->texels * job->options->samples * job->options->samples *
+                            sample_seconds(job);
+    }
+}
+
+/* ---- the plan ---- */
+
+/* Opens all inputs, sets the parameters and prepares the triangles. */
+static int open_job(struct bake_run *job)
+{
+    int status = bake_open_inputs(job);
+    if (status == 0)
+        status = bake_set_params(job);
+    return status;
+}
+
+static int check_files(struct bake_run *job)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
+        status = bake_tile_check_files(job->ctx, &job->tiles[i]);
+    return status;
+}
+
+/* Returns the job's options with all that its tasks must share. */
+static struct bake_options shared_options(const struct bake_run *job)
+{
+    struct bake_options shared = *job->options;
+    shared.maps = job->maps;
+    if (!shared.cage_path)
+        shared.front = job->report->front;
+    shared.back = job->report->back;
+    if (job->maps & BAKE_MAP_CURVATURE)
+        shared.curvature_radius = job->measures.curvature_radius;
+    if (!shared.device)
+        shared.device = "auto";
+    return shared;
+}
+
+static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *kept)
+{
+    const struct bake_report *report = job->report;
+    plan->degenerate_triangles = report->degenerate_uv_triangles;
+    plan->block_side = bake_farm_block_side(report->tiles, report->tile_count, plan->task_count);
+    int status = bake_farm_add_tiles(plan, report->tiles, report->tile_count);
+    if (status == 0)
+        status = divide(job, plan);
+    if (status == 0)
+        expect_costs(job, plan);
+    if (status == 0)
+        status = bake_farm_add_inputs(plan);
+    if (status == 0)
+        status = bake_surface_check(&job->surface);
+    return status < 0 ? status : bake_farm_plan_write(plan, kept);
+}
+
+static int plan_job(struct bake_run *job, uint32_t tasks, const char *path, bool *kept)
+{
+    struct bake_farm_plan *plan = NULL;
+    int status = open_job(job);
+    if (status == 0)
+        status = check_files(job);
+    if (status == 0)
+        status = bake_prepare_triangles(job);
+    if (status < 0)
+        return status;
+    bake_choose_radius(job);
+    const struct bake_options shared = shared_options(job);
+    status = bake_farm_plan_create(job->ctx, path, &shared, tasks, &plan);
+    if (status == 0)
+        status = make_plan(job, plan, kept);
+    bake_farm_plan_free(plan);
+    return status;
+}
+
+int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t tasks,
+                    const char *path, bool *kept, struct bake_report *report)
+{
+    struct bake_run *job;
+    *kept = false;
+    if (tasks < 1 || tasks > BAKE_MAX_TASKS)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%u tasks: must be 1 to %d", tasks, BAKE_MAX_TASKS);
+    int status = bake_begin_job(ctx, options, report, &job);
+    return status < 0 ? status : bake_end_job(job, plan_job(job, tasks, path, kept));
+}
+
+int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out)
+{
+    return bake_farm_plan_read(ctx, path, out);
+}
+
+void bake_close_plan(struct bake_farm_plan *plan)
+{
+    bake_farm_plan_free(plan);
+}
+
+const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan)
+{
+    return &plan->options;
+}
+
+uint32_t bake_plan_task_count(const struct bake_farm_plan *plan)
+{
+    return plan->task_count;
+}
+
+const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *plan, uint32_t task)
+{
+    return &plan->costs[task];
+}
+
+char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task)
+{
+    return bake_farm_part_path(plan, task);
+}
+
+/* ---- a task ---- */
+
+/* Checks that the inputs are those of the plan, opens them, and checks that they give its tiles. */
+static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
+{
+    int status = bake_farm_check_inputs(plan);
+    if (status == 0)
+        status = open_job(job);
+    if (status < 0)
+        return status;
+    bool same = job->udim.count == plan->tile_count;
+    for (uint32_t i = 0; same && i < plan->tile_count; i++)
+        same = job->report->tiles[i].tile == plan->tiles[i].number &&
+               job->report->tiles[i].width == plan->tiles[i].width &&
+               job->report->tiles[i].height == plan->tiles[i].height;
+    return same ? 0
+                : bsq_fail(job->ctx, BSQ_EDATA, "%s: the plan has other UDIM tiles than its inputs",
+                           plan->path);
+}
+
+/* Makes each tile bake the blocks of a task only. Returns the number of blocks, or an error. */
+static int choose_blocks(struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task,
+                         uint64_t *blocks)
+{
+    int status = 0;
+    *blocks = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; i++) {
+        job->tiles[i].in_blocks = true;
+        status = bake_farm_task_blocks(plan, i, task, &job->tiles[i].blocks);
+        *blocks += job->tiles[i].blocks.count;
+    }
+    return status;
+}
+
+static int trace_task(struct bake_run *job)
+{
+    int status = bake_prepare_triangles(job);
+    if (status == 0)
+        status = bake_open_device(job);
+    if (status == 0)
+        status = bake_trace_maps(job);
+    if (status == 0 && job->maps & BAKE_MAP_CURVATURE)
+        status = bake_trace_curvature(job);
+    bake_end_tracing(job);
+    return status < 0 ? status : bake_surface_check(&job->surface);
+}
+
+static int write_part(const struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
+{
+    const struct bake_report *report = job->report;
+    const struct bake_farm_counts counts = {report->covered_texels, report->samples, report->hits,
+                                            report->overlapping_samples};
+    struct bake_farm_image *images;
+    int status = bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
+        images[i] = (struct bake_farm_image){job->tiles[i].blocks, job->tiles[i].image};
+    if (status == 0)
+        status = bake_farm_part_write(plan, task, images, &counts);
+    bsq_free(job->ctx, images);
+    return status;
+}
+
+static int run_task(struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
+{
+    uint64_t blocks = 0;
+    int status = open_planned(job, plan);
+    if (status == 0)
+        status = choose_blocks(job, plan, task, &blocks);
+    if (status == 0 && blocks > 0)
+        status = trace_task(job);
+    return status < 0 ? status : write_part(job, plan, task);
+}
+
+int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task, bool force,
+                  bool *kept, struct bake_report *report)
+{
+    struct bake_run *job;
+    *kept = false;
+    memset(report, 0, sizeof *report);
+    if (task >= plan->task_count)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u", plan->path,
+                        task, plan->task_count - 1);
+    if (!force) {
+        int status = bake_farm_part_is_there(plan, task, kept);
+        if (status < 0 || *kept)
+            return status;
+    }
+    int status = bake_begin_job(ctx, &plan->options, report, &job);
+    return status < 0 ? status : bake_end_job(job, run_task(job, plan, task));
+}
+
+/* ---- merging ---- */
+
+/* Creates the images of all tiles, which share half of the memory that is left, as in a bake
+ * without tasks. */
+static int create_images(struct bake_run *job)
+{
+    const uint64_t kept = bsq_memory_left(job->ctx) / 2;
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count && status == 0; i++) {
+        const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
+        status = bake_tile_create_image(job->ctx, &job->tiles[i], share / (job->udim.count - i));
+    }
+    return status;
+}
+
+/* Reads the texels that all tasks traced. */
+static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
+{
+    struct bake_farm_counts counts;
+    struct bake_image **images;
+    int status = bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images);
+    for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
+        images[i] = job->tiles[i].image;
+    if (status == 0)
+        status = bake_farm_parts_read(plan, images, &counts);
+    bsq_free(job->ctx, images);
+    if (status < 0)
+        return status;
+    job->report->degenerate_uv_triangles = plan->degenerate_triangles;
+    job->report->covered_texels = counts.covered_texels;
+    job->report->samples = counts.samples;
+    job->report->hits = counts.hits;
+    job->report->misses = counts.samples - counts.hits;
+    job->report->overlapping_samples = counts.overlapping_samples;
+    snprintf(job->report->device, sizeof job->report->device, "%u tasks", plan->task_count);
+    return bake_check_hits(job);
+}
+
+static int write_outputs(struct bake_run *job)
+{
+    int status = bake_write_maps(job);
+    if (status == 0)
+        status = bake_write_preview(job);
+    if (status == 0)
+        status = bake_surface_check(&job->surface);
+    return status < 0 ? status : bake_commit_outputs(job);
+}
+
+static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
+{
+    int status = bake_farm_parts_check(plan);
+    if (status == 0)
+        status = open_planned(job, plan);
+    if (status == 0)
+        status = bake_open_outputs(job);
+    if (status == 0)
+        status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
+    if (status == 0)
+        status = create_images(job);
+    if (status == 0)
+        status = read_parts(job, plan);
+    if (status < 0)
+        return status;
+    bake_choose_radius(job);
+    return write_outputs(job);
+}
+
+/* Lists the files of all maps and tiles, and the preview. Free the list with free_paths(). */
+static int list_outputs(const struct bake_farm_plan *plan, char ***out, uint64_t *count)
+{
+    const struct bake_options *options = &plan->options;
+    char **paths = calloc((uint64_t)plan->tile_count * BK_MAP_COUNT + 1, sizeof *paths);
+    bool failed = paths == NULL;
+    *count = 0;
+    for (uint32_t t = 0; t < plan->tile_count && !failed; t++) {
+        char *tile = bake_tile_path(options->output_path, plan->tiles[t].number);
+        for (unsigned i = 0; i < BK_MAP_COUNT; i++)
+            if (tile && options->maps & 1u << i)
+                failed |= !(paths[(*count)++] = bake_map_path(tile, (enum bake_map)(1u << i)));
+        failed |= tile == NULL;
+        free(tile);
+    }
+    if (!failed && options->preview_path)
+        failed |= !(paths[(*count)++] = strdup(options->preview_path));
+    *out = paths;
+    return failed ? bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path) : 0;
+}
+
+static void free_paths(char **paths, uint64_t count)
+{
+    for (uint64_t i = 0; paths && i < count; i++)
+        free(paths[i]);
+    free(paths);
+}
+
+int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool force, bool *kept,
+                    struct bake_report *report)
+{
+    struct bake_run *job;
+    char **paths;
+    uint64_t count;
+    memset(report, 0, sizeof *report);
+    int status = list_outputs(plan, &paths, &count);
+    *kept = status == 0 && !force && bake_farm_is_merged(plan, paths, count);
+    if (status == 0 && !*kept) {
+        status = bake_begin_job(ctx, &plan->options, report, &job);
+        if (status == 0)
+            status = bake_end_job(job, merge(job, plan));
+        if (status == 0)
+            status = bake_farm_note_merged(plan, paths, count);
+    }
+    free_paths(paths, count);
+    return status;
+}

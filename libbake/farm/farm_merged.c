@@ -1,0 +1,78 @@
+/* farm_merged.c - the note that the maps of a plan are merged, so that doing it again costs
+ * nothing.
+ *
+ * The note has the plan's id, and the size and time of each file. A file that was touched since is
+ * merged again, which gives the same bytes. */
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+
+#include "base/output.h"
+#include "libbake/farm/farm.h"
+
+/* Returns the path of the note; NULL if there is no memory. */
+static char *note_path(const struct bake_farm_plan *plan)
+{
+    char *path;
+    return asprintf(&path, "%s.merged", plan->path) < 0 ? NULL : path;
+}
+
+/* Returns the text of the note for the files as they are now; NULL if one is missing or there is no
+ * memory. The caller frees it. */
+static char *note_text(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+{
+    char *text = NULL;
+    size_t size;
+    bool all = true;
+    FILE *stream = open_memstream(&text, &size);
+    if (!stream)
+        return NULL;
+    fprintf(stream, "Bisque merged %016" PRIx64 "%016" PRIx64 "\n", plan->id[0], plan->id[1]);
+    for (uint64_t i = 0; i < count && all; i++) {
+        struct stat info = {0};
+        const char *slash = strrchr(paths[i], '/');
+        all = stat(paths[i], &info) == 0 && S_ISREG(info.st_mode);
+        fprintf(stream, "%lld %lld.%09ld %s\n", (long long)info.st_size,
+                (long long)info.st_mtim.tv_sec, info.st_mtim.tv_nsec, slash ? slash + 1 : paths[i]);
+    }
+    if (fclose(stream) == 0 && all)
+        return text;
+    free(text);
+    return NULL;
+}
+
+int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+{
+    struct bsq_output *output;
+    char *path = note_path(plan), *text = note_text(plan, paths, count);
+    int status = path && text ? bsq_output_open(plan->ctx, path, &output)
+                              : bsq_fail(plan->ctx, BSQ_EIO, "%s: a map is gone", plan->path);
+    if (status == 0) {
+        status = bsq_output_write(output, text, strlen(text));
+        if (status == 0)
+            status = bsq_output_commit(output);
+        else
+            bsq_output_discard(output);
+    }
+    free(text);
+    free(path);
+    return status;
+}
+
+bool bake_farm_is_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+{
+    char *path = note_path(plan), *text = note_text(plan, paths, count);
+    const size_t length = text ? strlen(text) : 0;
+    char *found = malloc(length + 2);
+    FILE *file = path && text && found ? fopen(path, "re") : NULL;
+    const bool same =
+        file && fread(found, 1, length + 1, file) == length && memcmp(found, text, length) == 0;
+    if (file)
+        fclose(file);
+    free(found);
+    free(text);
+    free(path);
+    return same;
+}

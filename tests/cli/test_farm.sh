@@ -1,0 +1,298 @@
+#!/bin/sh
+# test_farm.sh - a bake as tasks: plans, parts and merges have the bytes of a single run; what is
+# missing, damaged or foreign is refused by name; tasks may be killed, repeated and run twice.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+bake="run bisque-bake"
+write_box >box.obj
+awk '/^v / { print $0, $2, $3 / 2, $4 / 3; next } { print }' box.obj >scan.obj
+# The charts in two tiles: 1002, and 1012 from half the height of the map on.
+awk '/^vt / { $2 += 1; $3 *= 2 } { print }' box.obj >low.obj
+run bisque-voxelize scan.obj -o scan.nvdb --resolution 40
+code 0
+rm scan.obj box.obj
+size="--size 1002=90x70,*=64 --padding 5"
+mkdir one farm
+
+# alike SCAN TASKS OPTION...: the maps of a bake in one run and in tasks are the same.
+alike()
+{
+    rm -rf one farm
+    mkdir one farm
+    scan=$1 tasks=$2
+    shift 2
+    $bake "$scan" low.obj $size "$@"
+    code 0
+    (
+        cd farm
+        "$BIN/bisque-bake" "../$scan" ../low.obj $size "$@" --tasks "$tasks" --write-plan plan.json >"$out" 2>"$err"
+    )
+    check "a plan of $tasks tasks: $*" $?
+    task=$tasks
+    while [ $task -gt 0 ]; do # in any order, with other threads and budgets
+        task=$((task - 1))
+        run bisque-bake --plan farm/plan.json --task $task --threads $((1 + task % 3)) --memory 60M
+        [ "$code" -eq 0 ] || break
+    done
+    check "tasks: $*" "$code"
+    $bake --plan farm/plan.json --merge
+    code 0
+    for map in *.exr *.png; do
+        [ ! -e "$map" ] || same "$map" "farm/$map"
+        rm -f "$map"
+    done
+}
+
+alike scan.nvdb 5 --maps all --ao-rays 2 --thickness-rays 2 -o 'm_<MAP>.<UDIM>.exr' --preview look.png
+# The ranges of heights and curvature follow from all tasks.
+alike scan.tris 3 --maps all -o 'x_<MAP>.<UDIM>.exr'
+alike scan.nvdb 4 --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --green down --cage "$work/here/low.obj" --back 0.2
+alike scan.nvdb 1 --maps mask -o 'k_<UDIM>.exr' --samples 3
+# More tasks than blocks: some have nothing to bake.
+alike scan.nvdb 40 --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
+alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal-space object
+
+# ---- the same again ----
+
+plan="bisque-bake scan.nvdb low.obj $size -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
+mkdir maps
+rm -rf one farm/*
+run $plan
+code 0
+out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels$'
+run $plan
+out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels, was there already$'
+run $plan --json
+json '.tasks == 3 and .kept and .task_memory_bytes > 0 and .parts_bytes > 0'
+# Nothing but the plan is written, and no map.
+[ "$(ls farm maps)" = "farm:
+plan.json
+
+maps:" ]
+check "a plan writes no maps" $?
+
+p="bisque-bake:"
+$bake --plan farm/plan.json --merge
+code 66
+err "$p farm/plan.0000.part: missing; 3 of 3 parts are missing: those of tasks 0, 1, 2"
+for task in 0 2; do
+    $bake --plan farm/plan.json --task $task
+    code 0
+done
+$bake --plan farm/plan.json --merge
+code 66
+err "$p farm/plan.0001.part: missing; 1 of 3 parts are missing: those of task 1"
+$bake --plan farm/plan.json --task 3
+code 64
+err "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
+$bake --plan farm/plan.json --task 1 --json
+code 0
+json '.task == 1 and (.kept | not) and .samples > 0'
+before=$(stat -c %i.%y farm/plan.0001.part)
+$bake --plan farm/plan.json --task 1
+code 0
+out_like '^farm/plan\.0001\.part: this part is complete already, kept$'
+[ "$(stat -c %i.%y farm/plan.0001.part)" = "$before" ]
+check "a complete part is not touched" $?
+$bake --plan farm/plan.json --task 1 --force
+code 0
+[ "$(stat -c %i.%y farm/plan.0001.part)" != "$before" ]
+check "--force bakes it again" $?
+$bake --plan farm/plan.json --merge
+code 0
+out_like '^maps/normal\.1002\.exr: normal map$'
+$bake --plan farm/plan.json --merge
+code 0
+out_like '^farm/plan\.json: the merge of this plan is complete already, kept$'
+echo x >>maps/height.1012.exr
+$bake --plan farm/plan.json --merge --json
+json '.samples > 0 and .samples == .hits + .misses'
+$bake --plan farm/plan.json --merge --force
+code 0
+out_like '^maps/normal\.1002\.exr: normal map$'
+
+# A folder can move, with all that a plan names below it or beside it.
+mkdir moved
+cp -r low.obj scan.nvdb farm maps moved
+rm moved/maps/*
+(cd moved/farm && "$BIN/bisque-bake" --plan plan.json --merge) >"$out" 2>"$err"
+check "a plan that was moved" $?
+for map in maps/*; do
+    same $map moved/$map
+done
+rm -r moved
+
+# ---- damaged, foreign, changed ----
+
+# damaged FILE OFFSET: changes one byte of it.
+damaged()
+{
+    cp farm/plan.$1.part keep
+    at=$(($2 < 0 ? $(stat -c %s keep) + $2 : $2))
+    byte=$(od -An -tu1 -j $at -N 1 keep)
+    printf "\\$(printf %03o $((byte ^ 16)))" | dd of=farm/plan.$1.part bs=1 seek=$at conv=notrunc 2>"$work/dd"
+}
+for place in 0 8 12 17 33 45 50 90 99 5000 -1; do
+    damaged 0001 $place
+    $bake --plan farm/plan.json --merge --force
+    code 65
+    err_like "^$p farm/plan\.0001\.part: .*: run this task again$"
+    if [ $place = 5000 ]; then # the task itself notices, too
+        $bake --plan farm/plan.json --task 1
+        code 0
+        out_like '^farm/plan\.0001\.part: task 1, '
+        same keep farm/plan.0001.part
+    fi
+    mv keep farm/plan.0001.part
+done
+cp farm/plan.0002.part keep
+head -c 5000 keep >farm/plan.0002.part
+$bake --plan farm/plan.json --merge --force
+code 65
+err "$p farm/plan.0002.part: damaged: its size is wrong: run this task again"
+cp farm/plan.0001.part farm/plan.0002.part
+$bake --plan farm/plan.json --merge --force
+code 65
+err "$p farm/plan.0002.part: the part of another task: run this task again"
+: >farm/plan.0002.part
+$bake --plan farm/plan.json --merge --force
+err "$p farm/plan.0002.part: not a part of a bake: run this task again"
+mv keep farm/plan.0002.part
+
+# The reader in Python accepts what Bisque wrote and refuses what is damaged.
+python=
+for candidate in python3 /usr/bin/python3; do
+    [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
+done
+if [ -n "$python" ]; then
+    "$python" -B "$top/tests/oracle/read_part.py" farm/plan.json farm/*.part >"$out" 2>"$err"
+    check "the reader in Python accepts the parts" $?
+    for place in 30 104 7000 -3; do
+        damaged 0001 $place
+        ! "$python" -B "$top/tests/oracle/read_part.py" farm/plan.json farm/plan.0001.part >"$out" 2>"$err" &&
+            grep -q 'refused' "$out"
+        check "the reader in Python refuses a part with a changed byte at $place" $?
+        mv keep farm/plan.0001.part
+    done
+else
+    skip "a reader in Python" "python3-numpy or python3-xxhash is not installed"
+fi
+
+cp farm/plan.json plan.good
+sed 's/"samples": 2/"samples": 3/' plan.good >farm/plan.json
+$bake --plan farm/plan.json --task 0
+code 65
+err "$p farm/plan.json: damaged plan: its id does not fit the rest"
+sed 's/"program_version": "[^"]*"/"program_version": "0.1.9"/' plan.good >farm/plan.json
+$bake --plan farm/plan.json --task 0
+code 65
+err_like "^$p farm/plan\.json: this plan is of Bisque 0\.1\.9, this program is .*: all tasks need one version$"
+for size_kept in 0 1 100 700 1500; do
+    head -c $size_kept plan.good >farm/plan.json
+    $bake --plan farm/plan.json --task 0
+    code 65
+done
+echo '{"format": "a recipe"}' >farm/plan.json
+$bake --plan farm/plan.json --task 0
+err "$p farm/plan.json: not a plan of bisque-bake"
+mv plan.good farm/plan.json
+cp low.obj low.good
+sed 's/^v 1 2 3/v 1 2 3.1/' low.good >low.obj
+$bake --plan farm/plan.json --task 0 --force
+code 65
+err "$p low.obj: the low-poly mesh is not the file that the plan farm/plan.json was made with: make a new plan"
+mv low.good low.obj
+# A plan with another option has another id.
+run $plan --samples 1
+code 0
+$bake --plan farm/plan.json --merge
+code 65
+err "$p farm/plan.0000.part: a part of another plan: run this task again"
+$bake --plan farm/plan.json --task 0
+code 0
+out_like '^farm/plan\.0000\.part: task 0, '
+
+# ---- options ----
+
+$bake --plan farm/plan.json
+err "$p --plan needs one of --task and --merge"
+$bake --plan farm/plan.json --task 0 --merge
+err "$p --plan needs one of --task and --merge"
+$bake --plan farm/plan.json --task 0 --samples 4
+err "$p --plan has the options of the bake: leave out --samples"
+$bake --plan farm/plan.json --task 0 low.obj
+err "$p --plan names the inputs: leave out the files"
+$bake --task 0
+err "$p --task and --merge need --plan"
+$bake scan.nvdb low.obj -o x.exr --tasks 4
+err "$p --tasks and --write-plan need each other"
+$bake scan.nvdb low.obj -o x.exr --force
+err "$p --force needs --plan"
+$bake --plan farm/plan.json --task 0 --max-missed 3
+err "$p --max-missed is for the bake of all texels: give it to --merge"
+for tasks in 0 65537 x; do
+    $bake scan.nvdb low.obj -o x.exr --tasks $tasks --write-plan p.json
+    code 64
+done
+$bake --plan none.json --task 0
+code 66
+
+# ---- killed, interrupted, twice at once ----
+
+run $plan --force # not with --write-plan
+code 64
+run $plan
+code 0
+under=$(cd farm && pwd -P)
+rm farm/*.part
+part=farm/plan.0002.part
+$bake --plan farm/plan.json --task 2
+cp $part whole
+for plain in 0 1; do # with files without a name, and on file systems that have none
+    for call in open write sync name; do
+        rm -f $part
+        command="bisque-bake --task 2 killed at $call, FAULT_PLAIN=$plain" code=0
+        LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_PATH=plan.0002 FAULT_CALLS=$call FAULT_AT=1 FAULT_DO=kill \
+            FAULT_PLAIN=$plain "$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$out" 2>"$err" || code=$?
+        [ ! -e $part ] || cmp -s $part whole
+        check "$command: no part, or all of it" $?
+        $bake --plan farm/plan.json --task 2
+        [ "$code" -eq 0 ] && cmp -s $part whole
+        check "and the next run completes it" $?
+    done
+done
+rm -f $part
+command="bisque-bake --task 2 interrupted" code=0
+LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_CALLS=write FAULT_AT=1 FAULT_DO=interrupt "$BIN/bisque-bake" \
+    --plan farm/plan.json --task 2 >"$out" 2>"$err" || code=$?
+code 75
+err "$p interrupted"
+[ ! -e $part ]
+check "an interrupted task leaves no part" $?
+
+# twice NAME COMMAND: a task stops before it names its part, COMMAND runs, and the task goes on.
+twice()
+{
+    rm -f $part flag
+    command="$1" code=0
+    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_CALLS=name FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag FAULT_PLAIN=1 \
+        "$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$out" 2>"$err" &
+    tries=0
+    while [ $tries -lt 500 ] && [ ! -e flag ]; do
+        tries=$((tries + 1))
+        sleep 0.02
+    done
+    eval "$2"
+    rm -f flag
+    wait $! || code=$?
+    [ "$code" -eq 0 ] && cmp -s $part whole
+    check "$1" $?
+}
+twice "the same task completes meanwhile" '"$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$work/second"'
+# On a machine where locks of other machines do not hold, the second removes the first one's file.
+twice "its temporary file is removed meanwhile" 'rm farm/.plan.0002.part.*.tmp'
+twice "both" 'rm farm/.plan.0002.part.*.tmp; "$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$work/second"'
+[ -z "$(ls -A farm | grep tmp)" ]
+check "no temporary file is left" $?
+finish

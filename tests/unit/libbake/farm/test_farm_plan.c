@@ -1,0 +1,259 @@
+/* test_farm_plan.c - the division of blocks among tasks, and plan files: what is written is read
+ * back, and what is cut or changed is refused. */
+#include "tests/unit/fixture.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "libbake/farm/farm.h"
+
+enum { TASKS = 7, TILES = 2 };
+static const struct bake_tile_size sizes[TILES] = {{1001, 200, 90}, {1012, 64, 300}};
+static const struct bake_tile_size size_option = {1012, 64, 300};
+static const struct bake_tile_range range_option = {1001, 1012};
+
+static char directory[64];
+
+static const char *in_directory(const char *name)
+{
+    static char path[128];
+    snprintf(path, sizeof path, "%s/%s", directory, name);
+    return path;
+}
+
+static int set_up(void **state)
+{
+    snprintf(directory, sizeof directory, "/tmp/bisque-farm.XXXXXX");
+    *state = test_context(2, 0);
+    return mkdtemp(directory) ? 0 : -1;
+}
+
+static int tear_down(void **state)
+{
+    unlink(in_directory("plan.json"));
+    unlink(in_directory("input"));
+    rmdir(directory);
+    test_context_end(*state);
+    return 0;
+}
+
+static struct bake_options some_options(void)
+{
+    struct bake_options options;
+    bake_defaults(&options);
+    options.scan_path = "/scans/s.nvdb";
+    options.mesh_path = "/scans/l.obj";
+    options.output_path = "/maps/<MAP>.<UDIM>.exr";
+    options.maps = BAKE_MAP_NORMAL;
+    options.front = 0.1 + 0.2; /* needs all of its digits */
+    options.back = 1e-300;
+    options.padding = UINT32_MAX;
+    options.gpu_memory_bytes = UINT64_C(1) << 40;
+    options.green_down = true;
+    options.tile_sizes = &size_option;
+    options.tile_ranges = &range_option;
+    options.tile_size_count = options.tile_range_count = 1;
+    return options;
+}
+
+/* Makes a plan of blocks with one sample each. */
+static struct bake_farm_plan *make_plan(struct bsq_ctx *ctx, const struct bake_options *options,
+                                        uint32_t tasks)
+{
+    struct bake_farm_plan *plan;
+    assert_int_equal(bake_farm_plan_create(ctx, in_directory("plan.json"), options, tasks, &plan),
+                     0);
+    plan->block_side = 16;
+    assert_int_equal(bake_farm_add_tiles(plan, sizes, TILES), 0);
+    static struct bake_farm_block blocks[512];
+    uint64_t count = 0;
+    for (uint32_t t = 0; t < TILES; t++)
+        for (uint32_t b = 0; b < plan->tiles[t].columns * plan->tiles[t].rows; b++)
+            if (b % 5 != 4) /* the others have no samples */
+                blocks[count++] = (struct bake_farm_block){
+                    .place = (b * 37u) % 64, .tile = t, .block = b, .samples = 100 + b};
+    assert_int_equal(bake_farm_divide(plan, blocks, count), 0);
+    return plan;
+}
+
+/* Tasks have about as many samples, and each block has one task. */
+static void test_tasks_are_balanced(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    const struct bake_options options = some_options();
+    struct bake_farm_plan *plan = make_plan(ctx, &options, TASKS);
+    uint64_t all = 0, most = 0, blocks = 0, listed = 0;
+    assert_int_equal(plan->tiles[0].columns, 13);
+    assert_int_equal(plan->tiles[0].rows, 6);
+    for (uint32_t i = 0; i < TASKS; i++) {
+        all += plan->costs[i].texels;
+        most = plan->costs[i].texels > most ? plan->costs[i].texels : most;
+    }
+    assert_true(most * TASKS < all + all / 4);
+    for (uint32_t t = 0; t < TILES; t++)
+        for (uint32_t i = 0; i < TASKS; i++) {
+            struct bake_blocks list;
+            uint32_t next = 0;
+            assert_int_equal(bake_farm_task_blocks(plan, t, i, &list), 0);
+            blocks = (uint64_t)list.columns * list.rows;
+            for (uint64_t b = 0; b < blocks; b++)
+                if (list.slots[b] != BAKE_NO_SLOT)
+                    assert_int_equal(list.slots[b], next++);
+            assert_int_equal(next, list.count);
+            listed += list.count;
+            bsq_free(ctx, (void *)(uintptr_t)list.slots);
+        }
+    assert_int_equal(listed, 13 * 6 + 4 * 19);
+    bake_farm_plan_free(plan);
+}
+
+static void test_sides_suit_the_tasks(void **state)
+{
+    (void)state;
+    const struct bake_tile_size large = {1001, 16384, 16384}, small = {1001, 20, 20};
+    assert_int_equal(bake_farm_block_side(&large, 1, 16), 256);
+    assert_int_equal(bake_farm_block_side(&large, 1, 1024), 64);
+    assert_int_equal(bake_farm_block_side(&small, 1, 1000), 16);
+}
+
+static void assert_same(const struct bake_farm_plan *a, const struct bake_farm_plan *b)
+{
+    const struct bake_options *x = &a->options, *y = &b->options;
+    assert_memory_equal(a->id, b->id, sizeof a->id);
+    assert_int_equal(a->task_count, b->task_count);
+    assert_int_equal(a->block_side, b->block_side);
+    assert_string_equal(x->scan_path, y->scan_path);
+    assert_string_equal(x->output_path, y->output_path);
+    assert_string_equal(x->device, y->device);
+    assert_null(y->cage_path);
+    assert_memory_equal(&x->front, &y->front, sizeof x->front);
+    assert_memory_equal(&x->back, &y->back, sizeof x->back);
+    assert_int_equal(x->padding, y->padding);
+    assert_int_equal(x->gpu_memory_bytes, y->gpu_memory_bytes);
+    assert_true(y->green_down);
+    assert_memory_equal(x->tile_sizes, y->tile_sizes, sizeof *x->tile_sizes);
+    assert_memory_equal(x->tile_ranges, y->tile_ranges, sizeof *x->tile_ranges);
+    assert_int_equal(a->input_count, b->input_count);
+    assert_string_equal(a->inputs[0].path, b->inputs[0].path);
+    assert_memory_equal(a->inputs[0].hash, b->inputs[0].hash, sizeof a->inputs[0].hash);
+    for (uint32_t t = 0; t < TILES; t++)
+        assert_memory_equal(a->tiles[t].tasks, b->tiles[t].tasks,
+                            sizeof *a->tiles[t].tasks * a->tiles[t].columns * a->tiles[t].rows);
+}
+
+static void write_file(const char *path, const char *bytes, size_t size)
+{
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(bytes, 1, size, file), size);
+    fclose(file);
+}
+
+/* Writes a plan with one input, and returns it and the bytes of its file. */
+static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_options *options,
+                                         char *bytes, size_t most, size_t *size)
+{
+    struct bake_farm_plan *plan = make_plan(ctx, options, TASKS);
+    struct bsq_file input;
+    bool kept = true;
+    write_file(in_directory("input"), "some bytes", 10);
+    assert_int_equal(bsq_file_open(ctx, in_directory("input"), &input), 0);
+    bsq_file_close(ctx, &input);
+    assert_int_equal(bake_farm_add_inputs(plan), 0);
+    assert_int_equal(plan->input_count, 1);
+    assert_int_equal(bake_farm_plan_write(plan, &kept), 0);
+    assert_false(kept);
+    FILE *file = fopen(in_directory("plan.json"), "rb");
+    assert_non_null(file);
+    *size = fread(bytes, 1, most, file);
+    assert_true(*size < most);
+    fclose(file);
+    return plan;
+}
+
+static char bytes[1 << 16];
+
+static void test_a_plan_is_read_back(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    const struct bake_options options = some_options();
+    size_t size;
+    bool kept = false;
+    struct bake_farm_plan *plan = write_plan(ctx, &options, bytes, sizeof bytes, &size), *read;
+    assert_int_equal(bake_farm_plan_write(plan, &kept), 0);
+    assert_true(kept);
+    assert_int_equal(bake_farm_plan_read(ctx, in_directory("plan.json"), &read), 0);
+    assert_same(plan, read);
+    assert_int_equal(bake_farm_check_inputs(read), 0);
+    bake_farm_plan_free(read);
+    bake_farm_plan_free(plan);
+}
+
+static void assert_refused(struct bsq_ctx *ctx)
+{
+    struct bake_farm_plan *plan;
+    bsq_clear_error(ctx);
+    assert_int_equal(bake_farm_plan_read(ctx, in_directory("plan.json"), &plan), BSQ_EDATA);
+    assert_null(plan);
+    assert_non_null(strstr(bsq_error(ctx), "plan.json"));
+}
+
+/* Returns whether byte i is a digit after the point of a number: two spellings may be one value. */
+static bool is_fraction(size_t i)
+{
+    const size_t start = i;
+    while (bytes[i] >= '0' && bytes[i] <= '9')
+        i--;
+    return i < start && bytes[i] == '.';
+}
+
+static void test_cut_and_changed_plans_are_refused(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    const struct bake_options options = some_options();
+    size_t size;
+    bake_farm_plan_free(write_plan(ctx, &options, bytes, sizeof bytes, &size));
+    while (bytes[size - 1] != '}')
+        size--;
+    for (size_t length = 0; length < size; length += 1 + length / 64) {
+        write_file(in_directory("plan.json"), bytes, length);
+        assert_refused(ctx);
+    }
+    for (size_t i = 0; i < size; i += 1 + i / 512) {
+        const char was = bytes[i];
+        if (was == ' ' || was == '\n' || is_fraction(i))
+            continue;
+        bytes[i] = was == '7' ? '3' : '7';
+        write_file(in_directory("plan.json"), bytes, size);
+        assert_refused(ctx);
+        bytes[i] = was;
+    }
+    bsq_clear_error(ctx);
+}
+
+static void test_a_changed_input_is_named(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    const struct bake_options options = some_options();
+    size_t size;
+    struct bake_farm_plan *plan = write_plan(ctx, &options, bytes, sizeof bytes, &size);
+    bsq_forget_files(ctx);
+    write_file(in_directory("input"), "some other", 10);
+    assert_int_equal(bake_farm_check_inputs(plan), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(ctx), "input"));
+    bsq_clear_error(ctx);
+    bake_farm_plan_free(plan);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(test_tasks_are_balanced, set_up, tear_down),
+        cmocka_unit_test(test_sides_suit_the_tasks),
+        cmocka_unit_test_setup_teardown(test_a_plan_is_read_back, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(test_cut_and_changed_plans_are_refused, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(test_a_changed_input_is_named, set_up, tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

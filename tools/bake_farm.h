@@ -1,0 +1,18 @@
+/* bake_farm.h - the tasks of a bake: writes plans and part files, and reports on them. */
+#ifndef BAKE_FARM_H
+#define BAKE_FARM_H
+
+#include "tools/bake_arguments.h"
+
+/* Writes the plan that the arguments ask for, and prints what its tasks need. */
+int bake_farm_plan(struct cli *cli, const struct bake_arguments *arguments,
+                   struct bake_report *report);
+
+/* Bakes a task of a plan and prints a report. */
+int bake_farm_task(struct cli *cli, const struct bake_arguments *arguments,
+                   const struct bake_farm_plan *plan);
+
+/* Says that the maps of the plan are there already. */
+int bake_farm_say_merged(struct cli *cli, const struct bake_arguments *arguments);
+
+#endif
