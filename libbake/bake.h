@@ -236,6 +236,8 @@ struct bake_report {
     double seconds_copies;
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
     struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
+    /** Chunks of an exact bake that were loaded for rays from hits, counted again each time. */
+    uint64_t chunk_loads;
     uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
 

@@ -1,5 +1,6 @@
 /* bake_inputs.c - opens the inputs of a bake, and sets the parameters of its rays. */
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 
@@ -9,28 +10,18 @@
 int bake_find_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t asked, uint32_t *out)
 {
     bool has_color = false;
-    bool exact = false;
     int status = 0;
     if (asked == BAKE_MAPS_DEFAULT || asked & BAKE_MAPS_ALL)
         status = bake_scan_has_color(ctx, scan_path, &has_color);
-    if (status == 0 && asked & BAKE_MAPS_ALL)
-        status = bake_scan_is_exact(ctx, scan_path, &exact);
-    *out = status == 0 ? bake_choose_maps(asked, has_color, exact) : asked;
+    *out = status == 0 ? bake_choose_maps(asked, has_color) : asked;
     return status;
 }
 
-/* Chooses the maps, after the scan was opened. Errors: BSQ_EDATA if it lacks colours, BSQ_EUSAGE if
- * a map needs a grid. */
+/* Chooses the maps, after the scan was opened. Errors: BSQ_EDATA if it lacks colours. */
 static int choose_maps(struct bake_run *job)
 {
     bool has_color = job->surface.has_color;
-    const bool exact = job->surface.exact != NULL;
-    job->maps = bake_choose_maps(job->options->maps, has_color, exact);
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
-        if (exact && job->maps & 1u << i && bake_map_table[i].needs_grid)
-            return bsq_fail(job->ctx, BSQ_EUSAGE,
-                            "%s: the map %s is baked from a grid (.nvdb), not from triangles",
-                            job->options->scan_path, bake_map_names[i]);
+    job->maps = bake_choose_maps(job->options->maps, has_color);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if (job->maps & 1u << i && bake_map_table[i].needs_color && !has_color)
             return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
@@ -114,19 +105,20 @@ static int choose_distances(struct bake_run *job)
     return 0;
 }
 
-/* Sets what rays from hits have in common, in voxels. */
+/* Sets what rays from hits have in common, in index space. */
 static void set_rays(const struct bake_run *job, struct bk_params *params)
 {
     const struct bake_options *options = job->options;
     const struct bake_surface *surface = &job->surface;
     const double half = 0.5 * options->ao_spread * 0.017453292519943295;
     const double thickness = bake_thickness_distance(options, surface->scan_min, surface->scan_max);
+    const float far = surface->exact ? FLT_MAX : BK_FAR;
     params->open_rays = options->ao_rays;
     params->thickness_rays = options->thickness_rays;
-    params->open_limit = BK_FAR;
+    params->open_limit = far;
     if (options->ao_distance > 0)
-        params->open_limit = fminf((float)(options->ao_distance / surface->unit), BK_FAR);
-    params->thickness_limit = fminf((float)(thickness / surface->unit), BK_FAR);
+        params->open_limit = fminf((float)(options->ao_distance / surface->unit), far);
+    params->thickness_limit = fminf((float)(thickness / surface->unit), far);
     params->open_sine2 = (float)(sin(half) * sin(half));
     if (options->ao_falloff)
         params->flags |= BK_OPEN_FALLOFF;

@@ -115,7 +115,6 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (status == 0)
         status = check_tile_numbers(ctx, options);
     /* The default maps depend on the scan; they are checked again after it was opened. */
-    return status < 0
-               ? status
-               : bake_check_maps(ctx, options, bake_choose_maps(options->maps, false, false));
+    return status < 0 ? status
+                      : bake_check_maps(ctx, options, bake_choose_maps(options->maps, false));
 }

@@ -173,6 +173,9 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
                   report->seconds_kernels,
                   cli_counted_text(report->kernel_calls, "call", "calls", samples),
                   report->seconds_copies);
+    if (report->chunk_loads > 0)
+        cli_print("rays from hits: %s\n",
+                  cli_counted_text(report->chunk_loads, "chunk loaded", "chunks loaded", samples));
     if (report->passes > 1)
         cli_print("passes: %s, because the grid is larger than the usable memory of the device\n",
                   cli_count_text(report->passes, samples));
@@ -248,7 +251,7 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
         "{s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
         "maps", maps_json(paths, 0), "tiles", tiles_json(report, paths), "encodings",
         encodings_json(report), "preview_path", cli_json_text(bake->preview_path), "width",
@@ -264,7 +267,7 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         "seconds_write", report->seconds_write, "seconds_preview", report->seconds_preview,
         "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
         "seconds_copies", report->seconds_copies, "kernel_calls", (json_int_t)report->kernel_calls,
-        "passes", (json_int_t)report->passes);
+        "chunk_loads", (json_int_t)report->chunk_loads, "passes", (json_int_t)report->passes);
     return cli_print_json(cli, root);
 }
 

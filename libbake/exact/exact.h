@@ -54,6 +54,9 @@ struct bake_exact_hit {
     uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: no hit */
     float normal[3];   /* unit, object space; of a surface that faces away: turned round */
     float color[3];    /* linear RGB */
+    /* Of triangles only: */
+    float facet[3]; /* unit normal of the triangle, on the side that counts as its front */
+    bool reversed;  /* that side is the scan's back */
 };
 
 /* The distance between neighbouring rays, by which textures are filtered: the steps of the rays'
@@ -78,12 +81,48 @@ struct bake_exact_batch {
 };
 
 /* Returns the number of rays of a batch that fits what is left of the budget, at least 1. Allows
- * for the rays, hits and footprints that the caller allocates. */
-uint64_t bake_exact_capacity(const struct bake_exact *exact);
+ * for the rays, hits and footprints that the caller allocates, and for more_bytes for each ray. */
+uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes);
 
 /* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a
  * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch);
+
+/* ---- rays from hits ---- */
+
+struct bake_exact_look;
+struct bk_surroundings;
+
+/* Hits that send rays. */
+struct bake_exact_places {
+    const struct bake_exact_ray *rays;
+    const struct bake_exact_hit *hits; /* of these rays; hits of nothing are allowed */
+    const uint32_t *seeds;             /* by which the directions are turned */
+    uint64_t count;
+    uint64_t progress; /* what all of them add to the context's progress */
+};
+
+/* Prepares rays from at most `places` hits at a time: takes up to half of what is left of the
+ * budget, for the chunks of the scan and for the state of rays. params: maps, counts and lengths of
+ * rays; must outlive *out. Errors: BSQ_ENOMEM. */
+int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *params,
+                           uint64_t places, struct bake_exact_look **out);
+void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
+
+/* Traces rays from hits as bk_secondary.h describes, but against triangles, and writes what they
+ * found to out[], an entry for each place. Results do not depend on chunks, threads or memory. If
+ * all chunks fit into memory, each is loaded once; otherwise once for each batch of places that
+ * fits. Must not be called from parallel work. Errors: those of bake_exact_trace(). */
+int bake_exact_look_around(struct bake_exact_look *look, const struct bake_exact_places *places,
+                           struct bk_surroundings *out);
+
+/* Returns how many chunks have been loaded for rays from hits, counted again each time. */
+uint64_t bake_exact_look_loads(const struct bake_exact_look *look);
+
+/* Computes open ray `number` of a place. */
+struct bake_exact_ray bake_exact_open_ray(const struct bake_exact_look *look,
+                                          const struct bake_exact_places *places, uint64_t place,
+                                          uint32_t number);
 
 /* Returns whether footprints have an effect: only if colours come from textures. */
 bool bake_exact_wants_footprints(const struct bake_exact *exact);

@@ -1,8 +1,6 @@
 /* exact_memory.c - divides the memory budget between chunks, their preparation and rays. */
 #include "libbake/exact/exact_scene.h"
 
-enum { SLOTS_PER_THREAD = 4 }; /* more than one, so that all threads are busy until a wave ends */
-
 /* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
 struct sizes {
     uint64_t chunk, tree, smooth;
@@ -50,13 +48,13 @@ struct plan {
     uint64_t bytes;
 };
 
-/* Plans as many slots as help, up to SLOTS_PER_THREAD, that fit `memory` bytes; at least one. */
-static struct plan plan_slots(const struct bake_exact *exact, uint64_t memory)
+/* Plans up to `most` slots that fit `memory` bytes; at least one. */
+static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint64_t memory)
 {
     const struct sizes sizes = buffer_sizes(exact);
     const uint64_t slot = slot_bytes(&sizes), scratch = scratch_bytes(&sizes);
     const uint32_t threads = bsq_threads(exact->ctx);
-    struct plan plan = {.slots = SLOTS_PER_THREAD * threads, .preparers = threads};
+    struct plan plan = {.slots = most, .preparers = most < threads ? most : threads};
     while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
         plan.slots--;
         plan.preparers = plan.slots < threads ? plan.slots : threads;
@@ -65,27 +63,28 @@ static struct plan plan_slots(const struct bake_exact *exact, uint64_t memory)
     return plan;
 }
 
-uint64_t bake_exact_capacity(const struct bake_exact *exact)
+uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes)
 {
     const uint64_t left = bsq_memory_left(exact->ctx);
-    const uint64_t fixed = plan_slots(exact, left / 4).bytes +
+    const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +
                            (exact->chunk_count + 1) * (sizeof(uint64_t) + EXACT_PAIRS_PER_RAY * 4) +
                            EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
                          (exact->textures ? sizeof(uint32_t) : 0) +
-                         EXACT_PAIRS_PER_RAY * sizeof(uint32_t);
+                         EXACT_PAIRS_PER_RAY * sizeof(uint32_t) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;
     const uint64_t rays = usable > fixed ? (usable - fixed) / ray : 0;
     return rays < 1 ? 1 : rays > UINT32_MAX / 4 ? UINT32_MAX / 4 : rays;
 }
 
-int bake_exact_slots_create(const struct bake_exact *exact, struct exact_slots *out)
+int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
+                            struct exact_slots *out)
 {
     struct bsq_ctx *ctx = exact->ctx;
     const struct sizes sizes = buffer_sizes(exact);
-    const struct plan plan = plan_slots(exact, bsq_memory_left(ctx) / 2);
+    const struct plan plan = plan_slots(exact, most, memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots);
     if (status == 0)

@@ -32,6 +32,12 @@ struct bake_exact {
  * is traced in parts. */
 enum { EXACT_LOCKS = 1024, EXACT_PAIRS_PER_RAY = 4 };
 
+/* Returns the slots of a wave: several a thread, so that all threads are busy until it ends. */
+static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
+{
+    return 4 * bsq_threads(exact->ctx);
+}
+
 /* Returns whether hits need vertex normals that have to be summed. */
 static inline bool exact_needs_smooth(const struct bake_exact *exact)
 {
@@ -77,8 +83,9 @@ struct exact_slots {
     void *memory;                    /* holds the buffers of all slots and scratches */
 };
 
-/* Allocates slots for up to half of what is left of the budget. Free them, also after a failure. */
-int bake_exact_slots_create(const struct bake_exact *exact, struct exact_slots *out);
+/* Allocates 1 to `most` slots, as many as fit `memory` bytes. Free them, also after a failure. */
+int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
+                            struct exact_slots *out);
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 
 /* Loads a chunk into a slot. */
@@ -107,6 +114,7 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
 struct exact_limits {
     double t_min, t_max;
     bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */
+    bool any;                      /* the first hit that is found will do */
 };
 
 /* Replaces *best by the nearest hit among the chunk's triangles, if that wins. Returns whether it
@@ -114,6 +122,17 @@ struct exact_limits {
 bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
                            const struct bake_exact_ray *ray, const struct exact_limits *limits,
                            struct exact_best *best);
+
+/* Chunks in memory, with a tree over their bounds. */
+struct exact_group {
+    const struct bake_exact *exact;
+    const struct exact_slot *slots;
+    struct exact_tree tree;
+};
+
+/* Does what bake_exact_slot_trace() does with the triangles of all slots of the group. */
+bool bake_exact_group_trace(const struct exact_group *group, const struct bake_exact_ray *ray,
+                            const struct exact_limits *limits, struct exact_best *best);
 
 /* Checks whether the winding of a triangle disagrees with its vertex normals. The normals then
  * decide which side is outside. False if the chunk has no normals. */

@@ -84,15 +84,21 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
         out[k] = (float)(n[k] / length);
 }
 
-/* Returns whether the surface faces away, so that the ray hit its back. */
-static bool is_reversed(const struct place *place, const struct bake_exact_batch *batch,
-                        uint64_t ray)
+/* Sets the side of the triangle that the ray met, and whether that is the scan's back. */
+static void set_side(const struct bake_exact *exact, const struct place *place,
+                     const struct bake_exact_batch *batch, uint64_t ray)
 {
+    struct bake_exact_hit *hit = &batch->hits[ray];
     const float *d = batch->rays[ray].direction;
     const double direction[3] = {(double)d[0], (double)d[1], (double)d[2]};
-    const bool along = (dot(place->cross, direction) > 0) !=
-                       bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
-    return along == batch->facing_origin;
+    const bool along = dot(place->cross, direction) > 0;
+    const double scale =
+        (along == batch->facing_origin ? -1 : 1) / sqrt(dot(place->cross, place->cross));
+    for (int k = 0; k < 3; k++)
+        hit->facet[k] = (float)(place->cross[k] * scale);
+    hit->reversed = exact->options.two_sided &&
+                    (along == batch->facing_origin) !=
+                        bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
 }
 
 /* ---- colours ---- */
@@ -182,7 +188,8 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     struct place place;
     set_place(&place, slot, (uint32_t)(hit->triangle - first), hit);
     shade_normal(exact, &place, hit->normal);
-    if (exact->options.two_sided && is_reversed(&place, batch, ray))
+    set_side(exact, &place, batch, ray);
+    if (hit->reversed)
         for (int k = 0; k < 3; k++)
             hit->normal[k] = -hit->normal[k];
     return exact->color ? shade_color(exact, &place, batch, ray, hit->color) : 0;

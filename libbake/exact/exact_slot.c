@@ -52,7 +52,8 @@ struct trace {
     bool sheared;
     struct exact_span span; /* where a hit would win; shrinks with each hit */
     struct exact_best *best;
-    bool improved;
+    bool improved, done;             /* done: no better hit is needed */
+    const struct exact_group *group; /* whose slots are walked one after another */
 };
 
 static void set_span(struct trace *trace)
@@ -115,6 +116,7 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     }
     *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2};
     trace->improved = true;
+    trace->done = limits->any;
     set_span(trace);
 }
 
@@ -148,34 +150,68 @@ static bool too_far(const struct exact_span *span, float distance)
     return distance > span->end && distance > -span->begin;
 }
 
-bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
-                           const struct bake_exact_ray *ray, const struct exact_limits *limits,
-                           struct exact_best *best)
+/* Calls `visit` for the boxes of a tree that the ray crosses where a hit would win, near ones
+ * first.
+ */
+static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
+                             void (*visit)(struct trace *trace, uint32_t box))
 {
-    const struct exact_tree *tree = &slot->tree;
     struct entry stack[EXACT_TREE_STACK];
-    struct trace trace = {.slot = slot, .first = first, .limits = limits, .ray = ray, .best = best};
     float distances[4];
     uint32_t depth = 1;
-    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
-        return false;
-    set_span(&trace);
+    if (tree->levels == 0)
+        return;
     stack[0] = (struct entry){0, tree->levels - 1, 0};
-    while (depth > 0) {
+    while (depth > 0 && !trace->done) {
         const struct entry top = stack[--depth];
-        if (too_far(&trace.span, top.distance))
+        if (too_far(&trace->span, top.distance))
             continue;
         const struct exact_box4 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits = exact_line_crosses4(&trace.line, boxes, trace.span, distances);
+        unsigned bits = exact_line_crosses4(&trace->line, boxes, trace->span, distances);
         if (top.level > 0) {
             depth = push_children(stack, depth, top.level, top.node, bits, distances);
             continue;
         }
-        for (; bits; bits &= bits - 1) {
+        for (; bits && !trace->done; bits &= bits - 1) {
             const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (!too_far(&trace.span, distances[c]))
-                try_triangle(&trace, tree->order[4 * top.node + c]);
+            if (!too_far(&trace->span, distances[c]))
+                visit(trace, tree->order[4 * top.node + c]);
         }
     }
+}
+
+static void walk_slot(struct trace *trace, const struct exact_slot *slot, uint64_t first)
+{
+    trace->slot = slot;
+    trace->first = first;
+    walk_tree(trace, &slot->tree, try_triangle);
+}
+
+static void visit_slot(struct trace *trace, uint32_t number)
+{
+    const struct exact_slot *slot = &trace->group->slots[number];
+    walk_slot(trace, slot, trace->group->exact->chunks[slot->number].first_triangle);
+}
+
+bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
+                           const struct bake_exact_ray *ray, const struct exact_limits *limits,
+                           struct exact_best *best)
+{
+    struct trace trace = {.limits = limits, .ray = ray, .best = best};
+    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
+        return false;
+    set_span(&trace);
+    walk_slot(&trace, slot, first);
+    return trace.improved;
+}
+
+bool bake_exact_group_trace(const struct exact_group *group, const struct bake_exact_ray *ray,
+                            const struct exact_limits *limits, struct exact_best *best)
+{
+    struct trace trace = {.limits = limits, .ray = ray, .best = best, .group = group};
+    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
+        return false;
+    set_span(&trace);
+    walk_tree(&trace, &group->tree, visit_slot);
     return trace.improved;
 }

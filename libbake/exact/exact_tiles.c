@@ -36,6 +36,10 @@ struct job {
     struct bake_exact_hit *hits;
     uint32_t *footprints;
     uint64_t capacity;
+    /* For maps of rays from hits; else NULL. */
+    struct bake_exact_look *look;
+    uint32_t *seeds;
+    struct bk_surroundings *surroundings;
 };
 
 /* ---- counting and ordering ---- */
@@ -166,8 +170,9 @@ static void measure_footprints(const struct job *job)
 
 /* ---- hits to texels ---- */
 
-static void add_sample(const struct job *job, const bk_point *point,
-                       const struct bake_exact_hit *hit, float *texel)
+/* Turns the hit of a ray into a hit for maps. */
+static bk_map_hits place_hit(const struct job *job, const bk_point *point,
+                             const struct bake_exact_hit *hit)
 {
     const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
                           .t = (float)hit->t,
@@ -176,7 +181,16 @@ static void add_sample(const struct job *job, const bk_point *point,
     const bk_start start = bk_start_at(job->tiles->params, point);
     bk_map_hits placed;
     bk_hits_for_maps(job->tiles->params, point, &start, &hits, &placed);
-    bk_add_sample(job->tiles->params, &placed, 0, texel);
+    return placed;
+}
+
+static void add_sample(const struct job *job, const bk_point *point, uint64_t ray, float *texel)
+{
+    const struct bk_params *params = job->tiles->params;
+    bk_map_hits placed = place_hit(job, point, &job->hits[ray]);
+    if (job->look)
+        bk_surroundings_for_maps(params, point, &job->surroundings[ray], &placed);
+    bk_add_sample(params, &placed, 0, texel);
 }
 
 /* Sums a row of texels. Hits come in rows of samples, so the texels of the row are summed together.
@@ -193,7 +207,7 @@ static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t 
             if (sample[column] == BK_NO_TRIANGLE)
                 continue;
             const bk_point point = sample_point(job, tile, sample[column], column, row);
-            add_sample(job, &point, &job->hits[(*next)++], texels + column / n * floats);
+            add_sample(job, &point, (*next)++, texels + column / n * floats);
         }
     }
 }
@@ -219,6 +233,46 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
     return bake_image_write_tile(job->tiles->image, &tile, worker->resolved);
 }
 
+/* ---- rays from hits ---- */
+
+/* Prepares the hits of a tile's rays: sets their seeds, and takes back hits beyond a ray's end. */
+static int seed_tile(void *arg, uint64_t index, unsigned number)
+{
+    struct job *job = arg;
+    const struct tile *place = &job->order[job->first + index];
+    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
+    const uint32_t *sample = job->workers.workers[number].sample_triangles;
+    const uint32_t n = job->tiles->params->samples, columns = tile.width * n;
+    uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
+    int status = bake_raster_fill(job->tiles->raster, place->index,
+                                  job->workers.workers[number].sample_triangles, &overlaps);
+    if (status < 0)
+        return status;
+    for (uint32_t row = 0; row < tile.height * n; row++)
+        for (uint32_t column = 0; column < columns; column++, sample++) {
+            if (*sample == BK_NO_TRIANGLE)
+                continue;
+            const bk_point point = sample_point(job, &tile, *sample, column, row);
+            if (!place_hit(job, &point, &job->hits[ray]).found)
+                job->hits[ray].triangle = BAKE_EXACT_NONE;
+            job->seeds[ray++] = bk_sample_seed(bk_sample_place(tile.x + column / n, column % n, n),
+                                               bk_sample_place(tile.y + row / n, row % n, n), n);
+        }
+    return 0;
+}
+
+/* Traces the rays from all hits of the batch. */
+static int look_around(struct job *job, const struct bake_exact_batch *batch, uint64_t progress)
+{
+    const struct bake_exact_places places = {.rays = batch->rays,
+                                             .hits = batch->hits,
+                                             .seeds = job->seeds,
+                                             .count = batch->count,
+                                             .progress = progress};
+    int status = bsq_parallel_for(job->ctx, job->count, seed_tile, job);
+    return status < 0 ? status : bake_exact_look_around(job->look, &places, job->surroundings);
+}
+
 /* ---- batches ---- */
 
 /* Takes the next tiles, as many as fit. Returns the number of their texels. */
@@ -238,10 +292,18 @@ static uint64_t choose_batch(struct job *job)
     return texels;
 }
 
+/* Returns what a sample costs, as a multiple of its first ray. */
+static uint32_t sample_cost(const struct bk_params *params)
+{
+    return 1 + bk_open_rays(params) + bk_solid_rays(params);
+}
+
 static int run_batch(struct job *job, uint64_t texels)
 {
     const struct bake_exact_tiles *tiles = job->exact_tiles;
     const bool cage = job->tiles->params->flags & BK_CAGE;
+    /* The share of the progress that the first rays have. */
+    const uint64_t first_texels = texels / sample_cost(job->tiles->params);
     const struct bake_exact_batch batch = {.rays = job->rays,
                                            .hits = job->hits,
                                            .count = job->starts[job->first + job->count] -
@@ -251,10 +313,12 @@ static int run_batch(struct job *job, uint64_t texels)
                                            .facing_origin = cage,
                                            .footprints = job->footprints,
                                            .footprint_table = job->footprint_table,
-                                           .progress = texels};
+                                           .progress = first_texels};
     int status = bsq_parallel_for(job->ctx, job->count, cast_tile, job);
     if (status == 0)
         status = bake_exact_trace(job->exact_tiles->exact, &batch);
+    if (status == 0 && job->look)
+        status = look_around(job, &batch, texels - first_texels);
     if (status == 0)
         status = bsq_parallel_for(job->ctx, job->count, resolve_tile, job);
     return status;
@@ -294,7 +358,8 @@ static int allocate_tiles(struct job *job)
 static int allocate_rays(struct job *job)
 {
     const uint64_t all = job->starts[job->tile_count];
-    job->capacity = bake_exact_capacity(job->exact_tiles->exact);
+    const uint64_t around = sizeof *job->seeds + sizeof *job->surroundings;
+    job->capacity = bake_exact_capacity(job->exact_tiles->exact, job->look ? around : 0);
     for (uint32_t i = 0; i < job->tile_count; i++)
         if (job->order[i].samples > job->capacity)
             job->capacity = job->order[i].samples;
@@ -303,6 +368,12 @@ static int allocate_rays(struct job *job)
     int status = bsq_alloc(job->ctx, "rays", job->capacity, sizeof *job->rays, &job->rays);
     if (status == 0)
         status = bsq_alloc(job->ctx, "hits", job->capacity, sizeof *job->hits, &job->hits);
+    if (status == 0 && job->look)
+        status =
+            bsq_alloc(job->ctx, "rays from hits", job->capacity, sizeof *job->seeds, &job->seeds);
+    if (status == 0 && job->look)
+        status = bsq_alloc(job->ctx, "rays from hits", job->capacity, sizeof *job->surroundings,
+                           &job->surroundings);
     if (status == 0 && job->footprint_table)
         status = bsq_alloc(job->ctx, "footprints", job->capacity, sizeof *job->footprints,
                            &job->footprints);
@@ -318,6 +389,11 @@ static void release(struct job *job, struct bake_report *report)
     bsq_free(job->ctx, job->rays);
     bsq_free(job->ctx, job->hits);
     bsq_free(job->ctx, job->footprints);
+    if (job->look)
+        report->chunk_loads += bake_exact_look_loads(job->look);
+    bake_exact_look_free(job->look);
+    bsq_free(job->ctx, job->seeds);
+    bsq_free(job->ctx, job->surroundings);
 }
 
 int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
@@ -329,6 +405,9 @@ int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *t
         status = allocate_tiles(&job);
     if (status == 0)
         status = order_tiles(&job);
+    if (status == 0 && tiles->tiles.params->maps & BK_SECONDARY_MAPS)
+        status = bake_exact_look_create(tiles->exact, tiles->tiles.params,
+                                        job.starts[job.tile_count], &job.look);
     if (status == 0)
         status = allocate_rays(&job);
     if (status == 0)

@@ -37,7 +37,7 @@ typedef struct bk_map_hit {
     float normal[3];     /* of the scan: unit, object space */
     float map_normal[3]; /* the same in the space of the normal map */
     float color[3];      /* linear RGB, 0 to 1 */
-    /* From grids only, and for maps that need them: */
+    /* For maps that need them: */
     float open;      /* share of the hemisphere that is open */
     float bent[3];   /* mean open direction in the space of the normal map, with its weight */
     float thickness; /* mean distance through the solid */

@@ -132,7 +132,7 @@ typedef struct bk_map_hits {
     bk_uint found; /* bit by bit */
     bk_fw t;
     bk_vec3w position, normal, map_normal, color;
-    bk_fw open, thickness; /* 0 unless bk_look_from_hits() has set them */
+    bk_fw open, thickness; /* 0 unless bk_surroundings_for_maps() has set them */
     bk_vec3w bent;
 } bk_map_hits;
 
@@ -159,38 +159,53 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     out->bent = out->map_normal;
 }
 
-/* Sends rays from hits. A bent direction has the weight of its open rays; a hit without any has the
- * normal with hardly a weight, so that hidden texels have a direction too. */
-BK_FN void bk_look_from_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                             const bk_samples *samples, const bk_point *points,
-                             const bk_start *start, const bk_hits *hits, bk_map_hits *out)
+/* Turns what rays from hits found, lane by lane, into values for maps. A bent direction has the
+ * weight of its open rays; a hit without any has the normal with hardly a weight, so that hidden
+ * texels have a direction too. */
+BK_FN void bk_surroundings_for_maps(const bk_params *params, const bk_point *points,
+                                    const bk_surroundings sums[BK_WIDTH], bk_map_hits *out)
 {
-    const bk_vec3w position = bk_add_scaledw(start->origin, hits->t, start->direction);
-    const bk_uint n = params->samples;
-    bk_vec3w bent = hits->normal;
+    bk_vec3w bent = out->normal;
     bk_fw weight = bk_splat(BK_HIDDEN_WEIGHT);
     bk_uint lane;
 
-    for (lane = 0; lane < samples->count; lane++) {
-        bk_place_on_scan from;
-        bk_surroundings sums;
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        const bk_vec3 sum = sums[lane].bent;
         if (!(out->found >> lane & 1u))
             continue;
-        from.position = bk_lane3(&position, lane);
-        from.normal = bk_lane3(&hits->normal, lane);
-        from.side = hits->reversed >> lane & 1u ? -1.0f : 1.0f;
-        from.seed = bk_sample_seed(samples->x[lane], samples->y[lane], n);
-        sums = bk_look_around(grid, params, cache, &from);
-        bk_set_lane(out->open, lane, sums.open);
-        bk_set_lane(out->thickness, lane, sums.thickness * params->unit);
-        if (bk_dot(sums.bent, sums.bent) > 0.0f) {
-            bk_set_lane3(&bent, lane, bk_unit(sums.bent));
-            bk_set_lane(weight, lane, bk_sqrt(bk_dot(sums.bent, sums.bent)));
+        bk_set_lane(out->open, lane, sums[lane].open);
+        bk_set_lane(out->thickness, lane, sums[lane].thickness * params->unit);
+        if (bk_dot(sum, sum) > 0.0f) {
+            bk_set_lane3(&bent, lane, bk_unit(sum));
+            bk_set_lane(weight, lane, bk_sqrt(bk_dot(sum, sum)));
         }
     }
     if (!(params->flags & BK_OBJECT_SPACE))
         bent = bk_to_tangent_space(points, bent);
     out->bent = bk_scalew(bent, weight);
+}
+
+/* Sends rays from hits. */
+BK_FN void bk_look_from_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                             const bk_samples *samples, const bk_point *points,
+                             const bk_start *start, const bk_hits *hits, bk_map_hits *out)
+{
+    const bk_vec3w position = bk_add_scaledw(start->origin, hits->t, start->direction);
+    bk_surroundings sums[BK_WIDTH];
+    bk_uint lane;
+
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        bk_place_on_scan from;
+        sums[lane] = bk_no_surroundings();
+        if (!(out->found >> lane & 1u))
+            continue;
+        from.position = bk_lane3(&position, lane);
+        from.normal = bk_lane3(&hits->normal, lane);
+        from.side = hits->reversed >> lane & 1u ? -1.0f : 1.0f;
+        from.seed = bk_sample_seed(samples->x[lane], samples->y[lane], params->samples);
+        sums[lane] = bk_look_around(grid, params, cache, &from);
+    }
+    bk_surroundings_for_maps(params, points, sums, out);
 }
 
 /* Traces samples. */

@@ -141,26 +141,57 @@ BK_FN void bk_add_open(const bk_params *params, bk_uint found, float t, bk_vec3 
     sums->bent = bk_add_scaled(sums->bent, share, direction);
 }
 
+BK_FN bk_surroundings bk_no_surroundings(void)
+{
+    bk_surroundings none;
+
+    none.open = none.thickness = 0.0f;
+    none.bent = bk_v3(0.0f, 0.0f, 0.0f);
+    return none;
+}
+
+/* Turns sums into means. opens: open rays; counted: rays into the solid that found its end, or are
+ * as long as they may be. */
+BK_FN void bk_mean_surroundings(const bk_params *params, bk_uint opens, bk_uint counted,
+                                bk_surroundings *sums)
+{
+    if (opens)
+        sums->open = sums->open / (float)(bk_int)opens;
+    sums->thickness = counted ? sums->thickness / (float)(bk_int)counted : params->thickness_limit;
+}
+
+/* Return the number of open rays, and of rays into the solid, that maps need from a hit. */
+BK_FN bk_uint bk_open_rays(const bk_params *params)
+{
+    return params->maps & BK_OPEN_MAPS ? params->open_rays : 0;
+}
+
+BK_FN bk_uint bk_solid_rays(const bk_params *params)
+{
+    return params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
+}
+
+/* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
+#define BK_SOLID_SEED 4u
+
 /* Sends the rays of one point, open ones first. Sums run in the order of rays, so that they do not
  * depend on BK_WIDTH. Both kinds share a loop, since a copy of the walk is long. */
 BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                                      const bk_place_on_scan *from)
 {
-    const bk_uint opens = params->maps & BK_OPEN_MAPS ? params->open_rays : 0;
-    const bk_uint solids = params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
+    const bk_uint opens = bk_open_rays(params), solids = bk_solid_rays(params);
     const bk_vec3 n = from->normal, inwards = bk_v3(-n.x, -n.y, -n.z);
     const bk_vec3 lifted = bk_add_scaled(from->position, BK_LIFT, n);
-    bk_surroundings sums;
+    bk_surroundings sums = bk_no_surroundings();
     bk_uint i = 0, lane, counted = 0;
 
-    sums.open = sums.thickness = 0.0f;
-    sums.bent = bk_v3(0.0f, 0.0f, 0.0f);
     while (i < opens + solids) {
         const bk_uint open = i < opens, first = open ? i : i - opens, rays = open ? opens : solids;
         const bk_uint count = rays - first < BK_WIDTH ? rays - first : BK_WIDTH;
         const float sine2 = open ? params->open_sine2 : 1.0f;
         const float limit = open ? params->open_limit : params->thickness_limit;
-        const bk_vec3w cone = bk_cone_directions(from->seed ^ (open ? 0u : 4u), first, rays, sine2);
+        const bk_vec3w cone =
+            bk_cone_directions(from->seed ^ (open ? 0u : BK_SOLID_SEED), first, rays, sine2);
         const bk_vec3w direction = bk_around(cone, open ? n : inwards);
         bk_walk walk;
         const bk_fw t_far =
@@ -178,9 +209,7 @@ BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *param
         }
         i += count;
     }
-    if (opens)
-        sums.open = sums.open / (float)(bk_int)opens;
-    sums.thickness = counted ? sums.thickness / (float)(bk_int)counted : params->thickness_limit;
+    bk_mean_surroundings(params, opens, counted, &sums);
     return sums;
 }
 

@@ -220,18 +220,15 @@ const struct bake_map_row bake_map_table[] = {
                           .unit = "1 / mesh unit"},
     [BK_MAP_ao] = {.summary = "ambient occlusion: share of the hemisphere that is open",
                    .channels = 1,
-                   .needs_grid = true,
                    .resolve = resolve_mean,
                    .encode = encode_open},
     [BK_MAP_bent] = {.summary = "bent normals: mean open directions",
                      .channels = 3,
-                     .needs_grid = true,
                      .resolve = resolve_direction,
                      .encode = encode_normals,
                      .describe = describe_normals},
     [BK_MAP_thickness] = {.summary = "mean distance through the solid",
                           .channels = 1,
-                          .needs_grid = true,
                           .usual_type = BAKE_FLOAT,
                           .resolve = resolve_mean,
                           .encode = encode_thickness,
@@ -277,14 +274,13 @@ const char *bake_map_summary(unsigned number)
     return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
 }
 
-uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool exact)
+uint32_t bake_choose_maps(uint32_t asked, bool has_color)
 {
     const bool all = asked & BAKE_MAPS_ALL;
     uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
-            (has_color || !bake_map_table[i].needs_color) &&
-            !(exact && bake_map_table[i].needs_grid))
+            (has_color || !bake_map_table[i].needs_color))
             maps |= 1u << i;
     return maps;
 }

@@ -69,7 +69,6 @@ struct bake_map_row {
     uint32_t values;
     bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */
-    bool needs_grid;       /* rays start at hits, which exact baking does not do */
     bool color;            /* values are linear light; otherwise data, which is not transformed */
     uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
     /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */
@@ -99,7 +98,7 @@ extern const uint32_t bake_map_sums[BK_MAP_COUNT];
 void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value);
 
 /* Returns the maps to bake: those asked for, all, or the default ones. */
-uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool exact);
+uint32_t bake_choose_maps(uint32_t asked, bool has_color);
 
 /* Returns the length of rays into the solid, in mesh units. */
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],

@@ -100,14 +100,6 @@ int bake_surface_check(const struct bake_surface *surface)
     return surface->exact ? 0 : bsq_map_check(surface->ctx, &surface->grid.map);
 }
 
-int bake_scan_is_exact(struct bsq_ctx *ctx, const char *path, bool *out)
-{
-    enum fmt_kind kind = FMT_KIND_OTHER;
-    int status = fmt_recognise_scan(ctx, path, &kind);
-    *out = kind == FMT_KIND_TRIS;
-    return status;
-}
-
 int bake_surface_explain(const struct bake_surface *surface, int status)
 {
     return surface->exact || !surface->ctx
@@ -153,8 +145,8 @@ static void trace_grid_ray(const struct grid_trace *trace, const struct bake_exa
     if (d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f)
         bake_trace_ray(&trace->surface->grid, trace->params, ray->origin, d,
                        (float)(rays->t_min / unit), (float)(rays->t_max / unit), facing, &hit);
-    out->triangle = hit.found ? 0 : BAKE_EXACT_NONE;
-    out->t = (double)hit.t * unit;
+    *out = (struct bake_exact_hit){.triangle = hit.found ? 0 : BAKE_EXACT_NONE,
+                                   .t = (double)hit.t * unit};
     memcpy(out->normal, hit.normal, sizeof out->normal);
     memcpy(out->color, hit.color, sizeof out->color);
 }
@@ -173,7 +165,7 @@ static int trace_exact(const struct bake_surface *surface, const struct bake_sur
 {
     int status = 0;
     for (uint64_t at = 0; status == 0 && at < rays->count;) {
-        const uint64_t most = bake_exact_capacity(surface->exact), left = rays->count - at;
+        const uint64_t most = bake_exact_capacity(surface->exact, 0), left = rays->count - at;
         const struct bake_exact_batch batch = {.rays = rays->rays + at,
                                                .hits = rays->hits + at,
                                                .count = left < most ? left : most,
@@ -200,7 +192,7 @@ int bake_surface_trace(const struct bake_surface *surface, const struct bk_param
 uint64_t bake_surface_capacity(const struct bake_surface *surface)
 {
     if (surface->exact)
-        return bake_exact_capacity(surface->exact);
+        return bake_exact_capacity(surface->exact, 0);
     const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);
     const uint64_t most = bsq_memory_left(surface->ctx) / 8 / ray;
     return most < 1 ? 1 : most > MAX_GRID_RAYS ? MAX_GRID_RAYS : most;

@@ -32,8 +32,6 @@ void bake_surface_close(struct bake_surface *surface); /* a zeroed surface is al
 /* Checks the file of a grid: returns BSQ_EIO if it has been truncated or written to since it was
  * opened, so that hits cannot be trusted. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
-/* Sets *out if a scan is a chunk file, which is baked exactly. Errors: BSQ_ENOINPUT, BSQ_EIO. */
-int bake_scan_is_exact(struct bsq_ctx *ctx, const char *path, bool *out);
 /* Returns the cause of a job's status: that of bake_surface_check() if it fails, else `status`. For
  * the end of a job, see bsq_map_explain(). */
 int bake_surface_explain(const struct bake_surface *surface, int status);

@@ -127,6 +127,21 @@ code 0
 sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
     --mask-b exact_mask.exr --max-mean 0.4 --max-p95 1 --max-p99 1.5 --min-agreement 0.999
 
+# ---- rays from hits: voxels and exact maps; errors are those of rays that start a voxel higher ----
+
+around="--maps ao,thickness,mask --size 64 --samples 1 --ao-rays 32 --thickness-rays 32"
+for scan in tris nvdb; do
+    run bisque-bake vase.$scan low.obj $around -o "${scan}_<MAP>.exr"
+    code 0
+done
+if sanitized; then
+    limits="0.02 0.005"
+else
+    limits="0.01 0.0025"
+fi
+within "ambient occlusion of voxels" nvdb_ao.exr tris_ao.exr --mask tris_mask.exr --max-mean "${limits% *}"
+within "thickness of voxels" nvdb_thickness.exr tris_thickness.exr --mask tris_mask.exr --max-mean "${limits#* }"
+
 # ---- voxels of half a texel: 0.4 degrees, and a third of the nearest voxel's error ----
 
 # mean_error MAP: prints the mean difference from the exact map, in degrees.

@@ -118,7 +118,7 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
         assert_int_equal(bake_exact_use_color(exact), 0);
     assert_int_equal(bake_exact_wants_footprints(exact), setup->footprint != NULL);
     uint32_t *footprints = setup->footprint ? calloc(count, 4) : NULL;
-    uint64_t capacity = bake_exact_capacity(exact);
+    uint64_t capacity = bake_exact_capacity(exact, 0);
     for (uint64_t at = 0; at < count; at += capacity) {
         struct bake_exact_batch batch = {.rays = rays + at,
                                          .hits = hits + at,

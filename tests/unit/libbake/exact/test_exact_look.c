@@ -1,0 +1,436 @@
+/* test_exact_look.c - rays from hits on triangles: against formulas, against Embree with the same
+ * rays, and with any number of threads and any budget. */
+#include <embree3/rtcore.h>
+#include <float.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+#include "libbake/kernel/bk_secondary.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/libbake/exact/exact_fixture.h"
+
+static const double pi = 3.14159265358979323846;
+
+/* ---- looking ---- */
+
+/* Rays, their hits and what the rays from the hits found. */
+struct view {
+    uint64_t count;
+    struct bake_exact_ray *rays, *open; /* open: the first open ray of each hit */
+    struct bake_exact_hit *hits;
+    uint32_t *seeds;
+    bk_surroundings *found;
+    uint64_t loads;
+};
+
+static struct view view_new(uint64_t count)
+{
+    struct view view = {.count = count,
+                        .rays = calloc(count, sizeof *view.rays),
+                        .open = calloc(count, sizeof *view.open),
+                        .hits = calloc(count, sizeof *view.hits),
+                        .seeds = calloc(count, sizeof *view.seeds),
+                        .found = calloc(count, sizeof *view.found)};
+    for (uint64_t i = 0; i < count; i++)
+        view.seeds[i] = bk_hash((uint32_t)i);
+    return view;
+}
+
+static void view_free(struct view *view)
+{
+    free(view->rays);
+    free(view->open);
+    free(view->hits);
+    free(view->seeds);
+    free(view->found);
+}
+
+static struct bk_params usual(uint32_t rays)
+{
+    return (struct bk_params){.maps = BK_SECONDARY_MAPS,
+                              .unit = 1,
+                              .open_rays = rays,
+                              .thickness_rays = rays,
+                              .open_limit = FLT_MAX,
+                              .thickness_limit = 1000,
+                              .open_sine2 = 1};
+}
+
+static void look(const struct exact_setup *setup, const struct bk_params *params, struct view *view)
+{
+    struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
+    const struct bake_exact_options options = {.path = exact_scan_path,
+                                               .normals = setup->flat ? BSQ_SCAN_NORMALS_FLAT
+                                                                      : BSQ_SCAN_NORMALS_SMOOTH,
+                                               .two_sided = setup->two_sided};
+    const struct bake_exact_batch batch = {.rays = view->rays,
+                                           .hits = view->hits,
+                                           .count = view->count,
+                                           .t_min = setup->t_min,
+                                           .t_max = setup->t_max,
+                                           .facing_origin = setup->facing_origin};
+    const struct bake_exact_places places = {
+        .rays = view->rays, .hits = view->hits, .seeds = view->seeds, .count = view->count};
+    struct bake_exact *exact;
+    struct bake_exact_look *looking;
+    assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
+    assert_int_equal(bake_exact_look_create(exact, params, view->count, &looking), 0);
+    assert_int_equal(bake_exact_trace(exact, &batch), 0);
+    assert_int_equal(bake_exact_look_around(looking, &places, view->found), 0);
+    for (uint64_t i = 0; i < view->count; i++)
+        if (view->hits[i].triangle != BAKE_EXACT_NONE)
+            view->open[i] = bake_exact_open_ray(looking, &places, i, 0);
+    view->loads = bake_exact_look_loads(looking);
+    bake_exact_look_free(looking);
+    bake_exact_close(exact);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    assert_true(setup->memory == 0 || bsq_memory_high(ctx) <= setup->memory);
+    bsq_ctx_destroy(ctx);
+}
+
+/* Looks around from the front of the surface that a ray from above meets first. */
+static bk_surroundings look_from(const struct bk_params *params, double x, double y, double z)
+{
+    const struct exact_setup setup = {.threads = 1, .facing_origin = true, .t_max = 1};
+    struct view view = view_new(1);
+    view.rays[0] = (struct bake_exact_ray){{(float)x, (float)y, (float)z + 0.5f}, {0, 0, -1}};
+    look(&setup, params, &view);
+    assert_true(view.hits[0].triangle != BAKE_EXACT_NONE);
+    const bk_surroundings found = view.found[0];
+    view_free(&view);
+    return found;
+}
+
+static void assert_near(double value, double expected, double tolerance, const char *what)
+{
+    if (!(fabs(value - expected) <= tolerance))
+        print_error("%s: %g, expected %g\n", what, value, expected);
+    assert_true(fabs(value - expected) <= tolerance);
+}
+
+/* ---- formulas ---- */
+
+/* Adds a rectangle: a corner and two sides, whose cross product is its front. */
+static void add_rectangle(struct triangle_scan *mesh, const float corner[3], const float u[3],
+                          const float v[3])
+{
+    const uint32_t first = mesh->vertex_count, t = mesh->triangle_count;
+    for (uint32_t i = 0; i < 4; i++)
+        for (int k = 0; k < 3; k++)
+            mesh->positions[first + i][k] =
+                corner[k] + (i == 1 || i == 2 ? u[k] : 0) + (i >= 2 ? v[k] : 0);
+    memcpy(mesh->triangles[t], (uint32_t[3]){first, first + 1, first + 2}, 12);
+    memcpy(mesh->triangles[t + 1], (uint32_t[3]){first, first + 2, first + 3}, 12);
+    mesh->vertex_count += 4;
+    mesh->triangle_count += 2;
+}
+
+static struct triangle_scan begin_mesh(uint32_t rectangles)
+{
+    struct triangle_scan mesh = triangle_scan_new(4 * rectangles, 2 * rectangles);
+    mesh.vertex_count = mesh.triangle_count = 0;
+    return mesh;
+}
+
+/* Writes the mesh, so that its chunks have two triangles, and frees it. */
+static void end_mesh(struct triangle_scan *mesh)
+{
+    exact_write_scan(mesh, 2);
+    triangle_scan_free(mesh);
+}
+
+/* A floor beside a wall of height h: see the test of voxels in test_secondary.c. */
+static void test_a_wall_hides_half_of_a_floor(void **state)
+{
+    (void)state;
+    const double h = 150;
+    const struct bk_params params = usual(4096);
+    struct triangle_scan mesh = begin_mesh(2);
+    add_rectangle(&mesh, (float[]){0, -600, 0}, (float[]){120, 0, 0}, (float[]){0, 1200, 0});
+    add_rectangle(&mesh, (float[]){0, -600, 0}, (float[]){0, 1200, 0}, (float[]){0, 0, 150});
+    end_mesh(&mesh);
+    for (int i = 1; i < 7; i++) {
+        const double d = 1 << i;
+        const bk_surroundings found = look_from(&params, d, 0.3, 0);
+        const bk_vec3 bent = bk_unit(found.bent);
+        assert_near((double)found.open, 0.5 + d / sqrt(d * d + h * h) / 2, 0.002, "beside a wall");
+        assert_near((double)bent.y, 0, 0.01, "bent along the wall");
+        if (d < 5)
+            assert_near(atan2((double)bent.x, (double)bent.z), atan(2 / pi), 0.03,
+                        "bent away from the wall");
+    }
+}
+
+/* The floor's middle of a well sees the sky under r^2 / (r^2 + h^2). */
+static void test_a_tube_leaves_a_cone(void **state)
+{
+    (void)state;
+    enum { SIDES = 360 };
+    const double r = 40.3, h = 61;
+    struct bk_params params = usual(4096);
+    struct triangle_scan mesh = begin_mesh(SIDES + 1);
+    for (int i = 0; i < SIDES; i++) {
+        const double a = 2 * pi * i / SIDES, b = 2 * pi * (i + 1) / SIDES;
+        const float side[3] = {(float)(r * (cos(b) - cos(a))), (float)(r * (sin(b) - sin(a))), 0};
+        add_rectangle(&mesh, (float[]){(float)(r * cos(a)), (float)(r * sin(a)), 0},
+                      (float[]){0, 0, (float)h}, side);
+    }
+    add_rectangle(&mesh, (float[]){-41, -41, 0}, (float[]){82, 0, 0}, (float[]){0, 82, 0});
+    end_mesh(&mesh);
+    const double share = r * r / (r * r + h * h);
+    assert_near((double)look_from(&params, 0, 0, 0).open, share, 0.003, "in a tube");
+    params.open_sine2 = 0.1f;
+    assert_near((double)look_from(&params, 0, 0, 0).open, 1, 0, "in a cone");
+    params.open_sine2 = 0.6f;
+    assert_near((double)look_from(&params, 0, 0, 0).open, share / 0.6, 0.003, "in a wider cone");
+    params.open_sine2 = 1;
+    params.open_limit = (float)r - 1;
+    assert_near((double)look_from(&params, 0, 0, 0).open, 1, 0, "with short rays");
+}
+
+static void test_falloff_is_linear(void **state)
+{
+    (void)state;
+    const double h = 20.4, l = 100, share = h / l;
+    struct bk_params params = usual(4096);
+    struct triangle_scan mesh = begin_mesh(2);
+    add_rectangle(&mesh, (float[]){-4, -4, 0}, (float[]){8, 0, 0}, (float[]){0, 8, 0});
+    add_rectangle(&mesh, (float[]){-120, -120, (float)h}, (float[]){0, 240, 0},
+                  (float[]){240, 0, 0});
+    end_mesh(&mesh);
+    params.open_limit = (float)l;
+    assert_near((double)look_from(&params, 0.1, 0.2, 0).open, share * share, 0.002,
+                "below a ceiling");
+    params.flags |= BK_OPEN_FALLOFF;
+    assert_near((double)look_from(&params, 0.1, 0.2, 0).open,
+                2 * share * (1 - share) + share * share, 0.002, "with falloff");
+}
+
+/* A slab of height h, with rays of at most l: 2 h - h^2 / l. */
+static void test_a_slab_is_as_thick_as_it_is(void **state)
+{
+    (void)state;
+    static const double heights[] = {0.001, 0.4, 3.3, 20.6};
+    for (int i = 0; i < 4; i++) {
+        const double h = heights[i], l = 60;
+        struct bk_params params = usual(4096);
+        struct triangle_scan mesh = begin_mesh(2);
+        add_rectangle(&mesh, (float[]){-90, -90, 0}, (float[]){0, 180, 0}, (float[]){180, 0, 0});
+        add_rectangle(&mesh, (float[]){-90, -90, (float)h}, (float[]){180, 0, 0},
+                      (float[]){0, 180, 0});
+        end_mesh(&mesh);
+        params.thickness_limit = (float)l;
+        const bk_surroundings found = look_from(&params, 0.3, 0.2, h);
+        assert_near((double)found.thickness, 2 * h - h * h / l, 0.02 * h, "thickness of a slab");
+        assert_near((double)found.open, 1, 0, "above a slab");
+    }
+}
+
+/* A ball of facets hides nothing of itself, although rays follow smooth normals. Its mean chord is
+ * 4 r / 3. With both sides, a ball that is wound inwards is the same. */
+static void test_a_ball_is_open_and_thick(void **state)
+{
+    (void)state;
+    enum { ACROSS = 40, ROWS = 20, POINTS = 300 };
+    struct triangle_scan mesh = triangle_scan_new((ACROSS + 1) * (ROWS + 1), 2 * ACROSS * ROWS);
+    const double r = 7;
+    for (uint32_t v = 0; v < mesh.vertex_count; v++) {
+        const double polar = pi * (v / (ACROSS + 1)) / ROWS;
+        const double angle = 2 * pi * (v % (ACROSS + 1) % ACROSS) / ACROSS;
+        mesh.positions[v][0] = (float)(r * sin(polar) * cos(angle));
+        mesh.positions[v][1] = (float)(r * sin(polar) * sin(angle));
+        mesh.positions[v][2] = (float)(r * cos(polar));
+    }
+    for (int inwards = 0; inwards < 2; inwards++) {
+        const struct exact_setup setup = {
+            .threads = 2, .two_sided = inwards, .facing_origin = true, .t_max = 20};
+        const struct bk_params params = usual(256);
+        struct view view = view_new(POINTS);
+        for (uint32_t q = 0; q < ACROSS * ROWS; q++) {
+            const uint32_t a = q / ACROSS * (ACROSS + 1) + q % ACROSS, c = a + ACROSS + 1;
+            const uint32_t second = inwards ? c + 1 : c, third = inwards ? c : c + 1;
+            memcpy(mesh.triangles[2 * q], (uint32_t[3]){a, second, third}, 12);
+            memcpy(mesh.triangles[2 * q + 1],
+                   (uint32_t[3]){a, inwards ? a + 1 : c + 1, inwards ? c + 1 : a + 1}, 12);
+        }
+        exact_write_scan(&mesh, 100);
+        for (int i = 0; i < POINTS; i++) {
+            const float origin[3] = {exact_between(9, 12), exact_between(-9, 9),
+                                     exact_between(-9, 9)};
+            memcpy(view.rays[i].origin, origin, sizeof origin);
+            exact_toward(origin, (double[]){0.3, 0.2, -0.1}, view.rays[i].direction);
+        }
+        look(&setup, &params, &view);
+        for (int i = 0; i < POINTS; i++) {
+            assert_true(view.hits[i].triangle != BAKE_EXACT_NONE);
+            assert_int_equal(view.hits[i].reversed, inwards);
+            assert_near((double)view.found[i].open, 1, 0, "of a ball");
+            assert_near((double)view.found[i].thickness, 4 * r / 3, 0.02 * r,
+                        "thickness of a ball");
+        }
+        view_free(&view);
+    }
+    triangle_scan_free(&mesh);
+}
+
+/* ---- Embree ---- */
+
+static RTCScene embree_scene(RTCDevice device, const struct triangle_scan *mesh)
+{
+    RTCScene scene = rtcNewScene(device);
+    RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+    memcpy(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12,
+                                   mesh->vertex_count),
+           mesh->positions, 12 * mesh->vertex_count);
+    memcpy(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12,
+                                   mesh->triangle_count),
+           mesh->triangles, 12 * mesh->triangle_count);
+    rtcCommitGeometry(geometry);
+    rtcAttachGeometry(scene, geometry);
+    rtcReleaseGeometry(geometry);
+    rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
+    rtcCommitScene(scene);
+    return scene;
+}
+
+static bool embree_occluded(RTCScene scene, const struct bake_exact_ray *ray, float limit)
+{
+    struct RTCIntersectContext context;
+    struct RTCRay query = {.org_x = ray->origin[0],
+                           .org_y = ray->origin[1],
+                           .org_z = ray->origin[2],
+                           .dir_x = ray->direction[0],
+                           .dir_y = ray->direction[1],
+                           .dir_z = ray->direction[2],
+                           .tfar = limit,
+                           .mask = UINT32_MAX};
+    rtcInitIntersectContext(&context);
+    rtcOccluded1(scene, &context, &query);
+    return query.tfar < 0;
+}
+
+/* One open ray from each hit has the same bit in Embree, which works in float. */
+static void test_rays_are_hidden_where_embree_hides_them(void **state)
+{
+    (void)state;
+    enum { RAYS = 30000 };
+    static const float limits[] = {FLT_MAX, 0.3f};
+    struct triangle_scan mesh = exact_torus(300, 200);
+    const struct exact_setup setup = {.threads = 2, .two_sided = true, .t_min = -1, .t_max = 1};
+    struct view view = view_new(RAYS);
+    exact_write_scan(&mesh, 1500);
+    exact_random_rays(view.rays, RAYS, -1.5, 1.5);
+    RTCDevice device = rtcNewDevice("threads=1,set_affinity=0");
+    RTCScene scene = embree_scene(device, &mesh);
+    for (int i = 0; i < 2; i++) {
+        struct bk_params params = usual(1);
+        uint32_t count = 0, same = 0, open = 0;
+        params.maps = 1u << BK_MAP_ao;
+        params.open_limit = limits[i];
+        look(&setup, &params, &view);
+        for (uint32_t r = 0; r < RAYS; r++) {
+            if (view.hits[r].triangle == BAKE_EXACT_NONE)
+                continue;
+            const bool hidden = view.found[r].open == 0;
+            count++;
+            open += !hidden;
+            same += hidden == embree_occluded(scene, &view.open[r], limits[i]);
+        }
+        print_message("%u rays from hits, %u open, %u differ from Embree\n", count, open,
+                      count - same);
+        assert_true(count > RAYS / 4 && open > count / 4 && open < count - count / 40);
+        assert_true(count - same <= count / 1000);
+    }
+    rtcReleaseScene(scene);
+    rtcReleaseDevice(device);
+    view_free(&view);
+    triangle_scan_free(&mesh);
+}
+
+/* ---- threads and memory ---- */
+
+/* Chunks pass through memory in groups if they do not fit, for one batch of places after another.
+ */
+static void test_results_depend_on_neither_threads_nor_memory(void **state)
+{
+    (void)state;
+    enum { RAYS = 800, CHUNKS = 80 };
+    static const struct {
+        unsigned threads;
+        uint64_t memory;
+    } runs[] = {{1, 0}, {5, 0}, {2, UINT64_C(5) << 19}, {1, UINT64_C(3) << 19}};
+    struct triangle_scan mesh = exact_torus(300, 200);
+    struct view expected = view_new(RAYS), view = view_new(RAYS);
+    exact_write_scan(&mesh, 1500);
+    exact_random_rays(expected.rays, RAYS, -1.5, 1.5);
+    memcpy(view.rays, expected.rays, RAYS * sizeof *view.rays);
+    for (int falloff = 0; falloff < 2; falloff++) {
+        struct bk_params params = usual(100);
+        params.flags = falloff ? BK_OPEN_FALLOFF : 0;
+        params.open_limit = falloff ? 0.5f : FLT_MAX;
+        for (size_t r = 0; r < sizeof runs / sizeof *runs; r++) {
+            const struct exact_setup setup = {.threads = runs[r].threads,
+                                              .memory = runs[r].memory,
+                                              .two_sided = true,
+                                              .t_min = -1,
+                                              .t_max = 1};
+            struct view *to = r == 0 ? &expected : &view;
+            look(&setup, &params, to);
+            print_message("%u threads, %llu bytes: %llu chunks loaded\n", runs[r].threads,
+                          (unsigned long long)runs[r].memory, (unsigned long long)to->loads);
+            if (runs[r].memory == 0)
+                assert_int_equal(to->loads, CHUNKS);
+            else
+                assert_true(to->loads > CHUNKS);
+            assert_memory_equal(to->found, expected.found, RAYS * sizeof *view.found);
+        }
+    }
+    view_free(&view);
+    view_free(&expected);
+    triangle_scan_free(&mesh);
+}
+
+/* Chunks that short rays cannot reach are not loaded, if not all fit. */
+static void test_short_rays_load_few_chunks(void **state)
+{
+    (void)state;
+    enum { RAYS = 200 };
+    struct triangle_scan mesh = exact_torus(300, 200);
+    struct exact_setup setup = {
+        .threads = 1, .memory = UINT64_C(3) << 19, .two_sided = true, .t_min = -1, .t_max = 1};
+    struct bk_params params = usual(64);
+    struct view view = view_new(RAYS);
+    exact_write_scan(&mesh, 1500);
+    for (int i = 0; i < RAYS; i++) {
+        view.rays[i] = (struct bake_exact_ray){{exact_between(1.1, 1.3), 0, 0.6f}, {0, 0, -1}};
+        view.rays[i].origin[1] = exact_between(-0.1, 0.1);
+    }
+    params.maps = 1u << BK_MAP_ao;
+    params.open_limit = 0.05f;
+    look(&setup, &params, &view);
+    assert_in_range(view.loads, 1, 20);
+    view_free(&view);
+    triangle_scan_free(&mesh);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_a_wall_hides_half_of_a_floor),
+        cmocka_unit_test(test_a_tube_leaves_a_cone),
+        cmocka_unit_test(test_falloff_is_linear),
+        cmocka_unit_test(test_a_slab_is_as_thick_as_it_is),
+        cmocka_unit_test(test_a_ball_is_open_and_thick),
+        cmocka_unit_test(test_rays_are_hidden_where_embree_hides_them),
+        cmocka_unit_test(test_results_depend_on_neither_threads_nor_memory),
+        cmocka_unit_test(test_short_rays_load_few_chunks),
+    };
+    print_message("seed %llu\n", (unsigned long long)exact_seed);
+    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+}
