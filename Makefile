@@ -34,7 +34,7 @@ CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
 # A program loads only the shared libraries that it calls.
 LDFLAGS  += -Wl,--as-needed
 
-pc_formats := OpenEXR libpng libxxhash
+pc_formats := OpenEXR libpng libxxhash jansson
 pc_texture := OpenImageIO Imath libpng
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
@@ -68,7 +68,8 @@ src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pyramid.cc 
     texture_formats.cc png_rows.c)
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
-module_headers  := $(addprefix base/,version.h context.h file.h output.h parallel.h) \
+module_headers  := $(addprefix base/,version.h context.h file.h file_part.h output.h \
+    parallel.h) \
     $(addprefix formats/,module/module.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
     texture/texture.h texture/texture_module.h)
@@ -310,6 +311,7 @@ fuzz.scan  := $(fuzz.tris)
 fuzz.obj   := $(BUILD)/obj/tests/fuzz/mesh_check.c.o
 fuzz.ply   := $(fuzz.obj)
 fuzz.stl   := $(fuzz.obj)
+fuzz.gltf  := $(fuzz.obj)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)

@@ -5,6 +5,7 @@
  * chunk checks what a checksum does not prove: indices, bounds, finite numbers. So callers use a
  * chunk without checks of their own. */
 #include "formats/chunks/tris_internal.h"
+#include "base/file_part.h"
 #include "base/job_files.h"
 
 #include <inttypes.h>
@@ -105,6 +106,20 @@ static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *
     return 0;
 }
 
+/* Notes a texture among the job's inputs; for a part of a file, that file. */
+static int note_texture(const struct fmt_tris_file *file, char *path)
+{
+    struct bsq_part part;
+    const size_t length = bsq_part_parse(path, &part);
+    const char mark = path[length];
+    if (length > 0)
+        path[length] = '\0';
+    int status = bsq_note_input(file->ctx, path, "the texture that %s names", file->file.path);
+    if (length > 0)
+        path[length] = mark;
+    return status;
+}
+
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     uint64_t bytes = h->table_offset - h->materials_offset, at = 0;
@@ -134,8 +149,7 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         text[record.path_bytes] = '\0';
         if (text[0] != '/')
             return fmt_tris_damaged(file, "a texture's path is not absolute");
-        if ((status =
-                 bsq_note_input(file->ctx, text, "the texture that %s names", file->file.path)) < 0)
+        if ((status = note_texture(file, text)) < 0)
             return status;
         text += record.path_bytes + 1;
         at += record.path_bytes;

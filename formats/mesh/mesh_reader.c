@@ -61,7 +61,6 @@ static const struct foreign {
     {"\x28\xb5\x2f\xfd", 4, "a file packed by Zstandard", "unpack it first"},
     {"PK\x03\x04", 4, "a ZIP archive", "unpack it first"},
     {"7z\xbc\xaf\x27\x1c", 6, "a 7z archive", "unpack it first"},
-    {"glTF", 4, "a glTF file", "export the mesh as OBJ"},
     {"Kaydara FBX Binary", 18, "an FBX file", "export the mesh as OBJ"},
     {"BLENDER", 7, "a Blender file", "export the mesh as OBJ"},
     {"\xff\xfe", 2, "text in UTF-16", "save it as UTF-8"},

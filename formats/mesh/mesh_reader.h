@@ -68,6 +68,7 @@ struct fmt_mesh_totals {
     uint32_t materials;     /* that faces refer to */
     uint64_t skipped_lines; /* statements that the format does not define, skipped */
     uint64_t short_faces;   /* faces with fewer than three corners, skipped */
+    bool has_tangents;      /* the file has tangents, which are not read */
     /* Says which colours of the file are not read and what the user can do; NULL if there are none.
      * Static storage. */
     const char *unread_colors;

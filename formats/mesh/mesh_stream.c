@@ -60,13 +60,26 @@ void fmt_stream_close_sources(struct stream_reader *reader)
     bsq_free(ctx, reader->places);
 }
 
+/* Opens a file before its first part. */
+static int enter_file(struct stream_reader *reader, uint32_t number)
+{
+    struct stream_source *source = &reader->sources[number];
+    int status = bsq_file_open(reader->base.ctx, source->path, &source->file);
+    if (!status && reader->stream->open)
+        status = reader->stream->open(reader, number);
+    return status;
+}
+
 /* Closes a file after its last part. Errors: BSQ_EIO if it was changed meanwhile. */
 static int close_source(struct stream_reader *reader, struct stream_source *source)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     int status = source->file.fd >= 0 ? bsq_file_check(ctx, &source->file) : 0;
     bsq_file_close(ctx, &source->file);
-    return status;
+    const int closed = reader->stream->close
+                           ? reader->stream->close(reader, (uint32_t)(source - reader->sources))
+                           : 0;
+    return status ? status : closed;
 }
 
 int fmt_stream_reserve(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t size)
@@ -113,9 +126,8 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
     (void)sequence;
     while (job->cut.source < reader->source_count) {
         struct stream_source *source = &reader->sources[job->cut.source];
-        int status = source->file.fd < 0 && job->cut.end == 0
-                         ? bsq_file_open(reader->base.ctx, source->path, &source->file)
-                         : 0;
+        int status =
+            source->file.fd < 0 && job->cut.end == 0 ? enter_file(reader, job->cut.source) : 0;
         slot->loaded = false;
         slot->error[0] = '\0';
         slot->part = (struct stream_part){.source = job->cut.source};
@@ -166,6 +178,8 @@ static int enter_source(struct job *job, uint32_t number)
 static int fail_part(const struct stream_reader *reader, const struct stream_slot *slot)
 {
     const char *path = reader->sources[slot->part.source].path;
+    if (slot->at == 0)
+        return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s: %s", path, slot->error);
     if (slot->part.first_line)
         return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s", path, slot->at,
                         slot->error);
@@ -357,16 +371,15 @@ static int parse_again(struct stream_reader *reader, const struct stream_part *p
     struct stream_source *source = &reader->sources[part->source];
     struct stream_slot slot = {.part = *part, .last_face = face};
     bool opened = source->file.fd < 0;
-    int status = opened ? bsq_file_open(ctx, source->path, &source->file) : 0;
+    int status = opened ? enter_file(reader, part->source) : 0;
     if (!status)
         status = fmt_stream_load(reader, &slot);
     if (!status)
         status = reader->stream->parse(reader, &slot);
     *at = slot.at;
     free_slot(ctx, &slot);
-    if (opened)
-        bsq_file_close(ctx, &source->file);
-    return status;
+    const int closed = opened ? close_source(reader, source) : 0;
+    return status ? status : closed;
 }
 
 int fmt_stream_locate_face(struct stream_reader *reader, uint64_t face, struct fmt_mesh_place *out)

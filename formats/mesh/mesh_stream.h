@@ -77,6 +77,11 @@ struct stream_reader {
 
 /* What a format does. The reader is a structure that begins with a struct stream_reader. */
 struct stream_format {
+    /* Open and close what belongs to file number `source` besides the file itself, before its first
+     * cut and after its last part has passed. Both may be NULL. Closing what is not open does
+     * nothing; after a failure of `open` it is called too. */
+    int (*open)(struct stream_reader *reader, uint32_t source);
+    int (*close)(struct stream_reader *reader, uint32_t source);
     /* Sets slot->part to the part after `before`, which is all zero but for `source` at the start
      * of a file. Returns 1, or 0 if the file has no more parts. May load slot->bytes; then it sets
      * slot->loaded. What is wrong with the file goes to slot->error, as in `parse`. */
@@ -112,8 +117,9 @@ int fmt_stream_reserve(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t s
 /* Loads the bytes of a part, unless they are loaded. */
 int fmt_stream_load(struct stream_reader *reader, struct stream_slot *slot);
 
-/* Describes what is wrong with a part, at a line or byte of its file. Returns 0, so that a parse
- * function can return it. Only the first description of a part is kept. */
+/* Describes what is wrong with a part, at a line or byte of its file; 0: the text says where.
+ * Returns 0, so that a parse function can return it. Only the first description of a part is kept.
+ */
 int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 

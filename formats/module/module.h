@@ -8,6 +8,7 @@
 #define FMT_MODULE_MODULE_H
 
 #include "base/file.h"
+#include "base/file_part.h"
 #include "base/output.h"
 #include "base/parallel.h"
 
@@ -31,6 +32,8 @@ extern "C" {
     X(file_temp)                                                                                   \
     X(file_close)                                                                                  \
     X(file_read_some)                                                                              \
+    X(part_parse)                                                                                  \
+    X(part_extract)                                                                                \
     X(file_write)                                                                                  \
     X(output_write_at)
 

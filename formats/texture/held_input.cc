@@ -89,19 +89,29 @@ bool same_shape(const OIIO::ImageSpec &a, const OIIO::ImageSpec &b)
 
 int HeldImage::probe()
 {
+    struct bsq_part range;
+    if (host->part_parse(path.c_str(), &range)) {
+        int failure = host->part_extract(ctx, path.c_str(), &part);
+        return failure ? failure : probe_file(part);
+    }
     struct bsq_file file;
     int failure = host->file_open(ctx, path.c_str(), &file);
-    if (failure)
-        return failure;
+    if (!failure)
+        failure = probe_file(file);
+    host->file_close(ctx, &file);
+    return failure;
+}
+
+int HeldImage::probe_file(const struct bsq_file &file)
+{
     Probe found = {host, ctx, &file, {0}};
     uint64_t got = 0;
-    failure = host->file_read_some(ctx, &file, found.head, sizeof found.head, 0, &got);
+    int failure = host->file_read_some(ctx, &file, found.head, sizeof found.head, 0, &got);
     if (!failure && !(kind = find_image_kind(found)))
         failure = host->fail(ctx, BSQ_EDATA, "%s: not a readable image: it is no %s", path.c_str(),
                              image_kinds_text);
     if (!failure && kind->whole)
         whole = kind->whole(found);
-    host->file_close(ctx, &file);
     return failure;
 }
 
@@ -152,11 +162,13 @@ int HeldInput::open_inner()
 {
     OIIO::ImageSpec found, config;
     config["oiio:UnassociatedAlpha"] = 1;
-    int status =
-        image->temporary >= 0 ? 0 : image->host->file_open(image->ctx, image->path.c_str(), &file);
-    if (status)
-        return status;
-    int fd = image->temporary >= 0 ? image->temporary : file.fd;
+    int fd = image->temporary >= 0 ? image->temporary : image->part.fd;
+    if (fd < 0) {
+        int status = image->host->file_open(image->ctx, image->path.c_str(), &file);
+        if (status)
+            return status;
+        fd = file.fd;
+    }
     errno = 0;
     if (std::strcmp(image->kind->plugin, "png") == 0)
         inner.reset(new PngInput(fd));

@@ -18,7 +18,8 @@ namespace fmt
 struct HeldImage {
     const struct fmt_host *host = nullptr;
     struct bsq_ctx *ctx = nullptr;
-    std::string path;
+    std::string path;                       // of a file, or the name of a part (base/file_part.h)
+    struct bsq_file part = BSQ_FILE_CLOSED; // copy of the part
     int temporary = -1; // descriptor of a tiled copy, which has no name: `path` is for messages
     const ImageKind *kind = nullptr; // set by probe()
     Whole whole = {0, 0, 0};         // set by probe()
@@ -27,9 +28,18 @@ struct HeldImage {
     std::atomic<int> status{0}; // first failure that was reported to the context
     std::atomic<int> error{0};  // errno of the first failed read; OpenImageIO's callers lose it
 
+    ~HeldImage()
+    {
+        if (part.fd >= 0)
+            host->file_close(ctx, &part);
+    }
+
     // Finds out the format and what decoding takes, without decoding. Errors: those of
     // bsq_file_open(); BSQ_EDATA.
     int probe();
+
+  private:
+    int probe_file(const struct bsq_file &file);
 };
 
 // An opened image, of whose channels it gives the first three, or one. OpenImageIO reads the file

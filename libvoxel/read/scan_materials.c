@@ -3,6 +3,7 @@
  * The table has the materials that faces use and that have a texture or a colour. Texture
  * coordinates are kept if some material has a texture. A textured material has a second entry
  * without texture, for triangles that lack texture coordinates. */
+#include "base/file_part.h"
 #include "base/job_files.h"
 #include "libvoxel/read/scan.h"
 
@@ -11,18 +12,32 @@
 #include <string.h>
 #include <unistd.h>
 
-/* Returns in *out the absolute path of a texture, which the scan owns. */
+/* Returns in *out the absolute path of a texture, which the scan owns. A texture that is a part of
+ * a file keeps the end of its name. */
 static int resolve_texture(struct scan *scan, const char *path, char **out)
 {
-    char *absolute = realpath(path, NULL);
+    struct bsq_part part;
+    const size_t length = bsq_part_parse(path, &part);
+    const char *end = length > 0 ? path + length : "";
+    char *own = strndup(path, length > 0 ? length : strlen(path));
+    char *absolute = own ? realpath(own, NULL) : NULL;
+    free(own);
     if (!absolute)
         return bsq_fail_errno(scan->ctx, BSQ_ENOINPUT, errno, "%s: texture", path);
-    size_t size = strlen(absolute) + 1;
-    int status = bsq_alloc(scan->ctx, "materials", size, 1, out);
-    if (status == 0)
+    size_t size = strlen(absolute), end_size = strlen(end) + 1;
+    int status = bsq_alloc(scan->ctx, "materials", size + end_size, 1, out);
+    if (status == 0) {
         memcpy(*out, absolute, size);
+        memcpy(*out + size, end, end_size);
+    }
     free(absolute);
     return status;
+}
+
+static bool texture_exists(const char *path)
+{
+    struct bsq_part part;
+    return bsq_part_parse(path, &part) > 0 || access(path, F_OK) == 0;
 }
 
 static uint32_t add_material(struct scan *scan, char *texture_path, const float diffuse[3])
@@ -67,7 +82,7 @@ static int add_own_material(struct scan *scan, const struct fmt_material *from, 
 {
     uint32_t *map = &scan->material_map[2 * usemtl];
     bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0;
-    if (textured && access(from->texture_path, F_OK) != 0) {
+    if (textured && !texture_exists(from->texture_path)) {
         bsq_warn(scan->ctx, "%s: no such texture: material \"%s\" goes without it",
                  from->texture_path, from->name);
         textured = false;

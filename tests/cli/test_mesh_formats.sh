@@ -33,12 +33,28 @@ run bisque-voxelize scan.stl -o small.nvdb --resolution 200 --memory 64M --threa
 code 0
 same scan.obj.nvdb small.nvdb
 
+# GLB files of positions and normals.
+for normals in "" "--normals --shuffle 3"; do
+    # shellcheck disable=SC2086 # see above
+    "$TESTS/generate-scan" --triangles 20000 $normals vase -o scan.obj
+    python3 "$top/tests/scan/write_glb.py" scan.obj scan.glb
+    for suffix in obj glb; do
+        run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 200
+        code 0
+    done
+    same scan.obj.tris scan.glb.tris
+    same scan.obj.nvdb scan.glb.nvdb
+done
+run bisque-voxelize scan.glb -o small.nvdb --resolution 200 --memory 64M --threads 1
+code 0
+same scan.obj.nvdb small.nvdb
+
 compare --colors --normals --uvs --shuffle 1
 compare --corners 6 --colors
 compare --offset 500000,4000000,300
 
 # Files that other programs wrote.
-for kind in plain colors faces; do
+for kind in plain colors faces linear twice; do
     run bisque-voxelize "$top/tests/meshes/$kind.obj" -o "$kind.nvdb" --voxel-size 0.02
     code 0
     for file in "$top/tests/meshes/$kind".*.*; do
@@ -49,6 +65,23 @@ for kind in plain colors faces; do
             same "$kind.tris" other.tris
         fi
     done
+done
+
+run bisque-voxelize "$top/tests/meshes/plain.obj" -o plain.nvdb --voxel-size 0.02
+code 0
+python=
+for candidate in python3 /usr/bin/python3; do
+    [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
+done
+for file in "$top/tests/meshes"/packed.*; do
+    run bisque-voxelize "$file" -o packed.nvdb --voxel-size 0.02
+    code 0
+    if [ -n "$python" ]; then
+        "$python" -B "$top/tests/meshes/same_triangles.py" 0.00002 plain.tris packed.tris
+        check "the triangles of $file" $?
+    else
+        skip "the triangles of $file" "python3-numpy or python3-xxhash is not installed"
+    fi
 done
 
 # Colours of faces and textures, as from MTL files.
@@ -138,6 +171,29 @@ for name in faces texture; do
         fi
     done
 done
+
+# The same texture in glTF files: beside the file, in a data URI, and in the binary chunk.
+python3 "$top/tests/scan/write_square.py"
+run bisque-voxelize texture.obj -o texture.nvdb --resolution 64
+code 0
+for file in beside.gltf inside.gltf image.glb; do
+    run bisque-voxelize $file -o other.nvdb --tris other.tris --resolution 64
+    code 0
+    out_like 'with colour'
+    same texture.nvdb other.nvdb
+    run bisque-voxelize other.tris -o again.nvdb --resolution 64
+    code 0
+    same texture.nvdb again.nvdb
+done
+run bisque-voxelize beside.gltf -o a.nvdb --tris image.ppm
+code 64
+err 'bisque-voxelize: image.ppm: this output would overwrite the texture that beside.gltf names'
+run bisque-voxelize beside.gltf -o a.nvdb --tris square.bin
+code 64
+err 'bisque-voxelize: square.bin: this output would overwrite the buffer that beside.gltf names'
+run bisque-voxelize other.tris -o image.glb --resolution 64
+code 64
+err_like '^bisque-voxelize: image.glb: this output would overwrite .*, the texture that other.tris names$'
 
 # A texture is an input: no output may replace it.
 run bisque-voxelize texture.ply -o a.nvdb --tris image.ppm

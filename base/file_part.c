@@ -1,0 +1,182 @@
+/* file_part.c - see file_part.h. */
+#include "base/file_part.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+/* ---- names ---- */
+
+/* Reads a decimal number up to `*text`'s first other character. Returns false if there is none. */
+static bool read_number(const char **text, uint64_t *out)
+{
+    const char *p = *text;
+    *out = 0;
+    for (; *p >= '0' && *p <= '9'; p++)
+        if (__builtin_mul_overflow(*out, 10, out) ||
+            __builtin_add_overflow(*out, (uint64_t)(*p - '0'), out))
+            return false;
+    bool found = p > *text;
+    *text = p;
+    return found;
+}
+
+/* Reads "#bytes=OFFSET+SIZE" or "#base64=OFFSET,FIRST+SIZE", up to the end of the text. */
+static bool read_range(const char *text, struct bsq_part *out)
+{
+    *out = (struct bsq_part){.base64 = strncmp(text, "#base64=", 8) == 0};
+    if (!out->base64 && strncmp(text, "#bytes=", 7) != 0)
+        return false;
+    text += out->base64 ? 8 : 7;
+    if (!read_number(&text, &out->offset))
+        return false;
+    if (out->base64 && (*text++ != ',' || !read_number(&text, &out->first)))
+        return false;
+    return *text++ == '+' && read_number(&text, &out->size) && *text == '\0' &&
+           out->size <= INT64_MAX / 4 && out->first <= INT64_MAX / 4 &&
+           out->offset <= INT64_MAX / 4;
+}
+
+size_t bsq_part_parse(const char *name, struct bsq_part *out)
+{
+    const char *mark = strrchr(name, '#');
+    if (!mark || mark == name || !read_range(mark, out) || access(name, F_OK) == 0)
+        return 0;
+    return (size_t)(mark - name);
+}
+
+int bsq_part_name(struct bsq_ctx *ctx, const char *path, const struct bsq_part *part, char **out)
+{
+    const size_t size = strlen(path) + sizeof "#base64=,+" + 3 * 20;
+    int status = bsq_alloc(ctx, "names", size, 1, out);
+    if (!status && part->base64)
+        snprintf(*out, size, "%s#base64=%" PRIu64 ",%" PRIu64 "+%" PRIu64, path, part->offset,
+                 part->first, part->size);
+    else if (!status)
+        snprintf(*out, size, "%s#bytes=%" PRIu64 "+%" PRIu64, path, part->offset + part->first,
+                 part->size);
+    return status;
+}
+
+/* ---- base64 ---- */
+
+/* Returns the six bits that a character of base64 stands for, or -1. */
+static int bits_of(char c)
+{
+    if (c >= 'A' && c <= 'Z')
+        return c - 'A';
+    if (c >= 'a' && c <= 'z')
+        return c - 'a' + 26;
+    if (c >= '0' && c <= '9')
+        return c - '0' + 52;
+    return c == '+' ? 62 : c == '/' ? 63 : -1;
+}
+
+/* Decodes up to four characters. Returns the number of bytes that they hold, 0 to 3. */
+static unsigned decode_group(const char *text, uint64_t length, uint8_t out[3])
+{
+    uint32_t bits = 0;
+    unsigned count = 0;
+    while (count < 4 && count < length && bits_of(text[count]) >= 0)
+        bits = bits << 6 | (uint32_t)bits_of(text[count++]);
+    bits <<= 6 * (4 - count);
+    out[0] = (uint8_t)(bits >> 16);
+    out[1] = (uint8_t)(bits >> 8);
+    out[2] = (uint8_t)bits;
+    return count > 0 ? count - 1 : 0;
+}
+
+enum { GROUPS = 1024 }; /* decoded at a time */
+
+/* Decodes bytes from the group that holds byte number `at` of the text on, at most `size` bytes.
+ * Sets *done to their number; 0: the text has no such byte. */
+static int read_groups(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t text, uint64_t at,
+                       uint8_t *to, uint64_t size, uint64_t *done)
+{
+    char letters[4 * GROUPS];
+    uint8_t bytes[3];
+    uint64_t skip = at % 3, length = 0, groups = (skip + size + 2) / 3;
+    if (groups > GROUPS)
+        groups = GROUPS;
+    int status = bsq_file_read_some(ctx, file, letters, 4 * groups, text + 4 * (at / 3), &length);
+    *done = 0;
+    for (uint64_t i = 0; !status && i < groups && *done < size; i++) {
+        uint64_t rest = length > 4 * i ? length - 4 * i : 0;
+        unsigned have = decode_group(letters + 4 * i, rest, bytes);
+        for (uint64_t k = skip; k < have && *done < size; k++)
+            to[(*done)++] = bytes[k];
+        skip = 0;
+        if (have < 3)
+            break;
+    }
+    return status;
+}
+
+int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
+                  void *to, uint64_t size, uint64_t at)
+{
+    if (!part->base64)
+        return bsq_file_read(ctx, file, to, size, part->offset + part->first + at);
+    uint8_t *next = to;
+    at += part->first;
+    while (size > 0) {
+        uint64_t done;
+        int status = read_groups(ctx, file, part->offset, at, next, size, &done);
+        if (!status && done == 0)
+            status = bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": malformed base64", file->path,
+                              part->offset + at / 3 * 4);
+        if (status)
+            return status;
+        next += done;
+        at += done;
+        size -= done;
+    }
+    return 0;
+}
+
+/* ---- copies ---- */
+
+static int copy_part(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
+                     struct bsq_file *out)
+{
+    uint8_t buffer[16384];
+    int status = 0;
+    for (uint64_t at = 0; at < part->size && !status; at += sizeof buffer) {
+        uint64_t left = part->size - at, size = left < sizeof buffer ? left : sizeof buffer;
+        status = bsq_check(ctx);
+        if (!status)
+            status = bsq_part_read(ctx, file, part, buffer, size, at);
+        if (!status)
+            status = bsq_file_append(ctx, out, buffer, size);
+    }
+    return status;
+}
+
+int bsq_part_extract(struct bsq_ctx *ctx, const char *name, struct bsq_file *out)
+{
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct bsq_part part;
+    char *path = NULL;
+    const size_t length = bsq_part_parse(name, &part);
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    if (length == 0)
+        return bsq_fail(ctx, BSQ_EBUG, "%s: no part of a file", name);
+    int status = bsq_alloc(ctx, "names", length + 1, 1, &path);
+    if (status)
+        return status;
+    memcpy(path, name, length);
+    path[length] = '\0';
+    status = bsq_file_open(ctx, path, &file);
+    if (!status)
+        status = bsq_file_temp(ctx, NULL, "an embedded image", out);
+    if (!status)
+        status = copy_part(ctx, &file, &part, out);
+    if (!status)
+        status = bsq_file_check(ctx, &file);
+    bsq_file_close(ctx, &file);
+    bsq_free(ctx, path);
+    if (status)
+        bsq_file_close(ctx, out);
+    return status;
+}

@@ -1,0 +1,45 @@
+/* file_part.h - a part of a file that stands for a file, such as an image inside of a GLB file.
+ *
+ * Its name is the file's path with one of these at the end, all numbers in bytes:
+ *
+ *     #bytes=OFFSET+SIZE          the bytes as they are
+ *     #base64=OFFSET,FIRST+SIZE   base64 text begins at OFFSET; SIZE decoded bytes from number
+ * FIRST
+ *
+ * So a part can be named wherever a path can. A file with the whole name takes precedence. */
+#ifndef BSQ_FILE_PART_H
+#define BSQ_FILE_PART_H
+
+#include "base/file.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct bsq_part {
+    uint64_t offset; /* of the bytes, or of the base64 text, in the file */
+    uint64_t first;  /* bytes, after decoding, that come before the part */
+    uint64_t size;   /* bytes of the part, after decoding */
+    bool base64;
+};
+
+/* Returns the length of the path in the name of a part, and sets *out. Returns 0 if it is no such
+ * name, or if a file has it. */
+size_t bsq_part_parse(const char *name, struct bsq_part *out);
+
+/* Sets *out to the name of a part of the file `path`; free it with bsq_free(). */
+int bsq_part_name(struct bsq_ctx *ctx, const char *path, const struct bsq_part *part, char **out);
+
+/* Reads `size` bytes of a part, from its byte number `at` on. Thread-safe. Errors: BSQ_EDATA if the
+ * file is too short or is no base64 there; BSQ_EIO. */
+int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
+                  void *to, uint64_t size, uint64_t at);
+
+/* Copies the part of this name to an unnamed temporary file. Errors: those of bsq_file_open(),
+ * bsq_file_temp() and bsq_part_read(). */
+int bsq_part_extract(struct bsq_ctx *ctx, const char *name, struct bsq_file *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,236 @@
+/* gltf_buffer.c - buffers and buffer views of glTF files: ranges of bytes of files.
+ *
+ * A buffer is the binary chunk of a GLB file, another file, or a data URI. None is ever held in
+ * memory. */
+#include <inttypes.h>
+#include <string.h>
+
+#include "base/job_files.h"
+#include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/mesh_text.h"
+#include "formats/mesh/obj_path.h"
+
+/* ---- URIs ---- */
+
+/* Returns the value of a hexadecimal digit, or -1. */
+static int hex(char c)
+{
+    if (c >= '0' && c <= '9')
+        return c - '0';
+    c = (char)(c | 0x20);
+    return c >= 'a' && c <= 'f' ? c - 'a' + 10 : -1;
+}
+
+/* Decodes %XX in place. A zero byte would end the name, so "%00" stays as it is. */
+static void decode_percent(char *text)
+{
+    char *to = text;
+    for (const char *from = text; *from; from++) {
+        int value = -1;
+        if (*from == '%' && hex(from[1]) >= 0 && hex(from[2]) >= 0)
+            value = 16 * hex(from[1]) + hex(from[2]);
+        if (value > 0)
+            from += 2;
+        *to++ = value > 0 ? (char)value : *from;
+    }
+    *to = '\0';
+}
+
+/* Returns the length of a URI's scheme, such as 5 of "https:"; 0 if it has none. Drive letters of
+ * Windows are no schemes. */
+static size_t scheme_length(const char *uri)
+{
+    size_t length = 0;
+    while ((uri[length] | 0x20) >= 'a' && (uri[length] | 0x20) <= 'z')
+        length++;
+    return length > 1 && uri[length] == ':' ? length + 1 : 0;
+}
+
+int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, char **out)
+{
+    char *decoded = NULL;
+    bool exists = false;
+    *out = NULL;
+    if (strncmp(uri, "file:///", 8) == 0)
+        uri += 7;
+    if (scheme_length(uri) > 0 || !*uri)
+        return 0;
+    int status = fmt_path_find(ctx, beside, uri, out, &exists); /* some write names as they are */
+    if (status || exists)
+        return status ? status : 1;
+    bsq_free(ctx, *out);
+    *out = NULL;
+    status = fmt_string_copy(ctx, uri, &decoded);
+    if (!status) {
+        decode_percent(decoded);
+        status = fmt_path_find(ctx, beside, decoded, out, &exists);
+    }
+    bsq_free(ctx, decoded);
+    return status ? status : 1;
+}
+
+/* ---- buffers ---- */
+
+int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
+                          uint64_t *out)
+{
+    const struct gltf_document *d = place->document;
+    char end[2] = {0, 0};
+    if (offset > d->file.size || size > d->file.size - offset)
+        return fmt_gltf_fail(place, "its data URI is outside of the file");
+    int status = size < 2 ? 0 : bsq_file_read(d->ctx, &d->file, end, sizeof end, offset + size - 2);
+    if (end[1] == '=')
+        size -= end[0] == '=' ? 2 : 1;
+    *out = size / 4 * 3 + (size % 4 > 1 ? size % 4 - 1 : 0);
+    return status;
+}
+
+/* Uses the other file that a URI names. */
+static int use_file(const struct gltf_place *place, const char *uri, struct gltf_buffer *out)
+{
+    struct bsq_ctx *ctx = place->document->ctx;
+    int found = fmt_gltf_uri_path(ctx, place->document->file.path, uri, &out->path);
+    if (found == 0)
+        return fmt_gltf_fail(place, "its URI \"%.60s\" names no file", uri);
+    int status = found < 0 ? found
+                           : bsq_note_input(ctx, out->path, "the buffer that %s names",
+                                            place->document->file.path);
+    if (!status)
+        status = bsq_file_open(ctx, out->path, &out->file);
+    out->part.size = out->file.size;
+    bsq_file_close(ctx, &out->file);
+    return status;
+}
+
+static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
+{
+    const struct gltf_document *d = place->document;
+    const char *uri = fmt_gltf_string(place->object, "uri");
+    uint64_t length = GLTF_REQUIRED, offset, size;
+    *out = (struct gltf_buffer){.file = BSQ_FILE_CLOSED};
+    int status = fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &length);
+    if (status)
+        return status;
+    if (!uri) {
+        /* Without a URI: the chunk, for the first; or nothing that this reader can read. */
+        const bool chunk = place->index == 0 && d->chunk_offset > 0;
+        out->part =
+            (struct bsq_part){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
+    } else if (fmt_gltf_find_data(uri, &offset, &size)) {
+        out->part = (struct bsq_part){.offset = offset, .base64 = true};
+        status = fmt_gltf_measure_data(place, offset, size, &out->part.size);
+    } else {
+        status = use_file(place, uri, out);
+    }
+    if (status)
+        return status;
+    if (length > out->part.size)
+        return fmt_gltf_fail(place,
+                             "truncated: it should have %" PRIu64 " bytes, there are %" PRIu64,
+                             length, out->part.size);
+    out->part.size = length;
+    return 0;
+}
+
+/* ---- views ---- */
+
+enum { MOST_STRIDE = 252 }; /* of the file format */
+
+static int read_view(const struct gltf_place *place, const struct gltf_source *source,
+                     struct gltf_view *out)
+{
+    uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
+    *out = (struct gltf_view){.buffer = GLTF_NONE};
+    int status = fmt_gltf_index(place, place->object, "buffer", "buffers", &out->buffer);
+    if (!status)
+        status = fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &size);
+    if (!status)
+        status = fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &offset);
+    if (!status)
+        status = fmt_gltf_number(place, place->object, "byteStride", MOST_STRIDE, &stride);
+    if (status)
+        return status;
+    if (out->buffer == GLTF_NONE)
+        return fmt_gltf_fail(place, "\"buffer\" is missing");
+    const uint64_t bytes = source->buffers[out->buffer].part.size;
+    if (offset > bytes || size > bytes - offset)
+        return fmt_gltf_fail(place,
+                             "bytes %" PRIu64 " to %" PRIu64 " are outside of buffers[%" PRIu32
+                             "], which has %" PRIu64,
+                             offset, offset + size, out->buffer, bytes);
+    out->offset = offset;
+    out->size = size;
+    out->stride = (uint32_t)stride;
+    return 0;
+}
+
+/* ---- both ---- */
+
+int fmt_gltf_read_buffers(struct gltf_document *document, struct gltf_source *source)
+{
+    struct bsq_ctx *ctx = document->ctx;
+    const uint64_t buffers = fmt_gltf_count(document, "buffers");
+    const uint64_t views = fmt_gltf_count(document, "bufferViews");
+    int status =
+        bsq_calloc(ctx, "glTF buffers", buffers + 1, sizeof *source->buffers, &source->buffers);
+    source->bytes = document->file.size;
+    for (uint64_t i = 0; i < buffers && !status; i++) {
+        const struct gltf_place place = fmt_gltf_element(document, "buffers", i);
+        status = read_buffer(&place, &source->buffers[i]);
+        source->buffer_count++;
+        source->bytes += source->buffers[i].path ? source->buffers[i].part.size : 0;
+    }
+    if (!status)
+        status = bsq_calloc(ctx, "glTF views", views + 1, sizeof *source->views, &source->views);
+    for (uint64_t i = 0; i < views && !status; i++) {
+        const struct gltf_place place = fmt_gltf_element(document, "bufferViews", i);
+        status = i % 4096 ? 0 : bsq_check(ctx);
+        if (!status)
+            status = read_view(&place, source, &source->views[i]);
+        source->view_count++;
+    }
+    return status;
+}
+
+/* ---- bytes ---- */
+
+int fmt_gltf_open_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < source->buffer_count && !status; i++)
+        if (source->buffers[i].path && source->buffers[i].file.fd < 0)
+            status = bsq_file_open(ctx, source->buffers[i].path, &source->buffers[i].file);
+    return status;
+}
+
+int fmt_gltf_close_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < source->buffer_count; i++) {
+        struct bsq_file *file = &source->buffers[i].file;
+        if (file->fd >= 0 && !status)
+            status = bsq_file_check(ctx, file);
+        bsq_file_close(ctx, file);
+    }
+    return status;
+}
+
+void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
+{
+    for (uint32_t i = 0; i < source->buffer_count; i++) {
+        bsq_file_close(ctx, &source->buffers[i].file);
+        bsq_free(ctx, source->buffers[i].path);
+    }
+    bsq_free(ctx, source->buffers);
+    bsq_free(ctx, source->views);
+}
+
+int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
+                       const struct bsq_file *own, uint32_t view, uint64_t offset, void *to,
+                       uint64_t size)
+{
+    const struct gltf_view *from = &source->views[view];
+    const struct gltf_buffer *buffer = &source->buffers[from->buffer];
+    return bsq_part_read(ctx, buffer->path ? &buffer->file : own, &buffer->part, to, size,
+                         from->offset + offset);
+}

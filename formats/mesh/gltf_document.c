@@ -1,0 +1,285 @@
+/* gltf_document.c - opens .gltf and GLB files and parses their JSON.
+ *
+ * Jansson allocates from the system. What it can need at most is counted from the text and reserved
+ * from the budget before. Base64 data URIs, which can be most of a file, do not get to it. */
+#include <inttypes.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "formats/mesh/gltf_internal.h"
+
+/* ---- the text ---- */
+
+enum { BLOCK = 16384 };
+
+/* Copies JSON text to memory and shortens data URIs. */
+struct shortener {
+    struct bsq_ctx *ctx;
+    char *text;
+    uint64_t size, capacity;
+    uint64_t objects, arrays, members, commas, longest; /* bounds for Jansson's memory */
+    bool in_string, escaped, in_data;
+    uint64_t string_start;           /* in `text`: after the quotation mark */
+    uint64_t data_offset, data_size; /* of base64 text, in the file */
+};
+
+static void put(struct shortener *s, const char *bytes, uint64_t count)
+{
+    memcpy(s->text + s->size, bytes, count);
+    s->size += count;
+}
+
+static void put_number(struct shortener *s, uint64_t value)
+{
+    char digits[20];
+    int count = 0;
+    do
+        digits[19 - count++] = (char)('0' + value % 10);
+    while ((value /= 10) > 0);
+    put(s, digits + 20 - count, (uint64_t)count);
+}
+
+/* Returns whether the string so far is the head of a base64 data URI. */
+static bool begins_data(const struct shortener *s)
+{
+    static const char prefix[] = "data:", end[] = ";base64,";
+    const uint64_t length = s->size - s->string_start;
+    return length >= sizeof prefix - 1 + sizeof end - 1 &&
+           memcmp(s->text + s->string_start, prefix, sizeof prefix - 1) == 0 &&
+           memcmp(s->text + s->size - (sizeof end - 1), end, sizeof end - 1) == 0;
+}
+
+static void end_data(struct shortener *s)
+{
+    s->in_data = false;
+    s->size = s->string_start;
+    put(s, "data:#", 6);
+    put_number(s, s->data_offset);
+    put(s, "+", 1);
+    put_number(s, s->data_size);
+}
+
+static void count_structure(struct shortener *s, char c)
+{
+    s->objects += c == '{';
+    s->arrays += c == '[';
+    s->members += c == ':';
+    s->commas += c == ',';
+}
+
+/* Takes the character at byte `at` of the file. */
+static void take(struct shortener *s, char c, uint64_t at)
+{
+    if (s->in_data && c != '"') {
+        s->data_size++;
+        return;
+    }
+    if (s->in_data)
+        end_data(s);
+    put(s, &c, 1);
+    if (!s->in_string) {
+        count_structure(s, c);
+        s->in_string = c == '"';
+        s->string_start = s->size;
+    } else if (s->escaped) {
+        s->escaped = false;
+    } else if (c == '"') {
+        s->in_string = false;
+        s->longest =
+            s->size - s->string_start > s->longest ? s->size - s->string_start : s->longest;
+    } else if (c == ',' && begins_data(s)) {
+        s->in_data = true;
+        s->data_offset = at + 1;
+        s->data_size = 0;
+    } else {
+        s->escaped = c == '\\';
+    }
+}
+
+static int read_text(struct gltf_document *d, struct shortener *s)
+{
+    char block[BLOCK];
+    int status = 0;
+    for (uint64_t at = 0; at < d->json_bytes && !status; at += BLOCK) {
+        const uint64_t left = d->json_bytes - at, count = left < BLOCK ? left : BLOCK;
+        status = bsq_check(d->ctx);
+        if (!status)
+            status = bsq_file_read(d->ctx, &d->file, block, count, d->json_offset + at);
+        /* A shortened data URI of 47 bytes may stand for one of 15. */
+        if (!status && s->size + 4 * count + 64 > s->capacity)
+            status =
+                bsq_grow(d->ctx, "JSON text", s->size + 4 * count + 64, 1, &s->text, &s->capacity);
+        for (uint64_t i = 0; i < count && !status; i++)
+            take(s, block[i], d->json_offset + at + i);
+    }
+    while (s->size > 0 && s->text[s->size - 1] == '\0') /* padding of some GLB files */
+        s->size--;
+    return status;
+}
+
+bool fmt_gltf_find_data(const char *uri, uint64_t *offset, uint64_t *size)
+{
+    char plus = 0, rest = 0;
+    return strncmp(uri, "data:#", 6) == 0 && uri[6] >= '0' && uri[6] <= '9' &&
+           sscanf(uri + 6, "%" SCNu64 "%c%" SCNu64 "%c", offset, &plus, size, &rest) == 3 &&
+           plus == '+';
+}
+
+/* ---- parsing ---- */
+
+/* Returns a bound of the memory that Jansson 2 needs for the text, with the system's overhead of
+ * each block: see its structures json_object_t, hashtable_pair, json_array_t and json_string_t.
+ * Tables double when they are full, and so does the buffer for the string that is being read. */
+static uint64_t json_bound(const struct shortener *s)
+{
+    return 65536 + 256 * s->objects + 224 * s->arrays + 224 * s->members + 112 * s->commas +
+           s->size + 4 * s->longest;
+}
+
+struct feed {
+    struct gltf_document *document;
+    const char *text;
+    uint64_t left;
+    int status;
+};
+
+static size_t feed_json(void *to, size_t size, void *arg)
+{
+    struct feed *feed = arg;
+    size = size < feed->left ? size : (size_t)feed->left;
+    feed->status = bsq_check(feed->document->ctx);
+    if (feed->status)
+        return (size_t)-1;
+    memcpy(to, feed->text, size);
+    feed->text += size;
+    feed->left -= size;
+    return size;
+}
+
+static int parse_text(struct gltf_document *d, const struct shortener *s)
+{
+    struct feed feed = {.document = d, .text = s->text, .left = s->size};
+    json_error_t error;
+    if (s->size >= 3 && memcmp(s->text, "\xef\xbb\xbf", 3) == 0) {
+        feed.text += 3;
+        feed.left -= 3;
+    }
+    int status = bsq_reserve(d->ctx, "the JSON of a glTF file", json_bound(s));
+    if (status)
+        return status;
+    d->json_memory = json_bound(s);
+    d->root = json_load_callback(feed_json, &feed, JSON_ALLOW_NUL, &error);
+    if (feed.status)
+        return feed.status;
+    if (!d->root)
+        return bsq_fail(d->ctx, BSQ_EDATA, "%s: JSON, line %d: %s", d->file.path, error.line,
+                        error.text);
+    if (!json_is_object(d->root))
+        return bsq_fail(d->ctx, BSQ_EDATA, "%s: not a glTF file: its JSON is no object",
+                        d->file.path);
+    return 0;
+}
+
+/* ---- GLB ---- */
+
+enum { GLB_HEADER = 12, GLB_CHUNK_HEADER = 8 };
+
+static uint32_t load_u32(const uint8_t *from)
+{
+    return from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 | (uint32_t)from[3] << 24;
+}
+
+/* Reads the header of the chunk at `offset`. */
+static int read_chunk(struct gltf_document *d, uint64_t offset, uint64_t end, uint32_t *type,
+                      uint64_t *size)
+{
+    uint8_t head[GLB_CHUNK_HEADER];
+    int status = bsq_file_read(d->ctx, &d->file, head, sizeof head, offset);
+    if (status)
+        return status;
+    *size = load_u32(head);
+    *type = load_u32(head + 4);
+    if (*size > end - offset - GLB_CHUNK_HEADER)
+        return bsq_fail(d->ctx, BSQ_EDATA,
+                        "%s: byte %" PRIu64 ": truncated: a chunk has %" PRIu64
+                        " bytes, the file ends after %" PRIu64,
+                        d->file.path, offset, *size, end - offset - GLB_CHUNK_HEADER);
+    return 0;
+}
+
+static int find_chunks(struct gltf_document *d, const uint8_t *head)
+{
+    const uint32_t json = 0x4e4f534a, binary = 0x004e4942;
+    const uint64_t end = load_u32(head + 8);
+    uint32_t type = 0;
+    uint64_t size;
+    if (load_u32(head + 4) != 2)
+        return bsq_fail(d->ctx, BSQ_EDATA, "%s: glTF version %" PRIu32 " is not read, only 2",
+                        d->file.path, load_u32(head + 4));
+    if (end > d->file.size || end < GLB_HEADER + GLB_CHUNK_HEADER)
+        return bsq_fail(d->ctx, BSQ_EDATA,
+                        "%s: truncated: the header counts %" PRIu64 " bytes, the file has %" PRIu64,
+                        d->file.path, end, d->file.size);
+    int status = read_chunk(d, GLB_HEADER, end, &type, &size);
+    if (!status && type != json)
+        status = bsq_fail(d->ctx, BSQ_EDATA, "%s: the first chunk is not JSON", d->file.path);
+    if (status)
+        return status;
+    d->json_offset = GLB_HEADER + GLB_CHUNK_HEADER;
+    d->json_bytes = size;
+    /* Chunks begin at multiples of 4. Unknown ones after the binary chunk are not read. */
+    const uint64_t next = bsq_align_up(d->json_offset + size, 4);
+    if (next > end || end - next < GLB_CHUNK_HEADER)
+        return 0;
+    status = read_chunk(d, next, end, &type, &size);
+    if (!status && type == binary) {
+        d->chunk_offset = next + GLB_CHUNK_HEADER;
+        d->chunk_bytes = size;
+    }
+    return status;
+}
+
+/* ---- opening ---- */
+
+/* Reads asset.version. Files of versions 2.x can be read by readers of 2.0. */
+static int check_version(struct gltf_document *d)
+{
+    const json_t *asset = json_object_get(d->root, "asset");
+    const char *version = fmt_gltf_string(asset, "version");
+    const char *least = fmt_gltf_string(asset, "minVersion");
+    if (!version)
+        return bsq_fail(d->ctx, BSQ_EDATA, "%s: not a glTF file: it has no asset.version",
+                        d->file.path);
+    if (strncmp(version, "2.", 2) != 0 || (least && strcmp(least, "2.0") != 0))
+        return bsq_fail(d->ctx, BSQ_EDATA, "%s: glTF version %.20s is not read, only 2.0",
+                        d->file.path, least ? least : version);
+    return 0;
+}
+
+int fmt_gltf_open_document(struct bsq_ctx *ctx, const char *path, struct gltf_document *out)
+{
+    struct shortener text = {.ctx = ctx};
+    uint8_t head[GLB_HEADER] = {0};
+    uint64_t got = 0;
+    *out = (struct gltf_document){.ctx = ctx, .file = BSQ_FILE_CLOSED};
+    int status = bsq_file_open(ctx, path, &out->file);
+    if (!status)
+        status = bsq_file_read_some(ctx, &out->file, head, sizeof head, 0, &got);
+    out->json_bytes = out->file.size;
+    if (!status && got == sizeof head && memcmp(head, "glTF", 4) == 0)
+        status = find_chunks(out, head);
+    if (!status)
+        status = read_text(out, &text);
+    if (!status)
+        status = parse_text(out, &text);
+    bsq_free(ctx, text.text);
+    return status ? status : check_version(out);
+}
+
+void fmt_gltf_close_document(struct gltf_document *document)
+{
+    if (document->root)
+        json_decref(document->root);
+    bsq_release(document->ctx, document->json_memory);
+    bsq_file_close(document->ctx, &document->file);
+}

@@ -1,0 +1,238 @@
+/* gltf_internal.h - private to the glTF reader: what it keeps of a file.
+ *
+ * A file's JSON is turned into the tables below when it is opened, and then freed. Everything that
+ * they refer to has been checked: indices are in range, and ranges of bytes lie inside of their
+ * buffers. The buffers themselves are read in parts. */
+#ifndef FMT_MESH_GLTF_INTERNAL_H
+#define FMT_MESH_GLTF_INTERNAL_H
+
+#include <jansson.h>
+
+#include "base/file_part.h"
+#include "formats/mesh/mesh_stream.h"
+
+#define GLTF_NONE UINT32_MAX /* no such index */
+
+/* ---- the document ---- */
+
+/* A file whose JSON is in memory. */
+struct gltf_document {
+    struct bsq_ctx *ctx;
+    struct bsq_file file;
+    json_t *root;
+    uint64_t json_memory;               /* bytes reserved for it */
+    uint64_t json_offset, json_bytes;   /* of the text, in the file */
+    uint64_t chunk_offset, chunk_bytes; /* of a GLB file's binary chunk; 0: it has none */
+};
+
+/* Opens a .gltf or GLB file and parses its JSON. Close it also after a failure. */
+int fmt_gltf_open_document(struct bsq_ctx *ctx, const char *path, struct gltf_document *out);
+void fmt_gltf_close_document(struct gltf_document *document);
+
+/* In the parsed text, base64 data URIs are "data:#OFFSET+SIZE": the place of their base64 text in
+ * the file. So images and buffers in a file of text need no memory. Returns false for others. */
+bool fmt_gltf_find_data(const char *uri, uint64_t *offset, uint64_t *size);
+
+/* Where a value is, for messages: "accessors[3]". */
+struct gltf_place {
+    struct gltf_document *document;
+    const char *array; /* the name of a top-level array */
+    uint64_t index;
+    const json_t *object; /* its element; may be NULL, which has no members */
+};
+
+/* Returns element `index` of a top-level array as a place. */
+struct gltf_place fmt_gltf_element(struct gltf_document *document, const char *array,
+                                   uint64_t index);
+uint64_t fmt_gltf_count(const struct gltf_document *document, const char *array);
+
+/* Fails with "FILE: ARRAY[INDEX]: " and the text. Returns BSQ_EDATA. */
+int fmt_gltf_fail(const struct gltf_place *place, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+
+/* Reads a member of `object` that is a whole number from 0 to `most`. If it is missing, *out stays
+ * as it is; if it must not be missing, *out is GLTF_REQUIRED before. */
+int fmt_gltf_number(const struct gltf_place *place, const json_t *object, const char *key,
+                    uint64_t most, uint64_t *out);
+#define GLTF_REQUIRED UINT64_MAX
+
+/* As fmt_gltf_number(), for the index of an element of a top-level array. */
+int fmt_gltf_index(const struct gltf_place *place, const json_t *object, const char *key,
+                   const char *array, uint32_t *out);
+
+/* Reads a member that is an array of `count` finite numbers. If it is missing, `out` stays as it
+ * is. Returns 1 if it was read. */
+int fmt_gltf_numbers(const struct gltf_place *place, const json_t *object, const char *key,
+                     unsigned count, double *out);
+
+/* Returns a member that is a string, or NULL. */
+const char *fmt_gltf_string(const json_t *object, const char *key);
+
+/* Returns an object of object.extensions, or NULL. */
+const json_t *fmt_gltf_extension(const json_t *object, const char *name);
+
+/* ---- buffers ---- */
+
+struct gltf_buffer {
+    char *path;           /* of another file; NULL: the file itself */
+    struct bsq_file file; /* open while that file is read */
+    struct bsq_part part; /* of the file */
+};
+
+struct gltf_view {
+    uint32_t buffer;
+    uint64_t offset, size; /* in the buffer */
+    uint32_t stride;       /* 0: elements follow each other */
+};
+
+/* The codes of the file format. */
+enum gltf_component {
+    GLTF_INT8 = 5120,
+    GLTF_UINT8 = 5121,
+    GLTF_INT16 = 5122,
+    GLTF_UINT16 = 5123,
+    GLTF_UINT32 = 5125,
+    GLTF_FLOAT = 5126
+};
+
+/* Elements that lie in a view. */
+struct gltf_array {
+    uint32_t view; /* GLTF_NONE: all zero */
+    uint64_t offset;
+    enum gltf_component component;
+};
+
+struct gltf_accessor {
+    struct gltf_array elements;
+    uint64_t count;
+    uint32_t components; /* of an element: 1 to 4; 0: a matrix, which no mesh has */
+    bool normalized;
+    uint64_t sparse_count; /* elements that are replaced; 0: none */
+    struct gltf_array sparse_indices, sparse_values;
+};
+
+/* ---- meshes and materials ---- */
+
+struct gltf_primitive {
+    uint32_t mode;                                     /* 4 triangles, 5 strip, 6 fan */
+    uint32_t position, normal, texcoord, color, index; /* accessors, or GLTF_NONE */
+    uint32_t material;                                 /* or GLTF_NONE */
+    uint32_t mesh, number;                             /* for messages */
+    uint64_t triangles;
+    uint64_t base[FMT_MESH_KIND_COUNT]; /* elements of earlier primitives of the mesh */
+};
+
+struct gltf_mesh {
+    uint32_t first, count;               /* primitives that have triangles */
+    uint64_t total[FMT_MESH_KIND_COUNT]; /* elements */
+    uint64_t triangles;
+};
+
+/* A mesh in the scene: at a node. */
+struct gltf_placement {
+    uint32_t mesh;
+    bool mirrored; /* corners change their order */
+    double matrix[3][4];
+    double normal_matrix[3][3];
+    uint64_t base[FMT_MESH_KIND_COUNT]; /* elements of earlier placements in the file */
+};
+
+struct gltf_material {
+    char *name;
+    double color[3]; /* linear; of faces without texture, and a factor of vertex colours */
+    bool has_color;
+    char *texture_path; /* or NULL */
+    uint32_t texcoord;  /* number of the set of texture coordinates */
+    /* Texture coordinates are uv_matrix * (u, v, 1), with v downwards as in the file. */
+    double uv_matrix[2][3];
+};
+
+/* What is not read, counted for warnings. */
+struct gltf_unread {
+    uint64_t points, rest, outside, skins, morphs, texture_factors, texture_colors, images,
+        instances;
+};
+
+struct gltf_source {
+    struct gltf_buffer *buffers;
+    struct gltf_view *views;
+    struct gltf_accessor *accessors;
+    struct gltf_primitive *primitives;
+    struct gltf_mesh *meshes;
+    struct gltf_material *materials;
+    struct gltf_placement *placements;
+    uint32_t buffer_count, view_count, accessor_count, primitive_count, mesh_count, material_count;
+    uint32_t placement_count;
+    uint32_t material_base; /* materials of earlier files */
+    uint64_t total[FMT_MESH_KIND_COUNT], triangles;
+    uint64_t bytes; /* of the file and its buffers */
+    bool has_colors, has_tangents;
+    struct gltf_unread unread;
+};
+
+struct gltf_reader {
+    struct stream_reader stream; /* must be first */
+    struct gltf_source *files;
+    uint32_t material_count;          /* of all files */
+    uint64_t bad_normals, bad_colors; /* of one reading */
+    bool has_colors;                  /* some vertex of the scan has one */
+    bool read_before;                 /* what there is to warn of is known */
+};
+
+/* ---- gltf_buffer.c ---- */
+
+/* Reads buffers and bufferViews. */
+int fmt_gltf_read_buffers(struct gltf_document *document, struct gltf_source *source);
+/* Open and close the other files that a file's buffers are in. */
+int fmt_gltf_open_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
+int fmt_gltf_close_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
+void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
+/* Sets *out to the path of a file that a URI names. Returns 1 if it does; 0 if the URI is of
+ * another kind, such as "https:"; or a status. */
+int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, char **out);
+/* Finds out how many bytes base64 text stands for: `size` characters from `offset` in the file. */
+int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
+                          uint64_t *out);
+/* Reads bytes of a view. `own` is the glTF file itself. Thread-safe. */
+int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
+                       const struct bsq_file *own, uint32_t view, uint64_t offset, void *to,
+                       uint64_t size);
+
+/* ---- gltf_accessor.c ---- */
+
+int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *source);
+/* Checks that the indices of sparse accessors ascend and are in range. */
+int fmt_gltf_check_sparse(struct gltf_document *document, const struct gltf_source *source);
+
+/* What decoding works with: memory of a slot. */
+struct gltf_decoder {
+    struct bsq_ctx *ctx;
+    const struct gltf_source *source;
+    const struct bsq_file *own;
+    struct stream_slot *slot;
+};
+/* Decodes elements [first, first + count) of an accessor to doubles, components next to each other.
+ * *out lies in slot->work until the next call. */
+int fmt_gltf_decode(const struct gltf_decoder *decoder, uint32_t accessor, uint64_t first,
+                    uint64_t count, const double **out);
+/* Decodes indices into `to`. */
+int fmt_gltf_decode_indices(const struct gltf_decoder *decoder, uint32_t accessor, uint64_t first,
+                            uint64_t count, uint32_t *to);
+/* Returns the bytes from one element of an accessor to the next. */
+uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor);
+
+/* ---- gltf_mesh.c, gltf_scene.c, gltf_material.c ---- */
+
+int fmt_gltf_read_meshes(struct gltf_document *document, struct gltf_source *source);
+int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source);
+int fmt_gltf_read_materials(struct gltf_document *document, struct gltf_source *source);
+int fmt_gltf_check_extensions(struct gltf_document *document, struct gltf_source *source);
+
+/* ---- gltf_parse.c ---- */
+
+/* Parses a part: see `parse` of struct stream_format. */
+int fmt_gltf_parse(struct stream_reader *reader, struct stream_slot *slot);
+/* What a part holds: stream_part.kind is its placement, .carry its primitive, .carry_out this. */
+enum { GLTF_VERTICES, GLTF_FACES };
+
+#endif

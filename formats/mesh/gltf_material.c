@@ -1,0 +1,213 @@
+/* gltf_material.c - materials of glTF files: base colours, their textures and texture coordinates.
+ *
+ * Also checks which extensions a file needs. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "base/job_files.h"
+#include "base/srgb.h"
+#include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/mesh_text.h"
+
+/* ---- extensions ---- */
+
+/* Returns whether files that need an extension can be read: it is understood, or says nothing about
+ * shape and base colour. A name that ends in "_" stands for all names that begin with it. */
+static bool is_known(const char *name)
+{
+    static const char *const known[] = {
+        "KHR_mesh_quantization",  "KHR_texture_transform", "KHR_materials_",
+        "EXT_texture_webp",       "KHR_lights_punctual",   "KHR_xmp_json_ld",
+        "KHR_animation_pointer",  "KHR_audio_emitter",     "KHR_node_hoverability",
+        "KHR_node_selectability",
+    };
+    for (size_t i = 0; name && i < sizeof known / sizeof *known; i++) {
+        const size_t length = strlen(known[i]);
+        if (known[i][length - 1] == '_' ? strncmp(name, known[i], length) == 0
+                                        : strcmp(name, known[i]) == 0)
+            return true;
+    }
+    return false;
+}
+
+int fmt_gltf_check_extensions(struct gltf_document *document, struct gltf_source *source)
+{
+    const json_t *required = json_object_get(document->root, "extensionsRequired");
+    char unknown[200] = "";
+    (void)source;
+    for (size_t i = 0; i < json_array_size(required); i++) {
+        const char *name = json_string_value(json_array_get(required, i));
+        const size_t length = strlen(unknown);
+        if (!is_known(name))
+            snprintf(unknown + length, sizeof unknown - length, "%s%.60s", length > 0 ? ", " : "",
+                     name ? name : "?");
+    }
+    if (unknown[0])
+        return bsq_fail(document->ctx, BSQ_EDATA, "%s: needs extensions that are not read: %s",
+                        document->file.path, unknown);
+    return 0;
+}
+
+/* ---- images ---- */
+
+/* Describes the data of a view: bytes of a file. */
+static const char *part_of_view(const struct gltf_document *document,
+                                const struct gltf_source *source, uint32_t number,
+                                struct bsq_part *out)
+{
+    const struct gltf_view *view = &source->views[number];
+    const struct gltf_buffer *buffer = &source->buffers[view->buffer];
+    *out = buffer->part;
+    out->first += view->offset;
+    out->size = view->size;
+    return buffer->path ? buffer->path : document->file.path;
+}
+
+/* Sets *out to the path or name of an image; NULL if it has no data that can be read. */
+static int find_image(const struct gltf_place *place, const struct gltf_source *source, char **out)
+{
+    struct gltf_document *d = place->document;
+    const char *uri = fmt_gltf_string(place->object, "uri");
+    struct bsq_part part = {.base64 = true};
+    uint64_t size;
+    uint32_t view;
+    int status = fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &view);
+    if (status)
+        return status;
+    if (view != GLTF_NONE) {
+        const char *path = part_of_view(d, source, view, &part);
+        return bsq_part_name(d->ctx, path, &part, out);
+    }
+    if (uri && fmt_gltf_find_data(uri, &part.offset, &size)) {
+        status = fmt_gltf_measure_data(place, part.offset, size, &part.size);
+        return status ? status : bsq_part_name(d->ctx, d->file.path, &part, out);
+    }
+    int found = uri ? fmt_gltf_uri_path(d->ctx, d->file.path, uri, out) : 0;
+    if (found > 0)
+        found = bsq_note_input(d->ctx, *out, "the texture that %s names", d->file.path);
+    return found;
+}
+
+/* Sets *out to the path of the image of texture number `texture`. */
+static int find_texture(struct gltf_document *document, struct gltf_source *source,
+                        uint32_t texture, char **out)
+{
+    const struct gltf_place place = fmt_gltf_element(document, "textures", texture);
+    uint32_t image;
+    int status = fmt_gltf_index(&place, place.object, "source", "images", &image);
+    if (!status && image == GLTF_NONE)
+        status = fmt_gltf_index(&place, fmt_gltf_extension(place.object, "EXT_texture_webp"),
+                                "source", "images", &image);
+    if (!status && image != GLTF_NONE) {
+        const struct gltf_place image_place = fmt_gltf_element(document, "images", image);
+        status = find_image(&image_place, source, out);
+    }
+    if (!status)
+        source->unread.images += *out == NULL;
+    return status;
+}
+
+/* ---- texture coordinates ---- */
+
+/* Reads KHR_texture_transform: first the scale, then a rotation, then the offset. The rotation is
+ * counter-clockwise where v points downwards. */
+static int read_transform(const struct gltf_place *place, const json_t *transform,
+                          struct gltf_material *out)
+{
+    double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation = 0;
+    const json_t *angle = json_object_get(transform, "rotation");
+    int status = fmt_gltf_numbers(place, transform, "offset", 2, offset);
+    if (status >= 0)
+        status = fmt_gltf_numbers(place, transform, "scale", 2, scale);
+    if (status < 0)
+        return status;
+    rotation = json_number_value(angle);
+    const double c = cos(rotation), s = sin(rotation);
+    const double matrix[2][3] = {{c * scale[0], s * scale[1], offset[0]},
+                                 {-s * scale[0], c * scale[1], offset[1]}};
+    memcpy(out->uv_matrix, matrix, sizeof matrix);
+    return 0;
+}
+
+static int read_texcoord(const struct gltf_place *place, const json_t *info,
+                         struct gltf_material *out)
+{
+    const json_t *transform = fmt_gltf_extension(info, "KHR_texture_transform");
+    uint64_t set = 0;
+    int status = fmt_gltf_number(place, info, "texCoord", 1000000, &set);
+    if (!status)
+        status = fmt_gltf_number(place, transform, "texCoord", 1000000, &set);
+    out->texcoord = (uint32_t)set;
+    return status || !transform ? status : read_transform(place, transform, out);
+}
+
+/* Returns the texture whose coordinates those of the material are: that of the base colour, or
+ * another one. A low-poly mesh may have only normal maps, for instance. */
+static const json_t *find_texture_info(const struct gltf_place *place, const json_t *base)
+{
+    static const char *const keys[] = {"normalTexture", "occlusionTexture", "emissiveTexture"};
+    const json_t *pbr = json_object_get(place->object, "pbrMetallicRoughness");
+    const json_t *info = base ? base : json_object_get(pbr, "metallicRoughnessTexture");
+    for (size_t i = 0; !info && i < sizeof keys / sizeof *keys; i++)
+        info = json_object_get(place->object, keys[i]);
+    return info;
+}
+
+/* ---- materials ---- */
+
+static int read_color(const struct gltf_place *place, const json_t *object, const char *key,
+                      struct gltf_material *out)
+{
+    double rgba[4] = {1, 1, 1, 1};
+    int status = fmt_gltf_numbers(place, object, key, 4, rgba);
+    memcpy(out->color, rgba, sizeof out->color);
+    out->has_color = status > 0;
+    return status < 0 ? status : 0;
+}
+
+static int read_name(const struct gltf_place *place, char **out)
+{
+    const char *name = fmt_gltf_string(place->object, "name");
+    char number[40];
+    snprintf(number, sizeof number, "material %lu", (unsigned long)place->index);
+    return fmt_string_copy(place->document->ctx, name ? name : number, out);
+}
+
+static int read_material(const struct gltf_place *place, struct gltf_source *source,
+                         struct gltf_material *out)
+{
+    const json_t *pbr = json_object_get(place->object, "pbrMetallicRoughness");
+    const json_t *old = fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness");
+    const json_t *from = pbr ? pbr : old;
+    const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
+    uint32_t texture = GLTF_NONE;
+    *out = (struct gltf_material){.uv_matrix = {{1, 0, 0}, {0, 1, 0}}};
+    int status = read_name(place, &out->name);
+    if (!status)
+        status = read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out);
+    if (!status && base)
+        status = fmt_gltf_index(place, base, "index", "textures", &texture);
+    if (!status && texture != GLTF_NONE)
+        status = find_texture(place->document, source, texture, &out->texture_path);
+    if (!status)
+        status = read_texcoord(place, find_texture_info(place, base), out);
+    if (out->texture_path && (out->color[0] != 1 || out->color[1] != 1 || out->color[2] != 1))
+        source->unread.texture_factors++;
+    return status;
+}
+
+int fmt_gltf_read_materials(struct gltf_document *document, struct gltf_source *source)
+{
+    const uint64_t count = fmt_gltf_count(document, "materials");
+    int status = bsq_calloc(document->ctx, "glTF materials", count + 1, sizeof *source->materials,
+                            &source->materials);
+    for (uint64_t i = 0; i < count && !status; i++) {
+        const struct gltf_place place = fmt_gltf_element(document, "materials", i);
+        status = bsq_check(document->ctx);
+        source->material_count++;
+        if (!status)
+            status = read_material(&place, source, &source->materials[i]);
+    }
+    return status;
+}

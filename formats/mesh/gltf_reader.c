@@ -1,0 +1,319 @@
+/* gltf_reader.c - reads glTF 2.0 files, .gltf and GLB, as an ordered stream of parsed parts.
+ *
+ * A file's JSON says where its elements are, so parts are cut without reading anything: first all
+ * vertices, then all faces, each in the order of nodes and primitives. Buffers are read in parts,
+ * and memory does not grow with them. */
+#include <inttypes.h>
+#include <string.h>
+
+#include "base/srgb.h"
+#include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/mesh_text.h"
+
+/* ---- opening ---- */
+
+static bool recognise(const char *head, size_t size)
+{
+    size_t i = size >= 3 && memcmp(head, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
+    if (size >= 4 && memcmp(head, "glTF", 4) == 0)
+        return true;
+    while (i < size && (head[i] == ' ' || head[i] == '\t' || head[i] == '\r' || head[i] == '\n'))
+        i++;
+    return i < size && head[i] == '{' && memmem(head + i, size - i, "\"asset\"", 7) != NULL;
+}
+
+static int read_document(struct gltf_document *document, struct gltf_source *source)
+{
+    int status = fmt_gltf_check_extensions(document, source);
+    if (!status)
+        status = fmt_gltf_read_buffers(document, source);
+    if (!status)
+        status = fmt_gltf_read_accessors(document, source);
+    if (!status)
+        status = fmt_gltf_read_materials(document, source);
+    if (!status)
+        status = fmt_gltf_read_meshes(document, source);
+    if (!status)
+        status = fmt_gltf_read_scene(document, source);
+    if (!status)
+        status = fmt_gltf_open_buffers(document->ctx, source);
+    if (!status)
+        status = fmt_gltf_check_sparse(document, source);
+    const int closed = fmt_gltf_close_buffers(document->ctx, source);
+    return status ? status : closed;
+}
+
+static int read_file(struct gltf_reader *reader, uint32_t number)
+{
+    struct gltf_source *source = &reader->files[number];
+    struct gltf_document document;
+    int status = fmt_gltf_open_document(reader->stream.base.ctx,
+                                        reader->stream.sources[number].path, &document);
+    if (!status)
+        status = read_document(&document, source);
+    fmt_gltf_close_document(&document);
+    if (!status && source->material_count > UINT32_MAX - 1 - reader->material_count)
+        status = bsq_fail(reader->stream.base.ctx, BSQ_EDATA, "too many materials");
+    source->material_base = reader->material_count;
+    reader->material_count += source->material_count;
+    reader->has_colors |= source->has_colors;
+    return status;
+}
+
+static void free_source(struct bsq_ctx *ctx, struct gltf_source *source)
+{
+    fmt_gltf_free_buffers(ctx, source);
+    for (uint32_t i = 0; i < source->material_count; i++) {
+        bsq_free(ctx, source->materials[i].name);
+        bsq_free(ctx, source->materials[i].texture_path);
+    }
+    bsq_free(ctx, source->materials);
+    bsq_free(ctx, source->accessors);
+    bsq_free(ctx, source->primitives);
+    bsq_free(ctx, source->meshes);
+    bsq_free(ctx, source->placements);
+}
+
+static void close_reader(struct fmt_mesh_reader *base)
+{
+    struct gltf_reader *reader = (struct gltf_reader *)base;
+    for (uint32_t i = 0; reader->files && i < reader->stream.source_count; i++)
+        free_source(base->ctx, &reader->files[i]);
+    bsq_free(base->ctx, reader->files);
+    fmt_stream_close_sources(&reader->stream);
+    bsq_free(base->ctx, reader);
+}
+
+/* ---- cutting ---- */
+
+static uint64_t count_items(const struct gltf_source *source, const struct stream_part *part)
+{
+    const struct gltf_primitive *p = &source->primitives[part->carry];
+    return part->carry_out == GLTF_FACES ? p->triangles : source->accessors[p->position].count;
+}
+
+/* Goes on to the next primitive, placement or kind of elements. Returns false at the end. */
+static bool advance(const struct gltf_source *source, struct stream_part *part)
+{
+    const struct gltf_mesh *mesh = &source->meshes[source->placements[part->kind].mesh];
+    part->first_item = 0;
+    if (++part->carry < mesh->first + mesh->count)
+        return true;
+    if (++part->kind == source->placement_count) {
+        part->kind = 0;
+        part->carry_out++;
+    }
+    part->carry = source->meshes[source->placements[part->kind].mesh].first;
+    return part->carry_out <= GLTF_FACES;
+}
+
+/* Returns how many elements a part has: its bytes, and the arrays that they become, fit a core's
+ * cache. */
+static uint64_t usual_items(const struct gltf_source *source, const struct stream_part *part)
+{
+    const struct gltf_primitive *p = &source->primitives[part->carry];
+    const uint32_t accessors[] = {p->position, p->normal, p->texcoord, p->color};
+    uint64_t bytes = 32;
+    if (part->carry_out == GLTF_FACES)
+        return STREAM_PART_BYTES / 24 + 1;
+    for (int i = 0; i < 4; i++) {
+        const uint64_t stride = accessors[i] == GLTF_NONE
+                                    ? 0
+                                    : fmt_gltf_stride(source, &source->accessors[accessors[i]]);
+        bytes = stride > bytes ? stride : bytes;
+    }
+    return STREAM_PART_BYTES / bytes + 1;
+}
+
+/* The bytes of the file are shared out by elements, as a measure of progress. part->left counts the
+ * elements of this and of earlier parts. */
+static int cut(struct stream_reader *base, const struct stream_part *before,
+               struct stream_slot *slot)
+{
+    const struct gltf_source *source = &((const struct gltf_reader *)base)->files[before->source];
+    const uint64_t size = base->sources[before->source].size;
+    const uint64_t all = source->total[FMT_MESH_VERTEX] + source->triangles;
+    struct stream_part *part = &slot->part;
+    if (before->left == all && (all > 0 || before->end > 0))
+        return 0;
+    slot->loaded = true; /* parsing reads what it needs */
+    *part = *before;
+    part->end = size;
+    if (all == 0)
+        return 1;
+    part->first_item += before->items;
+    if (before->left == 0)
+        part->carry = source->meshes[source->placements[0].mesh].first;
+    else if (part->first_item == count_items(source, part))
+        advance(source, part);
+    const uint64_t rest = count_items(source, part) - part->first_item;
+    const uint64_t usual = usual_items(source, part);
+    part->items = rest < usual ? rest : usual;
+    part->left = before->left + part->items;
+    part->end = (uint64_t)((unsigned __int128)size * part->left / all);
+    return 1;
+}
+
+/* ---- reading ---- */
+
+static int open_buffers(struct stream_reader *base, uint32_t number)
+{
+    return fmt_gltf_open_buffers(base->base.ctx, &((struct gltf_reader *)base)->files[number]);
+}
+
+static int close_buffers(struct stream_reader *base, uint32_t number)
+{
+    return fmt_gltf_close_buffers(base->base.ctx, &((struct gltf_reader *)base)->files[number]);
+}
+
+static int pass(struct stream_reader *base, struct stream_slot *slot,
+                struct fmt_mesh_totals *totals)
+{
+    struct gltf_reader *reader = (struct gltf_reader *)base;
+    reader->bad_normals += slot->bad_normals;
+    reader->bad_colors += slot->bad_colors;
+    totals->materials = reader->material_count;
+    totals->has_tangents |= reader->files[slot->part.source].has_tangents;
+    return 0;
+}
+
+static void warn_unread(struct bsq_ctx *ctx, const char *path, const struct gltf_unread *unread)
+{
+    const struct {
+        uint64_t count;
+        const char *what;
+    } kinds[] = {
+        {unread->points, "primitives of points or lines are not read"},
+        {unread->rest, "indices of incomplete triangles are not read"},
+        {unread->outside, "nodes with meshes are not in the scene and are not read"},
+        {unread->skins, "meshes have skins, which are not applied"},
+        {unread->morphs, "primitives have morph targets, which are not applied"},
+        {unread->instances, "nodes have EXT_mesh_gpu_instancing, of which one instance is read"},
+        {unread->images, "textures have a format or an address that is not read"},
+        {unread->texture_factors, "materials have a texture, so their colour factor is not used"},
+        {unread->texture_colors, "primitives have a texture, so their vertex colours are not used"},
+    };
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++)
+        if (kinds[i].count > 0)
+            bsq_warn(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
+}
+
+static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
+                    struct fmt_mesh_totals *totals)
+{
+    struct gltf_reader *reader = (struct gltf_reader *)base;
+    reader->bad_normals = reader->bad_colors = 0;
+    int status = fmt_stream_read(&reader->stream, steps, arg, totals);
+    if (status || reader->read_before)
+        return status;
+    reader->read_before = true;
+    for (uint32_t i = 0; i < reader->stream.source_count; i++)
+        warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].unread);
+    if (reader->bad_normals > 0)
+        bsq_warn(base->ctx, "%s: %" PRIu64 " normals are not finite and were left out",
+                 reader->stream.sources[0].path, reader->bad_normals);
+    if (reader->bad_colors > 0)
+        bsq_warn(base->ctx, "%s: %" PRIu64 " colours are not finite and were left out",
+                 reader->stream.sources[0].path, reader->bad_colors);
+    return 0;
+}
+
+static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
+{
+    return fmt_stream_locate_face((struct stream_reader *)base, face, out);
+}
+
+static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
+{
+    const struct gltf_reader *reader = (const struct gltf_reader *)base;
+    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->stream.source_count == 1,
+                                      .has_colors = reader->has_colors};
+    for (uint32_t i = 0; i < reader->stream.source_count; i++) {
+        const struct gltf_source *source = &reader->files[i];
+        out->vertices += source->total[FMT_MESH_VERTEX];
+        out->texcoords += source->total[FMT_MESH_TEXCOORD];
+        out->normals += source->total[FMT_MESH_NORMAL];
+        out->faces += source->triangles;
+    }
+    out->corners = 3 * out->faces;
+    return 0;
+}
+
+/* ---- other files ---- */
+
+static int describe_material(struct bsq_ctx *ctx, const struct gltf_material *from,
+                             struct fmt_material *out)
+{
+    out->has_diffuse = from->has_color;
+    for (int k = 0; k < 3; k++)
+        out->diffuse[k] = (float)bsq_linear_to_srgb(from->color[k]);
+    int status = fmt_string_copy(ctx, from->name, &out->name);
+    if (!status && from->texture_path)
+        status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
+    return status;
+}
+
+static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    const struct gltf_reader *reader = (const struct gltf_reader *)base;
+    int status = bsq_calloc(base->ctx, "materials", (uint64_t)reader->material_count + 1,
+                            sizeof *out->list, &out->list);
+    for (uint32_t file = 0; file < reader->stream.source_count && !status; file++)
+        for (uint32_t i = 0; i < reader->files[file].material_count && !status; i++)
+            status = describe_material(base->ctx, &reader->files[file].materials[i],
+                                       &out->list[out->count++]);
+    if (status)
+        fmt_materials_free(base->ctx, out);
+    return status;
+}
+
+static const char *dependency(const struct fmt_mesh_reader *base, uint32_t index)
+{
+    const struct gltf_reader *reader = (const struct gltf_reader *)base;
+    for (uint32_t file = 0; file < reader->stream.source_count; file++)
+        for (uint32_t i = 0; i < reader->files[file].buffer_count; i++)
+            if (reader->files[file].buffers[i].path && index-- == 0)
+                return reader->files[file].buffers[i].path;
+    return NULL;
+}
+
+/* ---- the format ---- */
+
+static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                       struct fmt_mesh_reader **out)
+{
+    static const struct stream_format stream = {.open = open_buffers,
+                                                .close = close_buffers,
+                                                .cut = cut,
+                                                .parse = fmt_gltf_parse,
+                                                .pass = pass};
+    struct gltf_reader *reader;
+    int status = bsq_calloc(ctx, "glTF reader", 1, sizeof *reader, &reader);
+    if (status)
+        return status;
+    reader->stream.base.ctx = ctx;
+    reader->stream.stream = &stream;
+    status = fmt_stream_open_sources(&reader->stream, paths, path_count);
+    if (!status)
+        status = bsq_calloc(ctx, "glTF files", path_count, sizeof *reader->files, &reader->files);
+    for (uint32_t i = 0; i < path_count && !status; i++)
+        status = read_file(reader, i);
+    if (status)
+        close_reader(&reader->stream.base);
+    else
+        *out = &reader->stream.base;
+    return status;
+}
+
+const struct fmt_mesh_format fmt_gltf_format = {
+    .name = "glTF",
+    .suffix = ".gltf",
+    .recognise = recognise,
+    .open = open_reader,
+    .close = close_reader,
+    .read = read_all,
+    .estimate = estimate,
+    .locate_face = locate_face,
+    .read_materials = read_materials,
+    .dependency = dependency,
+};

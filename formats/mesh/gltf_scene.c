@@ -1,0 +1,264 @@
+/* gltf_scene.c - nodes of glTF files: where each mesh is placed.
+ *
+ * The nodes of a scene are visited from their roots, with a stack in memory, so a deep hierarchy
+ * needs no deep recursion. A node that is met twice is an error, which excludes circles. */
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+
+#include "formats/mesh/gltf_internal.h"
+
+struct visit {
+    uint32_t node;
+    double matrix[3][4]; /* of its parent */
+};
+
+struct walk {
+    struct gltf_document *document;
+    struct gltf_source *source;
+    struct visit *stack;
+    uint64_t stack_count, node_count;
+    uint8_t *seen; /* for each node */
+};
+
+static const double identity[3][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}};
+
+/* ---- transforms ---- */
+
+/* Sets out = a * b. */
+static void multiply(const double a[3][4], const double b[3][4], double out[3][4])
+{
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 4; k++)
+            out[i][k] =
+                a[i][0] * b[0][k] + a[i][1] * b[1][k] + a[i][2] * b[2][k] + (k == 3 ? a[i][3] : 0);
+}
+
+/* Makes a matrix of translation, rotation (a quaternion x, y, z, w) and scale. */
+static void compose(const double t[3], const double rotation[4], const double s[3],
+                    double out[3][4])
+{
+    double q[4], length = 0;
+    for (int i = 0; i < 4; i++)
+        length += rotation[i] * rotation[i];
+    /* Only a quaternion that was rounded to float32 is not of unit length. */
+    const double scale = length > 0 && isfinite(length) ? 1 / sqrt(length) : 1;
+    for (int i = 0; i < 4; i++)
+        q[i] = rotation[i] * scale;
+    const double x = q[0], y = q[1], z = q[2], w = q[3];
+    const double r[3][3] = {
+        {1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)},
+        {2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)},
+        {2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)},
+    };
+    for (int i = 0; i < 3; i++) {
+        for (int k = 0; k < 3; k++)
+            out[i][k] = r[i][k] * s[k];
+        out[i][3] = t[i];
+    }
+}
+
+static int read_transform(const struct gltf_place *place, double out[3][4])
+{
+    double matrix[16], t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
+    int found = fmt_gltf_numbers(place, place->object, "matrix", 16, matrix);
+    if (found > 0) { /* columns one after the other */
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 4; k++)
+                out[i][k] = matrix[4 * k + i];
+        return 0;
+    }
+    if (found == 0)
+        found = fmt_gltf_numbers(place, place->object, "translation", 3, t);
+    if (found >= 0)
+        found = fmt_gltf_numbers(place, place->object, "rotation", 4, q);
+    if (found >= 0)
+        found = fmt_gltf_numbers(place, place->object, "scale", 3, s);
+    compose(t, q, s, out);
+    return found < 0 ? found : 0;
+}
+
+/* Sets the matrix of normals: the inverse transpose of m, times a positive number. Returns whether
+ * m mirrors. */
+static bool invert_for_normals(const double m[3][4], double out[3][3])
+{
+    double determinant = 0, largest = 0;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) {
+            const int i1 = (i + 1) % 3, i2 = (i + 2) % 3, k1 = (k + 1) % 3, k2 = (k + 2) % 3;
+            out[i][k] = m[i1][k1] * m[i2][k2] - m[i1][k2] * m[i2][k1];
+            largest = fmax(largest, fabs(out[i][k]));
+        }
+    for (int k = 0; k < 3; k++)
+        determinant += m[0][k] * out[0][k];
+    const double scale = largest > 0 ? (determinant < 0 ? -1 : 1) / largest : 1;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            out[i][k] *= scale;
+    return determinant < 0;
+}
+
+/* ---- placing meshes ---- */
+
+static int add_placement(struct walk *w, const struct gltf_place *place, uint32_t mesh,
+                         const double matrix[3][4])
+{
+    struct gltf_source *source = w->source;
+    const struct gltf_mesh *m = &source->meshes[mesh];
+    struct gltf_placement *out = &source->placements[source->placement_count];
+    if (m->count == 0)
+        return 0;
+    *out = (struct gltf_placement){.mesh = mesh};
+    memcpy(out->matrix, matrix, sizeof out->matrix);
+    out->mirrored = invert_for_normals(matrix, out->normal_matrix);
+    memcpy(out->base, source->total, sizeof out->base);
+    bool overflow = __builtin_add_overflow(source->triangles, m->triangles, &source->triangles) ||
+                    source->triangles > INT64_MAX;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        overflow |=
+            __builtin_add_overflow(source->total[kind], m->total[kind], &source->total[kind]) ||
+            source->total[kind] > INT64_MAX;
+    source->placement_count++;
+    return overflow ? fmt_gltf_fail(place, "too many elements") : 0;
+}
+
+static int place_mesh(struct walk *w, const struct gltf_place *place, const double matrix[3][4])
+{
+    uint32_t mesh, skin;
+    int status = fmt_gltf_index(place, place->object, "mesh", "meshes", &mesh);
+    if (!status)
+        status = fmt_gltf_index(place, place->object, "skin", "skins", &skin);
+    if (status || mesh == GLTF_NONE)
+        return status;
+    w->source->unread.skins += skin != GLTF_NONE;
+    w->source->unread.instances +=
+        fmt_gltf_extension(place->object, "EXT_mesh_gpu_instancing") != NULL;
+    /* A skinned mesh does not move with its node. */
+    return add_placement(w, place, mesh, skin != GLTF_NONE ? identity : matrix);
+}
+
+/* ---- walking ---- */
+
+/* Puts nodes of a list on the stack, the first one on top. */
+static int push_nodes(struct walk *w, const struct gltf_place *place, const json_t *list,
+                      const double matrix[3][4])
+{
+    for (size_t i = json_array_size(list); i-- > 0;) {
+        const json_t *value = json_array_get(list, i);
+        const json_int_t node = json_is_integer(value) ? json_integer_value(value) : -1;
+        if (node < 0 || (uint64_t)node >= w->node_count)
+            return fmt_gltf_fail(place, "refers to a node that does not exist");
+        if (w->seen[node])
+            return fmt_gltf_fail(place, "nodes[%" PRIu64 "] occurs twice in the hierarchy",
+                                 (uint64_t)node);
+        w->seen[node] = 1;
+        struct visit *visit = &w->stack[w->stack_count++];
+        visit->node = (uint32_t)node;
+        memcpy(visit->matrix, matrix, sizeof visit->matrix);
+    }
+    return 0;
+}
+
+static int visit_nodes(struct walk *w)
+{
+    int status = 0;
+    for (uint64_t i = 0; w->stack_count > 0 && !status; i++) {
+        const struct visit visit = w->stack[--w->stack_count];
+        const struct gltf_place place = fmt_gltf_element(w->document, "nodes", visit.node);
+        double own[3][4], matrix[3][4];
+        status = i % 1024 ? 0 : bsq_check(w->document->ctx);
+        if (!status)
+            status = read_transform(&place, own);
+        if (status)
+            return status;
+        multiply(visit.matrix, (const double(*)[4])own, matrix);
+        status = place_mesh(w, &place, (const double(*)[4])matrix);
+        if (!status)
+            status = push_nodes(w, &place, json_object_get(place.object, "children"),
+                                (const double(*)[4])matrix);
+    }
+    return status;
+}
+
+/* Without scenes, every node that is no child of another one is a root. */
+static int visit_all_roots(struct walk *w, uint8_t *is_child)
+{
+    int status = 0;
+    for (uint64_t i = 0; i < w->node_count; i++) {
+        const json_t *list =
+            json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "children");
+        for (size_t k = 0; k < json_array_size(list); k++) {
+            const json_int_t child = json_integer_value(json_array_get(list, k));
+            if (child >= 0 && (uint64_t)child < w->node_count)
+                is_child[child] = 1;
+        }
+    }
+    for (uint64_t i = 0; i < w->node_count && !status; i++) {
+        if (is_child[i])
+            continue;
+        w->seen[i] = 1;
+        w->stack[0].node = (uint32_t)i;
+        memcpy(w->stack[0].matrix, identity, sizeof identity);
+        w->stack_count = 1;
+        status = visit_nodes(w);
+    }
+    return status;
+}
+
+static int visit_scene(struct walk *w)
+{
+    const struct gltf_place root = {w->document, "scene", 0, w->document->root};
+    uint32_t scene;
+    int status = fmt_gltf_index(&root, w->document->root, "scene", "scenes", &scene);
+    if (status)
+        return status;
+    const struct gltf_place place =
+        fmt_gltf_element(w->document, "scenes", scene == GLTF_NONE ? 0 : scene);
+    status = push_nodes(w, &place, json_object_get(place.object, "nodes"), identity);
+    return status ? status : visit_nodes(w);
+}
+
+/* Counts meshes of nodes that were not visited. */
+static void count_outside(struct walk *w)
+{
+    for (uint64_t i = 0; i < w->node_count; i++)
+        w->source->unread.outside +=
+            !w->seen[i] &&
+            json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "mesh") != NULL;
+}
+
+/* A file without nodes is a library of meshes: each is placed once. */
+static int place_all(struct walk *w)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < w->source->mesh_count && !status; i++) {
+        const struct gltf_place place = fmt_gltf_element(w->document, "meshes", i);
+        status = add_placement(w, &place, i, identity);
+    }
+    return status;
+}
+
+int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source)
+{
+    struct bsq_ctx *ctx = document->ctx;
+    struct walk w = {
+        .document = document, .source = source, .node_count = fmt_gltf_count(document, "nodes")};
+    const uint64_t most = w.node_count > 0 ? w.node_count : source->mesh_count;
+    int status =
+        bsq_calloc(ctx, "glTF nodes", most + 1, sizeof *source->placements, &source->placements);
+    if (!status)
+        status = bsq_calloc(ctx, "glTF nodes", w.node_count + 1, sizeof *w.stack, &w.stack);
+    if (!status)
+        status = bsq_calloc(ctx, "glTF nodes", w.node_count + 1, 2, &w.seen);
+    if (!status && w.node_count == 0)
+        status = place_all(&w);
+    else if (!status && fmt_gltf_count(document, "scenes") == 0)
+        status = visit_all_roots(&w, w.seen + w.node_count);
+    else if (!status)
+        status = visit_scene(&w);
+    if (!status)
+        count_outside(&w);
+    bsq_free(ctx, w.stack);
+    bsq_free(ctx, w.seen);
+    return status;
+}

@@ -1,0 +1,74 @@
+# Writes the glTF files of this folder, and linear.obj. Needs Python 3.11, trimesh 5.2.0 and bpy 5.0.1
+# (Blender) from PyPI, and gltfpack 0.18 of Debian 12.
+import subprocess
+
+import bpy
+import numpy
+import trimesh
+
+
+def make_mesh():
+    """Returns vertices and triangles of a bumpy patch of 6 x 6 cells, as write.py does."""
+    side = 7
+    points = [(i / 8, j / 8, (i * j % 3) / 8) for j in range(side) for i in range(side)]
+    triangles = []
+    for j in range(side - 1):
+        for i in range(side - 1):
+            a = j * side + i
+            triangles += [(a, a + 1, a + side + 1), (a, a + side + 1, a + side)]
+    return numpy.array(points), numpy.array(triangles)
+
+
+points, triangles = make_mesh()
+colors = numpy.array([(i * 5 % 256, i * 3 % 256, 255 - i) for i in range(len(points))], numpy.uint8)
+
+# Colours of glTF are linear, those of OBJ are sRGB.
+linear = colors / 255
+srgb = numpy.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+with open("linear.obj", "w") as out:
+    for p, c in zip(points, srgb):
+        out.write("v %g %g %g %.9g %.9g %.9g\n" % (*p, *c))
+    for t in triangles:
+        out.write("f %d %d %d\n" % tuple(t + 1))
+
+mesh = trimesh.Trimesh(points, triangles, process=False)
+mesh.export("plain.trimesh.glb")
+files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh), merge_buffers=True)
+with open("trimesh.bin", "wb") as out:
+    out.write(files["gltf_buffer.bin"])
+with open("plain.trimesh.gltf", "wb") as out:
+    out.write(files["model.gltf"].replace(b"gltf_buffer.bin", b"trimesh.bin"))
+mesh.visual.vertex_colors = colors
+mesh.export("linear.trimesh.glb")
+
+
+def pack(name, *options):
+    subprocess.run(["gltfpack", "-i", "plain.trimesh.glb", "-o", name, *options], check=True)
+
+
+pack("packed.gltfpack.glb", "-noq")
+pack("packed.gltfpack.quantized.glb", "-vp", "16")
+
+
+def blend(name, **options):
+    """Exports the mesh with Blender, in an object that is moved and in an instance that mirrors."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    data = bpy.data.meshes.new("patch")
+    data.from_pydata(points.tolist(), [], triangles.tolist())
+    for i, location in enumerate(((0.0, 0.0, 0.0), (2.0, 0.0, 0.0))):
+        item = bpy.data.objects.new("object %d" % i, data)
+        item.location = location
+        item.scale = (1 - 2 * i, 1, 1)
+        bpy.context.scene.collection.objects.link(item)
+    bpy.ops.export_scene.gltf(filepath=name, export_yup=False, export_normals=False, **options)
+
+
+blend("twice.blender.glb", export_format="GLB")
+with open("twice.obj", "w") as out:
+    for sign, x in ((1, 0), (-1, 2)):
+        for p in points:
+            out.write("v %g %g %g\n" % (x + sign * p[0], p[1], p[2]))
+    for t in triangles:
+        out.write("f %d %d %d\n" % tuple(t + 1))
+    for t in triangles:
+        out.write("f %d %d %d\n" % (t[0] + 50, t[2] + 50, t[1] + 50))
