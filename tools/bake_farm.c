@@ -108,6 +108,7 @@ int bake_farm_task(struct cli *cli, const struct bake_arguments *arguments,
 {
     struct bake_report report = {0};
     bool kept = false;
+    cli->tile_count = &report.tile_count;
     int status = bake_run_task(cli->ctx, plan, arguments->task, arguments->force, &kept, &report);
     char *path = status == 0 ? bake_plan_part_path(plan, arguments->task) : NULL;
     if (status == 0 && !path)

@@ -51,6 +51,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     struct bake_options *bake = &arguments->bake;
     char *paths[MOST_MAPS] = {NULL};
     struct bake_report report = {0};
+    cli->tile_count = &report.tile_count;
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
     if (status == 0)
@@ -82,6 +83,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     char *paths[MOST_MAPS] = {NULL};
     struct bake_report report = {0};
     bool kept = false;
+    cli->tile_count = &report.tile_count;
     arguments->bake = *bake_plan_options(plan);
     int status = name_outputs(cli, &arguments->bake, paths);
     if (status == 0)

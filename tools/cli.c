@@ -15,6 +15,7 @@
 
 #include "base/escape.h"
 #include "base/output.h"
+#include "tools/cli_percent.h"
 
 /* ---- signals ---- */
 
@@ -75,7 +76,8 @@ void cli_begin(struct cli *cli, const char *program, char **argv)
 
 static int parse_progress(struct cli *cli)
 {
-    static const char *const words[] = {"auto", "bar", "none", "json", NULL};
+    static const char *const words[] = {"auto",   "bar",     "none", "json",
+                                        "openjd", "percent", "alf",  NULL};
     unsigned mode = 0;
     int status = cli_parse_word(cli, "--progress", optarg, words, &mode);
     if (status == 0)
@@ -159,6 +161,8 @@ int cli_parse_options(struct cli *cli, int argc, char **argv, const struct optio
         if (own)
             own_name = own->name;
     }
+    if (cli->json && cli_prints_percent(cli))
+        return cli_usage(cli, "--json and this --progress both write to standard output");
     if (cli->verify && own_name)
         return cli_usage(cli, "--verify only checks files: leave out --%s", own_name);
     if (cli->verify && optind == argc)
@@ -191,6 +195,8 @@ int cli_create_context(struct cli *cli)
     catch_signal(SIGINT);
     catch_signal(SIGTERM);
     catch_signal(SIGHUP);
+    if (cli_prints_percent(cli))
+        cli_percent_begin(cli);
     return 0;
 }
 
@@ -204,6 +210,7 @@ int cli_usage(struct cli *cli, const char *format, ...)
         line = bsq_escape(text, false);
     va_end(arguments);
     fprintf(stderr, "%s: %s\n", cli->program, line ? line : "out of memory");
+    cli_percent_fail(cli, line ? line : "out of memory");
     free(line);
     free(text);
     cli->reported = true;
@@ -213,8 +220,10 @@ int cli_usage(struct cli *cli, const char *format, ...)
 int cli_end(struct cli *cli, int status)
 {
     cli_clear_bar(cli);
+    cli_percent_end(cli, status >= 0);
     if (status < 0 && !cli->reported) {
         const char *text = cli->ctx ? bsq_error(cli->ctx) : "";
+        cli_percent_fail(cli, text);
         if (*text)
             fprintf(stderr, "%s: %s\n", cli->program, text);
         else

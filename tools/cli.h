@@ -14,7 +14,15 @@
 
 #include "base/context.h"
 
-enum cli_progress { CLI_PROGRESS_AUTO, CLI_PROGRESS_BAR, CLI_PROGRESS_NONE, CLI_PROGRESS_JSON };
+enum cli_progress {
+    CLI_PROGRESS_AUTO,
+    CLI_PROGRESS_BAR,
+    CLI_PROGRESS_NONE,
+    CLI_PROGRESS_JSON,
+    CLI_PROGRESS_OPENJD,
+    CLI_PROGRESS_PERCENT,
+    CLI_PROGRESS_ALF
+};
 
 struct cli {
     const char *program;
@@ -31,6 +39,7 @@ struct cli {
     bool reported;  /* the failure has been printed */
     bool bar_drawn; /* the terminal's last line is a progress bar */
     const char *bar_stage;
+    const uint32_t *tile_count; /* how often stages of UDIM tiles come; NULL: once */
     struct timespec started, stage_started;
 };
 
@@ -72,7 +81,8 @@ enum {
 #define CLI_COMMON_HELP                                                                            \
     "      --memory SIZE       memory budget, e.g. 4G, 512MiB (default: half of the machine's)\n"  \
     "      --threads N         worker threads (default: one per processor)\n"                      \
-    "      --progress WHEN     auto, bar, none or json (default: auto, a bar on a terminal)\n"     \
+    "      --progress WHEN     auto, bar, none or json (default: auto, a bar on a terminal);\n"    \
+    "                          openjd, percent or alf: lines for schedulers\n"                     \
     "      --json              print the results as JSON\n"                                        \
     "      --help              print this help\n"                                                  \
     "      --version           print the version\n"

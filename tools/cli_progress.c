@@ -6,7 +6,7 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
-#include "tools/cli.h"
+#include "tools/cli_percent.h"
 
 enum { BAR_CELLS = 24, DEFAULT_COLUMNS = 80 };
 
@@ -96,6 +96,10 @@ void cli_on_progress(void *user, const struct bsq_progress *progress)
     struct cli *cli = user;
     if (cli->progress == CLI_PROGRESS_JSON) {
         print_json_line(progress);
+        return;
+    }
+    if (cli_prints_percent(cli)) {
+        cli_percent_report(cli, progress);
         return;
     }
     if (cli->bar_stage != progress->stage) {

@@ -152,6 +152,15 @@ skip()
     echo "ok $((passed + failed)) - $1 # skip $2"
 }
 
+# percentages SCRIPT: the numbers that sed finds in standard output rise from 0 to 100.
+percentages()
+{
+    sed -n "$1" "$out" >"$work/percentages"
+    [ "$(head -n 1 "$work/percentages" | cut -d. -f1)" = 0 ] &&
+        [ "$(tail -n 1 "$work/percentages" | cut -d. -f1)" = 100 ] &&
+        sort -n -u -c "$work/percentages"
+}
+
 # sanitized: true if the programs are built with a sanitizer, which makes them ten times slower.
 # Tests then use smaller scans and leave out checks that need their detail.
 sanitized()

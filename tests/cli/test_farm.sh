@@ -213,6 +213,37 @@ $bake --plan farm/plan.json --task 0
 code 0
 out_like '^farm/plan\.0000\.part: task 0, '
 
+# ---- progress ----
+
+$bake scan.nvdb low.obj $size -o 'maps/<MAP>.<UDIM>.exr' --maps normal,curvature --progress openjd
+code 0
+percentages 's/^openjd_progress: \([0-9.]*\)$/\1/p' && grep -q '^openjd_status: tracing$' "$out" && [ ! -s "$err" ]
+check "progress for Open Job Description rises from 0 to 100, also with two UDIM tiles" $?
+$bake --plan farm/plan.json --task 0 --force --progress alf
+code 0
+percentages 's/^ALF_PROGRESS \([0-9]*\)%$/\1/p'
+check "progress of a task rises from 0 to 100" $?
+$bake --plan farm/plan.json --task 9 --progress openjd
+code 64
+grep -qx 'openjd_fail: farm/plan.json: there is no task 9: tasks are 0 to 2' "$out" && ! grep -q 'openjd_progress: 100' "$out"
+check "a failure for Open Job Description" $?
+if [ -n "${LONG-}" ]; then # it takes half a minute
+    rm -f flag
+    command="bisque-bake that waits" code=0
+    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/low.obj FAULT_AT=1 FAULT_DO=pause \
+        FAULT_FLAG=flag "$BIN/bisque-bake" --plan farm/plan.json --task 0 --force --progress percent >"$out" 2>"$err" &
+    while [ ! -e flag ]; do
+        sleep 0.1
+    done
+    sleep 32
+    grep -c '^Progress: 0%$' "$out" >"$work/lines"
+    rm flag
+    wait $! || code=$?
+    code 0
+    [ "$(cat "$work/lines")" -ge 2 ]
+    check "a line of progress at least every 30 s" $?
+fi
+
 # ---- options ----
 
 $bake --plan farm/plan.json

@@ -45,7 +45,7 @@ refused 64 "$p --parse-only writes nothing: leave out --output"
 $vox box.obj -o a.nvdb --grid-type index
 refused 64 "$p --grid-type: \"index\" is not mask or onindex"
 $vox box.obj -o a.nvdb --progress often
-refused 64 "$p --progress: \"often\" is not auto, bar, none or json"
+refused 64 "$p --progress: \"often\" is not auto, bar, none, json, openjd, percent or alf"
 for n in 0 -1 12.5 1073741825 18446744073709551617 ''; do
     $vox box.obj -o a.nvdb --resolution "$n"
     refused 64 "$p --resolution: \"$n\" is not a whole number from 1 to 1073741824"
@@ -294,6 +294,13 @@ $vox box.obj -o a.nvdb --resolution 24 --progress bar
 code 0
 grep -q "$(printf '\033')\\[K\$" "$err"
 check "the bar is taken away in the end" $?
+$vox box.obj -o a.nvdb --resolution 24 --progress percent
+code 0
+[ ! -s "$err" ] && percentages 's/^Progress: \([0-9]*\)%$/\1/p'
+check "percentages on standard output rise from 0 to 100" $?
+$vox box.obj -o a.nvdb --resolution 24 --progress percent --json
+code 64
+err "$p --json and this --progress both write to standard output"
 rm a.*
 
 # ---- a warning says that colours in comments (ZBrush) are not read ----

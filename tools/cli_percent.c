@@ -1,0 +1,173 @@
+/* cli_percent.c - prints progress as lines that schedulers read: one percentage over all stages.
+ *
+ * A program lists its stages with the share of its time that each usually takes. A job that has
+ * fewer stages jumps ahead; the percentage never falls. Lines go to standard output, which render
+ * farms read. A thread repeats the last line if a stage says nothing for HEARTBEAT_SECONDS, so that
+ * a scheduler sees that the program lives. */
+#include "tools/cli_percent.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { HEARTBEAT_SECONDS = 30 };
+
+static const struct stage {
+    const char *program, *name;
+    unsigned share; /* percent of the program's time */
+    bool per_tile;  /* comes once for each UDIM tile */
+} stages[] = {
+    {"bisque-voxelize", "reading", 45, false},    {"bisque-voxelize", "writing", 15, false},
+    {"bisque-voxelize", "voxelizing", 39, false}, {"bisque-bake", "planning", 1, true},
+    {"bisque-bake", "tracing", 65, true},         {"bisque-bake", "measuring curvature", 14, true},
+    {"bisque-bake", "reading parts", 4, false},   {"bisque-bake", "writing", 12, true},
+    {"bisque-bake", "preview", 3, false},
+};
+enum { STAGES = sizeof stages / sizeof *stages };
+
+/* The state is global because the thread outlives any call; a program has one job. */
+static struct {
+    pthread_mutex_t lock;
+    pthread_cond_t stop;
+    pthread_t thread;
+    bool running, stopping;
+    const struct cli *cli;
+    const char *name;   /* of the stage that runs; NULL: none */
+    uint32_t times;     /* how often it was begun before */
+    double percent;     /* of all stages */
+    double printed;     /* in the last line; < 0: none yet */
+    struct timespec at; /* when the last line was printed */
+} state = {.lock = PTHREAD_MUTEX_INITIALIZER, .printed = -1};
+
+bool cli_prints_percent(const struct cli *cli)
+{
+    return cli->progress == CLI_PROGRESS_OPENJD || cli->progress == CLI_PROGRESS_PERCENT ||
+           cli->progress == CLI_PROGRESS_ALF;
+}
+
+/* ---- lines; the caller holds the lock ---- */
+
+static void print_line(const struct cli *cli, double percent)
+{
+    if (cli->progress == CLI_PROGRESS_OPENJD)
+        printf("openjd_progress: %.1f\n", percent);
+    else if (cli->progress == CLI_PROGRESS_PERCENT)
+        printf("Progress: %.0f%%\n", floor(percent));
+    else
+        printf("ALF_PROGRESS %.0f%%\n", floor(percent));
+    fflush(stdout);
+    state.printed = percent;
+    clock_gettime(CLOCK_MONOTONIC, &state.at);
+}
+
+/* Prints a line if the number in it is another one. */
+static void print_if_new(const struct cli *cli)
+{
+    const double step = cli->progress == CLI_PROGRESS_OPENJD ? 10 : 1;
+    if (floor(state.percent * step) > floor(state.printed * step) || state.printed < 0)
+        print_line(cli, state.percent);
+}
+
+/* ---- the percentage ---- */
+
+/* Returns the percentage in the middle of a stage, of which `part` is done. Stages that are not in
+ * the table have no share. */
+static double percent_at(const struct cli *cli, const char *name, uint32_t times, double part)
+{
+    double before = 0;
+    const uint32_t tiles = cli->tile_count && *cli->tile_count > 1 ? *cli->tile_count : 1;
+    for (int i = 0; i < STAGES; i++) {
+        if (strcmp(stages[i].program, cli->program) != 0)
+            continue;
+        if (strcmp(stages[i].name, name) == 0) {
+            const double count = stages[i].per_tile ? tiles : 1;
+            return before + stages[i].share * fmin((times + part) / count, 1);
+        }
+        before += stages[i].share;
+    }
+    return 0;
+}
+
+/* Notes that a stage runs; counts how often it was begun. */
+static void enter_stage(const struct cli *cli, const struct bsq_progress *progress)
+{
+    static const char *last;
+    const bool same = last && strcmp(last, progress->stage) == 0;
+    if (state.name)
+        return;
+    state.times = same ? state.times + 1 : 0;
+    state.name = last = progress->stage;
+    if (cli->progress == CLI_PROGRESS_OPENJD && !same) {
+        printf("openjd_status: %s\n", progress->stage);
+        fflush(stdout);
+    }
+}
+
+void cli_percent_report(struct cli *cli, const struct bsq_progress *progress)
+{
+    double part = progress->total > 0 ? (double)progress->done / (double)progress->total : 0;
+    pthread_mutex_lock(&state.lock);
+    enter_stage(cli, progress);
+    part = progress->finished ? 1 : fmin(part, 1);
+    state.percent = fmax(state.percent, percent_at(cli, progress->stage, state.times, part));
+    print_if_new(cli);
+    if (progress->finished)
+        state.name = NULL;
+    pthread_mutex_unlock(&state.lock);
+}
+
+/* ---- the heartbeat ---- */
+
+static void *beat(void *unused)
+{
+    (void)unused;
+    pthread_mutex_lock(&state.lock);
+    while (!state.stopping) {
+        struct timespec now, next;
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        if (now.tv_sec - state.at.tv_sec >= HEARTBEAT_SECONDS - 1)
+            print_line(state.cli, state.percent);
+        next = state.at;
+        next.tv_sec += HEARTBEAT_SECONDS - 1;
+        pthread_cond_timedwait(&state.stop, &state.lock, &next);
+    }
+    pthread_mutex_unlock(&state.lock);
+    return NULL;
+}
+
+/* A system that allows no more threads only loses the heartbeat. */
+void cli_percent_begin(const struct cli *cli)
+{
+    pthread_condattr_t attributes;
+    state.cli = cli;
+    pthread_condattr_init(&attributes);
+    pthread_condattr_setclock(&attributes, CLOCK_MONOTONIC);
+    pthread_cond_init(&state.stop, &attributes);
+    pthread_condattr_destroy(&attributes);
+    print_line(cli, 0);
+    state.running = pthread_create(&state.thread, NULL, beat, NULL) == 0;
+}
+
+void cli_percent_end(const struct cli *cli, bool success)
+{
+    if (!state.cli)
+        return;
+    pthread_mutex_lock(&state.lock);
+    state.stopping = true;
+    if (success && state.printed < 100)
+        print_line(cli, 100);
+    pthread_cond_signal(&state.stop);
+    pthread_mutex_unlock(&state.lock);
+    if (state.running)
+        pthread_join(state.thread, NULL);
+    state.cli = NULL;
+}
+
+void cli_percent_fail(const struct cli *cli, const char *text)
+{
+    if (cli->progress != CLI_PROGRESS_OPENJD)
+        return;
+    printf("openjd_fail: %s\n", text);
+    fflush(stdout);
+}
