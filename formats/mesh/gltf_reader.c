@@ -173,6 +173,7 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     reader->bad_normals += slot->bad_normals;
     reader->bad_colors += slot->bad_colors;
     totals->materials = reader->material_count;
+    totals->split_vertices = true;
     totals->has_tangents |= reader->files[slot->part.source].has_tangents;
     return 0;
 }

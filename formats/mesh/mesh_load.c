@@ -254,6 +254,8 @@ static int load(struct loader *loader, const char *path)
     mesh->texcoord_count = totals.texcoords;
     mesh->normal_count = totals.normals;
     mesh->face_count = totals.faces;
+    mesh->has_tangents = totals.has_tangents;
+    mesh->split_vertices = totals.split_vertices;
     if (totals.faces == 0)
         return bsq_fail(loader->ctx, BSQ_EDATA, "%s: no faces", path);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};

@@ -69,6 +69,7 @@ struct fmt_mesh_totals {
     uint64_t skipped_lines; /* statements that the format does not define, skipped */
     uint64_t short_faces;   /* faces with fewer than three corners, skipped */
     bool has_tangents;      /* the file has tangents, which are not read */
+    bool split_vertices;    /* the format repeats a vertex for each of its texture coordinates */
     /* Says which colours of the file are not read and what the user can do; NULL if there are none.
      * Static storage. */
     const char *unread_colors;
@@ -174,6 +175,7 @@ struct fmt_mesh {
     uint64_t *faces;     /* number of the polygon that each triangle came from */
     uint64_t *face_keys; /* of each polygon: a hash of its vertices in order */
     uint64_t face_count;
+    bool has_tangents, split_vertices; /* as in struct fmt_mesh_totals */
 };
 
 /* Loads a mesh whole (at most 2^32 - 2 vertices). Checks all indices. A file without faces is

@@ -10,6 +10,7 @@
 #include <float.h>
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/smooth_normals.h"
 #include "libbake/lowpoly/directions.h"
@@ -106,6 +107,49 @@ static bool lacks_normals(const struct fmt_mesh *mesh)
     return false;
 }
 
+/* Returns a slot of a hash table for vertex `v`: free, or of a vertex at the same position. */
+static uint32_t *find_position(const struct fmt_mesh *mesh, uint32_t *slots, uint64_t mask,
+                               uint32_t v)
+{
+    const double *p = mesh->positions[v];
+    const double key[3] = {p[0] + 0.0, p[1] + 0.0, p[2] + 0.0}; /* both zeros are equal */
+    uint64_t i = XXH3_64bits(key, sizeof(key)) & mask;
+    for (; slots[i] != UINT32_MAX; i = (i + 1) & mask) {
+        const double *q = mesh->positions[slots[i]];
+        if (p[0] == q[0] && p[1] == q[1] && p[2] == q[2])
+            break;
+    }
+    return &slots[i];
+}
+
+/* Joins the sums of vertices that a format has split: all at one position get their total. */
+static int join_split_vertices(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, double (*sums)[4])
+{
+    uint64_t mask = 15;
+    uint32_t *slots;
+
+    while (mask / 2 < mesh->vertex_count)
+        mask = 2 * mask + 1;
+    int rc = bsq_alloc(ctx, "vertices by position", mask + 1, sizeof(*slots), &slots);
+    if (rc)
+        return rc;
+    memset(slots, 0xff, (mask + 1) * sizeof(*slots));
+    for (uint32_t v = 0; v < mesh->vertex_count && rc == 0; v++) {
+        uint32_t *slot = find_position(mesh, slots, mask, v);
+        if (*slot == UINT32_MAX)
+            *slot = v;
+        else
+            row_add(sums[*slot], row_of(sums[v][0], sums[v][1], sums[v][2], sums[v][3]));
+        rc = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
+    }
+    for (uint32_t v = 0; v < mesh->vertex_count && rc == 0; v++) {
+        memcpy(sums[v], sums[*find_position(mesh, slots, mask, v)], sizeof(*sums));
+        rc = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
+    }
+    bsq_free(ctx, slots);
+    return rc;
+}
+
 /* Sums the one-rings (base/smooth_normals.h) by position index. *out stays NULL if none are needed.
  */
 static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
@@ -124,7 +168,7 @@ static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
             row_add(sums[mesh->vertices[t][i]], vector);
     }
     *out = sums;
-    return 0;
+    return mesh->split_vertices ? join_split_vertices(ctx, mesh, sums) : 0;
 }
 
 /* Chooses the normal of a corner: its own or the smooth one, or that of the face if it has no
@@ -150,9 +194,8 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
     double(*smooth)[4] = NULL;
 
     int rc = sum_vertex_normals(ctx, mesh, out, &smooth);
-    if (rc)
-        return rc;
-    rc = bsq_check(ctx);
+    if (rc == 0)
+        rc = bsq_check(ctx);
     for (uint64_t t = 0; t < mesh->triangle_count && rc == 0; t++) {
         float face_normal[3] = {0, 0, 1};
         double vector[4];
@@ -218,6 +261,9 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *op
     int rc = fmt_mesh_load(ctx, options->path, &mesh);
     if (rc < 0)
         return rc;
+    if (mesh.has_tangents)
+        bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)",
+                 options->path);
     rc = allocate(ctx, mesh.triangle_count, out);
     if (rc < 0)
         goto done;

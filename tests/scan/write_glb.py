@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""write_glb.py IN.obj OUT.glb: writes the positions, normals and triangles of an OBJ file as GLB.
+"""write_glb.py IN.obj OUT.glb [--no-normals]: writes an OBJ file of triangles as GLB.
 
-Normals must have the numbers of their vertices.
+If the file has texture coordinates, each vertex is written once for each combination of position,
+texture coordinate and normal. Otherwise normals must have the numbers of their vertices.
 """
 import json
 import struct
@@ -10,34 +11,54 @@ from array import array
 
 
 def read(source):
-    """Returns the components of an OBJ file's positions and normals, and the corners' vertices."""
-    positions, normals, corners = array("f"), array("f"), array("I")
+    """Returns positions, normals and texture coordinates, and the indices of each corner."""
+    values = {"v": [], "vn": [], "vt": []}
+    corners = []
     with open(source) as file:
         for line in file:
             words = line.split()
-            if words[:1] == ["v"]:
-                positions.extend(map(float, words[1:4]))
-            elif words[:1] == ["vn"]:
-                normals.extend(map(float, words[1:4]))
+            if words and words[0] in values:
+                values[words[0]].append([float(word) for word in words[1:4]])
             elif words[:1] == ["f"]:
-                corners.extend(int(word.split("/")[0]) - 1 for word in words[1:])
-    return positions, normals, corners
+                face = [tuple(int(i or 0) - 1 for i in word.split("/")) for word in words[1:]]
+                for i in range(1, len(face) - 1):
+                    corners += [face[0], face[i], face[i + 1]]
+    return values["v"], values["vn"], values["vt"], corners
 
 
-def main(source, target):
-    positions, normals, corners = read(source)
-    views, accessors, data = [], [], b""
-    for values in [positions, corners] + ([normals] if normals else []):
-        vectors = values is not corners
+def split(positions, normals, texcoords, corners):
+    """Returns arrays in which all attributes of a corner have one index, and these indices."""
+    numbers = {}
+    indices = array("I", (numbers.setdefault(corner, len(numbers)) for corner in corners))
+    return ([positions[c[0]] for c in numbers], [normals[c[2]] for c in numbers if len(c) > 2],
+            [(texcoords[c[1]][0], 1 - texcoords[c[1]][1]) for c in numbers], indices)
+
+
+def main(source, target, option=None):
+    positions, normals, texcoords, corners = read(source)
+    if texcoords:
+        positions, normals, texcoords, indices = split(positions, normals, texcoords, corners)
+    else:
+        indices = array("I", (corner[0] for corner in corners))
+    arrays = {"POSITION": positions, "NORMAL": [] if option else normals, "TEXCOORD_0": texcoords}
+    views, accessors, attributes, data = [], [], {}, b""
+
+    def add(values, kind, component, count):
+        nonlocal data
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": 4 * len(values)})
-        accessors.append({"bufferView": len(accessors), "type": "VEC3" if vectors else "SCALAR",
-                          "componentType": 5126 if vectors else 5125,
-                          "count": len(values) // (3 if vectors else 1)})
+        accessors.append({"bufferView": len(accessors), "type": kind, "componentType": component,
+                          "count": count})
         data += values.tobytes()
-    attributes = {"POSITION": 0, "NORMAL": 2} if normals else {"POSITION": 0}
+
+    add(indices, "SCALAR", 5125, len(indices))
+    for name, values in arrays.items():
+        if values:
+            attributes[name] = len(accessors)
+            add(array("f", (number for value in values for number in value)),
+                "VEC%d" % len(values[0]), 5126, len(values))
     text = json.dumps({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
                        "nodes": [{"mesh": 0}], "bufferViews": views, "accessors": accessors,
-                       "meshes": [{"primitives": [{"attributes": attributes, "indices": 1}]}],
+                       "meshes": [{"primitives": [{"attributes": attributes, "indices": 0}]}],
                        "buffers": [{"byteLength": len(data)}]}).encode()
     text += b" " * (-len(text) % 4)
     with open(target, "wb") as file:
