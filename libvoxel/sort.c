@@ -99,6 +99,8 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
         status = vox_job_add_dependencies(options->job, reader);
     fmt_mesh_close(reader);
     report_totals(report, &scan->totals);
+    report->broken_faces = scan->lost[FMT_MESH_VERTEX].count;
+    report->lost_corners = scan->lost[FMT_MESH_TEXCOORD].count + scan->lost[FMT_MESH_NORMAL].count;
     memcpy(report->origin, scan->origin, sizeof report->origin);
     report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;

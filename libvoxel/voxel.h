@@ -55,17 +55,20 @@ struct vox_sort_report {
     uint64_t triangles;            /**< Triangles in the chunk file. */
     uint64_t degenerate_triangles; /**< Triangles without area; left out. */
     uint64_t short_faces;          /**< Faces with fewer than three corners; left out. */
-    uint64_t unused_vertices;      /**< Vertices that no face refers to. */
-    uint64_t skipped_lines;        /**< Lines with statements that the format does not define. */
-    uint64_t chunks;               /**< Chunks in the chunk file. */
-    uint64_t tris_bytes;           /**< Size of the chunk file. */
-    uint64_t temp_bytes;           /**< Bytes written to temporary files. */
-    double origin[3];              /**< Origin that stored positions are relative to. */
-    bool has_normals;              /**< The scan has normals. */
-    bool has_texcoords;            /**< The scan has texture coordinates. */
-    bool has_colors;               /**< The scan has vertex colours. */
-    double seconds_read;           /**< Wall time of reading. */
-    double seconds_sort;           /**< Wall time of sorting and writing. */
+    uint64_t broken_faces; /**< Faces with a vertex whose position is not finite; left out. */
+    uint64_t lost_corners; /**< Corners that refer to a texture coordinate or normal that does not
+                              exist; they go without. */
+    uint64_t unused_vertices; /**< Vertices that no face refers to. */
+    uint64_t skipped_lines;   /**< Lines with statements that the format does not define. */
+    uint64_t chunks;          /**< Chunks in the chunk file. */
+    uint64_t tris_bytes;      /**< Size of the chunk file. */
+    uint64_t temp_bytes;      /**< Bytes written to temporary files. */
+    double origin[3];         /**< Origin that stored positions are relative to. */
+    bool has_normals;         /**< The scan has normals. */
+    bool has_texcoords;       /**< The scan has texture coordinates. */
+    bool has_colors;          /**< The scan has vertex colours. */
+    double seconds_read;      /**< Wall time of reading. */
+    double seconds_sort;      /**< Wall time of sorting and writing. */
 };
 
 /** Fills in the defaults: no inputs, no outputs, textures of the materials. */

@@ -24,6 +24,8 @@ static void print_read(const struct voxelize_job *job)
                                        "degenerate triangles");
     next = cli_print_count(next, sort->short_faces, "face with fewer than three corners",
                            "faces with fewer than three corners");
+    next = cli_print_count(next, sort->broken_faces, "face without a finite position",
+                           "faces without finite positions");
     next = cli_print_count(next, sort->unused_vertices, "unused vertex", "unused vertices");
     next = cli_print_count(next, sort->skipped_lines, "unknown line", "unknown lines");
     if (next != first)
@@ -65,17 +67,19 @@ static json_t *inputs_json(const struct voxelize_arguments *arguments)
 static json_t *sort_json(const struct vox_sort_report *sort)
 {
     return json_pack(
-        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
         " s:f, s:f}",
         "bytes_read", (json_int_t)sort->bytes_read, "vertices", (json_int_t)sort->vertices, "faces",
         (json_int_t)sort->faces, "triangles", (json_int_t)sort->triangles, "degenerate_triangles",
         (json_int_t)sort->degenerate_triangles, "short_faces", (json_int_t)sort->short_faces,
-        "unused_vertices", (json_int_t)sort->unused_vertices, "skipped_lines",
-        (json_int_t)sort->skipped_lines, "chunks", (json_int_t)sort->chunks, "tris_bytes",
-        (json_int_t)sort->tris_bytes, "temp_bytes", (json_int_t)sort->temp_bytes, "origin",
-        sort->origin[0], sort->origin[1], sort->origin[2], "has_normals", (int)sort->has_normals,
-        "has_texcoords", (int)sort->has_texcoords, "has_colors", (int)sort->has_colors,
-        "seconds_read", sort->seconds_read, "seconds_sort", sort->seconds_sort);
+        "broken_faces", (json_int_t)sort->broken_faces, "lost_corners",
+        (json_int_t)sort->lost_corners, "unused_vertices", (json_int_t)sort->unused_vertices,
+        "skipped_lines", (json_int_t)sort->skipped_lines, "chunks", (json_int_t)sort->chunks,
+        "tris_bytes", (json_int_t)sort->tris_bytes, "temp_bytes", (json_int_t)sort->temp_bytes,
+        "origin", sort->origin[0], sort->origin[1], sort->origin[2], "has_normals",
+        (int)sort->has_normals, "has_texcoords", (int)sort->has_texcoords, "has_colors",
+        (int)sort->has_colors, "seconds_read", sort->seconds_read, "seconds_sort",
+        sort->seconds_sort);
 }
 
 static json_t *grid_json(const struct vox_voxelize_report *grid)

@@ -53,6 +53,10 @@ struct fmt_mesh_reader {
     struct bsq_ctx *ctx;
 };
 
+/* Copies a material under another name. Free *out as fmt_materials_free() does. */
+int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
+                      struct fmt_material *out);
+
 /* The registry. The first row also reads files that no row recognises. */
 #define FMT_MESH_FORMATS(ROW)                                                                      \
     ROW(fmt_obj_format) ROW(fmt_ply_format) ROW(fmt_stl_format) ROW(fmt_gltf_format)

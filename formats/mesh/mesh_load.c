@@ -10,6 +10,11 @@
 #include "base/polygon.h"
 #include "formats/mesh/mesh_reader.h"
 
+/* Occurrences of something, and the first face that has it. */
+struct loss {
+    uint64_t count, face;
+};
+
 /* Growing copies of the blocks' arrays. A corner without index, UINT64_MAX, becomes UINT32_MAX when
  * it is cut to 32 bits. */
 struct loader {
@@ -22,6 +27,8 @@ struct loader {
     uint32_t *corners[3]; /* vertices, texture coordinates, normals */
     uint64_t corner_capacity[3], corner_count;
     bool has_corners[3];
+    uint64_t missing_positions, missing_texcoords;
+    struct loss lost_faces, lost_normals; /* without a position; that refer to nothing */
     /* For one polygon. */
     double (*polygon)[3];
     uint32_t *triangles;
@@ -93,6 +100,8 @@ static int collect(void *arg, const struct fmt_mesh_block *block)
     for (int kind = 0; kind < 3 && !status && block->corner_count; kind++)
         status = append_corners(loader, kind, corners[kind], block->corner_count);
     loader->corner_count += block->corner_count;
+    loader->missing_positions += block->missing_positions;
+    loader->missing_texcoords += block->missing_texcoords;
     return status;
 }
 
@@ -129,22 +138,89 @@ static int fail_corner(struct loader *loader, uint64_t face, uint64_t corner, in
     return fmt_mesh_fail_index(loader->reader, face, (enum fmt_mesh_kind)kind, index);
 }
 
+static void count_loss(struct loss *loss, uint64_t face)
+{
+    if (!loss->count++)
+        loss->face = face;
+}
+
+/* Returns whether a polygon, whose corners begin at `first`, has a vertex without a position. */
+static bool lacks_position(const struct loader *loader, uint64_t face, uint64_t first)
+{
+    if (loader->missing_positions == 0)
+        return false;
+    for (uint32_t i = 0; i < loader->face_sizes[face]; i++)
+        if (isnan(loader->mesh->positions[loader->corners[0][first + i]][0]))
+            return true;
+    return false;
+}
+
+/* Checks a corner. It loses a normal that does not exist, and texture coordinates that are not
+ * finite. Texture coordinates that do not exist are an error, because maps depend on them. */
+static int check_corner(struct loader *loader, const uint64_t totals[3], uint64_t face,
+                        uint64_t corner)
+{
+    for (int kind = 0; kind < 3; kind++) {
+        uint32_t *index = &loader->corners[kind][corner];
+        const bool none = *index == UINT32_MAX && kind != 0;
+        if (*index >= totals[kind] && !none) {
+            if (kind != FMT_MESH_NORMAL)
+                return fail_corner(loader, face, corner, kind);
+            count_loss(&loader->lost_normals, face);
+            *index = UINT32_MAX;
+        }
+    }
+    uint32_t *texcoord = &loader->corners[FMT_MESH_TEXCOORD][corner];
+    if (loader->missing_texcoords > 0 && *texcoord != UINT32_MAX &&
+        isnan(loader->mesh->texcoords[*texcoord][0]))
+        *texcoord = UINT32_MAX;
+    return 0;
+}
+
 /* Checks every index, in the order of the file. */
 static int check_corners(struct loader *loader, const uint64_t totals[3])
 {
     uint64_t corner = 0;
-    for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
-        int status = face % 4096 == 0 ? bsq_check(loader->ctx) : 0;
-        if (status)
-            return status;
-        for (uint32_t i = 0; i < loader->face_sizes[face]; i++, corner++)
-            for (int kind = 0; kind < 3; kind++) {
-                uint32_t index = loader->corners[kind][corner];
-                if (index >= totals[kind] && (index != UINT32_MAX || kind == 0))
-                    return fail_corner(loader, face, corner, kind);
-            }
+    int status = 0;
+    for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
+        const uint64_t first = corner;
+        status = face % 4096 == 0 ? bsq_check(loader->ctx) : 0;
+        for (uint32_t i = 0; i < loader->face_sizes[face] && !status; i++, corner++)
+            status = check_corner(loader, totals, face, corner);
+        if (!status && lacks_position(loader, face, first))
+            count_loss(&loader->lost_faces, face);
     }
-    return 0;
+    return status;
+}
+
+/* Warns of what was lost. Fails if more than 1 % of the faces are left out. */
+static int report_losses(const struct loader *loader)
+{
+    const struct loss *faces = &loader->lost_faces, *normals = &loader->lost_normals;
+    const uint64_t all = loader->mesh->face_count;
+    char *place = NULL;
+    int status = normals->count ? fmt_mesh_place_text(loader->reader, normals->face, &place) : 0;
+    if (!status && normals->count)
+        bsq_warn(loader->ctx,
+                 "%s: corners that refer to a normal that the file does not have: %" PRIu64
+                 "; this is the first",
+                 place, normals->count);
+    bsq_free(loader->ctx, place);
+    place = NULL;
+    if (!status && faces->count)
+        status = fmt_mesh_place_text(loader->reader, faces->face, &place);
+    if (!status && faces->count > all / 100)
+        status = bsq_fail(loader->ctx, BSQ_EDATA,
+                          "%s: %" PRIu64 " of %" PRIu64 " faces have a vertex without a finite "
+                          "position, more than 1 %%; this is the first",
+                          place, faces->count, all);
+    else if (!status && faces->count)
+        bsq_warn(loader->ctx,
+                 "%s: faces left out, as they have a vertex without a finite position: %" PRIu64
+                 "; this is the first",
+                 place, faces->count);
+    bsq_free(loader->ctx, place);
+    return status;
 }
 
 /* ---- splitting ---- */
@@ -221,12 +297,15 @@ static int make_triangles(struct loader *loader)
             largest = loader->face_sizes[face];
     int status = allocate_triangles(loader, largest);
     for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
-        status = split_face(loader, face, corner, triangle);
+        if (!lacks_position(loader, face, corner)) {
+            status = split_face(loader, face, corner, triangle);
+            triangle += loader->face_sizes[face] - 2;
+        }
         corner += loader->face_sizes[face];
-        triangle += loader->face_sizes[face] - 2;
         if (face % 4096 == 0 && !status)
             status = bsq_check(loader->ctx);
     }
+    loader->mesh->triangle_count = triangle;
     return status;
 }
 
@@ -260,6 +339,8 @@ static int load(struct loader *loader, const char *path)
         return bsq_fail(loader->ctx, BSQ_EDATA, "%s: no faces", path);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
     status = check_corners(loader, counts);
+    if (!status)
+        status = report_losses(loader);
     if (!status)
         status = hash_faces(loader);
     if (!status)

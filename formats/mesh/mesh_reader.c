@@ -6,6 +6,7 @@
 
 #include "base/file.h"
 #include "formats/mesh/mesh_format.h"
+#include "formats/mesh/mesh_text.h"
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -177,6 +178,17 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
     return reader->format->read_materials ? reader->format->read_materials(reader, out) : 0;
 }
 
+int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
+                      struct fmt_material *out)
+{
+    *out = *from;
+    out->name = out->texture_path = NULL;
+    int status = fmt_string_copy(ctx, name, &out->name);
+    if (!status && from->texture_path)
+        status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
+    return status;
+}
+
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
 {
     for (uint32_t i = 0; i < materials->count; i++) {
@@ -213,6 +225,25 @@ __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
     return bsq_fail(ctx, BSQ_EDATA, "%s: face %" PRIu64 " %s", place->path, face + 1, text);
 }
 
+int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out)
+{
+    struct fmt_mesh_place place;
+    *out = NULL;
+    int status = reader->format->locate_face(reader, face, &place);
+    const size_t size = status == 0 ? strlen(place.path) + 40 : 1;
+    if (status == 0)
+        status = bsq_alloc(reader->ctx, "names", size, 1, out);
+    if (status < 0)
+        return status;
+    if (place.line > 0)
+        snprintf(*out, size, "%s:%" PRIu64, place.path, place.line);
+    else if (place.byte > 0)
+        snprintf(*out, size, "%s: byte %" PRIu64, place.path, place.byte);
+    else
+        snprintf(*out, size, "%s: face %" PRIu64, place.path, face + 1);
+    return 0;
+}
+
 int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
                         uint64_t index)
 {
@@ -220,6 +251,9 @@ int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_
     int status = reader->format->locate_face(reader, face, &place);
     if (status < 0)
         return status;
+    if (index - place.base[kind] >= FMT_MESH_BEFORE)
+        return fail_face(reader->ctx, &place, face, "refers to a %s before the first one",
+                         fmt_mesh_kind_names[kind]);
     return fail_face(reader->ctx, &place, face, "refers to %s %" PRIu64 "%s, file has %" PRIu64,
                      fmt_mesh_kind_names[kind], index - place.base[kind] + !place.from_zero,
                      place.from_zero ? " (counted from 0)" : "", place.count[kind]);

@@ -17,6 +17,8 @@ extern "C" {
 
 #define FMT_MESH_NONE        UINT64_MAX /* this corner has no such index */
 #define FMT_MESH_NO_MATERIAL UINT32_MAX
+/* This or a larger index refers to a texture coordinate or normal before the first of its file. */
+#define FMT_MESH_BEFORE (((uint64_t)1 << 61) - 1)
 
 /* What the indices of a face refer to. */
 enum fmt_mesh_kind { FMT_MESH_VERTEX, FMT_MESH_TEXCOORD, FMT_MESH_NORMAL, FMT_MESH_KIND_COUNT };
@@ -40,13 +42,16 @@ struct fmt_mesh_block {
 
     uint64_t vertex_count, vertex_base;
     const double (*positions)[3];
+    /* Positions and texture coordinates of the block that are not finite in the file. All their
+     * numbers are NaN; all others are finite. */
+    uint64_t missing_positions, missing_texcoords;
     const float (*colors)[3]; /* sRGB as written, -1 for a vertex without colour; NULL: no vertex
                                  of the block has one */
     float color_white; /* value of full intensity in `colors`; 0: 1 or 255, not known which */
     uint64_t texcoord_count, texcoord_base;
     const double (*texcoords)[2];
     uint64_t normal_count, normal_base;
-    const float (*normals)[3]; /* as written, not normalised */
+    const float (*normals)[3]; /* as written, not normalised; 0, 0, 0 if not finite */
 
     uint64_t face_count, face_base;
     const uint32_t *face_sizes; /* corners of each face, >= 3 */
@@ -89,11 +94,12 @@ bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
 #define FMT_MESH_HEAD_BYTES 512
 
 /* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
- * status, which stops and is returned. Numbers that are malformed or not finite are BSQ_EDATA with
- * file, line and the offending text. Memory: see fmt_mesh_slots_for(). on_block may be NULL (parse
- * only). May be called again: blocks, faces and materials have the same numbers each time. The
- * caller reports progress; the blocks' byte_size add up to the files, because bytes that yield
- * nothing belong to a block too. */
+ * status, which stops and is returned. Numbers that are malformed are BSQ_EDATA with file, line and
+ * the offending text. What is missing in the file or not finite is counted; the first reading warns
+ * of it at its end, with the line of the first. Memory: see fmt_mesh_slots_for(). on_block may be
+ * NULL (parse only). May be called again: blocks, faces and materials have the same numbers each
+ * time. The caller reports progress; the blocks' byte_size add up to the files, because bytes that
+ * yield nothing belong to a block too. */
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
                   int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
                   struct fmt_mesh_totals *totals);
@@ -153,6 +159,12 @@ const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t i
 
 /* ---- messages about faces ---- */
 
+/* Returns in *out the place of a face that has been read, for messages: "scan.obj:120",
+ * "scan.ply: byte 99" or "scan.stl: face 12". Free it with bsq_free(). Reads the face's block
+ * again.
+ */
+int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out);
+
 /* Describes a corner whose index is out of range, with file, line and value:
  * "scan.obj:120: face refers to vertex 99, file has 12". Returns BSQ_EDATA. `face` and `index` are
  * numbers over the whole scan. Reads the face's block again. */
@@ -164,9 +176,9 @@ int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_
 /* Indexed mesh in memory, triangulated; arrays are from the context's budget. */
 struct fmt_mesh {
     uint64_t vertex_count, texcoord_count, normal_count, triangle_count;
-    double (*positions)[3];
+    double (*positions)[3]; /* finite for all triangles */
     double (*texcoords)[2];
-    float (*normals)[3]; /* unit length, or zero if the file's was zero */
+    float (*normals)[3]; /* unit length, or zero if the file's was zero or not finite */
     /* Three corners a triangle, indices into the arrays above. An array is NULL if the file has no
      * such index at all, an entry UINT32_MAX if this corner has none. */
     uint32_t (*vertices)[3];

@@ -151,6 +151,7 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     fmt_arrays_clear(&slot->arrays);
     slot->last_face = UINT64_MAX;
     slot->short_faces = slot->bad_normals = slot->bad_colors = slot->bad_texcoords = 0;
+    slot->missing_positions = slot->missing_texcoords = 0;
     slot->color_white = 0;
     return slot->part.failed ? 0 : job->reader->stream->parse(job->reader, slot);
 }
@@ -223,6 +224,8 @@ static int call_on_block(const struct job *job, struct stream_slot *slot, uint64
         .byte_offset = job->passed,
         .byte_size = slot->part.end - job->passed,
         .color_white = slot->color_white,
+        .missing_positions = slot->missing_positions,
+        .missing_texcoords = slot->missing_texcoords,
         .vertex_base = totals->vertices,
         .texcoord_base = totals->texcoords,
         .normal_base = totals->normals,

@@ -25,3 +25,27 @@ void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
     }
     out[length] = '\0';
 }
+
+static bool is_blank(char c)
+{
+    return c == ' ' || c == '\t';
+}
+
+bool fmt_mesh_plain_name(char *text)
+{
+    char *quote = text[0] == '"' ? strchr(text + 1, '"') : NULL;
+    if (quote) {
+        memmove(text, text + 1, (size_t)(quote - text));
+        text[quote - text - 1] = '\0';
+        return true;
+    }
+    char *end = text + 1;
+    while (*text && *end && !(*end == '#' && is_blank(end[-1])))
+        end++;
+    if (!*text || !*end)
+        return false;
+    while (end > text && is_blank(end[-1]))
+        end--;
+    *end = '\0';
+    return true;
+}

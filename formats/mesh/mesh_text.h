@@ -7,6 +7,11 @@
 /* Copies a string. Free *out with bsq_free(). */
 int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
 
+/* Takes a name out of the rest of a line, in place: without quotes around it, or else without a
+ * comment, which begins with "#" after a blank. Files may have names with such signs, so try the
+ * text as it is first. Returns whether the text changed. */
+bool fmt_mesh_plain_name(char *text);
+
 /* Copies text of a file into `out` for a message: one line, printable, shortened. */
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size);
 

@@ -167,12 +167,7 @@ static int read_map(struct reader *reader, char *p)
     const struct map_option *option;
     while ((option = find_option(p)))
         p = skip_option(reader, p, option);
-    size_t length = strlen(p);
-    if (length >= 2 && p[0] == '"' && p[length - 1] == '"') {
-        p[length - 1] = '\0';
-        p++;
-    }
-    if (!*p) {
+    if (!*p || (*p == '#' && (!p[1] || is_blank(p[1]))) || !strcmp(p, "\"\"")) {
         warn(reader, "names no file, ignored", "map_Kd");
         return 0;
     }

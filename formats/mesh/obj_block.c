@@ -5,6 +5,7 @@
  * reused, so only the first blocks touch memory for the first time. */
 #include "formats/mesh/obj_block.h"
 
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -27,6 +28,7 @@ struct parser {
     struct bsq_ctx *ctx;
     struct obj_block *block;
     int status;
+    unsigned not_finite; /* a bit for each number of the line that is not finite */
 };
 
 int fmt_obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_t size)
@@ -174,10 +176,31 @@ static const char *fail_number(struct parser *parser, const char *p)
 {
     if (*p == '\0')
         return fail(parser, "not a text file (zero byte)");
-    return fail(parser, "\"%s\" is not a finite number", quote_word(parser, p).text);
+    return fail(parser, "\"%s\" is not a number", quote_word(parser, p).text);
 }
 
-/* Reads up to `most` numbers and sets *count. Returns NULL if one is malformed. */
+/* Counts the current line as odd. */
+__attribute__((cold, noinline)) static void note_odd(struct parser *parser, enum obj_oddity oddity)
+{
+    struct obj_odd_lines *odd = &parser->block->odd[oddity];
+    if (!odd->count++)
+        odd->first = parser->block->lines;
+}
+
+/* Reads a word that is no number, as number `n` of its line. Returns NULL unless it stands for one
+ * that is not finite. */
+__attribute__((cold, noinline)) static const char *parse_not_finite(struct parser *parser,
+                                                                    const char *p, int n)
+{
+    const char *after = fmt_obj_not_finite(p);
+    if (!after)
+        return fail_number(parser, p);
+    parser->not_finite |= 1u << n;
+    return after;
+}
+
+/* Reads up to `most` numbers and sets *count. Numbers that are not finite set their bit of
+ * parser->not_finite. Returns NULL if one is malformed. */
 static const char *parse_numbers(struct parser *parser, const char *p, double *numbers, int most,
                                  int *count)
 {
@@ -187,8 +210,8 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
         if (n == most || at_line_end(*p))
             break;
         const char *after = obj_number(p, &numbers[n]);
-        if (!after)
-            return fail_number(parser, p);
+        if (__builtin_expect(!after, 0) && !(after = parse_not_finite(parser, p, n)))
+            return NULL;
         p = after;
     }
     *count = n;
@@ -216,8 +239,8 @@ static bool add_color(struct parser *parser, const double *rgb)
 }
 
 /* Reads what follows the third number of a vertex: nothing, w, r g b, or r g b a. A single number
- * is w, which means nothing for polygons; a is ignored too. Programs with vertex colours write r g
- * b and r g b a, and most readers accept both. */
+ * is w, which means nothing for polygons; a is ignored too, and so are two numbers. Programs with
+ * vertex colours write r g b and r g b a, and most readers accept both. */
 static const char *parse_vertex_rest(struct parser *parser, const char *p)
 {
     static const double none[3] = {-1, -1, -1};
@@ -225,12 +248,32 @@ static const char *parse_vertex_rest(struct parser *parser, const char *p)
     int count = 0;
     if (!(p = parse_numbers(parser, p, extra, 5, &count)))
         return NULL;
-    if (count == 2 || count == 5)
-        return fail(parser, "a vertex of %s numbers, expected 3, 4, 6 or 7",
-                    count == 2 ? "5" : "more than 7");
+    if (count == 5)
+        return fail(parser, "a vertex of more than 7 numbers, expected 3, 4, 6 or 7");
+    if (__builtin_expect(count == 2, 0))
+        note_odd(parser, OBJ_VERTEX_SIZE);
+    if (__builtin_expect(count >= 3 && (parser->not_finite & 7) != 0, 0)) {
+        note_odd(parser, OBJ_NO_COLOR);
+        count = 0;
+    }
     if (count >= 3 || parser->block->has_colors)
         if (!add_color(parser, count >= 3 ? extra : none))
             return NULL;
+    return p;
+}
+
+/* Reads coordinate number `i` of a vertex, which obj_number() cannot read. A missing z is 0. */
+__attribute__((cold, noinline)) static const char *
+parse_odd_coordinate(struct parser *parser, const char *p, double *position, int i)
+{
+    if (!at_line_end(*p)) {
+        position[i] = NAN;
+        return parse_not_finite(parser, p, i);
+    }
+    if (i < 2)
+        return fail(parser, "a vertex of %d numbers, expected 3, 4, 6 or 7", i);
+    note_odd(parser, OBJ_VERTEX_SIZE);
+    position[i] = 0.0;
     return p;
 }
 
@@ -244,11 +287,14 @@ static const char *parse_vertex(struct parser *parser, const char *p)
     for (int i = 0; i < 3; i++) {
         p = skip_blanks(block, p);
         const char *after = obj_number(p, &position[i]);
-        if (!after)
-            return at_line_end(*p)
-                       ? fail(parser, "a vertex of %d numbers, expected 3, 4, 6 or 7", i)
-                       : fail_number(parser, p);
+        if (__builtin_expect(!after, 0) && !(after = parse_odd_coordinate(parser, p, position, i)))
+            return NULL;
         p = after;
+    }
+    if (__builtin_expect(parser->not_finite != 0, 0)) {
+        position[0] = position[1] = position[2] = NAN;
+        parser->not_finite = 0; /* it is for what follows now */
+        note_odd(parser, OBJ_NO_POSITION);
     }
     if (__builtin_expect(!line_end_size(p) || block->has_colors, 0) &&
         !(p = parse_vertex_rest(parser, p)))
@@ -270,8 +316,10 @@ static const char *parse_texcoord(struct parser *parser, const char *p)
     int given = 0;
     if (!(p = parse_numbers(parser, p, numbers, 3, &given)))
         return NULL;
-    if (given == 0)
-        return fail(parser, "a texture coordinate without numbers");
+    if (given == 0 || parser->not_finite & 3) {
+        numbers[0] = numbers[1] = NAN;
+        note_odd(parser, OBJ_NO_TEXCOORD);
+    }
     if (!(p = finish_line(parser, p)))
         return NULL;
     memcpy(block->texcoords[*count], numbers, sizeof block->texcoords[0]);
@@ -285,12 +333,14 @@ static const char *parse_normal(struct parser *parser, const char *p)
     uint64_t *count = &block->count[FMT_MESH_NORMAL];
     if (!RESERVE(parser, "OBJ normals", *count, block->normals, block->normal_capacity))
         return NULL;
-    double numbers[3];
+    double numbers[4];
     int given = 0;
-    if (!(p = parse_numbers(parser, p, numbers, 3, &given)))
+    if (!(p = parse_numbers(parser, p, numbers, 4, &given)))
         return NULL;
-    if (given < 3)
-        return fail(parser, "a normal of %d numbers, expected 3", given);
+    if (given < 3 || parser->not_finite & 7) {
+        numbers[0] = numbers[1] = numbers[2] = 0.0;
+        note_odd(parser, OBJ_NO_NORMAL);
+    }
     if (!(p = finish_line(parser, p)))
         return NULL;
     for (int i = 0; i < 3; i++)
@@ -311,8 +361,12 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
     const char *after = obj_integer(p + (negative || *p == '+'), &value);
     if (__builtin_expect(!after, 0))
         return fail(parser, "\"%s\" is not a face corner", quote_word(parser, p).text);
-    if (__builtin_expect(value == 0, 0))
-        return fail(parser, "face refers to %s 0, indices begin with 1", fmt_mesh_kind_names[kind]);
+    if (__builtin_expect(value == 0, 0)) {
+        if (kind == FMT_MESH_VERTEX)
+            return fail(parser, "face refers to vertex 0, indices begin with 1");
+        *out = FMT_MESH_BEFORE;
+        return after;
+    }
     *out = value - 1;
     if (negative) {
         *out = OBJ_RELATIVE_ZERO + block->count[kind] - value;
@@ -550,6 +604,7 @@ static void reset(struct obj_block *block)
     memset(block->count, 0, sizeof block->count);
     memset(block->has_corners, 0, sizeof block->has_corners);
     memset(block->relative, 0, sizeof block->relative);
+    memset(block->odd, 0, sizeof block->odd);
     block->has_colors = block->has_polypaint = false;
     block->face_count = block->corner_count = block->statement_count = 0;
     block->lines = block->known_lines = block->skipped_lines = block->short_faces = 0;
@@ -569,6 +624,7 @@ int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_fi
         if (p >= end)
             break;
         uint64_t line = block->lines;
+        parser.not_finite = 0;
         p = parse_line(&parser, skip_blanks(block, p));
         if (block->failed || block->face_count > last_face)
             block->lines = line;

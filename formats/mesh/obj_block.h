@@ -14,6 +14,20 @@
 #define OBJ_RELATIVE_ZERO  ((uint64_t)1 << 62)
 #define OBJ_RELATIVE_LIMIT ((uint64_t)1 << 61)
 
+/* What a file has that has no meaning. It is read in the way of other programs, and counted. */
+enum obj_oddity {
+    OBJ_NO_POSITION, /* vertices with a coordinate that is not finite */
+    OBJ_NO_TEXCOORD, /* texture coordinates that are not finite, or have no number */
+    OBJ_NO_NORMAL,   /* normals that are not finite, or have fewer than three numbers */
+    OBJ_NO_COLOR,    /* vertex colours that are not finite */
+    OBJ_VERTEX_SIZE, /* vertices of 2 numbers (z is 0) or 5 (two are ignored) */
+    OBJ_ODDITY_COUNT
+};
+
+struct obj_odd_lines {
+    uint64_t count, first; /* line of the first, from 0 */
+};
+
 enum obj_statement_kind { OBJ_USEMTL, OBJ_MTLLIB };
 
 /* A usemtl or mtllib statement; its name is text[offset, offset + size), continuations included. */
@@ -55,6 +69,7 @@ struct obj_block {
     uint64_t first_skipped; /* line of the first of them, from 0, and its beginning */
     char first_skipped_text[40];
     uint64_t short_faces;
+    struct obj_odd_lines odd[OBJ_ODDITY_COUNT];
 
     bool failed; /* the text is wrong in line `lines`; everything before it is valid */
     char error[160];

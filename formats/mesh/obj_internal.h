@@ -41,6 +41,12 @@ struct obj_names {
     uint64_t slot_count;
 };
 
+/* Odd lines of all files; the first one is line `line`, from 1, of file `source`. */
+struct obj_odd_place {
+    uint64_t count, line;
+    uint32_t source;
+};
+
 struct obj_reader {
     struct fmt_mesh_reader base;
     struct obj_source *sources;
@@ -48,6 +54,8 @@ struct obj_reader {
     struct obj_place *places;
     uint64_t place_count, place_capacity;
     struct obj_names materials, libraries;
+    struct obj_odd_place odd[OBJ_ODDITY_COUNT]; /* of the current reading */
+    bool read_before;                           /* the files were read to their end */
 };
 
 /* ---- obj_text.c ---- */
@@ -66,11 +74,10 @@ int fmt_obj_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estim
 
 int fmt_obj_locate_face(struct fmt_mesh_reader *reader, uint64_t face, struct fmt_mesh_place *out);
 
-/* Reports a relative index that points before the start of the file: the one of `kind` at corner
- * number `corner` of `block`, which is block number `index` of the source. Returns BSQ_EDATA. */
+/* Reports a relative vertex index that points before the start of the file: at corner number
+ * `corner` of `block`, which is block number `index` of the source. Returns BSQ_EDATA. */
 int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *source,
-                          const struct obj_block *block, uint64_t index, enum fmt_mesh_kind kind,
-                          uint64_t corner);
+                          const struct obj_block *block, uint64_t index, uint64_t corner);
 
 /* ---- obj_material.c ---- */
 

@@ -59,9 +59,9 @@ int fmt_obj_locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_
 }
 
 int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *source,
-                          const struct obj_block *block, uint64_t index, enum fmt_mesh_kind kind,
-                          uint64_t corner)
+                          const struct obj_block *block, uint64_t index, uint64_t corner)
 {
+    const enum fmt_mesh_kind kind = FMT_MESH_VERTEX;
     uint64_t face = 0, line, count[FMT_MESH_KIND_COUNT];
     for (uint64_t end = block->face_sizes[0]; end <= corner; end += block->face_sizes[face])
         face++;

@@ -115,12 +115,26 @@ static int enter_library(struct obj_reader *reader, uint32_t source, const char 
     return status;
 }
 
+/* Returns whether a word of `names` is a library that exists. Changes `names`. */
+static int any_library(struct obj_reader *reader, uint32_t source, char *names, bool *exists)
+{
+    char *rest, *path = NULL;
+    int status = 0;
+    *exists = false;
+    for (char *name = strtok_r(names, " \t", &rest); name && !status && !*exists;
+         name = strtok_r(NULL, " \t", &rest)) {
+        status = fmt_path_find(reader->base.ctx, reader->sources[source].path, name, &path, exists);
+        bsq_free(reader->base.ctx, path);
+    }
+    return status;
+}
+
 /* The standard allows several names. One name with blanks is as common in practice, so the whole
- * text is tried first. */
+ * text is tried first; and if no library exists, a message shows the whole text. */
 int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const char *text)
 {
-    bool exists;
-    if (!*text)
+    bool exists, any = false;
+    if (!*text || !strcmp(text, "#") || !strncmp(text, "# ", 2))
         return 0;
     int status = enter_library(reader, source, text, true, &exists);
     if (status || exists)
@@ -128,7 +142,13 @@ int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const ch
     char *names, *rest, *name;
     if ((status = fmt_string_copy(reader->base.ctx, text, &names)))
         return status;
-    for (name = strtok_r(names, " \t", &rest); name && !status; name = strtok_r(NULL, " \t", &rest))
+    status = any_library(reader, source, names, &any);
+    strcpy(names, text);
+    fmt_mesh_plain_name(names);
+    if (!status && !any)
+        status = enter_library(reader, source, names, false, &exists);
+    for (name = any ? strtok_r(names, " \t", &rest) : NULL; name && !status;
+         name = strtok_r(NULL, " \t", &rest))
         status = enter_library(reader, source, name, false, &exists);
     bsq_free(reader->base.ctx, names);
     return status;
@@ -141,15 +161,93 @@ const char *fmt_obj_dependency(const struct fmt_mesh_reader *base, uint32_t inde
 }
 
 /* Moves what a library says about a material to the entry of its name, unless faces do not use it
- * or an earlier library has said it. */
-static void describe(struct obj_reader *reader, uint32_t source, struct fmt_material *from,
-                     struct fmt_materials *out)
+ * or an earlier library has said it. Returns the entry that has it now, or `from`. */
+static const struct fmt_material *describe(struct obj_reader *reader, uint32_t source,
+                                           struct fmt_material *from, struct fmt_materials *out)
 {
     const uint32_t number = *find_slot(&reader->materials, source, from->name);
     if (number == 0 || out->list[number - 1].name)
-        return;
+        return from;
     out->list[number - 1] = *from;
     from->name = from->texture_path = NULL;
+    return &out->list[number - 1];
+}
+
+/* The names of a library's materials as describe_loosely() compares them; `from` has the material
+ * of each. */
+struct loose_names {
+    struct obj_names names;
+    const struct fmt_material **from;
+};
+
+/* Copies a name without quotes, comment and capitals. */
+static int copy_loosely(struct bsq_ctx *ctx, const char *name, char **out)
+{
+    int status = fmt_string_copy(ctx, name, out);
+    if (status)
+        return status;
+    fmt_mesh_plain_name(*out);
+    for (char *c = *out; *c; c++)
+        *c = *c >= 'A' && *c <= 'Z' ? (char)(*c + 'a' - 'A') : *c;
+    return 0;
+}
+
+/* Enters the loose form of a name, unless it is there. */
+static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose, const char *name,
+                         const struct fmt_material *from)
+{
+    char *copy = NULL;
+    uint32_t number = 0;
+    const uint64_t before = loose->names.count;
+    int status = copy_loosely(ctx, name, &copy);
+    if (!status)
+        status = fmt_obj_names_enter(ctx, &loose->names, 0, copy, &number);
+    if (!status && loose->names.count > before)
+        loose->from[number] = from;
+    bsq_free(ctx, copy);
+    return status;
+}
+
+/* Describes the materials of one file that no library names exactly, but with quotes, a comment or
+ * other capitals. */
+static int describe_loosely(struct obj_reader *reader, uint32_t source,
+                            const struct loose_names *loose, struct fmt_materials *out)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    int status = 0;
+    for (uint32_t i = 0; i < out->count && !status; i++) {
+        char *copy = NULL;
+        if (reader->materials.list[i].source != source || out->list[i].name)
+            continue;
+        status = copy_loosely(ctx, reader->materials.list[i].text, &copy);
+        const uint32_t number = status ? 0 : *find_slot(&loose->names, 0, copy);
+        if (number > 0)
+            status = fmt_material_copy(ctx, loose->from[number - 1], reader->materials.list[i].text,
+                                       &out->list[i]);
+        bsq_free(ctx, copy);
+    }
+    return status;
+}
+
+/* Describes the materials of one file by those of its own libraries. */
+static int describe_all(struct obj_reader *reader, uint32_t source, struct fmt_materials *found,
+                        struct fmt_materials *out)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    struct loose_names loose = {0};
+    int status =
+        bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof *loose.from, &loose.from);
+    for (uint32_t i = 0; i < found->count && !status; i++) {
+        status = i % 1024 == 0 ? bsq_check(ctx) : 0;
+        const struct fmt_material *from = describe(reader, source, &found->list[i], out);
+        if (!status)
+            status = enter_loosely(ctx, &loose, from->name, from);
+    }
+    if (!status && loose.names.count > 0)
+        status = describe_loosely(reader, source, &loose, out);
+    fmt_obj_names_free(ctx, &loose.names);
+    bsq_free(ctx, loose.from);
+    return status;
 }
 
 /* Describes the materials of one file from its own libraries. */
@@ -161,8 +259,8 @@ static int read_materials_of(struct obj_reader *reader, uint32_t source, struct 
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
         if (reader->libraries.list[i].source == source)
             status = fmt_mtl_read(ctx, reader->libraries.list[i].text, &found);
-    for (uint32_t i = 0; i < found.count && !status; i++)
-        describe(reader, source, &found.list[i], out);
+    if (!status)
+        status = describe_all(reader, source, &found, out);
     fmt_materials_free(ctx, &found);
     return status;
 }

@@ -12,6 +12,7 @@
 #include <locale.h>
 #include <math.h>
 #include <stdlib.h>
+#include <strings.h>
 
 const double fmt_obj_power_of_ten[23] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
                                          1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,
@@ -159,4 +160,45 @@ const char *fmt_obj_number_general(const char *text, double *out)
         return NULL;
     *out = negative ? -value : value;
     return p;
+}
+
+/* Returns the position after decimal digits. */
+static const char *skip_digits(const char *p)
+{
+    while (is_digit(*p))
+        p++;
+    return p;
+}
+
+/* Returns whether `p`, after its sign, is a decimal number, however large. */
+static bool is_decimal(const char *p)
+{
+    struct decimal number = {0};
+    const char *whole = p;
+    p = skip_digits(p);
+    if (p == whole && !(p[0] == '.' && is_digit(p[1])))
+        return false;
+    if (*p == '.')
+        p = skip_digits(p + 1);
+    if (*p == 'e' || *p == 'E')
+        p = scan_exponent(p, &number);
+    return p && obj_is_delimiter(*p);
+}
+
+const char *fmt_obj_not_finite(const char *text)
+{
+    static const char *const names[] = {"infinity", "inf", "nan"};
+    const char *p = text + (*text == '-' || *text == '+'), *end = p;
+    const char *digits = skip_digits(p);
+    double value;
+    while (!obj_is_delimiter(*end))
+        end++;
+    if (digits > p && digits[0] == '.' && digits[1] == '#')
+        return end;
+    for (int i = 0; i < 3; i++) {
+        const size_t length = strlen(names[i]);
+        if (strncasecmp(p, names[i], length) == 0 && (p[length] == '(' || p + length == end))
+            return end;
+    }
+    return is_decimal(p) && !fmt_obj_number_general(p, &value) ? end : NULL;
 }

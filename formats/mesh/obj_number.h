@@ -33,6 +33,11 @@ static inline bool obj_is_delimiter(char c)
  * there is no number, if it is not finite, or if no delimiter follows it. */
 const char *fmt_obj_number_general(const char *text, double *out);
 
+/* Returns the position after a word at `text` that stands for a number that is not finite: "nan",
+ * "-inf", "1.#QNAN", "-nan(ind)" in any case, and numbers beyond the largest double, such as
+ * "1e999". Returns NULL for any other text. */
+const char *fmt_obj_not_finite(const char *text);
+
 #ifdef __SSE4_1__
 /* Returns four groups of four decimal digits, the highest first: the digits of text[0..end) without
  * the point at `point`; end <= 16. `digits` holds the text's bytes minus '0'. */

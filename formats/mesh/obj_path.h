@@ -10,8 +10,10 @@ extern "C" {
 
 /* Finds the file `name` that the file `beside` refers to. Tries in this order: the name as written,
  * relative to the directory of `beside`; its backslashes as slashes, since many files come from
- * Windows; its last component alone, since absolute paths rarely survive a copy. *out is the first
- * that exists, otherwise the name as written; free it with bsq_free(). exists may be NULL. */
+ * Windows; its last component alone, since absolute paths rarely survive a copy. Then tries the
+ * same without quotes or a comment (fmt_mesh_plain_name()), and with other capitals in the last
+ * component. *out is the first that is a file, otherwise the name without quotes or comment; free
+ * it with bsq_free(). exists may be NULL. Errors: BSQ_ENOMEM, BSQ_EINTR; then *out is NULL. */
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists);
 

@@ -1,6 +1,6 @@
 /* obj_reader.c - reads Wavefront OBJ files as an ordered stream of parsed blocks.
  *
- * Understood: v with 3, 4, 6 or 7 numbers, vt, vn, f with all four forms of indices and any number
+ * Understood: v with 2 to 7 numbers, vt, vn, f with all four forms of indices and any number
  * of corners, negative indices, usemtl, mtllib; CRLF, tabs, line continuation, comments, exponents.
  * Other statements (g, o, s, l, p, ...) are skipped.
  *
@@ -159,9 +159,9 @@ static int resolve_corners(struct job *job, struct slot *slot, enum fmt_mesh_kin
             continue;
         if (corners[i] >= OBJ_RELATIVE_LIMIT) {
             uint64_t index = corners[i] - OBJ_RELATIVE_ZERO + local_base;
-            if ((int64_t)index < 0)
-                return fmt_obj_fail_relative(job->reader, source, block, slot->index, kind, i);
-            corners[i] = index;
+            if ((int64_t)index < 0 && always)
+                return fmt_obj_fail_relative(job->reader, source, block, slot->index, i);
+            corners[i] = (int64_t)index < 0 ? FMT_MESH_BEFORE : index;
         }
         corners[i] += base;
     }
@@ -270,6 +270,8 @@ static int call_on_block(struct job *job, struct slot *slot)
         .vertex_count = block->count[FMT_MESH_VERTEX],
         .vertex_base = job->totals->vertices,
         .positions = (const double(*)[3])block->positions,
+        .missing_positions = block->odd[OBJ_NO_POSITION].count,
+        .missing_texcoords = block->odd[OBJ_NO_TEXCOORD].count,
         .colors = block->has_colors ? (const float(*)[3])block->colors : NULL,
         .texcoord_count = block->count[FMT_MESH_TEXCOORD],
         .texcoord_base = job->totals->texcoords,
@@ -293,12 +295,27 @@ static int call_on_block(struct job *job, struct slot *slot)
     return job->steps->on_block ? job->steps->on_block(job->arg, &slot->view) : 0;
 }
 
+/* Adds the odd lines of the block, of which the first in the order of the file is kept. */
+static void count_odd_lines(struct obj_reader *reader, const struct slot *slot)
+{
+    for (int i = 0; i < OBJ_ODDITY_COUNT; i++) {
+        const struct obj_odd_lines *from = &slot->block.odd[i];
+        struct obj_odd_place *to = &reader->odd[i];
+        if (from->count > 0 && to->count == 0) {
+            to->source = slot->source;
+            to->line = reader->sources[slot->source].lines + from->first + 1;
+        }
+        to->count += from->count;
+    }
+}
+
 /* Adds the block to all counts. */
 static void pass_block(struct job *job, const struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
     struct obj_source *source = &job->reader->sources[slot->source];
     struct fmt_mesh_totals *totals = job->totals;
+    count_odd_lines(job->reader, slot);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         source->count[kind] += block->count[kind];
         job->totals_by_kind[kind] += block->count[kind];
@@ -417,6 +434,24 @@ static int run_job(struct job *job, uint64_t blocks)
     return status;
 }
 
+/* Warns once of each kind of odd lines, with the first line. */
+static void warn_odd_lines(const struct obj_reader *reader)
+{
+    static const char *const texts[OBJ_ODDITY_COUNT] = {
+        [OBJ_NO_POSITION] = "vertices without a finite position",
+        [OBJ_NO_TEXCOORD] = "texture coordinates without finite numbers",
+        [OBJ_NO_NORMAL] = "normals without three finite numbers",
+        [OBJ_NO_COLOR] = "vertices with a colour that is not finite",
+        [OBJ_VERTEX_SIZE] = "vertices of 2 or 5 numbers, read as x y 0 or x y z",
+    };
+    for (int i = 0; i < OBJ_ODDITY_COUNT; i++) {
+        const struct obj_odd_place *odd = &reader->odd[i];
+        if (odd->count > 0)
+            bsq_warn(reader->base.ctx, "%s:%" PRIu64 ": %s: %" PRIu64 "; this is the first",
+                     reader->sources[odd->source].path, odd->line, texts[i], odd->count);
+    }
+}
+
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
                     struct fmt_mesh_totals *totals)
 {
@@ -430,11 +465,15 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     };
     uint64_t blocks = 0;
     reader->place_count = 0;
+    memset(reader->odd, 0, sizeof reader->odd);
     for (uint32_t i = 0; i < reader->source_count; i++)
         blocks += reader->sources[i].block_count;
     int status = run_job(&job, blocks);
     for (uint32_t i = 0; i < reader->source_count; i++)
         bsq_file_close(base->ctx, &reader->sources[i].file);
+    if (!status && !reader->read_before)
+        warn_odd_lines(reader);
+    reader->read_before |= status == 0;
     return status;
 }
 

@@ -73,13 +73,10 @@ static void parse_equal_vertices(const struct ply_source *source, const struct p
     const struct ply_property *p = source->header.properties + element->first_property;
     const uint64_t each = element->least_bytes, count = slot->part.items;
     const bool copied = copy_positions(&slot->arrays, slot->bytes, element, count, swap);
-    uint64_t bad;
     for (uint32_t i = 0; i < element->property_count; i++)
         if (p[i].role != PLY_UNUSED && !(copied && p[i].role <= PLY_Z))
             read_property(&slot->arrays, slot->bytes, each, count, &p[i], swap);
-    if (!fmt_ply_finish_vertices(source, element, slot, count, &bad))
-        fmt_stream_fail(slot, slot->part.offset + bad * each,
-                        "a vertex has a number that is not finite");
+    fmt_ply_finish_vertices(source, element, slot, count);
 }
 
 /* Returns the position after the property at `from`. A list's numbers begin at *list. */
@@ -101,15 +98,14 @@ static void parse_uneven_vertices(const struct ply_source *source,
 {
     const struct ply_property *p = source->header.properties + element->first_property;
     const uint8_t *from = slot->bytes, *list;
-    uint64_t bad, length;
+    uint64_t length;
     for (uint64_t vertex = 0; vertex < slot->part.items; vertex++)
         for (uint32_t i = 0; i < element->property_count; i++) {
             if (p[i].role != PLY_UNUSED)
                 fmt_ply_store_vertex(&slot->arrays, vertex, &p[i], ply_real(from, p[i].type, swap));
             from = skip_property(&p[i], from, swap, &list, &length);
         }
-    if (!fmt_ply_finish_vertices(source, element, slot, slot->part.items, &bad))
-        fmt_stream_fail(slot, slot->part.offset, "a vertex has a number that is not finite");
+    fmt_ply_finish_vertices(source, element, slot, slot->part.items);
 }
 
 /* ---- faces ---- */

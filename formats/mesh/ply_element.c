@@ -88,30 +88,37 @@ static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
     return bad;
 }
 
-/* Returns the first of `count` vectors of `size` numbers that is not finite. */
-static uint64_t find_bad(const double *numbers, uint64_t count, uint64_t size)
+/* Makes all numbers of a vector NaN if one is not finite, for `count` vectors of `size` numbers.
+ * Returns how many there are. */
+static uint64_t clear_bad(double *numbers, uint64_t count, uint64_t size)
 {
-    uint64_t i = 0;
-    while (i < count && all_finite(numbers + i * size, size))
-        i++;
-    return i;
+    uint64_t bad = 0;
+    if (all_finite(numbers, count * size))
+        return 0;
+    for (uint64_t i = 0; i < count; i++) {
+        double *v = numbers + i * size;
+        if (all_finite(v, size))
+            continue;
+        for (uint64_t k = 0; k < size; k++)
+            v[k] = NAN;
+        bad++;
+    }
+    return bad;
 }
 
-bool fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
-                             struct stream_slot *slot, uint64_t count, uint64_t *bad)
+void fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
+                             struct stream_slot *slot, uint64_t count)
 {
     struct mesh_arrays *a = &slot->arrays;
-    bool good = all_finite(&a->positions[0][0], 3 * count);
     a->count[FMT_MESH_VERTEX] = count;
-    *bad = good ? count : find_bad(&a->positions[0][0], count, 3);
+    slot->missing_positions = clear_bad(&a->positions[0][0], count, 3);
     if (source->vertex_normals) {
         a->count[FMT_MESH_NORMAL] = count;
         slot->bad_normals += replace_bad(a->normals, count, 0.0f);
     }
     if (source->vertex_texcoords) {
         a->count[FMT_MESH_TEXCOORD] = count;
-        if (good && !all_finite(&a->texcoords[0][0], 2 * count))
-            *bad = find_bad(&a->texcoords[0][0], count, 2);
+        slot->missing_texcoords = clear_bad(&a->texcoords[0][0], count, 2);
     }
     if (element->role[PLY_RED]) {
         a->has_colors = true;
@@ -119,7 +126,6 @@ bool fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_e
         if (slot->color_white == 0.0f)
             slot->bad_colors += replace_bad(a->colors, count, -1.0f);
     }
-    return *bad == count;
 }
 
 /* ---- faces ---- */

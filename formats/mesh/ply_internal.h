@@ -32,8 +32,9 @@ struct ply_reader {
     struct ply_source *files;
     uint32_t texture_count; /* of all files */
     struct ply_colors colors;
-    uint64_t bad_normals, bad_colors, bad_texcoords; /* of one reading */
-    bool read_before;                                /* what there is to warn of is known */
+    /* Of one reading. */
+    uint64_t bad_normals, bad_colors, bad_texcoords, missing_positions, missing_texcoords;
+    bool read_before; /* what there is to warn of is known */
 };
 
 /* The kind of a part: the number of its element, or one of these. */
@@ -71,10 +72,9 @@ int fmt_ply_reserve(struct bsq_ctx *ctx, const struct ply_source *source,
 /* Stores the value of one property of vertex number `vertex` of the part. */
 void fmt_ply_store_vertex(struct mesh_arrays *arrays, uint64_t vertex,
                           const struct ply_property *property, double value);
-/* Ends a part with this many vertices: checks their numbers. Sets *bad to the first vertex whose
- * position or texture coordinate is not finite; returns false if there is one. */
-bool fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
-                             struct stream_slot *slot, uint64_t count, uint64_t *bad);
+/* Ends a part with this many vertices. What is not finite becomes missing, and is counted. */
+void fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
+                             struct stream_slot *slot, uint64_t count);
 
 /* A face while it is read. Its indices lie behind the last corner, its texture coordinates behind
  * the last texture coordinate. */

@@ -176,6 +176,8 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     reader->bad_normals += slot->bad_normals;
     reader->bad_colors += slot->bad_colors;
     reader->bad_texcoords += slot->bad_texcoords;
+    reader->missing_positions += slot->missing_positions;
+    reader->missing_texcoords += slot->missing_texcoords;
     if (source->corner_texcoords)
         number_texcoords(&base->sources[slot->part.source], &slot->arrays);
     if (source->tags != PLY_TAGS_NONE)
@@ -189,10 +191,12 @@ static void warn_missing(struct ply_reader *reader)
     const struct {
         uint64_t count;
         const char *what;
-    } kinds[] = {{reader->bad_normals, "normals"},
+    } kinds[] = {{reader->missing_positions, "positions"},
+                 {reader->bad_normals, "normals"},
                  {reader->bad_colors, "colours"},
+                 {reader->missing_texcoords, "texture coordinates"},
                  {reader->bad_texcoords, "texture coordinates of corners"}};
-    for (int i = 0; i < 3; i++)
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++)
         if (kinds[i].count > 0)
             bsq_warn(reader->stream.base.ctx,
                      "%s: %" PRIu64 " %s are not finite or incomplete and were left out",
@@ -204,6 +208,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
 {
     struct ply_reader *reader = (struct ply_reader *)base;
     reader->bad_normals = reader->bad_colors = reader->bad_texcoords = 0;
+    reader->missing_positions = reader->missing_texcoords = 0;
     int status = fmt_stream_read(&reader->stream, steps, arg, totals);
     if (status || reader->read_before)
         return status;

@@ -1,5 +1,6 @@
 /* ply_text.c - parses parts of PLY files in text: one line for each element. */
 #include <inttypes.h>
+#include <math.h>
 
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
@@ -40,8 +41,12 @@ static bool read_real(struct text *t, double *out)
 {
     t->at = skip_blanks(t, t->at);
     const char *after = obj_number(t->at, out);
+    if (!after) {
+        after = fmt_obj_not_finite(t->at);
+        *out = NAN;
+    }
     if (!after || *t->at == t->line_end)
-        return fail_word(t, "a finite number");
+        return fail_word(t, "a number");
     t->at = after;
     return true;
 }
@@ -216,7 +221,7 @@ int fmt_ply_parse_text(struct bsq_ctx *ctx, const struct ply_source *source,
                      .end = (const char *)slot->bytes + slot->part.size,
                      .line = slot->part.first_line,
                      .line_end = source->header.line_end};
-    uint64_t count = 0, bad;
+    uint64_t count = 0;
     int status = fmt_ply_reserve(ctx, source, element, slot, slot->part.size / 2 + 1);
     if (status)
         return status;
@@ -224,8 +229,7 @@ int fmt_ply_parse_text(struct bsq_ctx *ctx, const struct ply_source *source,
     slot->bytes[slot->part.size] = (uint8_t)t.line_end;
     while (next_line(&t) && read_element(&t, element, count) && finish_line(&t))
         count++;
-    if (element->kind == PLY_VERTICES &&
-        !fmt_ply_finish_vertices(source, element, slot, count, &bad))
-        fmt_stream_fail(slot, slot->part.first_line, "a vertex has a number that is too large");
+    if (element->kind == PLY_VERTICES)
+        fmt_ply_finish_vertices(source, element, slot, count);
     return 0;
 }

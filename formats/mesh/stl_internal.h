@@ -36,8 +36,8 @@ struct stl_reader {
 
 /* Prepares slot->work and slot->arrays for a part of up to `most` vertices. */
 int fmt_stl_begin_weld(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t most);
-/* Returns the number, in the part, of the vertex at this position; adds it if it is new. color:
- * NULL unless slot->arrays.has_colors. */
+/* Returns the number, in the part, of the vertex at this position; adds it if it is new. position:
+ * finite, or all NAN. color: NULL unless slot->arrays.has_colors. */
 uint64_t fmt_stl_weld(struct stream_slot *slot, const double position[3], const float *color);
 
 /* ---- stl_text.c ---- */

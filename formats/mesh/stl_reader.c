@@ -149,8 +149,8 @@ static bool any_color(const struct stl_source *file, const struct stream_slot *s
     return false;
 }
 
-/* Reads a corner of a triangle. Returns false if a coordinate is not finite. */
-static bool read_corner(const uint8_t *from, double position[3])
+/* Reads a corner of a triangle. All numbers become NaN if one is not finite. */
+static void read_corner(const uint8_t *from, double position[3])
 {
     float values[3], poison = 0.0f;
     memcpy(values, from, sizeof values);
@@ -158,7 +158,8 @@ static bool read_corner(const uint8_t *from, double position[3])
         poison += values[i] * 0.0f;
         position[i] = (double)values[i];
     }
-    return poison == 0.0f;
+    if (poison != 0.0f)
+        position[0] = position[1] = position[2] = NAN;
 }
 
 /* Adds triangle number `i` of the part. Returns false if parsing must stop. */
@@ -171,10 +172,7 @@ static bool add_triangle(const struct stl_source *file, struct stream_slot *slot
     decode_color(file, triangle, color);
     slot->at = slot->part.offset + i * STL_TRIANGLE_BYTES;
     for (uint64_t k = 0; k < 3; k++) {
-        if (!read_corner(triangle + 12 * (k + 1), position)) {
-            fmt_stream_fail(slot, slot->at, "a corner has a coordinate that is not finite");
-            return false;
-        }
+        read_corner(triangle + 12 * (k + 1), position);
         a->corners[FMT_MESH_VERTEX][3 * i + k] =
             fmt_stl_weld(slot, position, a->has_colors ? color : NULL);
     }

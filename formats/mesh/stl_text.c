@@ -2,6 +2,7 @@
  *
  * Only "vertex" and the ends of loops matter. Files are cut after a line that begins with
  * "endfacet". */
+#include <math.h>
 #include <strings.h>
 
 #include "formats/mesh/mesh_text.h"
@@ -133,13 +134,20 @@ static bool read_vertex(struct text *t)
 {
     struct mesh_arrays *a = &t->slot->arrays;
     double position[3];
+    bool finite = true;
     for (int i = 0; i < 3; i++) {
         next_word(t);
         const char *after = obj_number(t->at, &position[i]);
+        if (!after) {
+            after = fmt_obj_not_finite(t->at);
+            finite = false;
+        }
         if (!after || t->at >= t->end)
-            return fail_word(t, "a finite number");
+            return fail_word(t, "a number");
         t->at = after;
     }
+    if (!finite)
+        position[0] = position[1] = position[2] = NAN;
     const uint64_t corner = a->corner_count + t->size;
     t->status = fmt_arrays_reserve_corners(t->ctx, a, FMT_MESH_VERTEX, corner + 1);
     if (t->status)

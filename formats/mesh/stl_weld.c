@@ -1,6 +1,7 @@
 /* stl_weld.c - finds equal vertices of one part, with a hash table of their positions. */
 #include "formats/mesh/stl_internal.h"
 
+#include <math.h>
 #include <string.h>
 
 /* A vertex whose place is taken this often is not welded: files could be made whose vertices all
@@ -68,6 +69,7 @@ uint64_t fmt_stl_weld(struct stream_slot *slot, const double position[3], const 
         i = (i + 1) & weld->mask;
     }
     const uint64_t vertex = a->count[FMT_MESH_VERTEX]++;
+    slot->missing_positions += isnan(position[0]);
     if (weld->slots[i] == 0)
         weld->slots[i] = (uint32_t)vertex + 1;
     memcpy(a->positions[vertex], position, sizeof a->positions[vertex]);

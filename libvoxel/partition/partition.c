@@ -18,6 +18,7 @@
 struct block_slot {
     struct triangulator triangulator;
     struct scan_face_check check;
+    struct scan_clean_faces clean;
 };
 
 struct reading {
@@ -141,7 +142,8 @@ static int divide_memory(const struct reading *r, struct shares *out)
 {
     const struct scan *scan = r->scan;
     const struct sort_limits *limits = scan->limits;
-    const uint64_t used = r->used_before + vox_scan_stream_memory(scan);
+    const uint64_t used =
+        r->used_before + vox_scan_stream_memory(scan) + vox_scan_missing_memory(scan);
     const uint64_t limit = bsq_memory_limit(scan->ctx), unused = limit > used ? limit - used : 0;
     const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     const uint64_t others = limits->reserve_bytes + r->slot_count * BLOCK_BYTES + vertices / 8;
@@ -213,13 +215,15 @@ static int follow(void *arg, const struct fmt_mesh_block *block, unsigned number
         vox_scan_prefault(r->scan);
     if (!r->faces || block->face_count == 0)
         return 0;
-    vox_scan_check_faces(r->scan, block, &slot->check);
+    int status = vox_scan_check_faces(r->scan, block, &slot->clean, &slot->check);
+    if (status < 0)
+        return status;
     if (slot->check.max_size > MAX_CORNERS)
         return bsq_fail(r->scan->ctx, BSQ_EDATA, "%s: a face has %u corners, more than %u",
                         r->scan->paths[block->file], slot->check.max_size, MAX_CORNERS);
     if (slot->check.bad_index.found)
         return 0;
-    return vox_triangulate_block(&slot->triangulator, block, slot->check.max_size);
+    return vox_triangulate_block(&slot->triangulator, slot->check.block, slot->check.max_size);
 }
 
 /* Copies runs to their buckets. Nothing more is kept after an index that is out of range: the scan
@@ -244,6 +248,12 @@ static int finish(void *arg, const struct fmt_mesh_block *block, unsigned number
 
 /* ---- reading ---- */
 
+static void free_slot(struct bsq_ctx *ctx, struct block_slot *slot)
+{
+    vox_triangulator_free(&slot->triangulator);
+    vox_scan_clean_free(ctx, &slot->clean);
+}
+
 static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool elements, bool faces)
 {
     static const struct fmt_mesh_steps steps = {on_block, follow, finish};
@@ -267,7 +277,7 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
     if (status == 0)
         status = read_pass(&r, reader, passes == PARTITION_ONE_PASS, true);
     for (unsigned i = 0; r.slots && i < r.slot_count; i++)
-        vox_triangulator_free(&r.slots[i].triangulator);
+        free_slot(scan->ctx, &r.slots[i]);
     vox_vertex_buckets_free(scan, &r.vertex_buckets);
     bsq_free(scan->ctx, r.slots);
     return status;

@@ -37,42 +37,63 @@ static uint32_t largest_face(const struct fmt_mesh_block *block)
     return largest;
 }
 
-/* Finds the first index that is not below its end; there is one. */
-static struct scan_bad_index find_bad_index(const struct fmt_mesh_block *block,
-                                            const uint64_t *const indices[FMT_MESH_KIND_COUNT],
-                                            const uint64_t ends[FMT_MESH_KIND_COUNT])
+/* Finds the first vertex index that is not below `end`; there is one. */
+static struct scan_bad_index find_bad_index(const struct fmt_mesh_block *block, uint64_t end)
 {
-    uint64_t corner = 0;
-    for (uint64_t f = 0; f < block->face_count; f++)
-        for (uint64_t end = corner + block->face_sizes[f]; corner < end; corner++)
-            for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
-                uint64_t index = indices[kind] ? indices[kind][corner] : FMT_MESH_NONE;
-                if (index != FMT_MESH_NONE && index >= ends[kind])
-                    return (struct scan_bad_index){true, (enum fmt_mesh_kind)kind,
-                                                   block->face_base + f, index};
-            }
-    return (struct scan_bad_index){0};
+    uint64_t f = 0, first = 0, corner = 0;
+    while (block->corner_vertices[corner] < end)
+        corner++;
+    for (; first + block->face_sizes[f] <= corner; f++)
+        first += block->face_sizes[f];
+    return (struct scan_bad_index){true, FMT_MESH_VERTEX, block->face_base + f,
+                                   block->corner_vertices[corner]};
 }
 
-void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
-                          struct scan_face_check *out)
+static bool any_missing(const struct scan *scan, enum fmt_mesh_kind kind, const uint64_t *indices,
+                        uint64_t count)
 {
-    const uint64_t *const indices[FMT_MESH_KIND_COUNT] = {
-        block->corner_vertices, block->corner_texcoords, block->corner_normals};
-    const uint64_t count = block->corner_count;
-    uint64_t ends[FMT_MESH_KIND_COUNT];
-    bool in_range = true;
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
-        ends[kind] = scan_count(scan, scan_stream_of(kind));
-        in_range &= !indices[kind] || all_below(indices[kind], count, ends[kind]);
+    bool any = false;
+    for (uint64_t i = 0; scan->missing[kind].words > 0 && i < count; i++)
+        any |= scan_is_missing(&scan->missing[kind], indices[i]);
+    return any;
+}
+
+/* Returns whether some index of this kind names nothing. */
+static bool any_lost(const struct scan *scan, enum fmt_mesh_kind kind, const uint64_t *indices,
+                     uint64_t count)
+{
+    return indices && (!all_below(indices, count, scan_count(scan, scan_stream_of(kind))) ||
+                       any_missing(scan, kind, indices, count));
+}
+
+int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+                         struct scan_clean_faces *clean, struct scan_face_check *out)
+{
+    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS), all = block->corner_count;
+    *out = (struct scan_face_check){.block = block, .max_size = 3};
+    if (!all_below(block->corner_vertices, all, vertices)) {
+        out->bad_index = find_bad_index(block, vertices);
+        return 0;
     }
-    *out = (struct scan_face_check){.max_size = largest_face(block),
-                                    .lacks_texcoord = !indices[FMT_MESH_TEXCOORD] ||
-                                                      any_none(indices[FMT_MESH_TEXCOORD], count),
-                                    .has_normals = indices[FMT_MESH_NORMAL] &&
-                                                   any_index(indices[FMT_MESH_NORMAL], count)};
-    if (!in_range)
-        out->bad_index = find_bad_index(block, indices, ends);
+    if (any_missing(scan, FMT_MESH_VERTEX, block->corner_vertices, all) ||
+        any_lost(scan, FMT_MESH_TEXCOORD, block->corner_texcoords, all) ||
+        any_lost(scan, FMT_MESH_NORMAL, block->corner_normals, all)) {
+        int status = vox_scan_clean_faces(scan, block, clean, out);
+        if (status < 0)
+            return status;
+        out->block = block = &clean->block;
+    }
+    const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
+    out->max_size = largest_face(block);
+    out->lacks_texcoord = !texcoords || any_none(texcoords, block->corner_count);
+    out->has_normals = normals && any_index(normals, block->corner_count);
+    return 0;
+}
+
+static void add_loss(struct scan_loss *to, const struct scan_loss *loss)
+{
+    to->face = to->count > 0 ? to->face : loss->face;
+    to->count += loss->count;
 }
 
 void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
@@ -80,6 +101,8 @@ void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
     if (scan->bad_index.found)
         return;
     scan->bad_index = check->bad_index;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        add_loss(&scan->lost[kind], &check->lost[kind]);
     scan->lacks_texcoord |= check->lacks_texcoord;
     scan->has_normals |= check->has_normals;
     scan->max_face_size =

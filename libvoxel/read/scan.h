@@ -33,11 +33,37 @@ struct scan_bad_index {
     uint64_t face, index;
 };
 
+/* Elements of one kind that the file has no finite numbers for: a bit for each element. There are
+ * no bits if nothing is missing, as in nearly all scans. */
+struct scan_missing {
+    uint64_t *bits;
+    uint64_t words, capacity; /* of 64 bits */
+};
+
+/* Occurrences of something, and the first face of the scan that has it. */
+struct scan_loss {
+    uint64_t count, face;
+};
+
+/* A copy of a block's faces without what refers to nothing. The buffers are reused. All zero at
+ * first; free it with vox_scan_clean_free(). */
+struct scan_clean_faces {
+    struct fmt_mesh_block block; /* the copy; its other fields are those of the original */
+    uint32_t *sizes;
+    uint64_t *corners[FMT_MESH_KIND_COUNT];
+    struct fmt_mesh_material_change *changes;
+    uint64_t size_capacity, corner_capacity[FMT_MESH_KIND_COUNT], change_capacity;
+};
+
 /* Facts about the faces of one block. */
 struct scan_face_check {
-    uint32_t max_size; /* corners of the largest face, at least 3 */
+    const struct fmt_mesh_block *block; /* the faces to use: the block itself or its clean copy */
+    uint32_t max_size;                  /* corners of the largest face, at least 3 */
     bool lacks_texcoord, has_normals;
-    struct scan_bad_index bad_index; /* the first one */
+    struct scan_bad_index bad_index; /* the first one of a vertex */
+    /* By kind: faces left out for lack of a position, and corners that refer to a texture
+     * coordinate or normal that the file does not have. */
+    struct scan_loss lost[FMT_MESH_KIND_COUNT];
 };
 
 struct scan {
@@ -51,6 +77,7 @@ struct scan {
     float color_scale;        /* to 0..255, of blocks that do not say it; 0: not known yet */
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
+    struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
     struct fmt_mesh_totals totals;
 
     /* Of all faces. */
@@ -58,6 +85,7 @@ struct scan {
     bool lacks_texcoord; /* some corner has none */
     bool has_normals;    /* some corner has one */
     struct scan_bad_index bad_index;
+    struct scan_loss lost[FMT_MESH_KIND_COUNT]; /* as in struct scan_face_check */
 
     /* Filled by vox_scan_find_materials(). */
     uint32_t attributes; /* of enum fmt_tris_attribute */
@@ -83,14 +111,23 @@ int vox_scan_finish_streams(struct scan *scan);
 /* Returns the bytes that streams have in memory. */
 uint64_t vox_scan_stream_memory(const struct scan *scan);
 
-/* Checks a block's faces after all elements are known. From any thread. */
-void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
-                          struct scan_face_check *out);
+/* Checks a block's faces after all elements are known. `clean` gets a copy if something in the
+ * block refers to nothing. From any thread. Errors: BSQ_ENOMEM. */
+int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+                         struct scan_clean_faces *clean, struct scan_face_check *out);
+/* Makes the copy, and counts what it lacks in *check. Vertex indices are in range. */
+int vox_scan_clean_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+                         struct scan_clean_faces *clean, struct scan_face_check *check);
+void vox_scan_clean_free(struct bsq_ctx *ctx, struct scan_clean_faces *clean);
+/* Notes which elements of a block are missing. Serial. Errors: BSQ_ENOMEM. */
+int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block);
+/* Returns the bytes that notes on missing elements take. */
+uint64_t vox_scan_missing_memory(const struct scan *scan);
 /* Adds the result to the scan. Serial, in the order of the file. */
 void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check);
 
-/* Ends reading: reports warnings. Errors: BSQ_EDATA if an index is out of range or there are no
- * faces. */
+/* Ends reading: reports warnings. Errors: BSQ_EDATA if the index of a vertex is out of range, if
+ * more than 1 % of the faces are left out, or if there are no faces. */
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 
 /* Reads the MTL files and decides on attributes and materials. texture_path: an image for all faces
@@ -104,6 +141,12 @@ static inline bool scan_keeps(const struct scan *scan, enum scan_stream stream)
     static const uint32_t attributes[SCAN_STREAM_COUNT] = {0, FMT_TRIS_COLORS, FMT_TRIS_TEXCOORDS,
                                                            FMT_TRIS_NORMALS};
     return stream == SCAN_POSITIONS || (scan->attributes & attributes[stream]) != 0;
+}
+
+/* Returns whether an element is missing. Any number may be asked for. */
+static inline bool scan_is_missing(const struct scan_missing *missing, uint64_t index)
+{
+    return index / 64 < missing->words && missing->bits[index / 64] >> index % 64 & 1;
 }
 
 static inline uint64_t scan_count(const struct scan *scan, enum scan_stream stream)

@@ -37,6 +37,8 @@ void vox_scan_free(struct scan *scan)
         bsq_free(scan->ctx, scan->materials[i].texture_path);
     bsq_free(scan->ctx, scan->materials);
     bsq_free(scan->ctx, scan->material_map);
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        bsq_free(scan->ctx, scan->missing[kind].bits);
     memset(scan, 0, sizeof *scan);
 }
 
@@ -77,8 +79,8 @@ static void stream_advance(struct scan *scan, enum scan_stream number, uint64_t 
 
 /* ---- positions ---- */
 
-/* Chooses the origin from the first block, so that one pass is enough. float32 positions would lose
- * detail if a scan is far from zero for its size. */
+/* Chooses the origin from the first block with positions, so that one pass is enough. float32
+ * positions would lose detail if a scan is far from zero for its size. */
 static void choose_origin(struct scan *scan, const struct fmt_mesh_block *block)
 {
     double low[3], high[3];
@@ -102,12 +104,31 @@ static int fail_vertex(const struct scan *scan, const struct fmt_mesh_block *blo
     for (uint64_t v = 0; v < block->vertex_count; v++)
         for (int axis = 0; axis < 3; axis++) {
             double p = block->positions[v][axis];
-            if (!(fabs(p - scan->origin[axis]) <= FLT_MAX))
+            if (fabs(p - scan->origin[axis]) > FLT_MAX)
                 return bsq_fail(
                     scan->ctx, BSQ_EDATA, "%s: vertex %llu of the scan: coordinate %g is too large",
                     scan->paths[block->file], (unsigned long long)(block->vertex_base + v + 1), p);
         }
     return BSQ_EBUG;
+}
+
+/* Converts positions of which some are missing, as add_positions() does. Missing ones become the
+ * origin, which no face uses, and do not count for the bounds. Returns whether all others are
+ * within float32. */
+static bool convert_present(const double (*from)[3], uint64_t count, const double origin[3],
+                            float low[3], float high[3], float (*to)[3])
+{
+    float poison = 0.0f;
+    for (uint64_t v = 0; v < count; v++)
+        for (int axis = 0; axis < 3; axis++) {
+            const bool missing = isnan(from[v][axis]);
+            const float p = missing ? 0.0f : (float)(from[v][axis] - origin[axis]) + 0.0f;
+            poison += p * 0.0f;
+            low[axis] = !missing && p < low[axis] ? p : low[axis];
+            high[axis] = !missing && p > high[axis] ? p : high[axis];
+            to[v][axis] = p;
+        }
+    return poison == 0.0f;
 }
 
 static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
@@ -125,7 +146,9 @@ static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
         uint64_t count =
             block->vertex_count - done < capacity ? block->vertex_count - done : capacity;
         const double(*from)[3] = block->positions + done;
-        for (uint64_t v = 0; v < count; v++)
+        if (block->missing_positions > 0 && !convert_present(from, count, o, low, high, to))
+            poison = 1.0f;
+        for (uint64_t v = 0; block->missing_positions == 0 && v < count; v++)
             for (int axis = 0; axis < 3; axis++) {
                 /* + 0 makes a negative zero positive, so that equal positions have equal bits. */
                 float p = (float)(from[v][axis] - o[axis]) + 0.0f;
@@ -139,7 +162,9 @@ static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
     }
     memcpy(scan->bounds_min, low, sizeof low);
     memcpy(scan->bounds_max, high, sizeof high);
-    scan->merged_vertices += vox_precision_count_merged(block->positions, block->vertex_count, o);
+    if (block->missing_positions == 0)
+        scan->merged_vertices +=
+            vox_precision_count_merged(block->positions, block->vertex_count, o);
     return poison == 0.0f ? 0 : fail_vertex(scan, block);
 }
 
@@ -263,7 +288,7 @@ static int add_normals(struct scan *scan, const struct fmt_mesh_block *block)
 
 static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 {
-    if (!scan->origin_known)
+    if (!scan->origin_known && block->missing_positions < block->vertex_count)
         choose_origin(scan, block);
     scan->has_colors |= block->colors != NULL;
     int status = add_positions(scan, block);
@@ -274,8 +299,8 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
-    int status = 0;
-    if (block->vertex_count > 0)
+    int status = vox_scan_note_missing(scan, block);
+    if (status == 0 && block->vertex_count > 0)
         status = add_vertices(scan, block);
     if (status == 0 && block->texcoord_count > 0)
         status = add_texcoords(scan, block);
@@ -300,6 +325,44 @@ int vox_scan_finish_streams(struct scan *scan)
     return status;
 }
 
+/* Warns of faces that are left out and of corners that refer to nothing; `place` is the first.
+ * Fails if more than 1 % of the faces are left out: the file is damaged, or not what was meant. */
+static int report_loss(const struct scan *scan, enum fmt_mesh_kind kind, const char *place)
+{
+    const unsigned long long count = scan->lost[kind].count, faces = scan->totals.faces;
+    if (kind != FMT_MESH_VERTEX)
+        bsq_warn(scan->ctx,
+                 "%s: corners that refer to a %s that the file does not have: %llu; this is the "
+                 "first",
+                 place, fmt_mesh_kind_names[kind], count);
+    else if (count > faces / 100)
+        return bsq_fail(scan->ctx, BSQ_EDATA,
+                        "%s: %llu of %llu faces have a vertex without a finite position, more than "
+                        "1 %%; this is the first",
+                        place, count, faces);
+    else
+        bsq_warn(scan->ctx,
+                 "%s: faces left out, as they have a vertex without a finite position: %llu; this "
+                 "is the first",
+                 place, count);
+    return 0;
+}
+
+static int report_losses(const struct scan *scan, struct fmt_mesh_reader *reader)
+{
+    int status = 0;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT && status == 0; kind++) {
+        char *place = NULL;
+        if (scan->lost[kind].count == 0)
+            continue;
+        status = fmt_mesh_place_text(reader, scan->lost[kind].face, &place);
+        if (status == 0)
+            status = report_loss(scan, (enum fmt_mesh_kind)kind, place);
+        bsq_free(scan->ctx, place);
+    }
+    return status;
+}
+
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     const struct scan_bad_index *bad = &scan->bad_index;
@@ -316,5 +379,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
                               scan->bounds_max);
     if (scan->totals.faces == 0)
         return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->paths[0]);
-    return bad->found ? fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index) : 0;
+    if (bad->found)
+        return fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index);
+    return report_losses(scan, reader);
 }

@@ -106,18 +106,21 @@ refuses()
 {
     printf 'v 0 0 0\nv 1 0 0\nv 0 %s 0\nf 1 2 3\n' "$1" >bad.obj
     run bisque-voxelize bad.obj -o bad.nvdb
+    sed -i '/ warning: .*: vertices without a finite position: 1; this is the first$/d' "$err"
     refused 65 "$p bad.obj$2"
     [ ! -e bad.nvdb ] && [ ! -e bad.tris ]
     check "nothing was written" $?
-    { cat bad.obj; echo 'vt 0 0'; echo 'f 1/1 2/1 3/1'; } >bad_low.obj
+    { sed 's|^f .*|f 1/1 2/1 3/1|' bad.obj; echo 'vt 0 0'; } >bad_low.obj
     case $2 in
     :[0-9]*) run bisque-bake plain.nvdb bad_low.obj -o map.exr
+        sed -i '/ warning: .*: vertices without a finite position: 1; this is the first$/d' "$err"
         refused 65 "bisque-bake: bad_low.obj$2" ;;
     esac
 }
-refuses nan ':3: "nan" is not a finite number'
-refuses -inf ':3: "-inf" is not a finite number'
-refuses 1e999 ':3: "1e999" is not a finite number'
+for number in nan -inf 1e999 '-nan(ind)' 1.#QNAN; do
+    refuses "$number" ":4: 1 of 1 faces have a vertex without a finite position, more than 1 %; this is the first"
+done
+refuses 1,0 ':3: "1,0" is not a number'
 refuses 1e39 ': vertex 3 of the scan: coordinate 1e+39 is too large'
 refuses 1e-60 ": the scan's only triangle has no area"
 run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e38

@@ -90,7 +90,7 @@ refused 65 "$p range.obj:4: face refers to vertex 99, file has 3"
 printf 'v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n' >nan.obj
 $vox nan.obj -o a.nvdb
 code 65
-err_like '^bisque-voxelize: nan\.obj:3: .*nan'
+err_like '^bisque-voxelize: nan\.obj:4: 1 of 1 faces have a vertex without a finite position'
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n' >zero.obj
 $vox zero.obj -o a.nvdb
 code 65

@@ -7,13 +7,13 @@
 
 static void check_mesh(const struct fmt_mesh *mesh)
 {
-    for (uint64_t i = 0; i < mesh->vertex_count; i++)
-        for (int c = 0; c < 3; c++)
-            require(isfinite(mesh->positions[i][c]), "a position is not finite");
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         require(mesh->faces[t] < mesh->face_count, "a face number is out of range");
         for (int i = 0; i < 3; i++) {
             require(mesh->vertices[t][i] < mesh->vertex_count, "a vertex index is out of range");
+            for (int c = 0; c < 3; c++)
+                require(isfinite(mesh->positions[mesh->vertices[t][i]][c]),
+                        "a position is not finite");
             if (mesh->corner_texcoords && mesh->corner_texcoords[t][i] != UINT32_MAX)
                 require(mesh->corner_texcoords[t][i] < mesh->texcoord_count,
                         "a texture coordinate index is out of range");

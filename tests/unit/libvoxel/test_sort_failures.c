@@ -18,8 +18,10 @@ static void indices_out_of_range_are_located(void **state)
         const char *text, *message;
     } cases[] = {
         {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\nf 1 2 99\n", ":5: face refers to vertex 9"},
-        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/2 3/1\n", ":5: "},
-        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//1 2//1 3//1\n", ":4: "},
+        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/9 2/2 3/1\nf 1 4 9\n",
+         ":6: face refers to vertex 4"},
+        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 3\nf 1 2 4\nf 1 2 4\n",
+         ":7: 2 of 4 faces have a vertex without a finite position"},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         assert_int_equal(sort_text(f, cases[i].text), BSQ_EDATA);

@@ -53,8 +53,11 @@ static void test_mesh_errors(void **state)
         {"v 0 0 0\nf 1 1 1\nf 1 1 99999999999\n",
          "mesh.obj:3: face refers to vertex 99999999999, file has 1"},
         {"v 0 0 0\nf 1/1 1/1 1/1\n", "mesh.obj:2: face refers to texture coordinate 1, file has 0"},
-        {"v 0 0 0\nvn 0 0 1\nf 1//1 1//4294967296 1//1\n",
-         "mesh.obj:3: face refers to normal 4294967296, file has 1"},
+        {"v 0 0 0\nvt 0 0\nf 1/1 1/0 1/1\n",
+         "mesh.obj:3: face refers to a texture coordinate before the first one"},
+        {"v 0 0 0\nv 1 0 nan\nf 1 1 1\nf 1 1 2\n",
+         "mesh.obj:4: 1 of 2 faces have a vertex without a finite position, more than 1 %; this is "
+         "the first"},
         {"v 0 0 0\nl 1 1\n", "mesh.obj: no faces"},
         {"", "mesh.obj: no faces"},
     };
@@ -68,11 +71,38 @@ static void test_mesh_errors(void **state)
     }
 }
 
+/* A normal that does not exist and texture coordinates that are not finite are missing, and a face
+ * without a position is left out. */
+static void test_missing_elements(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct fmt_mesh mesh;
+    char text[2000] = "v 0 0 0\nv 1 0 0\nv inf 0 0\nvt 0 0\nvt nan 1\nvn 0 0 1\nvn 0 1\n"
+                      "f 1/1/1 2/2/4294967296 1/1/2\nf 1 2 3 2\nf 2 1 2\n";
+    for (int i = 0; i < 98; i++)
+        strcat(text, "f 2 2 1\n");
+    load_mesh(&f, &mesh, text);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(mesh.face_count, 101);
+    assert_int_equal(mesh.triangle_count, 100);
+    const uint32_t texcoords[3] = {0, UINT32_MAX, 0}, normals[3] = {0, UINT32_MAX, 1};
+    assert_memory_equal(mesh.corner_texcoords, texcoords, sizeof texcoords);
+    assert_memory_equal(mesh.corner_normals, normals, sizeof normals);
+    assert_true(mesh.normals[1][0] == 0 && mesh.normals[1][1] == 0);
+    assert_int_equal(mesh.faces[0], 0);
+    assert_int_equal(mesh.faces[1], 2);
+    assert_int_equal(mesh.vertices[1][0], 1);
+    fmt_mesh_free(f.ctx, &mesh);
+    obj_close(&f);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_mesh),
         cmocka_unit_test(test_mesh_errors),
+        cmocka_unit_test(test_missing_elements),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }

@@ -74,9 +74,9 @@ static void test_text(void **state)
     static const struct {
         const char *text, *message;
     } cases[] = {
-        {SMALL "0 0 x\n3 0 0 0\n", "bad.ply:10: \"x\" is not a finite number"},
-        {SMALL "\n0 0\n3 0 0 0\n", "bad.ply:11: the line ends before a finite number"},
-        {SMALL "0 0 nan\n3 0 0 0\n", "bad.ply:10: \"nan\" is not a finite number"},
+        {SMALL "0 0 x\n3 0 0 0\n", "bad.ply:10: \"x\" is not a number"},
+        {SMALL "\n0 0\n3 0 0 0\n", "bad.ply:11: the line ends before a number"},
+        {SMALL "0 0 nano\n3 0 0 0\n", "bad.ply:10: \"nano\" is not a number"},
         {SMALL "0 0 0 4\n3 0 0 0\n", "bad.ply:10: \"4\" is not expected: the element has ended"},
         {SMALL "0 0 0\n\n", "bad.ply:12: truncated: the file ends after 0 of 1 elements \"face\""},
         {SMALL "0 0 0\n3 0 0    \n", "bad.ply:11: the line ends before an integer"},
@@ -91,18 +91,18 @@ static void test_text(void **state)
         ply_expect_error(cases[i].text, strlen(cases[i].text), cases[i].message);
 }
 
-/* Ends a binary file that has 4 vertices, of which the last has a z of `z`, and a face. */
+/* Ends a binary file that has 4 vertices with a face. */
 static void expect_binary_error(const char *header, const char *letters, double a, double b,
-                                double c, double z, const char *message)
+                                double c, const char *message)
 {
     struct ply_builder file;
     char text[200];
     ply_begin(&file, PLY_TEST_LITTLE, header);
     for (int i = 0; i < 4; i++)
-        ply_put(&file, "fff", 0.0, 1.0, i == 3 ? z : 0.0);
+        ply_put(&file, "fff", 0.0, 1.0, 0.0);
     ply_put(&file, letters, a, b, c);
     snprintf(text, sizeof text, message, (unsigned long long)file.header_size + 48,
-             (unsigned long long)file.header_size + 36, (unsigned long long)file.size);
+             (unsigned long long)file.size);
     ply_expect_error(file.bytes, file.size, text);
     ply_free(&file);
 }
@@ -114,15 +114,10 @@ static void test_binary(void **state)
     static const char shorts[] =
         "element vertex 4\n" XYZ "element face 1\nproperty list char int vertex_index\n";
     expect_binary_error(
-        header, "Cii", 3, 1, 2, 0,
-        "bad.ply: byte %3$llu: truncated: the file ends after 0 of 1 elements \"face\"");
-    expect_binary_error(header, "Cii", 2, 1, -7, 0,
-                        "bad.ply: byte %1$llu: face refers to vertex -7");
-    expect_binary_error(shorts, "cii", -1, 1, 7, 0, "bad.ply: byte %1$llu: a list of -1 numbers");
-    expect_binary_error(header, "Cii", 2, 1, 7, NAN,
-                        "bad.ply: byte %2$llu: a vertex has a number that is not finite");
-    expect_binary_error(header, "Cii", 2, 1, 7, INFINITY,
-                        "bad.ply: byte %2$llu: a vertex has a number that is not finite");
+        header, "Cii", 3, 1, 2,
+        "bad.ply: byte %2$llu: truncated: the file ends after 0 of 1 elements \"face\"");
+    expect_binary_error(header, "Cii", 2, 1, -7, "bad.ply: byte %1$llu: face refers to vertex -7");
+    expect_binary_error(shorts, "cii", -1, 1, 7, "bad.ply: byte %1$llu: a list of -1 numbers");
 }
 
 /* An index beyond the vertices, in each encoding: the reader finds the face again. */

@@ -192,8 +192,8 @@ static void test_wrong_text(void **state)
     static const struct {
         const char *text, *message;
     } cases[] = {
-        {START "vertex 0 0 x\n", "bad.stl:5: \"x\" is not a finite number"},
-        {START "vertex 0 0 inf\n", "bad.stl:5: \"inf\" is not a finite number"},
+        {START "vertex 0 0 x\n", "bad.stl:5: \"x\" is not a number"},
+        {START "vertex 0 0 info\n", "bad.stl:5: \"info\" is not a number"},
         {START "vertex 0 0", "bad.stl:5: truncated: the file ends within a facet"},
         {START "vertex 0 0 1\n", "bad.stl:6: truncated: the file ends within a facet"},
         {START "vortex 0 0 1\n", "bad.stl:5: \"vortex\" is not a word of STL files"},
@@ -206,14 +206,10 @@ static void test_wrong_binary(void **state)
 {
     (void)state;
     struct binary b = make_binary("a scan", 3, NULL);
-    const float corners[3][3] = {{0, 0, 0}, {1, 0, INFINITY}, {0, 1, 0}};
     expect_error(b.bytes, 83, "bad.stl: truncated: 83 bytes are no STL file");
     expect_error(b.bytes, b.size - 1,
                  "bad.stl: truncated: the header counts 3 triangles, the file has 2");
-    put_triangle(&b, corners, 0);
-    b.bytes[80] = 4;
-    expect_error(b.bytes, b.size,
-                 "bad.stl: byte 234: a corner has a coordinate that is not finite");
+    put_triangle(&b, (const float[3][3]){{0, 0, 0}, {1, 0, 0}, {0, 1, 0}}, 0);
     memset(b.bytes + 80, 0xff, 4);
     expect_error(b.bytes, b.size,
                  "bad.stl: truncated: the header counts 4294967295 triangles, the file has 4");

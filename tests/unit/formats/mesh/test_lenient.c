@@ -1,0 +1,242 @@
+/* test_lenient.c - what mesh files have without meaning: numbers that are not finite, attributes
+ * that do not exist, names in other spellings. It is missing, and a warning names the first place.
+ */
+#include <math.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include "formats/mesh/obj_number.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/formats/mesh/obj_fixture.h"
+#include "tests/unit/formats/mesh/ply_builder.h"
+
+/* ---- words ---- */
+
+static void test_words(void **state)
+{
+    (void)state;
+    static const char *const words[] = {
+        "nan",     "NaN",         "-nan(ind)", "+NAN(0x7f)", "inf",      "-Infinity", "1.#IND",
+        "-1.#IND", "1.#QNAN0000", "1.#INF",    "1e999",      "-1.5e400", ".5e+309",   "1.#J"};
+    static const char *const others[] = {"nano",  "in",    "-",  "",    "1",      "-1.5e3",
+                                         "x",     "--nan", "#",  ".#Q", "1e999x", "1e",
+                                         "infin", "1,0",   "+.", "."};
+    for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
+        char text[128] = "";
+        snprintf(text, sizeof text, "%s \n", words[i]);
+        assert_ptr_equal(fmt_obj_not_finite(text), text + strlen(words[i]));
+    }
+    for (size_t i = 0; i < sizeof others / sizeof *others; i++) {
+        char text[128] = "";
+        snprintf(text, sizeof text, "%s \n", others[i]);
+        assert_null(fmt_obj_not_finite(text));
+    }
+}
+
+/* ---- OBJ ---- */
+
+static void note_warning(void *user, const char *line)
+{
+    strcat(user, line + strlen(scratch_directory) + 1);
+    strcat(user, "\n");
+}
+
+/* Reads a file twice, and checks the warnings, which must come once. */
+static void expect_warnings(const char *path, unsigned threads, const char *expected)
+{
+    char warnings[2000] = "";
+    struct bsq_ctx_options options = {
+        .threads = threads, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
+    struct fmt_mesh_reader *reader;
+    struct bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
+    for (int i = 0; i < 2; i++)
+        assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), 0);
+    fmt_mesh_close(reader);
+    assert_string_equal(warnings, expected);
+    test_context_end(ctx);
+}
+
+static void test_numbers(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f,
+                  "v 1 2\nv 1 2 # c\nv 1 2 3 4 5\nv nan 2 3 1 1 1\nv 1 2 -inf\nv 1 2 3 0 nan 1\n"
+                  "v 1 2 3 1 1 1 nan\nvt nan 1\nvt 1 1e999\nvt 1 2 nan\nvt\nvn 1 2\nvn 1 2 nan\n"
+                  "vn 1 2 3 4\nvn 1 2 3 nan\n");
+    const double positions[7][2] = {{2, 0}, {2, 0}, {2, 3}, {NAN, NAN}, {NAN, NAN}, {2, 3}, {2, 3}};
+    assert_int_equal(f.scan.totals.vertices, 7);
+    for (int i = 0; i < 7; i++)
+        for (int c = 0; c < 2; c++)
+            assert_true(f.scan.positions[i][1 + c] == positions[i][c] ||
+                        (isnan(positions[i][c]) && isnan(f.scan.positions[i][1 + c])));
+    assert_true(isnan(f.scan.positions[3][0]) && isnan(f.scan.positions[4][0]));
+    assert_true(f.scan.colors[5][0] == -1 && f.scan.colors[6][0] == 1);
+    assert_int_equal(f.scan.totals.texcoords, 4);
+    for (int i = 0; i < 4; i++)
+        assert_true(i == 2 ? f.scan.texcoords[i][1] == 2 : isnan(f.scan.texcoords[i][0]));
+    const float normals[4][3] = {{0, 0, 0}, {0, 0, 0}, {1, 2, 3}, {1, 2, 3}};
+    assert_memory_equal(f.scan.normals, normals, sizeof normals);
+    obj_close(&f);
+    expect_warnings(
+        scratch_path("scan.obj"), 2,
+        "scan.obj:4: vertices without a finite position: 2; this is the first\n"
+        "scan.obj:8: texture coordinates without finite numbers: 3; this is the first\n"
+        "scan.obj:12: normals without three finite numbers: 2; this is the first\n"
+        "scan.obj:6: vertices with a colour that is not finite: 1; this is the first\n"
+        "scan.obj:1: vertices of 2 or 5 numbers, read as x y 0 or x y z: 3; this is the "
+        "first\n");
+}
+
+/* The first line counts from the start of the file, whatever thread parses its block. */
+static void test_first_line_in_a_late_block(void **state)
+{
+    (void)state;
+    enum { LINES = 200000 };
+    char *text = malloc(LINES * 10 + 1), *to = text;
+    for (int i = 0; i < LINES; i++)
+        to += sprintf(to, i == 150000 || i == 190000 ? "v 1 n\x61n 3\n" : "v 1 2 %d\n", i % 10);
+    const char *path = scratch_text("late.obj", text);
+    for (unsigned threads = 1; threads < 5; threads++)
+        expect_warnings(path, threads,
+                        "late.obj:150001: vertices without a finite position: 2; this is the "
+                        "first\n");
+    free(text);
+}
+
+/* Indices of attributes before the first one are kept apart from all others. */
+static void test_attributes_before_the_first(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "v 0 0 0\nvt 0 0\nvn 0 0 1\nf 1/0/-2 1/-2/1 1/1/0\n");
+    for (int i = 0; i < 3; i++) {
+        assert_true(i == 2 ? f.scan.corners[1][i] == 0 : f.scan.corners[1][i] == FMT_MESH_BEFORE);
+        assert_true(i == 1 ? f.scan.corners[2][i] == 0 : f.scan.corners[2][i] == FMT_MESH_BEFORE);
+    }
+    obj_close(&f);
+}
+
+/* ---- names ---- */
+
+static void test_names(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct fmt_materials m;
+    scratch_text("My Lib.mtl", "newmtl Wood # brown\nKd 1 0 0\nmap_Kd \"Tex A.png\" # c\n"
+                               "newmtl \"two words\"\nKd 0 1 0\nnewmtl # 5\nKd 0 0 1\n"
+                               "newmtl oak # 2\nKd 1 1 0\nnewmtl OAK\nKd 0 1 1\n");
+    scratch_text("tex a.PNG", "an image");
+    obj_read_text(&f, "mtllib \"my lib.mtl\" # comment\nv 0 0 0\nusemtl wood\nf 1 1 1\n"
+                      "usemtl \"Two Words\" # c\nf 1 1 1\nusemtl # 5\nf 1 1 1\nusemtl oak # 2\n"
+                      "f 1 1 1\nusemtl Oak\nf 1 1 1\nusemtl OAK\nf 1 1 1\nusemtl none\nf 1 1 1\n");
+    assert_int_equal(fmt_mesh_read_materials(f.reader, &m), 0);
+    const float expected[7][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1},         {1, 1, 0},
+                                  {1, 1, 0}, {0, 1, 1}, {0.8f, 0.8f, 0.8f}};
+    assert_int_equal(m.count, 7);
+    for (int i = 0; i < 7; i++)
+        assert_memory_equal(m.list[i].diffuse, expected[i], sizeof expected[i]);
+    assert_string_equal(m.list[0].name, "wood");
+    assert_string_equal(m.list[0].texture_path, scratch_path("tex a.PNG"));
+    assert_string_equal(m.list[4].name, "Oak");
+    assert_false(m.list[6].has_diffuse);
+    fmt_materials_free(f.ctx, &m);
+    obj_close(&f);
+}
+
+/* A library whose name has blanks is one name in messages. */
+static void test_missing_libraries(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    obj_read_text(&f, "mtllib no such lib.mtl # c\nv 0 0 0\nf 1 1 1\n");
+    assert_string_equal(fmt_mesh_dependency(f.reader, 0), scratch_path("no such lib.mtl"));
+    assert_null(fmt_mesh_dependency(f.reader, 1));
+    obj_close(&f);
+}
+
+/* ---- PLY and STL ---- */
+
+static void test_ply(void **state)
+{
+    (void)state;
+    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
+        struct ply_builder b;
+        struct obj_fixture f;
+        ply_begin(&b, encoding,
+                  "element vertex 4\nproperty float x\nproperty float y\nproperty double z\n"
+                  "property float s\nproperty float t\n"
+                  "element face 1\nproperty list uchar int vertex_indices\n");
+        for (int i = 0; i < 4; i++) {
+            ply_put(&b, "ffdff", 0.0, 1.0, i == 2 ? NAN : i, 0.5, i == 1 ? INFINITY : 0.0);
+            ply_end(&b);
+        }
+        ply_put(&b, "Ciii", 3.0, 0.0, 1.0, 3.0);
+        ply_end(&b);
+        const char *path = scratch_bytes("odd.ply", b.bytes, b.size);
+        obj_read_files(&f, 2, 1, &path);
+        assert_int_equal(f.status, 0);
+        for (int i = 0; i < 4; i++) {
+            assert_int_equal(isnan(f.scan.positions[i][0]), i == 2);
+            assert_int_equal(isnan(f.scan.texcoords[i][0]), i == 1);
+        }
+        obj_close(&f);
+        expect_warnings(path, 2,
+                        "odd.ply: 1 positions are not finite or incomplete and were left out\n"
+                        "odd.ply: 1 texture coordinates are not finite or incomplete and were left "
+                        "out\n");
+        ply_free(&b);
+    }
+}
+
+static void test_stl(void **state)
+{
+    (void)state;
+    char binary[84 + 2 * 50] = "a scan";
+    const float corners[2][3][3] = {{{0, 0, 0}, {1, 0, NAN}, {0, 1, 0}},
+                                    {{0, 0, 0}, {INFINITY, 0, 1}, {1, 1, 1}}};
+    binary[80] = 2;
+    for (int i = 0; i < 2; i++)
+        memcpy(binary + 84 + 50 * i + 12, corners[i], sizeof corners[i]);
+    const char *paths[2] = {
+        scratch_bytes("odd.stl", binary, sizeof binary),
+        scratch_text("text.stl",
+                     "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n"
+                     "vertex 1 nan 0\nvertex 0 1 0\nendloop\nendfacet\nfacet\nouter loop\n"
+                     "vertex 0 0 0\nvertex 1.#IND 0 0\nvertex 1 1 1\nendloop\nendfacet\n"
+                     "endsolid\n")};
+    for (int i = 0; i < 2; i++) {
+        struct obj_fixture f;
+        obj_read_files(&f, 1, 1, &paths[i]);
+        assert_int_equal(f.status, 0);
+        assert_int_equal(f.scan.totals.faces, 2);
+        assert_int_equal(f.scan.totals.vertices, 4);
+        assert_true(isnan(f.scan.positions[f.scan.corners[0][1]][0]));
+        assert_int_equal(f.scan.corners[0][1], f.scan.corners[0][4]);
+        obj_close(&f);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_words),
+        cmocka_unit_test(test_numbers),
+        cmocka_unit_test(test_first_line_in_a_late_block),
+        cmocka_unit_test(test_attributes_before_the_first),
+        cmocka_unit_test(test_names),
+        cmocka_unit_test(test_missing_libraries),
+        cmocka_unit_test(test_ply),
+        cmocka_unit_test(test_stl),
+    };
+    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
+}

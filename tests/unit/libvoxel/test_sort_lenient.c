@@ -1,0 +1,208 @@
+/* test_sort_lenient.c - scans with faces that refer to nothing. The result is that of a scan
+ * without these faces and corners, the same bytes for any threads, budget and number of passes. */
+#include "sort_grid.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+/* Rows and columns of vertices: some blocks of text. */
+enum { SIDE = 200 };
+
+struct losses {
+    uint64_t faces, corners, lines;
+    uint64_t first_face, first_texcoord, first_normal; /* lines */
+};
+
+static void note_first(uint64_t *first, const struct losses *losses)
+{
+    if (!*first)
+        *first = losses->lines + 1;
+}
+
+/* Returns true for about one of `of` calls. */
+static bool rarely(uint64_t *seed, uint32_t of)
+{
+    return sort_random(seed) % of == 0;
+}
+
+static void write_vertices(FILE *file, bool damaged, uint64_t *seed, struct losses *losses)
+{
+    for (uint32_t i = 0; i < SIDE * SIDE; i++) {
+        const bool missing = i == 7777 || i == 30000;
+        const double z = sort_random(seed) % 1000 / 1000.0;
+        if (missing && damaged)
+            fprintf(file, "v %u nan %g\n", i % SIDE, z);
+        else
+            fprintf(file, "v %u %u %g\n", i % SIDE, i / SIDE, z);
+    }
+    fprintf(file, "vt 0 0\nvt 0.5 0.25\nvt %s 0\nvn 0 0 1\nvn %s\n", damaged ? "inf" : "0",
+            damaged ? "1.#QNAN 0 0" : "0 0 0");
+    losses->lines = SIDE * SIDE + 5;
+}
+
+/* Writes "/t/n" of a corner. In a damaged file, what does not exist has an index; otherwise none.
+ */
+static void write_attributes(FILE *file, bool damaged, uint64_t *seed, struct losses *losses)
+{
+    static const char *const beyond[] = {"4", "-99", "0", "123456789012345678"};
+    const char *wrong = beyond[sort_random(seed) % 4];
+    const uint32_t texcoord = sort_random(seed) % 3 + 1;
+    const bool no_texcoord = rarely(seed, 500), no_normal = rarely(seed, 400);
+    if (no_texcoord)
+        fprintf(file, "/%s", damaged ? wrong : "");
+    else if (texcoord == 3 && !damaged) /* it is not finite */
+        fprintf(file, "/");
+    else
+        fprintf(file, "/%u", texcoord);
+    if (no_normal)
+        fprintf(file, damaged ? "/%s" : "", wrong);
+    else
+        fprintf(file, "/%u", sort_random(seed) % 2 + 1);
+    if (no_texcoord)
+        note_first(&losses->first_texcoord, losses);
+    if (no_normal)
+        note_first(&losses->first_normal, losses);
+    losses->corners += no_texcoord + no_normal;
+}
+
+static bool lacks_position(const uint32_t corners[4])
+{
+    for (int k = 0; k < 4; k++)
+        if (corners[k] == 7777 || corners[k] == 30000)
+            return true;
+    return false;
+}
+
+static void write_faces(FILE *file, bool damaged, uint64_t *seed, struct losses *losses)
+{
+    for (uint32_t i = 0; i < (SIDE - 1) * (SIDE - 1); i++) {
+        const uint32_t a = i / (SIDE - 1) * SIDE + i % (SIDE - 1);
+        const uint32_t corners[4] = {a, a + 1, a + SIDE + 1, a + SIDE};
+        const bool lost = lacks_position(corners);
+        FILE *to = lost && !damaged ? fopen("/dev/null", "w") : file;
+        struct losses unused = *losses;
+        if (i % 1000 == 0) {
+            fprintf(file, "usemtl m%u\n", sort_random(seed) % 3);
+            losses->lines++;
+        }
+        if (lost) {
+            note_first(&losses->first_face, losses);
+            losses->faces++;
+        }
+        fprintf(to, "f");
+        for (int k = 0; k < (i % 3 ? 4 : 3); k++) {
+            fprintf(to, " %u", corners[k] + 1);
+            write_attributes(to, damaged, seed, lost ? &unused : losses);
+        }
+        fprintf(to, "\n");
+        losses->lines++;
+        if (to != file)
+            fclose(to);
+    }
+}
+
+static struct losses write_scan(const char *path, bool damaged)
+{
+    uint64_t seed = 5;
+    struct losses losses = {0};
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    write_vertices(file, damaged, &seed, &losses);
+    write_faces(file, damaged, &seed, &losses);
+    assert_int_equal(fclose(file), 0);
+    return losses;
+}
+
+/* Way 0 keeps everything in memory. Textures make sorting keep texture coordinates. */
+static void sort_it(struct sort_fixture *f, unsigned way)
+{
+    const char *paths[1] = {f->obj};
+    char texture[128];
+    struct sort_limits limits;
+    snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
+    sort_write_text(texture, "only its name matters here");
+    const struct vox_sort_options options = {
+        .scan_paths = paths, .scan_count = 1, .tris_path = f->tris, .texture_path = texture};
+    vox_sort_limits_for(128 * MIB, 2, &limits);
+    limits.two_passes = way % 2;
+    sort_open_context(f, way == 3 ? 100 * MIB : 128 * MIB, way % 3 + 1);
+    bsq_forget_files(f->ctx);
+    f->warnings = 0;
+    expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
+}
+
+static void what_refers_to_nothing_is_left_out(void **state)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles expected = {0}, got = {0};
+    struct fmt_tris_header header;
+    size_t size, expected_size = 0;
+    uint8_t *expected_bytes = NULL;
+    write_scan(f->obj, false);
+    sort_it(f, 0);
+    assert_int_equal(f->warnings, 0);
+    read_sorted(f, &expected, &header);
+    const struct losses losses = write_scan(f->obj, true);
+    assert_true(losses.faces > 4 && losses.corners > 100);
+    for (unsigned way = 0; way < 4; way++) {
+        char message[160];
+        sort_it(f, way);
+        snprintf(message, sizeof message,
+                 "%s:%llu: corners that refer to a normal that the file does not have: ", f->obj,
+                 (unsigned long long)losses.first_normal);
+        assert_int_equal(f->warnings, 6);
+        assert_int_equal(strncmp(f->warning, message, strlen(message)), 0);
+        assert_int_equal(f->report.broken_faces, losses.faces);
+        assert_int_equal(f->report.lost_corners, losses.corners);
+        assert_int_equal(f->report.faces, (SIDE - 1) * (SIDE - 1));
+        uint8_t *bytes = sort_read_bytes(f->tris, &size);
+        if (way == 0) {
+            expected_bytes = bytes;
+            expected_size = size;
+            continue;
+        }
+        assert_int_equal(size, expected_size);
+        assert_memory_equal(bytes, expected_bytes, size);
+        free(bytes);
+    }
+    free(expected_bytes);
+    read_sorted(f, &got, &header);
+    expect_same_triangles(&got, &expected);
+}
+
+/* A block all of whose faces are left out, and a first block without any position. */
+static void a_block_may_lose_all_its_faces(void **state)
+{
+    struct sort_fixture *f = *state;
+    FILE *file = fopen(f->obj, "wb");
+    for (int i = 0; i < 90000; i++)
+        fprintf(file, "v nan 0 0\n");
+    fprintf(file, "v 5 0 0\nv 6 0 0\nv 5 1 0\n");
+    for (int i = 0; i < 700; i++)
+        fprintf(file, "f 1 2 3%*s\n", 2000, "");
+    for (int i = 0; i < 70000; i++)
+        fprintf(file, "f 90001 90002 90003\n");
+    assert_int_equal(fclose(file), 0);
+    const char *paths[1] = {f->obj};
+    sort_open_context(f, 128 * MIB, 2);
+    expect_sorted(f, sort_files(f, paths, 1));
+    assert_int_equal(f->report.broken_faces, 700);
+    assert_int_equal(f->report.triangles, 70000);
+    assert_int_equal(f->report.unused_vertices, 90000);
+    assert_true(f->report.origin[0] == 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(what_refers_to_nothing_is_left_out, sort_set_up,
+                                        sort_tear_down),
+        cmocka_unit_test_setup_teardown(a_block_may_lose_all_its_faces, sort_set_up,
+                                        sort_tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
