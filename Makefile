@@ -481,6 +481,10 @@ $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) \
     | $(module_files) $(helper) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
+$(BUILD)/tests/bench-maps: $(call rays_objs,maps rays_embree) $(rays_archives) \
+    | $(module_files) $(helper) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 # The native device with counters. Its objects come before the library's when linking.
 counted := native_lanes.c $(simd:%=native_lanes.c.%)
 $(BUILD)/counted/%.c.o: %.c
@@ -513,6 +517,12 @@ bench-bake: deps
 	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays \
 	    $(BUILD)/tests/bench-rays-counters >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
+
+.PHONY: bench-maps
+## bench-maps: compare the cost of maps, and rays from hits with Embree, BENCH=small or medium (default)
+bench-maps: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-maps >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/maps.sh $(BENCH)
 
 .PHONY: bench-accuracy
 ## bench-accuracy: compare maps from voxels with exact maps, BENCH=small or medium (default)

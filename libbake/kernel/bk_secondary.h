@@ -111,6 +111,155 @@ BK_FN bk_vec3w bk_around(bk_vec3w cone, bk_vec3 n)
                   (cone.x * s.z + cone.y * t.z) + cone.z * n.z);
 }
 
+/* ---- walking through blocks ---- */
+
+/* Returns log2 of the side of the empty block around voxel (x, y, z), or 0 if its block of 4^3 has
+ * voxels; *leaf is then the leaf that has them. Rays from hits cross mostly empty space, so blocks
+ * of 4^3 and 32^3 voxels are looked up too: the bits of children are in the nodes that were read
+ * anyway. */
+BK_FN bk_uint bk_block_at(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,
+                          bk_uint *leaf)
+{
+    const bk_uint level = bk_locate(grid, cache, x, y, z);
+    const BK_GLOBAL bk_ulong *words;
+    bk_ulong some, bits;
+
+    if (level == 0) {
+        words = grid->leaves + (bk_ulong)cache->leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (x & 4);
+        bits = (bk_ulong)0x0f0f0f0fu << ((y & 4) << 3 | (z & 4));
+        some = (words[0] | words[1] | words[2] | words[3]) & bits;
+        *leaf = cache->leaf;
+        return some ? 0u : 2u;
+    }
+    if (level != BK_LEAF_LOG2)
+        return level;
+    /* A word has 4 x 16 children: those of 4 layers in y. */
+    words = grid->lowers + (bk_ulong)cache->lower * BK_LOWER_WORDS + BK_LOWER_CHILD_MASK;
+    words += (x >> 5 & 3) << 4 | (y >> 5 & 3);
+    bits = ((bk_ulong)0x000f000fu << 32 | 0x000f000fu) << (z >> 3 & 12);
+    some = (words[0] | words[4] | words[8] | words[12]) & bits;
+    return some ? level : 5u;
+}
+
+/* Looks up the blocks of lanes that have left theirs. caches: of each lane. */
+BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_uint bits,
+                           bk_place *place)
+{
+    bk_int x[BK_WIDTH], y[BK_WIDTH], z[BK_WIDTH], masks[BK_WIDTH], leaves[BK_WIDTH];
+
+    bk_store_lanes(x, place->x);
+    bk_store_lanes(y, place->y);
+    bk_store_lanes(z, place->z);
+    bk_store_lanes(masks, place->mask);
+    bk_store_lanes(leaves, place->leaf);
+    for (; bits; bits &= bits - 1u) {
+        const bk_uint lane = bk_first(bits);
+        bk_uint leaf = 0;
+        const bk_uint level = bk_block_at(grid, &caches[lane], x[lane], y[lane], z[lane], &leaf);
+        masks[lane] = ((bk_int)1 << level) - 1;
+        leaves[lane] = (bk_int)leaf;
+    }
+    place->mask = bk_load_lanes(masks);
+    place->leaf = bk_load_lanes(leaves);
+}
+
+/* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
+ */
+BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ray, bk_walk *walk,
+                          bk_uint active, const bk_place *place, bk_fw t, bk_fw t_out)
+{
+    const bk_uint in_leaf = active & bk_bits(place->mask == 0);
+    bk_ulong values[BK_WIDTH];
+    const bk_uint occupied = in_leaf ? bk_occupied(grid, in_leaf, place, values) : 0;
+    bk_mask ended = bk_mask_of(active & ~occupied);
+
+    BK_COUNT(cache, steps, bk_popcount32(in_leaf));
+    BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
+    BK_COUNT(cache, rounds, 1);
+    if (occupied) {
+        const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
+        bk_mask over;
+        bk_cross_voxels(grid, cache, walk, ray, occupied, values, place, t,
+                        bk_minw(t_out, walk->t_limit));
+        /* No sheet here faces the right way, so the run of the previous sheet has ended. */
+        over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
+        walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
+        ended = ended | over;
+    }
+    if (bk_bits(ended & (walk->side != BK_APART)))
+        bk_end_run(walk, ended);
+}
+
+/* Starts walks at walk->t_start. Returns the lanes that are inside the grid's bounds. */
+BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk *walk, bk_fw t_near,
+                            bk_fw t_end, bk_fw *t, bk_place *place)
+{
+    const bk_int *low = params->index_min, *high = params->index_max;
+    const bk_vec3w o = ray->start, d = ray->direction;
+    bk_mask walked;
+
+    *t = bk_maxw(walk->t_start, t_near);
+    walked = ray->valid & bk_not(bk_less(t_end, *t));
+    *t = bk_keep(walked, *t);
+    walk->hit = walk->ahead = bk_no_crossing();
+    walk->side = bk_splati(BK_APART);
+    walk->falling = bk_mask_of(0);
+    walk->outside = walk->ahead_margin = bk_splat(0.0f);
+    place->x = bk_voxel_at(o.x, d.x, *t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
+    place->y = bk_voxel_at(o.y, d.y, *t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
+    place->z = bk_voxel_at(o.z, d.z, *t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
+    place->mask = place->apart = place->leaf = bk_splati(0);
+    place->node_x = place->node_y = place->node_z = bk_splati(0);
+    return bk_bits(walked);
+}
+
+/* Walks rays from walk->t_start to walk->t_limit, like bk_walk_rays(), but in other steps: a step
+ * goes through a voxel of an occupied block of 4^3, or through an empty block. Lanes have caches of
+ * their own, because rays of a hemisphere part. */
+BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                          const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far)
+{
+    const bk_vec3w o = ray->start, d = ray->direction, inverse = ray->inverse;
+    const bk_iw up_x = bk_upwards(inverse.x), up_y = bk_upwards(inverse.y);
+    const bk_iw up_z = bk_upwards(inverse.z);
+    const bk_fw t_end = bk_minw(walk->t_limit, t_far);
+    bk_cache caches[BK_WIDTH];
+    bk_place place;
+    bk_fw t;
+    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &place), lane;
+    const bk_mask walked = bk_mask_of(active);
+
+    if (!active)
+        return;
+    for (lane = 0; lane < BK_WIDTH; lane++)
+        caches[lane] = *cache;
+    bk_enter_blocks(grid, caches, active, &place);
+    do {
+        const bk_iw mask = place.mask, x = place.x, y = place.y, z = place.z;
+        const bk_iw fx = bk_exit_layer(x, mask, up_x), fy = bk_exit_layer(y, mask, up_y);
+        const bk_iw fz = bk_exit_layer(z, mask, up_z);
+        const bk_fw tx = bk_border(fx, ray->bx, o.x, inverse.x);
+        const bk_fw ty = bk_border(fy, ray->by, o.y, inverse.y);
+        const bk_fw tz = bk_border(fz, ray->bz, o.z, inverse.z);
+        const bk_fw t_out = bk_maxw(t, bk_minw(tx, bk_minw(ty, tz)));
+        const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
+        const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
+        const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
+
+        bk_meet_voxels(grid, cache, ray, walk, active, &place, t, t_out);
+        place.x = bk_step(x, mask, fx, up_x, along_x, o.x, d.x, t_out, ray->bx);
+        place.y = bk_step(y, mask, fy, up_y, along_y, o.y, d.y, t_out, ray->by);
+        place.z = bk_step(z, mask, fz, up_z, along_z, o.z, d.z, t_out, ray->bz);
+        t = t_out;
+        active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
+        bk_enter_blocks(
+            grid, caches,
+            active & bk_bits((mask | (((place.x ^ x) | (place.y ^ y) | (place.z ^ z)) & ~3)) != 0),
+            &place);
+    } while (active);
+    bk_end_run(walk, walked);
+}
+
 /* Walks rays from one point to the first surface within `limit` voxels. Surfaces that face against
  * `facing` count only if both_sides is set. Returns the t at which rays leave the grid. */
 BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache *cache,
@@ -125,7 +274,7 @@ BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache 
     walk->t_start = bk_splat(0.0f);
     walk->t_limit = bk_splat(limit);
     walk->two_sided = bk_mask_of(both_sides ? ~0u : 0u);
-    bk_walk_rays(grid, params, cache, &ray, walk, t_near, t_far, bk_splat(BK_FAR));
+    bk_walk_blocks(grid, params, cache, &ray, walk, t_near, t_far);
     return t_far;
 }
 

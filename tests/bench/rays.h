@@ -53,4 +53,18 @@ int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays
 int rays_embree(struct rays_scene *scene, const char *tris, struct rays_cost *build,
                 struct rays_cost *cost);
 
+/* ---- rays that any hit ends, with Embree ---- */
+
+struct rays_occluder;
+/* Builds the tree of the scan's triangles, in index space. Close *out also after a failure. */
+int rays_occluder_open(const struct rays_scene *scene, const char *tris,
+                       struct rays_occluder **out);
+void rays_occluder_close(struct rays_occluder *occluder); /* NULL is allowed */
+/* Return how many rays meet a triangle within `limit`: traced one by one, and eight at a time. A
+ * ray is its origin and its unit direction. */
+uint64_t rays_occluded1(const struct rays_occluder *occluder, const float (*rays)[6],
+                        uint64_t count, float limit);
+uint64_t rays_occluded8(const struct rays_occluder *occluder, const float (*rays)[6],
+                        uint64_t count, float limit);
+
 #endif

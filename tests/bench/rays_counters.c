@@ -1,5 +1,5 @@
 /* rays_counters.c - prints the work per ray pair, as a kernel built with BK_COUNTERS counts it on
- * one thread. */
+ * one thread. With RAYS, each hit sends so many rays, whose work is added to that of its pair. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -24,14 +24,20 @@ int main(int argc, char **argv)
     struct rays_scene scene;
     struct bake_device *device = NULL;
     struct rays_cost cost;
-    if (argc != 5) {
-        fputs("usage: bench-rays-counters SCAN.nvdb LOW.obj SIZE SAMPLES\n", stderr);
+    if (argc != 5 && argc != 6) {
+        fputs("usage: bench-rays-counters SCAN.nvdb LOW.obj SIZE SAMPLES [RAYS]\n", stderr);
         return 64;
     }
     if (bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &ctx) < 0)
         return 71;
     int status =
         rays_open(ctx, argv[1], argv[2], (uint32_t)atoi(argv[3]), (uint32_t)atoi(argv[4]), &scene);
+    if (argc == 6) {
+        scene.job.params.maps = BAKE_MAP_NORMAL | BAKE_MAP_AO;
+        scene.job.params.open_rays = (bk_uint)atoi(argv[5]);
+        scene.job.params.open_limit = BK_FAR;
+        scene.job.params.open_sine2 = 1.0f;
+    }
     if (status == 0)
         status = bake_device_open(ctx, "cpu", &scene.job, &device);
     counts = (bk_counts){0};

@@ -79,7 +79,7 @@ static void only_facing(const struct RTCFilterFunctionNArguments *a)
         a->valid[0] = 0;
 }
 
-static RTCScene build(RTCDevice device, const struct triangles *triangles)
+static RTCScene build(RTCDevice device, const struct triangles *triangles, bool filtered)
 {
     RTCScene scene = rtcNewScene(device);
     RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -88,7 +88,8 @@ static RTCScene build(RTCDevice device, const struct triangles *triangles)
                                triangles->vertices);
     rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
                                triangles->indices, 0, sizeof *triangles->indices, triangles->count);
-    rtcSetGeometryIntersectFilterFunction(geometry, only_facing);
+    if (filtered)
+        rtcSetGeometryIntersectFilterFunction(geometry, only_facing);
     rtcCommitGeometry(geometry);
     rtcAttachGeometry(scene, geometry);
     rtcReleaseGeometry(geometry);
@@ -165,22 +166,118 @@ static int trace(struct rays_scene *scene, RTCScene rtc, struct rays_cost *cost)
     return status;
 }
 
+static int read_triangles(const struct rays_scene *scene, const char *path, struct triangles *out)
+{
+    struct fmt_tris_file *file = NULL;
+    int status = fmt_tris_open(scene->ctx, path, &file);
+    if (status == 0)
+        status = load(scene, file, out);
+    if (file)
+        fmt_tris_close(file);
+    return status;
+}
+
+/* ---- rays that any hit ends ---- */
+
+struct rays_occluder {
+    struct bsq_ctx *ctx;
+    struct triangles triangles;
+    RTCDevice device;
+    RTCScene scene;
+};
+
+int rays_occluder_open(const struct rays_scene *scene, const char *path, struct rays_occluder **out)
+{
+    int status = bsq_calloc(scene->ctx, "Embree", 1, sizeof **out, out);
+    if (status < 0)
+        return status;
+    struct rays_occluder *occluder = *out;
+    occluder->ctx = scene->ctx;
+    occluder->device = rtcNewDevice(NULL);
+    if (!occluder->device)
+        return bsq_fail(scene->ctx, BSQ_EBUG, "Embree does not start");
+    status = read_triangles(scene, path, &occluder->triangles);
+    if (status == 0)
+        occluder->scene = build(occluder->device, &occluder->triangles, false);
+    return status;
+}
+
+void rays_occluder_close(struct rays_occluder *occluder)
+{
+    if (!occluder)
+        return;
+    if (occluder->scene)
+        rtcReleaseScene(occluder->scene);
+    if (occluder->device)
+        rtcReleaseDevice(occluder->device);
+    bsq_free(occluder->ctx, occluder->triangles.positions);
+    bsq_free(occluder->ctx, occluder->triangles.indices);
+    bsq_free(occluder->ctx, occluder);
+}
+
+uint64_t rays_occluded1(const struct rays_occluder *occluder, const float (*rays)[6],
+                        uint64_t count, float limit)
+{
+    struct RTCIntersectContext context;
+    uint64_t hidden = 0;
+    rtcInitIntersectContext(&context);
+    for (uint64_t i = 0; i < count; i++) {
+        const float *r = rays[i];
+        struct RTCRay ray = {.org_x = r[0],
+                             .org_y = r[1],
+                             .org_z = r[2],
+                             .dir_x = r[3],
+                             .dir_y = r[4],
+                             .dir_z = r[5],
+                             .tfar = limit,
+                             .mask = ~0u};
+        rtcOccluded1(occluder->scene, &context, &ray);
+        hidden += ray.tfar < 0;
+    }
+    return hidden;
+}
+
+uint64_t rays_occluded8(const struct rays_occluder *occluder, const float (*rays)[6],
+                        uint64_t count, float limit)
+{
+    struct RTCIntersectContext context;
+    uint64_t hidden = 0;
+    rtcInitIntersectContext(&context);
+    for (uint64_t i = 0; i < count; i += 8) {
+        _Alignas(32) int valid[8];
+        struct RTCRay8 packet = {0};
+        for (int k = 0; k < 8; k++) {
+            const float *r = rays[i + (uint64_t)k < count ? i + (uint64_t)k : i];
+            valid[k] = i + (uint64_t)k < count ? -1 : 0;
+            packet.org_x[k] = r[0];
+            packet.org_y[k] = r[1];
+            packet.org_z[k] = r[2];
+            packet.dir_x[k] = r[3];
+            packet.dir_y[k] = r[4];
+            packet.dir_z[k] = r[5];
+            packet.tfar[k] = limit;
+            packet.mask[k] = ~0u;
+        }
+        rtcOccluded8(valid, occluder->scene, &context, &packet);
+        for (int k = 0; k < 8; k++)
+            hidden += valid[k] && packet.tfar[k] < 0;
+    }
+    return hidden;
+}
+
+/* ---- nearest hits ---- */
+
 int rays_embree(struct rays_scene *scene, const char *path, struct rays_cost *building,
                 struct rays_cost *cost)
 {
     struct triangles triangles = {0};
-    struct fmt_tris_file *file = NULL;
     RTCDevice device = rtcNewDevice(NULL);
     if (!device)
         return bsq_fail(scene->ctx, BSQ_EBUG, "Embree does not start");
-    int status = fmt_tris_open(scene->ctx, path, &file);
-    if (status == 0)
-        status = load(scene, file, &triangles);
-    if (file)
-        fmt_tris_close(file);
+    int status = read_triangles(scene, path, &triangles);
     if (status == 0) {
         rays_cost_begin(building);
-        RTCScene rtc = build(device, &triangles);
+        RTCScene rtc = build(device, &triangles, true);
         rays_cost_end(building);
         status = trace(scene, rtc, cost);
         rtcReleaseScene(rtc);

@@ -1,0 +1,220 @@
+/* maps.c - measures what maps cost beside the normal map alone, and how many rays from hits a grid
+ * traces, beside Embree with the same rays on the triangles of the scan. Prints tables in Markdown.
+ * All on one thread; seconds are processor time.
+ *
+ *   bench-maps SCAN.nvdb SCAN.tris LOW.obj SIZE SAMPLES RAYS ROUNDS */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "libbake/kernel/bk_sample.h"
+#include "tests/bench/rays.h"
+
+enum { MAX_ROUNDS = 99 };
+
+struct bench {
+    struct bsq_ctx *ctx;
+    struct rays_scene scene;
+    struct rays_occluder *embree;
+    unsigned rounds;
+    struct bk_grid grid;
+    float (*rays)[6]; /* of a tile */
+    /* Sums over all tiles: number of rays; for each way, seconds and rays that hit. */
+    uint64_t count, total, hidden[2];
+    double seconds[2];
+};
+
+static int by_value(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double median(double *values, unsigned count)
+{
+    qsort(values, count, sizeof *values, by_value);
+    return count % 2 ? values[count / 2] : (values[count / 2 - 1] + values[count / 2]) / 2;
+}
+
+/* Traces all samples for these maps. */
+static int trace(struct bench *bench, uint32_t maps, struct rays_cost *cost)
+{
+    struct bake_device *device;
+    bench->scene.job.params.maps = maps;
+    int status = bake_device_open(bench->ctx, "cpu", &bench->scene.job, &device);
+    if (status < 0)
+        return status;
+    status = rays_trace(&bench->scene, device, cost);
+    bake_device_close(device);
+    return status;
+}
+
+/* ---- maps of the first hit ---- */
+
+static int measure_maps(struct bench *bench)
+{
+    static const struct {
+        const char *name;
+        uint32_t map;
+    } maps[] = {{"height", BAKE_MAP_HEIGHT}, {"position", BAKE_MAP_POSITION}};
+    double ratios[MAX_ROUNDS];
+    puts("| map beside normal | processor time, ratio |\n|:--|--:|");
+    for (size_t m = 0; m < sizeof maps / sizeof *maps; m++) {
+        for (unsigned round = 0; round < bench->rounds; round++) {
+            struct rays_cost alone, both;
+            int status = trace(bench, BAKE_MAP_NORMAL, &alone);
+            if (status == 0)
+                status = trace(bench, BAKE_MAP_NORMAL | maps[m].map, &both);
+            if (status < 0)
+                return status;
+            ratios[round] = both.processor / alone.processor;
+        }
+        printf("| %s | %.3f |\n", maps[m].name, median(ratios, bench->rounds));
+    }
+    return 0;
+}
+
+/* ---- rays from hits ---- */
+
+/* Appends the open rays of a sample, as the kernel makes them. */
+static void add_rays(struct bench *bench, const bk_grid *grid, bk_cache *cache, uint32_t triangle,
+                     float x, float y)
+{
+    const struct bk_params *params = &bench->scene.job.params;
+    const bk_point point = bk_point_at(&bench->scene.triangles[triangle], x, y);
+    const bk_start start = bk_start_at(params, &point);
+    const bk_lines lines = {.count = 1,
+                            .origin = start.origin,
+                            .direction = start.direction,
+                            .facing = start.facing,
+                            .t_min = -params->back,
+                            .t_max = params->front};
+    bk_hits hits;
+    bk_trace(grid, params, cache, &lines, &hits);
+    if (!hits.found)
+        return;
+    const bk_vec3 normal = bk_lane3(&hits.normal, 0);
+    const bk_vec3w hit = bk_add_scaledw(start.origin, hits.t, start.direction);
+    const bk_vec3 at = bk_add_scaled(bk_lane3(&hit, 0), BK_LIFT, normal);
+    const bk_uint seed = bk_sample_seed(x, y, params->samples);
+    for (bk_uint i = 0; i < params->open_rays; i++) {
+        const bk_vec3w d = bk_around(bk_cone_directions(seed, i, params->open_rays, 1.0f), normal);
+        float *ray = bench->rays[bench->count++];
+        ray[0] = at.x;
+        ray[1] = at.y;
+        ray[2] = at.z;
+        ray[3] = d.x;
+        ray[4] = d.y;
+        ray[5] = d.z;
+    }
+}
+
+static int trace_tile(void *arg, const struct rays_tile *tile)
+{
+    struct bench *bench = arg;
+    const uint32_t n = bench->scene.samples;
+    const float limit = bench->scene.job.params.open_limit;
+    struct rays_cost cost;
+    bk_cache cache = bk_cache_empty();
+    bench->count = 0;
+    for (uint32_t row = 0; row < tile->tile.height * n; row++)
+        for (uint32_t column = 0; column < tile->tile.width * n; column++) {
+            const uint32_t triangle =
+                tile->sample_triangles[(uint64_t)row * tile->tile.width * n + column];
+            if (triangle != BK_NO_TRIANGLE)
+                add_rays(bench, &bench->grid, &cache, triangle,
+                         bk_sample_place(tile->tile.x + column / n, column % n, n),
+                         bk_sample_place(tile->tile.y + row / n, row % n, n));
+        }
+    for (int way = 0; way < 2; way++) {
+        rays_cost_begin(&cost);
+        bench->hidden[way] += (way == 0 ? rays_occluded1 : rays_occluded8)(
+            bench->embree, (const float(*)[6])bench->rays, bench->count, limit);
+        rays_cost_end(&cost);
+        bench->seconds[way] += cost.processor;
+    }
+    bench->total += bench->count;
+    return bsq_check(bench->ctx);
+}
+
+static int trace_with_embree(struct bench *bench)
+{
+    const uint64_t most = (uint64_t)bench->scene.job.tile_texels * bench->scene.samples *
+                          bench->scene.samples * bench->scene.job.params.open_rays;
+    bench->total = bench->hidden[0] = bench->hidden[1] = 0;
+    bench->seconds[0] = bench->seconds[1] = 0;
+    bake_kernel_grid(bench->scene.job.grid, &bench->scene.job.params, &bench->grid);
+    int status = bsq_alloc(bench->ctx, "rays", most, sizeof *bench->rays, &bench->rays);
+    if (status == 0)
+        status = rays_for_tiles(&bench->scene, trace_tile, bench);
+    bsq_free(bench->ctx, bench->rays);
+    return status;
+}
+
+/* Measures rays without end, and rays of a twentieth of the scan. */
+static int measure_rays(struct bench *bench, float limit, const char *name)
+{
+    double ours[MAX_ROUNDS], single[MAX_ROUNDS], packets[MAX_ROUNDS], ratios[MAX_ROUNDS];
+    bench->scene.job.params.open_limit = limit;
+    for (unsigned round = 0; round < bench->rounds; round++) {
+        struct rays_cost alone, both;
+        int status = trace(bench, BAKE_MAP_NORMAL, &alone);
+        if (status == 0)
+            status = trace(bench, BAKE_MAP_NORMAL | BAKE_MAP_AO, &both);
+        if (status == 0)
+            status = trace_with_embree(bench);
+        if (status < 0)
+            return status;
+        const double rays = 1e-6 * (double)bench->total;
+        ours[round] = rays / (both.processor - alone.processor);
+        single[round] = rays / bench->seconds[0];
+        packets[round] = rays / bench->seconds[1];
+        ratios[round] =
+            ours[round] / (single[round] > packets[round] ? single[round] : packets[round]);
+    }
+    printf("| %s | %.1f | %.3f | %.2f | %.2f | %.2f | %.2f |\n", name, 1e-6 * (double)bench->total,
+           1 - (double)bench->hidden[0] / (double)bench->total, median(ours, bench->rounds),
+           median(single, bench->rounds), median(packets, bench->rounds),
+           median(ratios, bench->rounds));
+    return 0;
+}
+
+static int run(struct bench *bench)
+{
+    const double *low = bench->scene.surface.scan_min, *high = bench->scene.surface.scan_max;
+    const double side = (high[2] - low[2]) / bench->scene.surface.unit;
+    int status = measure_maps(bench);
+    puts(
+        "\n| length of rays | M rays | open | grid, M/s | Embree, single | Embree, by 8 | ratio |\n"
+        "|:--|--:|--:|--:|--:|--:|--:|");
+    if (status == 0)
+        status = measure_rays(bench, BK_FAR, "no end");
+    if (status == 0)
+        status = measure_rays(bench, (float)(side / 20), "a twentieth of the height");
+    return status;
+}
+
+int main(int argc, char **argv)
+{
+    static struct bench bench;
+    if (argc != 8 || atoi(argv[7]) < 1 || atoi(argv[7]) > MAX_ROUNDS) {
+        fputs("usage: bench-maps SCAN.nvdb SCAN.tris LOW.obj SIZE SAMPLES RAYS ROUNDS\n", stderr);
+        return 64;
+    }
+    bench.rounds = (unsigned)atoi(argv[7]);
+    if (bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &bench.ctx) < 0)
+        return 71;
+    int status = rays_open(bench.ctx, argv[1], argv[3], (uint32_t)atoi(argv[4]),
+                           (uint32_t)atoi(argv[5]), &bench.scene);
+    bench.scene.job.params.open_rays = (bk_uint)atoi(argv[6]);
+    bench.scene.job.params.open_sine2 = 1.0f;
+    if (status == 0)
+        status = rays_occluder_open(&bench.scene, argv[2], &bench.embree);
+    if (status == 0)
+        status = run(&bench);
+    if (status < 0)
+        fprintf(stderr, "bench-maps: %s\n", bsq_error(bench.ctx));
+    rays_occluder_close(bench.embree);
+    rays_close(&bench.scene);
+    bsq_ctx_destroy(bench.ctx);
+    return -status;
+}
