@@ -12,6 +12,7 @@
 struct bsq_pool;
 struct bsq_identity;
 struct job_files;
+struct bsq_path_map;
 
 struct bsq_stage {
     const char *name, *unit; /* name is NULL between stages */
@@ -34,7 +35,8 @@ struct bsq_ctx {
     struct bsq_stage stage;
 
     pthread_mutex_t files_lock;
-    struct job_files *files; /* NULL until the first is noted; guarded by files_lock */
+    struct job_files *files;    /* NULL until the first is noted; guarded by files_lock */
+    struct bsq_path_map *paths; /* NULL: no rules; guarded by files_lock */
 
     struct bsq_pool *pool; /* NULL until the first parallel call */
 };
@@ -59,6 +61,9 @@ int bsq_error_status(struct bsq_ctx *ctx);
 
 /* Stops and frees the threads; NULL is allowed. */
 void bsq_pool_destroy(struct bsq_pool *pool);
+
+/* Frees the rules of paths; NULL is allowed. */
+void bsq_path_map_free(struct bsq_path_map *map);
 
 /* Notes an input that was opened. Errors: BSQ_EIO if it is not what the first opening of this path
  * found; those of bsq_note_input(). */

@@ -45,6 +45,18 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
 
 /* ---- the work ---- */
 
+/* Applies the rules for paths to the inputs of the command line. */
+static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
+{
+    struct bake_options *bake = &arguments->bake;
+    int status = cli_map_input(cli, &bake->scan_path);
+    if (status == 0)
+        status = cli_map_input(cli, &bake->mesh_path);
+    if (status == 0)
+        status = cli_map_input(cli, &bake->cage_path);
+    return status < 0 ? status : cli_map_input(cli, &arguments->plan);
+}
+
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
@@ -107,7 +119,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
 /* Bakes a task of a plan, or merges its parts. */
 static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
-    struct bake_farm_plan *plan;
+    struct bake_farm_plan *plan = NULL;
     int status = bake_open_plan(cli->ctx, arguments->plan, &plan);
     if (status == 0)
         status = arguments->merge ? merge(cli, arguments, plan, missed)
@@ -125,6 +137,8 @@ int main(int argc, char **argv)
     int status = bake_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
         status = cli_create_context(&cli);
+    if (status == 0)
+        status = map_inputs(&cli, &arguments);
     if (status == 0 && cli.verify)
         status = cli_verify(&cli, arguments.files, arguments.file_count);
     else if (status == 0)

@@ -307,6 +307,17 @@ static int compare_maps(struct cli *cli, const struct arguments *arguments, int 
     return 0;
 }
 
+/* Applies the rules for paths to the inputs. */
+static int map_inputs(struct cli *cli, struct bake_compare_options *compare)
+{
+    const char **inputs[] = {&compare->a_path, &compare->b_path, &compare->a_mask_path,
+                             &compare->b_mask_path};
+    int status = 0;
+    for (int i = 0; i < 4 && status == 0; i++)
+        status = cli_map_input(cli, inputs[i]);
+    return status;
+}
+
 int main(int argc, char **argv)
 {
     struct cli cli;
@@ -316,6 +327,8 @@ int main(int argc, char **argv)
     int status = parse_arguments(&cli, &arguments, argc, argv);
     if (status == 0)
         status = cli_create_context(&cli);
+    if (status == 0)
+        status = map_inputs(&cli, &arguments.compare);
     if (status == 0)
         status = compare_maps(&cli, &arguments, &failures);
     int code = cli_end(&cli, status);

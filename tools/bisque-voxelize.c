@@ -257,6 +257,16 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
     return status;
 }
 
+/* Applies the rules for paths to the inputs of the command line. */
+static int map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    const char **inputs = (const char **)(uintptr_t)arguments->inputs;
+    int status = cli_map_input(cli, &arguments->texture);
+    for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
+        status = cli_map_input(cli, &inputs[i]);
+    return status;
+}
+
 int main(int argc, char **argv)
 {
     struct cli cli;
@@ -265,6 +275,8 @@ int main(int argc, char **argv)
     int status = voxelize_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
         status = cli_create_context(&cli);
+    if (status == 0)
+        status = map_inputs(&cli, &arguments);
     if (status == 0)
         status = run(&cli, &arguments);
     return cli_end(&cli, status);

@@ -105,6 +105,9 @@ int cli_common_option(struct cli *cli, int option, const char *help)
     case CLI_TMPDIR:
         cli->tmpdir = optarg;
         return 0;
+    case CLI_PATH_MAP:
+        cli->path_map = optarg;
+        return 0;
     case CLI_VERIFY:
         cli->verify = true;
         return 0;
@@ -197,7 +200,7 @@ int cli_create_context(struct cli *cli)
     catch_signal(SIGHUP);
     if (cli_prints_percent(cli))
         cli_percent_begin(cli);
-    return 0;
+    return cli_load_path_map(cli);
 }
 
 int cli_usage(struct cli *cli, const char *format, ...)

@@ -32,6 +32,7 @@ struct cli {
     const char *memory_text; /* as given; NULL: not given */
     unsigned threads;        /* 0: not given */
     const char *tmpdir;
+    const char *path_map; /* file with rules for paths; NULL: none */
     enum cli_progress progress;
     bool json;   /* print results as JSON */
     bool verify; /* only check files */
@@ -50,6 +51,7 @@ enum {
     CLI_TMPDIR,
     CLI_VERIFY,
     CLI_PROGRESS,
+    CLI_PATH_MAP,
     CLI_JSON,
     CLI_HELP,
     CLI_VERSION,
@@ -60,6 +62,7 @@ enum {
     {"memory", required_argument, NULL, CLI_MEMORY},                                               \
         {"threads", required_argument, NULL, CLI_THREADS},                                         \
         {"progress", required_argument, NULL, CLI_PROGRESS},                                       \
+        {"path-map", required_argument, NULL, CLI_PATH_MAP},                                       \
         {"json", no_argument, NULL, CLI_JSON}, {"help", no_argument, NULL, CLI_HELP},              \
     {                                                                                              \
         "version", no_argument, NULL, CLI_VERSION                                                  \
@@ -83,6 +86,7 @@ enum {
     "      --threads N         worker threads (default: one per processor)\n"                      \
     "      --progress WHEN     auto, bar, none or json (default: auto, a bar on a terminal);\n"    \
     "                          openjd, percent or alf: lines for schedulers\n"                     \
+    "      --path-map FILE     rules for paths on this machine (pathmapping-1.0)\n"                \
     "      --json              print the results as JSON\n"                                        \
     "      --help              print this help\n"                                                  \
     "      --version           print the version\n"
@@ -150,6 +154,12 @@ int cli_check_picture(struct cli *cli, const char *path);
  * what is wrong on standard error. Checks all of them; returns the status of the first that failed.
  */
 int cli_verify(struct cli *cli, char *const *paths, int count);
+
+/* Reads the rules of --path-map, which apply to names in files from then on. */
+int cli_load_path_map(struct cli *cli);
+
+/* Applies these rules to an input of the command line; *path may be NULL. */
+int cli_map_input(struct cli *cli, const char **path);
 
 /* ---- reports ---- */
 

@@ -7,6 +7,7 @@
 #include "formats/chunks/tris_internal.h"
 #include "base/file_part.h"
 #include "base/job_files.h"
+#include "base/path_map.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -149,7 +150,9 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         text[record.path_bytes] = '\0';
         if (text[0] != '/')
             return fmt_tris_damaged(file, "a texture's path is not absolute");
-        if ((status = note_texture(file, text)) < 0)
+        if (!(m->texture_path = (char *)(uintptr_t)bsq_map_path(file->ctx, text)))
+            return BSQ_ENOMEM;
+        if ((status = note_texture(file, m->texture_path)) < 0)
             return status;
         text += record.path_bytes + 1;
         at += record.path_bytes;

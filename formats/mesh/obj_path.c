@@ -7,6 +7,7 @@
 #include <strings.h>
 #include <sys/stat.h>
 
+#include "base/path_map.h"
 #include "formats/mesh/mesh_text.h"
 
 static bool is_file(const char *path)
@@ -67,10 +68,13 @@ static bool find_file(const char *beside, const char *name, bool any_case, char 
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists)
 {
+    *out = NULL;
+    name = bsq_map_path(ctx, name);
+    if (!name)
+        return BSQ_ENOMEM;
     const size_t beside_directory = (size_t)(last_component(beside) - beside);
     const size_t size = strlen(name) + 1;
     char *plain = NULL;
-    *out = NULL;
     int status = bsq_alloc(ctx, "names", beside_directory + size, 1, out);
     if (!status)
         status = fmt_string_copy(ctx, name, &plain);

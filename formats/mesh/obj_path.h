@@ -8,7 +8,8 @@
 extern "C" {
 #endif
 
-/* Finds the file `name` that the file `beside` refers to. Tries in this order: the name as written,
+/* Finds the file `name` that the file `beside` refers to, after the context's rules for paths
+ * (base/path_map.h). Tries in this order: the name as written,
  * relative to the directory of `beside`; its backslashes as slashes, since many files come from
  * Windows; its last component alone, since absolute paths rarely survive a copy. Then tries the
  * same without quotes or a comment (fmt_mesh_plain_name()), and with other capitals in the last

@@ -14,6 +14,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/path_map.h"
+
 enum kind { PATH, TEXT, U32, U64, NUMBER, BOOL, CHOICE };
 
 struct member {
@@ -158,11 +160,12 @@ static bool remove_last(char *directory)
     return true;
 }
 
-char *bake_farm_path_from_plan(const char *plan_path, const char *name)
+char *bake_farm_path_from_plan(struct bsq_ctx *ctx, const char *plan_path, const char *name)
 {
     const char *slash = strrchr(plan_path, '/');
-    if (name[0] == '/' || !slash)
-        return strdup(name);
+    name = bsq_map_path(ctx, name);
+    if (!name || name[0] == '/' || !slash)
+        return name ? strdup(name) : NULL;
     char *directory = strndup(plan_path, (size_t)(slash - plan_path)), *out = NULL;
     if (!directory)
         return NULL;
@@ -260,17 +263,17 @@ static bool read_count(const json_t *value, uint64_t most, uint64_t *out)
     return true;
 }
 
-static bool read_string(const char *plan_path, const struct member *member, const json_t *value,
-                        char **out)
+static bool read_string(struct bsq_ctx *ctx, const char *plan_path, const struct member *member,
+                        const json_t *value, char **out)
 {
     const char *text = json_string_value(value);
     *out = NULL;
     if (text)
-        *out = member->kind == TEXT ? strdup(text) : bake_farm_path_from_plan(plan_path, text);
+        *out = member->kind == TEXT ? strdup(text) : bake_farm_path_from_plan(ctx, plan_path, text);
     return text ? *out != NULL : json_is_null(value);
 }
 
-static bool read_member(struct bake_options *options, const char *plan_path,
+static bool read_member(struct bsq_ctx *ctx, struct bake_options *options, const char *plan_path,
                         const struct member *member, const json_t *value)
 {
     void *at = member_of(options, member);
@@ -279,7 +282,7 @@ static bool read_member(struct bake_options *options, const char *plan_path,
     switch (member->kind) {
     case PATH:
     case TEXT:
-        return read_string(plan_path, member, value, at);
+        return read_string(ctx, plan_path, member, value, at);
     case U32:
     case CHOICE:
         good = read_count(value, UINT32_MAX, &count);
@@ -333,7 +336,7 @@ int bake_farm_options_from_json(struct bsq_ctx *ctx, const char *plan_path, cons
 {
     *out = (struct bake_options){0};
     for (size_t i = 0; i < MEMBERS; i++)
-        if (!read_member(out, plan_path, &members[i], json_object_get(json, members[i].name)))
+        if (!read_member(ctx, out, plan_path, &members[i], json_object_get(json, members[i].name)))
             return fail_member(ctx, plan_path, members[i].name);
     return read_tiles(json, out) ? 0 : fail_member(ctx, plan_path, "tile_sizes or tile_ranges");
 }

@@ -21,8 +21,9 @@ void bake_farm_options_free(struct bake_options *options);
  * are. The caller frees it. NULL if there is no memory. */
 char *bake_farm_path_in_plan(const char *plan_path, const char *path);
 
-/* Returns the path that a name in a plan stands for. The caller frees it. NULL if there is no
+/* Returns the path that a name in a plan stands for. Rules for paths (base/path_map.h) apply to
+ * absolute ones. The caller frees it. NULL if there is no
  * memory. */
-char *bake_farm_path_from_plan(const char *plan_path, const char *name);
+char *bake_farm_path_from_plan(struct bsq_ctx *ctx, const char *plan_path, const char *name);
 
 #endif

@@ -298,7 +298,7 @@ static int read_inputs(struct bake_farm_plan *plan, const json_t *list)
         if (!path || !role ||
             !read_hash(json_string_value(json_object_get(json, "xxh3_128")), input->hash))
             return fail_plan(plan, "an input");
-        input->path = bake_farm_path_from_plan(plan->path, path);
+        input->path = bake_farm_path_from_plan(plan->ctx, plan->path, path);
         input->role = strdup(role);
         if (!input->path || !input->role)
             return fail_memory(plan);

@@ -15,7 +15,7 @@ start="a_mask.exr a_normal.exr box.nvdb low.obj small.exr"
 $compare --help
 code 0
 options="type mask mask-a mask-b force ignore-nan heatmap histogram scale max-mean max-median max-p95 max-p99 max-error min-psnr
-    min-agreement memory threads progress json help version"
+    min-agreement memory threads progress path-map json help version"
 for option in $options; do
     out_like "--$option"
 done

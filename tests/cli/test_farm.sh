@@ -213,6 +213,60 @@ $bake --plan farm/plan.json --task 0
 code 0
 out_like '^farm/plan\.0000\.part: task 0, '
 
+# ---- paths ----
+
+# The scan names a texture, and the plan its files, by paths of another machine.
+mkdir -p here/textures
+printf 'P3 2 1 255 250 10 20 30 40 250' >here/textures/skin.ppm
+sed 's/^v \([^ ]* [^ ]* [^ ]*\).*/v \1/' low.obj >here/skin.obj
+sed -i '1i mtllib skin.mtl' here/skin.obj
+sed -i 's/^f 4/usemtl skin\nf 4/' here/skin.obj
+printf 'newmtl skin\nmap_Kd Z:\\Studio\\textures\\skin.ppm\n' >here/skin.mtl
+cat >rules.json <<JSON
+{"version": "pathmapping-1.0", "path_mapping_rules": [
+{"source_path_format": "WINDOWS", "source_path": "z:\\\\", "destination_path": "/nowhere"},
+{"source_path_format": "WINDOWS", "source_path": "z:\\\\studio", "destination_path": "$PWD/here"},
+{"source_path_format": "POSIX", "source_path": "/mnt/farm", "destination_path": "$PWD/here"},
+{"source_path_format": "POSIX", "source_path": "/mnt", "destination_path": "/nowhere"}]}
+JSON
+run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
+code 0
+grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
+check "the texture is found by the rules" $?
+$bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --write-plan here/plan.json \
+    --path-map rules.json
+code 0
+jq -e '[.inputs[].path] | sort == ["../low.obj", "skin.tris", "textures/skin.ppm"]' here/plan.json >"$work/jq"
+check "inputs below the plan and beside it have relative paths" $?
+mkdir other
+cp here/*.tris here/*.json other
+cp -r here/textures other
+jq -c --arg here "$PWD/here" '{version: "pathmapping-1.0", path_mapping_rules: [{source_path_format: "POSIX",
+    source_path: $here, destination_path: ($here | sub("here$"; "other"))}]}' -n >moved.json
+mv here gone
+for task in 0 1; do
+    $bake --plan other/plan.json --task $task --path-map moved.json
+    code 0
+done
+$bake --plan other/plan.json --merge --path-map moved.json
+code 0
+$bake gone/skin.tris low.obj $size -o 'skin.<UDIM>.exr' --maps color --path-map moved.json
+code 0
+for tile in 1002 1012; do
+    same skin.$tile.exr other/color.$tile.exr
+done
+for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1.0", "path_mapping_rules": 3}' \
+    '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/a"}]}' \
+    '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "DOS", "source_path": "/a", "destination_path": "/b"}]}'; do
+    echo "$bad" >bad.json
+    $bake --plan farm/plan.json --task 0 --path-map bad.json
+    code 65
+    err_like "^$p bad\.json: no rules of pathmapping-1\.0: "
+done
+echo '{"version": "pathmapping-1.0"}' >bad.json # there are none
+$bake --plan farm/plan.json --task 0 --path-map bad.json
+code 0
+
 # ---- progress ----
 
 $bake scan.nvdb low.obj $size -o 'maps/<MAP>.<UDIM>.exr' --maps normal,curvature --progress openjd

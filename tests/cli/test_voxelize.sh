@@ -11,7 +11,7 @@ $vox --help
 code 0
 out_like '^Usage: bisque-voxelize '
 options="output resolution voxel-size grid-type vdb texture tris no-tris parse-only tmpdir memory
-    threads progress json help version"
+    threads progress path-map json help version"
 for option in $options; do
     out_like "  --$option|-o, --$option"
 done

@@ -1,0 +1,161 @@
+/* path_map.c - see path_map.h. Mapped paths are kept, so that callers need not free them. */
+#include "base/path_map.h"
+
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/context_internal.h"
+
+struct rule {
+    enum bsq_path_format format;
+    size_t length; /* of the source, without separators at its end */
+    char *source, *destination;
+};
+
+struct bsq_path_map {
+    struct rule *rules; /* longest source first */
+    size_t rule_count;
+    char **mapped; /* paths that were handed out */
+    size_t mapped_count;
+};
+
+static bool is_separator(enum bsq_path_format format, char c)
+{
+    return c == '/' || (format == BSQ_PATH_WINDOWS && c == '\\');
+}
+
+static char lower(char c)
+{
+    return c >= 'A' && c <= 'Z' ? (char)(c - 'A' + 'a') : c;
+}
+
+static bool same_character(enum bsq_path_format format, char a, char b)
+{
+    if (is_separator(format, a) && is_separator(format, b))
+        return true;
+    return format == BSQ_PATH_WINDOWS ? lower(a) == lower(b) : a == b;
+}
+
+/* Returns whether a path is the rule's source or lies below it. */
+static bool fits(const struct rule *rule, const char *path)
+{
+    for (size_t i = 0; i < rule->length; i++)
+        if (path[i] == '\0' || !same_character(rule->format, rule->source[i], path[i]))
+            return false;
+    const char next = path[rule->length];
+    return next == '\0' || is_separator(rule->format, next);
+}
+
+static int add_rule(struct bsq_path_map *map, const struct rule *rule)
+{
+    struct rule *rules = reallocarray(map->rules, map->rule_count + 1, sizeof *rules);
+    size_t at = 0;
+    if (!rules)
+        return ENOMEM;
+    map->rules = rules;
+    while (at < map->rule_count && rules[at].length >= rule->length)
+        at++;
+    memmove(rules + at + 1, rules + at, (map->rule_count - at) * sizeof *rules);
+    rules[at] = *rule;
+    map->rule_count++;
+    return 0;
+}
+
+int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const char *source,
+                      const char *destination)
+{
+    struct rule rule = {.format = format, .length = strlen(source)};
+    if (rule.length == 0)
+        return bsq_fail(ctx, BSQ_EDATA, "a rule for paths has an empty source");
+    while (rule.length > 0 && is_separator(format, source[rule.length - 1]))
+        rule.length--;
+    rule.source = strdup(source);
+    rule.destination = strdup(destination);
+    pthread_mutex_lock(&ctx->files_lock);
+    if (!ctx->paths)
+        ctx->paths = calloc(1, sizeof *ctx->paths);
+    const int error =
+        rule.source && rule.destination && ctx->paths ? add_rule(ctx->paths, &rule) : ENOMEM;
+    pthread_mutex_unlock(&ctx->files_lock);
+    if (error == 0)
+        return 0;
+    free(rule.source);
+    free(rule.destination);
+    return bsq_fail_errno(ctx, BSQ_ENOMEM, error, "%s", source);
+}
+
+/* Returns the destination and what follows the source in the path, with "/" between components.
+ * NULL if there is no memory. */
+static char *replace(const struct rule *rule, const char *path)
+{
+    const char *rest = path + rule->length;
+    const size_t length = strlen(rule->destination);
+    size_t kept = length;
+    while (is_separator(rule->format, *rest))
+        rest++;
+    while (kept > 0 && rule->destination[kept - 1] == '/')
+        kept--;
+    char *out = malloc(length + strlen(rest) + 2);
+    if (!out)
+        return NULL;
+    if (*rest == '\0') {
+        memcpy(out, rule->destination, length + 1);
+        return out;
+    }
+    char *end = mempcpy(out, rule->destination, kept);
+    *end++ = '/';
+    for (; *rest; rest++)
+        *end++ = is_separator(rule->format, *rest) ? '/' : *rest;
+    *end = '\0';
+    return out;
+}
+
+/* Returns a kept copy of the mapped path; NULL if there is no memory. */
+static const char *keep(struct bsq_path_map *map, const struct rule *rule, const char *path)
+{
+    char *mapped = replace(rule, path);
+    for (size_t i = 0; mapped && i < map->mapped_count; i++)
+        if (strcmp(map->mapped[i], mapped) == 0) {
+            free(mapped);
+            return map->mapped[i];
+        }
+    char **list = mapped ? reallocarray(map->mapped, map->mapped_count + 1, sizeof *list) : NULL;
+    if (!list) {
+        free(mapped);
+        return NULL;
+    }
+    map->mapped = list;
+    return list[map->mapped_count++] = mapped;
+}
+
+const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
+{
+    const char *out = name;
+    pthread_mutex_lock(&ctx->files_lock);
+    struct bsq_path_map *map = ctx->paths;
+    for (size_t i = 0; map && i < map->rule_count; i++)
+        if (fits(&map->rules[i], name)) {
+            out = keep(map, &map->rules[i], name);
+            break;
+        }
+    pthread_mutex_unlock(&ctx->files_lock);
+    if (!out)
+        bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", name);
+    return out;
+}
+
+void bsq_path_map_free(struct bsq_path_map *map)
+{
+    if (!map)
+        return;
+    for (size_t i = 0; i < map->rule_count; i++) {
+        free(map->rules[i].source);
+        free(map->rules[i].destination);
+    }
+    for (size_t i = 0; i < map->mapped_count; i++)
+        free(map->mapped[i]);
+    free(map->rules);
+    free(map->mapped);
+    free(map);
+}

@@ -1,0 +1,84 @@
+/* cli_path_map.c - reads the rules of --path-map: JSON, Open Job Description's pathmapping-1.0. */
+#include <string.h>
+
+#include "base/file.h"
+#include "base/path_map.h"
+#include "tools/cli.h"
+
+static int fail_rules(struct cli *cli, const char *what)
+{
+    return bsq_fail(cli->ctx, BSQ_EDATA, "%s: no rules of pathmapping-1.0: %s", cli->path_map,
+                    what);
+}
+
+/* Adds one rule. */
+static int add_rule(struct cli *cli, const json_t *rule)
+{
+    static const char *const formats[] = {"POSIX", "WINDOWS", "URI"};
+    const char *format = json_string_value(json_object_get(rule, "source_path_format"));
+    const char *source = json_string_value(json_object_get(rule, "source_path"));
+    const char *destination = json_string_value(json_object_get(rule, "destination_path"));
+    unsigned i = 0;
+    if (!format || !source || !destination || !*source)
+        return fail_rules(cli, "a rule has no format, source or destination");
+    while (i < 3 && strcmp(formats[i], format) != 0)
+        i++;
+    if (i == 3)
+        return fail_rules(cli, "a format is not POSIX, WINDOWS or URI");
+    return bsq_add_path_rule(cli->ctx, (enum bsq_path_format)i, source, destination);
+}
+
+static int add_rules(struct cli *cli, const json_t *root)
+{
+    const char *version = json_string_value(json_object_get(root, "version"));
+    const json_t *rules = json_object_get(root, "path_mapping_rules");
+    int status = 0;
+    if (!version || strcmp(version, "pathmapping-1.0") != 0)
+        return fail_rules(cli, "another version");
+    /* Open Job Description leaves the rules out if there are none. */
+    if (rules && !json_is_array(rules))
+        return fail_rules(cli, "path_mapping_rules is no list");
+    for (size_t i = 0; i < json_array_size(rules) && status == 0; i++)
+        status = add_rule(cli, json_array_get(rules, i));
+    return status;
+}
+
+/* Loads a file as JSON, within the budget. */
+static int load(struct cli *cli, json_t **out)
+{
+    struct bsq_file file;
+    char *text = NULL;
+    json_error_t error;
+    int status = bsq_file_open_as(cli->ctx, cli->path_map, BSQ_OPEN_OTHER, &file);
+    if (status < 0)
+        return status;
+    status = bsq_alloc(cli->ctx, "rules for paths", file.size, 1, &text);
+    if (status == 0)
+        status = bsq_file_read(cli->ctx, &file, text, file.size, 0);
+    if (status == 0 && !(*out = json_loadb(text, file.size, JSON_REJECT_DUPLICATES, &error)))
+        status = fail_rules(cli, error.text);
+    bsq_free(cli->ctx, text);
+    bsq_file_close(cli->ctx, &file);
+    return status;
+}
+
+int cli_load_path_map(struct cli *cli)
+{
+    json_t *root = NULL;
+    if (!cli->path_map)
+        return 0;
+    int status = load(cli, &root);
+    if (status == 0)
+        status = add_rules(cli, root);
+    json_decref(root);
+    return status;
+}
+
+int cli_map_input(struct cli *cli, const char **path)
+{
+    const char *mapped = *path ? bsq_map_path(cli->ctx, *path) : NULL;
+    if (*path && !mapped)
+        return BSQ_ENOMEM;
+    *path = mapped;
+    return 0;
+}
