@@ -6,11 +6,13 @@
  *     format, checksum and size of the chunk file, checksum of the other lines
  *     version and checksum of the program's sources
  *     "obj", "tex" or "mtl", size, time of modification, hash of samples, path; for each input
+ * A pipe has the path "-", no time, and a hash of all its bytes as they came.
  * To resume, the lines are made again from the files as they are now, and must be the same. A hash
  * of samples is used because reading whole inputs would take about as long as resuming saves on
  * slow disks. The time of modification reveals edits between samples. */
 #include "base/job_files.h"
 #include "base/output.h"
+#include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
 
@@ -37,8 +39,10 @@ enum { TRIS_CHECKSUM_AT = 144 };
 struct vox_job {
     struct bsq_ctx *ctx;
     char *tris_path, *record_path;
-    char *lines; /* all but the first; an empty one follows */
-    size_t size; /* bytes of the lines */
+    char *lines;  /* all but the first; an empty one follows */
+    size_t size;  /* bytes of the lines */
+    char **pipes; /* paths of inputs that are pipes, in order */
+    uint32_t pipe_count;
 };
 
 static int no_memory(struct bsq_ctx *ctx, const char *path)
@@ -121,6 +125,74 @@ static int describe(struct bsq_ctx *ctx, const char *kind, const char *path, cha
     return *out ? 0 : no_memory(ctx, path);
 }
 
+/* ---- pipes ---- */
+
+/* Returns whether a line is about a pipe. Paths of files are absolute. */
+static bool is_pipe_line(const char *line)
+{
+    return strcmp(path_of(line), "-") == 0;
+}
+
+/* Makes the line of a pipe. bytes: -1 as long as they are not known. */
+static char *pipe_line(int64_t bytes, uint64_t hash)
+{
+    char *line = NULL;
+    return asprintf(&line, "obj %" PRId64 " 0.000000000 %016" PRIx64 " -", bytes, hash) < 0 ? NULL
+                                                                                            : line;
+}
+
+static int add_pipe(struct vox_job *job, const char *path)
+{
+    char **pipes = reallocarray(job->pipes, job->pipe_count + 1, sizeof *pipes);
+    char *copy = pipes ? strdup(path) : NULL;
+    if (pipes)
+        job->pipes = pipes;
+    if (!copy)
+        return no_memory(job->ctx, path);
+    pipes[job->pipe_count++] = copy;
+    return add_line(job, pipe_line(-1, 0));
+}
+
+/* Makes all lines again, with what came through the pipes. `find` gives it; it returns 1, 0 for
+ * "not known" or a negative status. */
+static int describe_pipes(struct vox_job *job,
+                          int (*find)(void *arg, const char *path, uint64_t *bytes, uint64_t *hash),
+                          void *arg)
+{
+    char *lines = job->lines;
+    uint32_t pipe = 0;
+    int status = 0;
+    if (job->pipe_count == 0)
+        return 0;
+    job->lines = NULL;
+    job->size = 0;
+    for (const char *line = lines; *line && status >= 0; line = next_line(line)) {
+        uint64_t bytes = 0, hash = 0;
+        const bool is_pipe = is_pipe_line(line);
+        if (is_pipe)
+            status = find(arg, job->pipes[pipe++], &bytes, &hash);
+        if (status >= 0)
+            status = add_line(job, is_pipe && status > 0 ? pipe_line((int64_t)bytes, hash)
+                                                         : strdup(line));
+    }
+    free(lines);
+    return status;
+}
+
+static int find_given(void *arg, const char *path, uint64_t *bytes, uint64_t *hash)
+{
+    return fmt_mesh_given(arg, path, bytes, hash);
+}
+
+/* Reads a pipe to its end. */
+static int find_by_reading(void *arg, const char *path, uint64_t *bytes, uint64_t *hash)
+{
+    int status = fmt_input_drain(arg, path, bytes, hash);
+    return status < 0 ? status : 1;
+}
+
+/* ---- inputs ---- */
+
 static int add_input(struct vox_job *job, const char *kind, const char *path)
 {
     char *line;
@@ -174,6 +246,9 @@ void vox_job_close(struct vox_job *job)
 {
     if (!job)
         return;
+    for (uint32_t i = 0; i < job->pipe_count; i++)
+        free(job->pipes[i]);
+    free(job->pipes);
     free(job->lines);
     free(job->tris_path);
     free(job->record_path);
@@ -195,7 +270,9 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
     if (status == 0)
         status = bsq_note_output(ctx, job->record_path);
     for (uint32_t i = 0; i < options->scan_count && status == 0; i++)
-        status = add_input(job, "obj", options->scan_paths[i]);
+        status = fmt_input_is_pipe(options->scan_paths[i])
+                     ? add_pipe(job, options->scan_paths[i])
+                     : add_input(job, "obj", options->scan_paths[i]);
     if (status == 0 && options->texture_path)
         status = add_input(job, "tex", options->texture_path);
     if (status < 0)
@@ -205,9 +282,9 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
     return status;
 }
 
-int vox_job_add_dependencies(struct vox_job *job, const struct fmt_mesh_reader *reader)
+int vox_job_add_inputs(struct vox_job *job, struct fmt_mesh_reader *reader)
 {
-    int status = 0;
+    int status = describe_pipes(job, find_given, reader);
     const char *path;
     for (uint32_t i = 0; status == 0 && (path = fmt_mesh_dependency(reader, i)) != NULL; i++)
         status = add_input(job, "mtl", path);
@@ -241,6 +318,8 @@ int vox_job_record(struct vox_job *job)
     int status;
     /* If an input changed while it was read, the chunks may be a mix of both versions. */
     for (const char *line = next_line(job->lines); *line; line = next_line(line)) {
+        if (is_pipe_line(line))
+            continue;
         status = describe(job->ctx, line, path_of(line), &now);
         bool changed = now && strcmp(line, now) != 0;
         free(now);
@@ -307,7 +386,9 @@ int vox_job_resume(struct vox_job *job, bool *sorted)
     if (begin > 0 && begin < size)
         status = first_line(job, text + begin, size - begin, &first);
     if (first && strcmp(text, first) == 0) {
-        status = check_lines(job, text + begin);
+        status = describe_pipes(job, find_by_reading, job->ctx);
+        if (status == 0)
+            status = check_lines(job, text + begin);
         *sorted = status == 0;
         if (*sorted)
             bsq_note_written(job->ctx, job->tris_path);

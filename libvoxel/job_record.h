@@ -6,7 +6,7 @@
 
 struct fmt_mesh_reader;
 
-/* Adds the material libraries that the reader has met. */
-int vox_job_add_dependencies(struct vox_job *job, const struct fmt_mesh_reader *reader);
+/* Adds what the reader has met: material libraries, and what came through pipes. */
+int vox_job_add_inputs(struct vox_job *job, struct fmt_mesh_reader *reader);
 
 #endif

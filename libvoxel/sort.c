@@ -14,18 +14,6 @@
 
 #define MIB ((uint64_t)1 << 20)
 
-/* Returns the size of all files, for progress. The reader reports files that cannot be read. */
-static uint64_t total_bytes(const char *const *paths, uint32_t count)
-{
-    uint64_t bytes = 0;
-    for (uint32_t i = 0; i < count; i++) {
-        struct stat info;
-        if (stat(paths[i], &info) == 0)
-            bytes += (uint64_t)info.st_size;
-    }
-    return bytes;
-}
-
 static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_totals *totals)
 {
     report->bytes_read = totals->bytes;
@@ -41,14 +29,15 @@ static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
                       const struct sort_limits *limits, const char *tris_path)
 {
     struct disk_space space = vox_disk_estimate(scan, limits);
-    return bsq_require_space(ctx, tris_path, space.output_bytes, space.temp_bytes);
+    return bsq_require_space(ctx, tris_path, space.output_bytes,
+                             space.temp_bytes + scan->temp_bytes);
 }
 
 static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
                        const struct vox_sort_options *options, enum partition_passes passes,
                        struct partition *out)
 {
-    const uint64_t bytes = total_bytes(options->scan_paths, options->scan_count);
+    const uint64_t bytes = fmt_mesh_bytes(reader);
     bsq_progress_begin(scan->ctx, "reading", "bytes",
                        passes == PARTITION_TWO_PASSES ? 2 * bytes : bytes);
     int status = vox_partition_read(scan, reader, options->tris_path, passes, out);
@@ -86,7 +75,11 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     struct bsq_ctx *ctx = scan->ctx;
     struct fmt_mesh_estimate estimate = {0};
     double start = bsq_seconds_now();
-    int status = fmt_mesh_open(ctx, options->scan_paths, options->scan_count, &reader);
+    const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
+                                           .path_count = options->scan_count,
+                                           .beside = options->tris_path,
+                                           .pipes = true};
+    int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
     if (status < 0)
         return status;
     status = fmt_mesh_estimate(reader, &estimate);
@@ -96,7 +89,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
         status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
                              out);
     if (status == 0 && options->job)
-        status = vox_job_add_dependencies(options->job, reader);
+        status = vox_job_add_inputs(options->job, reader);
     fmt_mesh_close(reader);
     report_totals(report, &scan->totals);
     report->broken_faces = scan->lost[FMT_MESH_VERTEX].count;

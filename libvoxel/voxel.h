@@ -36,8 +36,10 @@ void vox_temp_tris_close(struct vox_temp_tris *temp);
 
 /** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
-    const char *const *scan_paths; /**< Mesh files, read as one scan. */
-    uint32_t scan_count;           /**< Number of mesh files, at least 1. */
+    /** Mesh files, read as one scan. They may be packed by gzip or Zstandard. A FIFO, or "-" for
+     * standard input, is read once. */
+    const char *const *scan_paths;
+    uint32_t scan_count;      /**< Number of mesh files, at least 1. */
     const char *texture_path; /**< Image for all faces with texture coordinates. NULL: the images
                                  that the materials name. */
     const char *tris_path;    /**< Output: the chunk file. */
@@ -49,7 +51,7 @@ struct vox_sort_options {
 
 /** What vox_sort() did. */
 struct vox_sort_report {
-    uint64_t bytes_read;           /**< Bytes of the mesh files. */
+    uint64_t bytes_read;           /**< Bytes of the mesh files, unpacked. */
     uint64_t vertices;             /**< Vertices of the scan. */
     uint64_t faces;                /**< Faces of the scan, polygons included. */
     uint64_t triangles;            /**< Triangles in the chunk file. */

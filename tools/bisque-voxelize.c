@@ -3,11 +3,11 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 
 #include "base/clock.h"
 #include "base/job_files.h"
 #include "formats/file_kind.h"
+#include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "tools/voxelize_report.h"
 
@@ -18,6 +18,8 @@ static int recognise_inputs(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     for (uint32_t i = 0; i < arguments->input_count; i++) {
         enum fmt_kind kind;
+        if (fmt_input_is_pipe(arguments->inputs[i])) /* can be read only once */
+            continue;
         int status = fmt_recognise(job->cli->ctx, arguments->inputs[i], &kind);
         if (status < 0)
             return status;
@@ -74,7 +76,8 @@ static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
 {
     int status = 0;
     for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
-        status = bsq_note_input(ctx, arguments->inputs[i], "the scan");
+        if (!fmt_input_is_pipe(arguments->inputs[i]))
+            status = bsq_note_input(ctx, arguments->inputs[i], "the scan");
     if (status == 0 && arguments->texture)
         status = bsq_note_input(ctx, arguments->texture, "the texture");
     return status;
@@ -130,18 +133,6 @@ static int count_block(void *arg, const struct fmt_mesh_block *block)
     return 0;
 }
 
-/* Returns the sum of the inputs' sizes in bytes. The reader reports files that cannot be read. */
-static uint64_t input_bytes(const struct voxelize_arguments *arguments)
-{
-    uint64_t bytes = 0;
-    struct stat info;
-    for (uint32_t i = 0; i < arguments->input_count; i++) {
-        if (stat(arguments->inputs[i], &info) == 0)
-            bytes += (uint64_t)info.st_size;
-    }
-    return bytes;
-}
-
 /* Parses the inputs, keeps nothing, and fills in the report of reading. */
 static int parse_inputs(struct voxelize_job *job)
 {
@@ -149,10 +140,12 @@ static int parse_inputs(struct voxelize_job *job)
     struct fmt_mesh_reader *reader;
     struct fmt_mesh_totals totals = {0};
     double start = bsq_seconds_now();
-    int status = fmt_mesh_open(ctx, job->arguments->inputs, job->arguments->input_count, &reader);
+    const struct fmt_mesh_inputs inputs = {
+        .paths = job->arguments->inputs, .path_count = job->arguments->input_count, .pipes = true};
+    int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
     if (status < 0)
         return status;
-    bsq_progress_begin(ctx, "reading", "bytes", input_bytes(job->arguments));
+    bsq_progress_begin(ctx, "reading", "bytes", fmt_mesh_bytes(reader));
     status = fmt_mesh_read(reader, count_block, ctx, &totals);
     bsq_progress_end(ctx);
     fmt_mesh_close(reader);

@@ -89,7 +89,7 @@ int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint6
 static int use_file(const struct gltf_place *place, const char *uri, struct gltf_buffer *out)
 {
     struct bsq_ctx *ctx = place->document->ctx;
-    int found = fmt_gltf_uri_path(ctx, place->document->file.path, uri, &out->path);
+    int found = fmt_gltf_uri_path(ctx, fmt_input_beside(place->document->input), uri, &out->path);
     if (found == 0)
         return fmt_gltf_fail(place, "its URI \"%.60s\" names no file", uri);
     int status = found < 0 ? found

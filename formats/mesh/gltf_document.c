@@ -256,13 +256,13 @@ static int check_version(struct gltf_document *d)
     return 0;
 }
 
-int fmt_gltf_open_document(struct bsq_ctx *ctx, const char *path, struct gltf_document *out)
+int fmt_gltf_open_document(struct bsq_ctx *ctx, struct fmt_input *input, struct gltf_document *out)
 {
     struct shortener text = {.ctx = ctx};
     uint8_t head[GLB_HEADER] = {0};
     uint64_t got = 0;
-    *out = (struct gltf_document){.ctx = ctx, .file = BSQ_FILE_CLOSED};
-    int status = bsq_file_open(ctx, path, &out->file);
+    *out = (struct gltf_document){.ctx = ctx, .input = input, .file = BSQ_FILE_CLOSED};
+    int status = fmt_input_whole(input, &out->file);
     if (!status)
         status = bsq_file_read_some(ctx, &out->file, head, sizeof head, 0, &got);
     out->json_bytes = out->file.size;

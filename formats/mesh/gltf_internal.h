@@ -18,6 +18,7 @@
 /* A file whose JSON is in memory. */
 struct gltf_document {
     struct bsq_ctx *ctx;
+    struct fmt_input *input;
     struct bsq_file file;
     json_t *root;
     uint64_t json_memory;               /* bytes reserved for it */
@@ -25,8 +26,9 @@ struct gltf_document {
     uint64_t chunk_offset, chunk_bytes; /* of a GLB file's binary chunk; 0: it has none */
 };
 
-/* Opens a .gltf or GLB file and parses its JSON. Close it also after a failure. */
-int fmt_gltf_open_document(struct bsq_ctx *ctx, const char *path, struct gltf_document *out);
+/* Parses the JSON of a .gltf or GLB file. The input must be open. Close the document also after a
+ * failure. */
+int fmt_gltf_open_document(struct bsq_ctx *ctx, struct fmt_input *input, struct gltf_document *out);
 void fmt_gltf_close_document(struct gltf_document *document);
 
 /* In the parsed text, base64 data URIs are "data:#OFFSET+SIZE": the place of their base64 text in
@@ -154,6 +156,8 @@ struct gltf_unread {
 };
 
 struct gltf_source {
+    struct bsq_file own; /* the file, unpacked; open while it is read */
+    uint64_t size;       /* of it */
     struct gltf_buffer *buffers;
     struct gltf_view *views;
     struct gltf_accessor *accessors;

@@ -51,7 +51,7 @@ int fmt_gltf_check_extensions(struct gltf_document *document, struct gltf_source
 
 /* ---- images ---- */
 
-/* Describes the data of a view: bytes of a file. */
+/* Describes the data of a view: bytes of a file. Returns its path, NULL if it is packed. */
 static const char *part_of_view(const struct gltf_document *document,
                                 const struct gltf_source *source, uint32_t number,
                                 struct bsq_part *out)
@@ -61,10 +61,13 @@ static const char *part_of_view(const struct gltf_document *document,
     *out = buffer->part;
     out->first += view->offset;
     out->size = view->size;
-    return buffer->path ? buffer->path : document->file.path;
+    if (buffer->path)
+        return buffer->path;
+    return fmt_input_is_plain(document->input) ? document->file.path : NULL;
 }
 
-/* Sets *out to the path or name of an image; NULL if it has no data that can be read. */
+/* Sets *out to the path or name of an image; NULL if it has no data that can be read. Those inside
+ * of a packed file cannot be named. */
 static int find_image(const struct gltf_place *place, const struct gltf_source *source, char **out)
 {
     struct gltf_document *d = place->document;
@@ -77,13 +80,15 @@ static int find_image(const struct gltf_place *place, const struct gltf_source *
         return status;
     if (view != GLTF_NONE) {
         const char *path = part_of_view(d, source, view, &part);
-        return bsq_part_name(d->ctx, path, &part, out);
+        return path ? bsq_part_name(d->ctx, path, &part, out) : 0;
     }
+    if (uri && fmt_gltf_find_data(uri, &part.offset, &size) && !fmt_input_is_plain(d->input))
+        return 0;
     if (uri && fmt_gltf_find_data(uri, &part.offset, &size)) {
         status = fmt_gltf_measure_data(place, part.offset, size, &part.size);
         return status ? status : bsq_part_name(d->ctx, d->file.path, &part, out);
     }
-    int found = uri ? fmt_gltf_uri_path(d->ctx, d->file.path, uri, out) : 0;
+    int found = uri ? fmt_gltf_uri_path(d->ctx, fmt_input_beside(d->input), uri, out) : 0;
     if (found > 0)
         found = bsq_note_input(d->ctx, *out, "the texture that %s names", d->file.path);
     return found;

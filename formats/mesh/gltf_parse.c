@@ -277,7 +277,7 @@ int fmt_gltf_parse(struct stream_reader *base, struct stream_slot *slot)
     const struct gltf_reader *reader = (const struct gltf_reader *)base;
     const struct gltf_source *source = &reader->files[slot->part.source];
     struct parser p = {
-        .decoder = {base->base.ctx, source, &base->sources[slot->part.source].file, slot},
+        .decoder = {base->base.ctx, source, &source->own, slot},
         .reader = reader,
         .source = source,
         .first = slot->part.first_item,

@@ -47,11 +47,17 @@ static int read_file(struct gltf_reader *reader, uint32_t number)
 {
     struct gltf_source *source = &reader->files[number];
     struct gltf_document document;
-    int status = fmt_gltf_open_document(reader->stream.base.ctx,
-                                        reader->stream.sources[number].path, &document);
+    struct fmt_input *input = reader->stream.sources[number].input;
+    int status = fmt_input_open(input);
+    if (status)
+        return status;
+    status = fmt_gltf_open_document(reader->stream.base.ctx, input, &document);
+    source->size = document.file.size;
     if (!status)
         status = read_document(&document, source);
     fmt_gltf_close_document(&document);
+    const int closed = fmt_input_close(input);
+    status = status ? status : closed;
     if (!status && source->material_count > UINT32_MAX - 1 - reader->material_count)
         status = bsq_fail(reader->stream.base.ctx, BSQ_EDATA, "too many materials");
     source->material_base = reader->material_count;
@@ -62,6 +68,7 @@ static int read_file(struct gltf_reader *reader, uint32_t number)
 
 static void free_source(struct bsq_ctx *ctx, struct gltf_source *source)
 {
+    bsq_file_close(ctx, &source->own);
     fmt_gltf_free_buffers(ctx, source);
     for (uint32_t i = 0; i < source->material_count; i++) {
         bsq_free(ctx, source->materials[i].name);
@@ -131,7 +138,7 @@ static int cut(struct stream_reader *base, const struct stream_part *before,
                struct stream_slot *slot)
 {
     const struct gltf_source *source = &((const struct gltf_reader *)base)->files[before->source];
-    const uint64_t size = base->sources[before->source].size;
+    const uint64_t size = source->size;
     const uint64_t all = source->total[FMT_MESH_VERTEX] + source->triangles;
     struct stream_part *part = &slot->part;
     if (before->left == all && (all > 0 || before->end > 0))
@@ -158,12 +165,17 @@ static int cut(struct stream_reader *base, const struct stream_part *before,
 
 static int open_buffers(struct stream_reader *base, uint32_t number)
 {
-    return fmt_gltf_open_buffers(base->base.ctx, &((struct gltf_reader *)base)->files[number]);
+    struct gltf_source *source = &((struct gltf_reader *)base)->files[number];
+    int status =
+        source->own.fd < 0 ? fmt_input_whole(base->sources[number].input, &source->own) : 0;
+    return status ? status : fmt_gltf_open_buffers(base->base.ctx, source);
 }
 
 static int close_buffers(struct stream_reader *base, uint32_t number)
 {
-    return fmt_gltf_close_buffers(base->base.ctx, &((struct gltf_reader *)base)->files[number]);
+    struct gltf_source *source = &((struct gltf_reader *)base)->files[number];
+    bsq_file_close(base->base.ctx, &source->own);
+    return fmt_gltf_close_buffers(base->base.ctx, source);
 }
 
 static int pass(struct stream_reader *base, struct stream_slot *slot,
@@ -280,7 +292,7 @@ static const char *dependency(const struct fmt_mesh_reader *base, uint32_t index
 
 /* ---- the format ---- */
 
-static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
     static const struct stream_format stream = {.open = open_buffers,
@@ -294,10 +306,12 @@ static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t p
         return status;
     reader->stream.base.ctx = ctx;
     reader->stream.stream = &stream;
-    status = fmt_stream_open_sources(&reader->stream, paths, path_count);
+    status = fmt_stream_open_sources(&reader->stream, inputs, input_count);
     if (!status)
-        status = bsq_calloc(ctx, "glTF files", path_count, sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < path_count && !status; i++)
+        status = bsq_calloc(ctx, "glTF files", input_count, sizeof *reader->files, &reader->files);
+    for (uint32_t i = 0; i < input_count && !status; i++)
+        reader->files[i].own = (struct bsq_file)BSQ_FILE_CLOSED;
+    for (uint32_t i = 0; i < input_count && !status; i++)
         status = read_file(reader, i);
     if (status)
         close_reader(&reader->stream.base);

@@ -8,6 +8,7 @@
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
 
+#include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 
 /* Where a face is, for messages. */
@@ -29,8 +30,10 @@ struct fmt_mesh_format {
     /* Returns true if the first bytes of a file show this format beyond doubt. `head` is the first
      * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. */
     bool (*recognise)(const char *head, size_t size);
-    /* Sets *out to a structure that begins with a struct fmt_mesh_reader, and sets its ctx. */
-    int (*open)(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+    /* Sets *out to a structure that begins with a struct fmt_mesh_reader, and sets its ctx. The
+     * inputs live longer than the reader. They may be packed, or pipes, so a reader opens them with
+     * fmt_input_open() and knows their size only if fmt_input_size() does. */
+    int (*open)(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                 struct fmt_mesh_reader **out);
     void (*close)(struct fmt_mesh_reader *reader);
     /* For each block calls steps->on_block, unless it is NULL, and then, if steps->follow is not
@@ -49,8 +52,11 @@ struct fmt_mesh_format {
 
 /* The start of every reader. */
 struct fmt_mesh_reader {
-    const struct fmt_mesh_format *format; /* set by fmt_mesh_open() */
     struct bsq_ctx *ctx;
+    /* Set by fmt_mesh_open_inputs(). */
+    const struct fmt_mesh_format *format;
+    struct fmt_input **inputs; /* owned */
+    uint32_t input_count;
 };
 
 /* Copies a material under another name. Free *out as fmt_materials_free() does. */

@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <strings.h>
 
-#include "base/file.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 
@@ -20,10 +19,20 @@ static const struct fmt_mesh_format *const formats[FORMAT_COUNT] = {FMT_MESH_FOR
 
 /* ---- choosing a format ---- */
 
-static bool has_suffix(const char *path, const char *suffix)
+static bool has_suffix(const char *name, size_t length, const char *suffix)
 {
-    size_t length = strlen(path), suffix_length = strlen(suffix);
-    return length >= suffix_length && strcasecmp(path + length - suffix_length, suffix) == 0;
+    const size_t suffix_length = strlen(suffix);
+    return length >= suffix_length &&
+           strncasecmp(name + length - suffix_length, suffix, suffix_length) == 0;
+}
+
+/* Returns the length of a path without the suffix of a packed file. */
+static size_t unpacked_length(const char *path)
+{
+    const size_t length = strlen(path);
+    if (has_suffix(path, length, ".gz"))
+        return length - 3;
+    return length - (has_suffix(path, length, ".zst") ? 4 : 0);
 }
 
 static const struct fmt_mesh_format *find_by_content(const char *head, size_t size)
@@ -34,12 +43,14 @@ static const struct fmt_mesh_format *find_by_content(const char *head, size_t si
     return NULL;
 }
 
+/* Finds the format by the suffix; that of "scan.stl.gz" is ".stl". */
 static const struct fmt_mesh_format *find_by_suffix(const char *path)
 {
+    const size_t length = unpacked_length(path);
     for (size_t i = 0; i < FORMAT_COUNT; i++)
         /* No row is NULL, but the analyzer forgets that at the call of a recognise function. */
         /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference) */
-        if (has_suffix(path, formats[i]->suffix))
+        if (has_suffix(path, length, formats[i]->suffix))
             return formats[i];
     return NULL;
 }
@@ -56,10 +67,12 @@ static const struct foreign {
     unsigned size;
     const char *kind, *advice;
 } foreign_kinds[] = {
-    {"\x1f\x8b", 2, "a file packed by gzip", "unpack it first"},
+    {"\x1f\x8b", 2, "a file packed by gzip twice", "unpack it first"},
     {"BZh", 3, "a file packed by bzip2", "unpack it first"},
     {"\3757zXZ", 5, "a file packed by xz", "unpack it first"},
-    {"\x28\xb5\x2f\xfd", 4, "a file packed by Zstandard", "unpack it first"},
+    {"\x28\xb5\x2f\xfd", 4, "a file packed by Zstandard twice", "unpack it first"},
+    {"BSQTRIS\n", 8, "a chunk file that is packed or comes through a pipe",
+     "give it as a plain file"},
     {"PK\x03\x04", 4, "a ZIP archive", "unpack it first"},
     {"7z\xbc\xaf\x27\x1c", 6, "a 7z archive", "unpack it first"},
     {"Kaydara FBX Binary", 18, "an FBX file", "export the mesh as OBJ"},
@@ -79,15 +92,13 @@ static int refuse_foreign(struct bsq_ctx *ctx, const char *path, const char *hea
     return 0;
 }
 
-static int choose_format(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh_format **out)
+static int choose_format(struct bsq_ctx *ctx, struct fmt_input *input,
+                         const struct fmt_mesh_format **out)
 {
-    struct bsq_file file = BSQ_FILE_CLOSED;
     char head[FMT_MESH_HEAD_BYTES];
     uint64_t size = 0;
-    int status = bsq_file_open(ctx, path, &file);
-    if (status == 0)
-        status = bsq_file_read_some(ctx, &file, head, sizeof head, 0, &size);
-    bsq_file_close(ctx, &file);
+    const char *path = fmt_input_path(input);
+    int status = fmt_input_peek(input, head, sizeof head, &size);
     if (status < 0 || (*out = find_by_content(head, size)) != NULL)
         return status;
     *out = find_by_suffix(path);
@@ -96,34 +107,119 @@ static int choose_format(struct bsq_ctx *ctx, const char *path, const struct fmt
     return refuse_foreign(ctx, path, head, size);
 }
 
-int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                  struct fmt_mesh_reader **out)
+/* ---- opening ---- */
+
+static void free_inputs(struct bsq_ctx *ctx, struct fmt_input **inputs, uint32_t count)
 {
-    const struct fmt_mesh_format *first = formats[0];
-    *out = NULL;
-    for (uint32_t i = 0; i < path_count; i++) {
-        const struct fmt_mesh_format *format;
-        int status = choose_format(ctx, paths[i], &format);
+    for (uint32_t i = 0; inputs && i < count; i++)
+        fmt_input_free(inputs[i]);
+    bsq_free(ctx, inputs);
+}
+
+/* Sets *format to the one format of all inputs. */
+static int choose_formats(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t count,
+                          const struct fmt_mesh_format **format)
+{
+    *format = formats[0];
+    for (uint32_t i = 0; i < count; i++) {
+        const struct fmt_mesh_format *found;
+        int status = choose_format(ctx, inputs[i], &found);
         if (status < 0)
             return status;
         if (i == 0)
-            first = format;
-        if (format != first)
+            *format = found;
+        if (found != *format)
             return bsq_fail(
                 ctx, BSQ_EDATA,
                 "%s has the format %s, but %s has %s: all files of a scan need one format",
-                paths[i], format->name, paths[0], first->name);
+                fmt_input_path(inputs[i]), found->name, fmt_input_path(inputs[0]), (*format)->name);
     }
-    int status = first->open(ctx, paths, path_count, out);
-    if (status == 0)
-        (*out)->format = first;
+    return 0;
+}
+
+/* Checks that input number `i` is not a pipe that is among the earlier ones. */
+static int check_once(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from, uint32_t i)
+{
+    if (!from->pipes || !fmt_input_is_pipe(from->paths[i]))
+        return 0;
+    for (uint32_t k = 0; k < i; k++)
+        if (strcmp(from->paths[k], from->paths[i]) == 0)
+            return bsq_fail(ctx, BSQ_EUSAGE, "%s: a pipe can be read only once", from->paths[i]);
+    return 0;
+}
+
+static int create_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from,
+                         struct fmt_input **inputs)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < from->path_count && !status; i++) {
+        status = check_once(ctx, from, i);
+        if (!status)
+            status = fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &inputs[i]);
+    }
     return status;
+}
+
+int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from,
+                         struct fmt_mesh_reader **out)
+{
+    const struct fmt_mesh_format *format = NULL;
+    struct fmt_input **inputs;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "inputs", from->path_count, sizeof *inputs, &inputs);
+    if (status == 0)
+        status = create_inputs(ctx, from, inputs);
+    if (status == 0)
+        status = choose_formats(ctx, inputs, from->path_count, &format);
+    if (status == 0)
+        status = format->open(ctx, inputs, from->path_count, out);
+    if (status < 0) {
+        free_inputs(ctx, inputs, from->path_count);
+        return status;
+    }
+    (*out)->format = format;
+    (*out)->inputs = inputs;
+    (*out)->input_count = from->path_count;
+    return 0;
+}
+
+int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                  struct fmt_mesh_reader **out)
+{
+    const struct fmt_mesh_inputs inputs = {.paths = paths, .path_count = path_count};
+    return fmt_mesh_open_inputs(ctx, &inputs, out);
 }
 
 void fmt_mesh_close(struct fmt_mesh_reader *reader)
 {
-    if (reader)
-        reader->format->close(reader);
+    if (!reader)
+        return;
+    struct bsq_ctx *ctx = reader->ctx;
+    struct fmt_input **inputs = reader->inputs;
+    const uint32_t count = reader->input_count;
+    reader->format->close(reader);
+    free_inputs(ctx, inputs, count);
+}
+
+uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader)
+{
+    uint64_t bytes = 0;
+    for (uint32_t i = 0; i < reader->input_count; i++) {
+        const uint64_t size = fmt_input_size(reader->inputs[i]);
+        if (size == UINT64_MAX)
+            return 0;
+        bytes += size;
+    }
+    return bytes;
+}
+
+bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint64_t *bytes,
+                    uint64_t *hash)
+{
+    for (uint32_t i = 0; i < reader->input_count; i++)
+        if (strcmp(fmt_input_path(reader->inputs[i]), path) == 0)
+            return fmt_input_given(reader->inputs[i], bytes, hash);
+    return false;
 }
 
 /* ---- reading ---- */
@@ -167,7 +263,20 @@ int fmt_mesh_read(struct fmt_mesh_reader *reader,
 
 int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out)
 {
-    return reader->format->estimate(reader, out);
+    uint64_t temp_bytes = 0;
+    int status = 0;
+    for (uint32_t i = 0; i < reader->input_count && status == 0; i++) {
+        uint64_t bytes;
+        bool plain;
+        status = fmt_input_guess(reader->inputs[i], &bytes, &plain);
+        /* Unpacked files are dropped one after the other. */
+        if (status == 0 && !plain && bytes > temp_bytes)
+            temp_bytes = bytes;
+    }
+    if (status == 0)
+        status = reader->format->estimate(reader, out);
+    out->temp_bytes = temp_bytes;
+    return status;
 }
 
 /* ---- materials ---- */

@@ -4,8 +4,8 @@
  * format is one row of the registry (mesh_format.h): a file's first bytes choose it, then its
  * suffix. A file that neither names is read as OBJ. Callers never learn which format a mesh has.
  *
- * Several files are read as one scan; they must be of one format. Nothing is kept: memory does not
- * grow with the files. */
+ * Several files are read as one scan; they must be of one format. Files may be packed by gzip or
+ * Zstandard (formats/input). Nothing is kept: memory does not grow with the files. */
 #ifndef FMT_MESH_READER_H
 #define FMT_MESH_READER_H
 
@@ -88,6 +88,25 @@ int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_c
                   struct fmt_mesh_reader **out);
 void fmt_mesh_close(struct fmt_mesh_reader *reader); /* NULL is allowed */
 
+/* What is read as one scan. */
+struct fmt_mesh_inputs {
+    const char *const *paths;
+    uint32_t path_count;
+    /* An output path, in whose directory packed files and pipes are unpacked into temporary files,
+     * if the context has no directory for them. NULL: ".". */
+    const char *beside;
+    bool pipes; /* FIFOs, and "-" for standard input, are allowed; they are read once */
+};
+/* Opens as fmt_mesh_open() does. */
+int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *inputs,
+                         struct fmt_mesh_reader **out);
+/* Returns the bytes of all files; 0 if some of them are packed, or pipes. */
+uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader);
+/* Gives what came through the pipe `path` as it came: bytes and XXH3 hash. Returns false for a
+ * file, and for a pipe that was not read to its end. */
+bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint64_t *bytes,
+                    uint64_t *hash);
+
 /* Returns true if a format of the registry recognises the file by its first bytes or its name.
  * `size` may be less than FMT_MESH_HEAD_BYTES only if the file is shorter. */
 bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
@@ -129,8 +148,12 @@ struct fmt_mesh_estimate {
     uint64_t vertices, texcoords, normals, faces, corners;
     bool has_colors;
     bool faces_come_last; /* a single file, in which probably no elements follow faces */
+    /* Of temporary files with unpacked bytes. What comes through a pipe is not known, nor counted.
+     */
+    uint64_t temp_bytes;
 };
-/* Estimates the size from samples of the files, without reading all of them. */
+/* Estimates the size from samples of the files, without reading all of them. Of a packed file, or a
+ * pipe, it knows only the start. */
 int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
 
 /* ---- materials ---- */

@@ -23,39 +23,25 @@ struct job {
 
 /* ---- files ---- */
 
-static int open_source(struct bsq_ctx *ctx, const char *path, struct stream_source *source)
-{
-    int status = fmt_string_copy(ctx, path, &source->path);
-    if (!status)
-        status = bsq_file_open(ctx, path, &source->file);
-    source->size = source->file.size;
-    bsq_file_close(ctx, &source->file);
-    return status;
-}
-
-int fmt_stream_open_sources(struct stream_reader *reader, const char *const *paths,
-                            uint32_t path_count)
+int fmt_stream_open_sources(struct stream_reader *reader, struct fmt_input *const *inputs,
+                            uint32_t input_count)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     int status =
-        bsq_calloc(ctx, "mesh files", path_count, sizeof *reader->sources, &reader->sources);
+        bsq_calloc(ctx, "mesh files", input_count, sizeof *reader->sources, &reader->sources);
     if (status)
         return status;
-    reader->source_count = path_count;
-    for (uint32_t i = 0; i < path_count; i++)
-        reader->sources[i].file.fd = -1;
-    for (uint32_t i = 0; i < path_count && !status; i++)
-        status = open_source(ctx, paths[i], &reader->sources[i]);
-    return status;
+    reader->source_count = input_count;
+    for (uint32_t i = 0; i < input_count; i++) {
+        reader->sources[i].input = inputs[i];
+        reader->sources[i].path = fmt_input_path(inputs[i]);
+    }
+    return 0;
 }
 
 void fmt_stream_close_sources(struct stream_reader *reader)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
-    for (uint32_t i = 0; i < reader->source_count; i++) {
-        bsq_file_close(ctx, &reader->sources[i].file);
-        bsq_free(ctx, reader->sources[i].path);
-    }
     bsq_free(ctx, reader->sources);
     bsq_free(ctx, reader->places);
 }
@@ -64,7 +50,8 @@ void fmt_stream_close_sources(struct stream_reader *reader)
 static int enter_file(struct stream_reader *reader, uint32_t number)
 {
     struct stream_source *source = &reader->sources[number];
-    int status = bsq_file_open(reader->base.ctx, source->path, &source->file);
+    int status = fmt_input_open(source->input);
+    source->open = status == 0;
     if (!status && reader->stream->open)
         status = reader->stream->open(reader, number);
     return status;
@@ -73,9 +60,9 @@ static int enter_file(struct stream_reader *reader, uint32_t number)
 /* Closes a file after its last part. Errors: BSQ_EIO if it was changed meanwhile. */
 static int close_source(struct stream_reader *reader, struct stream_source *source)
 {
-    struct bsq_ctx *ctx = reader->base.ctx;
-    int status = source->file.fd >= 0 ? bsq_file_check(ctx, &source->file) : 0;
-    bsq_file_close(ctx, &source->file);
+    const bool was_open = source->open;
+    source->open = false;
+    int status = was_open ? fmt_input_close(source->input) : 0;
     const int closed = reader->stream->close
                            ? reader->stream->close(reader, (uint32_t)(source - reader->sources))
                            : 0;
@@ -92,14 +79,41 @@ int fmt_stream_reserve(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t s
                     &slot->capacity);
 }
 
+int fmt_stream_extend(struct stream_reader *reader, struct stream_slot *slot, uint64_t have,
+                      uint64_t size, uint64_t *loaded, bool *at_end)
+{
+    struct fmt_input *input = reader->sources[slot->part.source].input;
+    const uint64_t offset = slot->part.offset;
+    uint64_t file_size, end;
+    *loaded = have;
+    *at_end = false;
+    if (__builtin_add_overflow(offset, size, &end) || end > fmt_input_size(input))
+        end = fmt_input_size(input);
+    end = end > offset ? end : offset;
+    /* Memory first: who cannot hold so much need not have it unpacked. */
+    int status = fmt_stream_reserve(reader->base.ctx, slot, end - offset);
+    if (!status)
+        status = fmt_input_reach(input, end, &file_size);
+    if (status)
+        return status;
+    end = end < file_size ? end : file_size;
+    size = end > offset ? end - offset : 0;
+    if (size > have)
+        status = fmt_input_read(input, slot->bytes + have, size - have, offset + have);
+    if (!status)
+        *loaded = size > have ? size : have;
+    *at_end = offset + *loaded >= file_size;
+    return status;
+}
+
 int fmt_stream_load(struct stream_reader *reader, struct stream_slot *slot)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     const struct stream_part *part = &slot->part;
     int status = slot->loaded ? 0 : fmt_stream_reserve(ctx, slot, part->size);
     if (!status && !slot->loaded)
-        status = bsq_file_read(ctx, &reader->sources[part->source].file, slot->bytes, part->size,
-                               part->offset);
+        status = fmt_input_read(reader->sources[part->source].input, slot->bytes, part->size,
+                                part->offset);
     slot->loaded = !status;
     return status;
 }
@@ -126,8 +140,7 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
     (void)sequence;
     while (job->cut.source < reader->source_count) {
         struct stream_source *source = &reader->sources[job->cut.source];
-        int status =
-            source->file.fd < 0 && job->cut.end == 0 ? enter_file(reader, job->cut.source) : 0;
+        int status = !source->open && job->cut.end == 0 ? enter_file(reader, job->cut.source) : 0;
         slot->loaded = false;
         slot->error[0] = '\0';
         slot->part = (struct stream_part){.source = job->cut.source};
@@ -305,9 +318,9 @@ static void free_slot(struct bsq_ctx *ctx, struct stream_slot *slot)
 static unsigned count_slots(const struct stream_reader *reader)
 {
     uint64_t parts = 1;
-    for (uint32_t i = 0; i < reader->source_count; i++)
-        parts += reader->sources[i].size / STREAM_PART_BYTES + 2;
     unsigned most = fmt_mesh_max_slots(&reader->base);
+    for (uint32_t i = 0; i < reader->source_count && parts < most; i++)
+        parts += fmt_input_size(reader->sources[i].input) / STREAM_PART_BYTES + 2;
     return parts < most ? (unsigned)parts : most;
 }
 
@@ -373,7 +386,7 @@ static int parse_again(struct stream_reader *reader, const struct stream_part *p
     struct bsq_ctx *ctx = reader->base.ctx;
     struct stream_source *source = &reader->sources[part->source];
     struct stream_slot slot = {.part = *part, .last_face = face};
-    bool opened = source->file.fd < 0;
+    const bool opened = !source->open;
     int status = opened ? enter_file(reader, part->source) : 0;
     if (!status)
         status = fmt_stream_load(reader, &slot);

@@ -6,7 +6,6 @@
 #ifndef FMT_MESH_STREAM_H
 #define FMT_MESH_STREAM_H
 
-#include "base/file.h"
 #include "formats/mesh/mesh_arrays.h"
 #include "formats/mesh/mesh_format.h"
 
@@ -19,9 +18,9 @@
 #endif
 
 struct stream_source {
-    char *path;
-    uint64_t size;
-    struct bsq_file file; /* open from the first cut to the pass of the last part */
+    struct fmt_input *input; /* open from the first cut to the pass of the last part */
+    const char *path;        /* of the input */
+    bool open;
     /* Elements of the scan in earlier files, and in this file as far as it has passed. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
 };
@@ -97,10 +96,10 @@ struct stream_format {
                 struct fmt_mesh_totals *totals);
 };
 
-/* Opens the files once, to see that they can be read, and keeps their paths and sizes. `reader` is
- * zero but for its ctx. Call fmt_stream_close_sources() also after a failure. */
-int fmt_stream_open_sources(struct stream_reader *reader, const char *const *paths,
-                            uint32_t path_count);
+/* Sets the sources. `reader` is zero but for its ctx. Call fmt_stream_close_sources() also after a
+ * failure. */
+int fmt_stream_open_sources(struct stream_reader *reader, struct fmt_input *const *inputs,
+                            uint32_t input_count);
 void fmt_stream_close_sources(struct stream_reader *reader);
 
 /* Implements `read` of struct fmt_mesh_format. */
@@ -114,6 +113,11 @@ int fmt_stream_locate_face(struct stream_reader *reader, uint64_t face, struct f
 /* Ensures capacity for `size` bytes of a part and STREAM_PADDING bytes after them. */
 int fmt_stream_reserve(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t size);
 #define STREAM_PADDING ((uint64_t)64)
+
+/* Extends a part's loaded bytes from `have` on to `size` of them, from the part's offset; to fewer
+ * at the end of the file. *loaded: their number. *at_end: the file ends with them, for certain. */
+int fmt_stream_extend(struct stream_reader *reader, struct stream_slot *slot, uint64_t have,
+                      uint64_t size, uint64_t *loaded, bool *at_end);
 
 /* Loads the bytes of a part, unless they are loaded. */
 int fmt_stream_load(struct stream_reader *reader, struct stream_slot *slot);

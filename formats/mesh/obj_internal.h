@@ -2,7 +2,6 @@
 #ifndef FMT_MESH_OBJ_INTERNAL_H
 #define FMT_MESH_OBJ_INTERNAL_H
 
-#include "base/file.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/obj_block.h"
 
@@ -12,10 +11,9 @@
 #define OBJ_BLOCK_BYTES ((uint64_t)512 << 10)
 
 struct obj_source {
-    char *path;
-    uint64_t size;
-    struct bsq_file file; /* open from the produce of its first block to the emit of its last */
-    uint64_t block_count; /* of OBJ_BLOCK_BYTES, the last one shorter */
+    struct fmt_input *input; /* open from the produce of its first block to the emit of its last */
+    const char *path;        /* of the input */
+    bool open;
     /* Number of elements in earlier files, and in this file as far as it has been read. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
     uint64_t lines;
@@ -60,9 +58,9 @@ struct obj_reader {
 
 /* ---- obj_text.c ---- */
 
-/* Loads the lines that begin in bytes [index, index + 1) * OBJ_BLOCK_BYTES of the file into
+/* Loads the lines that begin in bytes [index, index + 1) * OBJ_BLOCK_BYTES of an open input into
  * block->text; there may be none. *offset: where they begin in the file. */
-int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
+int fmt_obj_text_load(struct bsq_ctx *ctx, struct fmt_input *input, uint64_t index,
                       struct obj_block *block, uint64_t *offset);
 
 /* ---- obj_sample.c ---- */

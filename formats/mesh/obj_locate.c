@@ -27,19 +27,18 @@ static const struct obj_place *find_place(const struct obj_reader *reader, uint6
 static int parse_up_to(struct bsq_ctx *ctx, const struct obj_source *source, uint64_t index,
                        uint64_t face, uint64_t *line, uint64_t count[FMT_MESH_KIND_COUNT])
 {
-    struct bsq_file file = BSQ_FILE_CLOSED;
     struct obj_block block = {0};
     uint64_t offset;
-    int status = bsq_file_open(ctx, source->path, &file);
+    int status = fmt_input_open(source->input), closed;
     if (!status)
-        status = fmt_obj_text_load(ctx, &file, index, &block, &offset);
+        status = fmt_obj_text_load(ctx, source->input, index, &block, &offset);
     if (!status)
         status = fmt_obj_block_parse(ctx, &block, offset == 0, face);
     *line = block.lines;
     memcpy(count, block.count, sizeof block.count);
     fmt_obj_block_free(ctx, &block);
-    bsq_file_close(ctx, &file);
-    return status;
+    closed = fmt_input_close(source->input);
+    return status ? status : closed;
 }
 
 int fmt_obj_locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)

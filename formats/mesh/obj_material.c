@@ -105,7 +105,8 @@ static int enter_library(struct obj_reader *reader, uint32_t source, const char 
 {
     char *path = NULL;
     uint32_t number;
-    int status = fmt_path_find(reader->base.ctx, reader->sources[source].path, name, &path, exists);
+    int status = fmt_path_find(reader->base.ctx, fmt_input_beside(reader->sources[source].input),
+                               name, &path, exists);
     if (!status && (*exists || !only_existing))
         status = bsq_note_input(reader->base.ctx, path, "the material library that %s names",
                                 reader->sources[source].path);

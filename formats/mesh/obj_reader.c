@@ -22,6 +22,7 @@ enum { patience_lines = 1000 };
 struct slot {
     uint32_t source;
     uint64_t index, offset;
+    bool last; /* block of the file */
     struct obj_block block;
     struct fmt_mesh_material_change *changes;
     uint64_t change_count, change_capacity;
@@ -47,25 +48,10 @@ struct job {
 
 /* ---- opening ---- */
 
-static int open_source(struct bsq_ctx *ctx, const char *path, struct obj_source *source)
-{
-    int status = fmt_string_copy(ctx, path, &source->path);
-    if (!status)
-        status = bsq_file_open(ctx, path, &source->file);
-    source->size = source->file.size;
-    source->block_count = source->size / OBJ_BLOCK_BYTES + (source->size % OBJ_BLOCK_BYTES != 0);
-    bsq_file_close(ctx, &source->file);
-    return status;
-}
-
 static void close_reader(struct fmt_mesh_reader *base)
 {
     struct obj_reader *reader = (struct obj_reader *)base;
     struct bsq_ctx *ctx = base->ctx;
-    for (uint32_t i = 0; i < reader->source_count; i++) {
-        bsq_file_close(ctx, &reader->sources[i].file);
-        bsq_free(ctx, reader->sources[i].path);
-    }
     bsq_free(ctx, reader->sources);
     bsq_free(ctx, reader->places);
     fmt_obj_names_free(ctx, &reader->materials);
@@ -73,7 +59,7 @@ static void close_reader(struct fmt_mesh_reader *base)
     bsq_free(ctx, reader);
 }
 
-static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
     struct obj_reader *reader;
@@ -81,14 +67,12 @@ static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t p
     if (status)
         return status;
     reader->base.ctx = ctx;
-    status = bsq_calloc(ctx, "OBJ files", path_count, sizeof *reader->sources, &reader->sources);
-    if (!status) {
-        reader->source_count = path_count;
-        for (uint32_t i = 0; i < path_count; i++)
-            reader->sources[i].file.fd = -1;
+    status = bsq_calloc(ctx, "OBJ files", input_count, sizeof *reader->sources, &reader->sources);
+    for (uint32_t i = 0; i < input_count && !status; i++) {
+        reader->sources[i].input = inputs[i];
+        reader->sources[i].path = fmt_input_path(inputs[i]);
     }
-    for (uint32_t i = 0; i < path_count && !status; i++)
-        status = open_source(ctx, paths[i], &reader->sources[i]);
+    reader->source_count = status ? 0 : input_count;
     if (status)
         close_reader(&reader->base);
     else
@@ -98,28 +82,47 @@ static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t p
 
 /* ---- produce, work ---- */
 
+static int open_source(struct obj_source *source)
+{
+    int status = fmt_input_open(source->input);
+    source->open = !status;
+    return status;
+}
+
+/* Closes a file after its last block. Errors: BSQ_EIO if it was changed meanwhile. */
+static int close_source(struct obj_source *source)
+{
+    const bool was_open = source->open;
+    source->open = false;
+    return was_open ? fmt_input_close(source->input) : 0;
+}
+
 static int produce(void *arg, void *slot_memory, uint64_t sequence)
 {
     struct job *job = arg;
     struct slot *slot = slot_memory;
     struct obj_reader *reader = job->reader;
     (void)sequence;
-    while (job->next_source < reader->source_count &&
-           job->next_index == reader->sources[job->next_source].block_count) {
-        job->next_source++;
-        job->next_index = 0;
-    }
-    if (job->next_source == reader->source_count)
-        return 0;
-    struct obj_source *source = &reader->sources[job->next_source];
-    if (job->next_index == 0) {
-        int status = bsq_file_open(reader->base.ctx, source->path, &source->file);
+    for (; job->next_source < reader->source_count; job->next_source++, job->next_index = 0) {
+        struct obj_source *source = &reader->sources[job->next_source];
+        const uint64_t begin = job->next_index * OBJ_BLOCK_BYTES;
+        uint64_t size = 0;
+        int status = job->next_index == 0 ? open_source(source) : 0;
+        if (!status)
+            status = fmt_input_reach(source->input, begin + OBJ_BLOCK_BYTES + 1, &size);
         if (status)
             return status;
+        if (size == 0)
+            continue;
+        slot->source = job->next_source;
+        slot->index = job->next_index++;
+        slot->last = size - begin <= OBJ_BLOCK_BYTES;
+        /* The file may be closed when this block has passed. */
+        job->next_source += slot->last;
+        job->next_index = slot->last ? 0 : job->next_index;
+        return 1;
     }
-    slot->source = job->next_source;
-    slot->index = job->next_index++;
-    return 1;
+    return 0;
 }
 
 static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
@@ -129,7 +132,7 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     struct bsq_ctx *ctx = job->reader->base.ctx;
     const struct obj_source *source = &job->reader->sources[slot->source];
     (void)sequence, (void)worker;
-    int status = fmt_obj_text_load(ctx, &source->file, slot->index, &slot->block, &slot->offset);
+    int status = fmt_obj_text_load(ctx, source->input, slot->index, &slot->block, &slot->offset);
     if (!status)
         status = fmt_obj_block_parse(ctx, &slot->block, slot->offset == 0, UINT64_MAX);
     return status;
@@ -245,13 +248,12 @@ static int check_is_obj(struct job *job, const struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
     const struct obj_source *source = &job->reader->sources[slot->source];
-    bool last = slot->index + 1 == source->block_count;
     job->known_statements += block->known_lines + block->short_faces + block->face_count;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         job->known_statements += block->count[kind];
     job->skipped_in_file += block->skipped_lines;
     if (job->known_statements == 0 && block->skipped_lines > 0 &&
-        (last || job->skipped_in_file >= patience_lines))
+        (slot->last || job->skipped_in_file >= patience_lines))
         return bsq_fail(job->reader->base.ctx, BSQ_EDATA,
                         "%s:%" PRIu64 ": not an OBJ file: \"%s\" is no statement of that format",
                         source->path, source->lines + block->first_skipped + 1,
@@ -371,10 +373,9 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     int status = emit_text(job, slot);
     if (!status)
         pass_block(job, slot);
-    if (slot->index + 1 == source->block_count) {
-        if (!status)
-            status = bsq_file_check(job->reader->base.ctx, &source->file);
-        bsq_file_close(job->reader->base.ctx, &source->file);
+    if (slot->last) {
+        int closed = close_source(source);
+        status = status ? status : closed;
     }
     return status;
 }
@@ -403,12 +404,19 @@ static int finish(void *arg, void *slot_memory, uint64_t sequence)
 
 /* ---- reading ---- */
 
-static int run_job(struct job *job, uint64_t blocks)
+static unsigned count_slots(const struct obj_reader *reader)
+{
+    uint64_t blocks = 0;
+    const unsigned most = fmt_mesh_max_slots(&reader->base);
+    for (uint32_t i = 0; i < reader->source_count && blocks < most; i++)
+        blocks += fmt_input_size(reader->sources[i].input) / OBJ_BLOCK_BYTES + 1;
+    return blocks < most ? (unsigned)blocks : most;
+}
+
+static int run_job(struct job *job)
 {
     struct bsq_ctx *ctx = job->reader->base.ctx;
-    unsigned slot_count = fmt_mesh_max_slots(&job->reader->base);
-    if (slot_count > blocks)
-        slot_count = blocks > 1 ? (unsigned)blocks : 1;
+    const unsigned slot_count = count_slots(job->reader);
     struct slot *slots;
     int status = bsq_calloc(ctx, "OBJ blocks", slot_count, sizeof *slots, &slots);
     if (status)
@@ -463,14 +471,13 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
         .totals = totals,
         .material = FMT_MESH_NO_MATERIAL,
     };
-    uint64_t blocks = 0;
     reader->place_count = 0;
     memset(reader->odd, 0, sizeof reader->odd);
-    for (uint32_t i = 0; i < reader->source_count; i++)
-        blocks += reader->sources[i].block_count;
-    int status = run_job(&job, blocks);
-    for (uint32_t i = 0; i < reader->source_count; i++)
-        bsq_file_close(base->ctx, &reader->sources[i].file);
+    int status = run_job(&job);
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        int closed = close_source(&reader->sources[i]);
+        status = status ? status : closed;
+    }
     if (!status && !reader->read_before)
         warn_odd_lines(reader);
     reader->read_before |= status == 0;

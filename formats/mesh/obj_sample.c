@@ -52,23 +52,43 @@ static void count_sample(struct counts *counts, const char *text, uint64_t size,
         count_line(counts, p, end);
 }
 
-static int sample_file(struct bsq_ctx *ctx, const char *path, struct counts *counts,
-                       uint64_t *file_bytes)
+/* Samples a plain file all over. */
+static int sample_file(struct fmt_input *input, struct counts *counts)
 {
-    struct bsq_file file;
-    int status = bsq_file_open(ctx, path, &file);
+    const uint64_t size = fmt_input_size(input);
+    int status = fmt_input_open(input);
     if (status < 0)
         return status;
-    uint64_t step = file.size / SAMPLES > SAMPLE_BYTES ? file.size / SAMPLES : SAMPLE_BYTES;
-    for (uint64_t offset = 0; status == 0 && offset < file.size; offset += step) {
+    uint64_t step = size / SAMPLES > SAMPLE_BYTES ? size / SAMPLES : SAMPLE_BYTES;
+    for (uint64_t offset = 0; status == 0 && offset < size; offset += step) {
         char text[SAMPLE_BYTES];
         uint64_t got;
-        status = bsq_file_read_some(ctx, &file, text, sizeof text, offset, &got);
+        status = fmt_input_read_some(input, text, sizeof text, offset, &got);
         if (status == 0)
             count_sample(counts, text, got, offset == 0);
     }
-    *file_bytes = file.size;
-    bsq_file_close(ctx, &file);
+    int closed = fmt_input_close(input);
+    return status ? status : closed;
+}
+
+/* Samples the start of a packed file or a pipe. In most scans it has only vertices; then the faces
+ * are taken for two triangles a vertex, as closed surfaces have. */
+static int sample_start(struct bsq_ctx *ctx, struct fmt_input *input, struct counts *counts)
+{
+    char *text;
+    uint64_t got = 0;
+    int status = bsq_alloc(ctx, "sample", FMT_INPUT_SAMPLE_BYTES, 1, &text);
+    if (status == 0)
+        status = fmt_input_peek(input, text, FMT_INPUT_SAMPLE_BYTES, &got);
+    if (status == 0)
+        count_sample(counts, text, got, true);
+    bsq_free(ctx, text);
+    if (counts->faces == 0 && got == FMT_INPUT_SAMPLE_BYTES) {
+        const uint64_t bytes_of_face = 24;
+        counts->faces = 2 * counts->vertices;
+        counts->corners = 3 * counts->faces;
+        counts->bytes += counts->faces * bytes_of_face;
+    }
     return status;
 }
 
@@ -79,8 +99,13 @@ int fmt_obj_estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimat
     *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
     for (uint32_t i = 0; status == 0 && i < reader->source_count; i++) {
         struct counts counts = {0};
+        struct fmt_input *input = reader->sources[i].input;
         uint64_t bytes = 0;
-        status = sample_file(reader->base.ctx, reader->sources[i].path, &counts, &bytes);
+        bool plain;
+        status = fmt_input_guess(input, &bytes, &plain);
+        if (status == 0)
+            status = plain ? sample_file(input, &counts)
+                           : sample_start(reader->base.ctx, input, &counts);
         double scale = counts.bytes > 0 ? (double)bytes / (double)counts.bytes : 0.0;
         out->vertices += (uint64_t)(scale * (double)counts.vertices);
         out->texcoords += (uint64_t)(scale * (double)counts.texcoords);

@@ -53,42 +53,46 @@ static uint64_t find_line_start(const struct window *window, uint64_t from)
     return window->end == window->file_size ? window->file_size : UINT64_MAX;
 }
 
-/* Extends the window to `end`. */
-static int load_until(struct bsq_ctx *ctx, const struct bsq_file *file, struct obj_block *block,
-                      struct window *window, uint64_t end)
-{
-    uint64_t have = window->end - window->offset;
-    int status = fmt_obj_block_reserve_text(ctx, block, end - window->offset);
-    if (status)
-        return status;
-    status = bsq_file_read(ctx, file, block->buffer + have, end - window->end, window->end);
-    window->text = block->buffer;
-    window->end = end;
-    return status;
-}
-
 static uint64_t smaller(uint64_t a, uint64_t b)
 {
     return a < b ? a : b;
 }
 
-int fmt_obj_text_load(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t index,
-                      struct obj_block *block, uint64_t *offset)
+/* Extends the window to `end`, or to the end of the file. */
+static int load_until(struct bsq_ctx *ctx, struct fmt_input *input, struct obj_block *block,
+                      struct window *window, uint64_t end)
 {
-    uint64_t first = index * OBJ_BLOCK_BYTES,
-             range_end = smaller(first + OBJ_BLOCK_BYTES, file->size);
-    struct window window = {.offset = first ? first - look_back : 0, .file_size = file->size};
-    window.end = window.offset;
-    int status = load_until(ctx, file, block, &window, smaller(range_end + look_ahead, file->size));
+    uint64_t have = window->end - window->offset;
+    /* Memory first: who cannot hold so much need not have it unpacked. */
+    end = smaller(end, fmt_input_size(input));
+    int status = fmt_obj_block_reserve_text(ctx, block, end - window->offset);
+    if (!status)
+        status = fmt_input_reach(input, end, &window->file_size);
     if (status)
         return status;
+    end = smaller(end, window->file_size);
+    status = fmt_input_read(input, block->buffer + have, end - window->end, window->end);
+    window->text = block->buffer;
+    window->end = end;
+    return status;
+}
+
+int fmt_obj_text_load(struct bsq_ctx *ctx, struct fmt_input *input, uint64_t index,
+                      struct obj_block *block, uint64_t *offset)
+{
+    uint64_t first = index * OBJ_BLOCK_BYTES, range_end = first + OBJ_BLOCK_BYTES;
+    struct window window = {.offset = first ? first - look_back : 0};
+    window.end = window.offset;
+    int status = load_until(ctx, input, block, &window, range_end + look_ahead);
+    if (status)
+        return status;
+    range_end = smaller(range_end, window.file_size);
     uint64_t start = first ? find_line_start(&window, first) : 0;
     uint64_t end;
     if (start < range_end) {
         while ((end = find_line_start(&window, range_end)) == UINT64_MAX) {
             uint64_t have = window.end - window.offset;
-            if ((status =
-                     load_until(ctx, file, block, &window, smaller(window.end + have, file->size))))
+            if ((status = load_until(ctx, input, block, &window, window.end + have)))
                 return status;
         }
     } else {

@@ -12,6 +12,7 @@
 /* The state of one cut. */
 struct cutter {
     struct bsq_ctx *ctx;
+    struct stream_reader *reader;
     const struct stream_source *source;
     const struct ply_header *header;
     const struct ply_element *element;
@@ -19,6 +20,7 @@ struct cutter {
     struct stream_part *part; /* of the slot */
     uint64_t limit;           /* elements that are left */
     uint64_t have;            /* bytes loaded */
+    bool at_file_end;         /* the file ends with them, for certain */
     bool swap;
 };
 
@@ -30,19 +32,14 @@ static uint64_t smaller(uint64_t a, uint64_t b)
 /* Loads `size` bytes from the part's start on, or fewer at the end of the file. */
 static int load(struct cutter *c, uint64_t size)
 {
-    size = smaller(size, c->source->size - c->part->offset);
-    int status = fmt_stream_reserve(c->ctx, c->slot, size);
-    if (!status && size > c->have)
-        status = bsq_file_read(c->ctx, &c->source->file, c->slot->bytes + c->have, size - c->have,
-                               c->part->offset + c->have);
-    if (!status)
-        c->have = size;
-    return status;
+    return fmt_stream_extend(c->reader, c->slot, c->have, size, &c->have, &c->at_file_end);
 }
 
-static bool at_file_end(const struct cutter *c)
+/* Returns the bytes of the file, as far as they are known: there may be more. */
+static uint64_t known_size(const struct cutter *c)
 {
-    return c->part->offset + c->have == c->source->size;
+    const uint64_t size = fmt_input_size(c->source->input);
+    return size < UINT64_MAX ? size : c->part->offset + c->have;
 }
 
 /* Makes a part of the first `items` elements, which take `size` loaded bytes. */
@@ -57,9 +54,9 @@ static int take(struct cutter *c, uint64_t items, uint64_t size)
 
 static int fail_truncated(struct cutter *c)
 {
-    c->part->end = c->source->size;
+    c->part->end = known_size(c);
     fmt_stream_fail(c->slot,
-                    c->part->first_line ? c->part->first_line + c->part->lines : c->source->size,
+                    c->part->first_line ? c->part->first_line + c->part->lines : c->part->end,
                     "truncated: the file ends after %" PRIu64 " of %" PRIu64 " elements \"%.40s\"",
                     c->part->first_item, c->element->count, c->element->name);
     return 1;
@@ -71,11 +68,16 @@ static int fail_truncated(struct cutter *c)
 static int cut_equal(struct cutter *c)
 {
     const uint64_t each = c->element->least_bytes, usual = STREAM_PART_BYTES / each;
-    const uint64_t left = (c->source->size - c->part->offset) / each;
-    uint64_t items = smaller(c->limit, usual > 0 ? usual : 1);
+    uint64_t items = smaller(c->limit, usual > 0 ? usual : 1), end, file_size;
     if (c->element->kind == PLY_OTHER)
         items = c->limit;
-    if (items > left)
+    if (__builtin_mul_overflow(items, each, &end) ||
+        __builtin_add_overflow(end, c->part->offset, &end))
+        end = UINT64_MAX;
+    int status = fmt_input_reach(c->source->input, end, &file_size);
+    if (status)
+        return status;
+    if (end > file_size || end == UINT64_MAX)
         return fail_truncated(c);
     take(c, items, items * each);
     c->slot->loaded = false;
@@ -161,7 +163,7 @@ static int begin_pieces(struct cutter *c)
     uint64_t length = (uint64_t)ply_integer(c->slot->bytes, p->count_type, c->swap);
     c->part->offset += prefix;
     c->have = 0;
-    if (length > (c->source->size - c->part->offset) / fmt_ply_type_bytes[p->type])
+    if (length > (fmt_input_size(c->source->input) - c->part->offset) / fmt_ply_type_bytes[p->type])
         return fail_truncated(c);
     return cut_piece(c, 0, length);
 }
@@ -175,7 +177,7 @@ static int cut_lists(struct cutter *c)
         if (status)
             return status;
         items = count_whole(c, &size);
-        if (items > 0 || c->slot->error[0] || at_file_end(c) || c->element->kind == PLY_STRIPS)
+        if (items > 0 || c->slot->error[0] || c->at_file_end || c->element->kind == PLY_STRIPS)
             break;
         if ((status = bsq_check(c->ctx)))
             return status;
@@ -186,10 +188,10 @@ static int cut_lists(struct cutter *c)
         return take(c, items, size);
     }
     if (c->slot->error[0]) {
-        c->part->end = c->source->size;
+        c->part->end = known_size(c);
         return 1;
     }
-    return c->element->kind == PLY_STRIPS && !at_file_end(c) ? begin_pieces(c) : fail_truncated(c);
+    return c->element->kind == PLY_STRIPS && !c->at_file_end ? begin_pieces(c) : fail_truncated(c);
 }
 
 /* Returns the state of a strip after the loaded items, see struct ply_strip. */
@@ -215,6 +217,8 @@ static int cut_piece(struct cutter *c, uint32_t run, uint64_t left)
     int status = load(c, (repeated + items) * each);
     if (status)
         return status;
+    if (c->have < (repeated + items) * each)
+        return fail_truncated(c);
     take(c, items == left, (repeated + items) * each);
     c->part->kind |= PLY_PART_PIECE;
     c->part->left = left - items;
@@ -245,7 +249,7 @@ static uint64_t count_lines(struct cutter *c, uint64_t *size)
     uint64_t items = 0, lines = 0;
     while (items < c->limit && from < limit) {
         end = memchr(from, c->header->line_end, (size_t)(limit - from));
-        if (!end && !at_file_end(c))
+        if (!end && !c->at_file_end)
             break;
         end = end ? end : limit;
         items += has_text(from, end);
@@ -265,7 +269,7 @@ static int cut_text(struct cutter *c)
         if (status)
             return status;
         items = count_lines(c, &size);
-        if (items > 0 || at_file_end(c))
+        if (items > 0 || c->at_file_end)
             break;
         if ((status = bsq_check(c->ctx)))
             return status;
@@ -293,10 +297,12 @@ static bool find_element(struct cutter *c, uint32_t number, uint64_t items)
 /* What follows the last element becomes a part without elements. */
 static int cut_rest(struct cutter *c)
 {
-    if (c->part->offset >= c->source->size)
-        return 0;
+    uint64_t file_size;
+    int status = fmt_input_reach(c->source->input, UINT64_MAX, &file_size);
+    if (status || c->part->offset >= file_size)
+        return status;
     c->part->kind = PLY_PART_REST;
-    c->part->end = c->source->size;
+    c->part->end = file_size;
     return 1;
 }
 
@@ -305,6 +311,7 @@ int fmt_ply_cut(struct stream_reader *reader, const struct stream_part *before,
 {
     const struct ply_header *header = &((struct ply_reader *)reader)->files[before->source].header;
     struct cutter c = {.ctx = reader->base.ctx,
+                       .reader = reader,
                        .source = &reader->sources[before->source],
                        .header = header,
                        .slot = slot,

@@ -30,7 +30,8 @@ static const struct type_name {
 /* The header while it is read, line by line. */
 struct lines {
     struct bsq_ctx *ctx;
-    const struct bsq_file *file;
+    struct fmt_input *input;
+    const char *path;
     struct ply_header *header;
     char *text; /* of the file from the current line on */
     uint64_t capacity, have;
@@ -44,8 +45,8 @@ static int fail_line(const struct lines *l, const char *what, const char *text)
 {
     char quoted[64];
     fmt_mesh_quote(text, text + strlen(text), quoted, sizeof quoted);
-    return bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s \"%s\"", l->file->path, l->header->lines,
-                    what, quoted);
+    return bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s \"%s\"", l->path, l->header->lines, what,
+                    quoted);
 }
 
 /* Loads more of the file behind the text. *got is 0 at the end of the file. */
@@ -55,7 +56,7 @@ static int load_more(struct lines *l, uint64_t *got)
     int status =
         bsq_grow(l->ctx, "header of a PLY file", l->have + step_bytes, 1, &l->text, &l->capacity);
     if (!status)
-        status = bsq_file_read_some(l->ctx, l->file, l->text + l->have, step_bytes, at, got);
+        status = fmt_input_read_some(l->input, l->text + l->have, step_bytes, at, got);
     if (!status)
         l->have += *got;
     return status;
@@ -78,7 +79,7 @@ static int check_characters(const struct lines *l, const char *end)
     for (const char *p = l->text; p < end; p++)
         if (((unsigned char)*p < ' ' && *p != '\t' && *p != '\r') || *p == 127)
             return bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": a control character in the header",
-                            l->file->path, l->header->lines);
+                            l->path, l->header->lines);
     return 0;
 }
 
@@ -96,8 +97,8 @@ static int next_line(struct lines *l)
         searched = l->have > 0 ? l->have - 1 : 0;
         int status = load_more(l, &got);
         if (!status && got == 0)
-            status = bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": the header has no end",
-                              l->file->path, l->header->lines);
+            status = bsq_fail(l->ctx, BSQ_EDATA, "%s:%" PRIu64 ": the header has no end", l->path,
+                              l->header->lines);
         if (!status)
             status = bsq_check(l->ctx);
         if (status)
@@ -250,9 +251,9 @@ static int read_statement(struct lines *l)
 
 /* ---- the whole header ---- */
 
-int fmt_ply_header_read(struct bsq_ctx *ctx, const struct bsq_file *file, struct ply_header *out)
+int fmt_ply_header_read(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_header *out)
 {
-    struct lines l = {.ctx = ctx, .file = file, .header = out};
+    struct lines l = {.ctx = ctx, .input = input, .path = fmt_input_path(input), .header = out};
     memset(out, 0, sizeof *out);
     out->line_end = '\n';
     int status = bsq_grow(ctx, "header of a PLY file", step_bytes, 1, &l.text, &l.capacity);
@@ -264,8 +265,8 @@ int fmt_ply_header_read(struct bsq_ctx *ctx, const struct bsq_file *file, struct
     out->bytes += l.size;
     bsq_free(ctx, l.text);
     if (!status && !l.has_format)
-        status = bsq_fail(ctx, BSQ_EDATA, "%s: the header has no format", file->path);
-    return status ? status : fmt_ply_find_roles(ctx, file, out);
+        status = bsq_fail(ctx, BSQ_EDATA, "%s: the header has no format", l.path);
+    return status ? status : fmt_ply_find_roles(ctx, input, out);
 }
 
 void fmt_ply_header_free(struct bsq_ctx *ctx, struct ply_header *header)

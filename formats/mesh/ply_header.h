@@ -6,7 +6,7 @@
 #ifndef FMT_MESH_PLY_HEADER_H
 #define FMT_MESH_PLY_HEADER_H
 
-#include "base/file.h"
+#include "formats/input/input.h"
 
 enum ply_encoding { PLY_ASCII, PLY_LITTLE_ENDIAN, PLY_BIG_ENDIAN };
 
@@ -87,9 +87,9 @@ struct ply_header {
     uint64_t element_capacity, property_capacity, texture_capacity;
 };
 
-/* Reads and checks the header of a file. Errors: BSQ_EDATA with file, line and text. Free *out with
- * fmt_ply_header_free(), also after a failure. */
-int fmt_ply_header_read(struct bsq_ctx *ctx, const struct bsq_file *file, struct ply_header *out);
+/* Reads and checks the header of an open input. Errors: BSQ_EDATA with file, line and text. Free
+ * *out with fmt_ply_header_free(), also after a failure. */
+int fmt_ply_header_read(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_header *out);
 void fmt_ply_header_free(struct bsq_ctx *ctx, struct ply_header *header);
 
 /* Returns true if the element has properties with all roles from `first` to `last`. */

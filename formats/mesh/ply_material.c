@@ -106,8 +106,8 @@ static int describe_texture(struct ply_reader *reader, uint32_t file, const char
     for (int c = 0; c < 3; c++)
         out->diffuse[c] = 0.8f;
     if (!status)
-        status = fmt_path_find(ctx, reader->stream.sources[file].path, name, &out->texture_path,
-                               &exists);
+        status = fmt_path_find(ctx, fmt_input_beside(reader->stream.sources[file].input), name,
+                               &out->texture_path, &exists);
     return status;
 }
 

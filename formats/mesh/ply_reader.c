@@ -52,14 +52,16 @@ static void choose_use(struct ply_source *source)
 }
 
 /* Lists the textures of a file among the inputs of the job. */
-static int note_textures(struct bsq_ctx *ctx, const char *path, const struct ply_header *header)
+static int note_textures(struct bsq_ctx *ctx, const struct fmt_input *input,
+                         const struct ply_header *header)
 {
     int status = 0;
     for (uint32_t i = 0; i < header->texture_count && !status; i++) {
         char *texture = NULL;
-        status = fmt_path_find(ctx, path, header->textures[i], &texture, NULL);
+        status = fmt_path_find(ctx, fmt_input_beside(input), header->textures[i], &texture, NULL);
         if (!status)
-            status = bsq_note_input(ctx, texture, "the texture that %s names", path);
+            status =
+                bsq_note_input(ctx, texture, "the texture that %s names", fmt_input_path(input));
         bsq_free(ctx, texture);
     }
     return status;
@@ -69,13 +71,14 @@ static int read_header(struct ply_reader *reader, uint32_t number)
 {
     struct bsq_ctx *ctx = reader->stream.base.ctx;
     struct ply_source *source = &reader->files[number];
-    struct bsq_file file = BSQ_FILE_CLOSED;
-    int status = bsq_file_open(ctx, reader->stream.sources[number].path, &file);
+    struct fmt_input *input = reader->stream.sources[number].input;
+    int status = fmt_input_open(input);
     if (!status)
-        status = fmt_ply_header_read(ctx, &file, &source->header);
+        status = fmt_ply_header_read(ctx, input, &source->header);
     if (!status)
-        status = note_textures(ctx, file.path, &source->header);
-    bsq_file_close(ctx, &file);
+        status = note_textures(ctx, input, &source->header);
+    int closed = fmt_input_close(input);
+    status = status ? status : closed;
     if (status)
         return status;
     choose_use(source);
@@ -153,11 +156,10 @@ static int warn_rest(struct ply_reader *reader, const struct stream_slot *slot)
 {
     struct bsq_ctx *ctx = reader->stream.base.ctx;
     const struct stream_source *source = &reader->stream.sources[slot->part.source];
-    const uint64_t bytes = source->size - slot->part.offset;
+    const uint64_t bytes = slot->part.end - slot->part.offset;
     char sample[256];
     uint64_t got, blanks = 0;
-    int status =
-        bsq_file_read_some(ctx, &source->file, sample, sizeof sample, slot->part.offset, &got);
+    int status = fmt_input_read_some(source->input, sample, sizeof sample, slot->part.offset, &got);
     while (!status && blanks < got && is_blank(sample[blanks]))
         blanks++;
     if (!status && blanks < bytes && !reader->read_before)
@@ -235,7 +237,7 @@ static void add_estimate(const struct ply_source *source, uint64_t file_size,
     const struct ply_element *strips = fmt_ply_find_element(&source->header, PLY_STRIPS);
     uint64_t triangles = faces ? faces->count : 0;
     if (strips && strips->count > 0)
-        triangles += (file_size - source->header.bytes) / 4;
+        triangles += file_size > source->header.bytes ? (file_size - source->header.bytes) / 4 : 0;
     out->vertices += vertices->count;
     out->normals += source->vertex_normals ? vertices->count : 0;
     out->texcoords += source->vertex_texcoords   ? vertices->count
@@ -252,14 +254,19 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
 {
     const struct ply_reader *reader = (const struct ply_reader *)base;
     *out = (struct fmt_mesh_estimate){.faces_come_last = reader->stream.source_count == 1};
-    for (uint32_t i = 0; i < reader->stream.source_count; i++)
-        add_estimate(&reader->files[i], reader->stream.sources[i].size, out);
-    return 0;
+    int status = 0;
+    for (uint32_t i = 0; i < reader->stream.source_count && !status; i++) {
+        uint64_t bytes;
+        bool plain;
+        status = fmt_input_guess(reader->stream.sources[i].input, &bytes, &plain);
+        add_estimate(&reader->files[i], bytes, out);
+    }
+    return status;
 }
 
 /* ---- the format ---- */
 
-static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
     static const struct stream_format stream = {.cut = fmt_ply_cut, .parse = parse, .pass = pass};
@@ -269,10 +276,10 @@ static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t p
         return status;
     reader->stream.base.ctx = ctx;
     reader->stream.stream = &stream;
-    status = fmt_stream_open_sources(&reader->stream, paths, path_count);
+    status = fmt_stream_open_sources(&reader->stream, inputs, input_count);
     if (!status)
-        status = bsq_calloc(ctx, "PLY files", path_count, sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < path_count && !status; i++)
+        status = bsq_calloc(ctx, "PLY files", input_count, sizeof *reader->files, &reader->files);
+    for (uint32_t i = 0; i < input_count && !status; i++)
         status = read_header(reader, i);
     if (status)
         close_reader(&reader->stream.base);

@@ -139,10 +139,13 @@ static int check_is_mesh(struct bsq_ctx *ctx, const char *path, const struct ply
 /* Checks that the file is long enough for all elements, if all their lists were empty. An element
  * of a text file has a line of its own, in which each property takes at least two bytes; the last
  * line may lack its end. */
-static int check_size(struct bsq_ctx *ctx, const struct bsq_file *file,
+static int check_size(struct bsq_ctx *ctx, const struct fmt_input *input,
                       const struct ply_header *header)
 {
-    uint64_t left = file->size - header->bytes + (header->encoding == PLY_ASCII);
+    const uint64_t size = fmt_input_size(input);
+    uint64_t left = size - header->bytes + (header->encoding == PLY_ASCII);
+    if (size == UINT64_MAX)
+        return 0;
     for (uint32_t i = 0; i < header->element_count; i++) {
         const struct ply_element *element = &header->elements[i];
         uint64_t each = header->encoding == PLY_ASCII ? 2 * (uint64_t)element->property_count
@@ -151,21 +154,21 @@ static int check_size(struct bsq_ctx *ctx, const struct bsq_file *file,
             return bsq_fail(ctx, BSQ_EDATA,
                             "%s: truncated: the header counts %" PRIu64 " elements \"%s\" of at "
                             "least %" PRIu64 " bytes, but %" PRIu64 " bytes are left",
-                            file->path, element->count, element->name, each,
+                            fmt_input_path(input), element->count, element->name, each,
                             left - (header->encoding == PLY_ASCII));
         left -= element->count * each;
     }
     return 0;
 }
 
-int fmt_ply_find_roles(struct bsq_ctx *ctx, const struct bsq_file *file, struct ply_header *header)
+int fmt_ply_find_roles(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_header *header)
 {
     for (uint32_t i = 0; i < header->element_count; i++)
         describe_element(header, &header->elements[i]);
-    int status = check_kinds(ctx, file->path, header);
+    int status = check_kinds(ctx, fmt_input_path(input), header);
     if (!status)
-        status = check_is_mesh(ctx, file->path, header);
-    return status ? status : check_size(ctx, file, header);
+        status = check_is_mesh(ctx, fmt_input_path(input), header);
+    return status ? status : check_size(ctx, input, header);
 }
 
 /* ---- what is not read ---- */

@@ -4,9 +4,10 @@
 
 #include "formats/mesh/ply_header.h"
 
-/* Sets kinds, roles and sizes of all elements. Checks that the file has a mesh, and that it is long
- * enough for the elements that its header counts. Errors: BSQ_EDATA. */
-int fmt_ply_find_roles(struct bsq_ctx *ctx, const struct bsq_file *file, struct ply_header *header);
+/* Sets kinds, roles and sizes of all elements. Checks that the file has a mesh and, if its
+ * size is known, that it is long enough for the elements that its header counts. Errors: BSQ_EDATA.
+ */
+int fmt_ply_find_roles(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_header *header);
 
 /* Warns of elements and properties that are not read. */
 void fmt_ply_warn_unread(struct bsq_ctx *ctx, const char *path, const struct ply_header *header);

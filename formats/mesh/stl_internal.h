@@ -22,7 +22,7 @@ enum stl_kind {
 struct stl_source {
     enum stl_kind kind;
     float object_color[3]; /* of STL_BINARY_MAGICS */
-    uint64_t triangles;    /* of a binary file */
+    uint64_t triangles;    /* of a binary file, by its size or its header */
 };
 
 struct stl_reader {

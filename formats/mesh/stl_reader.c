@@ -21,6 +21,15 @@ static bool is_text(const char *head, size_t size)
            memchr(head, '\0', size) == NULL;
 }
 
+/* Returns true if there are control characters that no text has. */
+static bool has_controls(const char *head, size_t size)
+{
+    for (size_t i = 0; i < size; i++)
+        if ((unsigned char)head[i] < ' ' && !(head[i] >= '\t' && head[i] <= '\r'))
+            return true;
+    return false;
+}
+
 /* Only text can be told by its first bytes: it has a facet soon after the name. */
 static bool recognise(const char *head, size_t size)
 {
@@ -55,28 +64,31 @@ static void find_object_color(const char *head, struct stl_source *out)
 }
 
 /* Decides what a file is. The number of triangles in a binary header has 32 bits; the size of a
- * file with more than 2^32 tells the rest. */
-static int examine(struct bsq_ctx *ctx, const struct bsq_file *file, const char *head, size_t size,
-                   struct stl_source *out)
+ * file with more than 2^32 tells the rest. A packed file, or a pipe, has no known size: then it is
+ * text if it looks so, and the header counts the triangles. */
+static int examine(struct bsq_ctx *ctx, const struct fmt_input *input, const char *head,
+                   size_t size, struct stl_source *out)
 {
+    const uint64_t file_size = fmt_input_size(input);
+    const bool known = file_size < UINT64_MAX;
     const uint32_t count = size >= STL_HEADER_BYTES ? load_u32(head + 80) : 0;
-    const uint64_t body = size >= STL_HEADER_BYTES ? file->size - STL_HEADER_BYTES : 0;
+    const uint64_t body = size >= STL_HEADER_BYTES ? file_size - STL_HEADER_BYTES : 0;
     const uint64_t space = body / STL_TRIANGLE_BYTES;
-    const bool exact =
-        size >= STL_HEADER_BYTES && body % STL_TRIANGLE_BYTES == 0 && (uint32_t)space == count;
+    const bool exact = known && size >= STL_HEADER_BYTES && body % STL_TRIANGLE_BYTES == 0 &&
+                       (uint32_t)space == count;
     out->kind = STL_TEXT;
-    if (!exact && is_text(head, size))
+    if (!exact && is_text(head, size) && (known || !has_controls(head, size)))
         return 0;
     out->kind = STL_BINARY;
     out->triangles = exact ? space : count;
     if (size < STL_HEADER_BYTES)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: truncated: %zu bytes are no STL file", file->path,
-                        size);
-    if (out->triangles > space)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: truncated: %zu bytes are no STL file",
+                        fmt_input_path(input), size);
+    if (known && out->triangles > space)
         return bsq_fail(ctx, BSQ_EDATA,
                         "%s: truncated: the header counts %" PRIu32
                         " triangles, the file has %" PRIu64,
-                        file->path, count, space);
+                        fmt_input_path(input), count, space);
     find_object_color(head, out);
     return 0;
 }
@@ -84,16 +96,11 @@ static int examine(struct bsq_ctx *ctx, const struct bsq_file *file, const char 
 static int open_file(struct stl_reader *reader, uint32_t number)
 {
     struct bsq_ctx *ctx = reader->stream.base.ctx;
-    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct fmt_input *input = reader->stream.sources[number].input;
     char head[FMT_MESH_HEAD_BYTES];
     uint64_t size = 0;
-    int status = bsq_file_open(ctx, reader->stream.sources[number].path, &file);
-    if (!status)
-        status = bsq_file_read_some(ctx, &file, head, sizeof head, 0, &size);
-    if (!status)
-        status = examine(ctx, &file, head, size, &reader->files[number]);
-    bsq_file_close(ctx, &file);
-    return status;
+    int status = fmt_input_peek(input, head, sizeof head, &size);
+    return status ? status : examine(ctx, input, head, size, &reader->files[number]);
 }
 
 static void close_reader(struct fmt_mesh_reader *base)
@@ -110,16 +117,25 @@ static void close_reader(struct fmt_mesh_reader *base)
 static int cut_binary(const struct stl_source *file, const struct stream_source *source,
                       const struct stream_part *before, struct stream_slot *slot)
 {
+    uint64_t file_size;
     struct stream_part *part = &slot->part;
     const uint64_t done = before->first_item + before->items, left = file->triangles - done;
     const uint64_t usual = STREAM_PART_BYTES / STL_TRIANGLE_BYTES + 1;
     part->offset = before->end > 0 ? before->end : STL_HEADER_BYTES;
-    if (part->offset >= source->size)
-        return 0;
     part->first_item = done;
     part->items = left < usual ? left : usual;
     part->size = part->items * STL_TRIANGLE_BYTES;
-    part->end = part->items > 0 ? part->offset + part->size : source->size;
+    part->end = part->offset + part->size;
+    int status =
+        fmt_input_reach(source->input, part->items > 0 ? part->end : UINT64_MAX, &file_size);
+    if (status || (part->items == 0 && part->offset >= file_size))
+        return status;
+    if (part->items == 0)
+        part->end = file_size;
+    else if (part->end > file_size)
+        fmt_stream_fail(slot, file_size,
+                        "truncated: the header counts %" PRIu64 " triangles, the file has %" PRIu64,
+                        file->triangles, (file_size - STL_HEADER_BYTES) / STL_TRIANGLE_BYTES);
     return 1;
 }
 
@@ -240,7 +256,7 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
         a->corners[FMT_MESH_VERTEX][i] += source->count[FMT_MESH_VERTEX];
     if (file->kind != STL_TEXT && slot->part.items == 0 && !reader->read_before)
         bsq_warn(base->base.ctx, "%s: %" PRIu64 " bytes after the last triangle not read",
-                 source->path, source->size - slot->part.offset);
+                 source->path, slot->part.end - slot->part.offset);
     return 0;
 }
 
@@ -269,8 +285,12 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
     *out = (struct fmt_mesh_estimate){.faces_come_last = false};
     for (uint32_t i = 0; i < reader->stream.source_count; i++) {
         const struct stl_source *file = &reader->files[i];
-        out->faces +=
-            file->kind == STL_TEXT ? reader->stream.sources[i].size / 250 : file->triangles;
+        uint64_t bytes;
+        bool plain;
+        int status = fmt_input_guess(reader->stream.sources[i].input, &bytes, &plain);
+        if (status)
+            return status;
+        out->faces += file->kind == STL_TEXT ? bytes / 250 : file->triangles;
         out->has_colors |= file->kind == STL_BINARY_MAGICS;
     }
     out->vertices = out->corners = 3 * out->faces;
@@ -279,7 +299,7 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
 
 /* ---- the format ---- */
 
-static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
     static const struct stream_format stream = {.cut = cut, .parse = parse, .pass = pass};
@@ -289,10 +309,10 @@ static int open_reader(struct bsq_ctx *ctx, const char *const *paths, uint32_t p
         return status;
     reader->stream.base.ctx = ctx;
     reader->stream.stream = &stream;
-    status = fmt_stream_open_sources(&reader->stream, paths, path_count);
+    status = fmt_stream_open_sources(&reader->stream, inputs, input_count);
     if (!status)
-        status = bsq_calloc(ctx, "STL files", path_count, sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < path_count && !status; i++)
+        status = bsq_calloc(ctx, "STL files", input_count, sizeof *reader->files, &reader->files);
+    for (uint32_t i = 0; i < input_count && !status; i++)
         status = open_file(reader, i);
     if (status)
         close_reader(&reader->stream.base);

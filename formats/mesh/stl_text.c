@@ -49,25 +49,18 @@ int fmt_stl_cut_text(struct stream_reader *reader, const struct stream_part *bef
                      struct stream_slot *slot)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
-    const struct stream_source *source = &reader->sources[before->source];
     struct stream_part *part = &slot->part;
-    uint64_t have = 0, size = 0, left = source->size - before->end;
+    uint64_t have = 0, size = 0;
+    bool at_file_end = false;
     part->offset = before->end;
     part->first_line = before->end == 0 ? 1 : before->first_line + before->lines;
-    if (left == 0)
-        return 0;
     for (uint64_t wanted = STREAM_PART_BYTES; size == 0; wanted *= 2) {
-        const uint64_t load = wanted < left ? wanted : left;
-        int status = fmt_stream_reserve(ctx, slot, load);
-        if (!status)
-            status = bsq_file_read(ctx, &source->file, slot->bytes + have, load - have,
-                                   part->offset + have);
+        int status = fmt_stream_extend(reader, slot, have, wanted, &have, &at_file_end);
         if (!status)
             status = bsq_check(ctx);
-        if (status)
+        if (status || (have == 0 && at_file_end))
             return status;
-        have = load;
-        size = have == left ? left : find_cut(slot->bytes, have);
+        size = at_file_end ? have : find_cut(slot->bytes, have);
     }
     part->size = size;
     part->end = part->offset + size;

@@ -11,6 +11,8 @@
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
+#include <zlib.h>
+#include <zstd.h>
 #include <cmocka.h>
 
 #include "formats/mesh/mesh_reader.h"
@@ -79,13 +81,34 @@ static void write_inputs(void)
     fclose(file);
 }
 
+/* Packs scan.obj by gzip and scan.ply by Zstandard. */
+static void pack_inputs(void)
+{
+    static char text[1 << 16], packed[1 << 16];
+    FILE *file = fopen("scan.obj", "r");
+    assert_non_null(file);
+    size_t size = fread(text, 1, sizeof text, file);
+    fclose(file);
+    gzFile gzip = gzopen("scan.obj.gz", "wb");
+    assert_int_equal(gzwrite(gzip, text, (unsigned)size), size);
+    gzclose(gzip);
+    file = fopen("scan.ply", "r");
+    assert_non_null(file);
+    size = fread(text, 1, sizeof text, file);
+    fclose(file);
+    size = ZSTD_compress(packed, sizeof packed, text, size, 3);
+    file = create("scan.ply.zst");
+    assert_int_equal(fwrite(packed, 1, size, file), size);
+    fclose(file);
+}
+
 static bool expected_name(const char *name)
 {
     static const char *const names[] = {
-        ".",         "..",           "scan.obj",    "scan.mtl",   "low.obj",       "scan.tris",
-        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr", "a_normal.exr",  "heat.png",
-        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",   "scan.tris.job", "scan.ply",
-        "faces.ply", "scan.stl"};
+        ".",         "..",           "scan.obj",    "scan.mtl",    "low.obj",       "scan.tris",
+        "scan.nvdb", "g_normal.exr", "g_color.exr", "g_mask.exr",  "a_normal.exr",  "heat.png",
+        "hist.png",  "preview.png",  "out.tris",    "out.nvdb",    "scan.tris.job", "scan.ply",
+        "faces.ply", "scan.stl",     "scan.obj.gz", "scan.ply.zst"};
     for (unsigned i = 0; i < sizeof names / sizeof *names; i++)
         if (strcmp(names[i], name) == 0)
             return true;
@@ -153,6 +176,13 @@ static int parse_others(struct bsq_ctx *ctx)
     if (status == 0)
         status = parse_file(ctx, "faces.ply", 1);
     return status == 0 ? parse_file(ctx, "scan.stl", 1) : status;
+}
+
+/* Unpacking needs a thread. */
+static int parse_packed(struct bsq_ctx *ctx)
+{
+    int status = parse_file(ctx, "scan.obj.gz", SIDE * SIDE);
+    return status == 0 ? parse_file(ctx, "scan.ply.zst", 3) : status;
 }
 
 static int load_mesh(struct bsq_ctx *ctx)
@@ -337,7 +367,7 @@ static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
     assert_true(calls > 0);
     uint64_t threads = 0;
     while (run_failing(job, FAILING_THREADS, threads, false))
-        assert_true(++threads < THREADS);
+        assert_true(++threads < 8);
     assert_int_equal(run_failing(job, FAILING_THREADS, 0, true), threads > 0);
     assert_int_equal(run(job), 0);
 }
@@ -360,6 +390,7 @@ TEST(bake_preview, 41) /* a large picture; most of its calls are those of bake_g
 TEST(bake_exact, 1)
 TEST(compare, 1)
 TEST(parse_others, 1)
+TEST(parse_packed, 1)
 
 static int prepare(struct bsq_ctx *ctx)
 {
@@ -373,6 +404,7 @@ static int set_up(void **state)
     if (!mkdtemp(directory) || chdir(directory) != 0)
         return -1;
     write_inputs();
+    pack_inputs();
     return run(prepare);
 }
 
@@ -387,12 +419,13 @@ static int tear_down(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_parse),       cmocka_unit_test(test_load_mesh),
-        cmocka_unit_test(test_sort),        cmocka_unit_test(test_voxelize),
-        cmocka_unit_test(test_verify_tris), cmocka_unit_test(test_verify_nvdb),
-        cmocka_unit_test(test_bake_grid),   cmocka_unit_test(test_bake_preview),
-        cmocka_unit_test(test_bake_exact),  cmocka_unit_test(test_compare),
-        cmocka_unit_test(test_record),      cmocka_unit_test(test_parse_others),
+        cmocka_unit_test(test_parse),        cmocka_unit_test(test_load_mesh),
+        cmocka_unit_test(test_sort),         cmocka_unit_test(test_voxelize),
+        cmocka_unit_test(test_verify_tris),  cmocka_unit_test(test_verify_nvdb),
+        cmocka_unit_test(test_bake_grid),    cmocka_unit_test(test_bake_preview),
+        cmocka_unit_test(test_bake_exact),   cmocka_unit_test(test_compare),
+        cmocka_unit_test(test_record),       cmocka_unit_test(test_parse_others),
+        cmocka_unit_test(test_parse_packed),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

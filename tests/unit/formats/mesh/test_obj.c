@@ -238,7 +238,7 @@ static void test_other_kinds_of_files_are_named(void **state)
         size_t size;
         const char *message;
     } cases[] = {
-        {"\x1f\x8b\x08\0", 4, "bad.obj: cannot read a file packed by gzip: unpack it first"},
+        {"\x1f\x8b\x08\0", 4, "bad.obj: byte 4: truncated: the packed data end too early"},
         {"PK\x03\x04\x14\0", 6, "bad.obj: cannot read a ZIP archive: unpack it first"},
         {"\xff\xfev\0 \0", 6, "bad.obj: cannot read text in UTF-16: save it as UTF-8"},
     };
@@ -254,7 +254,9 @@ static void test_names_are_recognised(void **state)
     assert_true(fmt_mesh_recognise("a/scan.obj", "v 0 0 0\n", 8));
     assert_true(fmt_mesh_recognise("SCAN.OBJ", "", 0));
     assert_false(fmt_mesh_recognise("obj", "", 0));
-    assert_false(fmt_mesh_recognise("scan.obj.gz", "\x1f\x8b", 2));
+    assert_true(fmt_mesh_recognise("scan.obj.gz", "\x1f\x8b", 2));
+    assert_true(fmt_mesh_recognise("scan.PLY.ZST", "\x28\xb5\x2f\xfd", 4));
+    assert_false(fmt_mesh_recognise("scan.gz", "\x1f\x8b", 2));
 }
 
 static void test_missing_file(void **state)

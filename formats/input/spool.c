@@ -1,0 +1,284 @@
+/* spool.c - see spool.h. */
+#include <errno.h>
+#include <pthread.h>
+#include <signal.h>
+#include <string.h>
+#include <time.h>
+#include <xxhash.h>
+
+#include "formats/input/pipe.h"
+#include "formats/input/spool.h"
+#include "formats/input/unpack.h"
+
+/* Bytes that are unpacked ahead of what readers have requested, and at once. */
+enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10 };
+/* How often a waiting thread looks for an interruption, in milliseconds. */
+enum { PATIENCE_MS = 50 };
+/* Free space that a disk must have before so many bytes are unpacked to it. */
+#define DISK_STEP_BYTES ((uint64_t)64 << 20)
+
+struct spool {
+    struct bsq_ctx *ctx;
+    const char *path, *beside;
+    const struct bsq_file *file; /* NULL: a pipe */
+    int pipe_fd;
+    struct bsq_file temp;
+    struct unpacker *unpacker;
+    uint8_t *buffer; /* STEP_BYTES */
+    XXH3_state_t *hash;
+    uint64_t taken; /* packed bytes that were read */
+    pthread_t thread;
+    bool has_thread, has_lock;
+    atomic_bool stop;
+
+    pthread_mutex_t lock; /* guards all below */
+    pthread_cond_t arrived, requested;
+    uint64_t done, wanted; /* bytes in the temporary file; bytes that readers have requested */
+    bool ended;
+    int status; /* of the thread; the spool has `done` bytes and no more */
+};
+
+/* ---- packed bytes ---- */
+
+/* Implements unpack_source. */
+static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
+{
+    struct spool *spool = arg;
+    int status = spool->file
+                     ? bsq_file_read_some(spool->ctx, spool->file, buffer, size, spool->taken, got)
+                     : fmt_pipe_read(spool->ctx, spool->path, spool->pipe_fd, &spool->stop, buffer,
+                                     size, got);
+    if (status)
+        return status;
+    spool->taken += *got;
+    if (spool->hash)
+        XXH3_64bits_update(spool->hash, buffer, *got);
+    return 0;
+}
+
+/* ---- the thread ---- */
+
+/* Waits until readers want more. Returns false if the thread must stop. */
+static bool wait_for_request(struct spool *spool)
+{
+    pthread_mutex_lock(&spool->lock);
+    while (!spool->stop && spool->done >= spool->wanted &&
+           spool->done - spool->wanted >= AHEAD_BYTES)
+        pthread_cond_wait(&spool->requested, &spool->lock);
+    bool stop = spool->stop;
+    pthread_mutex_unlock(&spool->lock);
+    return !stop;
+}
+
+/* Moves the next bytes to the temporary file. Before each DISK_STEP_BYTES after the first ones,
+ * this much space must be free, so that no stream fills the disk. */
+static int unpack_step(struct spool *spool, uint64_t *got)
+{
+    int status = fmt_unpack_read(spool->unpacker, spool->buffer, STEP_BYTES, got);
+    const uint64_t before = spool->temp.size, after = before + *got;
+    if (!status && before > 0 && before / DISK_STEP_BYTES != after / DISK_STEP_BYTES)
+        status = bsq_require_disk(spool->ctx, spool->beside, DISK_STEP_BYTES);
+    if (*got > 0) { /* also the bytes before a damage */
+        int written = status && status != BSQ_EDATA
+                          ? status
+                          : bsq_file_append(spool->ctx, &spool->temp, spool->buffer, *got);
+        status = status ? status : written;
+    }
+    return status;
+}
+
+/* Takes one step. Returns false if there are no more. */
+static bool advance(struct spool *spool)
+{
+    uint64_t got = 0;
+    int status = bsq_check(spool->ctx);
+    if (!status)
+        status = unpack_step(spool, &got);
+    pthread_mutex_lock(&spool->lock);
+    spool->done = spool->temp.size;
+    spool->status = status;
+    spool->ended = !status && got < STEP_BYTES;
+    const bool more = !status && !spool->ended;
+    pthread_cond_broadcast(&spool->arrived);
+    pthread_mutex_unlock(&spool->lock);
+    return more;
+}
+
+static void *run(void *arg)
+{
+    struct spool *spool = arg;
+    while (wait_for_request(spool) && advance(spool))
+        ;
+    return NULL;
+}
+
+/* Blocks signals in the thread, so that the program's own threads get them. If the system refuses a
+ * thread, readers unpack what they need themselves. */
+static void start_thread(struct spool *spool)
+{
+    sigset_t all, before;
+    sigfillset(&all);
+    static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
+    for (size_t i = 0; i < sizeof own / sizeof *own; i++)
+        sigdelset(&all, own[i]);
+    pthread_sigmask(SIG_SETMASK, &all, &before);
+    spool->has_thread = pthread_create(&spool->thread, NULL, run, spool) == 0;
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
+}
+
+/* ---- the spool ---- */
+
+static int make_hash(struct spool *spool)
+{
+    spool->hash = XXH3_createState();
+    if (!spool->hash)
+        return bsq_fail_errno(spool->ctx, BSQ_ENOMEM, ENOMEM, "%s", spool->path);
+    XXH3_64bits_reset(spool->hash);
+    return 0;
+}
+
+static int set_up(struct spool *spool)
+{
+    struct bsq_ctx *ctx = spool->ctx;
+    pthread_mutexattr_t recursive;
+    pthread_mutexattr_init(&recursive);
+    pthread_mutexattr_settype(&recursive, PTHREAD_MUTEX_RECURSIVE);
+    pthread_mutex_init(&spool->lock, &recursive);
+    pthread_mutexattr_destroy(&recursive);
+    pthread_cond_init(&spool->arrived, NULL);
+    pthread_cond_init(&spool->requested, NULL);
+    spool->has_lock = true;
+    int status = bsq_file_temp(ctx, spool->beside, "an unpacked mesh", &spool->temp);
+    if (!status && !spool->file)
+        status = make_hash(spool);
+    if (!status)
+        status = bsq_alloc(ctx, "unpacking", STEP_BYTES, 1, &spool->buffer);
+    if (!status)
+        status = fmt_unpack_create(ctx, read_packed, spool, &spool->unpacker);
+    if (!status)
+        start_thread(spool);
+    return status;
+}
+
+int fmt_spool_start(struct bsq_ctx *ctx, const char *path, const char *beside,
+                    const struct bsq_file *file, int pipe_fd, struct spool **out)
+{
+    struct spool *spool;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "unpacking", 1, sizeof *spool, &spool);
+    if (status)
+        return status;
+    spool->ctx = ctx;
+    spool->path = path;
+    spool->beside = beside;
+    spool->file = file;
+    spool->pipe_fd = pipe_fd;
+    spool->temp = (struct bsq_file)BSQ_FILE_CLOSED;
+    status = set_up(spool);
+    if (status)
+        fmt_spool_stop(spool);
+    else
+        *out = spool;
+    return status;
+}
+
+void fmt_spool_stop(struct spool *spool)
+{
+    if (!spool)
+        return;
+    if (spool->has_thread) {
+        pthread_mutex_lock(&spool->lock);
+        spool->stop = true;
+        pthread_cond_broadcast(&spool->requested);
+        pthread_mutex_unlock(&spool->lock);
+        pthread_join(spool->thread, NULL);
+    }
+    if (spool->has_lock) {
+        pthread_cond_destroy(&spool->requested);
+        pthread_cond_destroy(&spool->arrived);
+        pthread_mutex_destroy(&spool->lock);
+    }
+    fmt_unpack_free(spool->unpacker);
+    XXH3_freeState(spool->hash);
+    bsq_free(spool->ctx, spool->buffer);
+    bsq_file_close(spool->ctx, &spool->temp);
+    bsq_free(spool->ctx, spool);
+}
+
+/* ---- reading ---- */
+
+/* Waits for news, but not longer than PATIENCE_MS. Makes them itself if there is no thread: the
+ * lock is held meanwhile, because other readers want the same. The lock is held. */
+static void wait_for_arrival(struct spool *spool)
+{
+    if (!spool->has_thread) {
+        advance(spool);
+        return;
+    }
+    struct timespec until;
+    clock_gettime(CLOCK_REALTIME, &until);
+    until.tv_nsec += (long)PATIENCE_MS * 1000000;
+    until.tv_sec += until.tv_nsec / 1000000000;
+    until.tv_nsec %= 1000000000;
+    pthread_cond_timedwait(&spool->arrived, &spool->lock, &until);
+}
+
+/* Returns why no more bytes come. Damage is described here, by the reader that wanted the bytes. */
+static int explain(const struct spool *spool)
+{
+    if (spool->status == BSQ_EDATA)
+        return bsq_fail(spool->ctx, BSQ_EDATA, "%s: %s", spool->path,
+                        fmt_unpack_error(spool->unpacker));
+    return spool->status;
+}
+
+int fmt_spool_reach(struct spool *spool, uint64_t end, uint64_t *size)
+{
+    int status = 0;
+    pthread_mutex_lock(&spool->lock);
+    if (end > spool->wanted) {
+        spool->wanted = end;
+        pthread_cond_signal(&spool->requested);
+    }
+    while (spool->done < end && !spool->ended && !spool->status && !status) {
+        wait_for_arrival(spool);
+        status = bsq_check(spool->ctx);
+    }
+    if (!status && spool->done < end && !spool->ended)
+        status = explain(spool);
+    *size = spool->ended ? spool->done : UINT64_MAX;
+    pthread_mutex_unlock(&spool->lock);
+    return status;
+}
+
+int fmt_spool_read(const struct spool *spool, void *buffer, uint64_t size, uint64_t offset)
+{
+    return bsq_file_read(spool->ctx, &spool->temp, buffer, size, offset);
+}
+
+int fmt_spool_duplicate(const struct spool *spool, struct bsq_file *out)
+{
+    const struct bsq_file named = {
+        .fd = spool->temp.fd, .size = spool->temp.size, .path = (char *)spool->path};
+    return bsq_file_duplicate(spool->ctx, &named, out);
+}
+
+uint64_t fmt_spool_size(struct spool *spool)
+{
+    pthread_mutex_lock(&spool->lock);
+    uint64_t size = spool->ended ? spool->done : UINT64_MAX;
+    pthread_mutex_unlock(&spool->lock);
+    return size;
+}
+
+bool fmt_spool_given(struct spool *spool, uint64_t *bytes, uint64_t *hash)
+{
+    pthread_mutex_lock(&spool->lock);
+    bool ended = spool->ended && spool->hash;
+    pthread_mutex_unlock(&spool->lock);
+    if (!ended)
+        return false;
+    *bytes = spool->taken;
+    *hash = XXH3_64bits_digest(spool->hash);
+    return true;
+}

@@ -1,0 +1,155 @@
+#!/bin/sh
+# test_packed.sh - scans packed by gzip and Zstandard, and scans that come through pipes.
+. "$(dirname "$0")/lib.sh"
+p=bisque-voxelize:
+vox="run bisque-voxelize --resolution 24 --no-tris"
+
+# A sheet of 60 x 60 quads as OBJ, large enough that it is read in several blocks.
+awk 'BEGIN {
+    print "mtllib clay.mtl\nusemtl clay"
+    for (y = 0; y <= 60; y++) for (x = 0; x <= 60; x++)
+        printf "v %.5f %.5f %.5f\n", x / 60, y / 60, sin(x / 9) * cos(y / 7) / 5
+    for (k = 0; k < 20000; k++) print "# a line that has no meaning at all for anybody"
+    for (y = 0; y < 60; y++) for (x = 0; x < 60; x++) {
+        i = y * 61 + x + 1; printf "f %d %d %d %d\n", i, i + 1, i + 62, i + 61 }
+}' >scan.obj
+printf 'newmtl clay\nKd 0.5 0.4 0.3\n' >clay.mtl
+$vox scan.obj -o plain.nvdb
+code 0
+
+# ---- packed files ----
+
+gzip -c scan.obj >scan.obj.gz
+head -c 300000 scan.obj | gzip -c >two.gz
+tail -c +300001 scan.obj | gzip -1 -c >>two.gz
+command -v zstd >/dev/null && zstd -q -c scan.obj >scan.obj.zst
+for name in scan.obj.gz two.gz scan.obj.zst; do
+    [ -e $name ] || continue
+    $vox $name -o packed.nvdb
+    code 0
+    same plain.nvdb packed.nvdb
+done
+# The content decides, not the name.
+cp scan.obj.gz scan.stl
+$vox scan.stl -o packed.nvdb
+code 65
+run bisque-voxelize --parse-only two.gz
+out_like '^two.gz: 3,721 vertices, 3,600 faces'
+# Packed files have the same chunks, too, also for the smallest budget.
+run bisque-voxelize --resolution 24 --threads 1 --memory 52MiB scan.obj.gz -o packed.nvdb
+code 0
+same plain.nvdb packed.nvdb
+rm packed.*
+
+# ---- pipes ----
+
+"$BIN/bisque-voxelize" - --resolution 24 --no-tris -o piped.nvdb <scan.obj.gz >"$out" 2>"$err"
+code=$? command="bisque-voxelize - <scan.obj.gz"
+code 0
+same plain.nvdb piped.nvdb
+mkfifo pipe
+cat scan.obj >pipe &
+$vox pipe -o piped.nvdb
+code 0
+same plain.nvdb piped.nvdb
+$vox - - -o piped.nvdb
+code 64
+err "$p -: a pipe can be read only once"
+# Nobody writes: a signal ends the wait.
+command="bisque-voxelize pipe ended by SIGTERM" code=0
+env --default-signal=TERM "$BIN/bisque-voxelize" pipe -o piped.nvdb >"$out" 2>"$err" &
+sleep 0.3
+sent=$(date +%s%N)
+kill -TERM $!
+wait $! || code=$?
+late=$((($(date +%s%N) - sent) / 1000000))
+code 75
+err "$p interrupted"
+[ "$late" -lt 2000 ]
+check "it ended after $late ms" $?
+mkfifo low.obj
+run bisque-bake plain.nvdb low.obj --maps normal -o map.exr
+code 66
+err "bisque-bake: low.obj: not a regular file"
+rm low.obj pipe piped.nvdb
+
+# ---- damage ----
+
+head -c 20000 scan.obj.gz >cut.obj.gz
+$vox cut.obj.gz -o cut.nvdb
+code 65
+err "$p cut.obj.gz: byte 20000: truncated: the packed data end too early"
+{ head -c 9000 scan.obj.gz; printf '\252\125\252\125'; tail -c +9005 scan.obj.gz; } >bad.obj.gz
+$vox bad.obj.gz -o cut.nvdb
+code 65
+err_like "^$p bad.obj.gz: byte [0-9]*: damaged: |^$p bad.obj.gz:[0-9]*: "
+gzip -c scan.obj.gz >twice.gz
+$vox twice.gz -o cut.nvdb
+code 65
+err "$p twice.gz: cannot read a file packed by gzip twice: unpack it first"
+gzip -c plain.nvdb >grid.gz
+$vox grid.gz -o cut.nvdb
+code 65
+[ ! -e cut.nvdb ]
+check "no output" $?
+
+# ---- other formats ----
+
+meshes=$top/tests/meshes
+for mesh in plain.trimesh.glb plain.trimesh.gltf; do
+    cp "$meshes/$mesh" "$meshes"/*.bin .
+    gzip -c $mesh >$mesh.gz
+    $vox $mesh -o a.nvdb
+    code 0
+    $vox $mesh.gz -o b.nvdb
+    code 0
+    same a.nvdb b.nvdb
+done
+for mesh in "$meshes"/*.ply "$meshes"/*.stl; do
+    run bisque-voxelize --parse-only --json "$mesh"
+    jq -c '[.scan.vertices, .scan.triangles]' "$out" >plain.json
+    gzip -c "$mesh" >mesh.gz
+    mv mesh.gz "$(basename "$mesh")"
+    run bisque-voxelize --parse-only --json "$(basename "$mesh")"
+    code 0
+    jq -c '[.scan.vertices, .scan.triangles]' "$out" >packed.json
+    same plain.json packed.json
+done
+rm a.nvdb b.nvdb
+
+# ---- low-poly meshes ----
+
+write_box >box.obj
+gzip -c box.obj >box.obj.gz
+run bisque-voxelize box.obj --resolution 16 -o box.nvdb
+run bisque-bake box.nvdb box.obj --size 32 --maps normal -o a.exr
+run bisque-bake box.nvdb box.obj.gz --size 32 --maps normal -o b.exr
+code 0
+same a.exr b.exr
+
+# ---- resuming ----
+
+run bisque-voxelize scan.obj.gz --resolution 24 -o job.nvdb
+cp job.nvdb first.nvdb
+# record INPUT: makes the chunk file and its record, as if the job had ended after sorting.
+record()
+{
+    rm -f job.*
+    command="bisque-voxelize - <$1, which fails after sorting" code=0
+    "$BIN/bisque-voxelize" - --voxel-size 1e-7 -o job.nvdb <"$1" >"$out" 2>"$err" || code=$?
+    [ -e job.tris.job ]
+    check "the record is there" $?
+}
+record scan.obj.gz
+"$BIN/bisque-voxelize" - --resolution 24 --resume --json -o job.nvdb <scan.obj.gz >"$out" \
+    2>"$err"
+code=$? command="bisque-voxelize - --resume <scan.obj.gz"
+code 0
+json '.resumed'
+same first.nvdb job.nvdb
+record scan.obj.gz
+"$BIN/bisque-voxelize" - --resolution 24 --resume -o job.nvdb <two.gz >"$out" 2>"$err"
+code=$? command="bisque-voxelize - --resume <two.gz"
+code 65
+err "$p - has changed since job.tris was made from it: this job cannot be resumed"
+finish

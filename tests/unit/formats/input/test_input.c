@@ -1,0 +1,248 @@
+/* test_input.c - inputs that are packed, and pipes: ranges, several openings, interruptions. */
+#include <fcntl.h>
+#include <pthread.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+#include <xxhash.h>
+#include <zstd.h>
+#include <cmocka.h>
+
+#include "base/file.h"
+#include "formats/input/input.h"
+#include "formats/mesh/mesh_reader.h"
+#include "tests/unit/formats/input/packing.h"
+#include "tests/unit/formats/scratch.h"
+
+enum { NUMBERS = 3 << 20, BYTES = 4 * NUMBERS };
+
+static uint32_t *numbers; /* each has its index, so that every range is known */
+
+static int make_numbers(void **state)
+{
+    numbers = malloc(BYTES);
+    for (uint32_t i = 0; numbers && i < NUMBERS; i++)
+        numbers[i] = i;
+    return numbers ? scratch_make(state) : -1;
+}
+
+static int free_numbers(void **state)
+{
+    free(numbers);
+    return scratch_remove(state);
+}
+
+static struct bsq_ctx *make_context(uint64_t memory, unsigned threads)
+{
+    struct bsq_ctx *ctx;
+    struct bsq_ctx_options options = {
+        .memory_bytes = memory, .threads = threads, .tmpdir = scratch_directory};
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    return ctx;
+}
+
+static const char *write_packed(const char *name)
+{
+    struct packed p = {0};
+    pack_zstd(&p, numbers, BYTES / 2, 0);
+    pack_zstd(&p, numbers + NUMBERS / 2, BYTES / 2, 0);
+    const char *path = scratch_bytes(name, p.data, p.size);
+    free(p.data);
+    return path;
+}
+
+static void expect_range(struct fmt_input *input, uint64_t offset, uint64_t size)
+{
+    uint8_t *buffer = malloc(size + 1);
+    uint64_t got;
+    assert_non_null(buffer);
+    assert_int_equal(fmt_input_read_some(input, buffer, size, offset, &got), 0);
+    assert_int_equal(got, offset + size <= BYTES ? size : offset < BYTES ? BYTES - offset : 0);
+    assert_memory_equal(buffer, (uint8_t *)numbers + offset, got);
+    free(buffer);
+}
+
+static void test_ranges_in_any_order(void **state)
+{
+    (void)state;
+    struct fmt_input *input;
+    uint64_t size;
+    char byte;
+    struct bsq_ctx *ctx = make_context(64 << 20, 1);
+    assert_int_equal(fmt_input_create(ctx, write_packed("n.bin"), NULL, false, &input), 0);
+    for (int round = 0; round < 2; round++) { /* the second opening unpacks again */
+        assert_true(fmt_input_size(input) == UINT64_MAX);
+        assert_int_equal(fmt_input_open(input), 0);
+        expect_range(input, 0, 1);
+        expect_range(input, 9000001, 70000);
+        expect_range(input, 5, 300000);
+        assert_int_equal(fmt_input_reach(input, BYTES, &size), 0);
+        assert_true(size == BYTES || size == UINT64_MAX);
+        expect_range(input, BYTES - 10, 100);
+        expect_range(input, BYTES + 10, 100);
+        assert_int_equal(fmt_input_size(input), BYTES);
+        assert_int_equal(fmt_input_read(input, &byte, 1, BYTES), BSQ_EDATA);
+        assert_non_null(strstr(bsq_error(ctx), "n.bin: truncated: 1 bytes expected at byte "));
+        bsq_clear_error(ctx);
+        assert_int_equal(fmt_input_close(input), 0);
+    }
+    fmt_input_free(input);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* What nobody reads is not unpacked: a small file cannot fill the disk before it is refused. */
+static void test_no_more_is_unpacked_than_is_read(void **state)
+{
+    (void)state;
+    struct packed p = {0};
+    struct fmt_mesh_reader *reader;
+    const size_t zeros = (size_t)256 << 20;
+    uint8_t *bomb = calloc(zeros, 1);
+    assert_non_null(bomb);
+    pack_zstd(&p, bomb, zeros, 20);
+    const char *path = scratch_bytes("bomb.obj.zst", p.data, p.size);
+    assert_true(p.size < 100000);
+    free(bomb);
+    free(p.data);
+    struct bsq_ctx *ctx = make_context(40 << 20, 1);
+    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
+    assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), BSQ_ENOMEM);
+    assert_true(bsq_memory_high(ctx) <= 40 << 20);
+    assert_true(bsq_temp_bytes(ctx) < 64 << 20);
+    fmt_mesh_close(reader);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- pipes ---- */
+
+struct writer {
+    pthread_t thread;
+    const char *path;
+    const void *bytes;
+    size_t size;
+};
+
+static void *write_pipe(void *arg)
+{
+    const struct writer *w = arg;
+    int fd = open(w->path, O_WRONLY);
+    for (size_t at = 0; fd >= 0 && at < w->size;) {
+        ssize_t count = write(fd, (const char *)w->bytes + at, w->size - at);
+        if (count < 0)
+            break;
+        at += (size_t)count;
+    }
+    if (fd >= 0)
+        close(fd);
+    return NULL;
+}
+
+static const char *make_fifo(const char *name)
+{
+    const char *path = scratch_path(name);
+    assert_int_equal(mkfifo(path, 0600), 0);
+    return path;
+}
+
+static void test_pipe_is_read_once(void **state)
+{
+    (void)state;
+    struct fmt_input *input;
+    struct packed p = {0};
+    uint64_t bytes, hash, got;
+    uint32_t first[100];
+    pack_gzip(&p, numbers, BYTES, 1);
+    struct writer w = {.path = make_fifo("fifo"), .bytes = p.data, .size = p.size};
+    struct bsq_ctx *ctx = make_context(64 << 20, 1);
+    assert_true(fmt_input_is_pipe(w.path));
+    assert_int_equal(fmt_input_create(ctx, w.path, NULL, false, &input), BSQ_ENOINPUT);
+    bsq_clear_error(ctx);
+    assert_int_equal(fmt_input_create(ctx, w.path, NULL, true, &input), 0);
+    assert_string_equal(fmt_input_beside(input), "");
+    pthread_create(&w.thread, NULL, write_pipe, &w);
+    assert_int_equal(fmt_input_peek(input, first, sizeof first, &got), 0);
+    assert_int_equal(got, sizeof first);
+    assert_memory_equal(first, numbers, sizeof first);
+    assert_false(fmt_input_given(input, &bytes, &hash));
+    for (int round = 0; round < 2; round++) {
+        assert_int_equal(fmt_input_open(input), 0);
+        expect_range(input, 1000, BYTES);
+        assert_int_equal(fmt_input_close(input), 0);
+    }
+    assert_true(fmt_input_given(input, &bytes, &hash));
+    assert_int_equal(bytes, p.size);
+    assert_int_equal(hash, XXH3_64bits(p.data, p.size));
+    pthread_join(w.thread, NULL);
+    fmt_input_free(input);
+    pthread_create(&w.thread, NULL, write_pipe, &w);
+    assert_int_equal(fmt_input_drain(ctx, w.path, &bytes, &got), 0);
+    assert_int_equal(bytes, p.size);
+    assert_int_equal(got, hash);
+    pthread_join(w.thread, NULL);
+    free(p.data);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+static void *interrupt(void *arg)
+{
+    const struct timespec soon = {.tv_nsec = 100000000};
+    nanosleep(&soon, NULL);
+    bsq_interrupt(arg);
+    return NULL;
+}
+
+/* Nobody opens the pipe for writing, or the writer writes nothing. */
+static void test_waiting_ends_with_an_interruption(void **state)
+{
+    (void)state;
+    const char *path = make_fifo("silent");
+    for (int round = 0; round < 2; round++) {
+        struct fmt_input *input;
+        pthread_t thread;
+        char byte;
+        uint64_t got;
+        struct bsq_ctx *ctx = make_context(64 << 20, 1);
+        assert_int_equal(fmt_input_create(ctx, path, NULL, true, &input), 0);
+        int fd = round == 0 ? -1 : open(path, O_WRONLY | O_NONBLOCK);
+        assert_true(round == 0 || fd >= 0);
+        pthread_create(&thread, NULL, interrupt, ctx);
+        assert_int_equal(fmt_input_peek(input, &byte, 1, &got), BSQ_EINTR);
+        pthread_join(thread, NULL);
+        fmt_input_free(input);
+        if (fd >= 0)
+            close(fd);
+        bsq_ctx_destroy(ctx);
+    }
+}
+
+static void test_two_inputs_cannot_be_one_pipe(void **state)
+{
+    (void)state;
+    static const char *const paths[] = {"-", "-"};
+    const struct fmt_mesh_inputs inputs = {.paths = paths, .path_count = 2, .pipes = true};
+    struct fmt_mesh_reader *reader;
+    struct bsq_ctx *ctx = make_context(64 << 20, 1);
+    assert_int_equal(fmt_mesh_open_inputs(ctx, &inputs, &reader), BSQ_EUSAGE);
+    assert_string_equal(bsq_error(ctx), "-: a pipe can be read only once");
+    bsq_ctx_destroy(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_ranges_in_any_order),
+        cmocka_unit_test(test_no_more_is_unpacked_than_is_read),
+        cmocka_unit_test(test_pipe_is_read_once),
+        cmocka_unit_test(test_waiting_ends_with_an_interruption),
+        cmocka_unit_test(test_two_inputs_cannot_be_one_pipe),
+    };
+    return cmocka_run_group_tests(tests, make_numbers, free_numbers);
+}
