@@ -6,7 +6,7 @@
 
 /* ---- reading the tables ---- */
 
-static uint32_t component_bytes(enum gltf_component component)
+uint32_t fmt_gltf_component_bytes(enum gltf_component component)
 {
     switch (component) {
     case GLTF_INT8:
@@ -76,7 +76,7 @@ static int read_sparse_array(const struct gltf_place *place, const struct gltf_s
         status = fmt_gltf_fail(place, "\"sparse\" has no bufferView");
     if (!status)
         status = fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &out->offset);
-    const uint64_t bytes = (uint64_t)components * component_bytes(out->component);
+    const uint64_t bytes = (uint64_t)components * fmt_gltf_component_bytes(out->component);
     return status ? status : check_range(place, source, out, count, bytes, bytes);
 }
 
@@ -101,19 +101,28 @@ static int read_sparse(const struct gltf_place *place, const struct gltf_source 
     return status;
 }
 
-/* An accessor without a view stands for zeros. There may be as many of them as the file has bytes,
- * so that a small file cannot stand for endless work. */
+/* Such an accessor stands for zeros. There may be as many of them as the file has bytes, so that a
+ * small file cannot stand for endless work. */
+int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
+                         uint32_t number)
+{
+    const struct gltf_accessor *accessor = &source->accessors[number];
+    if (accessor->elements.view == GLTF_NONE && accessor->count > source->bytes)
+        return fmt_gltf_fail(place,
+                             "accessors[%" PRIu32 "] has %" PRIu64
+                             " elements without data, which are too many",
+                             number, accessor->count);
+    return 0;
+}
+
 static int check_elements(const struct gltf_place *place, const struct gltf_source *source,
                           const struct gltf_accessor *accessor)
 {
-    if (accessor->elements.view == GLTF_NONE && accessor->count > source->bytes)
-        return fmt_gltf_fail(place, "%" PRIu64 " elements without bufferView are too many",
-                             accessor->count);
     if (accessor->elements.view == GLTF_NONE || accessor->components == 0)
         return 0;
     return check_range(
         place, source, &accessor->elements, accessor->count, fmt_gltf_stride(source, accessor),
-        (uint64_t)accessor->components * component_bytes(accessor->elements.component));
+        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component));
 }
 
 static int read_accessor(const struct gltf_place *place, const struct gltf_source *source,
@@ -157,7 +166,7 @@ int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *
 uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor)
 {
     const uint64_t own =
-        (uint64_t)accessor->components * component_bytes(accessor->elements.component);
+        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component);
     if (accessor->elements.view == GLTF_NONE)
         return own;
     const uint64_t stride = source->views[accessor->elements.view].stride;
@@ -214,7 +223,7 @@ static int decode_array(const struct gltf_decoder *d, const struct gltf_array *a
                         uint64_t stride, uint32_t components, uint64_t first, uint64_t count,
                         double *to)
 {
-    const uint64_t element = (uint64_t)components * component_bytes(array->component);
+    const uint64_t element = (uint64_t)components * fmt_gltf_component_bytes(array->component);
     if (count == 0)
         return 0;
     const uint64_t size = (count - 1) * stride + element;
@@ -234,7 +243,8 @@ static int read_sparse_indices(const struct gltf_decoder *d, const struct gltf_a
                                uint64_t first, uint64_t count, double *to)
 {
     return decode_array(d, &accessor->sparse_indices,
-                        component_bytes(accessor->sparse_indices.component), 1, first, count, to);
+                        fmt_gltf_component_bytes(accessor->sparse_indices.component), 1, first,
+                        count, to);
 }
 
 /* Finds the first sparse element whose index is at least `index`. */
@@ -263,7 +273,7 @@ static int apply_sparse(const struct gltf_decoder *d, const struct gltf_accessor
                         uint64_t first, uint64_t count, double *to)
 {
     const uint32_t n = accessor->components;
-    const uint64_t bytes = (uint64_t)n * component_bytes(accessor->elements.component);
+    const uint64_t bytes = (uint64_t)n * fmt_gltf_component_bytes(accessor->elements.component);
     double indices[SPARSE_BLOCK], values[4 * SPARSE_BLOCK];
     uint64_t next = 0;
     int status = find_sparse(d, accessor, first, &next);
@@ -304,17 +314,19 @@ static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *p
     return status;
 }
 
-int fmt_gltf_check_sparse(struct gltf_document *document, const struct gltf_source *source)
+int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source,
+                          const struct bsq_file *own)
 {
     struct stream_slot slot = {.loaded = false};
-    const struct gltf_decoder decoder = {document->ctx, source, &document->file, &slot};
+    struct gltf_document document = {.ctx = ctx, .file = *own}; /* for messages */
+    const struct gltf_decoder decoder = {ctx, source, own, &slot};
     int status = 0;
     for (uint32_t i = 0; i < source->accessor_count && !status; i++)
         if (source->accessors[i].sparse_count > 0) {
-            const struct gltf_place place = fmt_gltf_element(document, "accessors", i);
+            const struct gltf_place place = {&document, "accessors", i, NULL};
             status = check_sparse(&decoder, &place, &source->accessors[i]);
         }
-    bsq_free(document->ctx, slot.bytes);
+    bsq_free(ctx, slot.bytes);
     return status;
 }
 

@@ -111,7 +111,10 @@ static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
     int status = fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &length);
     if (status)
         return status;
-    if (!uri) {
+    if (!uri && fmt_gltf_extension(place->object, "EXT_meshopt_compression")) {
+        out->missing = true;
+        out->part.size = length;
+    } else if (!uri) {
         /* Without a URI: the chunk, for the first; or nothing that this reader can read. */
         const bool chunk = place->index == 0 && d->chunk_offset > 0;
         out->part =
@@ -136,11 +139,12 @@ static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
 
 enum { MOST_STRIDE = 252 }; /* of the file format */
 
-static int read_view(const struct gltf_place *place, const struct gltf_source *source,
+static int read_view(const struct gltf_place *place, struct gltf_source *source,
                      struct gltf_view *out)
 {
+    const json_t *meshopt = fmt_gltf_extension(place->object, "EXT_meshopt_compression");
     uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
-    *out = (struct gltf_view){.buffer = GLTF_NONE};
+    *out = (struct gltf_view){.buffer = GLTF_NONE, .decoded = GLTF_NOT_DECODED};
     int status = fmt_gltf_index(place, place->object, "buffer", "buffers", &out->buffer);
     if (!status)
         status = fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &size);
@@ -161,7 +165,10 @@ static int read_view(const struct gltf_place *place, const struct gltf_source *s
     out->offset = offset;
     out->size = size;
     out->stride = (uint32_t)stride;
-    return 0;
+    if (meshopt)
+        return fmt_gltf_read_packed_view(place, source, meshopt, out);
+    return source->buffers[out->buffer].missing ? fmt_gltf_fail(place, "its buffer has no data")
+                                                : 0;
 }
 
 /* ---- both ---- */
@@ -182,6 +189,7 @@ int fmt_gltf_read_buffers(struct gltf_document *document, struct gltf_source *so
     }
     if (!status)
         status = bsq_calloc(ctx, "glTF views", views + 1, sizeof *source->views, &source->views);
+    source->view_capacity = status ? 0 : views + 1;
     for (uint64_t i = 0; i < views && !status; i++) {
         const struct gltf_place place = fmt_gltf_element(document, "bufferViews", i);
         status = i % 4096 ? 0 : bsq_check(ctx);
@@ -221,8 +229,10 @@ void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
         bsq_file_close(ctx, &source->buffers[i].file);
         bsq_free(ctx, source->buffers[i].path);
     }
+    bsq_file_close(ctx, &source->decoded);
     bsq_free(ctx, source->buffers);
     bsq_free(ctx, source->views);
+    bsq_free(ctx, source->packed);
 }
 
 int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
@@ -230,6 +240,8 @@ int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
                        uint64_t size)
 {
     const struct gltf_view *from = &source->views[view];
+    if (from->decoded != GLTF_NOT_DECODED)
+        return bsq_file_read(ctx, &source->decoded, to, size, from->decoded + offset);
     const struct gltf_buffer *buffer = &source->buffers[from->buffer];
     return bsq_part_read(ctx, buffer->path ? &buffer->file : own, &buffer->part, to, size,
                          from->offset + offset);

@@ -9,6 +9,7 @@
 #include <jansson.h>
 
 #include "base/file_part.h"
+#include "formats/mesh/gltf_module.h"
 #include "formats/mesh/mesh_stream.h"
 
 #define GLTF_NONE UINT32_MAX /* no such index */
@@ -79,12 +80,27 @@ struct gltf_buffer {
     char *path;           /* of another file; NULL: the file itself */
     struct bsq_file file; /* open while that file is read */
     struct bsq_part part; /* of the file */
+    bool missing;         /* no data: views are decompressed from other buffers */
 };
 
 struct gltf_view {
     uint32_t buffer;
     uint64_t offset, size; /* in the buffer */
     uint32_t stride;       /* 0: elements follow each other */
+    uint64_t decoded;      /* of compressed data: place in gltf_source.decoded */
+};
+#define GLTF_NOT_DECODED UINT64_MAX
+
+/* Compressed data: a view, or the accessors of a primitive. */
+struct gltf_packed {
+    bool is_draco;
+    uint32_t number; /* of the view or mesh, for messages */
+    uint32_t buffer;
+    uint64_t offset; /* in the buffer */
+    uint64_t bytes;  /* when decoded */
+    struct gltf_meshopt meshopt;
+    struct gltf_draco draco;
+    uint64_t sizes[5]; /* bytes of Draco's outputs */
 };
 
 /* The codes of the file format. */
@@ -160,6 +176,11 @@ struct gltf_source {
     uint64_t size;       /* of it */
     struct gltf_buffer *buffers;
     struct gltf_view *views;
+    struct gltf_packed *packed;
+    uint64_t view_capacity, packed_capacity;
+    uint32_t packed_count;
+    uint64_t decoded_bytes;
+    struct bsq_file decoded; /* temporary: what the compressed parts are, one after the other */
     struct gltf_accessor *accessors;
     struct gltf_primitive *primitives;
     struct gltf_mesh *meshes;
@@ -202,11 +223,29 @@ int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
                        const struct bsq_file *own, uint32_t view, uint64_t offset, void *to,
                        uint64_t size);
 
+/* ---- gltf_packed.c ---- */
+
+/* Reads EXT_meshopt_compression of a view, whose size is known. */
+int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source *source,
+                              const json_t *object, struct gltf_view *view);
+/* Reads KHR_draco_mesh_compression of a primitive, whose accessors are known. They get views.
+ * texcoord: name of the attribute. */
+int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *source,
+                        const json_t *object, const char *texcoord, struct gltf_primitive *p);
+/* Decompresses everything to a temporary file, unless that is done. */
+int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct bsq_file *own);
+
 /* ---- gltf_accessor.c ---- */
 
+uint32_t fmt_gltf_component_bytes(enum gltf_component component);
+
 int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *source);
+/* Checks an accessor of a mesh that has neither a view nor compressed data. */
+int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
+                         uint32_t accessor);
 /* Checks that the indices of sparse accessors ascend and are in range. */
-int fmt_gltf_check_sparse(struct gltf_document *document, const struct gltf_source *source);
+int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source,
+                          const struct bsq_file *own);
 
 /* What decoding works with: memory of a slot. */
 struct gltf_decoder {

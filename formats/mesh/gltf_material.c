@@ -17,10 +17,10 @@
 static bool is_known(const char *name)
 {
     static const char *const known[] = {
-        "KHR_mesh_quantization",  "KHR_texture_transform", "KHR_materials_",
-        "EXT_texture_webp",       "KHR_lights_punctual",   "KHR_xmp_json_ld",
-        "KHR_animation_pointer",  "KHR_audio_emitter",     "KHR_node_hoverability",
-        "KHR_node_selectability",
+        "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization",
+        "KHR_texture_transform",      "KHR_materials_",          "EXT_texture_webp",
+        "KHR_lights_punctual",        "KHR_xmp_json_ld",         "KHR_animation_pointer",
+        "KHR_audio_emitter",          "KHR_node_hoverability",   "KHR_node_selectability",
     };
     for (size_t i = 0; name && i < sizeof known / sizeof *known; i++) {
         const size_t length = strlen(known[i]);
@@ -78,6 +78,8 @@ static int find_image(const struct gltf_place *place, const struct gltf_source *
     int status = fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &view);
     if (status)
         return status;
+    if (view != GLTF_NONE && source->views[view].decoded != GLTF_NOT_DECODED)
+        return fmt_gltf_fail(place, "an image in a compressed view");
     if (view != GLTF_NONE) {
         const char *path = part_of_view(d, source, view, &part);
         return path ? bsq_part_name(d->ctx, path, &part, out) : 0;

@@ -30,11 +30,8 @@ static int read_attribute(const struct gltf_place *place, const struct gltf_sour
 }
 
 static int read_attributes(const struct gltf_place *place, const struct gltf_source *source,
-                           const json_t *object, struct gltf_primitive *out)
+                           const json_t *object, const char *texcoord, struct gltf_primitive *out)
 {
-    const uint32_t set = out->material == GLTF_NONE ? 0 : source->materials[out->material].texcoord;
-    char texcoord[32];
-    snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
     int status = read_attribute(place, source, object, "POSITION", 3, 3, &out->position);
     if (!status)
         status = read_attribute(place, source, object, "NORMAL", 3, 3, &out->normal);
@@ -82,6 +79,25 @@ static void count_triangles(struct gltf_source *source, struct gltf_primitive *o
     }
 }
 
+/* Reads the accessors of a primitive of triangles. */
+static int read_accessors(const struct gltf_place *place, struct gltf_source *source,
+                          const json_t *object, struct gltf_primitive *out)
+{
+    const uint32_t set = out->material == GLTF_NONE ? 0 : source->materials[out->material].texcoord;
+    char texcoord[32];
+    snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
+    int status = read_attributes(place, source, object, texcoord, out);
+    if (!status)
+        status = read_indices(place, source, object, out);
+    if (!status)
+        status = fmt_gltf_read_draco(place, source, object, texcoord, out);
+    const uint32_t all[] = {out->position, out->normal, out->texcoord, out->color, out->index};
+    for (int i = 0; i < 5 && !status; i++)
+        if (all[i] != GLTF_NONE)
+            status = fmt_gltf_check_zeros(place, source, all[i]);
+    return status;
+}
+
 /* Reads a primitive. Leaves its `triangles` 0 if it has none that can be read. */
 static int read_primitive(const struct gltf_place *place, struct gltf_source *source,
                           const json_t *object, struct gltf_primitive *out)
@@ -96,9 +112,7 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
     if (!status)
         status = fmt_gltf_index(place, object, "material", "materials", &out->material);
     if (!status)
-        status = read_attributes(place, source, object, out);
-    if (!status)
-        status = read_indices(place, source, object, out);
+        status = read_accessors(place, source, object, out);
     if (status || out->position == GLTF_NONE)
         return status;
     count_triangles(source, out);

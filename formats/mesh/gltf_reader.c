@@ -35,12 +35,7 @@ static int read_document(struct gltf_document *document, struct gltf_source *sou
         status = fmt_gltf_read_meshes(document, source);
     if (!status)
         status = fmt_gltf_read_scene(document, source);
-    if (!status)
-        status = fmt_gltf_open_buffers(document->ctx, source);
-    if (!status)
-        status = fmt_gltf_check_sparse(document, source);
-    const int closed = fmt_gltf_close_buffers(document->ctx, source);
-    return status ? status : closed;
+    return status;
 }
 
 static int read_file(struct gltf_reader *reader, uint32_t number)
@@ -163,12 +158,17 @@ static int cut(struct stream_reader *base, const struct stream_part *before,
 
 /* ---- reading ---- */
 
+/* Opens the buffers, and prepares what can only be read whole. */
 static int open_buffers(struct stream_reader *base, uint32_t number)
 {
     struct gltf_source *source = &((struct gltf_reader *)base)->files[number];
     int status =
         source->own.fd < 0 ? fmt_input_whole(base->sources[number].input, &source->own) : 0;
-    return status ? status : fmt_gltf_open_buffers(base->base.ctx, source);
+    if (!status)
+        status = fmt_gltf_open_buffers(base->base.ctx, source);
+    if (!status)
+        status = fmt_gltf_unpack(base->base.ctx, source, &source->own);
+    return status ? status : fmt_gltf_check_sparse(base->base.ctx, source, &source->own);
 }
 
 static int close_buffers(struct stream_reader *base, uint32_t number)
@@ -310,7 +310,7 @@ static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uin
     if (!status)
         status = bsq_calloc(ctx, "glTF files", input_count, sizeof *reader->files, &reader->files);
     for (uint32_t i = 0; i < input_count && !status; i++)
-        reader->files[i].own = (struct bsq_file)BSQ_FILE_CLOSED;
+        reader->files[i].own = reader->files[i].decoded = (struct bsq_file)BSQ_FILE_CLOSED;
     for (uint32_t i = 0; i < input_count && !status; i++)
         status = read_file(reader, i);
     if (status)

@@ -84,6 +84,30 @@ for file in "$top/tests/meshes"/packed.*; do
     fi
 done
 
+run bisque-voxelize "$top/tests/meshes/twice.obj" -o twice.nvdb --voxel-size 0.02
+code 0
+run bisque-voxelize "$top/tests/meshes/draco.blender.glb" -o draco.nvdb --voxel-size 0.02
+code 0
+if [ -n "$python" ]; then
+    "$python" -B "$top/tests/meshes/same_triangles.py" 0.00003 twice.tris draco.tris
+    check "the triangles of a mesh that Draco compressed" $?
+fi
+
+# Compressed files with damage end with a result or a message.
+for file in packed.gltfpack.meshopt.glb draco.blender.glb; do
+    rm -f bad.*.glb
+    python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/$file" 20
+    for bad in bad.*.glb; do
+        run bisque-voxelize --parse-only "$bad"
+        [ "$code" -eq 0 ] || [ "$code" -eq 65 ] && [ "$(wc -l <"$err")" -eq $((code > 0)) ]
+        check "$file with damage, $bad: exit code $code" $?
+    done
+done
+python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/draco.blender.glb" large
+run bisque-voxelize --parse-only large.glb --memory 64M
+code 71
+err_like '^bisque-voxelize: the memory budget is too small: .* needs [0-9]* bytes'
+
 # Colours of faces and textures, as from MTL files.
 cat >square.mtl <<'END'
 newmtl red

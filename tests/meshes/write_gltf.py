@@ -48,6 +48,7 @@ def pack(name, *options):
 
 pack("packed.gltfpack.glb", "-noq")
 pack("packed.gltfpack.quantized.glb", "-vp", "16")
+pack("packed.gltfpack.meshopt.glb", "-cc", "-vp", "16")
 
 
 def blend(name, **options):
@@ -64,6 +65,8 @@ def blend(name, **options):
 
 
 blend("twice.blender.glb", export_format="GLB")
+blend("draco.blender.glb", export_format="GLB", export_draco_mesh_compression_enable=True,
+      export_draco_position_quantization=16)
 with open("twice.obj", "w") as out:
     for sign, x in ((1, 0), (-1, 2)):
         for p in points:

@@ -70,8 +70,10 @@ static void test_messages(void **state)
               "'type':'VEC3'}]}",
          "bad.gltf: accessors[0]: 1 elements of 12 bytes are too many for bufferViews[0], which has "
          "36 bytes"},
-        {VIEW "'accessors':[{'componentType':5126,'count':100000000,'type':'VEC3'}]}",
-         "bad.gltf: accessors[0]: 100000000 elements without bufferView are too many"},
+        {VIEW "'accessors':[{'componentType':5126,'count':100000000,'type':'VEC3'}],"
+              "'meshes':[{'primitives':[{'attributes':{'POSITION':0}}]}]}",
+         "bad.gltf: meshes[0]: accessors[0] has 100000000 elements without data, which are too "
+         "many"},
         {VIEW "'accessors':[{'bufferView':0,'componentType':5124,'count':1,'type':'VEC3'}]}",
          "bad.gltf: accessors[0]: unknown componentType 5124"},
         {VIEW "'accessors':[{'bufferView':0,'componentType':5126,'count':1,'type':'VEC5'}]}",

@@ -1,0 +1,60 @@
+/* gltf_module.h - the table of the module bisque-gltf.so, which decompresses parts of glTF files by
+ * meshoptimizer and Draco. */
+#ifndef FMT_MESH_GLTF_MODULE_H
+#define FMT_MESH_GLTF_MODULE_H
+
+#include "formats/module/module.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum gltf_meshopt_mode { GLTF_MESHOPT_ATTRIBUTES, GLTF_MESHOPT_TRIANGLES, GLTF_MESHOPT_INDICES };
+enum gltf_meshopt_filter {
+    GLTF_MESHOPT_NONE,
+    GLTF_MESHOPT_OCTAHEDRAL,
+    GLTF_MESHOPT_QUATERNION,
+    GLTF_MESHOPT_EXPONENTIAL
+};
+
+/* A buffer view of EXT_meshopt_compression. It becomes count * stride bytes at `to`. */
+struct gltf_meshopt {
+    const uint8_t *from;
+    uint64_t size, count;
+    uint32_t stride; /* that suits mode and filter: see fmt_gltf_meshopt_fits() */
+    enum gltf_meshopt_mode mode;
+    enum gltf_meshopt_filter filter;
+    uint8_t *to;
+};
+
+/* One attribute of a compressed mesh, or its indices. */
+struct gltf_draco_output {
+    bool indices;        /* uint32, three for each face */
+    uint32_t id;         /* of the attribute in the compressed mesh */
+    uint32_t components; /* of an element: 1 to 4 */
+    uint32_t type;       /* of a component: 5120 int8, 5121 uint8, 5122 int16, 5123 uint16,
+                            5125 uint32, 5126 float */
+    uint8_t *to;         /* elements follow each other */
+};
+
+/* A mesh of KHR_draco_mesh_compression. */
+struct gltf_draco {
+    const uint8_t *from;
+    uint64_t size;
+    uint64_t points, faces; /* that it must have */
+    struct gltf_draco_output outputs[5];
+    uint32_t output_count;
+};
+
+/* Both return NULL, or what is wrong with the data, in static storage. Memory of the libraries is
+ * not counted; the caller reserves it. */
+struct fmt_gltf_module {
+    struct fmt_module module;
+    const char *(*meshopt)(const struct gltf_meshopt *view);
+    const char *(*draco)(const struct gltf_draco *mesh);
+};
+
+#ifdef __cplusplus
+}
+#endif
+#endif

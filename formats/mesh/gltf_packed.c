@@ -1,0 +1,274 @@
+/* gltf_packed.c - compressed parts of glTF files: EXT_meshopt_compression and
+ * KHR_draco_mesh_compression.
+ *
+ * Both are decoded whole, one after the other, before a file is read for the first time. What comes
+ * out goes to a temporary file, whose parts are then read like those of a buffer. So memory is
+ * needed for one compressed view or mesh at a time. */
+#include <inttypes.h>
+#include <string.h>
+
+#include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/gltf_module.h"
+
+/* ---- meshoptimizer ---- */
+
+static bool find_name(const char *name, const char *const *names, int count, int *out)
+{
+    for (int i = 0; i < count; i++)
+        if (name && strcmp(name, names[i]) == 0) {
+            *out = i;
+            return true;
+        }
+    return false;
+}
+
+/* Checks what meshoptimizer expects of its callers. */
+static bool meshopt_fits(const struct gltf_meshopt *view)
+{
+    const uint32_t stride = view->stride;
+    if (view->mode != GLTF_MESHOPT_ATTRIBUTES)
+        return (stride == 2 || stride == 4) && view->filter == GLTF_MESHOPT_NONE &&
+               (view->mode != GLTF_MESHOPT_TRIANGLES || view->count % 3 == 0);
+    if (view->filter == GLTF_MESHOPT_OCTAHEDRAL)
+        return stride == 4 || stride == 8;
+    if (view->filter == GLTF_MESHOPT_QUATERNION)
+        return stride == 8;
+    return stride > 0 && stride % 4 == 0 && stride <= 256;
+}
+
+static int read_modes(const struct gltf_place *place, const json_t *object,
+                      struct gltf_meshopt *out)
+{
+    static const char *const modes[] = {"ATTRIBUTES", "TRIANGLES", "INDICES"};
+    static const char *const filters[] = {"NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"};
+    const char *filter = fmt_gltf_string(object, "filter");
+    int number = 0;
+    if (!find_name(fmt_gltf_string(object, "mode"), modes, 3, &number))
+        return fmt_gltf_fail(place, "unknown mode of meshoptimizer");
+    out->mode = (enum gltf_meshopt_mode)number;
+    if (!find_name(filter ? filter : "NONE", filters, 4, &number))
+        return fmt_gltf_fail(place, "unknown filter of meshoptimizer");
+    out->filter = (enum gltf_meshopt_filter)number;
+    return 0;
+}
+
+/* Returns the place of `bytes` decoded bytes in the temporary file. */
+static int add_decoded(const struct gltf_place *place, struct gltf_source *source, uint64_t bytes,
+                       uint64_t *out)
+{
+    *out = source->decoded_bytes;
+    if (__builtin_add_overflow(source->decoded_bytes, bytes, &source->decoded_bytes) ||
+        source->decoded_bytes > INT64_MAX)
+        return fmt_gltf_fail(place, "too many bytes");
+    return 0;
+}
+
+static int add_packed(const struct gltf_place *place, struct gltf_source *source,
+                      const struct gltf_packed *packed)
+{
+    int status = 0;
+    if (source->packed_count == source->packed_capacity)
+        status =
+            bsq_grow(place->document->ctx, "compressed views", (uint64_t)source->packed_count + 1,
+                     sizeof *source->packed, &source->packed, &source->packed_capacity);
+    if (!status)
+        source->packed[source->packed_count++] = *packed;
+    return status;
+}
+
+int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source *source,
+                              const json_t *object, struct gltf_view *view)
+{
+    struct gltf_packed packed = {.number = (uint32_t)place->index};
+    struct gltf_meshopt *meshopt = &packed.meshopt;
+    uint64_t stride = GLTF_REQUIRED;
+    meshopt->count = meshopt->size = GLTF_REQUIRED;
+    int status = fmt_gltf_index(place, object, "buffer", "buffers", &packed.buffer);
+    if (!status)
+        status = fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &packed.offset);
+    if (!status)
+        status = fmt_gltf_number(place, object, "byteLength", INT64_MAX / 4, &meshopt->size);
+    if (!status)
+        status = fmt_gltf_number(place, object, "byteStride", 256, &stride);
+    if (!status)
+        status = fmt_gltf_number(place, object, "count", INT64_MAX / 4096, &meshopt->count);
+    if (!status)
+        status = read_modes(place, object, meshopt);
+    if (status)
+        return status;
+    meshopt->stride = (uint32_t)stride;
+    packed.bytes = meshopt->count * stride;
+    if (!meshopt_fits(meshopt))
+        return fmt_gltf_fail(place, "a stride or count that meshoptimizer cannot decode");
+    /* The encoding takes a quarter of a byte for 16 bytes at least. */
+    if (packed.bytes != view->size || packed.bytes / 64 > meshopt->size)
+        return fmt_gltf_fail(place, "%" PRIu64 " compressed bytes cannot hold %" PRIu64,
+                             meshopt->size, view->size);
+    const uint64_t bytes = packed.buffer == GLTF_NONE || source->buffers[packed.buffer].missing
+                               ? 0
+                               : source->buffers[packed.buffer].part.size;
+    if (packed.offset > bytes || meshopt->size > bytes - packed.offset)
+        return fmt_gltf_fail(place, "its compressed bytes are outside of their buffer");
+    status = add_decoded(place, source, packed.bytes, &view->decoded);
+    return status ? status : add_packed(place, source, &packed);
+}
+
+/* ---- Draco ---- */
+
+/* Adds a view for the elements of an accessor. */
+static int add_view(const struct gltf_place *place, struct gltf_source *source, uint32_t number,
+                    uint32_t component_bytes)
+{
+    struct gltf_accessor *accessor = &source->accessors[number];
+    struct gltf_view view = {.buffer = GLTF_NONE};
+    if (source->view_count == GLTF_NONE - 1 ||
+        __builtin_mul_overflow(accessor->count, (uint64_t)accessor->components * component_bytes,
+                               &view.size))
+        return fmt_gltf_fail(place, "too many elements");
+    int status = 0;
+    if (source->view_count == source->view_capacity)
+        status = bsq_grow(place->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
+                          sizeof *source->views, &source->views, &source->view_capacity);
+    if (!status)
+        status = add_decoded(place, source, view.size, &view.decoded);
+    if (status)
+        return status;
+    accessor->elements.view = source->view_count;
+    accessor->elements.offset = 0;
+    source->views[source->view_count++] = view;
+    return 0;
+}
+
+/* Adds an attribute, or the indices, to what is decoded, unless the file has it uncompressed. */
+static int add_output(const struct gltf_place *place, struct gltf_source *source, uint32_t accessor,
+                      const json_t *attributes, const char *key, struct gltf_packed *packed)
+{
+    struct gltf_draco *mesh = &packed->draco;
+    uint64_t id = GLTF_REQUIRED;
+    if (accessor == GLTF_NONE || source->accessors[accessor].elements.view != GLTF_NONE)
+        return 0;
+    if (key && !json_object_get(attributes, key))
+        return 0;
+    int status = key ? fmt_gltf_number(place, attributes, key, UINT32_MAX, &id) : 0;
+    if (status)
+        return status;
+    const struct gltf_accessor *a = &source->accessors[accessor];
+    mesh->outputs[mesh->output_count++] =
+        (struct gltf_draco_output){.indices = !key,
+                                   .id = key ? (uint32_t)id : 0,
+                                   .components = a->components,
+                                   .type = key ? (uint32_t)a->elements.component : GLTF_UINT32};
+    if (!key)
+        source->accessors[accessor].elements.component = GLTF_UINT32;
+    const uint32_t each = fmt_gltf_component_bytes(a->elements.component);
+    packed->sizes[mesh->output_count - 1] = a->count * a->components * each;
+    packed->bytes += a->count * a->components * each;
+    return add_view(place, source, accessor, each);
+}
+
+int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *source,
+                        const json_t *object, const char *texcoord, struct gltf_primitive *p)
+{
+    const json_t *draco = fmt_gltf_extension(object, "KHR_draco_mesh_compression");
+    const json_t *attributes = json_object_get(draco, "attributes");
+    struct gltf_packed packed = {.is_draco = true, .number = p->mesh};
+    uint32_t view;
+    if (!draco || p->position == GLTF_NONE || p->index == GLTF_NONE)
+        return 0;
+    int status = fmt_gltf_index(place, draco, "bufferView", "bufferViews", &view);
+    if (!status && (view == GLTF_NONE || source->views[view].decoded != GLTF_NOT_DECODED))
+        status = fmt_gltf_fail(place, "a compressed mesh without bufferView");
+    const struct {
+        uint32_t accessor;
+        const char *key;
+    } parts[] = {{p->index, NULL},
+                 {p->position, "POSITION"},
+                 {p->normal, "NORMAL"},
+                 {p->texcoord, texcoord},
+                 {p->color, "COLOR_0"}};
+    packed.draco.points = source->accessors[p->position].count;
+    packed.draco.faces = source->accessors[p->index].count / 3;
+    for (int i = 0; i < 5 && !status; i++)
+        status = add_output(place, source, parts[i].accessor, attributes, parts[i].key, &packed);
+    if (status)
+        return status;
+    if (source->views[source->accessors[p->index].elements.view].decoded != GLTF_NOT_DECODED)
+        p->mode = 4; /* strips too are compressed as single triangles */
+    if (packed.draco.output_count == 0)
+        return 0;
+    packed.buffer = source->views[view].buffer;
+    packed.offset = source->views[view].offset;
+    packed.draco.size = source->views[view].size;
+    return add_packed(place, source, &packed);
+}
+
+/* ---- decoding ---- */
+
+/* Returns the bytes that Draco may need while it decodes: about twice what version 1.5.5 took for
+ * meshes of a million triangles. */
+static uint64_t draco_bytes(const struct gltf_packed *packed)
+{
+    return 64 * packed->draco.faces + 64 * packed->draco.points + 2 * packed->bytes;
+}
+
+/* Decodes from memory to memory. */
+static int decode(struct bsq_ctx *ctx, const struct fmt_gltf_module *module, const char *path,
+                  struct gltf_packed *packed, const uint8_t *from, uint8_t *to)
+{
+    const char *wrong;
+    packed->meshopt.from = packed->draco.from = from;
+    packed->meshopt.to = to;
+    for (uint32_t i = 0; i < packed->draco.output_count; i++) {
+        packed->draco.outputs[i].to = to;
+        to += packed->sizes[i];
+    }
+    const uint64_t bytes = packed->is_draco ? draco_bytes(packed) : 0;
+    int status = bsq_reserve(ctx, "decompression by Draco", bytes);
+    if (status)
+        return status;
+    wrong = packed->is_draco ? module->draco(&packed->draco) : module->meshopt(&packed->meshopt);
+    bsq_release(ctx, bytes);
+    if (wrong)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: %s[%" PRIu32 "]: %s", path,
+                        packed->is_draco ? "meshes" : "bufferViews", packed->number, wrong);
+    return 0;
+}
+
+static int unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct bsq_file *own,
+                  const struct fmt_gltf_module *module, struct gltf_packed *packed)
+{
+    const struct gltf_buffer *buffer = &source->buffers[packed->buffer];
+    const struct bsq_file *file = buffer->path ? &buffer->file : own;
+    const uint64_t size = packed->is_draco ? packed->draco.size : packed->meshopt.size;
+    uint8_t *from = NULL, *to = NULL;
+    int status = bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &from);
+    if (!status)
+        status = bsq_calloc(ctx, "a decompressed part of a glTF file", packed->bytes, 1, &to);
+    if (!status)
+        status = bsq_part_read(ctx, file, &buffer->part, from, size, packed->offset);
+    if (!status)
+        status = decode(ctx, module, own->path, packed, from, to);
+    if (!status)
+        status = bsq_file_append(ctx, &source->decoded, to, packed->bytes);
+    bsq_free(ctx, from);
+    bsq_free(ctx, to);
+    return status ? status : bsq_check(ctx);
+}
+
+int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct bsq_file *own)
+{
+    const struct fmt_module *module = NULL;
+    if (source->packed_count == 0 || source->decoded.fd >= 0)
+        return 0;
+    int status = fmt_module_open(ctx, "gltf", "compressed glTF files", &module);
+    if (!status)
+        status = bsq_require_disk(ctx, NULL, source->decoded_bytes);
+    if (!status)
+        status = bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded);
+    for (uint32_t i = 0; i < source->packed_count && !status; i++)
+        status =
+            unpack(ctx, source, own, (const struct fmt_gltf_module *)module, &source->packed[i]);
+    if (status)
+        bsq_file_close(ctx, &source->decoded);
+    return status;
+}

@@ -1,0 +1,37 @@
+#!/usr/bin/env python3
+"""damage.py FILE.glb COUNT|large: writes damaged copies of a GLB file to the current directory.
+
+A number writes bad.0.glb, bad.1.glb and so on, with one byte changed in the binary chunk each.
+"large" writes large.glb, whose accessors count ten million times more elements.
+"""
+import json
+import struct
+import sys
+
+
+def main(path, how):
+    with open(path, "rb") as file:
+        data = bytearray(file.read())
+    length = struct.unpack_from("<I", data, 12)[0]
+    binary = 28 + length
+    if how != "large":
+        for i in range(int(how)):
+            bad = bytearray(data)
+            at = binary + i * (len(data) - binary) // int(how)
+            bad[at] ^= 1 << i % 8
+            with open("bad.%d.glb" % i, "wb") as file:
+                file.write(bad)
+        return
+    document = json.loads(data[20:20 + length])
+    for accessor in document["accessors"]:
+        accessor["count"] *= 10000000
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length:]
+    with open("large.glb", "wb") as file:
+        file.write(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text),
+                               b"JSON") + text + rest)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
