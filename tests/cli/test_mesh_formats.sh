@@ -96,7 +96,7 @@ fi
 # Compressed files with damage end with a result or a message.
 for file in packed.gltfpack.meshopt.glb draco.blender.glb; do
     rm -f bad.*.glb
-    python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/$file" 20
+    python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/$file" 8
     for bad in bad.*.glb; do
         run bisque-voxelize --parse-only "$bad"
         [ "$code" -eq 0 ] || [ "$code" -eq 65 ] && [ "$(wc -l <"$err")" -eq $((code > 0)) ]
