@@ -5,6 +5,7 @@ VERSION := $(shell awk '/define BSQ_VERSION_M|define BSQ_VERSION_P/ { v = v d $$
 config  ?= release
 BUILD   ?= build/$(config)
 prefix  ?= /usr/local
+libdir  ?= $(prefix)/lib
 DESTDIR ?=
 
 ifeq ($(config),fuzz)
@@ -420,9 +421,10 @@ packages := $(packages_build) $(packages_test)
 packages_fuzz := clang libclang-rt-14-dev
 packages_lint := cppcheck clang-tidy clang-format
 packages_doc  := doxygen
+packages_deb  := debhelper dpkg-dev clang
 jobs ?= $(shell nproc)
 
-.PHONY: deps deps-lint deps-doc deps-fuzz
+.PHONY: deps deps-lint deps-doc deps-fuzz deps-deb
 ## deps: install missing Debian packages (with sudo if needed)
 deps:
 	@tests/install-packages.sh $(packages)
@@ -433,6 +435,8 @@ deps-lint:
 	@tests/install-packages.sh $(packages_lint)
 deps-doc:
 	@tests/install-packages.sh $(packages_doc)
+deps-deb:
+	@tests/install-packages.sh $(packages_build) $(packages_deb)
 # Any clang that has its fuzzer will do.
 deps-fuzz:
 	@echo 'int LLVMFuzzerTestOneInput(void) { return 0; }' | \
@@ -592,42 +596,47 @@ compile_commands.json:
 
 # ---- installation ----
 bindir = $(DESTDIR)$(prefix)/bin
-libdir = $(DESTDIR)$(prefix)/lib
-moddir = $(libdir)/bisque
+arcdir = $(DESTDIR)$(libdir)
+moddir = $(DESTDIR)$(prefix)/lib/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
-	install -d $(bindir) $(libdir)/pkgconfig $(moddir) $(mandir) \
+	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) \
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helper) $(moddir)
-	install -m 644 $(archives) $(libdir)
+	install -m 644 $(archives) $(arcdir)
 	$(here) $(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
 	    -o $(moddir)/module_directory.c.o
-	$(AR) rD $(libdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
+	$(AR) rD $(arcdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
 	rm $(moddir)/module_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
-	for lib in voxel bake; do sed -e 's|@prefix@|$(prefix)|; s|@version@|$(VERSION)|' \
-	    tools/bisque-$$lib.pc.in > $(libdir)/pkgconfig/bisque-$$lib.pc; done
+	for lib in voxel bake; do \
+	    sed -e 's|@prefix@|$(prefix)|; s|@libdir@|$(libdir)|; s|@version@|$(VERSION)|' \
+	    tools/bisque-$$lib.pc.in > $(arcdir)/pkgconfig/bisque-$$lib.pc; done
 
 ## uninstall: remove the files of install
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
-	rm -f $(addprefix $(libdir)/,$(notdir $(archives))) $(libdir)/pkgconfig/bisque-*.pc
+	rm -f $(addprefix $(arcdir)/,$(notdir $(archives))) $(arcdir)/pkgconfig/bisque-*.pc
 	rm -rf $(incdir) $(moddir)
 
-# ---- sources ----
+# ---- packages of Bisque ----
 dist := build/dist/bisque-$(VERSION).tar.gz
-.PHONY: dist
+.PHONY: dist deb
 ## dist: build/dist/bisque-VERSION.tar.gz with the sources of the last commit, and its date
 dist:
 	@mkdir -p $(dir $(dist))
 	git archive --format=tar --prefix=bisque-$(VERSION)/ HEAD | gzip -9n > $(dist)
+
+## deb: build/deb with Debian packages of the last commit (installs missing packages)
+deb: deps-deb dist
+	tools/packaging/make-deb.sh $(dist) build/deb
 
 .PHONY: clean
 ## clean: remove the build folder
