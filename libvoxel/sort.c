@@ -10,6 +10,8 @@
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/temp_tris.h"
 
+#include <errno.h>
+#include <stdlib.h>
 #include <sys/stat.h>
 
 #define MIB ((uint64_t)1 << 20)
@@ -102,11 +104,19 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     return status;
 }
 
+/* Returns whether the chunk file gets the name tris_path. */
+static bool names_tris(const struct vox_sort_options *options)
+{
+    return !options->temp_tris || options->keeps_tris;
+}
+
 static int commit(const struct vox_sort_options *options, struct fmt_tris_writer *writer,
                   struct vox_sort_report *report)
 {
     if (options->temp_tris) {
-        int status = fmt_tris_keep_temp(writer, &options->temp_tris->file);
+        int status = options->keeps_tris
+                         ? fmt_tris_commit_open(writer, &options->temp_tris->file)
+                         : fmt_tris_keep_temp(writer, &options->temp_tris->file);
         report->tris_bytes = options->temp_tris->file.size;
         return status;
     }
@@ -137,9 +147,9 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         .materials = scan->materials,
     };
     struct fmt_tris_writer *writer;
-    int status = options->temp_tris
-                     ? fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer)
-                     : fmt_tris_create(scan->ctx, options->tris_path, &header, &writer);
+    int status = names_tris(options)
+                     ? fmt_tris_create(scan->ctx, options->tris_path, &header, &writer)
+                     : fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer);
     if (status < 0)
         return status;
     struct batches_report batches;
@@ -178,7 +188,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
     vox_scan_init(&scan, ctx, limits, options->scan_paths, options->tris_path);
-    int status = options->temp_tris ? 0 : bsq_note_output(ctx, options->tris_path);
+    int status = names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0;
     if (status == 0)
         status = read_scan(&scan, limits, options, report, &partition);
     if (status == 0)
@@ -194,12 +204,15 @@ void vox_sort_defaults(struct vox_sort_options *options)
     *options = (struct vox_sort_options){0};
 }
 
+/* A handle is a few bytes and a job may have a budget of only vox_memory_min(), so it is not
+ * counted. */
 int vox_temp_tris_create(struct bsq_ctx *ctx, struct vox_temp_tris **out)
 {
-    int status = bsq_alloc(ctx, "temporary chunk file", 1, sizeof **out, out);
-    if (status == 0)
-        **out = (struct vox_temp_tris){.ctx = ctx, .file = BSQ_FILE_CLOSED};
-    return status;
+    *out = malloc(sizeof **out);
+    if (!*out)
+        return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "chunk file");
+    **out = (struct vox_temp_tris){.ctx = ctx, .file = BSQ_FILE_CLOSED};
+    return 0;
 }
 
 void vox_temp_tris_close(struct vox_temp_tris *temp)
@@ -207,7 +220,7 @@ void vox_temp_tris_close(struct vox_temp_tris *temp)
     if (!temp)
         return;
     bsq_file_close(temp->ctx, &temp->file);
-    bsq_free(temp->ctx, temp);
+    free(temp);
 }
 
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,

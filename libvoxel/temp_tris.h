@@ -1,4 +1,4 @@
-/* temp_tris.h - the chunk file without a name that vox_sort() hands to vox_voxelize(). */
+/* temp_tris.h - the open chunk file that vox_sort() hands to vox_voxelize(). */
 #ifndef VOX_TEMP_TRIS_H
 #define VOX_TEMP_TRIS_H
 

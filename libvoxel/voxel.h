@@ -24,8 +24,8 @@ extern "C" {
 
 struct vox_job;
 
-/** A chunk file without a name: it is gone when it is closed or the process ends. vox_sort() writes
- * it and vox_voxelize() reads it. */
+/** An open chunk file. vox_sort() writes it and vox_voxelize() reads it. Without a name, it is gone
+ * when it is closed or the process ends. */
 struct vox_temp_tris;
 
 /** Creates a handle without content in *out, which the caller owns. Errors: BSQ_ENOMEM. */
@@ -46,6 +46,9 @@ struct vox_sort_options {
     /** NULL, or the output to use instead of tris_path, which then only names the directory of
      * temporary files. */
     struct vox_temp_tris *temp_tris;
+    /** With temp_tris: makes the file tris_path too. vox_voxelize() reads the chunks of this job,
+     * even if another job replaces that file meanwhile. */
+    bool keeps_tris;
     struct vox_job *job; /**< NULL, or a job that records the files that the scan refers to. */
 };
 

@@ -172,6 +172,7 @@ static int sort_scan(struct voxelize_job *job)
         .texture_path = arguments->texture,
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,
+        .keeps_tris = !job->temporary_tris,
     };
     struct bsq_ctx *ctx = job->cli->ctx;
     int status = 0;
@@ -192,7 +193,7 @@ static int make_grid(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     struct vox_voxelize_options options = {
         .tris_path = job->tris_path,
-        .temp_tris = job->temp_tris,
+        .temp_tris = job->resumed ? NULL : job->temp_tris,
         .grid_path = arguments->output,
         .resolution = (uint32_t)arguments->resolution,
         .voxel_size = arguments->voxel_size,
@@ -218,7 +219,7 @@ static int do_work(struct voxelize_job *job)
         status = check_outputs(job);
     if (status == 0)
         status = check_temporary_files(job);
-    if (status == 0 && job->temporary_tris)
+    if (status == 0 && !job->sorted_input)
         status = vox_temp_tris_create(job->cli->ctx, &job->temp_tris);
     if (status == 0 && !job->sorted_input)
         status = sort_scan(job);

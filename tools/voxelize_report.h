@@ -12,7 +12,7 @@ struct voxelize_job {
     struct vox_job *record;          /* for --resume; NULL if the job cannot be resumed */
     char *tris_path;                 /* of the chunk file; owned */
     bool temporary_tris;             /* the chunk file is temporary: there is no file tris_path */
-    struct vox_temp_tris *temp_tris; /* the temporary chunk file, or NULL; owned */
+    struct vox_temp_tris *temp_tris; /* the chunk file that this job writes, or NULL; owned */
     struct vox_sort_report sort;
     struct vox_voxelize_report grid;
 };

@@ -174,6 +174,24 @@ int fmt_tris_commit(struct fmt_tris_writer *writer)
     return status;
 }
 
+int fmt_tris_commit_open(struct fmt_tris_writer *writer, struct bsq_file *out)
+{
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    int status = finish(writer);
+    if (status == 0)
+        status = bsq_output_read(writer->output, out);
+    if (status < 0) {
+        fmt_tris_discard(writer);
+        return status;
+    }
+    struct bsq_ctx *ctx = writer->ctx;
+    status = bsq_output_commit(writer->output);
+    writer_free(writer);
+    if (status < 0)
+        bsq_file_close(ctx, out);
+    return status;
+}
+
 int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out)
 {
     *out = (struct bsq_file)BSQ_FILE_CLOSED;

@@ -197,6 +197,27 @@ together 1 ''  # before its file gets a name
 together 2 ''  # between that and its final name
 together 1 yes # all the time with a name
 
+# A chunk file that is replaced between sorting and voxelizing: the grid is made of the job's own.
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >other.obj
+run bisque-voxelize other.obj -o other.nvdb --resolution 4
+code 0
+rm -f flag
+LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=name FAULT_PATH=a.tris.job FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag \
+    "$BIN/bisque-voxelize" scan.obj -o a.nvdb --resolution 32 >"$out" 2>"$err" &
+tries=0
+while [ $tries -lt 500 ] && [ ! -e flag ]; do
+    tries=$((tries + 1))
+    sleep 0.02
+done
+[ -s a.tris ] && mv other.tris a.tris
+check "a chunk file is replaced after it was written" $?
+rm flag
+command="the job whose chunk file was replaced" code=0
+wait $! || code=$?
+code 0
+same a.nvdb scan.nvdb
+rm a.tris a.nvdb
+
 # ---- a grid that shrinks while it is read ----
 
 # shrink BYTES PATH: truncates the grid when the bake opens the file PATH, which it does after it
