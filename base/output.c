@@ -52,7 +52,8 @@ static int create_temp(struct bsq_output *output)
 {
     struct stat old;
     const char *name = bsq_file_name(output->path);
-    mode_t mode = stat(output->path, &old) == 0 ? old.st_mode & 0666 : 0666;
+    output->old_mode = stat(output->path, &old) == 0 ? old.st_mode : 0;
+    mode_t mode = output->old_mode ? 0600 : 0666;
     bsq_temp_sweep(output->directory, name);
     int error = bsq_temp_unnamed(output->directory, mode, true, &output->fd);
     if (lacks_unnamed(error))
@@ -218,7 +219,7 @@ int bsq_output_sync(struct bsq_output *output)
     int status = check_written(output);
     if (status < 0 || output->synced || !output->directory)
         return status;
-    int error = bsq_keep_access(output->fd, output->path);
+    int error = bsq_keep_access(output);
     if (error == 0 && fstat(output->fd, &info) != 0)
         error = errno;
     if (error)

@@ -50,7 +50,8 @@ static int copy_to_named(struct bsq_output *output)
     struct stat info;
     if (fstat(unnamed.fd, &info) != 0)
         return bsq_output_fail_write(output, errno);
-    int error = bsq_temp_named(output->directory, bsq_file_name(output->path), info.st_mode & 0777,
+    mode_t mode = output->old_mode ? 0600 : info.st_mode & 0666;
+    int error = bsq_temp_named(output->directory, bsq_file_name(output->path), mode,
                                &output->temp_path, &output->fd);
     if (error) {
         output->fd = unnamed.fd;
@@ -66,7 +67,7 @@ static int copy_to_named(struct bsq_output *output)
  * has now: they may have changed since it was synced. */
 static int name_temp(struct bsq_output *output)
 {
-    int error = bsq_keep_access(output->fd, output->path);
+    int error = bsq_keep_access(output);
     if (error)
         return bsq_output_fail_write(output, error);
     if (output->temp_path)

@@ -4,6 +4,7 @@
 #define BSQ_OUTPUT_INTERNAL_H
 
 #include <stdatomic.h>
+#include <sys/types.h>
 
 #include "base/output.h"
 
@@ -12,6 +13,7 @@ struct bsq_output {
     char *path;      /* final name, symbolic links followed; or a name for messages only */
     char *directory; /* of both names; NULL: the file gets no final name */
     char *temp_path; /* NULL: the file has no name */
+    mode_t old_mode; /* of the file that was there at the start; 0: none */
     bool created;    /* the file has its final name, which no file had before */
     bool exchanged;  /* the file has its final name, and temp_path is the file that it replaced */
     int fd, directory_fd; /* -1: not open */
@@ -32,9 +34,9 @@ int bsq_output_target(struct bsq_ctx *ctx, const char *path, char **out);
 /* Returns the part of a path after its last slash. */
 const char *bsq_file_name(const char *path);
 
-/* Gives the new file `fd` the mode, owner, group and access list of the file `path` that it is
- * going to replace, as far as the process may. Whoever could not read the old file cannot read the
- * new one. Does nothing if there is no such file. Returns 0 or an errno. */
-int bsq_keep_access(int fd, const char *path);
+/* Gives the new file the mode, owner, group and access list of the file that it is going to
+ * replace, as far as the process may. Whoever could not read the old file cannot read the new one.
+ * Does nothing if there was and is no such file. Returns 0 or an errno. */
+int bsq_keep_access(const struct bsq_output *output);
 
 #endif

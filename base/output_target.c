@@ -158,15 +158,18 @@ static bool keep_owner(int fd, const struct stat *old, const struct stat *new)
 
 /* Without the old group or list, the group's bits would apply to other users than before: they get
  * no more than all users. */
-int bsq_keep_access(int fd, const char *path)
+int bsq_keep_access(const struct bsq_output *output)
 {
-    struct stat old, new;
-    if (stat(path, &old) != 0)
+    const int fd = output->fd;
+    struct stat old = {.st_mode = output->old_mode}, new;
+    bool exists = stat(output->path, &old) == 0;
+    if (!exists && (errno != ENOENT || !output->old_mode))
         return errno == ENOENT ? 0 : errno;
     if (fstat(fd, &new) != 0)
         return errno;
     mode_t mode = old.st_mode & 0777;
-    bool has_group = keep_owner(fd, &old, &new), has_list = keep_access_list(fd, path);
+    bool has_group = exists && keep_owner(fd, &old, &new);
+    bool has_list = exists && keep_access_list(fd, output->path);
     if (!has_group || !has_list)
         mode &= ~(mode_t)S_IRWXG | (mode & S_IRWXO) << 3;
     if (fchmod(fd, mode) != 0 && errno != EPERM && errno != EOPNOTSUPP)

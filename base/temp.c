@@ -1,7 +1,7 @@
 /* temp.c - names of temporary files, and the locks that show whether their owner lives.
  *
- * Files are created with open(2) and mode 0666, not by mkstemp(3). So the umask and the directory's
- * access list give them the permissions of a plain new file. */
+ * Files are created with open(2), not by mkstemp(3). So the umask and the directory's access list
+ * give an output that replaces no file the permissions of a plain new file. */
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>

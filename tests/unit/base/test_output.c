@@ -17,6 +17,7 @@
 #include <cmocka.h>
 
 #include "base/output.h"
+#include "base/output_internal.h"
 #include "base/temp_internal.h"
 
 static char directory[] = "/tmp/bisque-test-output.XXXXXX";
@@ -193,6 +194,35 @@ static void test_mode_is_kept(void **state)
     assert_int_equal(chmod("out", 0600), 0);
     assert_int_equal(bsq_output_commit(output), 0);
     assert_mode("out", 0600);
+    unlink("out");
+}
+
+static mode_t mode_now(struct bsq_output *output)
+{
+    struct bsq_ctx *ctx = output->ctx;
+    struct bsq_file file;
+    struct stat info;
+    assert_int_equal(bsq_output_read(output, &file), 0);
+    assert_int_equal(fstat(file.fd, &info), 0);
+    bsq_file_close(ctx, &file);
+    return info.st_mode & 07777;
+}
+
+/* Before the new file has the old one's group, its group is another one. */
+static void test_private_until_it_is_complete(void **state)
+{
+    put("out", "old");
+    assert_int_equal(chmod("out", 0644), 0);
+    struct bsq_output *output = start(*state, "out");
+    assert_int_equal(mode_now(output), 0600);
+    assert_int_equal(bsq_output_commit(output), 0);
+    assert_mode("out", 0644);
+    /* The old file is removed meanwhile, and nobody knows its group. */
+    assert_int_equal(chmod("out", 0664), 0);
+    output = start(*state, "out");
+    unlink("out");
+    assert_int_equal(bsq_output_commit(output), 0);
+    assert_mode("out", 0644);
     unlink("out");
 }
 
@@ -419,6 +449,7 @@ int main(void)
         TEST(test_loops_of_links),
         TEST(test_links_to_files_without_a_name),
         TEST(test_mode_is_kept),
+        TEST(test_private_until_it_is_complete),
         TEST(test_owner_is_kept),
         TEST(test_rights_without_the_group),
         TEST(test_access_list_is_kept),
