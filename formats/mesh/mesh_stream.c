@@ -151,6 +151,10 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
             job->cut = slot->part;
             return status;
         }
+        /* No part of an empty file passes, so nothing else closes it. */
+        status = job->cut.end == 0 ? close_source(reader, source) : 0;
+        if (status != 0)
+            return status;
         job->cut = (struct stream_part){.source = job->cut.source + 1};
     }
     return 0;

@@ -261,10 +261,19 @@ static uint64_t count_lines(struct cutter *c, uint64_t *size)
     return items;
 }
 
+/* Begins the part after the loaded bytes, which are blank: any number of them needs no memory. */
+static void skip_blank(struct cutter *c)
+{
+    c->part->offset += c->have;
+    c->part->first_line += c->part->lines;
+    c->part->lines = 0;
+    c->have = 0;
+}
+
 static int cut_text(struct cutter *c)
 {
     uint64_t size, items, wanted = STREAM_PART_BYTES;
-    for (;; wanted *= 2) {
+    for (;;) {
         int status = load(c, wanted);
         if (status)
             return status;
@@ -273,6 +282,10 @@ static int cut_text(struct cutter *c)
             break;
         if ((status = bsq_check(c->ctx)))
             return status;
+        if (has_text((const char *)c->slot->bytes, (const char *)c->slot->bytes + c->have))
+            wanted *= 2;
+        else
+            skip_blank(c);
     }
     return items > 0 ? take(c, items, size) : fail_truncated(c);
 }

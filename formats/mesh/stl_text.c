@@ -1,7 +1,8 @@
 /* stl_text.c - STL files in text: any number of solids, words in any case and on any line.
  *
- * Only "vertex" and the ends of loops matter. Files are cut after a line that begins with
- * "endfacet". */
+ * Only "vertex" and the ends of loops matter. The name of a solid ends with its line, or before
+ * "facet normal", because some files are one line. Files are cut after a line that begins with
+ * "endfacet", or between "endfacet" and "facet normal". */
 #include <math.h>
 #include <strings.h>
 
@@ -18,11 +19,43 @@ static bool is_line_end(uint8_t c)
     return c == '\n' || c == '\r';
 }
 
-/* Returns whether "endfacet" begins a line at `at`. */
-static bool is_end_of_facet(const uint8_t *text, uint64_t at)
+/* Returns the position of the first character from `at` on that is no blank, at most `size`. */
+static uint64_t skip_blanks(const uint8_t *text, uint64_t at, uint64_t size)
 {
-    if ((text[at] | 32) != 'e' || strncasecmp((const char *)text + at, "endfacet", 8) != 0)
+    while (at < size && text[at] <= ' ' && text[at] != '\0')
+        at++;
+    return at;
+}
+
+static bool is_number(const uint8_t *text, uint64_t size)
+{
+    static const char first[13] = "+-.0123456789";
+    return size >= 3 && (memchr(first, text[0], sizeof first) ||
+                         strncasecmp((const char *)text, "nan", 3) == 0 ||
+                         strncasecmp((const char *)text, "inf", 3) == 0);
+}
+
+/* Returns whether the `size` bytes have "facet normal" and a number at `at`. */
+static bool is_facet_normal(const uint8_t *text, uint64_t at, uint64_t size)
+{
+    if (size - at < 5 || strncasecmp((const char *)text + at, "facet", 5) != 0)
         return false;
+    const uint64_t normal = skip_blanks(text, at + 5, size);
+    if (normal == at + 5 || size - normal < 6 ||
+        strncasecmp((const char *)text + normal, "normal", 6) != 0)
+        return false;
+    const uint64_t number = skip_blanks(text, normal + 6, size);
+    return number > normal + 6 && is_number(text + number, size - number);
+}
+
+/* Returns whether a facet ends with the word "endfacet" at `at`, which ends before a blank. */
+static bool is_end_of_facet(const uint8_t *text, uint64_t at, uint64_t size)
+{
+    if ((text[at] | 32) != 'e' || strncasecmp((const char *)text + at, "endfacet", 8) != 0 ||
+        (at > 0 && text[at - 1] > ' '))
+        return false;
+    if (is_facet_normal(text, skip_blanks(text, at + 8, size), size))
+        return true;
     while (at > 0 && (text[at - 1] == ' ' || text[at - 1] == '\t'))
         at--;
     return at == 0 || is_line_end(text[at - 1]);
@@ -32,7 +65,7 @@ static bool is_end_of_facet(const uint8_t *text, uint64_t at)
 static uint64_t find_cut(const uint8_t *text, uint64_t size)
 {
     for (uint64_t at = size; at >= 9; at--)
-        if (text[at - 1] <= ' ' && is_end_of_facet(text, at - 9))
+        if (text[at - 1] <= ' ' && is_end_of_facet(text, at - 9, size))
             return at - 1;
     return 0;
 }
@@ -50,17 +83,24 @@ int fmt_stl_cut_text(struct stream_reader *reader, const struct stream_part *bef
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     struct stream_part *part = &slot->part;
-    uint64_t have = 0, size = 0;
+    uint64_t have = 0, size = 0, wanted = STREAM_PART_BYTES;
     bool at_file_end = false;
     part->offset = before->end;
     part->first_line = before->end == 0 ? 1 : before->first_line + before->lines;
-    for (uint64_t wanted = STREAM_PART_BYTES; size == 0; wanted *= 2) {
+    while (size == 0) {
         int status = fmt_stream_extend(reader, slot, have, wanted, &have, &at_file_end);
         if (!status)
             status = bsq_check(ctx);
         if (status || (have == 0 && at_file_end))
             return status;
         size = at_file_end ? have : find_cut(slot->bytes, have);
+        if (size == 0 && skip_blanks(slot->bytes, 0, have) < have) {
+            wanted *= 2;
+        } else if (size == 0) { /* any number of blanks needs no memory */
+            part->offset += have;
+            part->first_line += count_lines(slot->bytes, have);
+            have = 0;
+        }
     }
     part->size = size;
     part->end = part->offset + size;
@@ -169,12 +209,17 @@ static bool finish_loop(struct text *t)
     return a->face_count++ != t->slot->last_face;
 }
 
-/* Skips the name of a solid: the rest of the line. */
+/* Skips the name of a solid: the rest of the line, or what comes before "facet normal". */
 static bool skip_name(struct text *t, int solids)
 {
+    const uint8_t *text = (const uint8_t *)t->at;
+    const uint64_t size = (uint64_t)(t->end - t->at);
+    uint64_t at = 0;
     t->slot->balance += solids;
-    while (t->at < t->end && !is_line_end((uint8_t)*t->at))
-        t->at++;
+    while (at < size && !is_line_end(text[at]) &&
+           !(text[at] <= ' ' && is_facet_normal(text, at + 1, size)))
+        at++;
+    t->at += at;
     return true;
 }
 

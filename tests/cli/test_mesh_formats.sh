@@ -53,6 +53,21 @@ compare --colors --normals --uvs --shuffle 1
 compare --corners 6 --colors
 compare --offset 500000,4000000,300
 
+# More files than descriptors, most of them without a triangle.
+head -c 84 /dev/zero >none.stl
+printf '' >none.obj
+for suffix in stl obj; do
+    many='' i=0
+    while [ $i -lt 200 ]; do
+        many="$many none.$suffix" i=$((i + 1))
+    done
+    command="bisque-voxelize with 200 empty files and scan.$suffix" code=0
+    # shellcheck disable=SC2086 # names without spaces
+    (ulimit -n 60 && exec "$BIN/bisque-voxelize" $many "scan.$suffix" -o many.nvdb \
+        --resolution 100 --threads 2) >"$out" 2>"$err" || code=$?
+    code 0
+done
+
 # Files that other programs wrote.
 for kind in plain colors faces linear twice; do
     run bisque-voxelize "$top/tests/meshes/$kind.obj" -o "$kind.nvdb" --voxel-size 0.02

@@ -360,6 +360,34 @@ static void test_long_strip(void **state)
     }
 }
 
+/* Blank lines between elements take no memory, however many they are. */
+static void test_blank_lines(void **state)
+{
+    (void)state;
+    enum { BLANK_LINES = 4 << 20 };
+    static const char start[] = "ply\nformat ascii 1.0\nelement vertex 3\n" XYZ
+                                "element face 1\nproperty list uchar int vertex_indices\n"
+                                "end_header\n0 0 0\n1 0 0\n";
+    struct obj_fixture f;
+    char *text = malloc(BLANK_LINES + 1000);
+    assert_non_null(text);
+    size_t size = (size_t)sprintf(text, "%s", start);
+    memset(text + size, '\n', BLANK_LINES / 2);
+    memset(text + size + BLANK_LINES / 2, ' ', BLANK_LINES / 2);
+    size += BLANK_LINES;
+    size += (size_t)sprintf(text + size, "0 1 0\n\n3 0 1 2\n");
+    const char *path = scratch_bytes("blank.ply", text, size);
+    obj_read_files(&f, 2, 1, &path);
+    assert_int_equal(f.status, 0);
+    assert_int_equal(f.scan.totals.vertices, 3);
+    assert_int_equal(f.scan.totals.bytes, size);
+    obj_assert_corners(&f, 0, 3, 0, 1, 2);
+    assert_int_equal(obj_line_of_face(&f, 0), 14 + BLANK_LINES / 2);
+    assert_true(bsq_memory_high(f.ctx) < BLANK_LINES / 2);
+    obj_close(&f);
+    free(text);
+}
+
 /* ---- files ---- */
 
 /* Unknown elements and lists are skipped; faces may come before vertices. */
@@ -533,6 +561,7 @@ int main(void)
         cmocka_unit_test(test_texcoords_of_vertices_and_corners),
         cmocka_unit_test(test_materials_of_strips),
         cmocka_unit_test(test_long_strip),
+        cmocka_unit_test(test_blank_lines),
         cmocka_unit_test(test_order_and_unknown),
         cmocka_unit_test(test_line_ends),
         cmocka_unit_test(test_body_that_begins_with_a_line_end),

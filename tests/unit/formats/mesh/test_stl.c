@@ -137,6 +137,54 @@ static void test_large(void **state)
     free(binary);
 }
 
+/* Statements may share one line, also that of the name. Such a text is cut like any other. */
+static void test_one_line(void **state)
+{
+    (void)state;
+    enum { TRIANGLES = 20000 };
+    static const char *const starts[] = {"solid facet normal endfacet facet ", "solid\n", "solid "};
+    char *text = malloc(TRIANGLES * 160 + 100);
+    assert_non_null(text);
+    for (int n = 0; n < 3; n++) {
+        struct obj_fixture f;
+        size_t size = (size_t)sprintf(text, "%s", starts[n]);
+        for (int i = 0; i < TRIANGLES; i++)
+            size += (size_t)sprintf(text + size,
+                                    "facet  normal 0 0 1 outer loop vertex %d 0 0 vertex %d 0 0 "
+                                    "vertex %d 1 0 endloop endfacet\t",
+                                    i, i + 1, i);
+        size += (size_t)sprintf(text + size, "endsolid one endfacet");
+        read_bytes(&f, text, size);
+        assert_int_equal(f.scan.totals.faces, TRIANGLES);
+        assert_true(f.scan.blocks > 2);
+        assert_int_equal(obj_line_of_face(&f, 15000), n == 1 ? 2 : 1);
+        obj_close(&f);
+    }
+    free(text);
+}
+
+/* Blank lines between facets take no memory, however many they are. */
+static void test_blank_lines(void **state)
+{
+    (void)state;
+    enum { BLANK_LINES = 4 << 20 };
+    static const char facet[] = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"
+                                "vertex 0 1 0\nendloop\nendfacet";
+    struct obj_fixture f;
+    char *text = malloc(BLANK_LINES + 1000);
+    assert_non_null(text);
+    size_t size = (size_t)sprintf(text, "solid\n%s", facet);
+    memset(text + size, '\n', BLANK_LINES);
+    size += BLANK_LINES;
+    size += (size_t)sprintf(text + size, "%s\nendsolid\n", facet);
+    read_bytes(&f, text, size);
+    assert_int_equal(f.scan.totals.faces, 2);
+    assert_int_equal(obj_line_of_face(&f, 1), 8 + BLANK_LINES);
+    assert_true(bsq_memory_high(f.ctx) < BLANK_LINES);
+    obj_close(&f);
+    free(text);
+}
+
 static void assert_color(const struct obj_fixture *f, uint64_t corner, float r, float g, float b)
 {
     const float *color = f->scan.colors[f->scan.corners[0][corner]];
@@ -279,7 +327,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_binary),        cmocka_unit_test(test_text),
-        cmocka_unit_test(test_large),         cmocka_unit_test(test_viscam_colors),
+        cmocka_unit_test(test_large),         cmocka_unit_test(test_one_line),
+        cmocka_unit_test(test_blank_lines),   cmocka_unit_test(test_viscam_colors),
         cmocka_unit_test(test_magics_colors), cmocka_unit_test(test_wrong_text),
         cmocka_unit_test(test_wrong_binary),  cmocka_unit_test(test_every_length),
         cmocka_unit_test(test_warnings),
