@@ -41,6 +41,7 @@ start()
     cp -a "$folder/base" "$folder/$1"
     cp -L /etc/resolv.conf "$folder/$1/etc/resolv.conf"
     mount -t proc proc "$folder/$1/proc"
+    mount --bind -o ro /sys "$folder/$1/sys"
     mount -t devpts -o newinstance,ptmxmode=0666 devpts "$folder/$1/dev/pts"
     mount -t tmpfs tmpfs "$folder/$1/dev/shm"
     # Both systems need the same packages.
@@ -116,7 +117,7 @@ inside clean root 'apt-get purge -y -qq bisque libbisque-dev >/dev/null
     find / -xdev -name "*bisque*" ! -path "/root/*" ! -path "/home/*" ! -path "/var/cache/apt/*" >>left
     [ ! -s left ] || { echo "left behind:"; cat left; exit 1; }'
 for system in build clean; do
-    umount "$folder/$system"/{proc,dev/pts,dev/shm,var/cache/apt/archives}
+    umount "$folder/$system"/{proc,sys,dev/pts,dev/shm,var/cache/apt/archives}
 done
 [ -z "$made" ] || rm -rf --one-file-system "$folder"
 echo "check-debian12: ok"
