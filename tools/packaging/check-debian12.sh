@@ -3,7 +3,7 @@
 #
 # 1. makes a minimal Debian 12 with debootstrap and adds git and make;
 # 2. clones the last commit there, runs `make deps` as root, and `make check` and `make deb` as an
-#    ordinary user; runs lintian on the packages;
+#    ordinary user; builds the packages twice, compares them, and runs lintian on them;
 # 3. installs the packages in a second fresh Debian 12; an ordinary user voxelizes and bakes a small
 #    scan there, and compiles the examples; removing the packages must leave no file.
 #
@@ -74,6 +74,9 @@ inside build root 'make -s -C /home/builder/bisque deps-deb &&
 inside build builder 'make -C bisque deb >deb.log 2>&1 || { tail -n 50 deb.log; exit 1; }
     make -s -C bisque build/release/tests/generate-scan
     ls -l bisque/build/deb/*.deb'
+step "the same packages from another build"
+inside build builder 'bisque/tools/packaging/make-deb.sh bisque/build/dist/bisque-*.tar.gz again >deb.log 2>&1
+    for package in again/*.deb; do cmp "$package" "bisque/build/deb/$(basename "$package")"; done'
 step "lintian"
 inside build builder 'lintian --display-info --pedantic --fail-on error,warning,info,pedantic \
     bisque/build/deb/*.changes'
