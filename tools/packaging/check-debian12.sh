@@ -14,6 +14,7 @@ set -eu
 # Mounts are private, and they and all processes end with this script.
 [ -n "${BISQUE_PRIVATE_MOUNTS-}" ] ||
     BISQUE_PRIVATE_MOUNTS=1 exec unshare --mount --pid --fork --kill-child "$0" "$@"
+trap 'exit 130' INT TERM # the first process of a namespace ignores them otherwise
 top=$(cd "$(dirname "$0")/../.." && pwd)
 tests=yes
 [ "${1-}" != --no-tests ] || { tests='' && shift; }
