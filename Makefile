@@ -67,7 +67,7 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 # the version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb gltf
 src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pyramid.cc held_input.cc \
-    texture_formats.cc png_rows.c)
+    texture_formats.cc png_rows.c) formats/exr_header.c
 src.gltf     := formats/mesh/gltf_decode.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)

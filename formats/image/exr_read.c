@@ -11,6 +11,7 @@
 
 #include "base/file.h"
 #include "base/parallel.h"
+#include "formats/exr_header.h"
 #include "formats/image/exr_internal.h"
 
 enum { UNPACKING_BYTES = 64 << 10 }; /* zlib needs at least this memory to unpack */
@@ -56,6 +57,25 @@ static int64_t file_size(exr_const_context_t file, void *user)
 }
 
 /* ---- header ---- */
+
+static uint64_t read_header(void *arg, uint64_t offset, void *to, uint64_t size)
+{
+    struct reader *reader = arg;
+    uint64_t got;
+    fmt_exr_set_status(&reader->stream, bsq_file_read_some(reader->stream.ctx, &reader->input, to,
+                                                           size, offset, &got));
+    return got;
+}
+
+/* Checks what OpenEXR would take much time and memory for. */
+static int check_header(struct reader *reader)
+{
+    const char *excess = fmt_exr_header_excess(read_header, reader);
+    int status = atomic_load(&reader->stream.status);
+    if (status == 0 && excess)
+        status = bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, excess);
+    return status;
+}
 
 static int refuse(const struct reader *reader, const char *why)
 {
@@ -312,8 +332,10 @@ static int read_image(struct reader *reader)
     init.read_fn = read_bytes;
     init.size_fn = file_size;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
-    int status =
-        fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init));
+    int status = check_header(reader);
+    if (status == 0)
+        status = fmt_exr_status(&reader->stream,
+                                exr_start_read(&reader->file, reader->stream.path, &init));
     if (status == 0)
         status = read_layout(reader);
     if (status == 0)

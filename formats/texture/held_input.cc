@@ -110,6 +110,9 @@ int HeldImage::probe_file(const struct bsq_file &file)
     if (!failure && !(kind = find_image_kind(found)))
         failure = host->fail(ctx, BSQ_EDATA, "%s: not a readable image: it is no %s", path.c_str(),
                              image_kinds_text);
+    const char *excess = !failure && kind->excess ? kind->excess(found) : nullptr;
+    if (excess)
+        failure = host->fail(ctx, BSQ_EDATA, "%s: not a readable image: %s", path.c_str(), excess);
     if (!failure && kind->whole)
         whole = kind->whole(found);
     return failure;

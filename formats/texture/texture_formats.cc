@@ -4,6 +4,8 @@
 // were measured with OpenImageIO 2.4.7 (docs/decisions/0031).
 #include "formats/texture/texture_formats.h"
 
+#include "formats/exr_header.h"
+
 #include <algorithm>
 #include <cstring>
 
@@ -202,6 +204,19 @@ bool is_exr(const Probe &probe)
     return begins(probe, "\x76\x2f\x31\x01");
 }
 
+uint64_t read_exr_header(void *arg, uint64_t offset, void *to, uint64_t size)
+{
+    const Probe &probe = *static_cast<const Probe *>(arg);
+    uint64_t got = 0;
+    probe.host->file_read_some(probe.ctx, probe.file, to, size, offset, &got);
+    return got;
+}
+
+const char *exr_excess(const Probe &probe)
+{
+    return fmt_exr_header_excess(read_exr_header, const_cast<Probe *>(&probe));
+}
+
 bool is_bmp(const Probe &probe)
 {
     return begins(probe, "BM");
@@ -275,16 +290,16 @@ Whole targa_whole(const Probe &probe)
 
 // The last row matches loosely.
 const ImageKind kinds[] = {
-    {"png", "PNG", is_png, png_whole},
-    {"jpeg", "JPEG", is_jpeg, jpeg_whole},
-    {"tiff", "TIFF", is_tiff, nullptr},
-    {"openexr", "OpenEXR", is_exr, nullptr},
-    {"jpeg2000", "JPEG 2000", is_jpeg2000, jpeg2000_whole},
-    {"webp", "WebP", is_webp, webp_whole},
-    {"bmp", "BMP", is_bmp, bmp_whole},
-    {"hdr", "Radiance HDR", is_hdr, nullptr},
-    {"pnm", "PNM", is_pnm, pnm_whole},
-    {"targa", "TGA", is_targa, targa_whole},
+    {"png", "PNG", is_png, png_whole, nullptr},
+    {"jpeg", "JPEG", is_jpeg, jpeg_whole, nullptr},
+    {"tiff", "TIFF", is_tiff, nullptr, nullptr},
+    {"openexr", "OpenEXR", is_exr, nullptr, exr_excess},
+    {"jpeg2000", "JPEG 2000", is_jpeg2000, jpeg2000_whole, nullptr},
+    {"webp", "WebP", is_webp, webp_whole, nullptr},
+    {"bmp", "BMP", is_bmp, bmp_whole, nullptr},
+    {"hdr", "Radiance HDR", is_hdr, nullptr, nullptr},
+    {"pnm", "PNM", is_pnm, pnm_whole, nullptr},
+    {"targa", "TGA", is_targa, targa_whole, nullptr},
 };
 
 } // namespace

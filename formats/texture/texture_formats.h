@@ -31,6 +31,8 @@ struct ImageKind {
     const char *name;   // for messages
     bool (*recognise)(const Probe &probe);
     Whole (*whole)(const Probe &probe); // from the file's header; NULL: always by rows or tiles
+    const char *(*excess)(
+        const Probe &probe); // what is too much in the header, or NULL; may be NULL
 };
 
 // All formats, for messages.

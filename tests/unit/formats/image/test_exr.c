@@ -453,6 +453,62 @@ static void test_a_table_of_blocks_is_held_against_the_file(void **state)
     test_context_end(ctx);
 }
 
+/* Writes the header of a file of 1 x 1 texels with very much in it. */
+static void write_excess(unsigned channels, unsigned integers, unsigned bytes)
+{
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    const uint32_t magic[2] = {20000630, 2};
+    const uint32_t channel[4] = {1, 0, 1, 1}, list = 25 * channels + 1, one = 4;
+    fwrite(magic, 4, 2, file);
+    for (unsigned i = 0; i < integers; i++) {
+        fprintf(file, "a%07x%cint%c", i, 0, 0);
+        fwrite(&one, 4, 1, file);
+        fwrite(&i, 4, 1, file);
+    }
+    fprintf(file, "big%cstring%c", 0, 0);
+    fwrite(&bytes, 4, 1, file);
+    for (unsigned i = 0; i < bytes; i++)
+        fputc('x', file);
+    fprintf(file, "channels%cchlist%c", 0, 0);
+    fwrite(&list, 4, 1, file);
+    for (unsigned i = 0; i < channels; i++) {
+        fprintf(file, "c%07x%c", i, 0);
+        fwrite(channel, 4, 4, file);
+    }
+    fputc(0, file);
+    fputc(0, file);
+    assert_int_equal(fclose(file), 0);
+}
+
+/* OpenEXR takes minutes to sort very many channels, and memory that nobody counted. */
+static void test_excessive_headers(void **state)
+{
+    (void)state;
+    static const struct {
+        unsigned channels, integers, bytes;
+        const char *message;
+    } cases[] = {{16385, 0, 0, "the header has more than 16384 channels"},
+                 {3, 5000, 0, "the header has more than 4096 attributes"},
+                 {3, 0, 1 << 20, "the header has more than 1 MiB"},
+                 {16384, 4000, 1000, NULL}};
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct fmt_exr_image image;
+        write_excess(cases[i].channels, cases[i].integers, cases[i].bytes);
+        int status = fmt_exr_read(ctx, path, &image);
+        if (cases[i].message) {
+            assert_int_equal(status, BSQ_EDATA);
+            assert_non_null(strstr(bsq_error(ctx), cases[i].message));
+        } else { /* its header passes, the budget is too small for its image */
+            assert_int_equal(status, BSQ_ENOMEM);
+        }
+        bsq_clear_error(ctx);
+        bsq_forget_files(ctx);
+    }
+    test_context_end(ctx);
+}
+
 static void test_nothing_is_left_of_a_discarded_file(void **state)
 {
     (void)state;
@@ -491,6 +547,7 @@ int main(void)
         cmocka_unit_test(test_bytes_do_not_depend_on_threads),
         cmocka_unit_test(test_reads_tiles_of_other_writers),
         cmocka_unit_test(test_truncated_files_are_refused),
+        cmocka_unit_test(test_excessive_headers),
         cmocka_unit_test(test_flipped_bytes_do_no_harm),
         cmocka_unit_test(test_sizes_are_held_against_the_budget),
         cmocka_unit_test(test_a_table_of_blocks_is_held_against_the_file),

@@ -378,6 +378,21 @@ static void test_other_formats_are_refused(void **state)
     expect_refusal("http://127.0.0.1:9/a.png", BSQ_ENOINPUT, "No such file or directory");
 }
 
+/* OpenImageIO takes minutes for a header of very many attributes. */
+static void test_excessive_exr_header(void **state)
+{
+    (void)state;
+    enum { ATTRIBUTES = 4097, EACH = 18 };
+    static char bytes[8 + ATTRIBUTES * EACH] = "\x76\x2f\x31\x01\x02";
+    for (unsigned i = 0; i < ATTRIBUTES; i++) {
+        char *to = bytes + 8 + (size_t)i * EACH;
+        snprintf(to, EACH, "a%04x", i);
+        memcpy(to + 6, "int\0\4", 6);
+    }
+    expect_refusal(scratch_bytes("many.exr", bytes, sizeof bytes), BSQ_EDATA,
+                   "not a readable image: the header has more than 4096 attributes");
+}
+
 /* Headers of images of 30000 x 30000 texels, which decoders would hold whole. */
 static void test_whole_images_beyond_the_budget(void **state)
 {
@@ -573,6 +588,7 @@ int main(void)
         cmocka_unit_test(test_bad_files),
         cmocka_unit_test(test_only_regular_files),
         cmocka_unit_test(test_other_formats_are_refused),
+        cmocka_unit_test(test_excessive_exr_header),
         cmocka_unit_test(test_whole_images_beyond_the_budget),
         cmocka_unit_test(test_interlaced),
         cmocka_unit_test(test_sixteen_bits_of_linear_light),
