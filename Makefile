@@ -421,7 +421,7 @@ packages := $(packages_build) $(packages_test)
 packages_fuzz := clang libclang-rt-14-dev
 packages_lint := cppcheck clang-tidy clang-format
 packages_doc  := doxygen
-packages_deb  := debhelper dpkg-dev clang
+packages_deb  := build-essential debhelper dpkg-dev clang
 jobs ?= $(shell nproc)
 
 .PHONY: deps deps-lint deps-doc deps-fuzz deps-deb
