@@ -110,6 +110,8 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
         int status = job->next_index == 0 ? open_source(source) : 0;
         if (!status)
             status = fmt_input_reach(source->input, begin + OBJ_BLOCK_BYTES + 1, &size);
+        if (!status && size == 0) /* no block of an empty file passes, so nothing else closes it */
+            status = close_source(source);
         if (status)
             return status;
         if (size == 0)
