@@ -114,9 +114,8 @@ static int commit(const struct vox_sort_options *options, struct fmt_tris_writer
                   struct vox_sort_report *report)
 {
     if (options->temp_tris) {
-        int status = options->keeps_tris
-                         ? fmt_tris_commit_open(writer, &options->temp_tris->file)
-                         : fmt_tris_keep_temp(writer, &options->temp_tris->file);
+        int status = options->keeps_tris ? fmt_tris_commit_open(writer, &options->temp_tris->file)
+                                         : fmt_tris_keep_temp(writer, &options->temp_tris->file);
         report->tris_bytes = options->temp_tris->file.size;
         return status;
     }

@@ -104,7 +104,8 @@ struct fmt_tris_file;
 /* Opens a file; checks header, materials and chunk table, and all sizes before memory is allocated.
  * Errors: BSQ_ENOINPUT; BSQ_EDATA naming what is wrong, and the version if it is unknown. */
 int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out);
-/* Opens a file of fmt_tris_commit_open() or fmt_tris_keep_temp(); the caller may close *temp at any time after that. */
+/* Opens a file of fmt_tris_commit_open() or fmt_tris_keep_temp(); the caller may close *temp at any
+ * time after that. */
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
 void fmt_tris_close(struct fmt_tris_file *file);

@@ -445,20 +445,13 @@ static void test_reading_before_the_commit(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(test_dangling_links_are_followed),
-        TEST(test_loops_of_links),
-        TEST(test_links_to_files_without_a_name),
-        TEST(test_mode_is_kept),
-        TEST(test_private_until_it_is_complete),
-        TEST(test_owner_is_kept),
-        TEST(test_rights_without_the_group),
-        TEST(test_access_list_is_kept),
-        TEST(test_default_access_list),
-        TEST(test_sweep_removes_own_files_only),
-        TEST(test_outputs_have_no_mark),
-        TEST(test_group_appears),
-        TEST(test_group_appears_not_at_all),
-        TEST(test_reading_before_the_commit),
+        TEST(test_dangling_links_are_followed),   TEST(test_loops_of_links),
+        TEST(test_links_to_files_without_a_name), TEST(test_mode_is_kept),
+        TEST(test_private_until_it_is_complete),  TEST(test_owner_is_kept),
+        TEST(test_rights_without_the_group),      TEST(test_access_list_is_kept),
+        TEST(test_default_access_list),           TEST(test_sweep_removes_own_files_only),
+        TEST(test_outputs_have_no_mark),          TEST(test_group_appears),
+        TEST(test_group_appears_not_at_all),      TEST(test_reading_before_the_commit),
     };
     return cmocka_run_group_tests(tests, enter_directory, leave_directory);
 }
