@@ -403,6 +403,22 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 	    tests/ptx/check.sh $(ptx_tools) $(filter-out %-nvcc.ptx,$<) $(nvcc_ptx); \
 	else echo "check-ptx: skipped, NVIDIA's assemblers cannot be installed"; fi
 
+# openjd-cli in a virtual environment of the tests.
+farm_venv := build/farm-venv
+.PHONY: check-farm
+## check-farm: bake in tasks on a Slurm cluster on this machine, and with openjd (installs both)
+check-farm: tests-build
+	@tests/install-packages.sh slurm-wlm python3-venv
+	@[ -x $(farm_venv)/bin/openjd ] || { python3 -m venv $(farm_venv) && \
+	    $(farm_venv)/bin/pip install -q openjd-cli==0.8.0; }
+	@OPENJD=$(farm_venv)/bin/openjd BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
+	    tests/farm/check_openjd.sh tests/farm/check_slurm.sh
+
+.PHONY: bench-farm
+## bench-farm: processor time of bakes in 1 to 64 tasks beside that of a single run
+bench-farm: all $(generator)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
+
 ## check-long: check, and many more rounds of the tests of chance
 .PHONY: check-long
 check-long: check
@@ -600,14 +616,17 @@ arcdir = $(DESTDIR)$(libdir)
 moddir = $(DESTDIR)$(prefix)/lib/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
+farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
 
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
-	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) \
+	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir) \
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
+	install -m 755 tools/farm/bisque-slurm $(farmdir)
+	install -m 644 $(filter-out %/bisque-slurm,$(wildcard tools/farm/*)) $(farmdir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helper) $(moddir)
 	install -m 644 $(archives) $(arcdir)
@@ -624,7 +643,8 @@ install: all
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(addprefix $(arcdir)/,$(notdir $(archives))) $(arcdir)/pkgconfig/bisque-*.pc
-	rm -rf $(incdir) $(moddir)
+	rm -rf $(incdir) $(moddir) $(farmdir)
+	-rmdir $(dir $(farmdir)) 2>/dev/null
 
 # ---- packages of Bisque ----
 dist := build/dist/bisque-$(VERSION).tar.gz

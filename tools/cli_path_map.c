@@ -33,9 +33,11 @@ static int add_rules(struct cli *cli, const json_t *root)
     const char *version = json_string_value(json_object_get(root, "version"));
     const json_t *rules = json_object_get(root, "path_mapping_rules");
     int status = 0;
+    /* Open Job Description gives an empty object if there are no rules. */
+    if (json_is_object(root) && json_object_size(root) == 0)
+        return 0;
     if (!version || strcmp(version, "pathmapping-1.0") != 0)
         return fail_rules(cli, "another version");
-    /* Open Job Description leaves the rules out if there are none. */
     if (rules && !json_is_array(rules))
         return fail_rules(cli, "path_mapping_rules is no list");
     for (size_t i = 0; i < json_array_size(rules) && status == 0; i++)

@@ -66,7 +66,7 @@ int bake_farm_check_inputs(const struct bake_farm_plan *plan);
 
 /* Computes a checksum of a file: of all of it up to BAKE_FARM_WHOLE bytes, else of samples. */
 int bake_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t hash[2]);
-#define BAKE_FARM_WHOLE (UINT64_C(256) << 20)
+#define BAKE_FARM_WHOLE (UINT64_C(64) << 20)
 
 /* Writes the plan file, computes its id, and sets *kept if the same plan was there already. Errors:
  * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */

@@ -12,7 +12,7 @@
 #include "base/job_files.h"
 #include "libbake/farm/farm.h"
 
-enum { BUFFER = 1 << 20, PIECE = 64 << 10, PIECES = 512 };
+enum { BUFFER = 1 << 20, PIECE = 16 << 10, PIECES = 512 };
 
 /* Adds bytes of a file to a checksum. buffer: BUFFER bytes. */
 static int add_bytes(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t begin, uint64_t end,

@@ -263,9 +263,11 @@ for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1
     code 65
     err_like "^$p bad\.json: no rules of pathmapping-1\.0: "
 done
-echo '{"version": "pathmapping-1.0"}' >bad.json # there are none
-$bake --plan farm/plan.json --task 0 --path-map bad.json
-code 0
+for none in '{"version": "pathmapping-1.0"}' '{}'; do
+    echo "$none" >none.json
+    $bake --plan farm/plan.json --task 0 --path-map none.json
+    code 0
+done
 
 # ---- progress ----
 
@@ -320,8 +322,38 @@ for tasks in 0 65537 x; do
     $bake scan.nvdb low.obj -o x.exr --tasks $tasks --write-plan p.json
     code 64
 done
-$bake --plan none.json --task 0
+$bake --plan missing.json --task 0
 code 66
+
+# ---- Slurm: what would be submitted; tests/farm/ submits it ----
+
+slurm=$top/tools/farm/bisque-slurm
+command="bisque-slurm bake --dry-run" code=0
+"$slurm" bake --dry-run --tasks 9 --at-most 4 --gpu --partition fast -- "a scan.nvdb" low.obj -o "o'<MAP>.exr" \
+    >"$out" 2>"$err" || code=$?
+code 0
+[ "$(grep -c '^sbatch ' "$out")" -eq 3 ]
+check "three jobs" $?
+for line in "'--array=0-8%4' '--gres=gpu:1'" "'--dependency=afterok:<bisque-plan>' '--kill-on-invalid-dep=yes'" \
+    "'--dependency=afterok:<bisque-task>' '--kill-on-invalid-dep=yes'" "'--output=logs/%A_%a.log'" "'--partition=fast'" \
+    "'a scan.nvdb' 'low.obj' '-o' 'o'\\\\''<MAP>.exr' '--tasks' '9'"; do
+    grep -qF -- "$(printf '%b' "$line")" "$out"
+    check "submitted: $line" $?
+done
+printf 'a.obj\tl.obj\to_<MAP>.exr\n' >list
+command="bisque-slurm assets --dry-run" code=0
+"$slurm" assets --dry-run list -- --maps normal >"$out" 2>"$err" || code=$?
+code 0
+[ "$(grep -c "'--array=0-0'" "$out")" -eq 2 ] && grep -qF "'--dependency=aftercorr:<bisque-grid>'" "$out"
+check "two arrays, task by task" $?
+for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --tasks 2000 -- a b -o c" "bake --what" assets "render"; do
+    command="bisque-slurm $bad" code=0
+    # shellcheck disable=SC2086 # $bad is several words
+    "$slurm" $bad >"$out" 2>"$err" || code=$?
+    code 64
+    err_like '^bisque-slurm: '
+done
+rm list
 
 # ---- killed, interrupted, twice at once ----
 

@@ -26,6 +26,7 @@ make_top install DESTDIR= prefix="$prefix"
 for program in bisque-voxelize bisque-bake bisque-compare; do
     is_there "bin/$program" "share/man/man1/$program.1"
 done
+is_there share/bisque/farm/bisque-slurm share/bisque/farm/asset.openjd.yaml share/bisque/farm/assets.openjd.yaml
 is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so lib/bisque/bisque-devices
 command="tests/lint/symbols.sh" code=0
 "$top/tests/lint/symbols.sh" "$prefix/lib" >"$out" 2>"$err" || code=$?

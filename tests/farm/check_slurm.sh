@@ -1,0 +1,100 @@
+#!/bin/sh
+# check_slurm.sh - bisque-slurm on a real Slurm cluster: a node dies in the middle of a task, another
+# task is requeued, a third runs twice at once; the maps have the bytes of a single run.
+# SECONDS_LIMIT: the longest wait for a job.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/../cli/lib.sh"
+. "$top/tests/farm/slurm_cluster.sh"
+limit=${SECONDS_LIMIT:-240}
+slurm=$top/tools/farm/bisque-slurm
+trap 'stop_cluster; cd / && rm -rf "$work"' EXIT
+
+"$TESTS/generate-scan" --triangles 60000 --colors vase -o scan.obj
+"$TESTS/generate-scan" vase-low -o low.obj
+run bisque-voxelize scan.obj -o scan.nvdb --resolution 300
+code 0
+options="--maps normal,color,height,curvature,ao --size 640 --samples 2 --ao-rays 16 --device cpu"
+run bisque-bake scan.nvdb low.obj -o 'one_<MAP>.exr' $options --preview one.png
+code 0
+
+command=start_cluster code=0
+start_cluster || code=$?
+check "a cluster of four nodes" $code
+[ "$code" -eq 0 ] || { cat "$cluster"/*.log; finish; exit 1; }
+
+# submit OPTION...: runs bisque-slurm.
+submit()
+{
+    command="bisque-slurm $*" code=0
+    "$slurm" "$@" >"$out" 2>"$err" || code=$?
+    code 0
+}
+
+# state ID: the states of a job's tasks, without those of the past.
+jobs_left()
+{
+    squeue -h -o %i 2>/dev/null | wc -l
+}
+completed()
+{
+    scontrol show job "$1" 2>/dev/null | sed -n 's/.*JobState=\([A-Z_]*\).*/\1/p' | sort | uniq -c | tr -s ' '
+}
+
+submit bake --tasks 8 --at-most 4 --cpus 1 --memory 400 --bin "$BIN" -- scan.nvdb low.obj -o 'farm_<MAP>.exr' $options \
+    --preview farm.png
+plan=$(sed -n 's/^bisque-plan: job //p' "$out") task=$(sed -n 's/^bisque-task: job //p' "$out")
+merge=$(sed -n 's/^bisque-merge: job //p' "$out")
+[ -n "$plan" ] && [ -n "$task" ] && [ -n "$merge" ]
+check "the numbers of three jobs are printed" $?
+wait_until "$limit" '[ "$(squeue -h -t R -j "$task" -o %i 2>/dev/null | wc -l)" -ge 2 ]'
+check "tasks run" $?
+
+# The node of one task dies; another task is put back; a third has a double.
+set -- $(squeue -h -t R -j "$task" -o '%N %A %K' | sort | head -n 1)
+lost_node=$1 lost=$3
+lose_node "$lost_node"
+set -- $(squeue -h -t R -j "$task" -o '%N %A %K' | grep -v "^$lost_node " | head -n 1)
+[ -z "${2-}" ] || scontrol requeue "$2"
+"$BIN/bisque-bake" --plan plan.json --task 7 --threads 1 >"$work/double" 2>&1 &
+double=$!
+echo "# node $lost_node lost with task $lost, task ${3-none} requeued, task 7 twice"
+wait $double
+check "the double of task 7" $?
+wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
+check "all jobs end" $?
+for job in $plan $merge; do
+    [ "$(completed "$job")" = " 1 COMPLETED" ]
+    check "job $job is completed" $?
+done
+sed 's/^/# /' logs/*.log | grep -i 'error\|bisque-bake:' | head
+for map in normal color height curvature ao; do
+    same one_$map.exr farm_$map.exr
+done
+same one.png farm.png
+[ "$(grep -c '^Progress: 0%$' logs/"${task}_$lost.log")" -ge 2 ] && grep -q '^Progress: 100%$' logs/"${task}_$lost.log"
+check "the task whose node was lost was started again, in the same log" $?
+[ "$(scontrol show node "$lost_node" | sed -n 's/.*State=\(DOWN\).*/\1/p')" = DOWN ]
+check "the node is known to be down" $?
+start_node "$lost_node"
+
+# ---- many assets ----
+
+for i in 1 2 3; do
+    cp scan.obj asset$i.obj
+    printf 'asset%d.obj\tlow.obj\tasset%d_<MAP>.exr\n' $i $i
+done >list
+submit assets --resolution 64 --cpus 1 --memory 400 --bin "$BIN" list -- --maps normal --size 64 --device cpu
+wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
+run bisque-voxelize asset1.obj --no-tris -o one.nvdb --resolution 64
+run bisque-bake one.nvdb low.obj --maps normal --size 64 --device cpu -o one.exr
+for i in 1 2 3; do
+    same one.exr asset${i}_normal.exr
+done
+
+# A task that cannot succeed ends the jobs that wait for it.
+submit bake --tasks 2 --cpus 1 --memory 400 --bin "$BIN" --plan p2.json -- none.nvdb low.obj -o 'x_<MAP>.exr'
+wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
+check "jobs that depend on a failed one are cancelled" $?
+[ ! -e p2.json ] && [ -z "$(ls | grep '^x_')" ]
+check "and write nothing" $?
+finish
