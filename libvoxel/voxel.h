@@ -4,7 +4,7 @@
  * | function       | reads       | writes                                                   |
  * |----------------|-------------|----------------------------------------------------------|
  * | vox_sort()     | mesh files  | a chunk file, .tris: triangles in spatially sorted chunks |
- * | vox_voxelize() | chunk file  | a grid, .nvdb: sparse surface voxels                     |
+ * | vox_voxelize() | chunk files | a grid, .nvdb: sparse surface voxels                     |
  *
  * Both stay within the context's memory budget. Output bytes are the same for any budget and any
  * number of threads. Each call uses the context's threads; run one call of a context at a time.
@@ -136,7 +136,11 @@ enum vox_grid_type {
 
 /** What vox_voxelize() reads and writes. The caller owns all strings and handles. */
 struct vox_voxelize_options {
-    const char *tris_path;                 /**< Input: a chunk file. */
+    const char *tris_path; /**< Input: a chunk file. */
+    /** NULL, or the chunk files to read as one scan instead of tris_path, in any order. tris_path
+     * is then only used in messages. */
+    const char *const *part_paths;
+    uint32_t part_count;                   /**< Number of part_paths. */
     const struct vox_temp_tris *temp_tris; /**< NULL, or the input to read instead of tris_path. */
     const char *grid_path;                 /**< Output: the grid. */
     uint32_t resolution; /**< Voxels along the longest side, up to VOX_RESOLUTION_MAX. 0: voxel_size

@@ -16,6 +16,7 @@
 static int recognise_inputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
+    uint32_t sorted = 0;
     for (uint32_t i = 0; i < arguments->input_count; i++) {
         enum fmt_kind kind;
         if (fmt_input_is_pipe(arguments->inputs[i])) /* can be read only once */
@@ -29,9 +30,6 @@ static int recognise_inputs(struct voxelize_job *job)
             return bsq_fail(job->cli->ctx, BSQ_EDATA,
                             "%s: already a grid; grids are made from meshes or a chunk file",
                             arguments->inputs[i]);
-        if (arguments->input_count > 1)
-            return cli_usage(job->cli, "%s: a chunk file must be the only input",
-                             arguments->inputs[i]);
         if (arguments->parse_only)
             return cli_usage(job->cli, "%s: --parse-only reads meshes", arguments->inputs[i]);
         if (arguments->texture || arguments->tris || arguments->resume)
@@ -40,8 +38,12 @@ static int recognise_inputs(struct voxelize_job *job)
                              arguments->tris      ? "--tris"
                              : arguments->texture ? "--texture"
                                                   : "--resume");
-        job->sorted_input = true;
+        sorted++;
     }
+    job->sorted_input = sorted > 0;
+    if (sorted > 0 && sorted < arguments->input_count)
+        return cli_usage(job->cli,
+                         "chunk files and meshes cannot be one scan: sort the meshes first");
     return 0;
 }
 
@@ -193,6 +195,8 @@ static int make_grid(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     struct vox_voxelize_options options = {
         .tris_path = job->tris_path,
+        .part_paths = job->sorted_input ? arguments->inputs : NULL,
+        .part_count = job->sorted_input ? arguments->input_count : 0,
         .temp_tris = job->resumed ? NULL : job->temp_tris,
         .grid_path = arguments->output,
         .resolution = (uint32_t)arguments->resolution,

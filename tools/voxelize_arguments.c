@@ -3,7 +3,7 @@
 
 static const char help[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
-    "       bisque-voxelize [OPTION]... SCAN.tris -o SCAN.nvdb\n"
+    "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
     "       bisque-voxelize --verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
     "and colours. Several mesh files are read as one scan. The sorted triangles are kept in a chunk\n"

@@ -108,6 +108,11 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
  * time after that. */
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
+/* Opens files as one scan, whose chunks follow each other. Their order does not matter. Either all
+ * have normals, or none has; of other attributes the scan has those of any file. The origin is that
+ * of the file with most triangles. Errors: those of fmt_tris_open(). */
+int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                        struct fmt_tris_file **out);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
 /* Returns the chunk table: chunk_count entries, owned by the file. */

@@ -68,6 +68,35 @@ struct tris_layout {
     bool short_indices;
 };
 
+/* A file of several that are one scan. */
+struct tris_part {
+    struct fmt_tris_file *file; /* with the descriptor closed */
+    uint64_t first_chunk;       /* numbers over all files */
+    uint32_t first_material;
+    double shift[3]; /* from its origin to the common one */
+};
+
+struct fmt_tris_file {
+    struct bsq_ctx *ctx;
+    struct bsq_file file;
+    struct fmt_tris_header header;
+    struct fmt_tris_chunk_info *chunks;
+    uint8_t *tail; /* materials and table as in the file; freed after opening */
+    char *paths;   /* all texture paths, each with a terminator */
+    uint64_t load_size_max;
+    uint64_t checksum; /* of the header, which has those of all tables */
+    /* Of several files as one scan; then `file` has only a path, that of the first part. */
+    struct tris_part *parts;
+    uint32_t part_count;
+};
+
+/* ---- tris_parts.c ---- */
+
+void fmt_tris_close_parts(struct fmt_tris_file *all);
+uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index);
+int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *scratch,
+                       struct fmt_tris_chunk *out);
+
 /* Report damage of an open file, or of one of its chunks; return BSQ_EDATA. */
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);
 int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);

@@ -14,16 +14,6 @@
 #include <string.h>
 #include <xxhash.h>
 
-struct fmt_tris_file {
-    struct bsq_ctx *ctx;
-    struct bsq_file file;
-    struct fmt_tris_header header;
-    struct fmt_tris_chunk_info *chunks;
-    uint8_t *tail; /* materials and table as in the file; freed after opening */
-    char *paths;   /* all texture paths, each with a terminator */
-    uint64_t load_size_max;
-};
-
 /* ---- opening ---- */
 
 bool fmt_tris_recognise(const char first[8])
@@ -250,6 +240,7 @@ static int open_parts(struct fmt_tris_file *file)
     if ((status = check_header(file, &h)) < 0)
         return status;
     copy_header(&file->header, &h);
+    file->checksum = h.header_checksum;
     if ((status = read_tail(file, &h)) < 0 || (status = parse_materials(file, &h)) < 0 ||
         (status = parse_table(file, &h)) < 0)
         return status;
@@ -299,6 +290,7 @@ void fmt_tris_close(struct fmt_tris_file *file)
     if (!file)
         return;
     struct bsq_ctx *ctx = file->ctx;
+    fmt_tris_close_parts(file);
     bsq_file_close(ctx, &file->file);
     bsq_free(ctx, file->header.materials);
     bsq_free(ctx, file->chunks);
@@ -321,7 +313,8 @@ const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *fi
 
 uint64_t fmt_tris_load_size(const struct fmt_tris_file *file, uint64_t index)
 {
-    return load_size(file->header.attributes, &file->chunks[index]);
+    return file->parts ? fmt_tris_part_load_size(file, index)
+                       : load_size(file->header.attributes, &file->chunks[index]);
 }
 
 uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
@@ -429,6 +422,8 @@ static bool all_zero(const uint8_t *bytes, uint64_t count)
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out)
 {
+    if (file->parts)
+        return fmt_tris_load_part(file, index, scratch, out);
     const struct fmt_tris_chunk_info *info = &file->chunks[index];
     const uint32_t attributes = file->header.attributes;
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);

@@ -247,6 +247,18 @@ static int voxelize(struct bsq_ctx *ctx)
     return voxelize_to(ctx, "out.nvdb");
 }
 
+static int voxelize_parts(struct bsq_ctx *ctx)
+{
+    static const char *const paths[] = {"scan.tris", "scan.tris"};
+    struct vox_voxelize_report report;
+    struct vox_voxelize_options options = {.tris_path = paths[0],
+                                           .part_paths = paths,
+                                           .part_count = 2,
+                                           .grid_path = "out.nvdb",
+                                           .resolution = 40};
+    return vox_voxelize(ctx, &options, &report);
+}
+
 static int verify_tris(struct bsq_ctx *ctx)
 {
     struct fmt_verify_report report;
@@ -383,6 +395,7 @@ TEST(load_mesh, 1)
 TEST(sort, 1)
 TEST(record, 1)
 TEST(voxelize, 1)
+TEST(voxelize_parts, 1)
 TEST(verify_tris, 1)
 TEST(verify_nvdb, 1)
 TEST(bake_grid, 1)
@@ -419,13 +432,13 @@ static int tear_down(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_parse),        cmocka_unit_test(test_load_mesh),
-        cmocka_unit_test(test_sort),         cmocka_unit_test(test_voxelize),
-        cmocka_unit_test(test_verify_tris),  cmocka_unit_test(test_verify_nvdb),
-        cmocka_unit_test(test_bake_grid),    cmocka_unit_test(test_bake_preview),
-        cmocka_unit_test(test_bake_exact),   cmocka_unit_test(test_compare),
-        cmocka_unit_test(test_record),       cmocka_unit_test(test_parse_others),
-        cmocka_unit_test(test_parse_packed),
+        cmocka_unit_test(test_parse),          cmocka_unit_test(test_load_mesh),
+        cmocka_unit_test(test_sort),           cmocka_unit_test(test_voxelize),
+        cmocka_unit_test(test_voxelize_parts), cmocka_unit_test(test_verify_tris),
+        cmocka_unit_test(test_verify_nvdb),    cmocka_unit_test(test_bake_grid),
+        cmocka_unit_test(test_bake_preview),   cmocka_unit_test(test_bake_exact),
+        cmocka_unit_test(test_compare),        cmocka_unit_test(test_record),
+        cmocka_unit_test(test_parse_others),   cmocka_unit_test(test_parse_packed),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

@@ -1,0 +1,273 @@
+/* tris_parts.c - several chunk files as one scan.
+ *
+ * The chunks of all files follow each other in one table. Files are ordered by their content, so
+ * the order in which they are given does not matter. A file is open only while a chunk of it is
+ * loaded, so there may be any number of files. Chunks are made equal when they are loaded: their
+ * positions get a common origin, their materials are numbered over all files, and attributes that
+ * only other files have get the values that sorting gives to meshes without them. */
+#include "formats/chunks/tris_internal.h"
+
+#include <errno.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/job_files.h"
+
+/* ---- opening ---- */
+
+/* Opens a part and closes its descriptor. */
+static int open_part(struct bsq_ctx *ctx, const char *path, struct tris_part *part)
+{
+    int status = fmt_tris_open(ctx, path, &part->file);
+    if (status < 0)
+        return status;
+    char *copy = strdup(path);
+    if (!copy)
+        return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
+    bsq_file_close(ctx, &part->file->file);
+    part->file->file.path = copy;
+    return 0;
+}
+
+/* Orders parts by their content: a checksum covers every byte of a file. */
+static int compare_parts(const void *a, const void *b)
+{
+    const struct fmt_tris_file *one = ((const struct tris_part *)a)->file;
+    const struct fmt_tris_file *two = ((const struct tris_part *)b)->file;
+    if (one->header.triangle_count != two->header.triangle_count)
+        return one->header.triangle_count > two->header.triangle_count ? -1 : 1;
+    if (one->checksum != two->checksum)
+        return one->checksum < two->checksum ? -1 : 1;
+    return strcmp(one->file.path, two->file.path);
+}
+
+/* ---- joining ---- */
+
+/* Either all parts have normals, or none has: smooth normals need the whole scan. */
+static int check_normals(const struct fmt_tris_file *all)
+{
+    const struct fmt_tris_file *first = all->parts[0].file;
+    for (uint32_t i = 1; i < all->part_count; i++) {
+        const struct fmt_tris_file *file = all->parts[i].file;
+        const bool has = file->header.attributes & FMT_TRIS_NORMALS;
+        if (has != !!(first->header.attributes & FMT_TRIS_NORMALS))
+            return bsq_fail(
+                all->ctx, BSQ_EDATA, "%s has normals, %s has none: such parts cannot be one scan",
+                has ? file->file.path : first->file.path, has ? first->file.path : file->file.path);
+    }
+    return 0;
+}
+
+static int join_materials(struct fmt_tris_file *all)
+{
+    uint64_t count = 0;
+    for (uint32_t i = 0; i < all->part_count; i++)
+        count += all->parts[i].file->header.material_count;
+    if (count >= UINT32_MAX)
+        return bsq_fail(all->ctx, BSQ_EDATA, "%s: too many materials in all parts", all->file.path);
+    all->header.materials = NULL;
+    all->header.material_count = 0;
+    int status = bsq_alloc(all->ctx, "materials", count + 1, sizeof *all->header.materials,
+                           &all->header.materials);
+    for (uint32_t i = 0; i < all->part_count && status == 0; i++) {
+        const struct fmt_tris_header *part = &all->parts[i].file->header;
+        all->parts[i].first_material = all->header.material_count;
+        memcpy(all->header.materials + all->header.material_count, part->materials,
+               part->material_count * sizeof *part->materials);
+        all->header.material_count += part->material_count;
+    }
+    return status;
+}
+
+/* Moves a position of a part to the common origin. Keeps the order of positions, so that bounds
+ * stay bounds. */
+static float moved(float position, double shift)
+{
+    return (float)((double)position + shift) + 0.0f;
+}
+
+/* Adds a part's chunks to the table and to the bounds. */
+static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
+{
+    const struct fmt_tris_header *from = &part->file->header;
+    struct fmt_tris_header *to = &all->header;
+    part->first_chunk = to->chunk_count;
+    for (int axis = 0; axis < 3; axis++)
+        part->shift[axis] = from->origin[axis] - to->origin[axis];
+    for (uint64_t i = 0; i < from->chunk_count; i++) {
+        struct fmt_tris_chunk_info *info = &all->chunks[to->chunk_count++];
+        *info = part->file->chunks[i];
+        info->first_triangle += to->triangle_count;
+        for (int axis = 0; axis < 3; axis++) {
+            info->bounds_min[axis] = moved(info->bounds_min[axis], part->shift[axis]);
+            info->bounds_max[axis] = moved(info->bounds_max[axis], part->shift[axis]);
+            if (!isfinite(info->bounds_min[axis]) || !isfinite(info->bounds_max[axis]))
+                return bsq_fail(all->ctx, BSQ_EDATA, "%s: too far away from the other parts",
+                                part->file->file.path);
+            to->bounds_min[axis] = fminf(to->bounds_min[axis], info->bounds_min[axis]);
+            to->bounds_max[axis] = fmaxf(to->bounds_max[axis], info->bounds_max[axis]);
+        }
+    }
+    to->triangle_count += from->triangle_count;
+    to->source_faces += from->source_faces;
+    to->skipped_triangles += from->skipped_triangles;
+    return 0;
+}
+
+/* Begins the header: that of the largest part, which is the first, without its contents. */
+static void begin_header(struct fmt_tris_file *all)
+{
+    all->header = all->parts[0].file->header;
+    all->header.triangle_count = all->header.chunk_count = 0;
+    all->header.source_faces = all->header.skipped_triangles = 0;
+    for (int axis = 0; axis < 3; axis++) {
+        all->header.bounds_min[axis] = INFINITY;
+        all->header.bounds_max[axis] = -INFINITY;
+    }
+    for (uint32_t i = 1; i < all->part_count; i++)
+        all->header.attributes |= all->parts[i].file->header.attributes;
+}
+
+static int join(struct fmt_tris_file *all)
+{
+    uint64_t chunks = 0;
+    for (uint32_t i = 0; i < all->part_count; i++)
+        chunks += all->parts[i].file->header.chunk_count;
+    begin_header(all);
+    int status = join_materials(all);
+    if (status == 0)
+        status = check_normals(all);
+    if (status == 0)
+        status = bsq_alloc(all->ctx, "chunk table", chunks + 1, sizeof *all->chunks, &all->chunks);
+    for (uint32_t i = 0; i < all->part_count && status == 0; i++)
+        status = join_chunks(all, &all->parts[i]);
+    for (uint64_t i = 0; i < all->header.chunk_count && status == 0; i++) {
+        const uint64_t bytes = fmt_tris_load_size(all, i);
+        all->load_size_max = bytes > all->load_size_max ? bytes : all->load_size_max;
+    }
+    return status;
+}
+
+int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                        struct fmt_tris_file **out)
+{
+    struct fmt_tris_file *all;
+    *out = NULL;
+    if (path_count == 1)
+        return fmt_tris_open(ctx, paths[0], out);
+    int status = bsq_calloc(ctx, "chunk files", 1, sizeof *all, &all);
+    if (status < 0)
+        return status;
+    all->ctx = ctx;
+    all->file = (struct bsq_file)BSQ_FILE_CLOSED;
+    status = bsq_calloc(ctx, "chunk files", path_count, sizeof *all->parts, &all->parts);
+    for (; status == 0 && all->part_count < path_count; all->part_count++)
+        status = open_part(ctx, paths[all->part_count], &all->parts[all->part_count]);
+    if (status == 0) {
+        qsort(all->parts, path_count, sizeof *all->parts, compare_parts);
+        all->file.path = strdup(all->parts[0].file->file.path);
+        status =
+            all->file.path ? join(all) : bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
+    }
+    if (status < 0)
+        fmt_tris_close(all);
+    else
+        *out = all;
+    return status;
+}
+
+void fmt_tris_close_parts(struct fmt_tris_file *all)
+{
+    for (uint32_t i = 0; i < all->part_count; i++)
+        fmt_tris_close(all->parts[i].file);
+    bsq_free(all->ctx, all->parts);
+}
+
+/* ---- loading ---- */
+
+/* Returns the part that has chunk number `index`. */
+static const struct tris_part *find_part(const struct fmt_tris_file *all, uint64_t index)
+{
+    uint32_t low = 0, high = all->part_count;
+    while (high - low > 1) {
+        const uint32_t middle = low + (high - low) / 2;
+        if (all->parts[middle].first_chunk <= index)
+            low = middle;
+        else
+            high = middle;
+    }
+    return &all->parts[low];
+}
+
+/* Offsets of the attributes that a part lacks, after a chunk that is loaded. */
+struct added {
+    uint64_t colors, texcoords, materials, bytes;
+};
+
+static struct added place_added(const struct fmt_tris_file *all, const struct tris_part *part,
+                                uint64_t index)
+{
+    const struct fmt_tris_chunk_info *info = &all->chunks[index];
+    const uint32_t lacking = all->header.attributes & ~part->file->header.attributes;
+    struct added a = {
+        .colors = bsq_align_up(fmt_tris_load_size(part->file, index - part->first_chunk), 8)};
+    a.texcoords = bsq_align_up(
+        a.colors + (lacking & FMT_TRIS_COLORS ? 4 * (uint64_t)info->vertex_count : 0), 8);
+    a.materials =
+        a.texcoords + (lacking & FMT_TRIS_TEXCOORDS ? 8 * (uint64_t)info->vertex_count : 0);
+    a.bytes = bsq_align_up(
+        a.materials + (lacking & FMT_TRIS_MATERIALS ? 4 * (uint64_t)info->triangle_count : 0), 8);
+    return a;
+}
+
+uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index)
+{
+    return place_added(all, find_part(all, index), index).bytes;
+}
+
+/* Adds white, and no material, as sorting does for vertices and faces without. */
+static void add_attributes(const struct fmt_tris_file *all, const struct tris_part *part,
+                           uint64_t index, uint8_t *scratch, struct fmt_tris_chunk *chunk)
+{
+    const uint32_t lacking = all->header.attributes & ~part->file->header.attributes;
+    const struct added a = place_added(all, part, index);
+    if (lacking & FMT_TRIS_COLORS)
+        chunk->colors = memset(scratch + a.colors, 0xff, 4 * (uint64_t)chunk->vertex_count);
+    if (lacking & FMT_TRIS_TEXCOORDS)
+        chunk->texcoords = memset(scratch + a.texcoords, 0, 8 * (uint64_t)chunk->vertex_count);
+    if (lacking & FMT_TRIS_MATERIALS)
+        chunk->materials = memset(scratch + a.materials, 0xff, 4 * (uint64_t)chunk->triangle_count);
+}
+
+/* Changes positions and materials, which lie in `scratch`. */
+static void make_common(const struct tris_part *part, struct fmt_tris_chunk *chunk)
+{
+    float(*positions)[3] = (float(*)[3])chunk->positions;
+    uint32_t *materials = (uint32_t *)chunk->materials;
+    if (part->shift[0] != 0.0 || part->shift[1] != 0.0 || part->shift[2] != 0.0)
+        for (uint32_t v = 0; v < chunk->vertex_count; v++)
+            for (int axis = 0; axis < 3; axis++)
+                positions[v][axis] = moved(positions[v][axis], part->shift[axis]);
+    for (uint32_t t = 0; materials && part->first_material > 0 && t < chunk->triangle_count; t++)
+        materials[t] += materials[t] == UINT32_MAX ? 0 : part->first_material;
+}
+
+int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *scratch,
+                       struct fmt_tris_chunk *out)
+{
+    const struct tris_part *part = find_part(all, index);
+    struct fmt_tris_file open = *part->file;
+    memset(out, 0, sizeof *out);
+    int status = bsq_file_open(all->ctx, part->file->file.path, &open.file);
+    if (status == 0)
+        status = fmt_tris_load(&open, index - part->first_chunk, scratch, out);
+    if (status == 0)
+        status = bsq_file_check(all->ctx, &open.file);
+    bsq_file_close(all->ctx, &open.file);
+    if (status < 0)
+        return status;
+    make_common(part, out);
+    add_attributes(all, part, index, scratch, out);
+    return 0;
+}

@@ -1,0 +1,130 @@
+#!/bin/sh
+# test_parts.sh - several chunk files as one scan: the voxels of a scan that was sorted whole.
+. "$(dirname "$0")/lib.sh"
+p=bisque-voxelize:
+
+# write_sheet FROM TO X EXTRA: a hilly sheet, of which only the columns FROM to TO are written, moved
+# by X. It is coarse, so that smooth normals across the seams matter.
+write_sheet()
+{
+    awk -v from="$1" -v to="$2" -v move="$3" -v extra="$4" 'BEGIN {
+        n = 40
+        for (y = 0; y <= n; y++) for (x = from; x <= to; x++)
+            printf "v %.6f %.6f %.6f%s\n", move + x / n, y / n, sin(x / 5) * cos(y / 6) / 4,
+                extra == "color" ? " 0.8 0.4 0.2" : ""
+        w = to - from + 1
+        for (y = 0; y < n; y++) for (x = 0; x < w - 1; x++) {
+            i = y * w + x + 1
+            printf "f %d %d %d\nf %d %d %d\n", i, i + 1, i + w + 1, i, i + w + 1, i + w }
+    }'
+}
+
+for columns in '0 40 whole' '0 11 a' '11 23 b' '23 40 c'; do
+    set -- $columns
+    write_sheet "$1" "$2" 0 '' >"$3.obj"
+    run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
+    code 0
+done
+vox="run bisque-voxelize --resolution 300"
+$vox whole.tris -o whole.nvdb --json
+code 0
+jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >whole.json
+$vox a.tris b.tris c.tris -o parts.nvdb --json
+code 0
+jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >parts.json
+same whole.json parts.json
+
+# The same voxels, and records that differ by rounding only: maps of both grids show it.
+cat >low.obj <<'OBJ'
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+f 1/1 2/2 3/3 4/4
+OBJ
+for grid in whole parts; do
+    run bisque-bake $grid.nvdb low.obj --size 256 --samples 1 --maps normal,position \
+        --front 1 --back 1 -o "${grid}_<MAP>.exr"
+    code 0
+done
+run bisque-compare --type normal whole_normal.exr parts_normal.exr --max-error 0.05
+code 0
+run bisque-compare --type data whole_position.exr parts_position.exr --max-error 1e-5
+code 0
+# Without the other parts, normals at a seam are wrong by degrees.
+$vox b.tris -o alone.nvdb
+run bisque-bake alone.nvdb low.obj --size 256 --samples 1 --maps normal,mask --front 1 --back 1 \
+    -o "alone_<MAP>.exr"
+run bisque-compare --type normal whole_normal.exr alone_normal.exr --mask alone_mask.exr --max-error 0.05
+code 1
+
+# Neither the order nor threads nor the budget change a byte.
+$vox c.tris a.tris b.tris -o other.nvdb --threads 1 --memory 60MiB
+code 0
+same parts.nvdb other.nvdb
+cp b.tris elsewhere.tris
+$vox elsewhere.tris c.tris a.tris -o other.nvdb --threads 3
+code 0
+same parts.nvdb other.nvdb
+
+# More parts than descriptors.
+command='bisque-voxelize with 60 parts and 40 descriptors' code=0
+set --
+for i in $(seq 20); do set -- "$@" a.tris b.tris c.tris; done
+(ulimit -n 40 && exec "$BIN/bisque-voxelize" --resolution 30 "$@" -o many.nvdb) >"$out" 2>"$err" ||
+    code=$?
+code 0
+
+# Attributes of some parts only; another origin.
+write_sheet 11 23 0 color >d.obj
+run bisque-voxelize d.obj --resolution 8 -o x.nvdb
+cp x.tris d.tris
+$vox a.tris d.tris c.tris -o colored.nvdb --json
+code 0
+json '.grid.has_color'
+jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >parts.json
+same whole.json parts.json
+write_sheet 0 11 500000 '' >far_a.obj
+write_sheet 11 40 500000 '' >far_b.obj
+write_sheet 0 40 500000 '' >far.obj
+for name in far far_a far_b; do
+    run bisque-voxelize $name.obj --resolution 8 -o x.nvdb --tris $name.tris
+    code 0
+done
+$vox far.tris -o far.nvdb --json
+jq -c '[.grid.index_min, .grid.index_max]' "$out" >whole.json
+$vox far_a.tris far_b.tris -o far_parts.nvdb --json
+code 0
+jq -c '[.grid.index_min, .grid.index_max]' "$out" >parts.json
+same whole.json parts.json
+
+# ---- misuse ----
+
+sed 's/^v .*/&\nvn 0 0 1/; s/ \([0-9]*\)/ \1/g' a.obj | awk '/^f/ { print $1, $2 "//" 1, $3 "//" 1,
+    $4 "//" 1; next } { print }' >n.obj
+run bisque-voxelize n.obj --resolution 8 -o x.nvdb --tris n.tris
+code 0
+$vox n.tris b.tris -o y.nvdb
+code 65
+err_like "^$p n.tris has normals, b.tris has none: such parts cannot be one scan\$"
+$vox a.tris b.obj -o y.nvdb
+code 64
+err "$p chunk files and meshes cannot be one scan: sort the meshes first"
+head -c 5000 b.tris >cut.tris
+$vox a.tris cut.tris -o y.nvdb
+code 65
+err_like "^$p cut.tris: damaged chunk file: "
+$vox a.tris none.tris -o y.nvdb
+code 66
+cp a.tris victim.tris
+$vox a.tris victim.tris -o victim.tris
+code 64
+cmp -s a.tris victim.tris
+check "an input is not overwritten" $?
+[ ! -e y.nvdb ]
+check "no output" $?
+finish
