@@ -198,10 +198,10 @@ struct gltf_source {
 struct gltf_reader {
     struct stream_reader stream; /* must be first */
     struct gltf_source *files;
-    uint32_t material_count;          /* of all files */
-    uint64_t bad_normals, bad_colors; /* of one reading */
-    bool has_colors;                  /* some vertex of the scan has one */
-    bool read_before;                 /* what there is to warn of is known */
+    uint32_t material_count; /* of all files */
+    uint64_t missing[4];     /* positions, normals, texture coordinates, colours: not finite */
+    bool has_colors;         /* some vertex of the scan has one */
+    bool read_before;        /* what there is to warn of is known */
 };
 
 /* ---- gltf_buffer.c ---- */

@@ -40,6 +40,21 @@ static int decode(const struct parser *p, uint32_t accessor, const double **out)
 
 /* ---- vertices ---- */
 
+/* Makes all numbers of vectors that are not finite NaN. Returns how many there are. */
+static uint64_t clear_bad(double *values, uint64_t count, unsigned size)
+{
+    uint64_t bad = 0;
+    for (uint64_t i = 0; i < count; i++, values += size) {
+        double poison = 0;
+        for (unsigned k = 0; k < size; k++)
+            poison += values[k] * 0;
+        for (unsigned k = 0; k < size && poison != 0; k++)
+            values[k] = NAN;
+        bad += poison != 0;
+    }
+    return bad;
+}
+
 static int parse_positions(struct parser *p)
 {
     const double(*m)[4] = p->placement->matrix;
@@ -54,11 +69,13 @@ static int parse_positions(struct parser *p)
         for (int k = 0; k < 3; k++) {
             const double value =
                 m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2] + m[k][3];
-            poison += value * 0;
             p->arrays->positions[i][k] = value;
+            poison += value * 0;
         }
+    if (poison != 0)
+        p->decoder.slot->missing_positions = clear_bad(&p->arrays->positions[0][0], p->count, 3);
     p->arrays->count[FMT_MESH_VERTEX] = p->count;
-    return poison == 0 ? 0 : fail(p, "a position is not finite");
+    return 0;
 }
 
 static int parse_normals(struct parser *p)
@@ -108,8 +125,10 @@ static int parse_texcoords(struct parser *p)
         to[1] = 1 - (m[1][0] * from[0] + m[1][1] * from[1] + m[1][2]);
         poison += to[0] * 0 + to[1] * 0;
     }
+    if (poison != 0)
+        p->decoder.slot->missing_texcoords = clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
     p->arrays->count[FMT_MESH_TEXCOORD] = p->count;
-    return poison == 0 ? 0 : fail(p, "a texture coordinate is not finite");
+    return 0;
 }
 
 /* Colours are linear, and factors of the material's. If any vertex of the scan has a colour, the

@@ -182,8 +182,10 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
                 struct fmt_mesh_totals *totals)
 {
     struct gltf_reader *reader = (struct gltf_reader *)base;
-    reader->bad_normals += slot->bad_normals;
-    reader->bad_colors += slot->bad_colors;
+    reader->missing[0] += slot->missing_positions;
+    reader->missing[1] += slot->bad_normals;
+    reader->missing[2] += slot->missing_texcoords;
+    reader->missing[3] += slot->bad_colors;
     totals->materials = reader->material_count;
     totals->split_vertices = true;
     totals->has_tangents |= reader->files[slot->part.source].has_tangents;
@@ -211,23 +213,27 @@ static void warn_unread(struct bsq_ctx *ctx, const char *path, const struct gltf
             bsq_warn(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
 }
 
+static void warn_missing(const struct gltf_reader *reader)
+{
+    static const char *const kinds[] = {"positions", "normals", "texture coordinates", "colours"};
+    for (int i = 0; i < 4; i++)
+        if (reader->missing[i] > 0)
+            bsq_warn(reader->stream.base.ctx, "%s: %" PRIu64 " %s are not finite and were left out",
+                     reader->stream.sources[0].path, reader->missing[i], kinds[i]);
+}
+
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
                     struct fmt_mesh_totals *totals)
 {
     struct gltf_reader *reader = (struct gltf_reader *)base;
-    reader->bad_normals = reader->bad_colors = 0;
+    memset(reader->missing, 0, sizeof reader->missing);
     int status = fmt_stream_read(&reader->stream, steps, arg, totals);
     if (status || reader->read_before)
         return status;
     reader->read_before = true;
     for (uint32_t i = 0; i < reader->stream.source_count; i++)
         warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].unread);
-    if (reader->bad_normals > 0)
-        bsq_warn(base->ctx, "%s: %" PRIu64 " normals are not finite and were left out",
-                 reader->stream.sources[0].path, reader->bad_normals);
-    if (reader->bad_colors > 0)
-        bsq_warn(base->ctx, "%s: %" PRIu64 " colours are not finite and were left out",
-                 reader->stream.sources[0].path, reader->bad_colors);
+    warn_missing(reader);
     return 0;
 }
 
