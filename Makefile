@@ -44,6 +44,7 @@ LIBS.base    := -lm
 LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
 LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
 LIBS.gltf     = -ldraco -lmeshoptimizer
+LIBS.scene    = -lassimp
 LIBS.openvdb  = -lopenvdb -ltbb $(shell pkg-config --libs Imath)
 LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
@@ -65,15 +66,16 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
-modules      := texture openvdb gltf
+modules      := texture openvdb gltf scene
 src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pyramid.cc held_input.cc \
     texture_formats.cc png_rows.c) formats/exr_header.c
 src.gltf     := formats/mesh/gltf_decode.cc
+src.scene    := formats/mesh/scene_assimp.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h file_part.h output.h \
     parallel.h) \
-    $(addprefix formats/,module/module.h mesh/gltf_module.h \
+    $(addprefix formats/,module/module.h mesh/gltf_module.h mesh/scene_module.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
     texture/texture.h texture/texture_module.h)
 module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
@@ -427,8 +429,8 @@ check-long: check
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
-    libpng-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libxxhash-dev zlib1g-dev \
-    libisal-dev libzstd-dev opencl-c-headers
+    libpng-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev libxxhash-dev \
+    zlib1g-dev libisal-dev libzstd-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd \
     ocl-icd-libopencl1 jq mandoc python3 python3-numpy python3-xxhash
 # Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.

@@ -2,6 +2,7 @@
  *
  * Jansson allocates from the system. What it can need at most is counted from the text and reserved
  * from the budget before. Base64 data URIs, which can be most of a file, do not get to it. */
+#include <assert.h>
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
@@ -25,6 +26,7 @@ struct shortener {
 
 static void put(struct shortener *s, const char *bytes, uint64_t count)
 {
+    assert(s->text && s->capacity - s->size >= count);
     memcpy(s->text + s->size, bytes, count);
     s->size += count;
 }

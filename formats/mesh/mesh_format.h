@@ -26,7 +26,8 @@ struct fmt_mesh_place {
  * fmt_mesh_open() and so on. Only recognise, read_materials and dependency may be NULL. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
-    const char *suffix; /* of file names, with its point, in any case: ".obj" */
+    const char *suffix; /* of file names, with its point, in any case: ".obj". Blanks separate
+                           several. */
     /* Returns true if the first bytes of a file show this format beyond doubt. `head` is the first
      * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. */
     bool (*recognise)(const char *head, size_t size);
@@ -65,7 +66,8 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, cons
 
 /* The registry. The first row also reads files that no row recognises. */
 #define FMT_MESH_FORMATS(ROW)                                                                      \
-    ROW(fmt_obj_format) ROW(fmt_ply_format) ROW(fmt_stl_format) ROW(fmt_gltf_format)
+    ROW(fmt_obj_format)                                                                            \
+    ROW(fmt_ply_format) ROW(fmt_stl_format) ROW(fmt_gltf_format) ROW(fmt_scene_format)
 
 #define FMT_MESH_DECLARE(format) extern const struct fmt_mesh_format format;
 FMT_MESH_FORMATS(FMT_MESH_DECLARE)

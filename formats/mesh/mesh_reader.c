@@ -26,6 +26,17 @@ static bool has_suffix(const char *name, size_t length, const char *suffix)
            strncasecmp(name + length - suffix_length, suffix, suffix_length) == 0;
 }
 
+/* Checks the suffixes of a format, which blanks separate. */
+static bool has_any_suffix(const char *name, size_t length, const char *suffixes)
+{
+    char one[16];
+    int used = 0;
+    for (; sscanf(suffixes, " %15s%n", one, &used) == 1; suffixes += used)
+        if (has_suffix(name, length, one))
+            return true;
+    return false;
+}
+
 /* Returns the length of a path without the suffix of a packed file. */
 static size_t unpacked_length(const char *path)
 {
@@ -50,7 +61,7 @@ static const struct fmt_mesh_format *find_by_suffix(const char *path)
     for (size_t i = 0; i < FORMAT_COUNT; i++)
         /* No row is NULL, but the analyzer forgets that at the call of a recognise function. */
         /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference) */
-        if (has_suffix(path, length, formats[i]->suffix))
+        if (has_any_suffix(path, length, formats[i]->suffix))
             return formats[i];
     return NULL;
 }
@@ -75,7 +86,6 @@ static const struct foreign {
      "give it as a plain file"},
     {"PK\x03\x04", 4, "a ZIP archive", "unpack it first"},
     {"7z\xbc\xaf\x27\x1c", 6, "a 7z archive", "unpack it first"},
-    {"Kaydara FBX Binary", 18, "an FBX file", "export the mesh as OBJ"},
     {"BLENDER", 7, "a Blender file", "export the mesh as OBJ"},
     {"\xff\xfe", 2, "text in UTF-16", "save it as UTF-8"},
     {"\xfe\xff", 2, "text in UTF-16", "save it as UTF-8"},

@@ -285,6 +285,41 @@ for attribute in '' ',"TANGENT":0'; do
     check "warning of tangents: '$attribute'" $?
 done
 
+# FBX, COLLADA and such files, which Assimp reads. In 3DS files squares are cut along other diagonals.
+meshes=$top/tests/meshes
+run bisque-voxelize "$meshes/uv.obj" -o uv.nvdb --voxel-size 0.02
+code 0
+run bisque-bake uv.nvdb "$meshes/uv.obj" -o uv.exr --maps normal --size 64
+code 0
+for suffix in blender.fbx assimp.dae assimp.x assimp.3ds; do
+    run bisque-voxelize "$meshes/uv.$suffix" -o other.nvdb --tris other.tris --voxel-size 0.02
+    code 0
+    out_like ', 72 triangles,'
+    if [ -n "$python" ] && [ $suffix != assimp.3ds ]; then
+        "$python" -B "$meshes/same_triangles.py" 0.00001 uv.tris other.tris
+        check "the triangles of uv.$suffix" $?
+    fi
+    run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o other.exr --maps normal --size 64
+    code 0
+    case $suffix in
+    assimp.dae | assimp.x) # the others have normals of flat faces
+        run bisque-compare --type normal uv.exr other.exr --max-error 0.01
+        code 0
+        ;;
+    esac
+done
+head -c 3000 "$meshes/uv.blender.fbx" >cut.fbx
+run bisque-bake uv.nvdb cut.fbx -o other.exr
+code 65
+err_like '^bisque-bake: cut.fbx: cannot be read: '
+gzip -c "$meshes/uv.assimp.dae" >uv.dae.gz
+run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
+code 0
+run bisque-compare --type normal uv.exr other.exr --max-error 0.01
+code 0
+run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --memory 300K
+code 71
+
 # Messages.
 printf 'ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n' >points.ply
 printf 'property float z\nend_header\n0 0 0\n' >>points.ply

@@ -1,0 +1,352 @@
+// scene_assimp.cc - reads meshes of many formats by Assimp.
+//
+// Assimp sees one file, through a descriptor that is open already. For all other names it is told
+// that there is no file, so what a file refers to is never opened.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <new>
+#include <string>
+#include <vector>
+
+#include <assimp/IOStream.hpp>
+#include <assimp/IOSystem.hpp>
+#include <assimp/Importer.hpp>
+#include <assimp/ProgressHandler.hpp>
+#include <assimp/config.h>
+#include <assimp/postprocess.h>
+#include <assimp/scene.h>
+
+#include "formats/mesh/scene_module.h"
+
+namespace
+{
+
+// ---- the file ----
+
+struct Source {
+    const struct fmt_host *host;
+    struct bsq_ctx *ctx;
+    const struct bsq_file *file;
+    std::string name;
+};
+
+class Stream final : public Assimp::IOStream
+{
+  public:
+    explicit Stream(const Source &source) : source(source)
+    {
+    }
+    size_t Read(void *to, size_t size, size_t count) override
+    {
+        uint64_t got = 0;
+        if (size == 0 || count > UINT64_MAX / size ||
+            source.host->file_read_some(source.ctx, source.file, to, size * count, at, &got) != 0)
+            return 0;
+        got -= got % size;
+        at += got;
+        return got / size;
+    }
+    size_t Write(const void *, size_t, size_t) override
+    {
+        return 0;
+    }
+    aiReturn Seek(size_t offset, aiOrigin origin) override
+    {
+        const uint64_t from = origin == aiOrigin_SET   ? 0
+                              : origin == aiOrigin_CUR ? at
+                                                       : source.file->size;
+        if (offset > source.file->size - std::min<uint64_t>(from, source.file->size))
+            return aiReturn_FAILURE;
+        at = from + offset;
+        return aiReturn_SUCCESS;
+    }
+    size_t Tell() const override
+    {
+        return at;
+    }
+    size_t FileSize() const override
+    {
+        return source.file->size;
+    }
+    void Flush() override
+    {
+    }
+
+  private:
+    const Source &source;
+    uint64_t at = 0;
+};
+
+class OneFile final : public Assimp::IOSystem
+{
+  public:
+    explicit OneFile(const Source &source) : source(source)
+    {
+    }
+    bool Exists(const char *name) const override
+    {
+        return source.name == name;
+    }
+    char getOsSeparator() const override
+    {
+        return '/';
+    }
+    Assimp::IOStream *Open(const char *name, const char *mode) override
+    {
+        return source.name == name && mode[0] == 'r' ? new Stream(source) : nullptr;
+    }
+    void Close(Assimp::IOStream *stream) override
+    {
+        delete stream;
+    }
+
+  private:
+    const Source &source;
+};
+
+class Interruption final : public Assimp::ProgressHandler
+{
+  public:
+    explicit Interruption(const Source &source) : source(source)
+    {
+    }
+    bool Update(float) override
+    {
+        return source.host->check(source.ctx) == 0;
+    }
+
+  private:
+    const Source &source;
+};
+
+// ---- places of meshes ----
+
+struct Matrix {
+    double m[3][4];
+};
+
+Matrix multiply(const Matrix &a, const aiMatrix4x4 &b)
+{
+    Matrix out;
+    for (unsigned i = 0; i < 3; i++)
+        for (unsigned k = 0; k < 4; k++)
+            out.m[i][k] = a.m[i][0] * double(b[0][k]) + a.m[i][1] * double(b[1][k]) +
+                          a.m[i][2] * double(b[2][k]) + (k == 3 ? a.m[i][3] : 0);
+    return out;
+}
+
+struct Place {
+    const aiMesh *mesh;
+    Matrix matrix;
+};
+
+// Returns the meshes with triangles or polygons, node by node.
+std::vector<Place> find_places(const aiScene &scene)
+{
+    std::vector<Place> places;
+    std::vector<std::pair<const aiNode *, Matrix>> stack;
+    const Matrix identity = {{{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}};
+    if (scene.mRootNode)
+        stack.emplace_back(scene.mRootNode, identity);
+    while (!stack.empty()) {
+        const aiNode *node = stack.back().first;
+        const Matrix matrix = multiply(stack.back().second, node->mTransformation);
+        stack.pop_back();
+        for (unsigned i = 0; i < node->mNumMeshes; i++)
+            if (node->mMeshes[i] < scene.mNumMeshes)
+                places.push_back({scene.mMeshes[node->mMeshes[i]], matrix});
+        for (unsigned i = node->mNumChildren; i-- > 0;)
+            stack.emplace_back(node->mChildren[i], matrix);
+    }
+    return places;
+}
+
+// ---- copying ----
+
+// Makes all numbers of a vector NaN if one is not finite. Returns whether it did.
+bool clear_bad(double *values, int count)
+{
+    bool bad = false;
+    for (int k = 0; k < count; k++)
+        bad |= !std::isfinite(values[k]);
+    for (int k = 0; k < count && bad; k++)
+        values[k] = NAN;
+    return bad;
+}
+
+// Sets the inverse transpose of a matrix, times a positive number. Returns whether it mirrors.
+bool invert_for_normals(const Matrix &matrix, double out[3][3])
+{
+    const auto &m = matrix.m;
+    double determinant = 0, largest = 0;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) {
+            const int i1 = (i + 1) % 3, i2 = (i + 2) % 3, k1 = (k + 1) % 3, k2 = (k + 2) % 3;
+            out[i][k] = m[i1][k1] * m[i2][k2] - m[i1][k2] * m[i2][k1];
+            largest = std::max(largest, std::fabs(out[i][k]));
+        }
+    for (int k = 0; k < 3; k++)
+        determinant += m[0][k] * out[0][k];
+    const double scale = largest > 0 ? (determinant < 0 ? -1 : 1) / largest : 1;
+    for (int i = 0; i < 9; i++)
+        out[i / 3][i % 3] *= scale;
+    return determinant < 0;
+}
+
+void copy_vertex(const Place &place, const double normals[3][3], unsigned v, fmt_scene *out)
+{
+    const auto &m = place.matrix.m;
+    const aiVector3D &p = place.mesh->mVertices[v];
+    const uint64_t to = out->vertex_count++;
+    for (int k = 0; k < 3; k++) {
+        out->positions[to][k] =
+            m[k][0] * double(p.x) + m[k][1] * double(p.y) + m[k][2] * double(p.z) + m[k][3];
+        out->normals[to][k] = 0;
+    }
+    out->missing_positions += clear_bad(out->positions[to], 3);
+    out->texcoords[to][0] = out->texcoords[to][1] = 0;
+    if (place.mesh->HasTextureCoords(0)) {
+        out->texcoords[to][0] = double(place.mesh->mTextureCoords[0][v].x);
+        out->texcoords[to][1] = double(place.mesh->mTextureCoords[0][v].y);
+        out->missing_texcoords += clear_bad(out->texcoords[to], 2);
+    }
+    if (!place.mesh->HasNormals())
+        return;
+    const aiVector3D &n = place.mesh->mNormals[v];
+    for (int k = 0; k < 3; k++) {
+        const double value =
+            normals[k][0] * double(n.x) + normals[k][1] * double(n.y) + normals[k][2] * double(n.z);
+        out->normals[to][k] = std::fabs(value) < 3e38 ? float(value) : 0;
+    }
+}
+
+// Copies polygons, turned round if the node mirrors. Returns false if an index is out of range.
+bool copy_faces(const aiMesh &mesh, bool mirrored, uint64_t first_vertex, fmt_scene *out)
+{
+    for (unsigned f = 0; f < mesh.mNumFaces; f++) {
+        const aiFace &face = mesh.mFaces[f];
+        const unsigned size = face.mNumIndices;
+        if (size < 3)
+            continue;
+        out->face_sizes[out->face_count++] = size;
+        for (unsigned i = 0; i < size; i++) {
+            const unsigned index = face.mIndices[mirrored && i > 0 ? size - i : i];
+            if (index >= mesh.mNumVertices)
+                return false;
+            out->corners[out->corner_count++] = first_vertex + index;
+        }
+    }
+    return true;
+}
+
+bool copy_place(const Place &place, fmt_scene *out)
+{
+    double normals[3][3];
+    const bool mirrored = invert_for_normals(place.matrix, normals);
+    const uint64_t first = out->vertex_count;
+    out->parts[out->part_count++] = {out->face_count, out->corner_count, place.mesh->mMaterialIndex,
+                                     place.mesh->HasNormals(), place.mesh->HasTextureCoords(0)};
+    out->has_tangents |= place.mesh->HasTangentsAndBitangents();
+    for (unsigned v = 0; v < place.mesh->mNumVertices; v++)
+        copy_vertex(place, normals, v, out);
+    return copy_faces(*place.mesh, mirrored, first, out);
+}
+
+void copy_names(const aiScene &scene, fmt_scene *out)
+{
+    for (unsigned i = 0; i < scene.mNumMaterials; i++) {
+        const aiString name = scene.mMaterials[i]->GetName();
+        std::snprintf(out->material_names[i], sizeof out->material_names[i], "%.63s", name.C_Str());
+    }
+    out->material_count = scene.mNumMaterials;
+}
+
+int allocate(const Source &s, const aiScene &scene, const std::vector<Place> &places,
+             fmt_scene *out)
+{
+    uint64_t vertices = 0, faces = 0, corners = 0;
+    for (const Place &place : places) {
+        vertices += place.mesh->mNumVertices;
+        for (unsigned f = 0; f < place.mesh->mNumFaces; f++) {
+            const unsigned size = place.mesh->mFaces[f].mNumIndices;
+            faces += size > 2;
+            corners += size > 2 ? size : 0;
+            out->short_faces += size <= 2;
+        }
+    }
+    const struct {
+        uint64_t count, size;
+        void *to;
+    } arrays[] = {{vertices, sizeof *out->positions, &out->positions},
+                  {vertices, sizeof *out->texcoords, &out->texcoords},
+                  {vertices, sizeof *out->normals, &out->normals},
+                  {faces, sizeof *out->face_sizes, &out->face_sizes},
+                  {corners, sizeof *out->corners, &out->corners},
+                  {places.size() + 1, sizeof *out->parts, &out->parts},
+                  {scene.mNumMaterials, sizeof *out->material_names, &out->material_names}};
+    int status = 0;
+    for (const auto &array : arrays)
+        if (status == 0)
+            status = s.host->alloc(s.ctx, "a scene", array.count + 1, array.size, array.to);
+    return status;
+}
+
+int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
+{
+    const std::vector<Place> places = find_places(scene);
+    int status = allocate(s, scene, places, out);
+    for (const Place &place : places) {
+        if (status == 0)
+            status = s.host->check(s.ctx);
+        if (status == 0 && !copy_place(place, out))
+            status = s.host->fail(s.ctx, BSQ_EDATA,
+                                  "%s: a face refers to a vertex that does not "
+                                  "exist",
+                                  s.file->path);
+    }
+    if (status != 0)
+        return status;
+    out->parts[out->part_count] = {out->face_count, out->corner_count, 0, false, false};
+    copy_names(scene, out);
+    return 0;
+}
+
+int import(const Source &s, fmt_scene *out)
+{
+    Assimp::Importer importer;
+    Interruption interruption(s);
+    importer.SetIOHandler(new OneFile(s));
+    importer.SetProgressHandler(&interruption);
+    importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_ANIMATIONS, false);
+    importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_CAMERAS, false);
+    importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_LIGHTS, false);
+    const aiScene *scene = importer.ReadFile(s.name, aiProcess_ValidateDataStructure);
+    std::string reason = importer.GetErrorString();
+    importer.SetProgressHandler(nullptr);
+    int status = s.host->check(s.ctx);
+    std::replace_if(
+        reason.begin(), reason.end(), [](char c) { return c == '\n' || c == '\r'; }, ' ');
+    if (status == 0 && !scene)
+        status = s.host->fail(s.ctx, BSQ_EDATA, "%s: cannot be read: %.200s", s.file->path,
+                              reason.c_str());
+    return status != 0 ? status : copy_scene(s, *scene, out);
+}
+
+int read_scene(const struct fmt_host *host, struct bsq_ctx *ctx, const struct bsq_file *file,
+               const char *name, struct fmt_scene *out)
+{
+    try {
+        return import({host, ctx, file, name}, out);
+    } catch (const std::bad_alloc &) {
+        return host->fail(ctx, BSQ_ENOMEM, "%s: no memory to read it", file->path);
+    } catch (const std::exception &error) {
+        return host->fail(ctx, BSQ_EDATA, "%s: cannot be read: %.200s", file->path, error.what());
+    }
+}
+
+} // namespace
+
+extern "C" const struct fmt_scene_module bisque_module;
+const struct fmt_scene_module bisque_module = {{FMT_MODULE_STAMP}, read_scene};

@@ -1,0 +1,47 @@
+/* scene_module.h - the table of the module bisque-scene.so, which reads meshes of many formats by
+ * Assimp. */
+#ifndef FMT_MESH_SCENE_MODULE_H
+#define FMT_MESH_SCENE_MODULE_H
+
+#include "formats/module/module.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A mesh at a node. */
+struct fmt_scene_part {
+    uint64_t first_face, first_corner;
+    uint32_t material;
+    bool has_normals, has_texcoords;
+};
+
+/* All meshes of a file, at the places of their nodes. Arrays are from the context's budget; the
+ * caller frees them, also after a failure. Normals and texture coordinates have the numbers of
+ * their vertices; they are 0 if a mesh has none. */
+struct fmt_scene {
+    double (*positions)[3];
+    double (*texcoords)[2]; /* the first set; v upwards */
+    float (*normals)[3];
+    uint32_t *face_sizes;
+    uint64_t *corners;
+    struct fmt_scene_part *parts; /* and one more, with the counts of all */
+    char (*material_names)[64];   /* cut off */
+    uint64_t vertex_count, face_count, corner_count, part_count, material_count;
+    uint64_t short_faces;                          /* points and lines, left out */
+    uint64_t missing_positions, missing_texcoords; /* not finite: NaN */
+    bool has_tangents;
+};
+
+struct fmt_scene_module {
+    struct fmt_module module;
+    /* Reads a file. Its name's suffix chooses the format. No other file is opened. Errors:
+     * BSQ_EDATA, BSQ_ENOMEM, BSQ_EINTR. */
+    int (*read)(const struct fmt_host *host, struct bsq_ctx *ctx, const struct bsq_file *file,
+                const char *name, struct fmt_scene *out);
+};
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,293 @@
+/* scene_reader.c - reads FBX, COLLADA and other files, which Assimp reads whole.
+ *
+ * Meant for low-poly meshes. The memory that Assimp takes is not known before; it is counted as a
+ * multiple of the file. */
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+#include <strings.h>
+
+#include "formats/mesh/mesh_format.h"
+#include "formats/mesh/mesh_text.h"
+#include "formats/mesh/scene_module.h"
+
+/* Assimp's memory for a byte of a file. Text of positions takes less, compressed FBX files more. */
+enum { MEMORY_PER_BYTE = 40 };
+
+/* Elements of a block. */
+enum { BLOCK_ELEMENTS = 16384 };
+
+struct scene_reader {
+    struct fmt_mesh_reader base; /* must be first */
+    const char *path;            /* of the input */
+    struct fmt_scene scene;
+    uint64_t bytes; /* of the file */
+    bool read_before;
+};
+
+/* ---- opening ---- */
+
+static bool recognise(const char *head, size_t size)
+{
+    static const char magic[] = "Kaydara FBX Binary";
+    return size >= sizeof magic && memcmp(head, magic, sizeof magic - 1) == 0;
+}
+
+static bool ends_with(const char *name, size_t length, const char *end)
+{
+    const size_t size = strlen(end);
+    return length >= size && strncasecmp(name + length - size, end, size) == 0;
+}
+
+/* Returns a name whose suffix tells the format: the file's, without the suffix of a packed file. */
+static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *head, size_t size,
+                           char **out)
+{
+    const char *slash = strrchr(path, '/');
+    int status = fmt_string_copy(ctx,
+                                 recognise(head, size) ? "mesh.fbx"
+                                 : slash               ? slash + 1
+                                                       : path,
+                                 out);
+    size_t length = status ? 0 : strlen(*out);
+    if (!status && ends_with(*out, length, ".gz"))
+        (*out)[length - 3] = '\0';
+    else if (!status && ends_with(*out, length, ".zst"))
+        (*out)[length - 4] = '\0';
+    return status;
+}
+
+static int read_whole(struct scene_reader *r, const struct bsq_file *file)
+{
+    struct bsq_ctx *ctx = r->base.ctx;
+    const struct fmt_module *module;
+    char head[64], *name = NULL;
+    uint64_t got = 0, memory;
+    r->bytes = file->size;
+    if (__builtin_mul_overflow(file->size, (uint64_t)MEMORY_PER_BYTE, &memory))
+        return bsq_fail(ctx, BSQ_ENOMEM, "%s: too large", r->path);
+    int status = fmt_module_open(ctx, "scene", "FBX, COLLADA and such files", &module);
+    if (!status)
+        status = bsq_file_read_some(ctx, file, head, sizeof head, 0, &got);
+    if (!status)
+        status = name_for_format(ctx, r->path, head, got, &name);
+    if (!status)
+        status = bsq_reserve(ctx, "reading a file whole by Assimp", memory);
+    if (!status) {
+        status = ((const struct fmt_scene_module *)module)
+                     ->read(&fmt_host_functions, ctx, file, name, &r->scene);
+        bsq_release(ctx, memory);
+    }
+    bsq_free(ctx, name);
+    return status;
+}
+
+static void close_reader(struct fmt_mesh_reader *base)
+{
+    struct scene_reader *r = (struct scene_reader *)base;
+    bsq_free(base->ctx, r->scene.positions);
+    bsq_free(base->ctx, r->scene.texcoords);
+    bsq_free(base->ctx, r->scene.normals);
+    bsq_free(base->ctx, r->scene.face_sizes);
+    bsq_free(base->ctx, r->scene.corners);
+    bsq_free(base->ctx, r->scene.parts);
+    bsq_free(base->ctx, r->scene.material_names);
+    bsq_free(base->ctx, r);
+}
+
+static int open_input(struct scene_reader *r, struct fmt_input *input)
+{
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    int status = fmt_input_open(input);
+    if (status)
+        return status;
+    r->path = fmt_input_path(input);
+    status = fmt_input_whole(input, &file);
+    if (!status)
+        status = read_whole(r, &file);
+    bsq_file_close(r->base.ctx, &file);
+    const int closed = fmt_input_close(input);
+    return status ? status : closed;
+}
+
+static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
+                       struct fmt_mesh_reader **out)
+{
+    struct scene_reader *r;
+    if (input_count != 1)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: only one file of this format can be read",
+                        fmt_input_path(inputs[1]));
+    int status = bsq_calloc(ctx, "scene reader", 1, sizeof *r, &r);
+    if (status)
+        return status;
+    r->base.ctx = ctx;
+    status = open_input(r, inputs[0]);
+    if (status)
+        close_reader(&r->base);
+    else
+        *out = &r->base;
+    return status;
+}
+
+/* ---- reading ---- */
+
+/* Passes a block to all steps and adds it to the totals. */
+static int deliver(const struct scene_reader *r, const struct fmt_mesh_steps *steps, void *arg,
+                   struct fmt_mesh_block *block, struct fmt_mesh_totals *totals)
+{
+    int status = bsq_check(r->base.ctx);
+    if (!status && steps->on_block)
+        status = steps->on_block(arg, block);
+    if (!status && steps->follow)
+        status = steps->follow(arg, block, 0);
+    if (!status && steps->follow)
+        status = steps->finish(arg, block, 0);
+    totals->vertices += block->vertex_count;
+    totals->texcoords += block->texcoord_count;
+    totals->normals += block->normal_count;
+    totals->faces += block->face_count;
+    totals->corners += block->corner_count;
+    totals->bytes += block->byte_size;
+    return status;
+}
+
+static uint64_t smaller(uint64_t a, uint64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* Counts vectors of `size` numbers that are NaN. */
+static uint64_t count_missing(const double *values, uint64_t count, unsigned size)
+{
+    uint64_t missing = 0;
+    for (uint64_t i = 0; i < count; i++)
+        missing += isnan(values[i * size]) != 0;
+    return missing;
+}
+
+/* The first block has all bytes of the file, also if there are no vertices. */
+static int read_vertices(const struct scene_reader *r, const struct fmt_mesh_steps *steps,
+                         void *arg, uint64_t *sequence, struct fmt_mesh_totals *totals)
+{
+    const struct fmt_scene *s = &r->scene;
+    int status = 0;
+    for (uint64_t v = 0; (v == 0 || v < s->vertex_count) && !status; v += BLOCK_ELEMENTS) {
+        const uint64_t count = smaller(s->vertex_count - v, BLOCK_ELEMENTS);
+        struct fmt_mesh_block block = {
+            .sequence = (*sequence)++,
+            .byte_size = v == 0 ? r->bytes : 0,
+            .byte_offset = v == 0 ? 0 : r->bytes,
+            .vertex_count = count,
+            .vertex_base = v,
+            .positions = (const double(*)[3])(s->positions + v),
+            .texcoord_count = count,
+            .texcoord_base = v,
+            .texcoords = (const double(*)[2])(s->texcoords + v),
+            .normal_count = count,
+            .normal_base = v,
+            .normals = (const float(*)[3])(s->normals + v),
+            .missing_positions = count_missing(&s->positions[v][0], count, 3),
+            .missing_texcoords = count_missing(&s->texcoords[v][0], count, 2),
+            .material_at_start = FMT_MESH_NO_MATERIAL,
+        };
+        status = deliver(r, steps, arg, &block, totals);
+    }
+    return status;
+}
+
+static int read_faces(const struct scene_reader *r, const struct fmt_scene_part *part,
+                      const struct fmt_mesh_steps *steps, void *arg, uint64_t *sequence,
+                      struct fmt_mesh_totals *totals)
+{
+    const struct fmt_scene *s = &r->scene;
+    uint64_t corner = part->first_corner;
+    int status = 0;
+    for (uint64_t f = part->first_face; f < part[1].first_face && !status;) {
+        struct fmt_mesh_block block = {
+            .sequence = (*sequence)++,
+            .byte_offset = r->bytes,
+            .vertex_base = s->vertex_count,
+            .texcoord_base = s->vertex_count,
+            .normal_base = s->vertex_count,
+            .face_base = f,
+            .face_sizes = s->face_sizes + f,
+            .corner_vertices = s->corners + corner,
+            .corner_texcoords = part->has_texcoords ? s->corners + corner : NULL,
+            .corner_normals = part->has_normals ? s->corners + corner : NULL,
+            .material_at_start = part->material,
+        };
+        for (; f < part[1].first_face && block.corner_count < 3 * BLOCK_ELEMENTS; f++) {
+            block.corner_count += s->face_sizes[f];
+            block.face_count++;
+        }
+        corner += block.corner_count;
+        status = deliver(r, steps, arg, &block, totals);
+    }
+    return status;
+}
+
+static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
+                    struct fmt_mesh_totals *totals)
+{
+    struct scene_reader *r = (struct scene_reader *)base;
+    const struct fmt_scene *s = &r->scene;
+    uint64_t sequence = 0;
+    int status = read_vertices(r, steps, arg, &sequence, totals);
+    for (uint64_t i = 0; i < s->part_count && !status; i++)
+        status = read_faces(r, &s->parts[i], steps, arg, &sequence, totals);
+    totals->materials = (uint32_t)s->material_count;
+    totals->short_faces = s->short_faces;
+    totals->has_tangents = s->has_tangents;
+    totals->split_vertices = true;
+    if (!status && !r->read_before && s->missing_positions + s->missing_texcoords > 0)
+        bsq_warn(base->ctx, "%s: %" PRIu64 " values are not finite and were left out", r->path,
+                 s->missing_positions + s->missing_texcoords);
+    r->read_before |= status == 0;
+    return status;
+}
+
+static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
+{
+    const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
+    *out = (struct fmt_mesh_estimate){.vertices = s->vertex_count,
+                                      .texcoords = s->vertex_count,
+                                      .normals = s->vertex_count,
+                                      .faces = s->face_count,
+                                      .corners = s->corner_count,
+                                      .faces_come_last = true};
+    return 0;
+}
+
+static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
+{
+    const struct scene_reader *r = (const struct scene_reader *)base;
+    (void)face;
+    *out = (struct fmt_mesh_place){.path = r->path, .from_zero = true};
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        out->count[kind] = r->scene.vertex_count;
+    return 0;
+}
+
+static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
+    int status =
+        bsq_calloc(base->ctx, "materials", s->material_count + 1, sizeof *out->list, &out->list);
+    for (uint64_t i = 0; i < s->material_count && !status; i++, out->count++)
+        status = fmt_string_copy(base->ctx, s->material_names[i], &out->list[i].name);
+    if (status)
+        fmt_materials_free(base->ctx, out);
+    return status;
+}
+
+const struct fmt_mesh_format fmt_scene_format = {
+    .name = "FBX, COLLADA or the like",
+    .suffix = ".fbx .dae .3ds .x",
+    .recognise = recognise,
+    .open = open_reader,
+    .close = close_reader,
+    .read = read_all,
+    .estimate = estimate,
+    .locate_face = locate_face,
+    .read_materials = read_materials,
+};
