@@ -327,3 +327,9 @@ int bake_list_devices(struct bsq_ctx *ctx,
     }
     return status;
 }
+
+void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                     const struct bake_ray_batch *rays, struct bk_hit *hits)
+{
+    bake_native_trace_rays(grid, params, rays, hits);
+}

@@ -43,6 +43,11 @@ void bake_device_use(struct bake_device *device, unsigned slot);
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
 
+/* Traces rays on the calling thread, with the widest lanes of the processor. Each hit is the one of
+ * bake_trace_ray(); a ray without direction has none. */
+void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                     const struct bake_ray_batch *rays, struct bk_hit *hits);
+
 /* Returns what the device did so far; zeros for the processor. Must not be called while tiles are
  * traced. */
 void bake_device_times(struct bake_device *device, struct bake_device_times *out);

@@ -132,32 +132,31 @@ struct grid_trace {
     const struct bake_surface_rays *rays;
 };
 
-static void trace_grid_ray(const struct grid_trace *trace, const struct bake_exact_ray *ray,
-                           struct bake_exact_hit *out)
-{
-    const struct bake_surface_rays *rays = trace->rays;
-    const double unit = trace->surface->unit;
-    const float *d = ray->direction;
-    float facing[3];
-    struct bk_hit hit = {0};
-    for (int k = 0; k < 3; k++)
-        facing[k] = rays->facing_origin ? -d[k] : d[k];
-    if (d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f)
-        bake_trace_ray(&trace->surface->grid, trace->params, ray->origin, d,
-                       (float)(rays->t_min / unit), (float)(rays->t_max / unit), facing, &hit);
-    *out = (struct bake_exact_hit){.triangle = hit.found ? 0 : BAKE_EXACT_NONE,
-                                   .t = (double)hit.t * unit};
-    memcpy(out->normal, hit.normal, sizeof out->normal);
-    memcpy(out->color, hit.color, sizeof out->color);
-}
+_Static_assert(sizeof(struct bake_exact_ray) == 6 * sizeof(float), "rays are read as floats");
 
 static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
 {
     (void)worker;
     const struct grid_trace *trace = arg;
-    const uint64_t begin = task * RAYS_A_TASK, left = trace->rays->count - begin;
-    for (uint64_t i = begin; i < begin + (left < RAYS_A_TASK ? left : RAYS_A_TASK); i++)
-        trace_grid_ray(trace, &trace->rays->rays[i], &trace->rays->hits[i]);
+    const struct bake_surface_rays *rays = trace->rays;
+    const double unit = trace->surface->unit;
+    const uint64_t begin = task * RAYS_A_TASK, left = rays->count - begin;
+    const struct bake_ray_batch lines = {
+        .rays = (const float(*)[6])(const void *)(rays->rays + begin),
+        .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
+        .t_min = (float)(rays->t_min / unit),
+        .t_max = (float)(rays->t_max / unit),
+        .facing = rays->facing_origin ? -1.0f : 1.0f,
+    };
+    struct bk_hit hits[RAYS_A_TASK];
+    bake_trace_rays(&trace->surface->grid, trace->params, &lines, hits);
+    for (uint64_t i = 0; i < lines.count; i++) {
+        struct bake_exact_hit *out = &rays->hits[begin + i];
+        *out = (struct bake_exact_hit){.triangle = hits[i].found ? 0 : BAKE_EXACT_NONE,
+                                       .t = (double)hits[i].t * unit};
+        memcpy(out->normal, hits[i].normal, sizeof out->normal);
+        memcpy(out->color, hits[i].color, sizeof out->color);
+    }
     return 0;
 }
 

@@ -46,6 +46,14 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                     const float origin[3], const float direction[3], float t_min, float t_max,
                     const float facing[3], struct bk_hit *hit);
 
+/* Rays that have more in common than their grid. */
+struct bake_ray_batch {
+    const float (*rays)[6]; /* origin and unit direction of each, in index space */
+    uint64_t count;
+    float t_min, t_max;
+    float facing; /* 1: surfaces must face along the ray; -1: against it */
+};
+
 /* Returns what a sample costs, as a multiple of its pair of rays: maps can send more from hits. */
 uint32_t bake_sample_cost(const struct bk_params *params);
 

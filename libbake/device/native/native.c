@@ -58,6 +58,15 @@ static void native_close(struct bake_backend *backend)
     bsq_free(((struct native *)backend)->ctx, backend);
 }
 
+void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                            const struct bake_ray_batch *rays, struct bk_hit *hits)
+{
+    struct bk_grid native;
+
+    bake_kernel_grid(grid, params, &native);
+    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, rays, hits);
+}
+
 static void describe(struct bsq_ctx *ctx, struct bake_device_info *info)
 {
     long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);

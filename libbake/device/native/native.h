@@ -7,4 +7,8 @@
 
 extern const struct bake_device_kind bake_native_kind;
 
+/* See bake_trace_rays(). */
+void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                            const struct bake_ray_batch *rays, struct bk_hit *hits);
+
 #endif

@@ -16,4 +16,9 @@ typedef void bake_native_tile_fn(const struct bk_grid *grid, const struct bk_par
                                  const uint32_t *sample_triangles, float *texels);
 BSQ_SIMD_DECLARE(bake_native_tile_fn, bake_native_tile);
 
+/* Traces rays on the calling thread. */
+typedef void bake_native_rays_fn(const struct bk_grid *grid, const struct bk_params *params,
+                                 const struct bake_ray_batch *rays, struct bk_hit *hits);
+BSQ_SIMD_DECLARE(bake_native_rays_fn, bake_native_rays);
+
 #endif

@@ -1,4 +1,4 @@
-/* native_lanes.c - traces a tile BK_WIDTH samples at a time. */
+/* native_lanes.c - traces a tile, or rays, BK_WIDTH at a time. */
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/native_code.h"
@@ -89,4 +89,40 @@ void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk
         for (uint32_t x = 0; x < tile->width; x += BAKE_NATIVE_SQUARE)
             add_square(&group, tile, sample_triangles, x, y, texels);
     trace_group(&group);
+}
+
+/* ---- rays ---- */
+
+static void get_hit(const bk_hits *hits, bk_uint lane, struct bk_hit *out)
+{
+    out->found = hits->found >> lane & 1;
+    out->t = bk_lane(hits->t, lane);
+    bk_copy_lane(&hits->normal, lane, out->normal);
+    bk_copy_lane(&hits->color, lane, out->color);
+}
+
+void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk_params *params,
+                                     const struct bake_ray_batch *rays, struct bk_hit *hits)
+{
+    const bk_fw zero = bk_splat(0.0f);
+    bk_cache cache = bk_cache_empty();
+    bk_hits found;
+
+    for (uint64_t first = 0; first < rays->count; first += BK_WIDTH) {
+        const uint64_t left = rays->count - first;
+        bk_lines lines = {.count = left < BK_WIDTH ? (bk_uint)left : BK_WIDTH,
+                          .origin = bk_v3w(zero, zero, zero),
+                          .direction = bk_v3w(zero, zero, zero),
+                          .t_min = rays->t_min,
+                          .t_max = rays->t_max};
+        for (bk_uint lane = 0; lane < lines.count; lane++) {
+            const float *ray = rays->rays[first + lane];
+            bk_set_lane3(&lines.origin, lane, bk_v3(ray[0], ray[1], ray[2]));
+            bk_set_lane3(&lines.direction, lane, bk_v3(ray[3], ray[4], ray[5]));
+        }
+        lines.facing = bk_scalew(lines.direction, bk_splat(rays->facing));
+        bk_trace(grid, params, &cache, &lines, &found);
+        for (bk_uint lane = 0; lane < lines.count; lane++)
+            get_hit(&found, lane, &hits[first + lane]);
+    }
 }

@@ -421,6 +421,54 @@ static void test_voxels_at_the_ends_of_the_index_range_are_refused(void **state)
     }
 }
 
+/* Rays in groups have the hits of single rays, bit by bit, whatever their order. */
+static void test_groups_have_the_hits_of_single_rays(void **state)
+{
+    (void)state;
+    enum { RAYS = 1003 };
+    static float rays[RAYS][6];
+    static struct bk_hit hits[RAYS];
+    const double centre[3] = {3.3, -7.2, 5.7};
+    struct analytic_grid *source = analytic_grid_create();
+    struct bk_params params = {0};
+    struct fmt_nvdb_grid grid;
+    uint64_t seed = test_seed();
+    size_t found = 0;
+
+    analytic_sphere(source, centre, 12, 3);
+    analytic_grid_open(context, source, true, &grid);
+    analytic_grid_free(source);
+    bake_params_from_grid(&grid, &params);
+    for (int i = 0; i < RAYS; i++) {
+        double direction[3];
+        analytic_random_unit(&seed, direction);
+        for (int k = 0; k < 3; k++) {
+            rays[i][k] = (float)(centre[k] + 26 * (analytic_random(&seed) - 0.5));
+            rays[i][3 + k] = i % 50 == 7 ? 0.0f : (float)direction[k];
+        }
+    }
+    for (int sign = -1; sign <= 1; sign += 2) {
+        const struct bake_ray_batch batch = {.rays = (const float(*)[6])rays,
+                                             .count = RAYS,
+                                             .t_min = -4,
+                                             .t_max = 9,
+                                             .facing = (float)sign};
+        bake_trace_rays(&grid, &params, &batch, hits);
+        for (int i = 0; i < RAYS; i++) {
+            const float *d = rays[i] + 3,
+                        facing[3] = {(float)sign * d[0], (float)sign * d[1], (float)sign * d[2]};
+            struct bk_hit single;
+            bake_trace_ray(&grid, &params, rays[i], d, -4, 9, facing, &single);
+            assert_int_equal(hits[i].found, single.found && i % 50 != 7);
+            if (hits[i].found)
+                assert_memory_equal(&hits[i], &single, sizeof single);
+            found += hits[i].found;
+        }
+    }
+    assert_in_range(found, RAYS / 2, RAYS * 2);
+    fmt_nvdb_close(context, &grid);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -432,6 +480,7 @@ int main(void)
         cmocka_unit_test(test_thin_plate),
         cmocka_unit_test(test_range),
         cmocka_unit_test(test_voxels_at_the_ends_of_the_index_range_are_refused),
+        cmocka_unit_test(test_groups_have_the_hits_of_single_rays),
     };
     return cmocka_run_group_tests(tests, make_context, free_context);
 }
