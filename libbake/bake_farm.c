@@ -56,10 +56,11 @@ static int count_block(void *arg, uint64_t index, unsigned worker)
                                       .block = tile.y / count->side * count->tile->columns +
                                                tile.x / count->side,
                                       .samples = covered};
-    for (uint32_t i = 0; i < tile.width * tile.height && status == 0; i++)
+    for (uint32_t i = 0; i < tile.width * tile.height && status == 0; i++) {
+        const uint32_t x = tile.x + i % tile.width, y = tile.y + i / tile.width;
         if (samples[i] != BK_NO_TRIANGLE && seen++ == covered / 2)
-            block->place = place_of(count, samples[i], (float)(tile.x + i % tile.width) + 0.5f,
-                                    (float)(tile.y + i / tile.width) + 0.5f);
+            block->place = place_of(count, samples[i], (float)x + 0.5f, (float)y + 0.5f);
+    }
     return status;
 }
 
@@ -138,8 +139,8 @@ static int divide(const struct bake_run *job, struct bake_farm_plan *plan)
 /* ---- what tasks need ---- */
 
 /* Seconds of one core for a sample's pair of rays on a grid and on triangles, and for a ray from a
- * hit: about those of a core of 2023. */
-static const double grid_seconds = 0.6e-6, exact_seconds = 5e-6, ray_seconds = 0.25e-6;
+ * hit, about as tests/bench/FARM.md has them. */
+static const double grid_seconds = 0.25e-6, exact_seconds = 0.8e-6, ray_seconds = 1.2e-6;
 
 static double sample_seconds(const struct bake_run *job)
 {
@@ -333,7 +334,7 @@ static int write_part(const struct bake_run *job, const struct bake_farm_plan *p
     const struct bake_report *report = job->report;
     const struct bake_farm_counts counts = {report->covered_texels, report->samples, report->hits,
                                             report->overlapping_samples};
-    struct bake_farm_image *images;
+    struct bake_farm_image *images = NULL;
     int status = bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
         images[i] = (struct bake_farm_image){job->tiles[i].blocks, job->tiles[i].image};
@@ -390,11 +391,11 @@ static int create_images(struct bake_run *job)
 /* Reads the texels that all tasks traced. */
 static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
 {
-    struct bake_farm_counts counts;
-    struct bake_image **images;
+    struct bake_farm_counts counts = {0};
+    struct bake_farm_image *images = NULL;
     int status = bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
-        images[i] = job->tiles[i].image;
+        images[i] = (struct bake_farm_image){.image = job->tiles[i].image};
     if (status == 0)
         status = bake_farm_parts_read(plan, images, &counts);
     bsq_free(job->ctx, images);

@@ -42,7 +42,6 @@ struct bake_farm_plan {
     uint32_t tile_count;
     struct bake_task_cost *costs; /* one a task */
     uint64_t degenerate_triangles;
-    uint64_t reserved; /* bytes of the budget for what jansson and malloc() hold */
 };
 
 /* Makes a plan without inputs and tiles. The strings and arrays of `options` must outlive it. Free
@@ -108,10 +107,10 @@ struct bake_farm_counts {
     uint64_t covered_texels, samples, hits, overlapping_samples;
 };
 
-/* The texels of one tile's blocks. */
+/* The texels of one tile. */
 struct bake_farm_image {
-    struct bake_blocks blocks;
-    struct bake_image *image; /* an image of blocks; NULL: the task has none in this tile */
+    struct bake_blocks blocks; /* those of a task; unused when parts are merged */
+    struct bake_image *image;  /* NULL: the task has no blocks in this tile */
 };
 
 /* Writes the part of a task: one image for each tile of the plan. Blocks without covered texels are
@@ -131,7 +130,7 @@ int bake_farm_parts_check(const struct bake_farm_plan *plan);
 
 /* Copies all parts into images, one for each tile of the plan, and adds up their counts. Errors:
  * those of bake_farm_parts_check() and bake_image_write(). */
-int bake_farm_parts_read(const struct bake_farm_plan *plan, struct bake_image *const *images,
+int bake_farm_parts_read(const struct bake_farm_plan *plan, const struct bake_farm_image *images,
                          struct bake_farm_counts *counts);
 
 /* ---- merged maps ---- */

@@ -43,19 +43,24 @@ static char *note_text(const struct bake_farm_plan *plan, char *const *paths, ui
     return NULL;
 }
 
-int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+static int write_note(struct bsq_ctx *ctx, const char *path, const char *text)
 {
     struct bsq_output *output;
+    int status = bsq_output_open(ctx, path, &output);
+    if (status < 0)
+        return status;
+    status = bsq_output_write(output, text, strlen(text));
+    if (status == 0)
+        return bsq_output_commit(output);
+    bsq_output_discard(output);
+    return status;
+}
+
+int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+{
     char *path = note_path(plan), *text = note_text(plan, paths, count);
-    int status = path && text ? bsq_output_open(plan->ctx, path, &output)
-                              : bsq_fail(plan->ctx, BSQ_EIO, "%s: a map is gone", plan->path);
-    if (status == 0) {
-        status = bsq_output_write(output, text, strlen(text));
-        if (status == 0)
-            status = bsq_output_commit(output);
-        else
-            bsq_output_discard(output);
-    }
+    const int status = path && text ? write_note(plan->ctx, path, text)
+                                    : bsq_fail(plan->ctx, BSQ_EIO, "%s: a map is gone", plan->path);
     free(text);
     free(path);
     return status;

@@ -88,11 +88,12 @@ static int write_block(struct part_writer *writer, const struct bake_farm_image 
 {
     const uint32_t side = writer->plan->block_side;
     const uint64_t bytes = block_bytes(writer->plan);
-    const float *texels;
+    const float *texels = NULL;
     int status = bsq_check(writer->plan->ctx);
     if (status == 0)
         status = bake_image_rows(image->image, slot * side, side, writer->texels, &texels);
-    if (status < 0 || !is_covered(texels, (uint64_t)side * side, channels_of(writer->plan)))
+    if (!texels || status < 0 ||
+        !is_covered(texels, (uint64_t)side * side, channels_of(writer->plan)))
         return status;
     writer->entries[writer->count++] =
         (struct part_entry){.tile = tile, .block = block, .checksum = XXH3_64bits(texels, bytes)};
@@ -403,8 +404,8 @@ int bake_farm_parts_check(const struct bake_farm_plan *plan)
 
 struct reading {
     const struct part *part;
-    struct bake_image *const *images; /* one a tile */
-    float **texels;                   /* of a block, one a worker */
+    const struct bake_farm_image *images; /* one a tile */
+    float **texels;                       /* of a block, one a worker */
 };
 
 /* Copies a block to its image, without what lies outside of the map. */
@@ -421,7 +422,7 @@ static int copy_block(void *arg, uint64_t i, unsigned worker)
     float *texels = reading->texels[worker];
     int status = read_block(part, i, texels);
     for (uint32_t row = 0; row < height && status == 0; row++)
-        status = bake_image_write(reading->images[t], x, y + row, width, 1,
+        status = bake_image_write(reading->images[t].image, x, y + row, width, 1,
                                   texels + (size_t)row * side * part->header.channels);
     return status;
 }
@@ -434,21 +435,21 @@ static void add_counts(struct bake_farm_counts *counts, const struct part_header
     counts->overlapping_samples += header->overlapping_samples;
 }
 
-static int copy_part(const struct bake_farm_plan *plan, uint32_t task, struct reading *reading,
+static int copy_part(const struct bake_farm_plan *plan, uint32_t task, const struct reading *all,
                      struct bake_farm_counts *counts)
 {
     struct part part;
+    struct reading reading = {.part = &part, .images = all->images, .texels = all->texels};
     int status = open_part(plan, task, &part);
-    reading->part = &part;
     if (status == 0)
-        status = bsq_parallel_for(plan->ctx, part.header.block_count, copy_block, reading);
+        status = bsq_parallel_for(plan->ctx, part.header.block_count, copy_block, &reading);
     if (status == 0)
         add_counts(counts, &part.header);
     close_part(&part);
     return status;
 }
 
-int bake_farm_parts_read(const struct bake_farm_plan *plan, struct bake_image *const *images,
+int bake_farm_parts_read(const struct bake_farm_plan *plan, const struct bake_farm_image *images,
                          struct bake_farm_counts *counts)
 {
     struct bsq_ctx *ctx = plan->ctx;

@@ -1,4 +1,5 @@
 /* farm_plan.c - the plan file: JSON, which programs of a farm can read too. */
+#include <assert.h>
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -57,7 +58,6 @@ void bake_farm_plan_free(struct bake_farm_plan *plan)
         bake_farm_options_free(&plan->options);
     bsq_free(ctx, plan->tiles);
     bsq_free(ctx, plan->costs);
-    bsq_release(ctx, plan->reserved);
     free(plan->inputs);
     free(plan->path);
     bsq_free(ctx, plan);
@@ -442,6 +442,7 @@ static int read_json(struct bsq_ctx *ctx, const char *path, json_t *json,
         status = bake_farm_plan_create(ctx, path, NULL, (uint32_t)tasks, out);
     if (status < 0)
         return status;
+    assert(*out);
     status = read_members(*out, json);
     if (status < 0) {
         bake_farm_plan_free(*out);
