@@ -11,6 +11,7 @@
 #include "base/context_internal.h"
 #include "base/escape.h"
 #include "base/job_files.h"
+#include "base/loss.h"
 
 /* The message if there is no memory to format one; never freed. */
 static char no_memory_text[] = "out of memory";
@@ -193,6 +194,16 @@ void bsq_clear_error(struct bsq_ctx *ctx)
     atomic_store(&ctx->interrupted, 0);
 }
 
+/* Passes a line to on_warning and frees it. */
+static void pass_warning(struct bsq_ctx *ctx, char *text)
+{
+    pthread_mutex_lock(&ctx->callback_lock);
+    if (ctx->options.on_warning)
+        ctx->options.on_warning(ctx->options.user, text);
+    pthread_mutex_unlock(&ctx->callback_lock);
+    free_line(text);
+}
+
 void bsq_warn(struct bsq_ctx *ctx, const char *format, ...)
 {
     if (!ctx->options.on_warning)
@@ -201,10 +212,24 @@ void bsq_warn(struct bsq_ctx *ctx, const char *format, ...)
     va_start(arguments, format);
     char *text = format_line(format, arguments);
     va_end(arguments);
-    pthread_mutex_lock(&ctx->callback_lock);
-    ctx->options.on_warning(ctx->options.user, text);
-    pthread_mutex_unlock(&ctx->callback_lock);
-    free_line(text);
+    pass_warning(ctx, text);
+}
+
+void bsq_set_strict(struct bsq_ctx *ctx, bool strict)
+{
+    ctx->strict = strict;
+}
+
+int bsq_warn_loss(struct bsq_ctx *ctx, const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    char *text = format_line(format, arguments);
+    va_end(arguments);
+    if (ctx->strict)
+        return record_failure(ctx, BSQ_EDATA, text);
+    pass_warning(ctx, text);
+    return 0;
 }
 
 void bsq_interrupt(struct bsq_ctx *ctx)

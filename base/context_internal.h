@@ -30,6 +30,7 @@ struct bsq_ctx {
     pthread_mutex_t error_lock;
     char *_Atomic error; /* first failure; NULL: none */
     int error_status;    /* its code, guarded by error_lock */
+    bool strict;         /* see loss.h */
 
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;

@@ -7,6 +7,8 @@
  * long. */
 #include "libvoxel/float_precision.h"
 
+#include "base/loss.h"
+
 #include <math.h>
 
 static const double least_spacings = 16.0;
@@ -52,16 +54,17 @@ uint64_t vox_precision_count_merged(const double (*positions)[3], uint64_t count
     return merged;
 }
 
-void vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merged,
-                               const float min[3], const float max[3])
+int vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merged,
+                              const float min[3], const float max[3])
 {
-    if (merged > 0)
-        bsq_warn(
-            ctx,
-            "%s: %llu %s fell together with the one before: positions are kept to %.2g of the scan's units, as "
-            "32-bit numbers are at its size",
-            path, (unsigned long long)merged, merged == 1 ? "vertex" : "vertices",
-            vox_precision_spacing(min, max));
+    if (merged == 0)
+        return 0;
+    return bsq_warn_loss(
+        ctx,
+        "%s: %llu %s fell together with the one before: positions are kept to %.2g of the scan's units, as "
+        "32-bit numbers are at its size",
+        path, (unsigned long long)merged, merged == 1 ? "vertex" : "vertices",
+        vox_precision_spacing(min, max));
 }
 
 /* Estimates the mean edge of a chunk's triangles: their surface is about as large as its bounds. */

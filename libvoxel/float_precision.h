@@ -20,8 +20,8 @@ uint64_t vox_precision_count_merged(const double (*positions)[3], uint64_t count
                                     const double origin[3]);
 
 /* Warns if vertices were merged. min, max: bounds of the stored positions. */
-void vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merged,
-                               const float min[3], const float max[3]);
+int vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t merged,
+                              const float min[3], const float max[3]);
 
 /* Warns if voxels of edge h, or most triangles, are so small that rounding tilts their normals. */
 void vox_precision_warn_grid(struct bsq_ctx *ctx, const char *path,

@@ -96,15 +96,21 @@ static int hash_samples(struct bsq_ctx *ctx, const struct bsq_file *file, uint64
     return status;
 }
 
+static bool is_readable_file(const char *path)
+{
+    struct stat info;
+    return stat(path, &info) == 0 && S_ISREG(info.st_mode) && access(path, R_OK) == 0;
+}
+
 /* Makes the line of an input as it is now, for the caller to free. kind: "obj"; "mtl", which may be
- * absent; "tex", only whose path matters. Only three characters of it are read. */
+ * absent or no file; "tex", only whose path matters. Only three characters of it are read. */
 static int describe(struct bsq_ctx *ctx, const char *kind, const char *path, char **out)
 {
     struct bsq_file file;
     struct stat info = {.st_size = -1};
     uint64_t hash = 0;
     *out = NULL;
-    if (*kind == 'o' || (*kind == 'm' && access(path, F_OK) == 0)) {
+    if (*kind == 'o' || (*kind == 'm' && is_readable_file(path))) {
         int status = bsq_file_open_as(ctx, path, BSQ_OPEN_OTHER, &file);
         if (status < 0)
             return status;

@@ -37,7 +37,7 @@ static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
 
 static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
                        const struct vox_sort_options *options, enum partition_passes passes,
-                       struct partition *out)
+                       struct scan_textures *textures, struct partition *out)
 {
     const uint64_t bytes = fmt_mesh_bytes(reader);
     bsq_progress_begin(scan->ctx, "reading", "bytes",
@@ -47,7 +47,7 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
     if (status == 0)
         status = vox_scan_finish(scan, reader);
     if (status == 0)
-        status = vox_scan_find_materials(scan, reader, options->texture_path);
+        status = vox_scan_find_materials(scan, reader, options->texture_path, textures);
     if (status == 0)
         vox_partition_finish(scan, out);
     return status;
@@ -56,17 +56,19 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
 /* Reads in one pass if samples of the text say that this is possible, and again in two passes if
  * they are wrong. */
 static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
-                       const struct vox_sort_options *options, bool one_pass, struct partition *out)
+                       const struct vox_sort_options *options, bool one_pass,
+                       struct scan_textures *textures, struct partition *out)
 {
     struct bsq_ctx *ctx = scan->ctx;
     const struct sort_limits *limits = scan->limits;
-    int status = one_pass ? read_blocks(scan, reader, options, PARTITION_ONE_PASS, out) : BSQ_RETRY;
+    int status = one_pass ? read_blocks(scan, reader, options, PARTITION_ONE_PASS, textures, out)
+                          : BSQ_RETRY;
     if (status != BSQ_RETRY)
         return status;
     vox_partition_free(scan, out);
     vox_scan_free(scan);
     vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
-    return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, out);
+    return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
@@ -76,6 +78,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     struct fmt_mesh_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
     struct fmt_mesh_estimate estimate = {0};
+    struct scan_textures textures = {.decode = options->check_textures};
     double start = bsq_seconds_now();
     const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
                                            .path_count = options->scan_count,
@@ -87,9 +90,12 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     status = fmt_mesh_estimate(reader, &estimate);
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
+    if (status == 0 && estimate.texcoords > 0)
+        status = vox_textures_preview(ctx, reader, options->texture_path, &textures);
     if (status == 0)
         status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
-                             out);
+                             &textures, out);
+    vox_textures_free(ctx, &textures);
     if (status == 0 && options->job)
         status = vox_job_add_inputs(options->job, reader);
     fmt_mesh_close(reader);
@@ -200,7 +206,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
 
 void vox_sort_defaults(struct vox_sort_options *options)
 {
-    *options = (struct vox_sort_options){0};
+    *options = (struct vox_sort_options){.check_textures = true};
 }
 
 /* A handle is a few bytes and a job may have a budget of only vox_memory_min(), so it is not

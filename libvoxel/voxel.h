@@ -49,6 +49,9 @@ struct vox_sort_options {
     /** With temp_tris: makes the file tris_path too. vox_voxelize() reads the chunks of this job,
      * even if another job replaces that file meanwhile. */
     bool keeps_tris;
+    /** Decode all textures before the scan is read, to find damaged ones. Otherwise these are found
+     * when the grid is made. */
+    bool check_textures;
     struct vox_job *job; /**< NULL, or a job that records the files that the scan refers to. */
 };
 

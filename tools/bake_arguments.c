@@ -64,7 +64,7 @@ static const char help_format[] =
     "      --force             do it again if the part or the maps are there already\n"
     "      --list-devices      print the devices and exit\n"
     "      --list-tiles        print the UDIM tiles of a low-poly mesh and exit\n" CLI_VERIFY_HELP
-        CLI_COMMON_HELP;
+        CLI_STRICT_HELP CLI_COMMON_HELP;
 
 enum {
     OPT_MAPS = CLI_OWN,
@@ -156,6 +156,7 @@ static const struct option long_options[] = {
     {"merge", no_argument, NULL, OPT_MERGE},
     {"force", no_argument, NULL, OPT_FORCE},
     CLI_VERIFY_OPTION,
+    CLI_STRICT_OPTION,
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
 };

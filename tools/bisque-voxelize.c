@@ -175,6 +175,7 @@ static int sort_scan(struct voxelize_job *job)
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,
         .keeps_tris = !job->temporary_tris,
+        .check_textures = true,
     };
     struct bsq_ctx *ctx = job->cli->ctx;
     int status = 0;

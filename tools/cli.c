@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "base/escape.h"
+#include "base/loss.h"
 #include "base/output.h"
 #include "tools/cli_percent.h"
 
@@ -108,6 +109,9 @@ int cli_common_option(struct cli *cli, int option, const char *help)
     case CLI_PATH_MAP:
         cli->path_map = optarg;
         return 0;
+    case CLI_STRICT:
+        cli->strict = true;
+        return 0;
     case CLI_VERIFY:
         cli->verify = true;
         return 0;
@@ -194,6 +198,7 @@ int cli_create_context(struct cli *cli)
         cli->reported = true;
         return status;
     }
+    bsq_set_strict(cli->ctx, cli->strict);
     signalled_ctx = cli->ctx;
     catch_signal(SIGINT);
     catch_signal(SIGTERM);

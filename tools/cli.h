@@ -36,6 +36,7 @@ struct cli {
     enum cli_progress progress;
     bool json;   /* print results as JSON */
     bool verify; /* only check files */
+    bool strict; /* warnings of lost data are errors */
 
     bool reported;  /* the failure has been printed */
     bool bar_drawn; /* the terminal's last line is a progress bar */
@@ -50,6 +51,7 @@ enum {
     CLI_THREADS,
     CLI_TMPDIR,
     CLI_VERIFY,
+    CLI_STRICT,
     CLI_PROGRESS,
     CLI_PATH_MAP,
     CLI_JSON,
@@ -72,12 +74,18 @@ enum {
         "tmpdir", required_argument, NULL, CLI_TMPDIR                                              \
     }
 
+#define CLI_STRICT_OPTION                                                                          \
+    {                                                                                              \
+        "strict", no_argument, NULL, CLI_STRICT                                                    \
+    }
 #define CLI_VERIFY_OPTION                                                                          \
     {                                                                                              \
         "verify", no_argument, NULL, CLI_VERIFY                                                    \
     }
 
 /* Texts of --help. */
+#define CLI_STRICT_HELP                                                                            \
+    "      --strict            end with an error if data of an input is lost, not with a warning\n"
 #define CLI_VERIFY_HELP                                                                            \
     "      --verify            check FILES (.tris, .nvdb), print a line on each, do nothing "      \
     "else\n"

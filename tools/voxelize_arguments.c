@@ -21,7 +21,7 @@ static const char help[] =
     "      --parse-only        only read the mesh files, to measure the reader\n"
     "      --resume            continue the same job from its chunk file, if that is complete\n"
     "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the output's)\n" CLI_VERIFY_HELP
-        CLI_COMMON_HELP;
+        CLI_STRICT_HELP CLI_COMMON_HELP;
 
 enum {
     OPT_RESOLUTION = CLI_OWN,
@@ -50,6 +50,7 @@ static const struct option long_options[] = {
     CLI_TMPDIR_OPTION,
     {"resume", no_argument, NULL, OPT_RESUME},
     CLI_VERIFY_OPTION,
+    CLI_STRICT_OPTION,
     CLI_COMMON_OPTIONS,
     {NULL, 0, NULL, 0},
 };

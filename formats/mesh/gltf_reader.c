@@ -6,6 +6,7 @@
 #include <inttypes.h>
 #include <string.h>
 
+#include "base/loss.h"
 #include "base/srgb.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
@@ -213,13 +214,16 @@ static void warn_unread(struct bsq_ctx *ctx, const char *path, const struct gltf
             bsq_warn(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
 }
 
-static void warn_missing(const struct gltf_reader *reader)
+static int warn_missing(const struct gltf_reader *reader)
 {
     static const char *const kinds[] = {"positions", "normals", "texture coordinates", "colours"};
-    for (int i = 0; i < 4; i++)
+    int status = 0;
+    for (int i = 0; i < 4 && !status; i++)
         if (reader->missing[i] > 0)
-            bsq_warn(reader->stream.base.ctx, "%s: %" PRIu64 " %s are not finite and were left out",
-                     reader->stream.sources[0].path, reader->missing[i], kinds[i]);
+            status = bsq_warn_loss(
+                reader->stream.base.ctx, "%s: %" PRIu64 " %s are not finite and were left out",
+                reader->stream.sources[0].path, reader->missing[i], kinds[i]);
+    return status;
 }
 
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
@@ -233,8 +237,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     reader->read_before = true;
     for (uint32_t i = 0; i < reader->stream.source_count; i++)
         warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].unread);
-    warn_missing(reader);
-    return 0;
+    return warn_missing(reader);
 }
 
 static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
@@ -336,5 +339,6 @@ const struct fmt_mesh_format fmt_gltf_format = {
     .estimate = estimate,
     .locate_face = locate_face,
     .read_materials = read_materials,
+    .preview_materials = read_materials,
     .dependency = dependency,
 };

@@ -22,8 +22,9 @@ struct fmt_mesh_place {
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
 };
 
-/* open, close, read, estimate, read_materials and dependency do what mesh_reader.h says about
- * fmt_mesh_open() and so on. Only recognise, read_materials and dependency may be NULL. */
+/* open, close, read, estimate, read_materials, preview_materials and dependency do what
+ * mesh_reader.h says about fmt_mesh_open() and so on. Only recognise, read_materials,
+ * preview_materials and dependency may be NULL. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj". Blanks separate
@@ -47,6 +48,7 @@ struct fmt_mesh_format {
     int (*locate_face)(struct fmt_mesh_reader *reader, uint64_t face, struct fmt_mesh_place *out);
     /* NULL: the format has no materials. */
     int (*read_materials)(struct fmt_mesh_reader *reader, struct fmt_materials *out);
+    int (*preview_materials)(struct fmt_mesh_reader *reader, struct fmt_materials *out);
     /* NULL: the format refers to no other files. */
     const char *(*dependency)(const struct fmt_mesh_reader *reader, uint32_t index);
 };

@@ -7,6 +7,7 @@
 #include <string.h>
 #include <xxhash.h>
 
+#include "base/loss.h"
 #include "base/polygon.h"
 #include "formats/mesh/mesh_reader.h"
 
@@ -201,10 +202,11 @@ static int report_losses(const struct loader *loader)
     char *place = NULL;
     int status = normals->count ? fmt_mesh_place_text(loader->reader, normals->face, &place) : 0;
     if (!status && normals->count)
-        bsq_warn(loader->ctx,
-                 "%s: corners that refer to a normal that the file does not have: %" PRIu64
-                 "; this is the first",
-                 place, normals->count);
+        status =
+            bsq_warn_loss(loader->ctx,
+                          "%s: corners that refer to a normal that the file does not have: %" PRIu64
+                          "; this is the first",
+                          place, normals->count);
     bsq_free(loader->ctx, place);
     place = NULL;
     if (!status && faces->count)
@@ -215,10 +217,11 @@ static int report_losses(const struct loader *loader)
                           "position, more than 1 %%; this is the first",
                           place, faces->count, all);
     else if (!status && faces->count)
-        bsq_warn(loader->ctx,
-                 "%s: faces left out, as they have a vertex without a finite position: %" PRIu64
-                 "; this is the first",
-                 place, faces->count);
+        status = bsq_warn_loss(
+            loader->ctx,
+            "%s: faces left out, as they have a vertex without a finite position: %" PRIu64
+            "; this is the first",
+            place, faces->count);
     bsq_free(loader->ctx, place);
     return status;
 }

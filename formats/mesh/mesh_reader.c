@@ -297,14 +297,22 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
     return reader->format->read_materials ? reader->format->read_materials(reader, out) : 0;
 }
 
+int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
+{
+    memset(out, 0, sizeof *out);
+    return reader->format->preview_materials ? reader->format->preview_materials(reader, out) : 0;
+}
+
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
                       struct fmt_material *out)
 {
     *out = *from;
-    out->name = out->texture_path = NULL;
+    out->name = out->texture_path = out->texture_place = NULL;
     int status = fmt_string_copy(ctx, name, &out->name);
     if (!status && from->texture_path)
         status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
+    if (!status && from->texture_place)
+        status = fmt_string_copy(ctx, from->texture_place, &out->texture_place);
     return status;
 }
 
@@ -313,6 +321,7 @@ void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
     for (uint32_t i = 0; i < materials->count; i++) {
         bsq_free(ctx, materials->list[i].name);
         bsq_free(ctx, materials->list[i].texture_path);
+        bsq_free(ctx, materials->list[i].texture_place);
     }
     bsq_free(ctx, materials->list);
     memset(materials, 0, sizeof *materials);

@@ -162,7 +162,8 @@ struct fmt_material {
     char *name;
     float diffuse[3]; /* display-referred (sRGB) 0..1; 0.8 if the file gives none */
     bool has_diffuse;
-    char *texture_path; /* of the diffuse colour, as the file system finds it; or NULL */
+    char *texture_path;  /* of the diffuse colour, as the file system finds it; or NULL */
+    char *texture_place; /* of the line that names it, for messages: "scan.mtl:3"; or NULL */
 };
 
 struct fmt_materials {
@@ -174,6 +175,10 @@ struct fmt_materials {
  * material number. A file of materials that is missing is a warning. Free *out with
  * fmt_materials_free(). */
 int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
+/* Describes, before any reading, the materials in files that are named near the start of the mesh
+ * files, whether faces use them or not. Their number has no meaning. Problems in these files are
+ * warned of here, and not again by fmt_mesh_read_materials(). */
+int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials);
 /* Returns the path of another file that the result depends on, such as a material library. Only
  * files named in the blocks read so far are known. Images are not among them. Returns NULL if there

@@ -5,11 +5,14 @@
 
 #include <errno.h>
 #include <inttypes.h>
+#include <stdio.h>
 #include <string.h>
 #include <strings.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "base/job_files.h"
+#include "base/loss.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/obj_path.h"
@@ -21,6 +24,7 @@ struct reader {
     struct fmt_materials *materials;
     uint64_t capacity;
     bool has_current; /* the last material of the list is from this file */
+    bool again;       /* the file was read before: do not warn */
 };
 
 /* ---- words of a line ---- */
@@ -60,18 +64,23 @@ static void trim_end(char *text)
 
 /* ---- statements ---- */
 
-static void warn(struct reader *reader, const char *what, const char *text)
+static int warn(struct reader *reader, const char *what, const char *text)
 {
-    bsq_warn(reader->ctx, "%s:%" PRIu64 ": %s: \"%.60s\"", reader->path, reader->line, what, text);
+    if (reader->again)
+        return 0;
+    return bsq_warn_loss(reader->ctx, "%s:%" PRIu64 ": %s: \"%.60s\"", reader->path, reader->line,
+                         what, text);
 }
 
-/* Returns the material that statements describe now; NULL, with a warning, if there is none. */
-static struct fmt_material *current(struct reader *reader, const char *statement)
+/* Returns the material that statements describe now; NULL if there is none. */
+static struct fmt_material *current(struct reader *reader)
 {
-    if (reader->has_current)
-        return &reader->materials->list[reader->materials->count - 1];
-    warn(reader, "no newmtl before this, ignored", statement);
-    return NULL;
+    return reader->has_current ? &reader->materials->list[reader->materials->count - 1] : NULL;
+}
+
+static int warn_without_material(struct reader *reader, const char *statement)
+{
+    return warn(reader, "no newmtl before this, ignored", statement);
 }
 
 static int begin_material(struct reader *reader, char *name)
@@ -95,29 +104,28 @@ static int begin_material(struct reader *reader, char *name)
 }
 
 /* Reads "Kd r g b" or "Kd grey"; spectral curves and CIE colours are skipped. */
-static void read_diffuse(struct reader *reader, char *p)
+static int read_diffuse(struct reader *reader, char *p)
 {
-    struct fmt_material *material = current(reader, "Kd");
+    struct fmt_material *material = current(reader);
     double rgb[3];
     int count = 0;
-    if (!material || word_is(p, "spectral") || word_is(p, "xyz"))
-        return;
+    if (!material)
+        return warn_without_material(reader, "Kd");
+    if (word_is(p, "spectral") || word_is(p, "xyz"))
+        return 0;
     for (char *at = p; count < 3 && *at && *at != '#'; count++) {
-        if (!obj_number(at, &rgb[count])) {
-            warn(reader, "not a colour, ignored", p);
-            return;
-        }
+        if (!obj_number(at, &rgb[count]))
+            return warn(reader, "not a colour, ignored", p);
         at = skip_blanks(at + word_length(at));
     }
-    if (count != 1 && count != 3) {
-        warn(reader, "a colour has 1 or 3 numbers, ignored", p);
-        return;
-    }
+    if (count != 1 && count != 3)
+        return warn(reader, "a colour has 1 or 3 numbers, ignored", p);
     for (int i = 0; i < 3; i++) {
         double value = rgb[count == 1 ? 0 : i];
         material->diffuse[i] = (float)(value < 0 ? 0 : value > 1 ? 1 : value);
     }
     material->has_diffuse = true;
+    return 0;
 }
 
 /* Options of map_ statements with the number of words that follow each. */
@@ -140,8 +148,9 @@ static const struct map_option *find_option(const char *p)
 }
 
 /* Skips the words of one option. Never skips the last word of a line, which is the file. */
-static char *skip_option(struct reader *reader, char *p, const struct map_option *option)
+static int skip_option(struct reader *reader, char **at, const struct map_option *option)
 {
+    char *p = *at;
     bool is_vector = option->words == 3, changes = false;
     char *rest = skip_blanks(p + word_length(p));
     for (int i = 0; i < option->words; i++) {
@@ -152,33 +161,44 @@ static char *skip_option(struct reader *reader, char *p, const struct map_option
         changes |= is_vector && value != option->identity;
         rest = after;
     }
-    if (changes)
-        warn(reader, "texture is used without this shift or scale", p);
-    return rest;
+    *at = rest;
+    return changes ? warn(reader, "texture is used without this shift or scale", p) : 0;
+}
+
+/* Notes that the current line names the texture of a material. */
+static int note_place(struct reader *reader, struct fmt_material *material)
+{
+    const size_t size = strlen(reader->path) + 24;
+    bsq_free(reader->ctx, material->texture_place);
+    int status = bsq_alloc(reader->ctx, "names", size, 1, &material->texture_place);
+    if (!status)
+        snprintf(material->texture_place, size, "%s:%" PRIu64, reader->path, reader->line);
+    return status;
 }
 
 /* Reads "map_Kd [options] file". The file name may contain blanks and be quoted. */
 static int read_map(struct reader *reader, char *p)
 {
-    struct fmt_material *material = current(reader, "map_Kd");
-    if (!material)
-        return 0;
-    trim_end(p);
+    struct fmt_material *material = current(reader);
     const struct map_option *option;
-    while ((option = find_option(p)))
-        p = skip_option(reader, p, option);
-    if (!*p || (*p == '#' && (!p[1] || is_blank(p[1]))) || !strcmp(p, "\"\"")) {
-        warn(reader, "names no file, ignored", "map_Kd");
-        return 0;
-    }
+    int status = 0;
+    if (!material)
+        return warn_without_material(reader, "map_Kd");
+    trim_end(p);
+    while (!status && (option = find_option(p)))
+        status = skip_option(reader, &p, option);
+    if (status)
+        return status;
+    if (!*p || (*p == '#' && (!p[1] || is_blank(p[1]))) || !strcmp(p, "\"\""))
+        return warn(reader, "names no file, ignored", "map_Kd");
     bsq_free(reader->ctx, material->texture_path);
     material->texture_path = NULL;
-    int status = fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
+    status = fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
     if (!status)
         status =
             bsq_note_input(reader->ctx, material->texture_path,
                            "the texture that %s:%" PRIu64 " names", reader->path, reader->line);
-    return status;
+    return status ? status : note_place(reader, material);
 }
 
 static int read_line(struct reader *reader, char *line)
@@ -189,9 +209,7 @@ static int read_line(struct reader *reader, char *line)
         return begin_material(reader, rest);
     if (word_is(p, "map_Kd"))
         return read_map(reader, rest);
-    if (word_is(p, "Kd"))
-        read_diffuse(reader, rest);
-    return 0;
+    return word_is(p, "Kd") ? read_diffuse(reader, rest) : 0;
 }
 
 static int read_text(struct reader *reader, char *text, uint64_t size)
@@ -215,17 +233,37 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
     return status;
 }
 
-int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, struct fmt_materials *materials)
+/* Warns if the file cannot be read, and sets *readable. */
+static int check_readable(const struct reader *reader, bool *readable)
 {
-    struct reader reader = {
-        .ctx = ctx, .path = path, .materials = materials, .capacity = materials->count};
+    struct stat info;
+    const char *problem = NULL;
+    if (stat(reader->path, &info) || access(reader->path, R_OK))
+        problem = strerror(errno);
+    else if (!S_ISREG(info.st_mode))
+        problem = "not a regular file";
+    *readable = problem == NULL;
+    if (!problem && info.st_size == 0)
+        problem = "an empty file";
+    if (!problem || reader->again)
+        return 0;
+    return bsq_warn_loss(reader->ctx, "%s: %s: its materials are missing", reader->path, problem);
+}
+
+int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, bool again, struct fmt_materials *materials)
+{
+    struct reader reader = {.ctx = ctx,
+                            .path = path,
+                            .materials = materials,
+                            .capacity = materials->count,
+                            .again = again};
     struct bsq_file file = BSQ_FILE_CLOSED;
     char *text = NULL;
-    if (access(path, R_OK)) {
-        bsq_warn(ctx, "%s: %s", path, strerror(errno));
-        return 0;
-    }
-    int status = bsq_file_open(ctx, path, &file);
+    bool readable;
+    int status = check_readable(&reader, &readable);
+    if (status || !readable)
+        return status;
+    status = bsq_file_open(ctx, path, &file);
     if (status)
         goto done;
     status = bsq_alloc(ctx, "MTL text", file.size + OBJ_TEXT_PADDING, 1, &text);

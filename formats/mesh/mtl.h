@@ -9,9 +9,12 @@
 extern "C" {
 #endif
 
-/* Appends the materials of one MTL file. A file that does not exist is a warning, not an error, as
- * scans are often passed on without it. Malformed statements are warnings. */
-int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, struct fmt_materials *materials);
+/* Appends the materials of one MTL file. A file that does not exist, or is empty or not a regular
+ * file, is a warning, not an error, as scans are often passed on without it. Malformed statements
+ * are warnings. again: the file was read before, so there are no warnings. Errors: BSQ_EDATA for a
+ * warning in a strict job; those of bsq_file_open(). */
+int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, bool again,
+                 struct fmt_materials *materials);
 
 #ifdef __cplusplus
 }

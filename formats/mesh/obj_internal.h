@@ -54,6 +54,7 @@ struct obj_reader {
     struct obj_names materials, libraries;
     struct obj_odd_place odd[OBJ_ODDITY_COUNT]; /* of the current reading */
     bool read_before;                           /* the files were read to their end */
+    uint64_t previewed;                         /* libraries that were read before the files */
 };
 
 /* ---- obj_text.c ---- */
@@ -80,6 +81,7 @@ int fmt_obj_fail_relative(struct obj_reader *reader, const struct obj_source *so
 /* ---- obj_material.c ---- */
 
 int fmt_obj_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
+int fmt_obj_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
 const char *fmt_obj_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
 
 /* Sets *number to the number of `name` in the file `source`; enters the name if it is new. */

@@ -170,7 +170,7 @@ static const struct fmt_material *describe(struct obj_reader *reader, uint32_t s
     if (number == 0 || out->list[number - 1].name)
         return from;
     out->list[number - 1] = *from;
-    from->name = from->texture_path = NULL;
+    from->name = from->texture_path = from->texture_place = NULL;
     return &out->list[number - 1];
 }
 
@@ -259,7 +259,8 @@ static int read_materials_of(struct obj_reader *reader, uint32_t source, struct 
     int status = 0;
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
         if (reader->libraries.list[i].source == source)
-            status = fmt_mtl_read(ctx, reader->libraries.list[i].text, &found);
+            status =
+                fmt_mtl_read(ctx, reader->libraries.list[i].text, i < reader->previewed, &found);
     if (!status)
         status = describe_all(reader, source, &found, out);
     fmt_materials_free(ctx, &found);
@@ -296,5 +297,55 @@ int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *o
         status = name_others(reader, out);
     if (status)
         fmt_materials_free(reader->base.ctx, out);
+    return status;
+}
+
+/* Enters the libraries that the first block of a file names. */
+static int find_libraries(struct obj_reader *reader, uint32_t source)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct obj_block block = {0};
+    uint64_t offset;
+    int status = bsq_file_open(ctx, reader->sources[source].path, &file);
+    if (!status)
+        status = fmt_obj_text_load(ctx, &file, 0, &block, &offset);
+    if (!status)
+        status = fmt_obj_block_parse(ctx, &block, true, UINT64_MAX);
+    for (uint64_t i = 0; i < block.statement_count && !status; i++) {
+        char *text;
+        if (block.statements[i].kind != OBJ_MTLLIB)
+            continue;
+        if ((status = fmt_obj_statement_text(ctx, &block, &block.statements[i], &text)))
+            break;
+        status = fmt_obj_enter_libraries(reader, source, text);
+        bsq_free(ctx, text);
+    }
+    fmt_obj_block_free(ctx, &block);
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
+/* Returns whether an entry before number `index` has the same text. */
+static bool is_listed(const struct obj_names *names, uint64_t index)
+{
+    for (uint64_t i = 0; i < index; i++)
+        if (!strcmp(names->list[i].text, names->list[index].text))
+            return true;
+    return false;
+}
+
+int fmt_obj_preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    struct obj_reader *reader = (struct obj_reader *)base;
+    int status = 0;
+    for (uint32_t source = 0; source < reader->source_count && !status; source++)
+        status = find_libraries(reader, source);
+    for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
+        if (!is_listed(&reader->libraries, i))
+            status = fmt_mtl_read(base->ctx, reader->libraries.list[i].text, false, out);
+    reader->previewed = reader->libraries.count;
+    if (status)
+        fmt_materials_free(base->ctx, out);
     return status;
 }

@@ -12,6 +12,7 @@
 #include <inttypes.h>
 #include <string.h>
 
+#include "base/loss.h"
 #include "base/parallel.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
@@ -445,7 +446,7 @@ static int run_job(struct job *job)
 }
 
 /* Warns once of each kind of odd lines, with the first line. */
-static void warn_odd_lines(const struct obj_reader *reader)
+static int warn_odd_lines(const struct obj_reader *reader)
 {
     static const char *const texts[OBJ_ODDITY_COUNT] = {
         [OBJ_NO_POSITION] = "vertices without a finite position",
@@ -454,12 +455,15 @@ static void warn_odd_lines(const struct obj_reader *reader)
         [OBJ_NO_COLOR] = "vertices with a colour that is not finite",
         [OBJ_VERTEX_SIZE] = "vertices of 2 or 5 numbers, read as x y 0 or x y z",
     };
-    for (int i = 0; i < OBJ_ODDITY_COUNT; i++) {
+    int status = 0;
+    for (int i = 0; i < OBJ_ODDITY_COUNT && !status; i++) {
         const struct obj_odd_place *odd = &reader->odd[i];
         if (odd->count > 0)
-            bsq_warn(reader->base.ctx, "%s:%" PRIu64 ": %s: %" PRIu64 "; this is the first",
-                     reader->sources[odd->source].path, odd->line, texts[i], odd->count);
+            status = bsq_warn_loss(
+                reader->base.ctx, "%s:%" PRIu64 ": %s: %" PRIu64 "; this is the first",
+                reader->sources[odd->source].path, odd->line, texts[i], odd->count);
     }
+    return status;
 }
 
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
@@ -481,7 +485,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
         status = status ? status : closed;
     }
     if (!status && !reader->read_before)
-        warn_odd_lines(reader);
+        status = warn_odd_lines(reader);
     reader->read_before |= status == 0;
     return status;
 }
@@ -495,5 +499,6 @@ const struct fmt_mesh_format fmt_obj_format = {
     .estimate = fmt_obj_estimate,
     .locate_face = fmt_obj_locate_face,
     .read_materials = fmt_obj_read_materials,
+    .preview_materials = fmt_obj_preview_materials,
     .dependency = fmt_obj_dependency,
 };

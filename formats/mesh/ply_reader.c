@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "base/job_files.h"
+#include "base/loss.h"
 #include "formats/mesh/obj_path.h"
 #include "formats/mesh/ply_internal.h"
 #include "formats/mesh/ply_roles.h"
@@ -163,7 +164,8 @@ static int warn_rest(struct ply_reader *reader, const struct stream_slot *slot)
     while (!status && blanks < got && is_blank(sample[blanks]))
         blanks++;
     if (!status && blanks < bytes && !reader->read_before)
-        bsq_warn(ctx, "%s: %" PRIu64 " bytes after the last element not read", source->path, bytes);
+        status = bsq_warn_loss(ctx, "%s: %" PRIu64 " bytes after the last element not read",
+                               source->path, bytes);
     return status;
 }
 
@@ -188,7 +190,7 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     return status;
 }
 
-static void warn_missing(struct ply_reader *reader)
+static int warn_missing(struct ply_reader *reader)
 {
     const struct {
         uint64_t count;
@@ -198,11 +200,14 @@ static void warn_missing(struct ply_reader *reader)
                  {reader->bad_colors, "colours"},
                  {reader->missing_texcoords, "texture coordinates"},
                  {reader->bad_texcoords, "texture coordinates of corners"}};
-    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++)
+    int status = 0;
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds && !status; i++)
         if (kinds[i].count > 0)
-            bsq_warn(reader->stream.base.ctx,
-                     "%s: %" PRIu64 " %s are not finite or incomplete and were left out",
-                     reader->stream.sources[0].path, kinds[i].count, kinds[i].what);
+            status =
+                bsq_warn_loss(reader->stream.base.ctx,
+                              "%s: %" PRIu64 " %s are not finite or incomplete and were left out",
+                              reader->stream.sources[0].path, kinds[i].count, kinds[i].what);
+    return status;
 }
 
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
@@ -217,8 +222,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     reader->read_before = true;
     for (uint32_t i = 0; i < reader->stream.source_count; i++)
         fmt_ply_warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].header);
-    warn_missing(reader);
-    return 0;
+    return warn_missing(reader);
 }
 
 static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
@@ -298,4 +302,5 @@ const struct fmt_mesh_format fmt_ply_format = {
     .estimate = estimate,
     .locate_face = locate_face,
     .read_materials = fmt_ply_read_materials,
+    .preview_materials = fmt_ply_read_materials,
 };

@@ -8,6 +8,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/loss.h"
 #include "formats/mesh/stl_internal.h"
 
 /* ---- opening ---- */
@@ -255,8 +256,9 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     for (uint64_t i = 0; i < a->corner_count; i++)
         a->corners[FMT_MESH_VERTEX][i] += source->count[FMT_MESH_VERTEX];
     if (file->kind != STL_TEXT && slot->part.items == 0 && !reader->read_before)
-        bsq_warn(base->base.ctx, "%s: %" PRIu64 " bytes after the last triangle not read",
-                 source->path, slot->part.end - slot->part.offset);
+        return bsq_warn_loss(base->base.ctx,
+                             "%s: %" PRIu64 " bytes after the last triangle not read", source->path,
+                             slot->part.end - slot->part.offset);
     return 0;
 }
 
@@ -267,8 +269,8 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     reader->open_solids = 0;
     int status = fmt_stream_read(&reader->stream, steps, arg, totals);
     if (!status && reader->open_solids > 0 && !reader->read_before)
-        bsq_warn(base->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",
-                 reader->stream.sources[0].path);
+        status = bsq_warn_loss(base->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",
+                               reader->stream.sources[0].path);
     reader->read_before |= status == 0;
     return status;
 }

@@ -66,6 +66,19 @@ struct scan_face_check {
     struct scan_loss lost[FMT_MESH_KIND_COUNT];
 };
 
+/* A texture that has been checked. */
+struct scan_texture {
+    char *path;
+    bool good;
+};
+
+/* The textures that have been checked, sorted by path. All zero at first. */
+struct scan_textures {
+    struct scan_texture *list;
+    uint64_t count, capacity;
+    bool decode; /* read the images, and not only their directory entries */
+};
+
 struct scan {
     struct bsq_ctx *ctx;
     const struct sort_limits *limits;
@@ -130,10 +143,23 @@ void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
  * more than 1 % of the faces are left out, or if there are no faces. */
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 
+/* Checks the textures that the files name near their start, or only the one at `texture_path`,
+ * unless it is NULL. To be called before reading. A bad texture is a warning if a material names
+ * it. Errors: BSQ_EDATA and BSQ_ENOINPUT for a bad texture at texture_path and in a strict job;
+ * those of fmt_textures_open(). Free *textures with vox_textures_free(). */
+int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
+                         const char *texture_path, struct scan_textures *textures);
+/* Checks the textures of materials that have not been checked yet. */
+int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
+                       struct scan_textures *textures);
+/* Returns whether a texture was checked and can be used. */
+bool vox_textures_have(const struct scan_textures *textures, const char *path);
+void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
+
 /* Reads the MTL files and decides on attributes and materials. texture_path: an image for all faces
  * instead, or NULL. */
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
-                            const char *texture_path);
+                            const char *texture_path, struct scan_textures *textures);
 
 /* Returns whether the chunk file has this stream's attribute, after vox_scan_find_materials(). */
 static inline bool scan_keeps(const struct scan *scan, enum scan_stream stream)

@@ -5,6 +5,7 @@
  * without texture, for triangles that lack texture coordinates. */
 #include "base/file_part.h"
 #include "base/job_files.h"
+#include "base/loss.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -32,12 +33,6 @@ static int resolve_texture(struct scan *scan, const char *path, char **out)
     }
     free(absolute);
     return status;
-}
-
-static bool texture_exists(const char *path)
-{
-    struct bsq_part part;
-    return bsq_part_parse(path, &part) > 0 || access(path, F_OK) == 0;
 }
 
 static uint32_t add_material(struct scan *scan, char *texture_path, const float diffuse[3])
@@ -78,15 +73,12 @@ static int use_single_texture(struct scan *scan, const char *texture_path)
     return 0;
 }
 
-static int add_own_material(struct scan *scan, const struct fmt_material *from, uint32_t usemtl)
+static int add_own_material(struct scan *scan, const struct scan_textures *textures,
+                            const struct fmt_material *from, uint32_t usemtl)
 {
     uint32_t *map = &scan->material_map[2 * usemtl];
-    bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0;
-    if (textured && !texture_exists(from->texture_path)) {
-        bsq_warn(scan->ctx, "%s: no such texture: material \"%s\" goes without it",
-                 from->texture_path, from->name);
-        textured = false;
-    }
+    const bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
+                          vox_textures_have(textures, from->texture_path);
     if (textured) {
         char *path = NULL;
         int status = resolve_texture(scan, from->texture_path, &path);
@@ -101,32 +93,35 @@ static int add_own_material(struct scan *scan, const struct fmt_material *from, 
     return 0;
 }
 
-static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader)
+static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
+                             struct scan_textures *textures)
 {
     struct fmt_materials found = {0};
     int status = fmt_mesh_read_materials(reader, &found);
+    if (status == 0 && scan_count(scan, SCAN_TEXCOORDS) > 0)
+        status = vox_textures_check(scan->ctx, &found, textures);
     for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
         status = bsq_check(scan->ctx);
         if (status == 0)
-            status = add_own_material(scan, &found.list[i], i);
+            status = add_own_material(scan, textures, &found.list[i], i);
     }
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
 
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
-                            const char *texture_path)
+                            const char *texture_path, struct scan_textures *textures)
 {
     int status = allocate_tables(scan, scan->totals.materials);
     if (status < 0)
         return status;
     if (!texture_path)
-        status = use_own_materials(scan, reader);
+        status = use_own_materials(scan, reader, textures);
     else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
         status = use_single_texture(scan, texture_path);
     else
-        bsq_warn(scan->ctx, "%s: no texture coordinates, %s is not used", scan->paths[0],
-                 texture_path);
+        status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
+                               scan->paths[0], texture_path);
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);

@@ -4,6 +4,7 @@
  * appends. */
 #include "libvoxel/read/scan.h"
 #include "libvoxel/float_precision.h"
+#include "base/loss.h"
 #include "base/octahedral.h"
 
 #include <float.h>
@@ -331,21 +332,21 @@ static int report_loss(const struct scan *scan, enum fmt_mesh_kind kind, const c
 {
     const unsigned long long count = scan->lost[kind].count, faces = scan->totals.faces;
     if (kind != FMT_MESH_VERTEX)
-        bsq_warn(scan->ctx,
-                 "%s: corners that refer to a %s that the file does not have: %llu; this is the "
-                 "first",
-                 place, fmt_mesh_kind_names[kind], count);
-    else if (count > faces / 100)
+        return bsq_warn_loss(
+            scan->ctx,
+            "%s: corners that refer to a %s that the file does not have: %llu; this is the "
+            "first",
+            place, fmt_mesh_kind_names[kind], count);
+    if (count > faces / 100)
         return bsq_fail(scan->ctx, BSQ_EDATA,
                         "%s: %llu of %llu faces have a vertex without a finite position, more than "
                         "1 %%; this is the first",
                         place, count, faces);
-    else
-        bsq_warn(scan->ctx,
-                 "%s: faces left out, as they have a vertex without a finite position: %llu; this "
-                 "is the first",
-                 place, count);
-    return 0;
+    return bsq_warn_loss(
+        scan->ctx,
+        "%s: faces left out, as they have a vertex without a finite position: %llu; this "
+        "is the first",
+        place, count);
 }
 
 static int report_losses(const struct scan *scan, struct fmt_mesh_reader *reader)
@@ -370,13 +371,16 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     if (status < 0)
         return status;
     if (scan->clamped_colors > 0)
-        bsq_warn(scan->ctx, "%s: colours out of range were clamped at %llu %s", scan->paths[0],
-                 (unsigned long long)scan->clamped_colors,
-                 scan->clamped_colors == 1 ? "vertex" : "vertices");
-    if (scan->totals.unread_colors && !scan->has_colors)
-        bsq_warn(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors);
-    vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices, scan->bounds_min,
-                              scan->bounds_max);
+        status = bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
+                               scan->paths[0], (unsigned long long)scan->clamped_colors,
+                               scan->clamped_colors == 1 ? "vertex" : "vertices");
+    if (status == 0 && scan->totals.unread_colors && !scan->has_colors)
+        status = bsq_warn_loss(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors);
+    if (status == 0)
+        status = vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices,
+                                           scan->bounds_min, scan->bounds_max);
+    if (status < 0)
+        return status;
     if (scan->totals.faces == 0)
         return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->paths[0]);
     if (bad->found)

@@ -41,7 +41,7 @@ code 0
 out_like '^Usage: bisque-bake '
 options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
     ao-rays ao-distance ao-spread ao-falloff thickness-rays thickness-distance cage ray-directions max-missed two-sided
-    sampling normal-space green padding half float exr-tiles png-bits preview preview-views up device gpu-memory list-devices list-tiles tasks write-plan plan task merge force memory
+    sampling normal-space green padding half float exr-tiles png-bits preview preview-views up device gpu-memory list-devices list-tiles tasks write-plan plan task merge force strict memory
     threads progress path-map json help
     version"
 for option in $options; do

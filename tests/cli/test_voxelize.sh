@@ -10,7 +10,7 @@ write_box >box.obj
 $vox --help
 code 0
 out_like '^Usage: bisque-voxelize '
-options="output resolution voxel-size grid-type vdb texture tris no-tris parse-only tmpdir memory
+options="output resolution voxel-size grid-type vdb texture tris no-tris parse-only tmpdir strict memory
     threads progress path-map json help version"
 for option in $options; do
     out_like "  --$option|-o, --$option"

@@ -1,0 +1,97 @@
+#!/bin/sh
+# test_lenient.sh - files that a scan names and that cannot be used: a warning before the scan is read,
+# or an error with --strict.
+. "$(dirname "$0")/lib.sh"
+p="bisque-voxelize:"
+vox="run bisque-voxelize --progress none"
+
+cat >scan.obj <<'END'
+mtllib scan.mtl
+v 0 0 0
+v 1 0 0
+v 0 1 0
+vt 0 0
+usemtl a
+f 1/1 2/1 3/1
+END
+mkdir folder
+: >empty.png
+echo text >text.png
+printf '\211PNG\r\n\032\n\0\0\0\rIHDR\0\0\0\001\0\0\0\001\010\002\0\0\0\220wS\336' >cut.png
+
+# warns LINE OPTION...: a run with these options warns with exactly this line; with --strict it fails
+# with it, before it reads the scan.
+warns()
+{
+    line=$1
+    shift
+    $vox "$@" -o a.nvdb --resolution 8
+    code 0
+    [ "$(cat "$err")" = "$p warning: $line" ]
+    check "warning: $line" $?
+    rm a.*
+    $vox "$@" -o a.nvdb --resolution 8 --strict
+    refused 65 "$p $line"
+    [ ! -e a.nvdb ] && [ ! -e a.tris ]
+    check "nothing was written" $?
+}
+
+# ---- textures ----
+
+# texture NAME PROBLEM: material a names this texture in line 3 of its library.
+texture()
+{
+    printf 'newmtl a\nKd 1 0 0\nmap_Kd %s\n' "$1" >scan.mtl
+    warns "scan.mtl:3: $1: $2: material \"a\" goes without it" scan.obj
+}
+texture gone.png 'no such texture'
+texture . 'not a regular file'
+texture folder 'not a regular file'
+texture empty.png 'an empty file'
+texture cut.png 'not a readable image: the file is cut off'
+texture text.png 'not a readable image: it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA'
+
+# The warning comes before the scan is read: here the scan has an error.
+{ cat scan.obj; echo 'v x'; } >wrong.obj
+$vox wrong.obj -o a.nvdb
+code 65
+[ "$(sed -n 1p "$err" | cut -d' ' -f 2-3)" = "warning: scan.mtl:3:" ] && [ "$(sed -n 2p "$err")" = "$p wrong.obj:8: \"x\" is not a number" ]
+check "the texture comes first" $?
+$vox wrong.obj -o a.nvdb --texture text.png
+code 65
+err_like "^$p text\\.png: not a readable image"
+
+# A library that only a late part of the file names is checked after reading.
+{ sed 1d scan.obj; awk 'BEGIN { for (i = 0; i < 30000; i++) print "# a comment of some length" }'; echo 'mtllib scan.mtl'; } >late.obj
+texture_line='scan.mtl:3: text.png: not a readable image: it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA: material "a" goes without it'
+warns "$texture_line" late.obj
+
+# ---- libraries ----
+
+rm scan.mtl
+warns 'scan.mtl: No such file or directory: its materials are missing' scan.obj
+mkdir scan.mtl
+warns 'scan.mtl: not a regular file: its materials are missing' scan.obj
+rmdir scan.mtl
+: >scan.mtl
+warns 'scan.mtl: an empty file: its materials are missing' scan.obj
+
+# ---- what is lost in the scan ----
+
+{ cat scan.obj; echo 'f 1/9 2/1 3/1'; } | sed 1d >lost.obj
+warns 'lost.obj:7: corners that refer to a texture coordinate that the file does not have: 1; this is the first' lost.obj
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 nan 0\nf 1 2 3\n' >nan.obj
+warns 'nan.obj:4: vertices without a finite position: 1; this is the first' nan.obj
+
+# The low-poly mesh of a bake.
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/7\n' >low.obj
+$vox lost.obj -o lost.nvdb --no-tris --resolution 8
+line='low.obj:8: corners that refer to a normal that the file does not have: 1; this is the first'
+run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --progress none
+code 0
+[ "$(cat "$err")" = "bisque-bake: warning: $line" ]
+check "warning: $line" $?
+rm map.exr
+run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --strict
+refused 65 "bisque-bake: $line"
+finish
