@@ -300,18 +300,23 @@ int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *o
     return status;
 }
 
-/* Enters the libraries that the first block of a file names. */
+/* Enters the libraries that the first lines of a file name. */
 static int find_libraries(struct obj_reader *reader, uint32_t source)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
-    struct bsq_file file = BSQ_FILE_CLOSED;
     struct obj_block block = {0};
-    uint64_t offset;
-    int status = bsq_file_open(ctx, reader->sources[source].path, &file);
+    uint64_t size = 0;
+    int status = fmt_obj_block_reserve_text(ctx, &block, FMT_INPUT_SAMPLE_BYTES);
     if (!status)
-        status = fmt_obj_text_load(ctx, &file, 0, &block, &offset);
-    if (!status)
+        status = fmt_input_peek(reader->sources[source].input, block.buffer, FMT_INPUT_SAMPLE_BYTES,
+                                &size);
+    const bool cut = size == FMT_INPUT_SAMPLE_BYTES;
+    while (cut && size > 0 && block.buffer[size - 1] != '\n')
+        size--;
+    if (!status) {
+        fmt_obj_block_set_text(&block, 0, size);
         status = fmt_obj_block_parse(ctx, &block, true, UINT64_MAX);
+    }
     for (uint64_t i = 0; i < block.statement_count && !status; i++) {
         char *text;
         if (block.statements[i].kind != OBJ_MTLLIB)
@@ -322,7 +327,6 @@ static int find_libraries(struct obj_reader *reader, uint32_t source)
         bsq_free(ctx, text);
     }
     fmt_obj_block_free(ctx, &block);
-    bsq_file_close(ctx, &file);
     return status;
 }
 

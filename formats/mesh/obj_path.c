@@ -68,22 +68,22 @@ static bool find_file(const char *beside, const char *name, bool any_case, char 
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists)
 {
-    *out = NULL;
-    name = bsq_map_path(ctx, name);
-    if (!name)
-        return BSQ_ENOMEM;
     const size_t beside_directory = (size_t)(last_component(beside) - beside);
-    const size_t size = strlen(name) + 1;
-    char *plain = NULL;
-    int status = bsq_alloc(ctx, "names", beside_directory + size, 1, out);
-    if (!status)
-        status = fmt_string_copy(ctx, name, &plain);
+    const char *mapped = bsq_map_path(ctx, name), *plain = NULL;
+    char *copy = NULL;
+    *out = NULL;
+    int status = mapped ? fmt_string_copy(ctx, name, &copy) : BSQ_ENOMEM;
     if (!status)
         status = bsq_check(ctx); /* directories may be long */
+    const bool changed = !status && fmt_mesh_plain_name(copy);
+    if (!status && !(plain = bsq_map_path(ctx, copy)))
+        status = BSQ_ENOMEM;
+    if (!status)
+        status =
+            bsq_alloc(ctx, "names", beside_directory + strlen(mapped) + strlen(plain) + 1, 1, out);
     if (status)
         goto done;
-    const bool changed = fmt_mesh_plain_name(plain);
-    const bool found = find_file(beside, name, false, *out) ||
+    const bool found = find_file(beside, mapped, false, *out) ||
                        (changed && find_file(beside, plain, false, *out)) ||
                        find_file(beside, plain, true, *out);
     if (exists)
@@ -94,7 +94,7 @@ int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, cha
         strcpy(*out + directory, plain);
     }
 done:
-    bsq_free(ctx, plain);
+    bsq_free(ctx, copy);
     if (status) {
         bsq_free(ctx, *out);
         *out = NULL;
