@@ -220,9 +220,9 @@ static int warn_missing(const struct gltf_reader *reader)
     int status = 0;
     for (int i = 0; i < 4 && !status; i++)
         if (reader->missing[i] > 0)
-            status = bsq_warn_loss(
-                reader->stream.base.ctx, "%s: %" PRIu64 " %s are not finite and were left out",
-                reader->stream.sources[0].path, reader->missing[i], kinds[i]);
+            status = bsq_warn_loss(reader->stream.base.ctx,
+                                   "%s: %" PRIu64 " %s are not finite and were left out",
+                                   reader->stream.sources[0].path, reader->missing[i], kinds[i]);
     return status;
 }
 
