@@ -455,6 +455,10 @@ deps-doc:
 	@tests/install-packages.sh $(packages_doc)
 deps-deb:
 	@tests/install-packages.sh $(packages_build) $(packages_deb)
+# For the control file of Debian packages, whose builds always have the compilers.
+.PHONY: print-packages
+print-packages:
+	@echo $(filter-out gcc g++,$(packages_build))
 # Any clang that has its fuzzer will do.
 deps-fuzz:
 	@echo 'int LLVMFuzzerTestOneInput(void) { return 0; }' | \

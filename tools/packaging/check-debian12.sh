@@ -47,6 +47,7 @@ start()
     mount -t tmpfs tmpfs "$folder/$1/dev/shm"
     # Both systems need the same packages.
     mount --bind "$folder/archives" "$folder/$1/var/cache/apt/archives"
+    echo force-unsafe-io >"$folder/$1/etc/dpkg/dpkg.cfg.d/unsafe-io" # several times as fast
     inside "$1" root "apt-get update -qq && useradd --create-home $2"
 }
 

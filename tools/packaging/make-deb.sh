@@ -4,6 +4,7 @@
 set -eu
 [ $# -eq 2 ] || { echo "usage: make-deb.sh TAR FOLDER" >&2; exit 64; }
 name=$(basename "$1" .tar.gz)
+unset MAKEFLAGS MAKEOVERRIDES # of a make that called this script
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 tar -xzf "$1" -C "$work"
@@ -13,8 +14,9 @@ SOURCE_DATE_EPOCH=$(stat -c %Y "$top/Makefile")
 export SOURCE_DATE_EPOCH
 sed -e "s/@version@/${name#bisque-}/; s/@date@/$(LC_ALL=C date -uR -d "@$SOURCE_DATE_EPOCH")/" \
     "$top/debian/changelog.in" >"$top/debian/changelog"
-rm "$top/debian/changelog.in"
-# A make above this one must not pass its variables on.
-(cd "$top" && env -u MAKEFLAGS -u MAKEOVERRIDES dpkg-buildpackage --build=binary --no-sign)
+packages=$(make -s --no-print-directory -C "$top" print-packages | sed 's/ /, /g')
+sed "s/@packages@/$packages/" "$top/debian/control.in" >"$top/debian/control"
+rm "$top"/debian/*.in
+(cd "$top" && dpkg-buildpackage --build=binary --no-sign)
 mkdir -p "$2"
 mv "$work"/*.deb "$work"/*.changes "$work"/*.buildinfo "$2"
