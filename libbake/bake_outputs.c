@@ -34,13 +34,13 @@ int bake_open_outputs(struct bake_run *job)
     return status;
 }
 
-/* Returns the side of thumbnails: all of them together may take an eighth of what is left in the
- * budget. */
+/* Returns the side of thumbnails. Those of one map in all tiles may take an eighth of what is left
+ * in the budget; with thousands of tiles, a thumbnail may be a single texel. */
 static uint32_t thumbnail_side(const struct bake_run *job)
 {
     uint32_t side = PREVIEW_TEXTURE;
     uint64_t share = bsq_memory_left(job->ctx) / 8 / job->udim.count;
-    while (side > 64 && (uint64_t)side * side * sizeof *job->tiles->normal.texels > share)
+    while (side > 1 && (uint64_t)side * side * sizeof *job->tiles->normal.texels > share)
         side /= 2;
     return side;
 }

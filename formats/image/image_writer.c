@@ -155,6 +155,17 @@ int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, 
 
 /* ---- ending ---- */
 
+/* Frees all but the output. A job may have thousands of finished files. */
+static void free_coding(struct fmt_image_writer *writer)
+{
+    if (writer->freed)
+        return;
+    writer->freed = true;
+    writer->format->free(writer);
+    bsq_free(writer->ctx, writer->pending);
+    writer->pending = NULL;
+}
+
 int fmt_image_finish(struct fmt_image_writer *writer)
 {
     if (writer->finished)
@@ -166,13 +177,14 @@ int fmt_image_finish(struct fmt_image_writer *writer)
     if (status == 0)
         status = bsq_output_sync(writer->output);
     writer->finished = status == 0;
+    if (status == 0)
+        free_coding(writer);
     return status;
 }
 
 static void free_writer(struct fmt_image_writer *writer)
 {
     struct bsq_ctx *ctx = writer->ctx;
-    bsq_free(ctx, writer->pending);
     bsq_free(ctx, writer->path);
     bsq_free(ctx, writer);
 }
@@ -185,7 +197,6 @@ int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out
         fmt_image_discard(writer);
         return status;
     }
-    writer->format->free(writer);
     *out = writer->output;
     free_writer(writer);
     return 0;
@@ -202,7 +213,7 @@ void fmt_image_discard(struct fmt_image_writer *writer)
 {
     if (!writer)
         return;
-    writer->format->free(writer);
+    free_coding(writer);
     bsq_output_discard(writer->output);
     free_writer(writer);
 }

@@ -76,8 +76,8 @@ struct fmt_image_writer {
     uint32_t block_rows; /* rows that the format compresses together */
     uint32_t rows_taken;
     uint32_t pending_rows;
-    float *pending; /* rows that do not fill a block yet */
-    bool started, finished;
+    float *pending;                /* rows that do not fill a block yet */
+    bool started, finished, freed; /* freed: what coding needs, see free() of the format */
 };
 
 extern const struct fmt_image_format fmt_exr_format, fmt_png_format;
@@ -105,7 +105,7 @@ int fmt_image_describe(struct fmt_image_writer *writer,
                        const struct fmt_image_attribute *attributes, uint32_t count);
 /* Writes the next `rows` rows, any number: rows x width x channel_count samples. */
 int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
-/* Optional: completes the file and syncs it. */
+/* Optional: completes the file, syncs it and frees what coding needed. */
 int fmt_image_finish(struct fmt_image_writer *writer);
 /* Completes the file; frees the writer in any case. *out: the output, for the caller to commit
  * together with others. */

@@ -511,6 +511,24 @@ code 0
 out_like '^two\.obj: 12 triangles, [0-9,]+ texels covered in 2 tiles$'
 is_png 1002.png 32 48 16
 is_png 1012.png 64 64 16
+# Memory does not grow with finished tiles, and the textures of a preview shrink.
+awk 'BEGIN {
+    for (t = 0; t < 150; t++) {
+        for (i = 0; i < 4; i++) {
+            a = i == 1 || i == 2; b = i > 1
+            printf "v %g %g 3\nvt %g %g\n", (t + a) / 150, b, t % 10 + a, int(t / 10) + b
+        }
+        n = 4 * t
+        printf "f %d/%d %d/%d %d/%d %d/%d\n", n + 1, n + 1, n + 2, n + 2, n + 3, n + 3, n + 4, n + 4
+    }
+}' >many.obj
+mkdir many
+$bake --device cpu --threads 1 --size 64 --samples 1 --maps normal plain.nvdb many.obj -o 'many/<UDIM>.exr' --memory 3M
+code 0
+$bake --device cpu --threads 1 --size 64 --samples 1 --maps normal plain.nvdb many.obj -o 'many/<UDIM>.exr' \
+    --preview many/look.png --memory 16M
+code 0
+rm -r many many.obj
 # A picture that is also a map of a tile, and directories of tiles that do not exist, are found
 # before the work.
 $bake $small plain.nvdb two.obj -o 'm_<UDIM>.png' --maps normal --preview m_1012.png
