@@ -317,6 +317,7 @@ fuzz.obj   := $(BUILD)/obj/tests/fuzz/mesh_check.c.o
 fuzz.ply   := $(fuzz.obj)
 fuzz.stl   := $(fuzz.obj)
 fuzz.gltf  := $(fuzz.obj)
+fuzz.packed := $(fuzz.obj)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)

@@ -5,6 +5,7 @@
  * paths may contain anything else. It exists only while the job is unfinished. Its lines are:
  *     format, checksum and size of the chunk file, checksum of the other lines
  *     version and checksum of the program's sources
+ *     "how", and a text that says where an input lies, in the form of the lines below
  *     "obj", "tex" or "mtl", size, time of modification, hash of samples, path; for each input
  * A pipe has the path "-", no time, and a hash of all its bytes as they came.
  * To resume, the lines are made again from the files as they are now, and must be the same. A hash
@@ -261,6 +262,21 @@ void vox_job_close(struct vox_job *job)
     free(job);
 }
 
+/* Adds a line that says how input number `i` is placed, if it is. */
+static int add_placement(struct vox_job *job, const struct vox_sort_options *options, uint32_t i)
+{
+    char *line = NULL;
+    if (!options->placements)
+        return 0;
+    const struct vox_placement *p = &options->placements[i];
+    if (asprintf(
+            &line,
+            "how -1 0.000000000 0000000000000000 scale %.17g, up %d, translate %.17g,%.17g,%.17g",
+            p->scale, (int)p->up, p->translate[0], p->translate[1], p->translate[2]) < 0)
+        line = NULL;
+    return add_line(job, line);
+}
+
 int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out)
 {
     struct vox_job *job = calloc(1, sizeof *job);
@@ -275,10 +291,14 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
                                                     : no_memory(ctx, options->tris_path);
     if (status == 0)
         status = bsq_note_output(ctx, job->record_path);
-    for (uint32_t i = 0; i < options->scan_count && status == 0; i++)
+    for (uint32_t i = 0; i < options->scan_count && status == 0; i++) {
+        status = add_placement(job, options, i);
+        if (status < 0)
+            break;
         status = fmt_input_is_pipe(options->scan_paths[i])
                      ? add_pipe(job, options->scan_paths[i])
                      : add_input(job, "obj", options->scan_paths[i]);
+    }
     if (status == 0 && options->texture_path)
         status = add_input(job, "tex", options->texture_path);
     if (status < 0)
@@ -324,7 +344,7 @@ int vox_job_record(struct vox_job *job)
     int status;
     /* If an input changed while it was read, the chunks may be a mix of both versions. */
     for (const char *line = next_line(job->lines); *line; line = next_line(line)) {
-        if (is_pipe_line(line))
+        if (is_pipe_line(line) || strncmp(line, "how ", 4) == 0)
             continue;
         status = describe(job->ctx, line, path_of(line), &now);
         bool changed = now && strcmp(line, now) != 0;

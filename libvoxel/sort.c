@@ -71,6 +71,24 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
     return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
+/* Turns the library's placements into those of the readers. */
+static int copy_placements(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+                           struct fmt_mesh_placement **out)
+{
+    if (!options->placements)
+        return 0;
+    int status = bsq_alloc(ctx, "inputs", options->scan_count, sizeof **out, out);
+    for (uint32_t i = 0; i < options->scan_count && status == 0; i++) {
+        const struct vox_placement *from = &options->placements[i];
+        (*out)[i].scale = from->scale;
+        (*out)[i].up = from->up == VOX_UP_Y   ? FMT_MESH_UP_Y
+                       : from->up == VOX_UP_Z ? FMT_MESH_UP_Z
+                                              : FMT_MESH_UP_KEEP;
+        memcpy((*out)[i].translate, from->translate, sizeof from->translate);
+    }
+    return status;
+}
+
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
                      const struct vox_sort_options *options, struct vox_sort_report *report,
                      struct partition *out)
@@ -80,11 +98,17 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     struct fmt_mesh_estimate estimate = {0};
     struct scan_textures textures = {.decode = options->check_textures};
     double start = bsq_seconds_now();
+    struct fmt_mesh_placement *placements = NULL;
+    int status = copy_placements(ctx, options, &placements);
+    if (status < 0)
+        return status;
     const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
                                            .path_count = options->scan_count,
+                                           .placements = placements,
                                            .beside = options->tris_path,
                                            .pipes = true};
-    int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
+    status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
+    bsq_free(ctx, placements);
     if (status < 0)
         return status;
     status = fmt_mesh_estimate(reader, &estimate);

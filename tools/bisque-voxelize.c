@@ -38,6 +38,10 @@ static int recognise_inputs(struct voxelize_job *job)
                              arguments->tris      ? "--tris"
                              : arguments->texture ? "--texture"
                                                   : "--resume");
+        if (arguments->placements)
+            return cli_usage(job->cli,
+                             "%s is a chunk file: --scale, --up and --translate are for meshes",
+                             arguments->inputs[i]);
         sorted++;
     }
     job->sorted_input = sorted > 0;
@@ -171,6 +175,7 @@ static int sort_scan(struct voxelize_job *job)
     struct vox_sort_options options = {
         .scan_paths = arguments->inputs,
         .scan_count = arguments->input_count,
+        .placements = arguments->placements,
         .texture_path = arguments->texture,
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,
@@ -278,5 +283,6 @@ int main(int argc, char **argv)
         status = map_inputs(&cli, &arguments);
     if (status == 0)
         status = run(&cli, &arguments);
+    voxelize_arguments_free(&arguments);
     return cli_end(&cli, status);
 }

@@ -1,6 +1,10 @@
 /* voxelize_arguments.c - see voxelize_arguments.h. */
 #include "tools/voxelize_arguments.h"
 
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
 static const char help[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
@@ -16,6 +20,10 @@ static const char help[] =
     "      --scan-normals MODE smooth or flat, for a scan without normals (default: smooth)\n"
     "      --vdb FILE          also write the grid as an OpenVDB file\n"
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
+    "      --scale X           multiply the scan's positions by X\n"
+    "      --up AXIS           turn the scan so that y or z points upwards\n"
+    "      --translate X,Y,Z   then shift the scan; these three options, given once, are for all\n"
+    "                          files; given once for each file, they are for the files in order\n"
     "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
     "      --no-tris           do not keep the chunk file\n"
     "      --parse-only        only read the mesh files, to measure the reader\n"
@@ -33,7 +41,10 @@ enum {
     OPT_TRIS,
     OPT_NO_TRIS,
     OPT_PARSE_ONLY,
-    OPT_RESUME
+    OPT_RESUME,
+    OPT_SCALE,
+    OPT_UP,
+    OPT_TRANSLATE
 };
 
 static const struct option long_options[] = {
@@ -49,6 +60,9 @@ static const struct option long_options[] = {
     {"parse-only", no_argument, NULL, OPT_PARSE_ONLY},
     CLI_TMPDIR_OPTION,
     {"resume", no_argument, NULL, OPT_RESUME},
+    {"scale", required_argument, NULL, OPT_SCALE},
+    {"up", required_argument, NULL, OPT_UP},
+    {"translate", required_argument, NULL, OPT_TRANSLATE},
     CLI_VERIFY_OPTION,
     CLI_STRICT_OPTION,
     CLI_COMMON_OPTIONS,
@@ -64,6 +78,97 @@ static int parse_grid_type(struct cli *cli, struct voxelize_arguments *arguments
         arguments->grid_type = type == 0 ? VOX_GRID_MASK : VOX_GRID_ONINDEX;
     return status;
 }
+
+/* ---- where files lie ---- */
+
+/* Makes space for one more element. */
+static int add_element(struct cli *cli, void *array, uint32_t count, size_t size)
+{
+    void *old, *grown;
+    memcpy(&old, array, sizeof old);
+    grown = reallocarray(old, count + 1, size);
+    if (!grown)
+        return cli_usage(cli, "no memory for the arguments");
+    memcpy(array, &grown, sizeof grown);
+    return 0;
+}
+
+static int parse_scale(struct cli *cli, struct voxelize_arguments *a)
+{
+    int status = add_element(cli, &a->scales, a->scale_count, sizeof *a->scales);
+    return status ? status
+                  : cli_parse_length(cli, "--scale", optarg, true, &a->scales[a->scale_count++]);
+}
+
+static int parse_up(struct cli *cli, struct voxelize_arguments *a)
+{
+    static const char *const words[] = {"y", "z", NULL};
+    unsigned axis = 0;
+    int status = add_element(cli, &a->ups, a->up_count, sizeof *a->ups);
+    if (status == 0)
+        status = cli_parse_word(cli, "--up", optarg, words, &axis);
+    if (status == 0)
+        a->ups[a->up_count++] = axis == 0 ? VOX_UP_Y : VOX_UP_Z;
+    return status;
+}
+
+static int parse_translation(struct cli *cli, struct voxelize_arguments *a)
+{
+    int status = add_element(cli, &a->translations, a->translation_count, sizeof *a->translations);
+    char *end = optarg;
+    for (int axis = 0; axis < 3 && status == 0; axis++) {
+        const char *from = end;
+        double value = strtod(from, &end);
+        if (end == from || !isfinite(value) || *end != (axis < 2 ? ',' : '\0'))
+            return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", optarg);
+        a->translations[a->translation_count][axis] = value;
+        end += axis < 2;
+    }
+    a->translation_count += status == 0;
+    return status;
+}
+
+static int check_number(struct cli *cli, const char *option, uint32_t given, uint32_t inputs)
+{
+    if (given <= 1 || given == inputs)
+        return 0;
+    return cli_usage(cli, "%s is given %u times for %u file%s: give it once, or once for each file",
+                     option, given, inputs, inputs == 1 ? "" : "s");
+}
+
+/* Turns the options into a placement for each file. */
+static int make_placements(struct cli *cli, struct voxelize_arguments *a)
+{
+    int status = check_number(cli, "--scale", a->scale_count, a->input_count);
+    if (status == 0)
+        status = check_number(cli, "--up", a->up_count, a->input_count);
+    if (status == 0)
+        status = check_number(cli, "--translate", a->translation_count, a->input_count);
+    if (status < 0 || a->scale_count + a->up_count + a->translation_count == 0)
+        return status;
+    a->placements = calloc(a->input_count, sizeof *a->placements);
+    if (!a->placements)
+        return cli_usage(cli, "no memory for the arguments");
+    for (uint32_t i = 0; i < a->input_count; i++) {
+        struct vox_placement *p = &a->placements[i];
+        p->scale = a->scale_count ? a->scales[a->scale_count > 1 ? i : 0] : 1.0;
+        p->up = a->up_count ? a->ups[a->up_count > 1 ? i : 0] : VOX_UP_KEEP;
+        if (a->translation_count)
+            memcpy(p->translate, a->translations[a->translation_count > 1 ? i : 0],
+                   sizeof p->translate);
+    }
+    return 0;
+}
+
+void voxelize_arguments_free(struct voxelize_arguments *arguments)
+{
+    free(arguments->scales);
+    free(arguments->ups);
+    free(arguments->translations);
+    free(arguments->placements);
+}
+
+/* ---- options ---- */
 
 static int parse_option(struct cli *cli, void *arg, int option)
 {
@@ -96,6 +201,12 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_PARSE_ONLY:
         arguments->parse_only = true;
         return 0;
+    case OPT_SCALE:
+        return parse_scale(cli, arguments);
+    case OPT_UP:
+        return parse_up(cli, arguments);
+    case OPT_TRANSLATE:
+        return parse_translation(cli, arguments);
     case OPT_RESUME:
         arguments->resume = true;
         return 0;
@@ -112,6 +223,9 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return 0;
     if (arguments->parse_only && arguments->output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
+    if (arguments->parse_only &&
+        arguments->scale_count + arguments->up_count + arguments->translation_count > 0)
+        return cli_usage(cli, "--parse-only only reads: leave out --scale, --up and --translate");
     if (!arguments->parse_only && !arguments->output)
         return cli_usage(cli, "no output given: add -o FILE.nvdb");
     if (arguments->resolution > 0 && arguments->voxel_size > 0)
@@ -132,6 +246,8 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     arguments->input_count = (uint32_t)(argc - optind);
     if (status == 0)
         status = check_arguments(cli, arguments);
+    if (status == 0 && arguments->input_count > 0)
+        status = make_placements(cli, arguments);
     struct vox_voxelize_options defaults;
     vox_voxelize_defaults(&defaults);
     if (status == 0 && arguments->resolution == 0 && arguments->voxel_size == 0)

@@ -15,11 +15,20 @@ struct voxelize_arguments {
     enum bsq_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
     bool no_tris, parse_only, resume;
+    /* Of all files, or of each one: as often as the option was given. */
+    double *scales;
+    enum vox_up *ups;
+    double (*translations)[3];
+    uint32_t scale_count, up_count, translation_count;
+    struct vox_placement *placements; /* one for each input; NULL: none is given */
 };
 
 /* Parses the command line, and checks what can be checked without opening a file. Returns what
  * cli_parse_options() returns. */
 int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
                              char **argv);
+
+/* Frees what parsing allocated. */
+void voxelize_arguments_free(struct voxelize_arguments *arguments);
 
 #endif

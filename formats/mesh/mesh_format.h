@@ -4,6 +4,8 @@
  *
  * A reader delivers blocks in file order, each of at most about FMT_MESH_SLOT_BYTES. They are the
  * same for each reading, any budget and any number of threads. Their byte_size add up to the files.
+ * Blocks and their arrays are the reader's own memory, which its caller may change in on_block: the
+ * reader uses positions and normals no more after that.
  * The reader calls bsq_check() for each block. A reader without threads uses slot 0 only. */
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
@@ -60,11 +62,21 @@ struct fmt_mesh_reader {
     const struct fmt_mesh_format *format;
     struct fmt_input **inputs; /* owned */
     uint32_t input_count;
+    struct fmt_mesh_placement *placements; /* of the inputs; owned; NULL: all stay in place */
 };
 
 /* Copies a material under another name. Free *out as fmt_materials_free() does. */
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
                       struct fmt_material *out);
+
+/* ---- mesh_place.c ---- */
+
+/* Copies the placements, unless all leave their meshes as they are. */
+int fmt_mesh_keep_placements(struct fmt_mesh_reader *reader,
+                             const struct fmt_mesh_placement *placements);
+/* Reads as fmt_mesh_read_steps() does, and places each block before steps->on_block. */
+int fmt_mesh_read_placed(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
+                         void *arg, struct fmt_mesh_totals *totals);
 
 /* The registry. The first row also reads files that no row recognises. */
 #define FMT_MESH_FORMATS(ROW)                                                                      \

@@ -190,7 +190,12 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
     (*out)->format = format;
     (*out)->inputs = inputs;
     (*out)->input_count = from->path_count;
-    return 0;
+    status = from->placements ? fmt_mesh_keep_placements(*out, from->placements) : 0;
+    if (status < 0) {
+        fmt_mesh_close(*out);
+        *out = NULL;
+    }
+    return status;
 }
 
 int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
@@ -207,6 +212,7 @@ void fmt_mesh_close(struct fmt_mesh_reader *reader)
     struct bsq_ctx *ctx = reader->ctx;
     struct fmt_input **inputs = reader->inputs;
     const uint32_t count = reader->input_count;
+    bsq_free(ctx, reader->placements);
     reader->format->close(reader);
     free_inputs(ctx, inputs, count);
 }
@@ -260,7 +266,8 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
     struct fmt_mesh_totals unused = {0};
     totals = totals ? totals : &unused;
     memset(totals, 0, sizeof *totals);
-    return reader->format->read(reader, steps, arg, totals);
+    return reader->placements ? fmt_mesh_read_placed(reader, steps, arg, totals)
+                              : reader->format->read(reader, steps, arg, totals);
 }
 
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
