@@ -86,7 +86,7 @@ static int read_sparse(const struct gltf_place *place, const struct gltf_source 
     const json_t *sparse = json_object_get(place->object, "sparse");
     const json_t *indices = json_object_get(sparse, "indices");
     uint64_t count = GLTF_REQUIRED;
-    if (!sparse)
+    if (!sparse || out->components == 0)
         return 0;
     int status = fmt_gltf_number(place, sparse, "count", out->count, &count);
     if (!status)

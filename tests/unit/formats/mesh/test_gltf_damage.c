@@ -171,6 +171,25 @@ static void test_buffer_files(void **state)
     }
 }
 
+/* Matrices, which no mesh has, may be sparse. */
+static void test_sparse_matrices(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct ply_builder b;
+    put_triangle(&b);
+    gltf_read(&f, gltf_write("bad",
+                             VIEW "'accessors':[{'bufferView':0,'componentType':5126,'count':3,"
+                                  "'type':'VEC3'},{'componentType':5126,'count':3,'type':'MAT4',"
+                                  "'sparse':{'count':2,'indices':{'bufferView':0,"
+                                  "'componentType':5121},'values':{'bufferView':0}}}],"
+                                  "'meshes':[{'primitives':[{'attributes':{'POSITION':0}}]}]}",
+                             &b));
+    assert_int_equal(f.scan.totals.faces, 1);
+    obj_close(&f);
+    ply_free(&b);
+}
+
 /* A hierarchy as deep as there are nodes needs no deep recursion. */
 static void test_deep_hierarchy(void **state)
 {
@@ -285,9 +304,10 @@ static void test_damage(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_messages),     cmocka_unit_test(test_values),
-        cmocka_unit_test(test_buffer_files), cmocka_unit_test(test_deep_hierarchy),
-        cmocka_unit_test(test_memory),       cmocka_unit_test(test_damage),
+        cmocka_unit_test(test_messages),        cmocka_unit_test(test_values),
+        cmocka_unit_test(test_buffer_files),    cmocka_unit_test(test_deep_hierarchy),
+        cmocka_unit_test(test_sparse_matrices), cmocka_unit_test(test_memory),
+        cmocka_unit_test(test_damage),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }
