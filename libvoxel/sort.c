@@ -66,8 +66,10 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
     if (status != BSQ_RETRY)
         return status;
     vox_partition_free(scan, out);
+    const float max_color = scan->max_color;
     vox_scan_free(scan);
     vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
+    scan->max_color = max_color;
     return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
@@ -114,6 +116,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     status = fmt_mesh_estimate(reader, &estimate);
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
+    scan->max_color = estimate.max_color;
     if (status == 0 && estimate.texcoords > 0)
         status = vox_textures_preview(ctx, reader, options->texture_path, &textures);
     if (status == 0)

@@ -1,6 +1,9 @@
 /* obj_sample.c - estimates the size and layout of a scan from samples of its text. */
 #include "formats/mesh/obj_internal.h"
+#include "formats/mesh/obj_number.h"
 
+#include <float.h>
+#include <math.h>
 #include <string.h>
 
 enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
@@ -9,6 +12,7 @@ enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
 struct counts {
     uint64_t bytes, vertices, texcoords, normals, faces, corners;
     bool colors, face_seen, element_follows_face;
+    double max_color; /* the largest component of a vertex colour */
 };
 
 /* Returns the number of words in text[0..end). */
@@ -22,6 +26,21 @@ static uint64_t count_words(const char *text, const char *end)
         inside = !blank;
     }
     return words;
+}
+
+/* Notes the colour of a vertex with at least 7 words. */
+static void count_color(struct counts *counts, const char *text)
+{
+    double value;
+    counts->colors = true;
+    for (int word = 0; word < 7; word++) {
+        while (*text == ' ' || *text == '\t' || *text == '\r')
+            text++;
+        if (word >= 4 && obj_number(text, &value) && value > counts->max_color)
+            counts->max_color = value;
+        while ((unsigned char)*text > ' ')
+            text++;
+    }
 }
 
 static void count_line(struct counts *counts, const char *text, const char *end)
@@ -39,7 +58,8 @@ static void count_line(struct counts *counts, const char *text, const char *end)
         counts->texcoords += text[1] == 't';
         counts->normals += text[1] == 'n';
         counts->vertices += text[1] == ' ' || text[1] == '\t';
-        counts->colors |= words >= 7;
+        if (words >= 7 && text[1] != 't' && text[1] != 'n')
+            count_color(counts, text);
     }
 }
 
@@ -61,9 +81,9 @@ static int sample_file(struct fmt_input *input, struct counts *counts)
         return status;
     uint64_t step = size / SAMPLES > SAMPLE_BYTES ? size / SAMPLES : SAMPLE_BYTES;
     for (uint64_t offset = 0; status == 0 && offset < size; offset += step) {
-        char text[SAMPLE_BYTES];
+        char text[SAMPLE_BYTES + OBJ_TEXT_PADDING];
         uint64_t got;
-        status = fmt_input_read_some(input, text, sizeof text, offset, &got);
+        status = fmt_input_read_some(input, text, SAMPLE_BYTES, offset, &got);
         if (status == 0)
             count_sample(counts, text, got, offset == 0);
     }
@@ -77,7 +97,7 @@ static int sample_start(struct bsq_ctx *ctx, struct fmt_input *input, struct cou
 {
     char *text;
     uint64_t got = 0;
-    int status = bsq_alloc(ctx, "sample", FMT_INPUT_SAMPLE_BYTES, 1, &text);
+    int status = bsq_alloc(ctx, "sample", FMT_INPUT_SAMPLE_BYTES + OBJ_TEXT_PADDING, 1, &text);
     if (status == 0)
         status = fmt_input_peek(input, text, FMT_INPUT_SAMPLE_BYTES, &got);
     if (status == 0)
@@ -113,6 +133,7 @@ int fmt_obj_estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimat
         out->faces += (uint64_t)(scale * (double)counts.faces);
         out->corners += (uint64_t)(scale * (double)counts.corners);
         out->has_colors |= counts.colors;
+        out->max_color = fmaxf(out->max_color, (float)fmin(counts.max_color, FLT_MAX));
         out->faces_come_last &= !counts.element_follows_face;
     }
     return status;

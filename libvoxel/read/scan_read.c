@@ -176,12 +176,12 @@ static bool color_given(const float color[3])
     return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
 }
 
-/* Decides from the first colours whether values are from 0 to 1 or from 0 to 255. Some tools write
- * values slightly above 1, which must not turn the scan black. The largest of thousands of byte
- * values is hardly ever 2 or less. */
+/* Decides from the first colours, and from samples of the whole scan, whether values are from 0 to
+ * 1 or from 0 to 255. Some tools write values slightly above 1, which must not turn the scan black.
+ * The largest of thousands of byte values is hardly ever 2 or less. */
 static void choose_color_scale(struct scan *scan, const struct fmt_mesh_block *block)
 {
-    float max = 0.0f;
+    float max = scan->max_color;
     for (uint64_t v = 0; v < block->vertex_count; v++)
         for (int i = 0; i < 3; i++)
             max = fmaxf(max, block->colors[v][i]);
