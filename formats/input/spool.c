@@ -14,7 +14,7 @@
 enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10 };
 /* How often a waiting thread looks for an interruption, in milliseconds. */
 enum { PATIENCE_MS = 50 };
-/* Free space that a disk must have before so many bytes are unpacked to it. */
+/* After so many bytes, the free space of the disk is looked at again. */
 #define DISK_STEP_BYTES ((uint64_t)64 << 20)
 
 struct spool {
@@ -71,13 +71,13 @@ static bool wait_for_request(struct spool *spool)
 }
 
 /* Moves the next bytes to the temporary file. Before each DISK_STEP_BYTES after the first ones,
- * this much space must be free, so that no stream fills the disk. */
+ * twice as much space must be free, so that no stream fills the disk. */
 static int unpack_step(struct spool *spool, uint64_t *got)
 {
     int status = fmt_unpack_read(spool->unpacker, spool->buffer, STEP_BYTES, got);
     const uint64_t before = spool->temp.size, after = before + *got;
     if (!status && before > 0 && before / DISK_STEP_BYTES != after / DISK_STEP_BYTES)
-        status = bsq_require_disk(spool->ctx, spool->beside, DISK_STEP_BYTES);
+        status = bsq_require_disk(spool->ctx, spool->beside, 2 * DISK_STEP_BYTES);
     if (*got > 0) { /* also the bytes before a damage */
         int written = status && status != BSQ_EDATA
                           ? status
