@@ -285,7 +285,8 @@ struct bake_farm_plan;
  * radius of curvature, finds maps and UDIM tiles, computes checksums of all inputs, and divides the
  * maps. *kept: the same plan was there already. Fills in the report as far as it is known; the
  * caller frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EUSAGE for a number of
- * tasks that is not 1 to BAKE_MAX_TASKS. */
+ * tasks that is not 1 to BAKE_MAX_TASKS, for an input that is a pipe, and for a file name that is
+ * not UTF-8. */
 int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t tasks,
                     const char *path, bool *kept, struct bake_report *report);
 

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/output.h"
 #include "base/parallel.h"
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
@@ -182,9 +183,20 @@ static int open_job(struct bake_run *job)
     return status;
 }
 
-static int check_files(struct bake_run *job)
+/* Checks before the work that a plan or part can be written. */
+static int check_output(struct bsq_ctx *ctx, const char *path)
 {
-    int status = 0;
+    struct bsq_output *output;
+    int status = bsq_output_open(ctx, path, &output);
+    if (status == 0)
+        bsq_output_discard(output);
+    return status;
+}
+
+/* Checks the files of the plan and of all maps. */
+static int check_files(struct bake_run *job, const char *plan_path)
+{
+    int status = check_output(job->ctx, plan_path);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
         status = bake_tile_check_files(job->ctx, &job->tiles[i]);
     return status;
@@ -205,6 +217,16 @@ static struct bake_options shared_options(const struct bake_run *job)
     return shared;
 }
 
+/* Checks that tasks can read a file again. A pipe or a standard input is not among the inputs. */
+static int check_input(const struct bake_farm_plan *plan, const char *path)
+{
+    for (uint32_t i = 0; i < plan->input_count; i++)
+        if (strcmp(plan->inputs[i].path, path) == 0)
+            return 0;
+    return bsq_fail(plan->ctx, BSQ_EUSAGE, "%s: tasks cannot read it again: it is not a file",
+                    path);
+}
+
 static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *kept)
 {
     const struct bake_report *report = job->report;
@@ -218,6 +240,10 @@ static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *ke
     if (status == 0)
         status = bake_farm_add_inputs(plan);
     if (status == 0)
+        status = check_input(plan, job->options->scan_path);
+    if (status == 0)
+        status = check_input(plan, job->options->mesh_path);
+    if (status == 0)
         status = bake_surface_check(&job->surface);
     return status < 0 ? status : bake_farm_plan_write(plan, kept);
 }
@@ -227,7 +253,7 @@ static int plan_job(struct bake_run *job, uint32_t tasks, const char *path, bool
     struct bake_farm_plan *plan = NULL;
     int status = open_job(job);
     if (status == 0)
-        status = check_files(job);
+        status = check_files(job, path);
     if (status == 0)
         status = bake_prepare_triangles(job);
     if (status < 0)
@@ -347,7 +373,12 @@ static int write_part(const struct bake_run *job, const struct bake_farm_plan *p
 static int run_task(struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
 {
     uint64_t blocks = 0;
-    int status = open_planned(job, plan);
+    char *path = bake_farm_part_path(plan, task);
+    int status = path ? check_output(job->ctx, path)
+                      : bsq_fail(job->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
+    free(path);
+    if (status == 0)
+        status = open_planned(job, plan);
     if (status == 0)
         status = choose_blocks(job, plan, task, &blocks);
     if (status == 0 && blocks > 0)

@@ -68,7 +68,7 @@ int bake_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint6
 #define BAKE_FARM_WHOLE (UINT64_C(64) << 20)
 
 /* Writes the plan file, computes its id, and sets *kept if the same plan was there already. Errors:
- * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
+ * BSQ_EUSAGE for a file name that is not UTF-8; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int bake_farm_plan_write(struct bake_farm_plan *plan, bool *kept);
 
 /* Reads a plan file. Free *out with bake_farm_plan_free(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a

@@ -229,8 +229,31 @@ static bool is_there(const struct bake_farm_plan *plan, const char *text)
     return same;
 }
 
+/* Checks that a plan can name a file: JSON holds UTF-8 only. NULL is allowed. */
+static int check_name(const struct bake_farm_plan *plan, const char *path)
+{
+    json_t *name = path ? json_string(path) : NULL;
+    const bool good = !path || name;
+    json_decref(name);
+    return good ? 0
+                : bsq_fail(plan->ctx, BSQ_EUSAGE, "%s: a plan cannot name it: it is not UTF-8",
+                           path);
+}
+
+static int check_names(const struct bake_farm_plan *plan)
+{
+    int status = check_name(plan, plan->options.output_path);
+    if (status == 0)
+        status = check_name(plan, plan->options.preview_path);
+    for (uint32_t i = 0; i < plan->input_count && status == 0; i++)
+        status = check_name(plan, plan->inputs[i].path);
+    return status;
+}
+
 int bake_farm_plan_write(struct bake_farm_plan *plan, bool *kept)
 {
+    if (check_names(plan) < 0)
+        return BSQ_EUSAGE;
     char id[33];
     char *text = NULL;
     json_t *json = plan_to_json(plan);

@@ -318,6 +318,18 @@ $bake scan.nvdb low.obj -o x.exr --force
 err "$p --force needs --plan"
 $bake --plan farm/plan.json --task 0 --max-missed 3
 err "$p --max-missed is for the bake of all texels: give it to --merge"
+mkfifo pipe.obj
+cat low.obj >pipe.obj &
+$bake scan.nvdb pipe.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --write-plan p.json
+[ "$code" -ne 0 ] && [ ! -e p.json ]
+check "no plan for a mesh from a pipe" $?
+kill $! 2>"$work/kill"
+$bake scan.nvdb low.obj $size -o "$(printf 'x\377_<MAP>.<UDIM>.exr')" --tasks 4 --write-plan p.json
+code 64
+[ ! -e p.json ]
+check "no plan with a name that is not UTF-8" $?
+$bake scan.nvdb low.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --write-plan nowhere/p.json
+code 73
 for tasks in 0 65537 x; do
     $bake scan.nvdb low.obj -o x.exr --tasks $tasks --write-plan p.json
     code 64
