@@ -45,6 +45,7 @@ writes_fail()
     torture EINTR
     torture -c close EIO
     torture -c name -x 73 EPERM
+    torture -c name full
 }
 
 reads_fail()
