@@ -117,8 +117,9 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
     scan->max_color = estimate.max_color;
-    if (status == 0 && estimate.texcoords > 0)
-        status = vox_textures_preview(ctx, reader, options->texture_path, &textures);
+    if (status == 0)
+        status = vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
+                                      &textures);
     if (status == 0)
         status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
                              &textures, out);

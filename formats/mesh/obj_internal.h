@@ -54,7 +54,8 @@ struct obj_reader {
     struct obj_names materials, libraries;
     struct obj_odd_place odd[OBJ_ODDITY_COUNT]; /* of the current reading */
     bool read_before;                           /* the files were read to their end */
-    uint64_t previewed;                         /* libraries that were read before the files */
+    bool warns; /* of materials without colours: set by a preview, cleared by the first warning */
+    uint64_t previewed; /* libraries that were read before the files */
 };
 
 /* ---- obj_text.c ---- */

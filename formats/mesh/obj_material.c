@@ -3,9 +3,11 @@
  * A name belongs to the file that contains it. Scans are often delivered as tiles, each with its
  * own library, and different libraries may have a material of the same name. */
 #include <string.h>
+#include <sys/stat.h>
 #include <xxhash.h>
 
 #include "base/job_files.h"
+#include "base/loss.h"
 #include "formats/mesh/mtl.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
@@ -267,14 +269,61 @@ static int read_materials_of(struct obj_reader *reader, uint32_t source, struct 
     return status;
 }
 
-/* Names the materials that no library describes. */
+/* Returns whether a file of the scan names a library that can be read and is not empty. */
+static bool has_library(const struct obj_reader *reader, uint32_t source)
+{
+    struct stat info;
+    for (uint64_t i = 0; i < reader->libraries.count; i++)
+        if (reader->libraries.list[i].source == source &&
+            stat(reader->libraries.list[i].text, &info) == 0 && S_ISREG(info.st_mode) &&
+            info.st_size > 0)
+            return true;
+    return false;
+}
+
+/* Names the materials that no library describes, and warns of the first of them. If there is no
+ * library, the file promises no colours, or a warning has said that it is missing. */
 static int name_others(struct obj_reader *reader, struct fmt_materials *out)
 {
+    struct bsq_ctx *ctx = reader->base.ctx;
+    const struct obj_name *first = NULL;
+    uint32_t others = 0;
     int status = 0;
-    for (uint32_t i = 0; i < out->count && !status; i++)
-        if (!out->list[i].name)
-            status = fmt_string_copy(reader->base.ctx, reader->materials.list[i].text,
-                                     &out->list[i].name);
+    for (uint32_t i = 0; i < out->count && !status; i++) {
+        const struct obj_name *name = &reader->materials.list[i];
+        if (out->list[i].name)
+            continue;
+        first = others++ == 0 ? name : first;
+        status = fmt_string_copy(ctx, name->text, &out->list[i].name);
+    }
+    if (!status && first && reader->warns && has_library(reader, first->source))
+        status = bsq_warn_loss(ctx,
+                               "%s: no material library describes \"%.60s\"; faces of %u such "
+                               "materials have no colour (see --texture)",
+                               reader->sources[first->source].path, first->text, others);
+    reader->warns = false;
+    return status;
+}
+
+/* Warns if libraries have textures, but faces have no materials. */
+static int warn_of_unused_libraries(struct obj_reader *reader)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    struct fmt_materials found = {0};
+    const char *texture = NULL;
+    int status = 0;
+    for (uint64_t i = 0; i < reader->libraries.count && !status && !texture; i++) {
+        status = fmt_mtl_read(ctx, reader->libraries.list[i].text, i < reader->previewed, &found);
+        for (uint32_t k = 0; k < found.count && !texture; k++)
+            texture = found.list[k].texture_path;
+    }
+    if (!status && texture && reader->warns)
+        status = bsq_warn_loss(ctx,
+                               "%s: no face has a material, so textures such as %s are not used "
+                               "(see --texture)",
+                               reader->sources[0].path, texture);
+    reader->warns = false;
+    fmt_materials_free(ctx, &found);
     return status;
 }
 
@@ -283,7 +332,7 @@ int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *o
     struct obj_reader *reader = (struct obj_reader *)base;
     uint64_t count = reader->materials.count;
     if (count == 0)
-        return 0;
+        return warn_of_unused_libraries(reader);
     int status = bsq_calloc(reader->base.ctx, "materials", count, sizeof *out->list, &out->list);
     if (status)
         return status;
@@ -348,6 +397,7 @@ int fmt_obj_preview_materials(struct fmt_mesh_reader *base, struct fmt_materials
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
         if (!is_listed(&reader->libraries, i))
             status = fmt_mtl_read(base->ctx, reader->libraries.list[i].text, false, out);
+    reader->warns = true;
     reader->previewed = reader->libraries.count;
     if (status)
         fmt_materials_free(base->ctx, out);

@@ -145,11 +145,13 @@ void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 
 /* Checks the textures that the files name near their start, or only the one at `texture_path`,
- * unless it is NULL. To be called before reading. A bad texture is a warning if a material names
- * it. Errors: BSQ_EDATA and BSQ_ENOINPUT for a bad texture at texture_path and in a strict job;
- * those of fmt_textures_open(). Free *textures with vox_textures_free(). */
+ * unless it is NULL. To be called before reading. has_texcoords: else no texture matters. A bad
+ * texture is a warning if a material names it. Errors: BSQ_EDATA and BSQ_ENOINPUT for a bad texture
+ * at texture_path and in a strict job; those of fmt_textures_open(). Free *textures with
+ * vox_textures_free(). */
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
-                         const char *texture_path, struct scan_textures *textures);
+                         const char *texture_path, bool has_texcoords,
+                         struct scan_textures *textures);
 /* Checks the textures of materials that have not been checked yet. */
 int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
                        struct scan_textures *textures);

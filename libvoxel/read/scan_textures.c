@@ -189,15 +189,18 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 }
 
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
-                         const char *texture_path, struct scan_textures *textures)
+                         const char *texture_path, bool has_texcoords,
+                         struct scan_textures *textures)
 {
     struct fmt_materials materials = {0};
+    if (texture_path && !has_texcoords)
+        return 0;
     if (texture_path) {
         int status = bsq_note_input(ctx, texture_path, "the texture");
         return !status && textures->decode ? decode(ctx, &texture_path, 1) : status;
     }
     int status = fmt_mesh_preview_materials(reader, &materials);
-    if (!status)
+    if (!status && has_texcoords)
         status = vox_textures_check(ctx, &materials, textures);
     fmt_materials_free(ctx, &materials);
     return status;

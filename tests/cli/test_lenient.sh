@@ -76,6 +76,16 @@ rmdir scan.mtl
 : >scan.mtl
 warns 'scan.mtl: an empty file: its materials are missing' scan.obj
 
+# ---- colours that no face uses ----
+
+printf 'newmtl a\nKd 1 0 0\n' >scan.mtl
+{ cat scan.obj; printf 'usemtl x\nf 1 2 3\nusemtl y\nf 1 2 3\n'; } >unknown.obj
+warns 'unknown.obj: no material library describes "x"; faces of 2 such materials have no colour (see --texture)' unknown.obj
+printf 'newmtl a\nmap_Kd scan.obj\n' >scan.mtl
+sed '/usemtl/d; s/^f .*/f 1 2 3/; /^vt/d' scan.obj >unused.obj
+warns 'unused.obj: no face has a material, so textures such as scan.obj are not used (see --texture)' unused.obj
+rm scan.mtl
+
 # ---- what is lost in the scan ----
 
 { cat scan.obj; echo 'f 1/9 2/1 3/1'; } | sed 1d >lost.obj
