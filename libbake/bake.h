@@ -24,11 +24,11 @@ enum bake_map {
     BAKE_MAP_MASK = 4,     /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
                               charts. */
     BAKE_MAP_HEIGHT = 8,   /**< Distance along the ray from the low-poly mesh to the hit. */
-    BAKE_MAP_POSITION = 16,  /**< Position of the hit. */
-    BAKE_MAP_CURVATURE = 32, /**< Mean curvature of the scan, positive where it is convex. */
-    BAKE_MAP_AO = 64,        /**< Share of the hemisphere above the hit that is open. Grids only. */
-    BAKE_MAP_BENT = 128,     /**< Mean open direction, as BAKE_MAP_NORMAL has it. Grids only. */
-    BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. Grids only. */
+    BAKE_MAP_POSITION = 16,   /**< Position of the hit. */
+    BAKE_MAP_CURVATURE = 32,  /**< Mean curvature of the scan, positive where it is convex. */
+    BAKE_MAP_AO = 64,         /**< Share of the hemisphere above the hit that is open. */
+    BAKE_MAP_BENT = 128,      /**< Mean open direction, as BAKE_MAP_NORMAL has it. */
+    BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. */
     BAKE_MAPS_ALL = 1 << 30   /**< All maps that the scan can give, and others that are named. */
 };
 

@@ -237,9 +237,8 @@ static uint32_t find_reached(const struct pass *pass)
     const struct bake_exact_look *look = pass->look;
     const float open = look->opens > 0 ? look->params->open_limit : 0.0f;
     const float solid = look->solids > 0 ? look->params->thickness_limit : 0.0f;
-    /* Directions are unit vectors up to rounding. The box must be finite, as empty boxes are not.
-     */
-    const float far = fminf(1.001f * fmaxf(open, solid) + 2.0f * look->lift, 1e30f);
+    /* Directions are unit vectors up to rounding. */
+    const float far = 1.001f * fmaxf(open, solid) + 2.0f * look->lift;
     struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
     for (uint64_t i = pass->first; i < pass->first + pass->count; i++) {
         const struct bake_exact_ray *ray = &pass->places->rays[i];
@@ -250,6 +249,9 @@ static uint32_t find_reached(const struct pass *pass)
             box.high[k] = fmaxf(box.high[k], p + far);
         }
     }
+    /* A box without end would overlap the tree's empty boxes. */
+    for (int k = 0; k < 3; k++)
+        box.low[k] = fmaxf(box.low[k], -FLT_MAX);
     return bake_exact_tree_overlapping(&look->exact->tree, &box, look->reached);
 }
 
