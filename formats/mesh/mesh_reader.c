@@ -278,20 +278,41 @@ int fmt_mesh_read(struct fmt_mesh_reader *reader,
     return fmt_mesh_read_steps(reader, &steps, arg, totals);
 }
 
+static void limit(uint64_t *count, uint64_t most)
+{
+    *count = *count < most ? *count : most;
+}
+
+/* Limits what headers of packed files claim to what the unpacked bytes can hold, at four bytes an
+ * element. Of a pipe nothing is known, and nothing is believed. */
+static void limit_estimate(struct fmt_mesh_estimate *estimate, uint64_t bytes)
+{
+    limit(&estimate->vertices, bytes / 4);
+    limit(&estimate->texcoords, bytes / 4);
+    limit(&estimate->normals, bytes / 4);
+    limit(&estimate->faces, bytes / 4);
+    limit(&estimate->corners, bytes);
+}
+
 int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out)
 {
-    uint64_t temp_bytes = 0;
+    uint64_t temp_bytes = 0, all_bytes = 0;
+    bool all_plain = true;
     int status = 0;
     for (uint32_t i = 0; i < reader->input_count && status == 0; i++) {
         uint64_t bytes;
         bool plain;
         status = fmt_input_guess(reader->inputs[i], &bytes, &plain);
+        all_bytes += bytes;
+        all_plain &= plain;
         /* Unpacked files are dropped one after the other. */
         if (status == 0 && !plain && bytes > temp_bytes)
             temp_bytes = bytes;
     }
     if (status == 0)
         status = reader->format->estimate(reader, out);
+    if (!all_plain)
+        limit_estimate(out, all_bytes);
     out->temp_bytes = temp_bytes;
     return status;
 }
