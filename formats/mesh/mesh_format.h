@@ -58,6 +58,7 @@ struct fmt_mesh_format {
 /* The start of every reader. */
 struct fmt_mesh_reader {
     struct bsq_ctx *ctx;
+    bool objects; /* set by fmt_mesh_use_objects() */
     /* Set by fmt_mesh_open_inputs(). */
     const struct fmt_mesh_format *format;
     struct fmt_input **inputs; /* owned */

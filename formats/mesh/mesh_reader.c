@@ -319,6 +319,11 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 
 /* ---- materials ---- */
 
+void fmt_mesh_use_objects(struct fmt_mesh_reader *reader)
+{
+    reader->objects = true;
+}
+
 int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
 {
     memset(out, 0, sizeof *out);
@@ -350,6 +355,7 @@ void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
         bsq_free(ctx, materials->list[i].name);
         bsq_free(ctx, materials->list[i].texture_path);
         bsq_free(ctx, materials->list[i].texture_place);
+        bsq_free(ctx, materials->list[i].object);
     }
     bsq_free(ctx, materials->list);
     memset(materials, 0, sizeof *materials);

@@ -173,12 +173,18 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 
 /* ---- materials ---- */
 
+/* Makes blocks number faces by material and object: a material number then belongs to one object.
+ * An object of an OBJ file begins at an "o" or "g" statement and has its name. Call it before the
+ * first reading. Does nothing for formats without objects. */
+void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
+
 struct fmt_material {
     char *name;
     float diffuse[3]; /* display-referred (sRGB) 0..1; 0.8 if the file gives none */
     bool has_diffuse;
     char *texture_path;  /* of the diffuse colour, as the file system finds it; or NULL */
     char *texture_place; /* of the line that names it, for messages: "scan.mtl:3"; or NULL */
+    char *object;       /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */
 };
 
 struct fmt_materials {

@@ -490,6 +490,8 @@ static const char *parse_other(struct parser *parser, const char *p)
         return add_statement(parser, p, OBJ_USEMTL);
     if (length == 6 && !memcmp(word, "mtllib", 6))
         return add_statement(parser, p, OBJ_MTLLIB);
+    if (length == 1 && (*word == 'o' || *word == 'g') && block->objects)
+        return add_statement(parser, p, OBJ_OBJECT);
     uint64_t line = block->lines;
     p = skip_statement(parser, p, &end);
     if (!p)

@@ -28,9 +28,10 @@ struct obj_odd_lines {
     uint64_t count, first; /* line of the first, from 0 */
 };
 
-enum obj_statement_kind { OBJ_USEMTL, OBJ_MTLLIB };
+enum obj_statement_kind { OBJ_USEMTL, OBJ_MTLLIB, OBJ_OBJECT };
 
-/* A usemtl or mtllib statement; its name is text[offset, offset + size), continuations included. */
+/* A usemtl, mtllib, o or g statement; its name is text[offset, offset + size), continuations
+ * included. */
 struct obj_statement {
     enum obj_statement_kind kind;
     uint64_t face; /* number of faces of the block before it */
@@ -60,6 +61,7 @@ struct obj_block {
     bool has_corners[FMT_MESH_KIND_COUNT]; /* some corner of the block has an index of this kind */
     bool relative[FMT_MESH_KIND_COUNT];    /* some index of this kind is relative */
 
+    bool objects; /* set by the caller: keep o and g statements */
     struct obj_statement *statements;
     uint64_t statement_count, statement_capacity;
 

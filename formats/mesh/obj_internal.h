@@ -56,7 +56,16 @@ struct obj_reader {
     bool read_before;                           /* the files were read to their end */
     bool warns; /* of materials without colours: set by a preview, cleared by the first warning */
     uint64_t previewed; /* libraries that were read before the files */
+    /* If the reader numbers faces by object too: the object's name, and as its `source` the number
+     * of the material. Blocks have numbers of this table instead of `materials`. */
+    struct obj_names parts;
 };
+
+/* Returns the table whose numbers blocks have as materials. */
+static inline const struct obj_names *fmt_obj_numbers(const struct obj_reader *reader)
+{
+    return reader->base.objects ? &reader->parts : &reader->materials;
+}
 
 /* ---- obj_text.c ---- */
 

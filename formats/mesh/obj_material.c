@@ -327,9 +327,9 @@ static int warn_of_unused_libraries(struct obj_reader *reader)
     return status;
 }
 
-int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+/* Describes all materials of usemtl statements. */
+static int read_materials(struct obj_reader *reader, struct fmt_materials *out)
 {
-    struct obj_reader *reader = (struct obj_reader *)base;
     uint64_t count = reader->materials.count;
     if (count == 0)
         return warn_of_unused_libraries(reader);
@@ -402,4 +402,42 @@ int fmt_obj_preview_materials(struct fmt_mesh_reader *base, struct fmt_materials
     if (status)
         fmt_materials_free(base->ctx, out);
     return status;
+}
+
+/* Describes the material and the object of a part. */
+static int describe_part(struct bsq_ctx *ctx, const struct obj_name *part,
+                         const struct fmt_materials *materials, struct fmt_material *out)
+{
+    static const struct fmt_material none = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
+    const struct fmt_material *from =
+        part->source < materials->count ? &materials->list[part->source] : &none;
+    int status = fmt_material_copy(ctx, from, from->name, out);
+    return status ? status : fmt_string_copy(ctx, part->text, &out->object);
+}
+
+static int read_parts(struct obj_reader *reader, struct fmt_materials *out)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    struct fmt_materials materials = {0};
+    const uint64_t count = reader->parts.count;
+    int status = read_materials(reader, &materials);
+    if (!status && count > 0)
+        status = bsq_calloc(ctx, "materials", count, sizeof *out->list, &out->list);
+    if (!status)
+        out->count = (uint32_t)count;
+    for (uint32_t i = 0; i < out->count && !status; i++) {
+        status = i % 1024 == 0 ? bsq_check(ctx) : 0;
+        if (!status)
+            status = describe_part(ctx, &reader->parts.list[i], &materials, &out->list[i]);
+    }
+    fmt_materials_free(ctx, &materials);
+    if (status)
+        fmt_materials_free(ctx, out);
+    return status;
+}
+
+int fmt_obj_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    struct obj_reader *reader = (struct obj_reader *)base;
+    return base->objects ? read_parts(reader, out) : read_materials(reader, out);
 }

@@ -2,7 +2,7 @@
  *
  * Understood: v with 2 to 7 numbers, vt, vn, f with all four forms of indices and any number
  * of corners, negative indices, usemtl, mtllib; CRLF, tabs, line continuation, comments, exponents.
- * Other statements (g, o, s, l, p, ...) are skipped.
+ * If the caller wants objects, also o and g. Other statements (s, l, p, ...) are skipped.
  *
  * Producing a block costs nothing, since a worker needs only its number (obj_text.c). Workers load
  * and parse blocks in any order. What depends on earlier blocks (bases, relative indices, material
@@ -41,8 +41,10 @@ struct job {
     uint32_t next_source;
     uint64_t next_index;
     /* state of emit */
-    uint32_t source; /* file of the last block */
-    uint32_t material;
+    uint32_t source;   /* file of the last block */
+    uint32_t material; /* as blocks number it, of the last face */
+    uint32_t named;    /* the last material that a statement named */
+    char *object;      /* the last object that a statement named; NULL: none */
     uint64_t sequence, known_statements, skipped_in_file;
     uint64_t totals_by_kind[FMT_MESH_KIND_COUNT];
 };
@@ -57,6 +59,7 @@ static void close_reader(struct fmt_mesh_reader *base)
     bsq_free(ctx, reader->places);
     fmt_obj_names_free(ctx, &reader->materials);
     fmt_obj_names_free(ctx, &reader->libraries);
+    fmt_obj_names_free(ctx, &reader->parts);
     bsq_free(ctx, reader);
 }
 
@@ -136,6 +139,7 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     const struct obj_source *source = &job->reader->sources[slot->source];
     (void)sequence, (void)worker;
     int status = fmt_obj_text_load(ctx, source->input, slot->index, &slot->block, &slot->offset);
+    slot->block.objects = job->reader->base.objects;
     if (!status)
         status = fmt_obj_block_parse(ctx, &slot->block, slot->offset == 0, UINT64_MAX);
     return status;
@@ -186,7 +190,31 @@ static int add_change(struct job *job, struct slot *slot, uint64_t face, uint32_
     return status;
 }
 
-/* Enters the names in the usemtl and mtllib statements of the block. */
+/* Adds the change that a usemtl, o or g statement makes; takes the object's name over. */
+static int resolve_change(struct job *job, struct slot *slot, const struct obj_statement *statement,
+                          char **text)
+{
+    struct obj_reader *reader = job->reader;
+    struct bsq_ctx *ctx = reader->base.ctx;
+    uint32_t material = FMT_MESH_NO_MATERIAL;
+    int status = 0;
+    if (statement->kind == OBJ_OBJECT) {
+        bsq_free(ctx, job->object);
+        job->object = *text;
+        *text = NULL;
+    } else {
+        if (**text)
+            status = fmt_obj_names_enter(ctx, &reader->materials, slot->source, *text, &material);
+        job->named = material;
+    }
+    material = job->named;
+    if (!status && reader->base.objects)
+        status = fmt_obj_names_enter(ctx, &reader->parts, job->named,
+                                     job->object ? job->object : "", &material);
+    return status ? status : add_change(job, slot, statement->face, material);
+}
+
+/* Enters the names in the statements of the block. */
 static int resolve_statements(struct job *job, struct slot *slot)
 {
     struct obj_reader *reader = job->reader;
@@ -199,16 +227,8 @@ static int resolve_statements(struct job *job, struct slot *slot)
         if ((status = bsq_check(reader->base.ctx)) ||
             (status = fmt_obj_statement_text(reader->base.ctx, block, statement, &text)))
             break;
-        if (statement->kind == OBJ_MTLLIB) {
-            status = fmt_obj_enter_libraries(reader, slot->source, text);
-        } else {
-            uint32_t material = FMT_MESH_NO_MATERIAL;
-            if (*text)
-                status = fmt_obj_names_enter(reader->base.ctx, &reader->materials, slot->source,
-                                             text, &material);
-            if (!status)
-                status = add_change(job, slot, statement->face, material);
-        }
+        status = statement->kind == OBJ_MTLLIB ? fmt_obj_enter_libraries(reader, slot->source, text)
+                                               : resolve_change(job, slot, statement, &text);
         bsq_free(reader->base.ctx, text);
     }
     return status;
@@ -239,7 +259,9 @@ static void enter_source(struct job *job, uint32_t number)
 {
     struct obj_source *source = &job->reader->sources[number];
     job->source = number;
-    job->material = FMT_MESH_NO_MATERIAL;
+    job->material = job->named = FMT_MESH_NO_MATERIAL;
+    bsq_free(job->reader->base.ctx, job->object);
+    job->object = NULL;
     job->known_statements = job->skipped_in_file = 0;
     memcpy(source->base, job->totals_by_kind, sizeof source->base);
     memset(source->count, 0, sizeof source->count);
@@ -334,7 +356,7 @@ static void pass_block(struct job *job, const struct slot *slot)
     totals->corners += block->corner_count;
     totals->skipped_lines += block->skipped_lines;
     totals->short_faces += block->short_faces;
-    totals->materials = (uint32_t)job->reader->materials.count;
+    totals->materials = (uint32_t)fmt_obj_numbers(job->reader)->count;
     if (block->has_polypaint)
         totals->unread_colors =
             "ZBrush's polypaint is not read: export a texture of it for --texture";
@@ -476,10 +498,12 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
         .arg = arg,
         .totals = totals,
         .material = FMT_MESH_NO_MATERIAL,
+        .named = FMT_MESH_NO_MATERIAL,
     };
     reader->place_count = 0;
     memset(reader->odd, 0, sizeof reader->odd);
     int status = run_job(&job);
+    bsq_free(base->ctx, job.object);
     for (uint32_t i = 0; i < reader->source_count; i++) {
         int closed = close_source(&reader->sources[i]);
         status = status ? status : closed;

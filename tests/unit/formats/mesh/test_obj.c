@@ -292,6 +292,66 @@ static void test_fail_index(void **state)
     obj_close(&f);
 }
 
+struct object_faces {
+    uint32_t numbers[8];
+    uint64_t count;
+};
+
+static int keep_numbers(void *arg, const struct fmt_mesh_block *block)
+{
+    struct object_faces *faces = arg;
+    uint32_t number = block->material_at_start;
+    uint64_t change = 0;
+    for (uint64_t i = 0; i < block->face_count; i++) {
+        for (; change < block->material_change_count && block->material_changes[change].face <= i;
+             change++)
+            number = block->material_changes[change].material;
+        faces->numbers[faces->count++] = number;
+    }
+    return 0;
+}
+
+/* With objects, a number is a material and an object; equal names in two files are one object. */
+static void test_objects(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *material, *object;
+    } expected[] = {{"", "a b"}, {"m", "a b"}, {"m", "c"}, {"m", ""}, {"m", "a b"}};
+    static const uint32_t numbers[] = {FMT_MESH_NO_MATERIAL, 0, 1, 2, 1, 3, 4};
+    scratch_text("m.mtl", "newmtl m\nKd 1 0 0\n");
+    const char *paths[] = {
+        scratch_text("1.obj", "mtllib m.mtl\nf 1 1 1\no a b \nf 1 1 1\nusemtl m\nf 1 1 1\ng c\n"
+                              "f 1 1 1\ng a b\nf 1 1 1\n"),
+        scratch_text("2.obj", "usemtl m\nf 1 1 1\no a b\nf 1 1 1\n")};
+    struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 64 << 20};
+    struct bsq_ctx *ctx;
+    struct fmt_mesh_reader *reader;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    assert_int_equal(fmt_mesh_open(ctx, paths, 2, &reader), 0);
+    fmt_mesh_use_objects(reader);
+    for (int reading = 0; reading < 2; reading++) {
+        struct object_faces faces = {.count = 0};
+        struct fmt_mesh_totals totals;
+        struct fmt_materials materials;
+        assert_int_equal(fmt_mesh_read(reader, keep_numbers, &faces, &totals), 0);
+        assert_int_equal(totals.materials, 5);
+        assert_int_equal(faces.count, 7);
+        assert_memory_equal(faces.numbers, numbers, sizeof numbers);
+        assert_int_equal(fmt_mesh_read_materials(reader, &materials), 0);
+        assert_int_equal(materials.count, 5);
+        for (int i = 0; i < 5; i++) {
+            assert_string_equal(materials.list[i].name, expected[i].material);
+            assert_string_equal(materials.list[i].object, expected[i].object);
+            assert_int_equal(materials.list[i].has_diffuse, i == 1 || i == 2);
+        }
+        fmt_materials_free(ctx, &materials);
+    }
+    fmt_mesh_close(reader);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -309,6 +369,7 @@ int main(void)
         cmocka_unit_test(test_names_are_recognised),
         cmocka_unit_test(test_missing_file),
         cmocka_unit_test(test_fail_index),
+        cmocka_unit_test(test_objects),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }
