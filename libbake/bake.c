@@ -53,6 +53,8 @@ static void end(struct bake_run *job)
     bsq_free(job->ctx, job->tiles);
     bake_preview_discard(job->preview_file);
     bsq_free(job->ctx, job->preview_tiles);
+    bsq_free(job->ctx, job->scan_names);
+    bsq_free(job->ctx, job->sees);
     bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
     bake_surface_close(&job->surface);
@@ -94,6 +96,10 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
 
 void bake_report_free(struct bake_report *report)
 {
+    for (uint32_t i = 0; report->tiles && i < report->tile_count; ++i) {
+        free(report->tiles[i].object);
+        free(report->tiles[i].material);
+    }
     free(report->tiles);
     report->tiles = NULL;
     report->tile_count = 0;
@@ -104,7 +110,9 @@ int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     struct bake_lowmesh mesh;
     struct bake_udim udim = {0};
-    const struct bake_lowmesh_options low = {.path = options->mesh_path};
+    const struct bake_lowmesh_options low = {.path = options->mesh_path,
+                                             .more_paths = options->more_mesh_paths,
+                                             .more_count = options->more_mesh_count};
     int status = bake_lowmesh_load(ctx, &low, &mesh);
     if (status < 0)
         return status;

@@ -92,11 +92,22 @@ struct bake_tile_range {
 struct bake_options {
     const char
         *scan_path; /**< Input: a grid (.nvdb) or a chunk file (.tris); the content decides. */
-    const char *mesh_path; /**< Input: the low-poly mesh, a mesh file with texture coordinates. */
-    uint32_t maps;         /**< Bits of enum bake_map. */
+    const char *const *more_scan_paths; /**< More scans; the nearest surface of all is taken. */
+    uint32_t more_scan_count;           /**< Entries of more_scan_paths. */
+    /** Objects of the low-poly mesh see only the scans with their names: an object body +
+     * low_suffix sees the scans body + high_suffix, also if '_' and any text follow. A scan's name
+     * is that of its file, without folder and suffix. Every name needs a partner. */
+    bool match_names;
+    const char *low_suffix;  /**< Of objects' names, such as "_low". */
+    const char *high_suffix; /**< Of scans' names, such as "_high". */
+    const char *mesh_path;   /**< Input: the low-poly mesh, a mesh file with texture coordinates. */
+    const char *const *more_mesh_paths; /**< More of them; all are baked. */
+    uint32_t more_mesh_count;           /**< Entries of more_mesh_paths. */
+    uint32_t maps;                      /**< Bits of enum bake_map. */
     /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(), "<UDIM>" and
-     * "<UVTILE>" for the tile. It must contain "<MAP>" if there are several maps, and one of the
-     * others if there are several tiles. Its suffix, .exr or .png, chooses the format. */
+     * "<UVTILE>" for the tile, "<OBJECT>" and "<MATERIAL>" for what has maps of its own. It must
+     * contain "<MAP>" if there are several maps, and "<UDIM>" or "<UVTILE>" if there are several
+     * tiles. Its suffix, .exr or .png, chooses the format. */
     const char *output_path;
     enum bake_sample_type sample_type;         /**< One that the image format can store. */
     uint32_t width;                            /**< Width of the maps in texels. */
@@ -155,6 +166,13 @@ struct bake_options {
 /** In an output path: stands for the tile as u and v from 1 on, such as u1_v1. */
 #define BAKE_UVTILE_TOKEN "<UVTILE>"
 
+/** In an output path: stands for the name of the low-poly mesh's object, which then has maps of its
+ * own. An object is what follows an "o" or "g" statement; without any, it is the whole file. */
+#define BAKE_OBJECT_TOKEN "<OBJECT>"
+/** In an output path: stands for the name of the low-poly mesh's material, which then has maps of
+ * its own. */
+#define BAKE_MATERIAL_TOKEN "<MATERIAL>"
+
 /** Numbers of UDIM tiles. Tile 1001 + u + 10 v is the unit square of texture space from (u, v). */
 enum { BAKE_FIRST_TILE = 1001, BAKE_LAST_TILE = 9990 };
 
@@ -175,13 +193,19 @@ const char *bake_map_alias(unsigned number);
 /** Returns what the map shows, in a few words; NULL after the last map. */
 const char *bake_map_summary(unsigned number);
 
-/** Finds out which maps `asked` stands for with this scan: the bits of BAKE_MAPS_DEFAULT and
- * BAKE_MAPS_ALL become those of maps. Returns the errors of opening the scan. */
-int bake_find_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t asked, uint32_t *out);
+/** Finds out which maps options->maps stands for with the scans of the options: the bits of
+ * BAKE_MAPS_DEFAULT and BAKE_MAPS_ALL become those of maps. Returns the errors of opening a scan.
+ */
+int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out);
 
 /** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
  * it with free(). Returns NULL if there is no memory. */
 char *bake_map_path(const char *output_path, enum bake_map map);
+
+/** Returns output_path with "<OBJECT>" and "<MATERIAL>" replaced by names; characters that could
+ * lead to another folder become '_'. NULL keeps a token. The caller frees it with free(). Returns
+ * NULL if there is no memory. */
+char *bake_object_path(const char *output_path, const char *object, const char *material);
 
 /** Returns output_path with "<UDIM>" and "<UVTILE>" replaced for a tile. The caller frees it with
  * free(). Returns NULL if there is no memory. */
@@ -207,13 +231,23 @@ struct bake_value_encoding {
     double radius;     /**< In which curvature was measured; else 0. */
 };
 
+/** A set of maps that bake_run() wrote: a UDIM tile, of one object or material if these have maps
+ * of their own. */
+struct bake_baked_tile {
+    uint32_t tile;   /**< Number of the tile. */
+    uint32_t width;  /**< Width of its maps in texels. */
+    uint32_t height; /**< Height of its maps in texels. */
+    char *object;    /**< The name for "<OBJECT>", or NULL. */
+    char *material;  /**< The name for "<MATERIAL>", or NULL. */
+};
+
 /** What bake_run() did. Times are wall times in seconds. */
 struct bake_report {
     char device[128];                 /**< Name of the device that traced. */
     uint64_t low_triangles;           /**< Triangles of the low-poly mesh. */
     uint64_t degenerate_uv_triangles; /**< Of these, without an area in the map. */
     uint64_t outside_uv_triangles;    /**< Of these, partly or wholly outside the baked tiles. */
-    struct bake_tile_size *tiles;     /**< The UDIM tiles that were baked, by number. */
+    struct bake_baked_tile *tiles;    /**< The UDIM tiles that were baked, by set and number. */
     uint32_t tile_count;              /**< Entries of tiles. */
     uint64_t covered_texels;          /**< Texels with at least one sample inside a UV chart. */
     uint64_t samples;                 /**< Samples inside UV charts. */

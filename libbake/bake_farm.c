@@ -248,10 +248,27 @@ static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *ke
     return status < 0 ? status : bake_farm_plan_write(plan, kept);
 }
 
+/* Checks that a plan can hold the job. Errors: BSQ_EUSAGE. */
+static int check_plan(const struct bake_run *job)
+{
+    const struct bake_options *options = job->options;
+    if (options->more_scan_count > 0 || options->more_mesh_count > 0 || options->match_names)
+        return bsq_fail(job->ctx, BSQ_EUSAGE, "a plan is for one scan and one low-poly mesh");
+    if (strstr(options->output_path, BAKE_OBJECT_TOKEN) ||
+        strstr(options->output_path, BAKE_MATERIAL_TOKEN))
+        return bsq_fail(job->ctx, BSQ_EUSAGE,
+                        "%s: a plan has no \"" BAKE_OBJECT_TOKEN "\" or \"" BAKE_MATERIAL_TOKEN
+                        "\"",
+                        options->output_path);
+    return 0;
+}
+
 static int plan_job(struct bake_run *job, uint32_t tasks, const char *path, bool *kept)
 {
     struct bake_farm_plan *plan = NULL;
-    int status = open_job(job);
+    int status = check_plan(job);
+    if (status == 0)
+        status = open_job(job);
     if (status == 0)
         status = check_files(job, path);
     if (status == 0)

@@ -3,17 +3,38 @@
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 
-int bake_find_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t asked, uint32_t *out)
+/* Maps of rays from hits. */
+enum { RAYS_FROM_HITS = BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS };
+
+/* Returns the maps that `asked` stands for. On several scans, rays from hits would see only the
+ * scan of the hit, so maps of such rays are left out of "all". */
+static uint32_t choose_from(const struct bake_surface *surface, uint32_t asked)
 {
-    bool has_color = false;
-    int status = 0;
-    if (asked == BAKE_MAPS_DEFAULT || asked & BAKE_MAPS_ALL)
-        status = bake_scan_has_color(ctx, scan_path, &has_color);
-    *out = status == 0 ? bake_choose_maps(asked, has_color) : asked;
+    const uint32_t named = asked & ~(uint32_t)BAKE_MAPS_ALL;
+    const uint32_t maps = bake_choose_maps(asked, surface->has_color);
+    return surface->part_count > 0 ? (maps & ~(uint32_t)RAYS_FROM_HITS) | named : maps;
+}
+
+int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out)
+{
+    struct bake_options scans;
+    struct bake_surface surface;
+    *out = options->maps;
+    if (options->maps != BAKE_MAPS_DEFAULT && !(options->maps & BAKE_MAPS_ALL))
+        return 0;
+    bake_defaults(&scans);
+    scans.scan_path = options->scan_path;
+    scans.more_scan_paths = options->more_scan_paths;
+    scans.more_scan_count = options->more_scan_count;
+    int status = bake_surface_open(ctx, &scans, &surface);
+    if (status == 0)
+        *out = choose_from(&surface, options->maps);
+    bake_surface_close(&surface);
     return status;
 }
 
@@ -21,7 +42,7 @@ int bake_find_maps(struct bsq_ctx *ctx, const char *scan_path, uint32_t asked, u
 static int choose_maps(struct bake_run *job)
 {
     bool has_color = job->surface.has_color;
-    job->maps = bake_choose_maps(job->options->maps, has_color);
+    job->maps = choose_from(&job->surface, job->options->maps);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if (job->maps & 1u << i && bake_map_table[i].needs_color && !has_color)
             return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
@@ -38,23 +59,69 @@ static int report_tiles(struct bake_run *job)
     if (!report->tiles)
         return bsq_fail(job->ctx, BSQ_ENOMEM, "out of memory");
     report->tile_count = job->udim.count;
-    for (uint32_t i = 0; i < job->udim.count; ++i)
-        report->tiles[i] = (struct bake_tile_size){.tile = job->tiles[i].place.number,
-                                                   .width = job->tiles[i].options.width,
-                                                   .height = job->tiles[i].options.height};
+    for (uint32_t i = 0; i < job->udim.count; ++i) {
+        const struct bake_tile *tile = &job->tiles[i];
+        struct bake_baked_tile *to = &report->tiles[i];
+        *to = (struct bake_baked_tile){.tile = tile->place.number,
+                                       .width = tile->options.width,
+                                       .height = tile->options.height,
+                                       .object = tile->object ? strdup(tile->object) : NULL,
+                                       .material = tile->material ? strdup(tile->material) : NULL};
+        if ((tile->object && !to->object) || (tile->material && !to->material))
+            return bsq_fail(job->ctx, BSQ_ENOMEM, "out of memory");
+    }
     return 0;
+}
+
+static int compare_paths(const void *a, const void *b)
+{
+    const char *const *x = a, *const *y = b;
+    return strcmp(*x, *y);
+}
+
+/* Checks that names of objects and materials are different also as parts of file names. */
+static int check_tile_paths(struct bake_run *job)
+{
+    const char **paths;
+    int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof *paths, &paths);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        paths[i] = job->tiles[i].output_path;
+    qsort(paths, job->udim.count, sizeof *paths, compare_paths);
+    for (uint32_t i = 1; i < job->udim.count && status == 0; ++i)
+        if (strcmp(paths[i - 1], paths[i]) == 0)
+            status = bsq_fail(job->ctx, BSQ_EUSAGE, "%s: two outputs have this name", paths[i]);
+    bsq_free(job->ctx, paths);
+    return status;
 }
 
 static int begin_tiles(struct bake_run *job)
 {
+    const struct bake_low_set *sets = job->mesh.sets;
     int status = bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim);
     if (status == 0)
         status = bsq_calloc(job->ctx, "tiles", job->udim.count, sizeof *job->tiles, &job->tiles);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status =
-            bake_tile_begin(job->ctx, job->options, job->maps, &job->udim.tiles[i], &job->tiles[i]);
+        status = bake_tile_begin(job->ctx, job->options, job->maps,
+                                 sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
+                                 &job->tiles[i]);
+    if (status == 0)
+        status = check_tile_paths(job);
     job->report->outside_uv_triangles = job->udim.outside_triangles;
     return status < 0 ? status : report_tiles(job);
+}
+
+/* Rays from hits see the scan of the hit only, so objects must see one scan. */
+static int check_rays_from_hits(struct bake_run *job)
+{
+    const uint32_t maps = job->maps & RAYS_FROM_HITS;
+    if (maps == 0 || bake_sees_one_scan(job))
+        return 0;
+    return bsq_fail(job->ctx, BSQ_EUSAGE,
+                    "%s: the map %s is baked from one scan; bisque-voxelize makes a grid of "
+                    "several meshes",
+                    job->options->scan_path, bake_map_names[__builtin_ctz(maps)]);
 }
 
 int bake_open_inputs(struct bake_run *job)
@@ -70,13 +137,25 @@ int bake_open_inputs(struct bake_run *job)
         status = bake_surface_use_color(&job->surface);
     if (status < 0)
         return status;
+    const char *output = job->options->output_path;
     const struct bake_lowmesh_options low = {.path = job->options->mesh_path,
+                                             .more_paths = job->options->more_mesh_paths,
+                                             .more_count = job->options->more_mesh_count,
+                                             .objects = job->options->match_names,
+                                             .object_maps = strstr(output, BAKE_OBJECT_TOKEN),
+                                             .material_maps = strstr(output, BAKE_MATERIAL_TOKEN),
                                              .cage_path = job->options->cage_path,
                                              .rays = job->options->rays};
     status = bake_lowmesh_load(job->ctx, &low, &job->mesh);
     if (status < 0)
         return status;
     job->report->low_triangles = job->mesh.triangle_count;
+    if (job->options->match_names)
+        status = bake_match_names(job);
+    if (status == 0)
+        status = check_rays_from_hits(job);
+    if (status < 0)
+        return status;
     return begin_tiles(job);
 }
 
@@ -88,7 +167,8 @@ static int choose_distances(struct bake_run *job)
     struct bk_params *params = &job->traced.params;
     double front = options->front, back = options->back;
     if ((front < 0 && !options->cage_path) || back < 0) {
-        int status = bake_measure_distances(&job->surface, params, &job->mesh, &front, &back);
+        int status =
+            bake_measure_distances(&job->surface, params, &job->mesh, job->sees, &front, &back);
         if (status < 0)
             return status;
         if (options->front >= 0)
@@ -100,39 +180,39 @@ static int choose_distances(struct bake_run *job)
         front = job->mesh.cage_distance;
     job->report->front = front;
     job->report->back = back;
-    params->front = (float)(front / job->surface.unit);
-    params->back = (float)(back / job->surface.unit);
     return 0;
 }
 
-/* Sets what rays from hits have in common, in index space. */
-static void set_rays(const struct bake_run *job, struct bk_params *params)
+/* Sets what rays from hits have in common, in the index space of a scan. */
+static void set_rays(const struct bake_run *job, const struct bake_surface *scan,
+                     struct bk_params *params)
 {
     const struct bake_options *options = job->options;
     const struct bake_surface *surface = &job->surface;
     const double half = 0.5 * options->ao_spread * 0.017453292519943295;
     const double thickness = bake_thickness_distance(options, surface->scan_min, surface->scan_max);
-    const float far = surface->exact ? FLT_MAX : BK_FAR;
+    const float far = scan->exact ? FLT_MAX : BK_FAR;
     params->open_rays = options->ao_rays;
     params->thickness_rays = options->thickness_rays;
     params->open_limit = far;
     if (options->ao_distance > 0)
-        params->open_limit = fminf((float)(options->ao_distance / surface->unit), far);
-    params->thickness_limit = fminf((float)(thickness / surface->unit), far);
+        params->open_limit = fminf((float)(options->ao_distance / scan->unit), far);
+    params->thickness_limit = fminf((float)(thickness / scan->unit), far);
     params->open_sine2 = (float)(sin(half) * sin(half));
     if (options->ao_falloff)
         params->flags |= BK_OPEN_FALLOFF;
 }
 
-int bake_set_params(struct bake_run *job)
+/* Sets all parameters for a scan, or for all of them, but the lengths of rays. */
+static void fill_params(const struct bake_run *job, const struct bake_surface *surface,
+                        struct bk_params *params)
 {
     const struct bake_options *options = job->options;
-    struct bk_params *params = &job->traced.params;
-    if (!job->surface.exact)
-        bake_params_from_grid(&job->surface.grid, params);
+    if (!surface->exact && !surface->parts)
+        bake_params_from_grid(&surface->grid, params);
     params->maps = job->maps;
     params->samples = options->samples;
-    params->unit = (float)job->surface.unit;
+    params->unit = (float)surface->unit;
     if (options->normal_space == BAKE_OBJECT_SPACE)
         params->flags |= BK_OBJECT_SPACE;
     if (options->sampling == BAKE_NEAREST)
@@ -141,6 +221,38 @@ int bake_set_params(struct bake_run *job)
         params->flags |= BK_TWO_SIDED;
     if (options->cage_path)
         params->flags |= BK_CAGE;
-    set_rays(job, params);
-    return choose_distances(job);
+    set_rays(job, surface, params);
+}
+
+/* Sets the lengths of rays, in voxels. */
+static void set_lengths(const struct bake_run *job, const struct bake_surface *surface,
+                        struct bk_params *params)
+{
+    params->front = (float)(job->report->front / surface->unit);
+    params->back = (float)(job->report->back / surface->unit);
+}
+
+/* On several scans, each sample is traced as a texel, and its height tells which hit is nearest. */
+static int set_part_params(struct bake_run *job)
+{
+    const struct bake_surface *surface = &job->surface;
+    int status = bsq_calloc(job->ctx, "scans", surface->part_count, sizeof *job->part_params,
+                            &job->part_params);
+    for (uint32_t p = 0; p < surface->part_count && status == 0; ++p) {
+        fill_params(job, &surface->parts[p], &job->part_params[p]);
+        set_lengths(job, &surface->parts[p], &job->part_params[p]);
+        job->part_params[p].samples = 1;
+        job->part_params[p].maps |= BAKE_MAP_HEIGHT;
+    }
+    return status;
+}
+
+int bake_set_params(struct bake_run *job)
+{
+    fill_params(job, &job->surface, &job->traced.params);
+    int status = choose_distances(job);
+    if (status < 0)
+        return status;
+    set_lengths(job, &job->surface, &job->traced.params);
+    return job->surface.part_count > 0 ? set_part_params(job) : 0;
 }

@@ -16,8 +16,11 @@ struct bake_run {
     struct bake_lowmesh mesh;
     struct bake_udim udim;
     struct bake_tile *tiles; /* one for each tile of `udim` */
-    struct bake_job traced;  /* what the device traces */
+    struct bake_job traced;  /* what the device traces; of several scans, only the parameters */
+    struct bk_params *part_params; /* of each of several scans */
+    bool *sees;                    /* of each object, which scans it sees; NULL: all see all */
     struct bk_triangle *triangles;
+    char *scan_names;              /* of several scans, for the maps' headers; NULL: there is one */
     struct bake_measures measures; /* over all tiles */
     struct bake_device *device;    /* NULL: the triangles of a chunk file are traced */
     struct bake_preview_tile *preview_tiles;
@@ -35,6 +38,12 @@ int bake_end_job(struct bake_run *job, int status); /* returns the status, expla
 int bake_open_inputs(struct bake_run *job);
 /* Sets the parameters of rays, for which it measures distances if they are not given. */
 int bake_set_params(struct bake_run *job);
+
+/* Finds out which scans each object sees, by their names. Errors: BSQ_EUSAGE, with the names, if an
+ * object sees none, or if none sees a scan. */
+int bake_match_names(struct bake_run *job);
+/* Returns whether each object sees one scan only. */
+bool bake_sees_one_scan(const struct bake_run *job);
 
 /* ---- tracing ---- */
 

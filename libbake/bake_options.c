@@ -24,6 +24,8 @@ void bake_defaults(struct bake_options *options)
         .normal_space = BAKE_TANGENT_SPACE,
         .sampling = BAKE_TRILINEAR,
         .device = "auto",
+        .low_suffix = "_low",
+        .high_suffix = "_high",
         .preview_views = 4,
     };
 }
@@ -82,6 +84,12 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
+    if (options->match_names && (!options->low_suffix || !options->high_suffix))
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "names are matched without their suffixes, which are missing");
+    if (options->cage_path && options->more_mesh_count > 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: a cage needs a single low-poly file, not %u of them",
+                        options->cage_path, options->more_mesh_count + 1);
     if ((options->maps & ~(uint32_t)BAKE_MAPS_ALL) >= 1u << BK_MAP_COUNT)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
     if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)

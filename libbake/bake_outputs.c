@@ -1,4 +1,5 @@
 /* bake_outputs.c - writes the maps and the preview of a bake. They get their names together. */
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/clock.h"
@@ -6,12 +7,61 @@
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
 
+static const char *sampling_of(const struct bake_run *job)
+{
+    const struct bake_surface *surface = &job->surface;
+    bool grids = surface->part_count == 0 && !surface->exact;
+    for (uint32_t p = 0; p < surface->part_count; ++p)
+        grids |= surface->parts[p].exact == NULL;
+    if (!grids)
+        return "exact";
+    return bake_surface_has_triangles(surface)      ? "trilinear, exact"
+           : job->options->sampling == BAKE_NEAREST ? "nearest"
+                                                    : "trilinear";
+}
+
+/* Returns a path's last part. */
+static const char *file_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
+
+static int compare_names(const void *a, const void *b)
+{
+    const struct bake_surface *const *x = a, *const *y = b;
+    return strcmp(file_name((*x)->path), file_name((*y)->path));
+}
+
+/* Joins the names of several scans, sorted, so that their order does not show. */
+static int name_scans(struct bake_run *job)
+{
+    const struct bake_surface **parts = NULL;
+    const uint32_t count = job->surface.part_count;
+    uint64_t bytes = 1;
+    int status = bsq_alloc(job->ctx, "names of scans", count, sizeof *parts, &parts);
+    for (uint32_t p = 0; p < count && status == 0; ++p) {
+        parts[p] = &job->surface.parts[p];
+        bytes += strlen(parts[p]->path) + 2;
+    }
+    if (status == 0)
+        status = bsq_calloc(job->ctx, "names of scans", bytes, 1, &job->scan_names);
+    if (status == 0) {
+        qsort(parts, count, sizeof *parts, compare_names);
+        char *to = job->scan_names;
+        for (uint32_t p = 0; p < count; ++p)
+            to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), file_name(parts[p]->path));
+    }
+    bsq_free(job->ctx, parts);
+    return status;
+}
+
 static struct bake_traced traced_of(const struct bake_run *job)
 {
-    const char *sampling = job->options->sampling == BAKE_NEAREST ? "nearest" : "trilinear";
     struct bake_traced traced = {.front = job->report->front,
                                  .back = job->report->back,
-                                 .sampling = job->surface.exact ? "exact" : sampling};
+                                 .sampling = sampling_of(job),
+                                 .scans = job->scan_names};
     memcpy(traced.scan_min, job->surface.scan_min, sizeof traced.scan_min);
     memcpy(traced.scan_max, job->surface.scan_max, sizeof traced.scan_max);
     memcpy(traced.image_origin, job->surface.translation, sizeof traced.image_origin);
@@ -22,8 +72,8 @@ static struct bake_traced traced_of(const struct bake_run *job)
  * tiles are created when they are written. */
 int bake_open_outputs(struct bake_run *job)
 {
+    int status = job->surface.part_count > 0 ? name_scans(job) : 0;
     const struct bake_traced traced = traced_of(job);
-    int status = 0;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
         status = bake_tile_check_files(job->ctx, &job->tiles[i]);
     if (status == 0)

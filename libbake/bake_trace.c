@@ -21,7 +21,9 @@ struct bake_tile_scene bake_scene_of(const struct bake_run *job)
                                     .params = &job->traced.params,
                                     .triangles = job->triangles,
                                     .triangle_count = (uint32_t)tile_triangles(job),
-                                    .device = job->device};
+                                    .device = job->device,
+                                    .part_params = job->part_params,
+                                    .sees = job->sees};
 }
 
 int bake_prepare_triangles(struct bake_run *job)
@@ -49,10 +51,10 @@ static uint32_t most_texels(const struct bake_run *job)
 
 int bake_open_device(struct bake_run *job)
 {
-    if (job->surface.exact) {
+    if (job->surface.exact || job->surface.parts) {
         unsigned threads = bsq_threads(job->ctx);
-        snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s, exact",
-                 threads, threads == 1 ? "" : "s");
+        snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s%s", threads,
+                 threads == 1 ? "" : "s", job->surface.exact ? ", exact" : "");
         return 0;
     }
     job->traced.grid = &job->surface.grid;
@@ -173,4 +175,6 @@ void bake_end_tracing(struct bake_run *job)
     job->device = NULL;
     bsq_free(job->ctx, job->triangles);
     job->triangles = NULL;
+    bsq_free(job->ctx, job->part_params);
+    job->part_params = NULL;
 }

@@ -8,11 +8,18 @@
 #include "base/output.h"
 
 int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
-                    const struct bake_udim_tile *place, struct bake_tile *out)
+                    const struct bake_low_set *set, const struct bake_udim_tile *place,
+                    struct bake_tile *out)
 {
-    *out = (struct bake_tile){.place = *place, .options = *options, .maps = maps};
+    *out = (struct bake_tile){.place = *place,
+                              .options = *options,
+                              .maps = maps,
+                              .object = set ? set->object : NULL,
+                              .material = set ? set->material : NULL};
     bake_tile_size_of(options, place->number, &out->options.width, &out->options.height);
-    out->output_path = bake_tile_path(options->output_path, place->number);
+    char *path = bake_object_path(options->output_path, out->object, out->material);
+    out->output_path = path ? bake_tile_path(path, place->number) : NULL;
+    free(path);
     out->options.output_path = out->output_path;
     if (out->output_path)
         out->beside = bake_map_path(out->output_path, (enum bake_map)(maps & -maps));
@@ -37,12 +44,21 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
                         struct bake_report *report)
 {
     const struct bake_options *options = &tile->options;
-    tile->tile_size = bake_tile_size(scene->ctx, options->width, options->height, options->samples);
+    /* On several scans, a sample of a texel is a texel of the raster. */
+    const uint32_t n = scene->surface->part_count > 0 ? options->samples : 1;
+    const uint32_t width = options->width * n, height = options->height * n;
+    const uint32_t samples = options->samples / n;
+    if (width / n != options->width || height / n != options->height)
+        return bsq_fail(
+            scene->ctx, BSQ_EUSAGE,
+            "a map of %u x %u texels is too large for %u x %u samples a texel of several scans",
+            options->width, options->height, n, n);
+    tile->tile_size = bake_tile_size(scene->ctx, width, height, samples);
     if (tile->in_blocks && tile->tile_size > tile->blocks.side)
         tile->tile_size = tile->blocks.side;
-    const struct bake_raster_options raster = {.width = options->width,
-                                               .height = options->height,
-                                               .samples = options->samples,
+    const struct bake_raster_options raster = {.width = width,
+                                               .height = height,
+                                               .samples = samples,
                                                .tile_size = tile->tile_size,
                                                .first = tile->place.first,
                                                .count = tile->place.count,
@@ -82,28 +98,31 @@ static int trace_exact(const struct bake_tile_scene *scene, const struct bake_ti
     return bake_exact_trace_tiles(scene->ctx, &exact, report);
 }
 
-static int trace_grid(const struct bake_tile_scene *scene, const struct bake_tiles *tiles,
-                      struct bake_report *report)
+int bake_tile_trace_grid(struct bsq_ctx *ctx, struct bake_device *device,
+                         const struct bake_surface *surface, const struct bake_tiles *tiles,
+                         struct bake_report *report)
 {
     struct bake_plan plan;
-    int status = bake_device_plan(scene->device, tiles->raster, &plan);
+    int status = bake_device_plan(device, tiles->raster, &plan);
     const struct bake_grid_tiles grid = {.tiles = *tiles,
-                                         .device = scene->device,
-                                         .surface = scene->surface,
+                                         .device = device,
+                                         .surface = surface,
                                          .plan = plan.pass_count > 0 ? &plan : NULL};
     const uint64_t passes = plan.pass_count > 0 ? plan.pass_count : 1;
     if (passes > report->passes)
         report->passes = passes;
     if (status == 0)
-        status = bake_trace_grid_tiles(scene->ctx, &grid, report);
-    bake_plan_free(scene->ctx, &plan);
+        status = bake_trace_grid_tiles(ctx, &grid, report);
+    bake_plan_free(ctx, &plan);
     return status;
 }
 
 int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
                     uint64_t memory_bytes, struct bake_report *report)
 {
-    int status = bake_tile_create_image(scene->ctx, tile, memory_bytes);
+    const bool several = scene->surface->part_count > 0;
+    int status =
+        bake_tile_create_image(scene->ctx, tile, several ? memory_bytes / 2 : memory_bytes);
     if (status < 0)
         return status;
     const struct bake_tiles tiles = {.raster = tile->raster,
@@ -112,7 +131,12 @@ int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
                                      .params = scene->params,
                                      .image = tile->image,
                                      .tile_size = tile->tile_size};
-    status = scene->device ? trace_grid(scene, &tiles, report) : trace_exact(scene, &tiles, report);
+    if (several)
+        status = bake_tile_trace_scans(scene, tile, memory_bytes / 2, report);
+    else
+        status = scene->device ? bake_tile_trace_grid(scene->ctx, scene->device, scene->surface,
+                                                      &tiles, report)
+                               : trace_exact(scene, &tiles, report);
     bake_raster_free(tile->raster);
     tile->raster = NULL;
     return status;

@@ -8,7 +8,8 @@
 
 struct bake_tile {
     struct bake_udim_tile place;
-    struct bake_options options; /* the job's, with the size and output path of this tile */
+    const char *object, *material; /* that have maps of their own, or NULL */
+    struct bake_options options;   /* the job's, with the size and output path of this tile */
     uint32_t maps;
     char *output_path;
     char *beside;       /* the path of one map; temporary files go to its directory */
@@ -29,19 +30,29 @@ struct bake_tile_scene {
     const struct bk_params *params;
     struct bk_triangle *triangles; /* of all tiles */
     uint32_t triangle_count;
-    struct bake_device *device; /* NULL: triangles of a chunk file are traced */
+    struct bake_device *device; /* NULL: triangles of a chunk file, or several scans, are traced */
+    /* Of each part of the surface, if there are several. */
+    const struct bk_params *part_params;
+    const bool *sees; /* as in struct bake_surface_rays, for mesh->object_of; NULL: all see all */
 };
 
-/* Sets the size and output path of a tile. Call bake_tile_end() also after a failure. Errors:
- * BSQ_ENOMEM. */
+/* Sets the size and output path of a tile of a set; NULL: of the whole mesh. Call bake_tile_end()
+ * also after a failure. Errors: BSQ_ENOMEM. */
 int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
-                    const struct bake_udim_tile *place, struct bake_tile *out);
+                    const struct bake_low_set *set, const struct bake_udim_tile *place,
+                    struct bake_tile *out);
 void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile); /* zeroed: allowed */
 
 /* Sorts the tile's triangles for sampling and writes them to scene->triangles. Adds to the report's
  * degenerate_uv_triangles. Errors: those of bake_raster_create(). */
 int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *tile,
                         struct bake_report *report);
+
+/* Traces a tile on all scans, of which each sample takes the nearest hit. Each scan is traced as if
+ * it were alone, with a texel for each sample. Two images of samples are in a temporary file if
+ * they are larger than `memory_bytes`. Errors: those of bake_tile_trace(). */
+int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                          uint64_t memory_bytes, struct bake_report *report);
 
 /* Traces all samples into the tile's image, which takes at most `memory_bytes`, or is in a
  * temporary file. Frees the raster. Errors: those of bake_image_create(), bake_exact_trace_tiles()
@@ -56,6 +67,11 @@ int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t
 /* Checks that the tile's files can be created, are no inputs, and are not the preview. Errors:
  * BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile);
+
+/* Traces one grid into an image: opens a plan for the device. */
+int bake_tile_trace_grid(struct bsq_ctx *ctx, struct bake_device *device,
+                         const struct bake_surface *surface, const struct bake_tiles *tiles,
+                         struct bake_report *report);
 
 /* Creates the tile's files under temporary names, unless they are. Errors: those of
  * bake_map_files_open(). */

@@ -4,21 +4,23 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "formats/file_kind.h"
 #include "tools/bake_tiles.h"
 
 static const char help_format[] =
-    "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr\n"
-    "       bisque-bake [OPTION]... SCAN.tris LOW.obj -o OUT_<MAP>.exr\n"
+    "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj... -o OUT_<MAP>.exr\n"
+    "       bisque-bake [OPTION]... SCAN.tris LOW.obj... -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --write-plan PLAN\n"
     "       bisque-bake --plan PLAN --task I\n"
     "       bisque-bake --plan PLAN --merge\n"
-    "       bisque-bake --list-tiles LOW.obj\n"
+    "       bisque-bake --list-tiles LOW.obj...\n"
     "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-poly mesh: fast from a\n"
     "voxel grid (SCAN.nvdb), or exactly from the scan's own triangles (SCAN.tris).\n"
     "<MAP> in the output's name is replaced by the name of the map, <UDIM> by the number of the tile,\n"
-    "<UVTILE> by u1_v1 and so on. A name that ends in .exr gives OpenEXR files, one that ends in .png\n"
-    "PNG files.\n"
+    "<UVTILE> by u1_v1 and so on, <OBJECT> and <MATERIAL> by names in the low-poly meshes, which then\n"
+    "have maps of their own. A name that ends in .exr gives OpenEXR files, one that ends in .png PNG\n"
+    "files.\n"
     "\n"
     "  -o, --output FILE       the maps; must contain \"<MAP>\" if there are several\n"
     "      --maps LIST         the maps to bake, separated by commas:\n"
@@ -33,6 +35,9 @@ static const char help_format[] =
     "      --curvature-radius D  distance around a hit for curvature (default: 2 texels)\n"
     "      --curvature-range C   curvature of white in PNG files (default: by the whole mesh)\n"
     "      --cage FILE         start rays at this mesh, with the vertices and faces of LOW.obj\n"
+    "      --match name        objects see only scans with their names: body_low sees body_high.nvdb\n"
+    "      --match-suffixes LOW,HIGH\n"
+    "                          endings of these names (default: _low,_high)\n"
     "      --ray-directions D  smooth, mesh (its normals) or face (default: smooth)\n"
     "      --max-missed P      exit with 1 if more than P %% of the samples find no surface\n"
     "      --ao-rays N         rays from each hit for ao and bent (default: 64)\n"
@@ -78,6 +83,8 @@ enum {
     OPT_CURVATURE_RADIUS,
     OPT_CURVATURE_RANGE,
     OPT_CAGE,
+    OPT_MATCH,
+    OPT_MATCH_SUFFIXES,
     OPT_RAY_DIRECTIONS,
     OPT_MAX_MISSED,
     OPT_AO_RAYS,
@@ -124,6 +131,8 @@ static const struct option long_options[] = {
     {"curvature-radius", required_argument, NULL, OPT_CURVATURE_RADIUS},
     {"curvature-range", required_argument, NULL, OPT_CURVATURE_RANGE},
     {"cage", required_argument, NULL, OPT_CAGE},
+    {"match", required_argument, NULL, OPT_MATCH},
+    {"match-suffixes", required_argument, NULL, OPT_MATCH_SUFFIXES},
     {"ray-directions", required_argument, NULL, OPT_RAY_DIRECTIONS},
     {"max-missed", required_argument, NULL, OPT_MAX_MISSED},
     {"ao-rays", required_argument, NULL, OPT_AO_RAYS},
@@ -301,6 +310,22 @@ static int parse_rays(struct cli *cli, int option, struct bake_options *bake)
     }
 }
 
+/* Parses "_low,_high". The texts live as long as the arguments. */
+static int parse_suffixes(struct cli *cli, struct bake_arguments *arguments)
+{
+    char *text = strdup(optarg), *comma = text ? strchr(text, ',') : NULL;
+    free(arguments->suffixes);
+    arguments->suffixes = text;
+    if (!text)
+        return cli_usage(cli, "--match-suffixes: out of memory");
+    if (!comma || strchr(comma + 1, ','))
+        return cli_usage(cli, "--match-suffixes: \"%s\" is not LOW,HIGH", optarg);
+    *comma = '\0';
+    arguments->bake.low_suffix = text;
+    arguments->bake.high_suffix = comma + 1;
+    return 0;
+}
+
 static int parse_sample_type(struct cli *cli, int option, struct bake_arguments *arguments)
 {
     uint64_t bits = 0;
@@ -406,6 +431,14 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_CAGE:
         bake->cage_path = optarg;
         return 0;
+    case OPT_MATCH: {
+        static const char *const kinds[] = {"name", NULL};
+        unsigned kind = 0;
+        bake->match_names = true;
+        return cli_parse_word(cli, "--match", optarg, kinds, &kind);
+    }
+    case OPT_MATCH_SUFFIXES:
+        return parse_suffixes(cli, arguments);
     case OPT_MAX_MISSED:
         return cli_parse_length(cli, "--max-missed", optarg, false, &arguments->max_missed);
     case OPT_AO_RAYS:
@@ -502,19 +535,15 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
         return 0;
     if (arguments->list_devices)
         return count == 0 ? 0 : cli_usage(cli, "--list-devices takes no files");
-    if (arguments->list_tiles) {
-        bake->mesh_path = inputs[0];
-        return count == 1 ? 0 : cli_usage(cli, "--list-tiles takes one file: LOW.obj");
-    }
+    if (arguments->list_tiles)
+        return count > 0 ? 0 : cli_usage(cli, "--list-tiles takes files: LOW.obj...");
     if (check_tasks(cli, arguments, count) < 0)
         return BSQ_EUSAGE;
     if (arguments->plan)
         return 0;
-    if (count != 2)
+    if (count < 2)
         return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",
                          count, count == 1 ? "" : "s");
-    bake->scan_path = inputs[0];
-    bake->mesh_path = inputs[1];
     if (bake->ao_falloff && bake->ao_distance <= 0)
         return cli_usage(cli, "--ao-falloff needs --ao-distance");
     if (!bake->output_path)
@@ -530,8 +559,66 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
     return status != 0 ? status : check_arguments(cli, arguments, argc - optind, argv + optind);
 }
 
+/* Writes the inputs that are scans, or those that are not, to `out`. Returns their number, or a
+ * negative status. */
+static int take_inputs(struct cli *cli, const struct bake_arguments *arguments, bool scans,
+                       const char **out)
+{
+    int count = 0;
+    for (int i = 0; i < arguments->file_count; i++) {
+        enum fmt_kind kind;
+        int status = fmt_recognise(cli->ctx, arguments->files[i], &kind);
+        if (status < 0)
+            return status;
+        if ((kind == FMT_KIND_TRIS || kind == FMT_KIND_NVDB) == scans)
+            out[count++] = arguments->files[i];
+    }
+    return count;
+}
+
+/* Points the options at sorted inputs. */
+static int use_inputs(struct cli *cli, struct bake_arguments *arguments, int scans, int meshes)
+{
+    struct bake_options *bake = &arguments->bake;
+    if (scans == 0 || meshes == 0)
+        return cli_usage(cli, "%d scan%s (.nvdb, .tris) and %d low-poly mesh%s given (see --help)",
+                         scans, scans == 1 ? "" : "s", meshes, meshes == 1 ? "" : "es");
+    bake->scan_path = arguments->paths[0];
+    bake->more_scan_paths = arguments->paths + 1;
+    bake->more_scan_count = (uint32_t)scans - 1;
+    bake->mesh_path = arguments->paths[scans];
+    bake->more_mesh_paths = arguments->paths + scans + 1;
+    bake->more_mesh_count = (uint32_t)meshes - 1;
+    return 0;
+}
+
+int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments)
+{
+    struct bake_options *bake = &arguments->bake;
+    const int count = arguments->file_count;
+    arguments->paths = calloc((size_t)count + 1, sizeof *arguments->paths);
+    if (!arguments->paths)
+        return bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory");
+    if (arguments->list_tiles || count == 2) {
+        const int scans = arguments->list_tiles ? 0 : 1;
+        for (int i = 0; i < count; i++)
+            arguments->paths[i] = arguments->files[i];
+        bake->scan_path = arguments->paths[0];
+        bake->mesh_path = arguments->paths[scans];
+        bake->more_mesh_paths = arguments->paths + scans + 1;
+        bake->more_mesh_count = (uint32_t)(count - scans - 1);
+        return 0;
+    }
+    const int scans = take_inputs(cli, arguments, true, arguments->paths);
+    const int meshes =
+        scans < 0 ? scans : take_inputs(cli, arguments, false, arguments->paths + scans);
+    return meshes < 0 ? meshes : use_inputs(cli, arguments, scans, meshes);
+}
+
 void bake_arguments_free(struct bake_arguments *arguments)
 {
+    free(arguments->paths);
+    free(arguments->suffixes);
     free((void *)(uintptr_t)arguments->bake.tile_sizes);
     free((void *)(uintptr_t)arguments->bake.tile_ranges);
 }

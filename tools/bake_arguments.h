@@ -15,9 +15,11 @@ struct bake_arguments {
     bool task_given, merge, force;
     int bake_option;   /* the last option that is about the bake itself; 0: none */
     double max_missed; /* percent of the samples */
-    char **files;      /* to verify */
+    char **files;      /* the inputs, as given */
     int file_count;
-    int sample_option; /* the option that chose bake.sample_type; 0: none */
+    char *suffixes;     /* of names to match, with a zero between them; NULL: not given */
+    const char **paths; /* the inputs: scans, then low-poly meshes */
+    int sample_option;  /* the option that chose bake.sample_type; 0: none */
 };
 
 enum { MOST_MAPS = BAKE_MAX_MAPS };
@@ -25,6 +27,9 @@ enum { MOST_MAPS = BAKE_MAX_MAPS };
 /* Reads the command line. Free *arguments with bake_arguments_free(), also after a failure. Returns
  * what cli_parse_options() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
+/* Finds out which of the inputs are scans (.nvdb, .tris) and which are low-poly meshes. Two files
+ * are a scan and a mesh, in this order. Errors: BSQ_EUSAGE, and those of fmt_recognise(). */
+int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments);
 void bake_arguments_free(struct bake_arguments *arguments);
 
 #endif

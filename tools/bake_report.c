@@ -108,7 +108,10 @@ static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
 static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
 {
     char triangles[CLI_TEXT], texels[CLI_TEXT], tiles[CLI_TEXT];
-    cli_print("%s: %s, ", arguments->bake.mesh_path,
+    cli_print("%s", arguments->bake.mesh_path);
+    if (arguments->bake.more_mesh_count > 0)
+        cli_print(" and %u more", arguments->bake.more_mesh_count);
+    cli_print(": %s, ",
               cli_counted_text(report->low_triangles, "triangle", "triangles", triangles));
     cli_count_text(report->covered_texels, texels);
     if (report->tile_count == 1)
@@ -128,12 +131,21 @@ static void print_map(const char *path, const char *name,
     putchar('\n');
 }
 
+/* Returns the path of a map in a tile; the caller frees it. NULL: no path, or no memory. */
+static char *tile_path(const char *path, const struct bake_baked_tile *tile)
+{
+    char *named = path ? bake_object_path(path, tile->object, tile->material) : NULL;
+    char *out = named ? bake_tile_path(named, tile->tile) : NULL;
+    free(named);
+    return out;
+}
+
 /* Prints the file of each map and tile. */
 static void print_maps(const struct bake_report *report, char *const *paths)
 {
     for (uint32_t t = 0; t < report->tile_count; t++)
         for (unsigned i = 0; bake_map_name(i); i++) {
-            char *path = paths[i] ? bake_tile_path(paths[i], report->tiles[t].tile) : NULL;
+            char *path = tile_path(paths[i], &report->tiles[t]);
             if (path)
                 print_map(path, bake_map_name(i), &report->encodings[i]);
             free(path);
@@ -157,8 +169,11 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
                            "samples of overlapping triangles");
     if (next != first)
         putchar('\n');
-    cli_print("%s: %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
-              bake->scan_path, cli_counted_text(report->samples, "sample", "samples", samples),
+    cli_print("%s", bake->scan_path);
+    if (bake->more_scan_count > 0)
+        cli_print(" and %u more", bake->more_scan_count);
+    cli_print(": %s, %s without surface (%.2f %%), %g in front, %g behind, on %s\n",
+              cli_counted_text(report->samples, "sample", "samples", samples),
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
     print_maps(report, paths);
@@ -182,13 +197,13 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
     cli_print_cost(cli);
 }
 
-/* Returns an object with the file of each map; tile 0: with the tokens of tiles. NULL: no memory.
- */
-static json_t *maps_json(char *const *paths, uint32_t tile)
+/* Returns an object with the file of each map; tile NULL: with all tokens but that of the map.
+ * NULL: no memory. */
+static json_t *maps_json(char *const *paths, const struct bake_baked_tile *tile)
 {
     json_t *maps = json_object();
     for (unsigned i = 0; maps && bake_map_name(i); i++) {
-        char *path = !paths[i] ? NULL : tile ? bake_tile_path(paths[i], tile) : strdup(paths[i]);
+        char *path = !paths[i] ? NULL : tile ? tile_path(paths[i], tile) : strdup(paths[i]);
         if (paths[i] &&
             (!path || json_object_set_new(maps, bake_map_name(i), cli_json_text(path)) != 0)) {
             json_decref(maps);
@@ -203,10 +218,11 @@ static json_t *tiles_json(const struct bake_report *report, char *const *paths)
 {
     json_t *tiles = json_array();
     for (uint32_t i = 0; tiles && i < report->tile_count; i++) {
-        const struct bake_tile_size *tile = &report->tiles[i];
-        json_t *entry =
-            json_pack("{s:i, s:i, s:i, s:o}", "tile", (int)tile->tile, "width", (int)tile->width,
-                      "height", (int)tile->height, "maps", maps_json(paths, tile->tile));
+        const struct bake_baked_tile *tile = &report->tiles[i];
+        json_t *entry = json_pack("{s:i, s:i, s:i, s:o, s:o, s:o}", "tile", (int)tile->tile,
+                                  "width", (int)tile->width, "height", (int)tile->height, "object",
+                                  cli_json_text(tile->object), "material",
+                                  cli_json_text(tile->material), "maps", maps_json(paths, tile));
         if (json_array_append_new(tiles, entry) != 0) {
             json_decref(tiles);
             tiles = NULL;
@@ -245,15 +261,30 @@ static json_t *encodings_json(const struct bake_report *report)
     return encodings;
 }
 
+/* Returns an array of paths; `first` comes before the others. NULL: no memory. */
+static json_t *paths_json(const char *first, const char *const *more, uint32_t count)
+{
+    json_t *paths = json_array();
+    for (uint32_t i = 0; paths && i <= count; i++)
+        if (json_array_append_new(paths, cli_json_text(i ? more[i - 1] : first)) != 0) {
+            json_decref(paths);
+            paths = NULL;
+        }
+    return paths;
+}
+
 static int print_json(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths)
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
-        "{s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I}",
-        "scan_path", cli_json_text(bake->scan_path), "mesh_path", cli_json_text(bake->mesh_path),
-        "maps", maps_json(paths, 0), "tiles", tiles_json(report, paths), "encodings",
+        "scan_path", cli_json_text(bake->scan_path), "scan_paths",
+        paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
+        cli_json_text(bake->mesh_path), "mesh_paths",
+        paths_json(bake->mesh_path, bake->more_mesh_paths, bake->more_mesh_count), "maps",
+        maps_json(paths, NULL), "tiles", tiles_json(report, paths), "encodings",
         encodings_json(report), "preview_path", cli_json_text(bake->preview_path), "width",
         (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
         "device", cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,

@@ -25,8 +25,12 @@ static int name_outputs(struct cli *cli, const struct bake_options *bake, char *
 static int check_outputs(struct cli *cli, const struct bake_options *bake, char *const *paths)
 {
     int status = bsq_note_input(cli->ctx, bake->scan_path, "the scan");
+    for (uint32_t i = 0; i < bake->more_scan_count && status == 0; i++)
+        status = bsq_note_input(cli->ctx, bake->more_scan_paths[i], "a scan");
     if (status == 0)
         status = bsq_note_input(cli->ctx, bake->mesh_path, "the low-poly mesh");
+    for (uint32_t i = 0; i < bake->more_mesh_count && status == 0; i++)
+        status = bsq_note_input(cli->ctx, bake->more_mesh_paths[i], "a low-poly mesh");
     if (status == 0 && bake->cage_path)
         status = bsq_note_input(cli->ctx, bake->cage_path, "the cage");
     for (unsigned i = 0; i < MOST_MAPS && status == 0; i++) {
@@ -34,8 +38,9 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             continue;
         if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
-        /* bake_run() checks the files of tiles, which are known when the mesh is. */
-        if (!strstr(paths[i], BAKE_UDIM_TOKEN) && !strstr(paths[i], BAKE_UVTILE_TOKEN))
+        /* bake_run() checks the files of tiles and objects, which are known when the mesh is. */
+        if (!strstr(paths[i], BAKE_UDIM_TOKEN) && !strstr(paths[i], BAKE_UVTILE_TOKEN) &&
+            !strstr(paths[i], BAKE_OBJECT_TOKEN) && !strstr(paths[i], BAKE_MATERIAL_TOKEN))
             status = cli_check_output(cli, paths[i]);
     }
     if (status == 0 && bake->preview_path)
@@ -49,9 +54,12 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
 static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
-    int status = cli_map_input(cli, &bake->scan_path);
-    if (status == 0)
-        status = cli_map_input(cli, &bake->mesh_path);
+    int status = 0;
+    for (int i = 0; i < arguments->file_count && !cli->verify && status == 0; i++) {
+        const char *path = arguments->files[i];
+        status = cli_map_input(cli, &path);
+        arguments->files[i] = (char *)(uintptr_t)path;
+    }
     if (status == 0)
         status = cli_map_input(cli, &bake->cage_path);
     return status < 0 ? status : cli_map_input(cli, &arguments->plan);
@@ -67,7 +75,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
     if (status == 0)
-        status = bake_find_maps(cli->ctx, bake->scan_path, bake->maps, &bake->maps);
+        status = bake_find_maps(cli->ctx, bake, &bake->maps);
     if (status == 0)
         status = bake_check_options(cli->ctx, bake);
     if (status == 0)
@@ -141,7 +149,9 @@ int main(int argc, char **argv)
         status = map_inputs(&cli, &arguments);
     if (status == 0 && cli.verify)
         status = cli_verify(&cli, arguments.files, arguments.file_count);
-    else if (status == 0)
+    else if (status == 0 && !arguments.list_devices && !arguments.plan)
+        status = bake_arguments_sort_inputs(&cli, &arguments);
+    if (status == 0 && !cli.verify)
         status = arguments.list_devices ? bake_report_devices(&cli)
                  : arguments.list_tiles ? bake_report_tiles(&cli, &arguments.bake)
                  : arguments.plan       ? work_by_plan(&cli, &arguments, &missed)

@@ -30,6 +30,8 @@ struct loader {
     bool has_corners[3];
     uint64_t missing_positions, missing_texcoords;
     struct loss lost_faces, lost_normals; /* without a position; that refer to nothing */
+    bool parts;                           /* the names of materials and objects are wanted */
+    uint64_t part_capacity;
     /* For one polygon. */
     double (*polygon)[3];
     uint32_t *triangles;
@@ -70,6 +72,22 @@ static int append_corners(struct loader *loader, int kind, const uint64_t *from,
     return 0;
 }
 
+/* Appends the numbers of the faces' materials. */
+static int append_parts(struct loader *loader, const struct fmt_mesh_block *block)
+{
+    struct fmt_mesh *mesh = loader->mesh;
+    uint32_t part = block->material_at_start;
+    int status = bsq_grow(loader->ctx, "materials of faces", block->face_base + block->face_count,
+                          sizeof *mesh->face_parts, &mesh->face_parts, &loader->part_capacity);
+    uint64_t next = 0;
+    for (uint64_t face = 0; face < block->face_count && status == 0; face++) {
+        while (next < block->material_change_count && block->material_changes[next].face <= face)
+            part = block->material_changes[next++].material;
+        mesh->face_parts[block->face_base + face] = part;
+    }
+    return status;
+}
+
 static int collect(void *arg, const struct fmt_mesh_block *block)
 {
     struct loader *loader = arg;
@@ -103,6 +121,8 @@ static int collect(void *arg, const struct fmt_mesh_block *block)
     loader->corner_count += block->corner_count;
     loader->missing_positions += block->missing_positions;
     loader->missing_texcoords += block->missing_texcoords;
+    if (!status && loader->parts && block->face_count > 0)
+        status = append_parts(loader, block);
     return status;
 }
 
@@ -328,6 +348,8 @@ static int load(struct loader *loader, const char *path)
     struct fmt_mesh *mesh = loader->mesh;
     struct fmt_mesh_totals totals;
     int status = fmt_mesh_open(loader->ctx, &path, 1, &loader->reader);
+    if (!status && loader->parts)
+        fmt_mesh_use_objects(loader->reader);
     if (!status)
         status = fmt_mesh_read(loader->reader, collect, loader, &totals);
     if (status)
@@ -350,12 +372,14 @@ static int load(struct loader *loader, const char *path)
         status = make_triangles(loader);
     if (!status)
         normalise(mesh);
+    if (!status && loader->parts)
+        status = fmt_mesh_read_materials(loader->reader, &mesh->parts);
     return status;
 }
 
-int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
+static int load_mesh(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_mesh *out)
 {
-    struct loader loader = {.ctx = ctx, .mesh = out};
+    struct loader loader = {.ctx = ctx, .mesh = out, .parts = parts};
     memset(out, 0, sizeof *out);
     int status = load(&loader, path);
     fmt_mesh_close(loader.reader);
@@ -370,8 +394,20 @@ int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
     return status;
 }
 
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
+{
+    return load_mesh(ctx, path, false, out);
+}
+
+int fmt_mesh_load_parts(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
+{
+    return load_mesh(ctx, path, true, out);
+}
+
 void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh)
 {
+    fmt_materials_free(ctx, &mesh->parts);
+    bsq_free(ctx, mesh->face_parts);
     bsq_free(ctx, mesh->positions);
     bsq_free(ctx, mesh->texcoords);
     bsq_free(ctx, mesh->normals);

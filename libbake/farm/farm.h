@@ -52,7 +52,7 @@ void bake_farm_plan_free(struct bake_farm_plan *plan); /* NULL is allowed */
 
 /* Adds tiles with the numbers, sizes and blocks that options and block_side give. No block has a
  * task yet. Errors: BSQ_ENOMEM. */
-int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_tile_size *tiles,
+int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_tile *tiles,
                         uint32_t count);
 
 /* Adds each file that the job has opened as input, with its checksum. Errors: those of
@@ -88,7 +88,7 @@ struct bake_farm_block {
 };
 
 /* Returns a side for blocks: smaller if many tasks share few texels. */
-uint32_t bake_farm_block_side(const struct bake_tile_size *tiles, uint32_t tile_count,
+uint32_t bake_farm_block_side(const struct bake_baked_tile *tiles, uint32_t tile_count,
                               uint32_t task_count);
 
 /* Gives each block of the plan's tiles to a task, so that all have about as many samples. `blocks`

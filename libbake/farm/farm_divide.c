@@ -12,7 +12,7 @@ enum { LARGEST_SIDE = 256, SMALLEST_SIDE = 16, BLOCKS_A_TASK = 64 };
 
 #define NO_TASK UINT32_MAX
 
-static uint64_t blocks_of(const struct bake_tile_size *tiles, uint32_t tile_count, uint32_t side)
+static uint64_t blocks_of(const struct bake_baked_tile *tiles, uint32_t tile_count, uint32_t side)
 {
     uint64_t blocks = 0;
     for (uint32_t i = 0; i < tile_count; i++)
@@ -21,7 +21,7 @@ static uint64_t blocks_of(const struct bake_tile_size *tiles, uint32_t tile_coun
     return blocks;
 }
 
-uint32_t bake_farm_block_side(const struct bake_tile_size *tiles, uint32_t tile_count,
+uint32_t bake_farm_block_side(const struct bake_baked_tile *tiles, uint32_t tile_count,
                               uint32_t task_count)
 {
     uint32_t side = LARGEST_SIDE;

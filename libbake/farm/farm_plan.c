@@ -63,7 +63,7 @@ void bake_farm_plan_free(struct bake_farm_plan *plan)
     bsq_free(ctx, plan);
 }
 
-int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_tile_size *tiles,
+int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_tile *tiles,
                         uint32_t count)
 {
     int status = bsq_calloc(plan->ctx, "tiles", count, sizeof *plan->tiles, &plan->tiles);
@@ -351,7 +351,7 @@ static bool read_blocks(const struct bake_farm_plan *plan, const char *text,
 }
 
 static int read_sizes(const struct bake_farm_plan *plan, const json_t *list,
-                      struct bake_tile_size *sizes)
+                      struct bake_baked_tile *sizes)
 {
     int status = 0;
     for (size_t i = 0; i < json_array_size(list) && status == 0; i++) {
@@ -362,7 +362,8 @@ static int read_sizes(const struct bake_farm_plan *plan, const json_t *list,
             status = read_count(plan, json, "width", 1, BAKE_MAX_SIDE, &width);
         if (status == 0)
             status = read_count(plan, json, "height", 1, BAKE_MAX_SIDE, &height);
-        sizes[i] = (struct bake_tile_size){(uint32_t)tile, (uint32_t)width, (uint32_t)height};
+        sizes[i] = (struct bake_baked_tile){
+            .tile = (uint32_t)tile, .width = (uint32_t)width, .height = (uint32_t)height};
     }
     return status;
 }
@@ -370,7 +371,7 @@ static int read_sizes(const struct bake_farm_plan *plan, const json_t *list,
 static int read_tiles(struct bake_farm_plan *plan, const json_t *list)
 {
     const size_t count = json_array_size(list);
-    struct bake_tile_size *sizes;
+    struct bake_baked_tile *sizes;
     if (count == 0 || count > BAKE_LAST_TILE)
         return fail_plan(plan, "tiles");
     int status = bsq_alloc(plan->ctx, "tiles", count, sizeof *sizes, &sizes);

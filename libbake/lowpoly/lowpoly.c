@@ -15,6 +15,7 @@
 #include "base/smooth_normals.h"
 #include "libbake/lowpoly/directions.h"
 #include "libbake/lowpoly/mikkt.h"
+#include "libbake/lowpoly/parts.h"
 
 /* Returns the area vector and the area of a triangle, both doubled. */
 static struct row face_vector(const struct bake_lowmesh *mesh, uint64_t triangle)
@@ -252,13 +253,15 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options
     return rc;
 }
 
-int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                      struct bake_lowmesh *out)
+/* Loads one file, whose bounds are those of its triangles. */
+static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                     const char *path, struct bake_parts *parts, struct bake_lowmesh *out)
 {
+    const bool named = options->objects || options->object_maps || options->material_maps;
     struct fmt_mesh mesh = {0};
 
     memset(out, 0, sizeof(*out));
-    int rc = fmt_mesh_load(ctx, options->path, &mesh);
+    int rc = named ? fmt_mesh_load_parts(ctx, path, &mesh) : fmt_mesh_load(ctx, path, &mesh);
     if (rc < 0)
         return rc;
     if (mesh.has_tangents)
@@ -271,20 +274,129 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *op
     copy_positions(&mesh, out);
     rc = bsq_check(ctx);
     if (rc == 0)
-        rc = copy_texcoords(ctx, options->path, &mesh, out);
+        rc = copy_texcoords(ctx, path, &mesh, out);
     if (rc == 0)
         rc = fill_normals(ctx, &mesh, out);
     if (rc == 0 && options->cage_path)
-        rc = bake_cage_directions(ctx, options->path, &mesh, options->cage_path, out);
+        rc = bake_cage_directions(ctx, path, &mesh, options->cage_path, out);
+    if (rc == 0 && named)
+        rc = bake_parts_add(ctx, parts, path, &mesh);
 done:
     fmt_mesh_free(ctx, &mesh);
     if (rc == 0)
         rc = bsq_check(ctx);
     if (rc == 0)
         rc = compute_frames(ctx, options, out);
-    if (rc < 0)
-        bake_lowmesh_free(ctx, out);
     return rc;
+}
+
+/* ---- several files ---- */
+
+/* An array of a mesh, with the bytes of a triangle. */
+struct array {
+    const char *what;
+    void *at;
+    size_t size;
+};
+
+enum { ARRAYS = 6 };
+
+/* Lists the arrays of a mesh. The last one may be absent. */
+static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
+{
+    out[0] = (struct array){"low-poly mesh positions", &mesh->positions, sizeof *mesh->positions};
+    out[1] = (struct array){"low-poly mesh normals", &mesh->normals, sizeof *mesh->normals};
+    out[2] = (struct array){"low-poly mesh texture coordinates", &mesh->texcoords,
+                            sizeof *mesh->texcoords};
+    out[3] = (struct array){"low-poly mesh tangents", &mesh->tangents, sizeof *mesh->tangents};
+    out[4] = (struct array){"ray directions", &mesh->directions, sizeof *mesh->directions};
+    out[5] = (struct array){"objects of triangles", &mesh->object_of, sizeof *mesh->object_of};
+}
+
+static char *start_of(const struct array *array)
+{
+    char *start;
+    memcpy(&start, array->at, sizeof start);
+    return start;
+}
+
+/* Replaces an array by one of `count` triangles that `from` points at: those in `order`, or if it
+ * is NULL the first `kept` of them and then those of another array. */
+static int replace_array(struct bsq_ctx *ctx, const struct array *array, const uint32_t *order,
+                         uint64_t count, uint64_t kept, const char *others)
+{
+    char *from = start_of(array), *to;
+    const size_t size = array->size;
+    int status = bsq_alloc(ctx, array->what, count, size, &to);
+    if (status < 0)
+        return status;
+    for (uint64_t i = 0; i < count && order; i++)
+        memcpy(to + i * size, from + order[i] * size, size);
+    if (!order) {
+        memcpy(to, from, kept * size);
+        memcpy(to + kept * size, others, (count - kept) * size);
+    }
+    bsq_free(ctx, from);
+    memcpy(array->at, &to, sizeof to);
+    return 0;
+}
+
+int bake_lowmesh_reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count,
+                         struct bake_lowmesh *mesh)
+{
+    struct array arrays[ARRAYS];
+    int status = 0;
+    list_arrays(mesh, arrays);
+    for (int i = 0; i < ARRAYS && status == 0; i++)
+        if (start_of(&arrays[i]))
+            status = replace_array(ctx, &arrays[i], order, count, 0, NULL);
+    if (status == 0)
+        mesh->triangle_count = count;
+    return status;
+}
+
+/* Adds the triangles of another mesh. */
+static int append(struct bsq_ctx *ctx, struct bake_lowmesh *other, struct bake_lowmesh *mesh)
+{
+    const uint64_t kept = mesh->triangle_count, count = kept + other->triangle_count;
+    struct array to[ARRAYS], from[ARRAYS];
+    int status = 0;
+    list_arrays(mesh, to);
+    list_arrays(other, from);
+    for (int i = 0; i < ARRAYS && status == 0; i++)
+        if (start_of(&from[i]))
+            status = replace_array(ctx, &to[i], NULL, count, kept, start_of(&from[i]));
+    if (status < 0)
+        return status;
+    mesh->triangle_count = count;
+    for (int k = 0; k < 3; k++) {
+        mesh->bounds_min[k] = fmin(mesh->bounds_min[k], other->bounds_min[k]);
+        mesh->bounds_max[k] = fmax(mesh->bounds_max[k], other->bounds_max[k]);
+    }
+    return 0;
+}
+
+int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                      struct bake_lowmesh *out)
+{
+    struct bake_parts parts = {0};
+    int status = load_file(ctx, options, options->path, &parts, out);
+    for (uint32_t i = 0; i < options->more_count && status == 0; i++) {
+        struct bake_lowmesh next;
+        status = load_file(ctx, options, options->more_paths[i], &parts, &next);
+        if (status == 0)
+            status = append(ctx, &next, out);
+        bake_lowmesh_free(ctx, &next);
+    }
+    if (status == 0 && out->triangle_count > UINT32_MAX / 3)
+        status = bsq_fail(ctx, BSQ_EDATA, "%s and other files: more than %u triangles",
+                          options->path, UINT32_MAX / 3);
+    if (status == 0 && parts.of)
+        status = bake_parts_apply(ctx, options, &parts, out);
+    bake_parts_free(ctx, &parts);
+    if (status < 0)
+        bake_lowmesh_free(ctx, out);
+    return status;
 }
 
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
@@ -294,5 +406,9 @@ void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
     bsq_free(ctx, mesh->texcoords);
     bsq_free(ctx, mesh->tangents);
     bsq_free(ctx, mesh->directions);
+    bsq_free(ctx, mesh->object_of);
+    bsq_free(ctx, mesh->sets);
+    bake_names_free(ctx, &mesh->objects);
+    bake_names_free(ctx, &mesh->materials);
     memset(mesh, 0, sizeof(*mesh));
 }

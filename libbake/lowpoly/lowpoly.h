@@ -1,10 +1,22 @@
-/* lowpoly.h - the low-poly mesh that maps are baked for. Takes a mesh file with texture
- * coordinates; gives corners with normals, texture coordinates and tangent frames. */
+/* lowpoly.h - the low-poly mesh that maps are baked for. Takes mesh files with texture coordinates;
+ * gives corners with normals, texture coordinates and tangent frames, and the objects and materials
+ * that have maps of their own. */
 #ifndef BAKE_LOWPOLY_LOWPOLY_H
 #define BAKE_LOWPOLY_LOWPOLY_H
 
 #include "formats/mesh/mesh_reader.h"
 #include "libbake/bake.h"
+
+struct bake_names {
+    char **list;
+    uint32_t count;
+};
+
+/* Triangles that share maps. */
+struct bake_low_set {
+    const char *object, *material; /* NULL: those of all objects or materials */
+    uint64_t first, count;         /* its triangles in the mesh as loaded */
+};
 
 struct bake_lowmesh {
     uint64_t triangle_count;
@@ -16,20 +28,32 @@ struct bake_lowmesh {
     float (*directions)[3][3]; /* of rays, outwards: unit; with a cage, the way to its corner */
     double cage_distance;      /* of the farthest corner of the cage; 0: there is no cage */
     double bounds_min[3], bounds_max[3];
+    struct bake_low_set *sets; /* none: all triangles share maps */
+    uint32_t set_count;
+    struct bake_names objects, materials; /* in order of appearance; only if they are wanted */
+    uint32_t *object_of;                  /* of each triangle; NULL unless wanted */
 };
 
 struct bake_lowmesh_options {
     const char *path;
-    const char *cage_path; /* NULL: no cage */
-    enum bake_rays rays;   /* without a cage */
+    const char *const *more_paths; /* files whose triangles follow */
+    uint32_t more_count;
+    bool objects;                    /* the objects of triangles are wanted */
+    bool object_maps, material_maps; /* each object, or each material, has maps of its own */
+    const char *cage_path;           /* of the only file; NULL: no cage */
+    enum bake_rays rays;             /* without a cage */
 };
 
-/* Loads a mesh file, fills in missing normals and computes tangents and ray directions. Free *out
- * with bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with the line of the first
- * face that has no texture coordinates, or whose corners differ from the cage's, or for too many
- * triangles; BSQ_ENOMEM, BSQ_EINTR. */
+/* Loads mesh files, fills in missing normals and computes tangents and ray directions, for each
+ * file alone. Free *out with bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with
+ * the line of the first face that has no texture coordinates, or whose corners differ from the
+ * cage's, or for too many triangles; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
                       struct bake_lowmesh *out);
+/* Puts triangle order[i] in place i, for `count` places; a triangle may have several. The sets stay
+ * as they are. */
+int bake_lowmesh_reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count,
+                         struct bake_lowmesh *mesh);
 /* A zeroed mesh is allowed. */
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh);
 

@@ -80,6 +80,8 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
     bake_add_attribute(out, "bisque:rays", rays_text(options));
     bake_add_attribute(out, "bisque:front", out->text[1]);
     bake_add_attribute(out, "bisque:back", out->text[2]);
+    if (traced->scans)
+        bake_add_attribute(out, "bisque:scans", traced->scans);
 }
 
 /* Adds numbers, one a channel, as a text. */

@@ -34,6 +34,36 @@ char *bake_map_path(const char *path, enum bake_map map)
     return replace(path, BAKE_MAP_TOKEN, bake_map_names[number]);
 }
 
+/* Returns a name as a part of a file's name: '/', control characters and the brackets of tokens
+ * become '_', and so does a point at the start, so that no name leads to another folder. The caller
+ * frees it. */
+static char *file_name_of(const char *name)
+{
+    char *out = strdup(*name ? name : "_");
+    for (char *c = out; c && *c; c++)
+        if (*c == '/' || *c == '<' || *c == '>' || *c == '\x7f' || (*c > 0 && *c < ' ') ||
+            (*c == '.' && c == out))
+            *c = '_';
+    return out;
+}
+
+/* Replaces a token by a name; NULL: keeps the token. */
+static char *replace_name(const char *path, const char *token, const char *name)
+{
+    char *value = name ? file_name_of(name) : strdup(token);
+    char *out = value ? replace(path, token, value) : NULL;
+    free(value);
+    return out;
+}
+
+char *bake_object_path(const char *path, const char *object, const char *material)
+{
+    char *named = replace_name(path, BAKE_OBJECT_TOKEN, object);
+    char *out = replace_name(named, BAKE_MATERIAL_TOKEN, material);
+    free(named);
+    return out;
+}
+
 char *bake_tile_path(const char *path, uint32_t tile)
 {
     const uint32_t place = tile - BAKE_FIRST_TILE;

@@ -1,4 +1,6 @@
 /* tiles.c - tile size, workers and resolving of a map's tiles, for grids and for triangles. */
+#include <string.h>
+
 #include "base/parallel.h"
 #include "libbake/maps/maps.h"
 
@@ -35,28 +37,48 @@ static uint64_t count_texels(const struct bake_raster *raster)
     return texels;
 }
 
+/* Creates the workers with buffers for so many samples, texels with sums and texels of the image.
+ */
+static int create_workers(struct bsq_ctx *ctx, uint64_t samples, uint64_t texels, uint64_t resolved,
+                          struct bake_tile_workers *out)
+{
+    int status = bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers);
+    for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); w++) {
+        struct bake_tile_worker *worker = &out->workers[w];
+        if (samples > 0)
+            status = bsq_alloc(ctx, "samples of a tile", samples, sizeof(uint32_t),
+                               &worker->sample_triangles);
+        if (status == 0)
+            status = bsq_alloc(ctx, "texels of a tile", texels, out->texel_floats * sizeof(float),
+                               &worker->texels);
+        if (status == 0)
+            status = bsq_alloc(ctx, "texels of a tile", resolved, out->channels * sizeof(float),
+                               &worker->resolved);
+    }
+    return status;
+}
+
 int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                             uint64_t texel_count, struct bake_tile_workers *out)
 {
     const uint64_t side = tiles->tile_size, samples = tiles->params->samples;
     const uint32_t maps = tiles->params->maps;
+    *out = (struct bake_tile_workers){.channels = tiles->sums ? bk_texel_floats(maps)
+                                                              : bake_image_channels_for(maps),
+                                      .texel_floats = bk_texel_floats(maps),
+                                      .maps = maps,
+                                      .sums = tiles->sums};
+    bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
+    return create_workers(ctx, side * side * samples * samples, texel_count, side * side, out);
+}
+
+int bake_row_workers_begin(struct bsq_ctx *ctx, uint32_t maps, uint32_t width,
+                           struct bake_tile_workers *out)
+{
     *out = (struct bake_tile_workers){.channels = bake_image_channels_for(maps),
                                       .texel_floats = bk_texel_floats(maps),
                                       .maps = maps};
-    bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
-    int status = bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers);
-    for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); w++) {
-        struct bake_tile_worker *worker = &out->workers[w];
-        status = bsq_alloc(ctx, "samples of a tile", side * side * samples,
-                           samples * sizeof(uint32_t), &worker->sample_triangles);
-        if (status == 0)
-            status = bsq_alloc(ctx, "texels of a tile", texel_count,
-                               out->texel_floats * sizeof(float), &worker->texels);
-        if (status == 0)
-            status = bsq_alloc(ctx, "texels of a tile", side * side, out->channels * sizeof(float),
-                               &worker->resolved);
-    }
-    return status;
+    return create_workers(ctx, 0, width, width, out);
 }
 
 /* Writes a texel of the image: its share of hits and the values of the selected maps. */
@@ -88,7 +110,10 @@ void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
         worker->covered_texels += texel[BK_COVERED] > 0;
         worker->samples += (uint64_t)texel[BK_COVERED];
         worker->hits += (uint64_t)texel[BK_HITS];
-        resolve_texel(texel, workers->maps, out);
+        if (workers->sums)
+            memcpy(out, texel, workers->texel_floats * sizeof *out);
+        else
+            resolve_texel(texel, workers->maps, out);
     }
 }
 

@@ -130,12 +130,12 @@ static const struct bake_preview_tile *tile_of(const struct bake_preview *previe
     return NULL;
 }
 
-/* Returns the tile with this number; NULL: none. */
+/* Returns the tile of a set with this number; NULL: none. */
 static const struct bake_preview_tile *tile_numbered(const struct bake_preview *preview,
-                                                     uint32_t number)
+                                                     uint32_t set, uint32_t number)
 {
     for (uint32_t i = 0; i < preview->tile_count; ++i)
-        if (preview->tiles[i].place.number == number)
+        if (preview->tiles[i].place.set == set && preview->tiles[i].place.number == number)
             return &preview->tiles[i];
     return NULL;
 }
@@ -161,7 +161,8 @@ tile_at(const struct bake_preview *preview, uint32_t triangle, const float weigh
     const int row = (int)bake_udim_row(tile->place.number) + away[1];
     return column < 0 || column > 9 || row < 0
                ? NULL
-               : tile_numbered(preview, BAKE_FIRST_TILE + (uint32_t)(column + 10 * row));
+               : tile_numbered(preview, tile->place.set,
+                               BAKE_FIRST_TILE + (uint32_t)(column + 10 * row));
 }
 
 /* Applies the normal map as a MikkTSpace shader does: N and T are interpolated, not normalised. */

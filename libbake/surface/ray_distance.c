@@ -59,11 +59,11 @@ static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
     return ray;
 }
 
-/* Spreads the probes over the triangles in equal steps of area, and inside them by a
- * low-discrepancy sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences",
- * 2018). */
+/* Writes rays and, unless `objects` is NULL, the objects that they start at. Spreads the probes
+ * over the triangles in equal steps of area, and inside them by a low-discrepancy sequence
+ * (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018). */
 static void place_probes(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
-                         struct bake_exact_ray *rays)
+                         struct bake_exact_ray *rays, uint32_t *objects)
 {
     double total = 0, passed = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t)
@@ -81,6 +81,8 @@ static void place_probes(const struct bake_surface *surface, const struct bake_l
             }
             struct probe probe = {.triangle = t, .weights = {1.0f - u - v, u, v}};
             rays[next] = probe_ray(surface, mesh, &probe);
+            if (objects)
+                objects[next] = mesh->object_of[t];
         }
     }
 }
@@ -122,28 +124,34 @@ static size_t take_distances(const struct bake_exact_hit *hits, float *distances
 }
 
 int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
-                           const struct bake_lowmesh *mesh, double *front, double *back)
+                           const struct bake_lowmesh *mesh, const bool *sees, double *front,
+                           double *back)
 {
     struct bsq_ctx *ctx = surface->ctx;
     const double diagonal = scan_diagonal(surface), limit = 0.1 * diagonal + 2.0 * surface->detail;
     struct bake_exact_ray *rays = NULL;
     struct bake_exact_hit *hits = NULL;
     float *distances = NULL;
+    uint32_t *objects = NULL;
     *front = *back = 0.05 * diagonal;
     int status = bsq_alloc(ctx, "distances", PROBES, sizeof *rays, &rays);
     if (status == 0)
         status = bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits);
     if (status == 0)
         status = bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances);
+    if (status == 0 && sees)
+        status = bsq_alloc(ctx, "distances", PROBES, sizeof *objects, &objects);
     if (status)
         goto done;
-    place_probes(surface, mesh, rays);
+    place_probes(surface, mesh, rays, objects);
     struct bake_surface_rays probes = {.rays = rays,
                                        .hits = hits,
                                        .count = PROBES,
                                        .t_min = -limit,
                                        .t_max = limit,
-                                       .distances_only = true};
+                                       .distances_only = true,
+                                       .objects = objects,
+                                       .sees = sees};
     status = bake_surface_trace(surface, params, &probes);
     if (status)
         goto done;
@@ -153,6 +161,7 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
         *back = side_length(distances, count, -1, surface->detail);
     }
 done:
+    bsq_free(ctx, objects);
     bsq_free(ctx, distances);
     bsq_free(ctx, hits);
     bsq_free(ctx, rays);

@@ -6,6 +6,7 @@
 
 #include "base/parallel.h"
 #include "formats/file_kind.h"
+#include "libbake/surface/surface_parts.h"
 
 enum {
     RAYS_A_TASK = 256,
@@ -77,6 +78,9 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     memset(out, 0, sizeof *out);
     out->ctx = ctx;
+    out->path = options->scan_path;
+    if (options->more_scan_count > 0)
+        return bake_surface_open_parts(out, options);
     enum fmt_kind kind;
     int status = fmt_recognise_scan(ctx, options->scan_path, &kind);
     if (status == 0)
@@ -88,7 +92,9 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
 
 void bake_surface_close(struct bake_surface *surface)
 {
-    if (surface->exact)
+    if (surface->parts)
+        bake_surface_close_parts(surface);
+    else if (surface->exact)
         bake_exact_close(surface->exact);
     else if (surface->ctx)
         fmt_nvdb_close(surface->ctx, &surface->grid);
@@ -97,19 +103,28 @@ void bake_surface_close(struct bake_surface *surface)
 
 int bake_surface_check(const struct bake_surface *surface)
 {
-    return surface->exact ? 0 : bsq_map_check(surface->ctx, &surface->grid.map);
+    int status = 0;
+    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
+        status = bake_surface_check(&surface->parts[p]);
+    return surface->parts || surface->exact ? status
+                                            : bsq_map_check(surface->ctx, &surface->grid.map);
 }
 
 int bake_surface_explain(const struct bake_surface *surface, int status)
 {
-    return surface->exact || !surface->ctx
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        status = bake_surface_explain(&surface->parts[p], status);
+    return surface->parts || surface->exact || !surface->ctx
                ? status
                : bsq_map_explain(surface->ctx, &surface->grid.map, status);
 }
 
 int bake_surface_use_color(struct bake_surface *surface)
 {
-    return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : 0;
+    int status = 0;
+    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
+        status = bake_surface_use_color(&surface->parts[p]);
+    return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : status;
 }
 
 int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out)
@@ -182,6 +197,8 @@ int bake_surface_trace(const struct bake_surface *surface, const struct bk_param
                        const struct bake_surface_rays *rays)
 {
     struct grid_trace trace = {surface, params, rays};
+    if (surface->parts)
+        return bake_surface_trace_parts(surface, params, rays);
     if (surface->exact)
         return trace_exact(surface, rays);
     return bsq_parallel_for(surface->ctx, (rays->count + RAYS_A_TASK - 1) / RAYS_A_TASK,
@@ -190,6 +207,8 @@ int bake_surface_trace(const struct bake_surface *surface, const struct bk_param
 
 uint64_t bake_surface_capacity(const struct bake_surface *surface)
 {
+    if (surface->parts)
+        return bake_surface_parts_capacity(surface);
     if (surface->exact)
         return bake_exact_capacity(surface->exact, 0);
     const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);

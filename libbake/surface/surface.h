@@ -1,7 +1,8 @@
 /* surface.h - the surface that rays are traced against. Takes a scan file, either a voxel grid or
  * the triangles of a chunk file; gives hits of rays. The caller need not know which of the two it
- * is. Maps are traced tile by tile: on a grid by bake_trace_grid_tiles(), which gives the rays to a
- * device, and on triangles by bake_exact_trace_tiles(). */
+ * is, nor that a surface may consist of several scans. Maps are traced tile by tile: on a grid by
+ * bake_trace_grid_tiles(), which gives the rays to a device, and on triangles by
+ * bake_exact_trace_tiles(). */
 #ifndef BAKE_SURFACE_SURFACE_H
 #define BAKE_SURFACE_SURFACE_H
 
@@ -12,6 +13,11 @@
 
 struct bake_surface {
     struct bsq_ctx *ctx;
+    /* The scans, if there are several. Then there are neither triangles nor a grid here, and the
+     * other members are those of all scans. */
+    struct bake_surface *parts;
+    uint32_t part_count;
+    const char *path;          /* of the scan */
     struct bake_exact *exact;  /* the triangles; NULL: the surface is a grid */
     struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
     bool has_color;
@@ -22,9 +28,10 @@ struct bake_surface {
     double detail;
 };
 
-/* Opens options->scan_path; the content of the file decides which kind of surface it is. *out must
- * not be moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open();
- * BSQ_EUSAGE for options that do not apply to this kind of surface. */
+/* Opens the scans of the options; the content of each file decides which kind of surface it is. The
+ * index space of several scans is that of one of them, whatever their order. *out must not be
+ * moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for
+ * options that do not apply to this kind of surface. */
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out);
 void bake_surface_close(struct bake_surface *surface); /* a zeroed surface is allowed */
@@ -46,11 +53,18 @@ struct bake_surface_rays {
     uint64_t count;
     double t_min, t_max;                /* world units, as the hits' t */
     bool distances_only, facing_origin; /* as in struct bake_exact_batch */
+    /* Of several scans, a ray hits part p if sees[part_count * object + p] is set, for the object
+     * in objects[] of the ray. NULL: all rays hit all scans. */
+    const uint32_t *objects;
+    const bool *sees;
 };
 /* Traces any number of rays on all threads. params: used for grids only. Must not be called from
  * parallel work. Errors: those of bake_exact_trace(). */
 int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
                        const struct bake_surface_rays *rays);
+
+/* Returns whether some of the surface are triangles. */
+bool bake_surface_has_triangles(const struct bake_surface *surface);
 
 /* Returns the number of rays, with their hits, that a caller should hold at a time, at least 1. */
 uint64_t bake_surface_capacity(const struct bake_surface *surface);
@@ -63,10 +77,12 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface);
  *      normals, up to a tenth of the diagonal of the scan's bounds.
  *   2. Takes the 99.9th percentile of the distances of the hits on either side.
  *   3. Returns one and a half times that percentile plus two details (struct bake_surface).
+ * sees: as in struct bake_surface_rays, for mesh->object_of, or NULL.
  * If fewer than one ray in a hundred hits, both are a twentieth of the diagonal. Deterministic.
  * Errors: BSQ_ENOMEM, and those of bake_surface_trace(). */
 int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
-                           const struct bake_lowmesh *mesh, double *front, double *back);
+                           const struct bake_lowmesh *mesh, const bool *sees, double *front,
+                           double *back);
 
 /* ---- maps ---- */
 

@@ -167,16 +167,18 @@ static struct added add_to_tiles(struct bake_tile_sorter *sorter, const struct s
                                                       : add_to_nearest(sorter, shape, triangle);
 }
 
-int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t end)
+int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t *rest)
 {
     int status = 0;
-    for (uint64_t t = 0; t < sorter->mesh->triangle_count && status == 0; t++) {
+    for (uint64_t t = sorter->begin; t < sorter->end && status == 0; t++) {
         struct shape shape;
         if (t % TRIANGLES_A_CHECK == 0)
             status = bsq_check(sorter->ctx);
         if (!take_shape((const float(*)[2])sorter->mesh->texcoords[t], &shape)) {
             sorter->flat_triangles++;
-            if (sorter->order)
+            if (sorter->order && first_tile == TILES)
+                sorter->order[(*rest)++] = (uint32_t)t;
+            else if (sorter->order)
                 add_to_tile(sorter, first_tile, t);
             continue;
         }
@@ -187,13 +189,14 @@ int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_
         sorter->outside_triangles += stray || added.others > 0;
         sorter->unused_triangles += added.selected == 0;
         if (sorter->order && added.selected == 0)
-            sorter->order[end++] = (uint32_t)t;
+            sorter->order[(*rest)++] = (uint32_t)t;
     }
     return status;
 }
 
 int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *options,
-                            const struct bake_lowmesh *mesh, struct bake_tile_sorter **out)
+                            const struct bake_lowmesh *mesh, uint32_t set,
+                            struct bake_tile_sorter **out)
 {
     int status = bsq_calloc(ctx, "tiles", 1, sizeof **out, out);
     if (status < 0)
@@ -201,6 +204,9 @@ int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *opti
     (*out)->ctx = ctx;
     (*out)->options = options;
     (*out)->mesh = mesh;
+    (*out)->begin = mesh->set_count > 0 ? mesh->sets[set].first : 0;
+    (*out)->end =
+        mesh->set_count > 0 ? (*out)->begin + mesh->sets[set].count : mesh->triangle_count;
     for (uint32_t tile = 0; tile < TILES; tile++)
         (*out)->selected[tile] = is_selected(options, BAKE_FIRST_TILE + tile);
     return 0;

@@ -17,6 +17,7 @@ struct bake_tile_sorter {
     struct bsq_ctx *ctx;
     const struct bake_options *options;
     const struct bake_lowmesh *mesh;
+    uint64_t begin, end; /* triangles of the mesh to sort */
     bool selected[TILES];
     uint64_t places[TILES];     /* number of triangles; while sorting, place of the next one */
     uint32_t *order;            /* out: triangles by tile; NULL: only count */
@@ -27,13 +28,16 @@ struct bake_tile_sorter {
     uint64_t first_stray;
 };
 
-/* Creates a sorter that knows which tiles options->tile_ranges selects. Free it with bsq_free(). */
+/* Creates a sorter of a set's triangles, which knows the tiles that options->tile_ranges selects.
+ * Free it with bsq_free(). */
 int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *options,
-                            const struct bake_lowmesh *mesh, struct bake_tile_sorter **out);
+                            const struct bake_lowmesh *mesh, uint32_t set,
+                            struct bake_tile_sorter **out);
 
 /* Counts the triangles of each tile, and all others. With an order, writes each triangle to the
  * place of each selected tile that it is in, those without area to `first_tile`, and those in no
- * selected tile to the places from `end` on. */
-int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t end);
+ * selected tile to the places from *rest on, which it advances. Those without area go there too if
+ * `first_tile` is TILES. */
+int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t *rest);
 
 #endif

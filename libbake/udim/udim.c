@@ -70,10 +70,6 @@ static int check_tiles(const struct bake_tile_sorter *sorter, uint32_t count)
     name_tiles(sorter, tiles, sizeof tiles);
     if (sorter->stray_triangles > 0 && o->tile_range_count == 0)
         return fail_stray(sorter, tiles);
-    if (count == 0)
-        return bsq_fail(sorter->ctx, BSQ_EUSAGE,
-                        "%s: no triangle is in the selected tiles; there are triangles in %s",
-                        o->mesh_path, tiles);
     if (count > 1 && !strstr(o->output_path, BAKE_UDIM_TOKEN) &&
         !strstr(o->output_path, BAKE_UVTILE_TOKEN))
         return bsq_fail(sorter->ctx, BSQ_EUSAGE,
@@ -83,48 +79,82 @@ static int check_tiles(const struct bake_tile_sorter *sorter, uint32_t count)
     return 0;
 }
 
-/* Lists the selected tiles that have triangles. */
-static int list_tiles(struct bake_tile_sorter *sorter, struct bake_udim *out)
+/* Adds a tile, whose triangles follow those of all others. */
+static int add_tile(struct bsq_ctx *ctx, const struct bake_udim_tile *tile, struct bake_udim *out)
+{
+    const struct bake_udim_tile *last = out->count > 0 ? &out->tiles[out->count - 1] : NULL;
+    int status = bsq_grow(ctx, "tiles", out->count + UINT64_C(1), sizeof *out->tiles, &out->tiles,
+                          &out->capacity);
+    if (status < 0)
+        return status;
+    out->tiles[out->count] = *tile;
+    out->tiles[out->count++].first = last ? last->first + last->count : 0;
+    return 0;
+}
+
+/* Adds the selected tiles that triangles of a set lie in. */
+static int list_tiles(struct bake_tile_sorter *sorter, uint32_t set, struct bake_udim *out)
 {
     uint32_t count = 0;
-    if (sorter->flat_triangles == sorter->mesh->triangle_count) {
+    if (sorter->flat_triangles == sorter->end - sorter->begin) {
         sorter->places[0] = sorter->flat_triangles;
-        sorter->flat_triangles = 0;
+        sorter->flat_triangles = sorter->selected[0] ? 0 : sorter->flat_triangles;
     }
     for (uint32_t tile = 0; tile < TILES; tile++)
         count += sorter->places[tile] > 0 && sorter->selected[tile];
     int status = check_tiles(sorter, count);
-    if (status == 0)
-        status = bsq_calloc(sorter->ctx, "tiles", count, sizeof *out->tiles, &out->tiles);
-    if (status < 0)
-        return status;
-    uint64_t first = 0;
-    for (uint32_t tile = 0; tile < TILES; tile++) {
+    for (uint32_t tile = 0; tile < TILES && status == 0; tile++) {
         if (sorter->places[tile] == 0 || !sorter->selected[tile])
             continue;
-        struct bake_udim_tile *to = &out->tiles[out->count++];
-        to->number = BAKE_FIRST_TILE + tile;
-        to->first = first;
-        to->count = sorter->places[tile] + (out->count == 1 ? sorter->flat_triangles : 0);
-        first += to->count;
+        const uint64_t flat = sorter->flat_triangles;
+        status = add_tile(sorter->ctx,
+                          &(struct bake_udim_tile){.number = BAKE_FIRST_TILE + tile,
+                                                   .set = set,
+                                                   .count = sorter->places[tile] + flat},
+                          out);
+        sorter->flat_triangles = 0;
     }
-    return 0;
+    out->outside_triangles += sorter->outside_triangles;
+    out->unused_triangles += sorter->unused_triangles + sorter->flat_triangles;
+    return status;
+}
+
+/* Finds the tiles of a set. Writes all tiles with triangles to `found`. */
+static int find_tiles_of_set(struct bsq_ctx *ctx, const struct bake_options *options,
+                             const struct bake_lowmesh *mesh, uint32_t set, struct bake_udim *out,
+                             char *found, size_t size)
+{
+    struct bake_tile_sorter *sorter;
+    int status = bake_tile_sorter_create(ctx, options, mesh, set, &sorter);
+    if (status < 0)
+        return status;
+    status = bake_tile_sort(sorter, 0, NULL);
+    if (status == 0)
+        status = list_tiles(sorter, set, out);
+    if (status == 0)
+        name_tiles(sorter, found, size);
+    bsq_free(ctx, sorter);
+    return status;
+}
+
+/* Returns the number of sets, at least one. */
+static uint32_t sets_of(const struct bake_lowmesh *mesh)
+{
+    return mesh->set_count > 0 ? mesh->set_count : 1;
 }
 
 int bake_udim_find(struct bsq_ctx *ctx, const struct bake_options *options,
                    const struct bake_lowmesh *mesh, struct bake_udim *out)
 {
-    struct bake_tile_sorter *sorter;
+    char tiles[200] = "";
+    int status = 0;
     *out = (struct bake_udim){0};
-    int status = bake_tile_sorter_create(ctx, options, mesh, &sorter);
-    if (status < 0)
-        return status;
-    status = bake_tile_sort(sorter, 0, 0);
-    if (status == 0)
-        status = list_tiles(sorter, out);
-    out->outside_triangles = sorter->outside_triangles;
-    out->unused_triangles = sorter->unused_triangles;
-    bsq_free(ctx, sorter);
+    for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
+        status = find_tiles_of_set(ctx, options, mesh, set, out, tiles, sizeof tiles);
+    if (status == 0 && out->count == 0)
+        status = bsq_fail(ctx, BSQ_EUSAGE,
+                          "%s: no triangle is in the selected tiles; there are triangles in %s",
+                          options->mesh_path, tiles);
     return status;
 }
 
@@ -136,36 +166,25 @@ void bake_udim_free(struct bsq_ctx *ctx, struct bake_udim *udim)
 
 /* ---- arranging ---- */
 
-/* Replaces an array of `size` bytes a triangle by its entries in a new order. */
-static int reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count, size_t size,
-                   void *array)
+/* Writes the triangles of a set to the places of its tiles, which are *tile and those that follow
+ * it. Advances *tile past them, and *rest past those that are in no tile to bake. */
+static int sort_set(struct bsq_ctx *ctx, const struct bake_options *options,
+                    const struct bake_udim *udim, const struct bake_lowmesh *mesh, uint32_t set,
+                    uint32_t *order, uint32_t *tile, uint64_t *rest)
 {
-    char *from, *to;
-    memcpy(&from, array, sizeof from);
-    int status = bsq_alloc(ctx, "triangles by tile", count, size, &to);
+    struct bake_tile_sorter *sorter;
+    int status = bake_tile_sorter_create(ctx, options, mesh, set, &sorter);
     if (status < 0)
         return status;
-    for (uint64_t i = 0; i < count; i++)
-        memcpy(to + i * size, from + order[i] * size, size);
-    bsq_free(ctx, from);
-    memcpy(array, &to, sizeof to);
-    return 0;
-}
-
-static int reorder_mesh(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count,
-                        struct bake_lowmesh *mesh)
-{
-    int status = reorder(ctx, order, count, sizeof *mesh->positions, &mesh->positions);
-    if (status == 0)
-        status = reorder(ctx, order, count, sizeof *mesh->normals, &mesh->normals);
-    if (status == 0)
-        status = reorder(ctx, order, count, sizeof *mesh->texcoords, &mesh->texcoords);
-    if (status == 0)
-        status = reorder(ctx, order, count, sizeof *mesh->tangents, &mesh->tangents);
-    if (status == 0)
-        status = reorder(ctx, order, count, sizeof *mesh->directions, &mesh->directions);
-    if (status == 0)
-        mesh->triangle_count = count;
+    uint32_t first = TILES;
+    for (; *tile < udim->count && udim->tiles[*tile].set == set; ++*tile) {
+        const uint32_t number = udim->tiles[*tile].number - BAKE_FIRST_TILE;
+        first = first == TILES ? number : first;
+        sorter->places[number] = udim->tiles[*tile].first;
+    }
+    sorter->order = order;
+    status = bake_tile_sort(sorter, first, rest);
+    bsq_free(ctx, sorter);
     return status;
 }
 
@@ -173,25 +192,18 @@ static int sort_mesh(struct bsq_ctx *ctx, const struct bake_options *options,
                      const struct bake_udim *udim, struct bake_lowmesh *mesh)
 {
     const struct bake_udim_tile *last = &udim->tiles[udim->count - 1];
-    const uint64_t end = last->first + last->count, count = end + udim->unused_triangles;
-    struct bake_tile_sorter *sorter;
-    uint32_t *order = NULL;
+    uint64_t rest = last->first + last->count;
+    const uint64_t count = rest + udim->unused_triangles;
+    uint32_t *order = NULL, tile = 0;
     if (count > UINT32_MAX)
         return bsq_fail(ctx, BSQ_EDATA, "%s: %" PRIu64 " triangles in UDIM tiles, %u are supported",
                         options->mesh_path, count, UINT32_MAX);
-    int status = bake_tile_sorter_create(ctx, options, mesh, &sorter);
-    if (status < 0)
-        return status;
-    for (uint32_t i = 0; i < udim->count; i++)
-        sorter->places[udim->tiles[i].number - BAKE_FIRST_TILE] = udim->tiles[i].first;
-    status = bsq_alloc(ctx, "triangles by tile", count, sizeof *order, &order);
-    sorter->order = order;
+    int status = bsq_alloc(ctx, "triangles by tile", count, sizeof *order, &order);
+    for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
+        status = sort_set(ctx, options, udim, mesh, set, order, &tile, &rest);
     if (status == 0)
-        status = bake_tile_sort(sorter, udim->tiles[0].number - BAKE_FIRST_TILE, end);
-    if (status == 0)
-        status = reorder_mesh(ctx, order, count, mesh);
+        status = bake_lowmesh_reorder(ctx, order, count, mesh);
     bsq_free(ctx, order);
-    bsq_free(ctx, sorter);
     return status;
 }
 

@@ -2,8 +2,9 @@
  * low-poly mesh and the bake's options; gives the tiles in use, with the triangles of each side by
  * side in the mesh.
  *
- * Tile 1001 + u + 10 v is the square from (u, v), u from 0 to 9, v from 0 on. A triangle belongs to
- * each tile that it overlaps by more than half a texel. */
+ * Each set of the mesh has tiles of its own. Tile 1001 + u + 10 v is the square from (u, v), u from
+ * 0 to 9, v from 0 on. A triangle belongs to each tile that it overlaps by more than half a texel.
+ */
 #ifndef BAKE_UDIM_UDIM_H
 #define BAKE_UDIM_UDIM_H
 
@@ -12,21 +13,23 @@
 
 struct bake_udim_tile {
     uint32_t number;
+    uint32_t set;          /* of the mesh, 0 if it has none */
     uint64_t first, count; /* its triangles in the mesh, after bake_udim_arrange() */
 };
 
 struct bake_udim {
-    struct bake_udim_tile *tiles; /* to bake, by number; at least one */
+    struct bake_udim_tile *tiles; /* to bake, by set and number; at least one */
     uint32_t count;
+    uint64_t capacity;
     uint64_t outside_triangles; /* partly or wholly outside of these tiles */
     uint64_t unused_triangles;  /* wholly outside; bake_udim_arrange() puts them last */
 };
 
 /* Finds the tiles to bake: those that triangles lie in, of which options->tiles selects some.
- * Triangles without area in texture space belong to the first tile. A mesh of such triangles only
- * is in tile 1001. Free *out with bake_udim_free(). Errors: BSQ_EUSAGE if there are several tiles
- * and the output's name has no token for them, if triangles lie outside of all tiles while no tiles
- * are selected, or if a selected one is empty; BSQ_ENOMEM, BSQ_EINTR. */
+ * Triangles without area in texture space belong to the first tile of their set. A set of such
+ * triangles only is in tile 1001. Free *out with bake_udim_free(). Errors: BSQ_EUSAGE if there are
+ * several tiles and the output's name has no token for them, if triangles lie outside of all tiles
+ * while no tiles are selected, or if a selected one is empty; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_udim_find(struct bsq_ctx *ctx, const struct bake_options *options,
                    const struct bake_lowmesh *mesh, struct bake_udim *out);
 void bake_udim_free(struct bsq_ctx *ctx, struct bake_udim *udim); /* zeroed: allowed */

@@ -12,7 +12,7 @@ static int choose_distances(struct rays_scene *scene)
 {
     struct bk_params *params = &scene->job.params;
     double front, back;
-    int status = bake_measure_distances(&scene->surface, params, &scene->mesh, &front, &back);
+    int status = bake_measure_distances(&scene->surface, params, &scene->mesh, NULL, &front, &back);
     if (status == 0) {
         params->front = (float)(front / scene->surface.unit);
         params->back = (float)(back / scene->surface.unit);

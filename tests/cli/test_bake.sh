@@ -74,8 +74,8 @@ $bake
 refused 64 "$p 0 input files given, not two: SCAN.nvdb and LOW.obj (see --help)"
 $bake plain.nvdb
 refused 64 "$p 1 input file given, not two: SCAN.nvdb and LOW.obj (see --help)"
-$bake plain.nvdb low.obj low.obj -o a.exr
-refused 64 "$p 3 input files given, not two: SCAN.nvdb and LOW.obj (see --help)"
+$bake plain.nvdb plain.nvdb plain.nvdb -o a.exr
+refused 64 "$p 3 scans (.nvdb, .tris) and 0 low-poly meshes given (see --help)"
 $bake plain.nvdb low.obj
 refused 64 "$p no output given: add -o 'OUT_<MAP>.exr'"
 $bake --list-devices low.obj

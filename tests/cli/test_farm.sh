@@ -334,6 +334,10 @@ for tasks in 0 65537 x; do
     $bake scan.nvdb low.obj -o x.exr --tasks $tasks --write-plan p.json
     code 64
 done
+$bake scan.nvdb low.obj low.obj --maps mask -o x.exr --tasks 2 --write-plan p.json
+refused 64 "$p a plan is for one scan and one low-poly mesh"
+$bake scan.nvdb low.obj --maps mask -o '<OBJECT>.exr' --tasks 2 --write-plan p.json
+refused 64 "$p <OBJECT>.exr: a plan has no \"<OBJECT>\" or \"<MATERIAL>\""
 $bake --plan missing.json --task 0
 code 66
 

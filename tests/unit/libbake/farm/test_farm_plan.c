@@ -9,7 +9,8 @@
 #include "libbake/farm/farm.h"
 
 enum { TASKS = 7, TILES = 2 };
-static const struct bake_tile_size sizes[TILES] = {{1001, 200, 90}, {1012, 64, 300}};
+static const struct bake_baked_tile sizes[TILES] = {{.tile = 1001, .width = 200, .height = 90},
+                                                    {.tile = 1012, .width = 64, .height = 300}};
 static const struct bake_tile_size size_option = {1012, 64, 300};
 static const struct bake_tile_range range_option = {1001, 1012};
 
@@ -111,7 +112,8 @@ static void test_tasks_are_balanced(void **state)
 static void test_sides_suit_the_tasks(void **state)
 {
     (void)state;
-    const struct bake_tile_size large = {1001, 16384, 16384}, small = {1001, 20, 20};
+    const struct bake_baked_tile large = {.tile = 1001, .width = 16384, .height = 16384};
+    const struct bake_baked_tile small = {.tile = 1001, .width = 20, .height = 20};
     assert_int_equal(bake_farm_block_side(&large, 1, 16), 256);
     assert_int_equal(bake_farm_block_side(&large, 1, 1024), 64);
     assert_int_equal(bake_farm_block_side(&small, 1, 1000), 16);

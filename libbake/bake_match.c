@@ -1,0 +1,131 @@
+/* bake_match.c - finds out which scans each object of the low-poly mesh sees, by their names. */
+#include <stdio.h>
+#include <string.h>
+
+#include "libbake/bake_job.h"
+
+enum { LIST_BYTES = 300 /* of names in a message */ };
+
+/* A scan's name: its file's, without folder and suffix. */
+struct name {
+    const char *at;
+    size_t length;
+};
+
+static struct name scan_name(const struct bake_run *job, uint32_t scan)
+{
+    const struct bake_surface *surface = &job->surface;
+    const char *path = surface->parts ? surface->parts[scan].path : surface->path;
+    const char *slash = strrchr(path, '/'), *at = slash ? slash + 1 : path;
+    const char *dot = strrchr(at, '.');
+    return (struct name){at, dot && dot > at ? (size_t)(dot - at) : strlen(at)};
+}
+
+static uint32_t scan_count(const struct bake_run *job)
+{
+    return job->surface.parts ? job->surface.part_count : 1;
+}
+
+/* Reads `text` at the start of a name, and advances the name past it. Returns whether it is there.
+ */
+static bool take(struct name *name, const char *text, size_t length)
+{
+    const bool there = name->length >= length && memcmp(name->at, text, length) == 0;
+    name->at += there ? length : 0;
+    name->length -= there ? length : 0;
+    return there;
+}
+
+/* Returns whether an object and a scan have the same name but for their suffixes. What follows the
+ * scan's suffix after a '_' is the number of a scan, or any other text. */
+static bool match(const struct bake_options *options, const char *object, struct name scan)
+{
+    const size_t low = strlen(options->low_suffix), high = strlen(options->high_suffix);
+    size_t stem = strlen(object);
+    if (low > 0 && stem > low && strcmp(object + stem - low, options->low_suffix) == 0)
+        stem -= low;
+    if (!take(&scan, object, stem))
+        return false;
+    return scan.length == 0 ||
+           (take(&scan, options->high_suffix, high) && (scan.length == 0 || *scan.at == '_'));
+}
+
+/* ---- messages ---- */
+
+/* A list of names in a message; those that do not fit are counted. */
+struct list {
+    char text[LIST_BYTES];
+    size_t used;
+    uint64_t left;
+};
+
+static void add_name(struct list *list, const char *name, size_t length)
+{
+    if (list->left > 0 || list->used + length + 32 > sizeof list->text) {
+        list->left++;
+        return;
+    }
+    list->used += (size_t)snprintf(list->text + list->used, sizeof list->text - list->used,
+                                   "%s%.*s", list->used > 0 ? ", " : "", (int)length, name);
+}
+
+static const char *end_list(struct list *list)
+{
+    if (list->left > 0)
+        snprintf(list->text + list->used, sizeof list->text - list->used, " and %llu more",
+                 (unsigned long long)list->left);
+    return list->used + list->left > 0 ? list->text : "none";
+}
+
+/* Reports the objects and scans that have no partner. */
+static int fail_alone(const struct bake_run *job, const bool *sees)
+{
+    const uint32_t scans = scan_count(job);
+    struct list objects = {{0}, 0, 0}, others = {{0}, 0, 0};
+    for (uint32_t o = 0; o < job->mesh.objects.count; o++)
+        if (!memchr(sees + (uint64_t)o * scans, true, scans))
+            add_name(&objects, job->mesh.objects.list[o], strlen(job->mesh.objects.list[o]));
+    for (uint32_t s = 0; s < scans; s++) {
+        bool seen = false;
+        for (uint32_t o = 0; o < job->mesh.objects.count && !seen; o++)
+            seen = sees[(uint64_t)o * scans + s];
+        const struct name name = scan_name(job, s);
+        if (!seen)
+            add_name(&others, name.at, name.length);
+    }
+    if (objects.used + objects.left + others.used + others.left == 0)
+        return 0;
+    return bsq_fail(job->ctx, BSQ_EUSAGE,
+                    "names do not match: low-poly objects without a scan: %s; scans without an "
+                    "object: %s",
+                    end_list(&objects), end_list(&others));
+}
+
+/* ---- all objects ---- */
+
+int bake_match_names(struct bake_run *job)
+{
+    const uint32_t scans = scan_count(job), objects = job->mesh.objects.count;
+    int status =
+        bsq_calloc(job->ctx, "matches", (uint64_t)objects * scans, sizeof *job->sees, &job->sees);
+    for (uint32_t o = 0; o < objects && status == 0; o++) {
+        status = o % 1024 == 0 ? bsq_check(job->ctx) : 0;
+        for (uint32_t s = 0; s < scans && status == 0; s++)
+            job->sees[(uint64_t)o * scans + s] =
+                match(job->options, job->mesh.objects.list[o], scan_name(job, s));
+    }
+    return status < 0 ? status : fail_alone(job, job->sees);
+}
+
+bool bake_sees_one_scan(const struct bake_run *job)
+{
+    const uint32_t scans = scan_count(job);
+    for (uint32_t o = 0; o < job->mesh.objects.count && job->sees; o++) {
+        uint32_t count = 0;
+        for (uint32_t s = 0; s < scans; s++)
+            count += job->sees[(uint64_t)o * scans + s];
+        if (count > 1)
+            return false;
+    }
+    return scans == 1 || job->sees;
+}

@@ -1,0 +1,174 @@
+/* parts.c - see parts.h. Objects with one name are one object, also in several files. */
+#include "libbake/lowpoly/parts.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* Stands for the material of faces that have none. */
+#define NO_MATERIAL "none"
+
+/* ---- a file ---- */
+
+/* Copies a file's name without its folder and suffix. */
+static int copy_stem(struct bsq_ctx *ctx, const char *path, char **out)
+{
+    const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
+    const char *dot = strrchr(name, '.');
+    const size_t length = dot && dot > name ? (size_t)(dot - name) : strlen(name);
+    int status = bsq_alloc(ctx, "names", length + 1, 1, out);
+    if (status == 0)
+        *(char *)mempcpy(*out, name, length) = '\0';
+    return status;
+}
+
+static bool is_named(const char *name)
+{
+    return name && *name;
+}
+
+/* Enters the names of a part of a file, or of faces without one if it is NULL. */
+static int enter_names(struct bsq_ctx *ctx, struct bake_parts *parts, const char *stem,
+                       const struct fmt_material *part, uint32_t numbers[2])
+{
+    const char *object = part && is_named(part->object) ? part->object : stem;
+    const char *material = part && is_named(part->name) ? part->name : NO_MATERIAL;
+    int status = bake_names_enter(ctx, &parts->objects, object, &numbers[0]);
+    return status < 0 ? status : bake_names_enter(ctx, &parts->materials, material, &numbers[1]);
+}
+
+/* Adds the triangles of a file. numbers: room for one entry more than the file has parts. Names are
+ * entered when a triangle has them, so that empty objects do not count. */
+static int add_triangles(struct bsq_ctx *ctx, struct bake_parts *parts, const char *stem,
+                         const struct fmt_mesh *mesh, uint32_t (*numbers)[2])
+{
+    const uint32_t none = mesh->parts.count;
+    int status = 0;
+    memset(numbers, 0xff, (none + UINT64_C(1)) * sizeof *numbers);
+    for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++) {
+        const uint32_t named = mesh->face_parts[mesh->faces[t]], part = named < none ? named : none;
+        if (numbers[part][0] == UINT32_MAX)
+            status = enter_names(ctx, parts, stem, part < none ? &mesh->parts.list[part] : NULL,
+                                 numbers[part]);
+        memcpy(parts->of[parts->count++], numbers[part], sizeof *parts->of);
+        if (t % 4096 == 0 && status == 0)
+            status = bsq_check(ctx);
+    }
+    return status;
+}
+
+int bake_parts_add(struct bsq_ctx *ctx, struct bake_parts *parts, const char *path,
+                   const struct fmt_mesh *mesh)
+{
+    char *stem = NULL;
+    uint32_t(*numbers)[2] = NULL;
+    int status = copy_stem(ctx, path, &stem);
+    if (status == 0)
+        status =
+            bsq_alloc(ctx, "names", mesh->parts.count + UINT64_C(1), sizeof *numbers, &numbers);
+    if (status == 0)
+        status = bsq_grow(ctx, "names of triangles", parts->count + mesh->triangle_count,
+                          sizeof *parts->of, &parts->of, &parts->capacity);
+    if (status == 0)
+        status = add_triangles(ctx, parts, stem, mesh, numbers);
+    bsq_free(ctx, numbers);
+    bsq_free(ctx, stem);
+    return status;
+}
+
+/* ---- sets ---- */
+
+/* A triangle, and what its set is named by. */
+struct place {
+    uint32_t object, material, triangle;
+};
+
+static int compare_sets(const struct place *a, const struct place *b)
+{
+    if (a->object != b->object)
+        return a->object < b->object ? -1 : 1;
+    return (a->material > b->material) - (a->material < b->material);
+}
+
+static int compare_places(const void *a, const void *b)
+{
+    const struct place *x = a, *y = b;
+    const int sets = compare_sets(x, y);
+    return sets != 0 ? sets : (x->triangle > y->triangle) - (x->triangle < y->triangle);
+}
+
+/* Makes each run of equal places a set. */
+static int make_sets(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                     const struct place *places, uint64_t count, struct bake_lowmesh *mesh)
+{
+    uint64_t capacity = 0;
+    int status = 0;
+    for (uint64_t i = 0; i < count && status == 0; i++) {
+        if (i > 0 && compare_sets(&places[i - 1], &places[i]) == 0) {
+            mesh->sets[mesh->set_count - 1].count++;
+            continue;
+        }
+        status = bsq_grow(ctx, "sets of maps", mesh->set_count + UINT64_C(1), sizeof *mesh->sets,
+                          &mesh->sets, &capacity);
+        if (status == 0)
+            mesh->sets[mesh->set_count++] = (struct bake_low_set){
+                .object = options->object_maps ? mesh->objects.list[places[i].object] : NULL,
+                .material =
+                    options->material_maps ? mesh->materials.list[places[i].material] : NULL,
+                .first = i,
+                .count = 1};
+    }
+    return status;
+}
+
+static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                       const struct bake_parts *parts, struct bake_lowmesh *mesh)
+{
+    const uint64_t count = mesh->triangle_count;
+    struct place *places = NULL;
+    uint32_t *order = NULL;
+    int status = bsq_alloc(ctx, "sets of maps", count, sizeof *places, &places);
+    if (status == 0)
+        status = bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order);
+    for (uint64_t t = 0; t < count && status == 0; t++)
+        places[t] = (struct place){options->object_maps ? parts->of[t][0] : 0,
+                                   options->material_maps ? parts->of[t][1] : 0, (uint32_t)t};
+    if (status == 0) {
+        qsort(places, count, sizeof *places, compare_places);
+        status = make_sets(ctx, options, places, count, mesh);
+    }
+    for (uint64_t t = 0; t < count && status == 0; t++)
+        order[t] = places[t].triangle;
+    if (status == 0 && mesh->set_count > 1)
+        status = bake_lowmesh_reorder(ctx, order, count, mesh);
+    bsq_free(ctx, order);
+    bsq_free(ctx, places);
+    return status;
+}
+
+/* ---- all files ---- */
+
+int bake_parts_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                     struct bake_parts *parts, struct bake_lowmesh *mesh)
+{
+    int status = 0;
+    mesh->objects = parts->objects.names;
+    mesh->materials = parts->materials.names;
+    parts->objects.names = parts->materials.names = (struct bake_names){0};
+    if (options->objects)
+        status = bsq_alloc(ctx, "objects of triangles", mesh->triangle_count,
+                           sizeof *mesh->object_of, &mesh->object_of);
+    for (uint64_t t = 0; t < mesh->triangle_count && options->objects && status == 0; t++)
+        mesh->object_of[t] = parts->of[t][0];
+    if (status == 0 && (options->object_maps || options->material_maps))
+        status = sort_by_set(ctx, options, parts, mesh);
+    return status;
+}
+
+void bake_parts_free(struct bsq_ctx *ctx, struct bake_parts *parts)
+{
+    bake_name_table_free(ctx, &parts->objects);
+    bake_name_table_free(ctx, &parts->materials);
+    bake_names_free(ctx, &parts->objects.names);
+    bake_names_free(ctx, &parts->materials.names);
+    bsq_free(ctx, parts->of);
+}

@@ -1,0 +1,317 @@
+/* scan_tiles.c - traces a tile of maps on several scans.
+ *
+ * Each scan is traced as if it were alone, by the functions for a single scan, so all devices and
+ * all kinds of scans can be baked together. A texel of these images is a sample of the map. Of all
+ * scans, each sample keeps its nearest hit. Then the samples are summed as the kernel sums them. */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "base/parallel.h"
+#include "libbake/tile_bake.h"
+
+/* No ray starts as far away as this, so a triangle there hits nothing. */
+#define OUT_OF_SIGHT (4.0f * BK_FAR)
+
+struct work {
+    const struct bake_tile_scene *scene;
+    struct bake_tile *tile;
+    uint32_t part;
+    uint32_t maps;                      /* that are traced */
+    uint32_t floats;                    /* of a sample */
+    uint32_t width;                     /* of the images below, in samples */
+    struct bake_image *nearest, *image; /* samples of all scans so far, and of one */
+    struct bake_tile_workers workers;
+    float *rows; /* of each worker: two rows of samples */
+    uint64_t row_floats;
+};
+
+/* ---- one scan ---- */
+
+/* Hides the triangles of objects that do not see the scan. */
+static void hide_triangles(const struct work *work)
+{
+    const struct bake_tile_scene *scene = work->scene;
+    const struct bake_udim_tile *place = &work->tile->place;
+    for (uint64_t t = place->first; t < place->first + place->count && scene->sees; t++) {
+        const uint64_t object = scene->mesh->object_of[t];
+        for (int c = 0; c < 3 && !scene->sees[object * scene->surface->part_count + work->part];
+             c++)
+            for (int k = 0; k < 3; k++)
+                scene->triangles[t].position[c][k] = OUT_OF_SIGHT;
+    }
+}
+
+static int trace_grid(const struct work *work, const struct bake_tiles *tiles,
+                      struct bake_report *report)
+{
+    const struct bake_tile_scene *scene = work->scene;
+    const struct bake_surface *part = &scene->surface->parts[work->part];
+    const struct bake_options *options = &work->tile->options;
+    const struct bake_job job = {.grid = &part->grid,
+                                 .triangles = scene->triangles,
+                                 .triangle_count = scene->triangle_count,
+                                 .tile_texels = tiles->tile_size * tiles->tile_size,
+                                 .device_memory = options->gpu_memory_bytes,
+                                 .params = scene->part_params[work->part]};
+    struct bake_device *device;
+    struct bake_device_times times;
+    int status =
+        bake_device_open(scene->ctx, options->device ? options->device : "auto", &job, &device);
+    if (status < 0)
+        return status;
+    snprintf(report->device, sizeof report->device, "%s", bake_device_name(device));
+    status = bake_tile_trace_grid(scene->ctx, device, part, tiles, report);
+    bake_device_times(device, &times);
+    report->seconds_upload += times.upload;
+    report->seconds_kernels += times.kernels;
+    report->seconds_copies += times.copies;
+    report->kernel_calls += times.launches;
+    bake_device_close(device);
+    return status;
+}
+
+static int trace_exact(const struct work *work, const struct bake_tiles *tiles,
+                       struct bake_report *report)
+{
+    const struct bake_exact_tiles exact = {.tiles = *tiles,
+                                           .exact = work->scene->surface->parts[work->part].exact,
+                                           .front = report->front,
+                                           .back = report->back};
+    return bake_exact_trace_tiles(work->scene->ctx, &exact, report);
+}
+
+/* Traces the tile on one scan. Samples are counted later, so the report keeps its counts. */
+static int trace_part(const struct work *work, struct bake_report *report)
+{
+    const struct bake_tile_scene *scene = work->scene;
+    const struct bake_surface *part = &scene->surface->parts[work->part];
+    const struct bake_tiles tiles = {.raster = work->tile->raster,
+                                     .triangles = scene->triangles,
+                                     .triangle_count = scene->triangle_count,
+                                     .params = &scene->part_params[work->part],
+                                     .image = work->image,
+                                     .sums = true,
+                                     .tile_size = work->tile->tile_size};
+    const struct bake_report before = *report;
+    bake_raster_kernel_triangles(work->tile->raster, part->translation, part->unit,
+                                 scene->triangles);
+    hide_triangles(work);
+    int status = part->exact ? trace_exact(work, &tiles, report) : trace_grid(work, &tiles, report);
+    report->covered_texels = before.covered_texels;
+    report->samples = before.samples;
+    report->hits = before.hits;
+    report->misses = before.misses;
+    if (work->part > 0)
+        report->overlapping_samples = before.overlapping_samples;
+    return status;
+}
+
+/* ---- the nearest hits ---- */
+
+/* Turn the sums of one sample into its hit. There is one for each map of BK_MAPS. */
+#define TAKE(member) memcpy(hit->member, sums, sizeof hit->member)
+static void take_normal(const float *sums, bk_map_hit *hit)
+{
+    TAKE(map_normal);
+}
+static void take_color(const float *sums, bk_map_hit *hit)
+{
+    TAKE(color);
+}
+static void take_mask(const float *sums, bk_map_hit *hit)
+{
+    (void)sums, (void)hit;
+}
+static void take_height(const float *sums, bk_map_hit *hit)
+{
+    hit->t = sums[0];
+}
+static void take_position(const float *sums, bk_map_hit *hit)
+{
+    TAKE(position);
+}
+static void take_curvature(const float *sums, bk_map_hit *hit)
+{
+    TAKE(position);
+    memcpy(hit->normal, sums + 6, sizeof hit->normal);
+}
+static void take_ao(const float *sums, bk_map_hit *hit)
+{
+    hit->open = sums[0];
+}
+static void take_bent(const float *sums, bk_map_hit *hit)
+{
+    TAKE(bent);
+}
+static void take_thickness(const float *sums, bk_map_hit *hit)
+{
+    hit->thickness = sums[0];
+}
+#undef TAKE
+
+/* Returns the hit of a sample. */
+static bk_map_hit hit_of(uint32_t maps, const float *sample)
+{
+    const float *sums = sample + BK_SUMS;
+    bk_map_hit hit = {0};
+#define TAKE_MAP(name, count)                                                                      \
+    if (maps >> BK_MAP_##name & 1u) {                                                              \
+        take_##name(sums, &hit);                                                                   \
+        sums += count;                                                                             \
+    }
+    BK_MAPS(TAKE_MAP)
+#undef TAKE_MAP
+    (void)sums;
+    return hit;
+}
+
+/* Moves the position of a hit from the origin of a scan to that of all scans. */
+static void move_position(const struct work *work, bk_map_hit *hit)
+{
+    const struct bake_surface *whole = work->scene->surface, *part = &whole->parts[work->part];
+    for (int k = 0; k < 3; k++)
+        hit->position[k] =
+            (float)((double)hit->position[k] + (part->translation[k] - whole->translation[k]));
+}
+
+/* Returns whether a sample's hit comes before another one. Rays from a cage take the first surface,
+ * which is the highest; others take the nearest. */
+static bool is_nearer(const struct work *work, const float *sample, const float *other)
+{
+    if (sample[BK_HITS] == 0.0f || other[BK_HITS] == 0.0f)
+        return sample[BK_HITS] > 0.0f;
+    const float t = hit_of(work->maps, sample).t, other_t = hit_of(work->maps, other).t;
+    if (work->scene->part_params[0].flags & BK_CAGE || fabsf(t) == fabsf(other_t))
+        return t > other_t;
+    return fabsf(t) < fabsf(other_t);
+}
+
+/* Replaces a sample by that of the current scan, if it is nearer. */
+static void keep_nearest(const struct work *work, const float *sample, float *nearest)
+{
+    if (sample[BK_COVERED] == 0.0f ||
+        (nearest[BK_COVERED] > 0.0f && !is_nearer(work, sample, nearest)))
+        return;
+    memset(nearest, 0, work->floats * sizeof *nearest);
+    nearest[BK_COVERED] = 1.0f;
+    if (sample[BK_HITS] > 0.0f) {
+        bk_map_hit hit = hit_of(work->maps, sample);
+        move_position(work, &hit);
+        bk_add_to_maps(work->maps, &hit, nearest);
+    }
+}
+
+/* Merges a row of samples of the current scan into the nearest ones. */
+static int merge_row(void *arg, uint64_t row, unsigned worker)
+{
+    const struct work *work = arg;
+    const uint64_t floats = (uint64_t)work->width * work->floats;
+    float *buffers = work->rows + worker * work->row_floats, *to = buffers + floats;
+    const float *from, *old;
+    int status = bake_image_rows(work->image, (uint32_t)row, 1, buffers, &from);
+    if (status == 0)
+        status = bake_image_rows(work->nearest, (uint32_t)row, 1, to, &old);
+    if (status < 0)
+        return status;
+    if (old != to)
+        memcpy(to, old, floats * sizeof *to);
+    for (uint32_t x = 0; x < work->width; x++)
+        keep_nearest(work, from + (uint64_t)x * work->floats, to + (uint64_t)x * work->floats);
+    return bake_image_write(work->nearest, 0, (uint32_t)row, work->width, 1, to);
+}
+
+/* ---- texels ---- */
+
+/* Adds a row of samples to its texels. */
+static void sum_samples(const struct work *work, const float *sample, float *texels)
+{
+    const uint32_t n = work->tile->options.samples;
+    for (uint32_t x = 0; x < work->width; x++, sample += work->floats) {
+        float *texel = texels + (size_t)(x / n) * work->workers.texel_floats;
+        const bk_map_hit hit = hit_of(work->maps, sample);
+        texel[BK_COVERED] += sample[BK_COVERED];
+        if (sample[BK_HITS] > 0.0f)
+            bk_add_to_maps(work->workers.maps, &hit, texel);
+    }
+}
+
+/* Sums the samples of a row of texels, and writes the row to the tile's image. */
+static int resolve_row(void *arg, uint64_t row, unsigned number)
+{
+    const struct work *work = arg;
+    struct bake_tile_worker *worker = &work->workers.workers[number];
+    const uint32_t n = work->tile->options.samples, width = work->tile->options.width;
+    float *buffer = work->rows + number * work->row_floats;
+    int status = 0;
+    memset(worker->texels, 0, (size_t)width * work->workers.texel_floats * sizeof *worker->texels);
+    for (uint32_t j = 0; j < n && status == 0; j++) {
+        const float *samples;
+        status = bake_image_rows(work->nearest, (uint32_t)row * n + j, 1, buffer, &samples);
+        if (status == 0)
+            sum_samples(work, samples, worker->texels);
+    }
+    if (status < 0)
+        return status;
+    bake_tile_worker_resolve(&work->workers, worker, width, worker->resolved);
+    bsq_progress_add(work->scene->ctx, 1);
+    return bake_image_write(work->tile->image, 0, (uint32_t)row, width, 1, worker->resolved);
+}
+
+/* Sums all texels. A worker's tile is a row of texels. */
+static int resolve(struct work *work, struct bake_report *report)
+{
+    struct bsq_ctx *ctx = work->scene->ctx;
+    int status =
+        bake_row_workers_begin(ctx, work->tile->maps, work->tile->options.width, &work->workers);
+    if (status == 0)
+        status = bsq_parallel_for(ctx, work->tile->options.height, resolve_row, work);
+    bake_tile_workers_end(ctx, &work->workers, report);
+    return status;
+}
+
+/* ---- all scans ---- */
+
+static int create_images(struct work *work, uint64_t memory_bytes)
+{
+    const struct bake_options *options = &work->tile->options;
+    const uint32_t n = options->samples;
+    const struct bake_image_options image = {.width = work->width,
+                                             .height = options->height * n,
+                                             .channels = work->floats,
+                                             .memory_bytes = memory_bytes / 3,
+                                             .beside = work->tile->beside};
+    struct bsq_ctx *ctx = work->scene->ctx;
+    int status = bake_image_create(ctx, &image, &work->nearest);
+    if (status == 0)
+        status = bake_image_create(ctx, &image, &work->image);
+    work->row_floats = UINT64_C(2) * work->width * work->floats;
+    if (status == 0)
+        status = bsq_alloc(ctx, "rows of samples", bsq_threads(ctx),
+                           work->row_floats * sizeof *work->rows, &work->rows);
+    return status;
+}
+
+int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile *tile,
+                          uint64_t memory_bytes, struct bake_report *report)
+{
+    const uint32_t n = tile->options.samples;
+    struct work work = {.scene = scene,
+                        .tile = tile,
+                        .maps = scene->part_params[0].maps,
+                        .floats = bk_texel_floats(scene->part_params[0].maps),
+                        .width = tile->options.width * n};
+    int status = create_images(&work, memory_bytes);
+    for (; work.part < scene->surface->part_count && status == 0; work.part++) {
+        status = trace_part(&work, report);
+        if (status == 0)
+            status =
+                bsq_parallel_for(scene->ctx, (uint64_t)tile->options.height * n, merge_row, &work);
+    }
+    if (status == 0)
+        status = resolve(&work, report);
+    bsq_free(scene->ctx, work.rows);
+    bake_image_free(work.image);
+    bake_image_free(work.nearest);
+    return status;
+}
