@@ -362,14 +362,28 @@ command="bisque-slurm assets --dry-run" code=0
 code 0
 [ "$(grep -c "'--array=0-0'" "$out")" -eq 2 ] && grep -qF "'--dependency=aftercorr:<bisque-grid>'" "$out"
 check "two arrays, task by task" $?
-for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --tasks 2000 -- a b -o c" "bake --what" assets "render"; do
+printf 'p/a 1.ply\np/b.ply.zst\nc' >list # without an end of its last line
+command="bisque-slurm parts --dry-run" code=0
+"$slurm" parts --dry-run --tasks 2 list -- low.obj -o 'o_<MAP>.exr' >"$out" 2>"$err" || code=$?
+code 0
+[ "$(grep -c '^sbatch ' "$out")" -eq 5 ] && grep -qF "'--array=0-2'" "$out" &&
+    grep -qF " 'p/a 1.tris' 'p/b.ply.tris' 'c.tris' ||" "$out" &&
+    grep -qF "'--dependency=afterok:<bisque-sort>' '--kill-on-invalid-dep=yes'" "$out" &&
+    grep -qF "'--dependency=afterok:<bisque-grid>' '--kill-on-invalid-dep=yes'" "$out" &&
+    grep -qF "'bisque-bake' 'plan.nvdb' 'low.obj'" "$out"
+check "parts are sorted, voxelized together and baked" $?
+printf 'a.ply\na.obj\n' >twice
+printf 'a.ply\n\nb.ply\n' >gap
+: >empty
+for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --tasks 2000 -- a b -o c" "bake --what" assets "render" \
+    "parts twice -- l -o o" "parts gap -- l -o o" "parts empty -- l -o o" "parts none -- l -o o" "parts list" "assets none"; do
     command="bisque-slurm $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
     "$slurm" $bad >"$out" 2>"$err" || code=$?
     code 64
     err_like '^bisque-slurm: '
 done
-rm list
+rm list twice gap empty
 
 # ---- killed, interrupted, twice at once ----
 

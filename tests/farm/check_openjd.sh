@@ -4,6 +4,7 @@
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 openjd=$(cd "$(dirname "${OPENJD:?is the command of openjd-cli}")" && pwd)/openjd || exit 1
 . "$(dirname "$0")/../cli/lib.sh"
+. "$top/tests/farm/parts.sh"
 farm=$top/tools/farm
 
 # openjd WORD...: runs it.
@@ -14,7 +15,7 @@ openjd()
     code 0
 }
 
-for template in asset assets; do
+for template in asset parts assets; do
     openjd check "$farm/$template.openjd.yaml"
     grep -q 'passes validation checks' "$out"
     check "$template.openjd.yaml is valid" $?
@@ -57,6 +58,41 @@ command="openjd run of a missing scan" code=0
     >"$out" 2>"$err" || code=$?
 [ "$code" -ne 0 ] && grep -q 'openjd_fail: .*none\.obj: No such file' "$out"
 check "a failure is told to Open Job Description" $?
+
+# ---- a comparison with maps of before ----
+
+mkdir reference && cp map_height.1001.exr map_normal.1001.exr reference
+compare="run $farm/asset.openjd.yaml --step Compare -p Scan=scan.obj -p Low=low.obj -p OutputDir=maps -p BinDir=$BIN"
+openjd $compare -p Reference=reference -p CompareOptions='--max-error 0'
+openjd $compare
+grep -q 'no reference given' "$out"
+check "no reference, no comparison" $?
+run bisque-bake scan.nvdb low.obj -o 'reference/map_<MAP>.<UDIM>.exr' --maps normal --size 160x96 --green down --device cpu
+code 0
+command="openjd $compare" code=0
+"$openjd" $compare -p Reference=reference -p CompareOptions='--force --max-error 1' >"$out" 2>"$err" || code=$?
+[ "$code" -ne 0 ] && grep -q 'exited with code: 1 ' "$out"
+check "maps outside of a limit fail the step" $?
+
+# ---- a scan in eight parts ----
+
+write_parts scan.obj
+voxelize_parts 128
+run bisque-bake parts.nvdb low.obj -o 'part_<MAP>.<UDIM>.exr' $options
+code 0
+openjd run "$farm/parts.openjd.yaml" --step Compare --run-dependencies -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj \
+    -p OutputDir=parts -p LastTask=4 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
+[ "$(ls parts/*.tris | wc -l)" -eq 8 ]
+check "there are eight chunk files" $?
+same parts.nvdb parts/scan.nvdb
+for map in normal height color; do
+    same part_$map.1001.exr parts/map_$map.1001.exr
+done
+command="openjd run with a part too few" code=0
+"$openjd" run "$farm/parts.openjd.yaml" --step Sort -p Root=. -p List=parts.txt -p LastPart=6 -p Low=low.obj -p OutputDir=few \
+    -p BinDir="$BIN" >"$out" 2>"$err" || code=$?
+[ "$code" -ne 0 ] && grep -q 'openjd_fail: LastPart' "$out" && [ ! -e few ]
+check "a list with more parts than tasks is refused" $?
 
 # ---- many assets ----
 

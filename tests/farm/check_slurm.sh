@@ -5,6 +5,7 @@
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/../cli/lib.sh"
 . "$top/tests/farm/slurm_cluster.sh"
+. "$top/tests/farm/parts.sh"
 limit=${SECONDS_LIMIT:-240}
 slurm=$top/tools/farm/bisque-slurm
 trap 'stop_cluster; cd / && rm -rf "$work"' EXIT
@@ -89,6 +90,25 @@ run bisque-voxelize asset1.obj --no-tris -o one.nvdb --resolution 64
 run bisque-bake one.nvdb low.obj --maps normal --size 64 --device cpu -o one.exr
 for i in 1 2 3; do
     same one.exr asset${i}_normal.exr
+done
+
+# ---- a scan in eight parts ----
+
+write_parts scan.obj
+voxelize_parts 300
+run bisque-bake parts.nvdb low.obj -o 'whole_<MAP>.exr' --maps normal,color,height --size 128 --device cpu
+code 0
+submit parts --tasks 4 --cpus 1 --memory 400 --bin "$BIN" --plan eight.json --resolution 300 parts.txt -- low.obj \
+    -o 'eight_<MAP>.exr' --maps normal,color,height --size 128 --device cpu
+[ "$(grep -c ': job [0-9]*$' "$out")" -eq 5 ]
+check "the numbers of five jobs are printed" $?
+wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
+check "all jobs of the parts end" $?
+[ "$(ls part_?.tris | wc -l)" -eq 8 ] && [ -z "$(ls | grep 'tris\.nvdb$')" ]
+check "eight chunk files, and no coarse grids" $?
+same parts.nvdb eight.nvdb
+for map in normal color height; do
+    same whole_$map.exr eight_$map.exr
 done
 
 # A task that cannot succeed ends the jobs that wait for it.
