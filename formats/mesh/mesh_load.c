@@ -361,7 +361,7 @@ static int load(struct loader *loader, const char *path)
     mesh->has_tangents = totals.has_tangents;
     mesh->split_vertices = totals.split_vertices;
     if (totals.faces == 0)
-        return bsq_fail(loader->ctx, BSQ_EDATA, "%s: no faces", path);
+        return fmt_mesh_fail_no_faces(loader->ctx, path, &totals);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
     status = check_corners(loader, counts);
     if (!status)

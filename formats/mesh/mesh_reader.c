@@ -406,6 +406,13 @@ int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **ou
     return 0;
 }
 
+int fmt_mesh_fail_no_faces(struct bsq_ctx *ctx, const char *path,
+                           const struct fmt_mesh_totals *totals)
+{
+    const bool points = totals->vertices > 0 && totals->short_faces == 0;
+    return bsq_fail(ctx, BSQ_EDATA, "%s: no faces%s", path, points ? ", only points or lines" : "");
+}
+
 int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
                         uint64_t index)
 {

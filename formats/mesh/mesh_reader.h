@@ -127,11 +127,11 @@ bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
 
 /* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
  * status, which stops and is returned. Numbers that are malformed are BSQ_EDATA with file, line and
- * the offending text. What is missing in the file or not finite is counted; the first reading warns
- * of it at its end, with the line of the first. Memory: see fmt_mesh_slots_for(). on_block may be
- * NULL (parse only). May be called again: blocks, faces and materials have the same numbers each
- * time. The caller reports progress; the blocks' byte_size add up to the files, because bytes that
- * yield nothing belong to a block too. */
+ * the offending text. What is unknown, missing in the file or not finite is counted; the first
+ * reading warns of it at its end, with the line of the first. Memory: see fmt_mesh_slots_for().
+ * on_block may be NULL (parse only). May be called again: blocks, faces and materials have the same
+ * numbers each time. The caller reports progress; the blocks' byte_size add up to the files,
+ * because bytes that yield nothing belong to a block too. */
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
                   int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
                   struct fmt_mesh_totals *totals);
@@ -219,6 +219,10 @@ int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **ou
  * numbers over the whole scan. Reads the face's block again. */
 int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
                         uint64_t index);
+
+/* Reports that a scan has no faces, and whether it has points instead. Returns BSQ_EDATA. */
+int fmt_mesh_fail_no_faces(struct bsq_ctx *ctx, const char *path,
+                           const struct fmt_mesh_totals *totals);
 
 /* ---- a small mesh, whole ---- */
 

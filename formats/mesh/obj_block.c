@@ -492,16 +492,13 @@ static const char *parse_other(struct parser *parser, const char *p)
         return add_statement(parser, p, OBJ_MTLLIB);
     if (length == 1 && (*word == 'o' || *word == 'g') && block->objects)
         return add_statement(parser, p, OBJ_OBJECT);
-    uint64_t line = block->lines;
+    const bool standard = is_standard(word, length);
+    if (!standard)
+        note_odd(parser, OBJ_UNKNOWN);
+    block->known_lines += standard;
     p = skip_statement(parser, p, &end);
-    if (!p)
-        return NULL;
-    if (is_standard(word, length)) {
-        block->known_lines++;
-    } else if (!block->skipped_lines++) {
-        block->first_skipped = line;
-        fmt_mesh_quote(word, end, block->first_skipped_text, sizeof block->first_skipped_text);
-    }
+    if (p && block->odd[OBJ_UNKNOWN].count == 1 && !standard)
+        fmt_mesh_quote(word, end, block->first_unknown, sizeof block->first_unknown);
     return p;
 }
 
@@ -609,7 +606,7 @@ static void reset(struct obj_block *block)
     memset(block->odd, 0, sizeof block->odd);
     block->has_colors = block->has_polypaint = false;
     block->face_count = block->corner_count = block->statement_count = 0;
-    block->lines = block->known_lines = block->skipped_lines = block->short_faces = 0;
+    block->lines = block->known_lines = block->short_faces = 0;
     block->failed = false;
 }
 

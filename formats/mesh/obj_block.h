@@ -21,6 +21,7 @@ enum obj_oddity {
     OBJ_NO_NORMAL,   /* normals that are not finite, or have fewer than three numbers */
     OBJ_NO_COLOR,    /* vertex colours that are not finite */
     OBJ_VERTEX_SIZE, /* vertices of 2 numbers (z is 0) or 5 (two are ignored) */
+    OBJ_UNKNOWN,     /* statements that are not in the standard */
     OBJ_ODDITY_COUNT
 };
 
@@ -67,9 +68,7 @@ struct obj_block {
 
     uint64_t lines;         /* line ends passed; if parsing stopped early, those before the stop */
     uint64_t known_lines;   /* statements of the OBJ standard other than elements and faces */
-    uint64_t skipped_lines; /* statements that are not in the standard */
-    uint64_t first_skipped; /* line of the first of them, from 0, and its beginning */
-    char first_skipped_text[40];
+    char first_unknown[40]; /* beginning of the first statement that is not in the standard */
     uint64_t short_faces;
     struct obj_odd_lines odd[OBJ_ODDITY_COUNT];
 

@@ -272,17 +272,17 @@ static void enter_source(struct job *job, uint32_t number)
 static int check_is_obj(struct job *job, const struct slot *slot)
 {
     const struct obj_block *block = &slot->block;
+    const struct obj_odd_lines *unknown = &block->odd[OBJ_UNKNOWN];
     const struct obj_source *source = &job->reader->sources[slot->source];
     job->known_statements += block->known_lines + block->short_faces + block->face_count;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         job->known_statements += block->count[kind];
-    job->skipped_in_file += block->skipped_lines;
-    if (job->known_statements == 0 && block->skipped_lines > 0 &&
+    job->skipped_in_file += unknown->count;
+    if (job->known_statements == 0 && unknown->count > 0 &&
         (slot->last || job->skipped_in_file >= patience_lines))
         return bsq_fail(job->reader->base.ctx, BSQ_EDATA,
                         "%s:%" PRIu64 ": not an OBJ file: \"%s\" is no statement of that format",
-                        source->path, source->lines + block->first_skipped + 1,
-                        block->first_skipped_text);
+                        source->path, source->lines + unknown->first + 1, block->first_unknown);
     return 0;
 }
 
@@ -354,7 +354,7 @@ static void pass_block(struct job *job, const struct slot *slot)
     totals->normals = job->totals_by_kind[FMT_MESH_NORMAL];
     totals->faces += block->face_count;
     totals->corners += block->corner_count;
-    totals->skipped_lines += block->skipped_lines;
+    totals->skipped_lines += block->odd[OBJ_UNKNOWN].count;
     totals->short_faces += block->short_faces;
     totals->materials = (uint32_t)fmt_obj_numbers(job->reader)->count;
     if (block->has_polypaint)
@@ -476,6 +476,7 @@ static int warn_odd_lines(const struct obj_reader *reader)
         [OBJ_NO_NORMAL] = "normals without three finite numbers",
         [OBJ_NO_COLOR] = "vertices with a colour that is not finite",
         [OBJ_VERTEX_SIZE] = "vertices of 2 or 5 numbers, read as x y 0 or x y z",
+        [OBJ_UNKNOWN] = "lines with statements that are not of the format",
     };
     int status = 0;
     for (int i = 0; i < OBJ_ODDITY_COUNT && !status; i++) {

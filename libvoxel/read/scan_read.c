@@ -382,7 +382,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     if (status < 0)
         return status;
     if (scan->totals.faces == 0)
-        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no faces", scan->paths[0]);
+        return fmt_mesh_fail_no_faces(scan->ctx, scan->paths[0], &scan->totals);
     if (bad->found)
         return fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index);
     return report_losses(scan, reader);

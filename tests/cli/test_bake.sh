@@ -163,7 +163,7 @@ code 65
 err_like "^bisque-bake: bare\.obj:$(wc -l <bare.obj): face has no texture coordinates"
 grep '^v' low.obj >points.obj
 $bake plain.nvdb points.obj -o a.exr
-refused 65 "$p points.obj: no faces"
+refused 65 "$p points.obj: no faces, only points or lines"
 head -c 5000 plain.nvdb >short.nvdb
 $bake short.nvdb low.obj -o a.exr
 code 65

@@ -92,6 +92,8 @@ rm scan.mtl
 warns 'lost.obj:7: corners that refer to a texture coordinate that the file does not have: 1; this is the first' lost.obj
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 nan 0\nf 1 2 3\n' >nan.obj
 warns 'nan.obj:4: vertices without a finite position: 1; this is the first' nan.obj
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng a\nodd one\nodder\n' >odd.obj
+warns 'odd.obj:6: lines with statements that are not of the format: 2; this is the first' odd.obj
 
 # The low-poly mesh of a bake.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/7\n' >low.obj

@@ -58,7 +58,9 @@ static void test_mesh_errors(void **state)
         {"v 0 0 0\nv 1 0 nan\nf 1 1 1\nf 1 1 2\n",
          "mesh.obj:4: 1 of 2 faces have a vertex without a finite position, more than 1 %; this is "
          "the first"},
-        {"v 0 0 0\nl 1 1\n", "mesh.obj: no faces"},
+        {"v 0 0 0\nl 1 1\n", "mesh.obj: no faces, only points or lines"},
+        {"v 0 0 0\nv 1 0 0\np 1 2\n", "mesh.obj: no faces, only points or lines"},
+        {"v 0 0 0\nf 1 1\n", "mesh.obj: no faces"},
         {"", "mesh.obj: no faces"},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
