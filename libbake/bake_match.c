@@ -83,7 +83,7 @@ static int fail_alone(const struct bake_run *job, const bool *sees)
     const uint32_t scans = scan_count(job);
     struct list objects = {{0}, 0, 0}, others = {{0}, 0, 0};
     for (uint32_t o = 0; o < job->mesh.objects.count; o++)
-        if (!memchr(sees + (uint64_t)o * scans, true, scans))
+        if (!memchr(sees + (uint64_t)o * scans, 1, scans))
             add_name(&objects, job->mesh.objects.list[o], strlen(job->mesh.objects.list[o]));
     for (uint32_t s = 0; s < scans; s++) {
         bool seen = false;

@@ -108,7 +108,7 @@ int bake_farm_task(struct cli *cli, const struct bake_arguments *arguments,
 {
     struct bake_report report = {0};
     bool kept = false;
-    cli->tile_count = &report.tile_count;
+    cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
     int status = bake_run_task(cli->ctx, plan, arguments->task, arguments->force, &kept, &report);
     char *path = status == 0 ? bake_plan_part_path(plan, arguments->task) : NULL;
     if (status == 0 && !path)
@@ -117,6 +117,7 @@ int bake_farm_task(struct cli *cli, const struct bake_arguments *arguments,
         status = kept ? say_kept(cli, path, "this part")
                       : print_task(cli, path, arguments->task, &report);
     free(path);
+    cli->tile_count = NULL;
     bake_report_free(&report);
     return status;
 }

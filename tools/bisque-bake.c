@@ -71,7 +71,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     struct bake_options *bake = &arguments->bake;
     char *paths[MOST_MAPS] = {NULL};
     struct bake_report report = {0};
-    cli->tile_count = &report.tile_count;
+    cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
     if (status == 0)
@@ -90,6 +90,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
         status = bake_report_print(cli, arguments, &report, paths);
         *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
     }
+    cli->tile_count = NULL;
     bake_report_free(&report);
     for (unsigned i = 0; i < MOST_MAPS; i++)
         free(paths[i]);
@@ -103,7 +104,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     char *paths[MOST_MAPS] = {NULL};
     struct bake_report report = {0};
     bool kept = false;
-    cli->tile_count = &report.tile_count;
+    cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
     arguments->bake = *bake_plan_options(plan);
     int status = name_outputs(cli, &arguments->bake, paths);
     if (status == 0)
@@ -115,6 +116,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     else if (status == 0)
         status = bake_report_print(cli, arguments, &report, paths);
     *missed = status == 0 && !kept && bake_report_too_many_missed(cli, arguments, &report);
+    cli->tile_count = NULL;
     bake_report_free(&report);
     for (unsigned i = 0; i < MOST_MAPS; i++)
         free(paths[i]);

@@ -90,6 +90,7 @@ static int add_element(struct cli *cli, void *array, uint32_t count, size_t size
     if (!grown)
         return cli_usage(cli, "no memory for the arguments");
     memcpy(array, &grown, sizeof grown);
+    /* cppcheck-suppress memleak; the copied pointer owns it */
     return 0;
 }
 
