@@ -48,6 +48,11 @@ struct fmt_mesh_block {
     const float (*colors)[3]; /* sRGB as written, -1 for a vertex without colour; NULL: no vertex
                                  of the block has one */
     float color_white; /* value of full intensity in `colors`; 0: 1 or 255, not known which */
+    /* Colours of vertices of this or earlier blocks, RGBA8 sRGB; the first is for vertex number
+     * late_color_base of the scan. To be used if there is one for each vertex of the scan and
+     * unread_colors of the totals is NULL. */
+    const uint32_t *late_colors;
+    uint64_t late_color_count, late_color_base;
     uint64_t texcoord_count, texcoord_base;
     const double (*texcoords)[2];
     uint64_t normal_count, normal_base;

@@ -502,6 +502,47 @@ static const char *parse_other(struct parser *parser, const char *p)
     return p;
 }
 
+static int hex_digit(char c)
+{
+    const char lower = (char)(c | 0x20);
+    if (c >= '0' && c <= '9')
+        return c - '0';
+    return lower >= 'a' && lower <= 'f' ? lower - 'a' + 10 : -1;
+}
+
+/* Reads eight hexadecimal digits, MMRRGGBB. Returns false for other text. */
+static bool read_paint(const char *p, uint32_t *out)
+{
+    uint32_t value = 0;
+    for (int i = 0; i < 8; i++) {
+        const int digit = hex_digit(p[i]);
+        if (digit < 0)
+            return false;
+        value = value << 4 | (uint32_t)digit;
+    }
+    *out = value;
+    return true;
+}
+
+/* Adds the colours of a comment that ZBrush writes after the vertices: "#MRGB " and MMRRGGBB for
+ * each of up to 64 vertices. The mask MM is ignored. Returns false if memory lacks. */
+static bool add_paint(struct parser *parser, const char *p)
+{
+    struct obj_block *block = parser->block;
+    uint32_t v;
+    for (; read_paint(p, &v); p += 8) {
+        if (!RESERVE(parser, "OBJ colours", block->paint_count, block->paint,
+                     block->paint_capacity))
+            return false;
+        block->paint[block->paint_count++] =
+            0xff000000u | (v & 0xff) << 16 | (v & 0xff00) | (v >> 16 & 0xff);
+    }
+    while (is_blank(*p))
+        p++;
+    block->bad_paint |= !line_end_size(p);
+    return true;
+}
+
 static bool is_separator(char c)
 {
     return is_blank(c) || c == '\\' || at_line_end(c);
@@ -525,7 +566,8 @@ static inline const char *parse_line(struct parser *parser, const char *p)
     if (p[0] == 'f' && p[1] == 'o' && is_separator(p[2])) /* its name before version 3 */
         return parse_face(parser, p + 2);
     if (p[0] == '#') {
-        parser->block->has_polypaint |= strncmp(p, "#MRGB ", 6) == 0;
+        if (__builtin_expect(strncmp(p, "#MRGB ", 6) == 0, 0) && !add_paint(parser, p + 6))
+            return NULL;
         return skip_comment(parser, p);
     }
     int size = line_end_size(p);
@@ -604,8 +646,8 @@ static void reset(struct obj_block *block)
     memset(block->has_corners, 0, sizeof block->has_corners);
     memset(block->relative, 0, sizeof block->relative);
     memset(block->odd, 0, sizeof block->odd);
-    block->has_colors = block->has_polypaint = false;
-    block->face_count = block->corner_count = block->statement_count = 0;
+    block->has_colors = block->bad_paint = false;
+    block->paint_count = block->face_count = block->corner_count = block->statement_count = 0;
     block->lines = block->known_lines = block->short_faces = 0;
     block->failed = false;
 }
@@ -636,6 +678,7 @@ void fmt_obj_block_free(struct bsq_ctx *ctx, struct obj_block *block)
     bsq_free(ctx, block->buffer);
     bsq_free(ctx, block->positions);
     bsq_free(ctx, block->colors);
+    bsq_free(ctx, block->paint);
     bsq_free(ctx, block->texcoords);
     bsq_free(ctx, block->normals);
     bsq_free(ctx, block->face_sizes);

@@ -53,7 +53,10 @@ struct obj_block {
     uint64_t count[FMT_MESH_KIND_COUNT];
     uint64_t position_capacity, color_capacity, texcoord_capacity, normal_capacity;
     bool has_colors;
-    bool has_polypaint; /* a comment has ZBrush's colours, which are not read */
+    uint32_t
+        *paint; /* ZBrush's colours, which comments hold, as late_colors of struct fmt_mesh_block */
+    uint64_t paint_count, paint_capacity;
+    bool bad_paint; /* such a comment has other text than colours */
 
     uint32_t *face_sizes;
     uint64_t *corners[FMT_MESH_KIND_COUNT];

@@ -265,7 +265,8 @@ static void enter_source(struct job *job, uint32_t number)
     job->known_statements = job->skipped_in_file = 0;
     memcpy(source->base, job->totals_by_kind, sizeof source->base);
     memset(source->count, 0, sizeof source->count);
-    source->lines = 0;
+    source->lines = source->paint = 0;
+    source->bad_paint = false;
 }
 
 /* Refuses a text without any known statement: it is something else, for instance an ASCII STL. */
@@ -300,6 +301,10 @@ static int call_on_block(struct job *job, struct slot *slot)
         .missing_positions = block->odd[OBJ_NO_POSITION].count,
         .missing_texcoords = block->odd[OBJ_NO_TEXCOORD].count,
         .colors = block->has_colors ? (const float(*)[3])block->colors : NULL,
+        .late_colors = block->paint,
+        .late_color_count = block->paint_count,
+        .late_color_base = job->reader->sources[slot->source].base[FMT_MESH_VERTEX] +
+                           job->reader->sources[slot->source].paint,
         .texcoord_count = block->count[FMT_MESH_TEXCOORD],
         .texcoord_base = job->totals->texcoords,
         .texcoords = (const double(*)[2])block->texcoords,
@@ -348,6 +353,8 @@ static void pass_block(struct job *job, const struct slot *slot)
         job->totals_by_kind[kind] += block->count[kind];
     }
     source->lines += block->lines;
+    source->paint += block->paint_count;
+    source->bad_paint |= block->bad_paint;
     totals->bytes += block->size;
     totals->vertices = job->totals_by_kind[FMT_MESH_VERTEX];
     totals->texcoords = job->totals_by_kind[FMT_MESH_TEXCOORD];
@@ -357,9 +364,6 @@ static void pass_block(struct job *job, const struct slot *slot)
     totals->skipped_lines += block->odd[OBJ_UNKNOWN].count;
     totals->short_faces += block->short_faces;
     totals->materials = (uint32_t)fmt_obj_numbers(job->reader)->count;
-    if (block->has_polypaint)
-        totals->unread_colors =
-            "ZBrush's polypaint is not read: export a texture of it for --texture";
     if (slot->change_count)
         job->material = slot->changes[slot->change_count - 1].material;
     job->sequence += block->size > 0;
@@ -467,6 +471,20 @@ static int run_job(struct job *job)
     return status;
 }
 
+/* Checks that ZBrush's comments have a colour for each vertex of each file, or none at all. */
+static void check_paint(const struct obj_reader *reader, struct fmt_mesh_totals *totals)
+{
+    bool painted = false, fits = true;
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        const struct obj_source *source = &reader->sources[i];
+        painted |= source->paint > 0 || source->bad_paint;
+        fits &= !source->bad_paint && source->paint == source->count[FMT_MESH_VERTEX];
+    }
+    if (painted && !fits)
+        totals->unread_colors = "ZBrush's polypaint is not used, as it is not one colour for each "
+                                "vertex: export a texture of it for --texture";
+}
+
 /* Warns once of each kind of odd lines, with the first line. */
 static int warn_odd_lines(const struct obj_reader *reader)
 {
@@ -509,6 +527,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
         int closed = close_source(&reader->sources[i]);
         status = status ? status : closed;
     }
+    check_paint(reader, totals);
     if (!status && !reader->read_before)
         status = warn_odd_lines(reader);
     reader->read_before |= status == 0;

@@ -53,6 +53,9 @@ static void count_line(struct counts *counts, const char *text, const char *end)
         counts->faces++;
         counts->corners += words - 1;
         counts->face_seen = true;
+    } else if (text[0] == '#' && end - text > 6 && !memcmp(text, "#MRGB ", 6)) {
+        counts->element_follows_face |= counts->face_seen;
+        counts->colors = true;
     } else if (text[0] == 'v') {
         counts->element_follows_face |= counts->face_seen;
         counts->texcoords += text[1] == 't';

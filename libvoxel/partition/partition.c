@@ -190,7 +190,8 @@ static int begin_faces(struct reading *r)
 
 static bool has_elements(const struct fmt_mesh_block *block)
 {
-    return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0;
+    return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0 ||
+           block->late_color_count > 0;
 }
 
 static int on_block(void *arg, const struct fmt_mesh_block *block)

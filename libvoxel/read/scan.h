@@ -20,7 +20,7 @@
 /* Vertices have two streams, the others one. */
 enum scan_stream {
     SCAN_POSITIONS, /* float[3], relative to the origin */
-    SCAN_COLORS,    /* RGBA8 sRGB; empty, or as long as the positions */
+    SCAN_COLORS,    /* RGBA8 sRGB; as long as the positions if has_colors is set */
     SCAN_TEXCOORDS, /* float[2] */
     SCAN_NORMALS,   /* octahedral, or SCAN_NO_NORMAL */
     SCAN_STREAM_COUNT

@@ -285,6 +285,37 @@ static int add_normals(struct scan *scan, const struct fmt_mesh_block *block)
     return 0;
 }
 
+/* Appends late colours to those of the vertices before them, which are default colours if they have
+ * none. Does nothing if the vertices have colours in their own lines. */
+static int add_late_colors(struct scan *scan, const struct fmt_mesh_block *block)
+{
+    const uint64_t base = block->late_color_base, vertices = scan_count(scan, SCAN_POSITIONS);
+    uint64_t begin = scan_count(scan, SCAN_COLORS), end = base + block->late_color_count;
+    end = end < vertices ? end : vertices;
+    if (begin > base)
+        return 0;
+    while (begin < end) {
+        uint32_t *to;
+        uint64_t capacity;
+        int status = stream_reserve(scan, SCAN_COLORS, &to, &capacity);
+        if (status < 0)
+            return status;
+        uint64_t count = end - begin < capacity ? end - begin : capacity;
+        for (uint64_t i = 0; i < count; i++)
+            to[i] = begin + i < base ? SCAN_DEFAULT_COLOR : block->late_colors[begin + i - base];
+        stream_advance(scan, SCAN_COLORS, count);
+        begin += count;
+    }
+    return 0;
+}
+
+/* Returns whether late colours fit the vertices. */
+static bool late_colors_fit(const struct scan *scan)
+{
+    const uint64_t count = scan_count(scan, SCAN_COLORS);
+    return count > 0 && count == scan_count(scan, SCAN_POSITIONS) && !scan->totals.unread_colors;
+}
+
 /* ---- blocks ---- */
 
 static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
@@ -307,6 +338,8 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
         status = add_texcoords(scan, block);
     if (status == 0 && block->normal_count > 0)
         status = add_normals(scan, block);
+    if (status == 0 && block->late_color_count > 0)
+        status = add_late_colors(scan, block);
     return status;
 }
 
@@ -370,6 +403,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     int status = vox_scan_finish_streams(scan);
     if (status < 0)
         return status;
+    scan->has_colors |= late_colors_fit(scan);
     if (scan->clamped_colors > 0)
         status = bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
                                scan->paths[0], (unsigned long long)scan->clamped_colors,

@@ -312,19 +312,74 @@ code 64
 err "$p --json and this --progress both write to standard output"
 rm a.*
 
-# ---- a warning says that colours in comments (ZBrush) are not read ----
+# ---- colours in comments (ZBrush) are those of the vertices ----
 
-{ cat box.obj; echo '#MRGB ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000ffff0000'; } >zbrush.obj
-$vox zbrush.obj -o zbrush.nvdb --resolution 8
+# paint FILE COUNT: adds comments with colours for COUNT vertices after the last vertex of colored.obj.
+awk '/^v / { n++; print $1, $2, $3, $4, n * 7 % 256, n * 31 % 256, n * 101 % 256; next } { print }' box.obj >colored.obj
+paint()
+{
+    awk -v most="$2" '/^v / { print $1, $2, $3, $4; c[++n] = sprintf("%02X%02x%02x%02X", n % 256, $5, $6, $7); next }
+        n && !done { for (i = 1; i <= most; i++) printf "%s%s", i % 64 == 1 ? "\n#MRGB " : "", (i > n) ? "ffffffff" : c[i]; print ""; done = 1 }
+        { print }' colored.obj >"$1"
+}
+vertices=$(grep -c '^v ' colored.obj)
+$vox colored.obj -o colored.nvdb --resolution 24
 code 0
-[ "$(cat "$err")" = "$p warning: zbrush.obj: ZBrush's polypaint is not read: export a texture of it for --texture" ]
-check "a hint at polypaint" $?
-awk '/^v / { print $0, 1, 0, 0; next } { print }' zbrush.obj >both.obj
-$vox both.obj -o both.nvdb --resolution 8
+paint zbrush.obj "$vertices"
+$vox zbrush.obj -o zbrush.nvdb --resolution 24
 code 0
 [ ! -s "$err" ]
-check "no hint where there are colours" $?
-rm zbrush.* both.*
+check "no warning of polypaint" $?
+same zbrush.nvdb colored.nvdb
+same zbrush.tris colored.tris
+# The comments may follow the faces.
+{ grep -v '#MRGB' zbrush.obj; grep '#MRGB' zbrush.obj; } >after.obj
+$vox after.obj -o after.nvdb --resolution 24
+code 0
+same after.tris colored.tris
+# Each of two files has its own colours.
+$vox colored.obj colored.obj -o two.nvdb --resolution 24
+$vox colored.obj zbrush.obj -o mixed.nvdb --resolution 24
+code 0
+$vox zbrush.obj after.obj -o painted.nvdb --resolution 24
+code 0
+same painted.tris two.tris
+$vox zbrush.obj colored.obj -o mixed.nvdb --resolution 24
+code 0
+same mixed.tris two.tris
+# Colours of vertices' own lines win.
+{ cat colored.obj; grep '#MRGB' zbrush.obj | tr 0-9 9; } >both.obj
+$vox both.obj -o both.nvdb --resolution 24
+code 0
+[ ! -s "$err" ]
+check "no warning where there are colours" $?
+same both.tris colored.tris
+# Colours that do not fit the vertices are not used.
+$vox box.obj -o plain.nvdb --resolution 24
+for count in $((vertices - 1)) $((vertices + 1)) text; do
+    if [ "$count" = text ]; then
+        sed 's/^#MRGB .*/&0/' zbrush.obj >wrong.obj
+    else
+        paint wrong.obj "$count"
+    fi
+    $vox wrong.obj -o wrong.nvdb --resolution 24
+    code 0
+    [ "$(cat "$err")" = "$p warning: wrong.obj: ZBrush's polypaint is not used, as it is not one colour for each vertex: export a texture of it for --texture" ]
+    check "a warning of $count colours for $vertices vertices" $?
+    same wrong.tris plain.tris
+done
+# The comments may be in other blocks of text than the vertices.
+awk 'BEGIN { n = 250
+    for (i = 0; i < n * n; i++) printf "v %.6f %.6f %.6f %d %d %d\n", i % n / n, int(i / n) / n, i * 37 % 101 / 9999, i % 256, i * 7 % 256, 255
+    for (y = 1; y < n; y++) for (x = 1; x < n; x++) { a = (y - 1) * n + x; print "f", a, a + 1, a + n + 1, a + n } }' >colored.obj
+paint zbrush.obj 62500
+$vox colored.obj -o colored.nvdb --resolution 24
+for options in '--threads 1' '--threads 3 --memory 100MiB'; do
+    $vox zbrush.obj -o zbrush.nvdb --resolution 24 $options
+    code 0
+    same zbrush.tris colored.tris
+done
+rm zbrush.* colored.* after.* two.* mixed.* painted.* both.* plain.* wrong.*
 
 # ---- singular and plural ----
 
