@@ -14,7 +14,7 @@ static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
         return status;
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     report->kind = FMT_VERIFY_TRIS;
-    report->version = FMT_TRIS_VERSION;
+    report->version = header->ids == BSQ_IDS_NONE ? FMT_TRIS_VERSION : FMT_TRIS_VERSION_IDS;
     report->triangles = header->triangle_count;
     report->chunks = header->chunk_count;
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);
@@ -31,7 +31,8 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     if (status < 0)
         return status;
     report->kind = FMT_VERIFY_NVDB;
-    report->version = FMT_NVDB_RECORD_VERSION;
+    report->version =
+        grid.info.ids == BSQ_IDS_NONE ? FMT_NVDB_RECORD_VERSION : FMT_NVDB_RECORD_VERSION_IDS;
     fmt_nvdb_version(grid.info.type, report->nanovdb_version);
     report->type = grid.info.type;
     report->triangles = grid.info.source_triangles;

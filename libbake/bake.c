@@ -101,8 +101,13 @@ void bake_report_free(struct bake_report *report)
         free(report->tiles[i].material);
     }
     free(report->tiles);
+    for (uint64_t i = 0; i < report->id_count; ++i)
+        free(report->ids[i].name);
+    free(report->ids);
     report->tiles = NULL;
+    report->ids = NULL;
     report->tile_count = 0;
+    report->id_count = 0;
 }
 
 int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,

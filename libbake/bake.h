@@ -29,7 +29,8 @@ enum bake_map {
     BAKE_MAP_AO = 64,         /**< Share of the hemisphere above the hit that is open. */
     BAKE_MAP_BENT = 128,      /**< Mean open direction, as BAKE_MAP_NORMAL has it. */
     BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. */
-    BAKE_MAPS_ALL = 1 << 30   /**< All maps that the scan can give, and others that are named. */
+    BAKE_MAP_ID = 512, /**< A colour for each region, see struct bake_id. Scans with ids only. */
+    BAKE_MAPS_ALL = 1 << 30 /**< All maps that the scan can give, and others that are named. */
 };
 
 /** What the samples 0 and 1 of an integer file with positions stand for. */
@@ -241,6 +242,12 @@ struct bake_baked_tile {
     char *material;  /**< The name for "<MATERIAL>", or NULL. */
 };
 
+/** A region of the scan in BAKE_MAP_ID. */
+struct bake_id {
+    char *name;       /**< Of the material or the object; "" for faces without one. */
+    uint8_t color[3]; /**< Its colour, of 255: red, green, blue. It depends on the name alone. */
+};
+
 /** What bake_run() did. Times are wall times in seconds. */
 struct bake_report {
     char device[128];                 /**< Name of the device that traced. */
@@ -272,6 +279,10 @@ struct bake_report {
     struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
     /** Chunks of an exact bake that were loaded for rays from hits, counted again each time. */
     uint64_t chunk_loads;
+    const char *id_source; /**< What ids tell apart: "material", "object" or "color". NULL: none. */
+    struct bake_id *ids; /**< The names that BAKE_MAP_ID has colours for, ascending. Vertex colours
+                            have no names: they are their own ids. */
+    uint64_t id_count;   /**< Entries of ids. */
     uint64_t passes; /**< Passes over the map, each with a subgrid. 1: the whole grid at once. */
 };
 

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/ids.h"
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 
@@ -16,7 +17,8 @@ enum { RAYS_FROM_HITS = BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS };
 static uint32_t choose_from(const struct bake_surface *surface, uint32_t asked)
 {
     const uint32_t named = asked & ~(uint32_t)BAKE_MAPS_ALL;
-    const uint32_t maps = bake_choose_maps(asked, surface->has_color);
+    const struct bake_scan_facts facts = bake_surface_facts(surface);
+    const uint32_t maps = bake_choose_maps(asked, &facts);
     return surface->part_count > 0 ? (maps & ~(uint32_t)RAYS_FROM_HITS) | named : maps;
 }
 
@@ -38,16 +40,61 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
     return status;
 }
 
-/* Chooses the maps, after the scan was opened. Errors: BSQ_EDATA if it lacks colours. */
+/* Reports why the scans have no ids together: one has none, or two tell different things apart. */
+static int fail_ids(const struct bake_run *job, const char *map)
+{
+    const struct bake_surface *whole = &job->surface, *lacking = whole->parts ? NULL : whole;
+    uint32_t other = 0;
+    for (uint32_t p = 0; p < whole->part_count; ++p) {
+        if (whole->parts[p].ids == BSQ_IDS_NONE && !lacking)
+            lacking = &whole->parts[p];
+        if (whole->parts[p].ids != whole->parts[0].ids && other == 0)
+            other = p;
+    }
+    if (lacking)
+        return bsq_fail(job->ctx, BSQ_EDATA,
+                        "%s has no ids for the map %s: make it with bisque-voxelize --channels id",
+                        lacking->path, map);
+    return bsq_fail(job->ctx, BSQ_EDATA, "%s has ids by %s, %s by %s: make both with one --id",
+                    whole->parts[0].path, bsq_ids_text(whole->parts[0].ids),
+                    whole->parts[other].path, bsq_ids_text(whole->parts[other].ids));
+}
+
+/* Checks that the scan can give a map. Errors: BSQ_EDATA if it lacks something. */
+static int check_map(const struct bake_run *job, unsigned map, const struct bake_scan_facts *scan)
+{
+    const struct bake_map_row *row = &bake_map_table[map];
+    const char *path = job->options->scan_path, *name = bake_map_names[map];
+    if (row->needs_color && !scan->has_color)
+        return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps", path,
+                        name);
+    if (row->needs_ids && !scan->has_ids)
+        return fail_ids(job, name);
+    return 0;
+}
+
+/* Chooses the maps, after the scan was opened. */
 static int choose_maps(struct bake_run *job)
 {
-    bool has_color = job->surface.has_color;
+    const struct bake_scan_facts scan = bake_surface_facts(&job->surface);
+    int status = 0;
     job->maps = choose_from(&job->surface, job->options->maps);
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
-        if (job->maps & 1u << i && bake_map_table[i].needs_color && !has_color)
-            return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
-                            job->options->scan_path, bake_map_names[i]);
-    return bake_check_maps(job->ctx, job->options, job->maps);
+    for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i)
+        if (job->maps & 1u << i)
+            status = check_map(job, i, &scan);
+    return status < 0 ? status : bake_check_maps(job->ctx, job->options, job->maps);
+}
+
+/* Makes hits carry what the maps need. */
+static int use_attributes(struct bake_run *job)
+{
+    const bool ids = job->maps & BAKE_MAP_ID;
+    int status = 0;
+    if (job->maps & BAKE_MAP_COLOR)
+        status = bake_surface_use_color(&job->surface);
+    if (status == 0)
+        status = bake_surface_use_ids(&job->surface, ids);
+    return status == 0 && ids ? bake_surface_report_ids(&job->surface, job->report) : status;
 }
 
 /* Notes the tiles and their sizes in the report. */
@@ -133,8 +180,8 @@ int bake_open_inputs(struct bake_run *job)
     if (status < 0)
         return status;
     status = choose_maps(job);
-    if (status == 0 && job->maps & BAKE_MAP_COLOR)
-        status = bake_surface_use_color(&job->surface);
+    if (status == 0)
+        status = use_attributes(job);
     if (status < 0)
         return status;
     const char *output = job->options->output_path;

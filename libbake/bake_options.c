@@ -123,6 +123,8 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (status == 0)
         status = check_tile_numbers(ctx, options);
     /* The default maps depend on the scan; they are checked again after it was opened. */
-    return status < 0 ? status
-                      : bake_check_maps(ctx, options, bake_choose_maps(options->maps, false));
+    return status < 0
+               ? status
+               : bake_check_maps(ctx, options,
+                                 bake_choose_maps(options->maps, &(struct bake_scan_facts){0}));
 }

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/ids.h"
 #include "libbake/bake_job.h"
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
@@ -61,7 +62,8 @@ static struct bake_traced traced_of(const struct bake_run *job)
     struct bake_traced traced = {.front = job->report->front,
                                  .back = job->report->back,
                                  .sampling = sampling_of(job),
-                                 .scans = job->scan_names};
+                                 .scans = job->scan_names,
+                                 .ids = bsq_ids_text(job->surface.ids)};
     memcpy(traced.scan_min, job->surface.scan_min, sizeof traced.scan_min);
     memcpy(traced.scan_max, job->surface.scan_max, sizeof traced.scan_max);
     memcpy(traced.image_origin, job->surface.translation, sizeof traced.image_origin);

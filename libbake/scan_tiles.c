@@ -148,6 +148,10 @@ static void take_thickness(const float *sums, bk_map_hit *hit)
 {
     hit->thickness = sums[0];
 }
+static void take_id(const float *sums, bk_map_hit *hit)
+{
+    hit->id = (bk_uint)sums[1]; /* after its count, 1 */
+}
 #undef TAKE
 
 /* Returns the hit of a sample. */

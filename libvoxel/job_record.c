@@ -7,6 +7,7 @@
  *     version and checksum of the program's sources
  *     "how", and a text that says where an input lies, in the form of the lines below
  *     "obj", "tex" or "mtl", size, time of modification, hash of samples, path; for each input
+ *     "ids", the same without a file, what the ids tell apart; if there are ids
  * A pipe has the path "-", no time, and a hash of all its bytes as they came.
  * To resume, the lines are made again from the files as they are now, and must be the same. A hash
  * of samples is used because reading whole inputs would take about as long as resuming saves on
@@ -279,6 +280,9 @@ static int add_placement(struct vox_job *job, const struct vox_sort_options *opt
 
 int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out)
 {
+    static const char *const ids[] = {[VOX_IDS_MATERIAL] = "ids by material",
+                                      [VOX_IDS_OBJECT] = "ids by object",
+                                      [VOX_IDS_COLOR] = "ids by colour"};
     struct vox_job *job = calloc(1, sizeof *job);
     *out = NULL;
     if (!job)
@@ -301,6 +305,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
     }
     if (status == 0 && options->texture_path)
         status = add_input(job, "tex", options->texture_path);
+    if (status == 0 && options->ids != VOX_IDS_NONE)
+        status = add_input(job, "ids", ids[options->ids]);
     if (status < 0)
         vox_job_close(job);
     else

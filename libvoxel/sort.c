@@ -47,7 +47,8 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
     if (status == 0)
         status = vox_scan_finish(scan, reader);
     if (status == 0)
-        status = vox_scan_find_materials(scan, reader, options->texture_path, textures);
+        status = vox_scan_find_materials(scan, reader, options->texture_path, textures,
+                                         (enum bsq_ids)options->ids);
     if (status == 0)
         vox_partition_finish(scan, out);
     return status;
@@ -113,6 +114,8 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     bsq_free(ctx, placements);
     if (status < 0)
         return status;
+    if (options->ids == VOX_IDS_OBJECT)
+        fmt_mesh_use_objects(reader);
     status = fmt_mesh_estimate(reader, &estimate);
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
@@ -169,6 +172,11 @@ static int fail_without_area(const struct scan *scan, uint64_t triangles)
                     scan->paths[0], (unsigned long long)triangles);
 }
 
+_Static_assert((int)VOX_IDS_MATERIAL == (int)BSQ_IDS_MATERIAL &&
+                   (int)VOX_IDS_OBJECT == (int)BSQ_IDS_OBJECT &&
+                   (int)VOX_IDS_COLOR == (int)BSQ_IDS_COLOR,
+               "both have one order");
+
 static int write_chunks(const struct scan *scan, const struct partition *partition,
                         const struct vox_sort_options *options, struct vox_sort_report *report)
 {
@@ -178,6 +186,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         .origin = {scan->origin[0], scan->origin[1], scan->origin[2]},
         .material_count = scan->material_count,
         .materials = scan->materials,
+        .ids = scan->ids,
     };
     struct fmt_tris_writer *writer;
     int status = names_tris(options)

@@ -24,6 +24,14 @@ extern "C" {
 
 struct vox_job;
 
+/** What ids tell apart, see docs/maps.md. */
+enum vox_ids {
+    VOX_IDS_NONE,     /**< There are no ids. */
+    VOX_IDS_MATERIAL, /**< Materials, by name. */
+    VOX_IDS_OBJECT,   /**< Objects and groups, by name. */
+    VOX_IDS_COLOR     /**< Vertex colours; that of the nearest corner counts. */
+};
+
 /** An open chunk file. vox_sort() writes it and vox_voxelize() reads it. Without a name, it is gone
  * when it is closed or the process ends. */
 struct vox_temp_tris;
@@ -58,6 +66,7 @@ struct vox_sort_options {
     uint32_t scan_count;      /**< Number of mesh files, at least 1. */
     const char *texture_path; /**< Image for all faces with texture coordinates. NULL: the images
                                  that the materials name. */
+    enum vox_ids ids;         /**< Ids that the chunk file keeps. */
     const char *tris_path;    /**< Output: the chunk file. */
     /** NULL, or the output to use instead of tris_path, which then only names the directory of
      * temporary files. */
@@ -95,7 +104,7 @@ struct vox_sort_report {
     double seconds_sort;      /**< Wall time of sorting and writing. */
 };
 
-/** Fills in the defaults: no inputs, no outputs, textures of the materials. */
+/** Fills in the defaults: no inputs, no outputs, textures of the materials, no ids. */
 void vox_sort_defaults(struct vox_sort_options *options);
 
 /** Sorts the triangles of a scan in space and writes them as a chunk file (formats/FORMATS.md).
@@ -170,6 +179,7 @@ struct vox_voxelize_options {
     enum bsq_scan_normals scan_normals; /**< Normals of a scan without normals. If its edges are
                                            shorter than 0.7 voxels, both choices are the same. */
     const char *vdb_path;               /**< Output: an OpenVDB file, or NULL. */
+    bool ids;                           /**< Give the grid the ids of the chunk file. */
 };
 
 /** What vox_voxelize() did. */
@@ -186,6 +196,7 @@ struct vox_voxelize_report {
     int32_t index_min[3]; /**< Smallest index of a set voxel on each axis. */
     int32_t index_max[3]; /**< Largest index of a set voxel on each axis. */
     bool has_color;       /**< The grid has a colour channel. */
+    bool has_ids;         /**< The grid has a channel of ids. */
     double seconds;       /**< Wall time. */
 };
 

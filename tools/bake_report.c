@@ -273,23 +273,45 @@ static json_t *paths_json(const char *first, const char *const *more, uint32_t c
     return paths;
 }
 
+/* Returns what ids tell apart, and each name with its colour; null without ids. */
+static json_t *ids_json(const struct bake_report *report)
+{
+    json_t *names = json_array();
+    if (!report->id_source) {
+        json_decref(names);
+        return json_null();
+    }
+    for (uint64_t i = 0; names && i < report->id_count; i++) {
+        const struct bake_id *id = &report->ids[i];
+        char color[8];
+        snprintf(color, sizeof color, "#%02x%02x%02x", id->color[0], id->color[1], id->color[2]);
+        if (json_array_append_new(names, json_pack("{s:o, s:s}", "name", cli_json_text(id->name),
+                                                   "color", color)) != 0) {
+            json_decref(names);
+            names = NULL;
+        }
+    }
+    return json_pack("{s:s, s:o}", "source", report->id_source, "names", names);
+}
+
 static int print_json(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths)
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
-        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
         paths_json(bake->mesh_path, bake->more_mesh_paths, bake->more_mesh_count), "maps",
         maps_json(paths, NULL), "tiles", tiles_json(report, paths), "encodings",
-        encodings_json(report), "preview_path", cli_json_text(bake->preview_path), "width",
-        (int)bake->width, "height", (int)bake->height, "samples_per_axis", (int)bake->samples,
-        "device", cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,
-        "degenerate_uv_triangles", (json_int_t)report->degenerate_uv_triangles,
-        "outside_uv_triangles", (json_int_t)report->outside_uv_triangles, "covered_texels",
+        encodings_json(report), "ids", ids_json(report), "preview_path",
+        cli_json_text(bake->preview_path), "width", (int)bake->width, "height", (int)bake->height,
+        "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),
+        "low_triangles", (json_int_t)report->low_triangles, "degenerate_uv_triangles",
+        (json_int_t)report->degenerate_uv_triangles, "outside_uv_triangles",
+        (json_int_t)report->outside_uv_triangles, "covered_texels",
         (json_int_t)report->covered_texels, "samples", (json_int_t)report->samples, "hits",
         (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
         (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,

@@ -32,11 +32,12 @@ static int recognise_inputs(struct voxelize_job *job)
                             arguments->inputs[i]);
         if (arguments->parse_only)
             return cli_usage(job->cli, "%s: --parse-only reads meshes", arguments->inputs[i]);
-        if (arguments->texture || arguments->tris || arguments->resume)
+        if (arguments->texture || arguments->tris || arguments->resume || arguments->ids)
             return cli_usage(job->cli, "%s is already a chunk file: leave out %s",
                              arguments->inputs[i],
                              arguments->tris      ? "--tris"
                              : arguments->texture ? "--texture"
+                             : arguments->ids     ? "--id"
                                                   : "--resume");
         if (arguments->placements)
             return cli_usage(job->cli,
@@ -177,6 +178,9 @@ static int sort_scan(struct voxelize_job *job)
         .scan_count = arguments->input_count,
         .placements = arguments->placements,
         .texture_path = arguments->texture,
+        .ids = !arguments->channel_ids ? VOX_IDS_NONE
+               : arguments->ids        ? arguments->ids
+                                       : VOX_IDS_MATERIAL,
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,
         .keeps_tris = !job->temporary_tris,
@@ -210,6 +214,7 @@ static int make_grid(struct voxelize_job *job)
         .grid_type = arguments->grid_type,
         .scan_normals = arguments->scan_normals,
         .vdb_path = arguments->vdb,
+        .ids = arguments->channel_ids,
     };
     return vox_voxelize(job->cli->ctx, &options, &job->grid);
 }

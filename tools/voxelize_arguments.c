@@ -18,6 +18,8 @@ static const char help[] =
     "      --voxel-size X      edge of a voxel in the scan's units, instead of a resolution\n"
     "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
     "      --scan-normals MODE smooth or flat, for a scan without normals (default: smooth)\n"
+    "      --channels LIST     what else the grid holds: id, for the map of this name\n"
+    "      --id KIND           what ids tell apart: material, object or color (default: material)\n"
     "      --vdb FILE          also write the grid as an OpenVDB file\n"
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
     "      --scale X           multiply the scan's positions by X\n"
@@ -36,6 +38,8 @@ enum {
     OPT_VOXEL_SIZE,
     OPT_GRID_TYPE,
     OPT_SCAN_NORMALS,
+    OPT_CHANNELS,
+    OPT_ID,
     OPT_VDB,
     OPT_TEXTURE,
     OPT_TRIS,
@@ -53,6 +57,8 @@ static const struct option long_options[] = {
     {"voxel-size", required_argument, NULL, OPT_VOXEL_SIZE},
     {"grid-type", required_argument, NULL, OPT_GRID_TYPE},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
+    {"channels", required_argument, NULL, OPT_CHANNELS},
+    {"id", required_argument, NULL, OPT_ID},
     {"vdb", required_argument, NULL, OPT_VDB},
     {"texture", required_argument, NULL, OPT_TEXTURE},
     {"tris", required_argument, NULL, OPT_TRIS},
@@ -171,6 +177,29 @@ void voxelize_arguments_free(struct voxelize_arguments *arguments)
 
 /* ---- options ---- */
 
+/* Parses the names of channels. */
+static int parse_channels(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    static const char id[] = "id";
+    for (const char *name = optarg, *end; *name; name = *end ? end + 1 : end) {
+        end = strchrnul(name, ',');
+        if ((size_t)(end - name) != strlen(id) || strncmp(name, id, strlen(id)) != 0)
+            return cli_usage(cli, "--channels: \"%.*s\" is not id", (int)(end - name), name);
+        arguments->channel_ids = true;
+    }
+    return arguments->channel_ids ? 0 : cli_usage(cli, "--channels: no channel named");
+}
+
+static int parse_ids(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    static const char *const words[] = {"material", "object", "color", NULL};
+    unsigned kind = 0;
+    int status = cli_parse_word(cli, "--id", optarg, words, &kind);
+    if (status == 0)
+        arguments->ids = (enum vox_ids)(VOX_IDS_MATERIAL + kind);
+    return status;
+}
+
 static int parse_option(struct cli *cli, void *arg, int option)
 {
     struct voxelize_arguments *arguments = arg;
@@ -187,6 +216,10 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return parse_grid_type(cli, arguments);
     case OPT_SCAN_NORMALS:
         return cli_parse_scan_normals(cli, optarg, &arguments->scan_normals);
+    case OPT_CHANNELS:
+        return parse_channels(cli, arguments);
+    case OPT_ID:
+        return parse_ids(cli, arguments);
     case OPT_VDB:
         arguments->vdb = optarg;
         return 0;
@@ -231,6 +264,8 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "no output given: add -o FILE.nvdb");
     if (arguments->resolution > 0 && arguments->voxel_size > 0)
         return cli_usage(cli, "--resolution and --voxel-size exclude each other");
+    if (arguments->ids != VOX_IDS_NONE && !arguments->channel_ids)
+        return cli_usage(cli, "--id needs --channels id");
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
     if (arguments->resume && (arguments->no_tris || arguments->parse_only))

@@ -14,6 +14,8 @@ struct voxelize_arguments {
     enum vox_grid_type grid_type;
     enum bsq_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
+    bool channel_ids;
+    enum vox_ids ids; /* VOX_IDS_NONE: not given */
     bool no_tris, parse_only, resume;
     /* Of all files, or of each one: as often as the option was given. */
     double *scales;

@@ -41,13 +41,13 @@ static void print_grid(const struct voxelize_job *job)
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
-    cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s, %.2f s\n", arguments->output,
+    cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s%s, %.2f s\n", arguments->output,
               cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
               (long long)grid->index_max[0] - grid->index_min[0] + 1,
               (long long)grid->index_max[1] - grid->index_min[1] + 1,
               (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
               cli_size_text(grid->grid_bytes, size), grid->has_color ? ", with colour" : "",
-              grid->seconds);
+              grid->has_ids ? ", with ids" : "", grid->seconds);
     if (arguments->vdb)
         cli_print("%s: the same as OpenVDB\n", arguments->vdb);
 }
@@ -84,15 +84,15 @@ static json_t *sort_json(const struct vox_sort_report *sort)
 
 static json_t *grid_json(const struct vox_voxelize_report *grid)
 {
-    return json_pack("{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:f}",
-                     "triangles", (json_int_t)grid->triangles, "voxels", (json_int_t)grid->voxels,
-                     "second_records", (json_int_t)grid->second_records, "leaves",
-                     (json_int_t)grid->leaves, "lowers", (json_int_t)grid->lowers, "uppers",
-                     (json_int_t)grid->uppers, "grid_bytes", (json_int_t)grid->grid_bytes,
-                     "voxel_size", grid->voxel_size, "index_min", grid->index_min[0],
-                     grid->index_min[1], grid->index_min[2], "index_max", grid->index_max[0],
-                     grid->index_max[1], grid->index_max[2], "has_color", (int)grid->has_color,
-                     "seconds", grid->seconds);
+    return json_pack(
+        "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:b, s:f}",
+        "triangles", (json_int_t)grid->triangles, "voxels", (json_int_t)grid->voxels,
+        "second_records", (json_int_t)grid->second_records, "leaves", (json_int_t)grid->leaves,
+        "lowers", (json_int_t)grid->lowers, "uppers", (json_int_t)grid->uppers, "grid_bytes",
+        (json_int_t)grid->grid_bytes, "voxel_size", grid->voxel_size, "index_min",
+        grid->index_min[0], grid->index_min[1], grid->index_min[2], "index_max", grid->index_max[0],
+        grid->index_max[1], grid->index_max[2], "has_color", (int)grid->has_color, "has_ids",
+        (int)grid->has_ids, "seconds", grid->seconds);
 }
 
 static int print_json(const struct voxelize_job *job)

@@ -6,6 +6,7 @@
 #ifndef FMT_CHUNKS_TRIS_H
 #define FMT_CHUNKS_TRIS_H
 
+#include "base/ids.h"
 #include "base/output.h"
 
 #ifdef __cplusplus
@@ -19,7 +20,9 @@ enum fmt_tris_attribute {
     FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */
 };
 
-#define FMT_TRIS_VERSION 1u
+/* Version 2 has what version 1 has, and ids. A file without ids has version 1. */
+#define FMT_TRIS_VERSION     1u
+#define FMT_TRIS_VERSION_IDS 2u
 
 /* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
@@ -27,6 +30,8 @@ enum fmt_tris_attribute {
 struct fmt_tris_material {
     char *texture_path; /* absolute, or NULL */
     float diffuse[3];   /* sRGB 0...1; used if there is no texture */
+    bool colorless;     /* `diffuse` is no colour of the scan */
+    char *name;         /* by which ids tell triangles apart; NULL: "" */
 };
 
 struct fmt_tris_header {
@@ -39,6 +44,8 @@ struct fmt_tris_header {
     float bounds_min[3], bounds_max[3]; /* of all triangles, relative to origin */
     uint32_t material_count;
     struct fmt_tris_material *materials;
+    /* By name: that of a triangle's material, or "" without one. By colour: of the vertices. */
+    enum bsq_ids ids;
 };
 
 /* A chunk's entry in the chunk table. */
@@ -60,15 +67,18 @@ struct fmt_tris_chunk {
     const uint32_t *materials;      /* one a triangle */
 };
 
+/* Returns whether any of the scan's triangles has a colour: a vertex has, or a material. */
+bool fmt_tris_has_color(const struct fmt_tris_header *header);
+
 /* Recognises a chunk file of any version by its first 8 bytes. */
 bool fmt_tris_recognise(const char first[8]);
 
 /* ---- writing ---- */
 struct fmt_tris_writer;
 
-/* Starts a file. Copies attributes, origin, materials and source_faces from the header; the chunks
- * give the other counts and the bounds. Errors: BSQ_EUSAGE for a path of 4 GiB; BSQ_ECANTCREAT,
- * BSQ_EIO, BSQ_ENOMEM. */
+/* Starts a file. Copies attributes, origin, materials, ids and source_faces from the header; the
+ * chunks give the other counts and the bounds. Errors: BSQ_EUSAGE for a path of 4 GiB;
+ * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
                     struct fmt_tris_writer **out);
 /* Returns the size of an encoded chunk in bytes. */
@@ -109,10 +119,13 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
 /* Opens files as one scan, whose chunks follow each other. Their order does not matter. Either all
- * have normals, or none has; of other attributes the scan has those of any file. The origin is that
- * of the file with most triangles. Errors: those of fmt_tris_open(). */
+ * have normals, or none has; of other attributes the scan has those of any file. It has ids if all
+ * files have ids of one kind. The origin is that of the file with most triangles. Errors: those of
+ * fmt_tris_open(). */
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                         struct fmt_tris_file **out);
+/* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */
+int fmt_tris_require_ids(const struct fmt_tris_file *file);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
 /* Returns the chunk table: chunk_count entries, owned by the file. */

@@ -42,6 +42,21 @@ struct tris_material_record { /* followed by path_bytes bytes */
 };
 _Static_assert(sizeof(struct tris_material_record) == 16, "the record has no padding");
 
+/* Version 2: before the materials, and after each material's path. */
+struct tris_ids_record {
+    uint32_t ids; /* enum bsq_ids, not BSQ_IDS_NONE */
+    uint32_t reserved;
+};
+_Static_assert(sizeof(struct tris_ids_record) == 8, "the record has no padding");
+
+enum { TRIS_COLORLESS = 1 };
+
+struct tris_name_record { /* followed by name_bytes bytes */
+    uint32_t flags;
+    uint32_t name_bytes;
+};
+_Static_assert(sizeof(struct tris_name_record) == 8, "the record has no padding");
+
 struct tris_table_entry {
     uint64_t offset;
     uint64_t size_bytes;
@@ -82,7 +97,7 @@ struct fmt_tris_file {
     struct fmt_tris_header header;
     struct fmt_tris_chunk_info *chunks;
     uint8_t *tail; /* materials and table as in the file; freed after opening */
-    char *paths;   /* all texture paths, each with a terminator */
+    char *paths;   /* all texture paths and names, each with a terminator */
     uint64_t load_size_max;
     uint64_t checksum; /* of the header, which has those of all tables */
     /* Of several files as one scan; then `file` has only a path, that of the first part. */

@@ -115,7 +115,8 @@ static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
     return 0;
 }
 
-/* Begins the header: that of the largest part, which is the first, without its contents. */
+/* Begins the header: that of the largest part, which is the first, without its contents. Parts
+ * whose ids tell different things apart have none together. */
 static void begin_header(struct fmt_tris_file *all)
 {
     all->header = all->parts[0].file->header;
@@ -125,8 +126,37 @@ static void begin_header(struct fmt_tris_file *all)
         all->header.bounds_min[axis] = INFINITY;
         all->header.bounds_max[axis] = -INFINITY;
     }
-    for (uint32_t i = 1; i < all->part_count; i++)
-        all->header.attributes |= all->parts[i].file->header.attributes;
+    for (uint32_t i = 1; i < all->part_count; i++) {
+        const struct fmt_tris_header *part = &all->parts[i].file->header;
+        all->header.attributes |= part->attributes;
+        if (part->ids != all->parts[0].file->header.ids)
+            all->header.ids = BSQ_IDS_NONE;
+    }
+}
+
+static int fail_without_ids(struct bsq_ctx *ctx, const char *path)
+{
+    return bsq_fail(ctx, BSQ_EDATA, "%s has no ids: make it with bisque-voxelize --channels id",
+                    path);
+}
+
+int fmt_tris_require_ids(const struct fmt_tris_file *file)
+{
+    if (file->header.ids != BSQ_IDS_NONE)
+        return 0;
+    if (file->part_count == 0)
+        return fail_without_ids(file->ctx, file->file.path);
+    const struct fmt_tris_file *first = file->parts[0].file, *other = first;
+    for (uint32_t i = 0; i < file->part_count; i++) {
+        const struct fmt_tris_file *part = file->parts[i].file;
+        if (part->header.ids == BSQ_IDS_NONE)
+            return fail_without_ids(file->ctx, part->file.path);
+        if (part->header.ids != first->header.ids)
+            other = part;
+    }
+    return bsq_fail(file->ctx, BSQ_EDATA, "%s has ids by %s, %s by %s: make both with one --id",
+                    first->file.path, bsq_ids_text(first->header.ids), other->file.path,
+                    bsq_ids_text(other->header.ids));
 }
 
 static int join(struct fmt_tris_file *all)

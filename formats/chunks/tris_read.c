@@ -21,6 +21,14 @@ bool fmt_tris_recognise(const char first[8])
     return memcmp(first, TRIS_MAGIC, 8) == 0;
 }
 
+bool fmt_tris_has_color(const struct fmt_tris_header *header)
+{
+    bool any = header->attributes & FMT_TRIS_COLORS;
+    for (uint32_t i = 0; header->attributes & FMT_TRIS_MATERIALS && i < header->material_count; i++)
+        any |= !header->materials[i].colorless;
+    return any;
+}
+
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
 {
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
@@ -38,10 +46,11 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version != FMT_TRIS_VERSION)
+    if (h->version != FMT_TRIS_VERSION && h->version != FMT_TRIS_VERSION_IDS)
         return bsq_fail(file->ctx, BSQ_EDATA,
-                        "%s: chunk file of version %" PRIu32 ", this program reads version %u",
-                        file->file.path, h->version, FMT_TRIS_VERSION);
+                        "%s: chunk file of version %" PRIu32
+                        ", this program reads versions %u and %u",
+                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_IDS);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
@@ -111,46 +120,110 @@ static int note_texture(const struct fmt_tris_file *file, char *path)
     return status;
 }
 
+/* The materials part while it is parsed. */
+struct parts {
+    const uint8_t *from;
+    uint64_t bytes, at;
+    char *text; /* space for the next path or name */
+};
+
+/* Copies the next bytes of the part. Returns false if it has fewer. */
+static bool take(struct parts *parts, void *to, uint64_t bytes)
+{
+    if (parts->bytes - parts->at < bytes)
+        return false;
+    memcpy(to, parts->from + parts->at, bytes);
+    parts->at += bytes;
+    return true;
+}
+
+/* Points *out to the next `length` bytes as text. Returns false if they are no text. */
+static bool take_text(struct parts *parts, uint32_t length, char **out)
+{
+    *out = parts->text;
+    if (!take(parts, parts->text, length) || memchr(*out, 0, length))
+        return false;
+    parts->text[length] = '\0';
+    parts->text += length + 1;
+    return true;
+}
+
+/* Reads the path of a texture. */
+static int parse_path(const struct fmt_tris_file *file, struct parts *parts, uint32_t length,
+                      char **out)
+{
+    char *path;
+    if (length == TRIS_NO_PATH)
+        return 0;
+    if (!take_text(parts, length, &path))
+        return fmt_tris_damaged(file, "a texture's path is cut off");
+    if (path[0] != '/')
+        return fmt_tris_damaged(file, "a texture's path is not absolute");
+    *out = (char *)(uintptr_t)bsq_map_path(file->ctx, path);
+    return *out ? note_texture(file, *out) : BSQ_ENOMEM;
+}
+
+/* Reads what version 2 has after a material's path. */
+static int parse_name(const struct fmt_tris_file *file, struct parts *parts,
+                      struct fmt_tris_material *m)
+{
+    struct tris_name_record record;
+    if (!take(parts, &record, sizeof record) || !take_text(parts, record.name_bytes, &m->name))
+        return fmt_tris_damaged(file, "a material's name is cut off");
+    if ((record.flags & ~(uint32_t)TRIS_COLORLESS) != 0)
+        return fmt_tris_damaged(file, "a material has unknown flags");
+    m->colorless = record.flags & TRIS_COLORLESS;
+    return 0;
+}
+
+static int parse_material(const struct fmt_tris_file *file, struct parts *parts,
+                          struct fmt_tris_material *m)
+{
+    struct tris_material_record record;
+    if (!take(parts, &record, sizeof record))
+        return fmt_tris_damaged(file, "the materials are cut off");
+    memcpy(m->diffuse, record.diffuse, sizeof m->diffuse);
+    if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
+        return fmt_tris_damaged(file, "a material's colour is not finite");
+    int status = parse_path(file, parts, record.path_bytes, &m->texture_path);
+    if (status == 0 && file->header.ids != BSQ_IDS_NONE)
+        status = parse_name(file, parts, m);
+    return status;
+}
+
+static int parse_ids(struct fmt_tris_file *file, struct parts *parts)
+{
+    struct tris_ids_record record;
+    if (!take(parts, &record, sizeof record) || record.reserved != 0 ||
+        record.ids == BSQ_IDS_NONE || record.ids > BSQ_IDS_COLOR)
+        return fmt_tris_damaged(file, "unknown ids");
+    file->header.ids = (enum bsq_ids)record.ids;
+    return 0;
+}
+
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
-    uint64_t bytes = h->table_offset - h->materials_offset, at = 0;
+    const uint64_t bytes = h->table_offset - h->materials_offset;
     int status;
-    /* Each path loses its 16-byte record and gains a terminator, so all paths fit `bytes`. */
+    /* Each path and name loses the record before it and gains a terminator, so all fit `bytes`. */
     if ((status = bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
                              sizeof *file->header.materials, &file->header.materials)) < 0 ||
         (status = bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths)) < 0)
         return status;
-    char *text = file->paths;
-    for (uint32_t i = 0; i < h->material_count; i++) {
-        struct tris_material_record record;
-        struct fmt_tris_material *m = &file->header.materials[i];
-        if (bytes - at < sizeof record)
-            return fmt_tris_damaged(file, "the materials are cut off");
-        memcpy(&record, file->tail + at, sizeof record);
-        at += sizeof record;
-        memcpy(m->diffuse, record.diffuse, sizeof m->diffuse);
-        if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
-            return fmt_tris_damaged(file, "a material's colour is not finite");
-        if (record.path_bytes == TRIS_NO_PATH)
-            continue;
-        if (bytes - at < record.path_bytes || memchr(file->tail + at, 0, record.path_bytes))
-            return fmt_tris_damaged(file, "a texture's path is cut off");
-        m->texture_path = text;
-        memcpy(text, file->tail + at, record.path_bytes);
-        text[record.path_bytes] = '\0';
-        if (text[0] != '/')
-            return fmt_tris_damaged(file, "a texture's path is not absolute");
-        if (!(m->texture_path = (char *)(uintptr_t)bsq_map_path(file->ctx, text)))
-            return BSQ_ENOMEM;
-        if ((status = note_texture(file, m->texture_path)) < 0)
-            return status;
-        text += record.path_bytes + 1;
-        at += record.path_bytes;
+    struct parts parts = {.from = file->tail, .bytes = bytes, .text = file->paths};
+    if (h->version == FMT_TRIS_VERSION_IDS)
+        status = parse_ids(file, &parts);
+    for (uint32_t i = 0; i < h->material_count && status == 0; i++) {
+        status = i % 1024 == 0 ? bsq_check(file->ctx) : 0;
+        if (status == 0)
+            status = parse_material(file, &parts, &file->header.materials[i]);
     }
-    if (bsq_align_up(at, 8) != bytes)
+    if (status < 0)
+        return status;
+    if (bsq_align_up(parts.at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
-    while (at < bytes)
-        if (file->tail[at++] != 0)
+    while (parts.at < bytes)
+        if (file->tail[parts.at++] != 0)
             return fmt_tris_damaged(file, "the padding after the materials is not zero");
     return 0;
 }

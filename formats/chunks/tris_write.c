@@ -26,32 +26,69 @@ static void writer_free(struct fmt_tris_writer *writer)
     bsq_free(ctx, writer);
 }
 
+/* Copies bytes to *to and moves it past them. */
+static void put(char **to, const void *from, size_t bytes)
+{
+    if (bytes > 0)
+        memcpy(*to, from, bytes);
+    *to += bytes;
+}
+
+static size_t text_length(const char *text)
+{
+    return text ? strlen(text) : 0;
+}
+
+/* Sets *bytes to the size of the materials part without its padding. */
+static int measure_materials(const struct fmt_tris_writer *writer,
+                             const struct fmt_tris_header *header, uint64_t *bytes)
+{
+    const bool ids = header->ids != BSQ_IDS_NONE;
+    *bytes = ids ? sizeof(struct tris_ids_record) : 0;
+    for (uint32_t i = 0; i < header->material_count; i++) {
+        const size_t path = text_length(header->materials[i].texture_path);
+        const size_t name = text_length(header->materials[i].name);
+        if (path >= TRIS_NO_PATH || name >= UINT32_MAX)
+            return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %zu bytes",
+                            path > name ? path : name);
+        *bytes += sizeof(struct tris_material_record) + path;
+        *bytes += ids ? sizeof(struct tris_name_record) + name : 0;
+    }
+    return 0;
+}
+
+static void put_material(const struct fmt_tris_header *header, const struct fmt_tris_material *m,
+                         char **to)
+{
+    const size_t path = text_length(m->texture_path), name = text_length(m->name);
+    const struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
+                                                m->texture_path ? (uint32_t)path : TRIS_NO_PATH};
+    const struct tris_name_record named = {m->colorless ? TRIS_COLORLESS : 0, (uint32_t)name};
+    put(to, &record, sizeof record);
+    put(to, m->texture_path, path);
+    if (header->ids == BSQ_IDS_NONE)
+        return;
+    put(to, &named, sizeof named);
+    put(to, m->name, name);
+}
+
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
 {
-    uint64_t bytes = 0;
-    for (uint32_t i = 0; i < header->material_count; i++) {
-        const char *path = header->materials[i].texture_path;
-        size_t length = path ? strlen(path) : 0;
-        if (length >= TRIS_NO_PATH)
-            return bsq_fail(writer->ctx, BSQ_EUSAGE, "a texture's path has %zu bytes", length);
-        bytes += sizeof(struct tris_material_record) + length;
-    }
+    const struct tris_ids_record ids = {.ids = header->ids};
+    uint64_t bytes;
+    int status = measure_materials(writer, header, &bytes);
+    if (status < 0)
+        return status;
     writer->materials_bytes = bsq_align_up(bytes, 8);
-    int status =
+    status =
         bsq_calloc(writer->ctx, "materials", writer->materials_bytes + 1, 1, &writer->materials);
     if (status < 0)
         return status;
     char *to = writer->materials;
-    for (uint32_t i = 0; i < header->material_count; i++) {
-        const struct fmt_tris_material *m = &header->materials[i];
-        size_t length = m->texture_path ? strlen(m->texture_path) : 0;
-        struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
-                                              m->texture_path ? (uint32_t)length : TRIS_NO_PATH};
-        memcpy(to, &record, sizeof record);
-        if (length > 0)
-            memcpy(to + sizeof record, m->texture_path, length);
-        to += sizeof record + length;
-    }
+    if (ids.ids != BSQ_IDS_NONE)
+        put(&to, &ids, sizeof ids);
+    for (uint32_t i = 0; i < header->material_count; i++)
+        put_material(header, &header->materials[i], &to);
     return 0;
 }
 
@@ -67,7 +104,7 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     writer->ctx = ctx;
     struct tris_file_header *h = &writer->header;
     memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
-    h->version = FMT_TRIS_VERSION;
+    h->version = header->ids == BSQ_IDS_NONE ? FMT_TRIS_VERSION : FMT_TRIS_VERSION_IDS;
     h->attributes = header->attributes;
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;

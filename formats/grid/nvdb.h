@@ -6,6 +6,7 @@
 #ifndef FMT_GRID_NVDB_H
 #define FMT_GRID_NVDB_H
 
+#include "base/ids.h"
 #include "base/output.h"
 
 #ifdef __cplusplus
@@ -25,6 +26,7 @@ struct fmt_nvdb_record {
     uint32_t normal; /* octahedral 2 x 16 bits: mean of area-weighted normals */
     uint32_t plane;
     uint32_t color; /* RGBA8 sRGB, R in the low byte; 0 if the high-poly mesh has no colour */
+    uint32_t id;    /* RGBA8, see base/ids.h; 0 if the grid has no ids */
 };
 #define FMT_NVDB_PLANE_SECOND       (1u << 24)
 #define FMT_NVDB_PLANE_INCONSISTENT (1u << 25)
@@ -38,6 +40,7 @@ struct fmt_nvdb_info {
     double voxel_size;     /* world units */
     double translation[3]; /* world position of the centre of voxel (0, 0, 0) */
     bool has_color;
+    enum bsq_ids ids;
     uint64_t source_triangles;       /* of the high-poly mesh */
     double scan_min[3], scan_max[3]; /* world bounds of the high-poly mesh */
 };
@@ -47,7 +50,10 @@ bool fmt_nvdb_recognise(const char first[8]);
 bool fmt_vdb_recognise(const char first[8]);
 
 /* Version of the record "bisque", and the NanoVDB version (major, minor, patch) of a grid type. */
-enum { FMT_NVDB_RECORD_VERSION = 2 };
+enum {
+    FMT_NVDB_RECORD_VERSION = 2,
+    FMT_NVDB_RECORD_VERSION_IDS = 3 /* of grids with ids */
+};
 void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3]);
 
 /* ---- writing ---- */
@@ -57,6 +63,10 @@ struct fmt_nvdb_writer;
  * Errors: BSQ_EUSAGE for a voxel size that is not positive; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info,
                     struct fmt_nvdb_writer **out);
+
+/* Sets the names that ids by name stand for, in any order; equal ones count once. Without this call
+ * there are none. Errors: BSQ_EUSAGE for names of 4 GiB together; BSQ_ENOMEM, BSQ_EINTR. */
+int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names, uint64_t count);
 
 /* A region of 128^3 voxels (a lower node), or some of its leaves. Leaves ascend by number;
  * successive calls with the same origin add to one region, and leaf numbers ascend across them. */
@@ -118,6 +128,9 @@ struct fmt_nvdb_grid {
     const uint32_t *normals; /* channels of struct fmt_nvdb_record */
     const uint32_t *planes;
     const uint32_t *colors; /* NULL when the grid has none */
+    const uint32_t *ids;    /* likewise */
+    const uint8_t *names;   /* that ids stand for, see fmt_nvdb_read_names() */
+    uint64_t name_bytes;    /* 0 when the grid has no ids */
     /* Which voxels have second records: entry i = {bits, rank} is for value indices 32 i ... 32 i +
      * 31. The second record of v is number 1 + voxel_count + rank + popcount(bits below v & 31). */
     const uint32_t (*seconds)[2];
@@ -134,6 +147,11 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
  * that each record is valid (FORMATS.md, "Channels"). Returns pages of the map to the system as it
  * goes. Errors: BSQ_EDATA naming the section or the record. */
 int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+
+/* Calls fn with each name that ids stand for, in ascending order. Returns the first result of fn
+ * that is not 0. Errors: BSQ_ENOMEM, BSQ_EIO if the file has changed. */
+int fmt_nvdb_read_names(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
+                        int (*fn)(void *arg, const char *name), void *arg);
 
 /* Returns the value index of the voxel at index coordinates, at most voxel_count; 0 if it is not
  * active. */

@@ -147,6 +147,19 @@ static int check_grid_data(const struct head *h)
     return 0;
 }
 
+/* Checks the record "bisque" except for its bounds. */
+static bool is_record_valid(const struct nvdb_record *record, const struct nvdb_counts *counts)
+{
+    const bool ids = record->version == FMT_NVDB_RECORD_VERSION_IDS;
+    const uint64_t later = record->checksum[NVDB_IDS] | record->checksum[NVDB_NAMES];
+    const uint32_t flags = (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) |
+                           (counts->has_ids ? NVDB_RECORD_HAS_IDS : 0);
+    return record->flags == flags && ids == counts->has_ids &&
+           (ids ? record->name_bytes >> 62 == 0 : (later | record->name_bytes) == 0) &&
+           record->second_count <= counts->voxels && record->second_count <= UINT32_MAX &&
+           record->reserved == 0 && record->record_checksum == fmt_nvdb_record_checksum(record);
+}
+
 /* Reads the counts that determine the layout; checks each against the file's size. */
 static int read_counts(struct head *h, struct nvdb_counts *counts)
 {
@@ -156,9 +169,10 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
     counts->uppers = h->tree.node_count[2];
     counts->voxels = h->tree.voxel_count;
     counts->seconds = 0;
-    if (h->grid.blind_count != 4 && h->grid.blind_count != 5)
+    if (h->grid.blind_count < 4 || h->grid.blind_count > 7)
         return fail_foreign(h);
-    counts->has_color = h->grid.blind_count == 5;
+    counts->has_color = h->grid.blind_count & 1;
+    counts->has_ids = h->grid.blind_count >= 6;
     if (counts->uppers == 0 || counts->lowers < counts->uppers || counts->leaves < counts->lowers ||
         counts->voxels < counts->leaves || counts->voxels / 512 > counts->leaves)
         return damaged(h, "node counts");
@@ -171,19 +185,19 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
     memcpy(record, h->file + h->size - sizeof(*record), sizeof(*record));
     if (memcmp(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic)) != 0)
         return fail_foreign(h);
-    if (record->version != FMT_NVDB_RECORD_VERSION)
-        return bsq_fail(h->ctx, BSQ_EDATA,
-                        "%s: surface grid of version %" PRIu32 ": this Bisque reads version %d",
-                        h->path, record->version, FMT_NVDB_RECORD_VERSION);
-    if (record->flags != (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) ||
-        record->second_count > counts->voxels || record->second_count > UINT32_MAX ||
-        memcmp(record->reserved, (const uint64_t[4]){0}, sizeof(record->reserved)) != 0 ||
-        record->record_checksum != fmt_nvdb_record_checksum(record))
+    if (record->version != FMT_NVDB_RECORD_VERSION &&
+        record->version != FMT_NVDB_RECORD_VERSION_IDS)
+        return bsq_fail(
+            h->ctx, BSQ_EDATA,
+            "%s: surface grid of version %" PRIu32 ": this Bisque reads versions %d and %d",
+            h->path, record->version, FMT_NVDB_RECORD_VERSION, FMT_NVDB_RECORD_VERSION_IDS);
+    if (!is_record_valid(record, counts))
         return damaged(h, "\"bisque\" record");
     for (int axis = 0; axis < 3; axis++)
         if (!isfinite(record->scan_min[axis]) || !isfinite(record->scan_max[axis]))
             return damaged(h, "scan bounds");
     counts->seconds = record->second_count;
+    counts->name_bytes = record->name_bytes;
     return 0;
 }
 
@@ -262,6 +276,11 @@ static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
     if (counts->has_color)
         grid->colors = (const void *)(h->file + layout->section[NVDB_COLORS].offset);
     grid->seconds = (const void *)(h->file + layout->section[NVDB_SECONDS].offset);
+    if (!counts->has_ids)
+        return;
+    grid->ids = (const void *)(h->file + layout->section[NVDB_IDS].offset);
+    grid->names = h->file + layout->section[NVDB_NAMES].offset;
+    grid->name_bytes = counts->name_bytes;
 }
 
 int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
@@ -288,9 +307,10 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     if (layout.file_bytes != h.size)
         return damaged(&h, "file size");
     status = check_head(&h, &counts, &layout);
-    if (status == 0)
-        fill_grid(&h, &counts, &layout, grid);
-    return status;
+    if (status)
+        return status;
+    fill_grid(&h, &counts, &layout, grid);
+    return counts.has_ids && !fmt_nvdb_check_names(grid) ? damaged(&h, "names of ids") : 0;
 }
 
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout)
@@ -298,6 +318,8 @@ void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *la
     struct nvdb_counts counts = {
         .type = grid->info.type,
         .has_color = grid->info.has_color,
+        .has_ids = grid->info.ids != BSQ_IDS_NONE,
+        .name_bytes = grid->name_bytes,
         .uppers = grid->upper_count,
         .lowers = grid->lower_count,
         .leaves = grid->leaf_count,

@@ -97,6 +97,10 @@ static struct section_streams streams_of(const struct commit *commit)
         if (!commit->writer->info.has_color)
             break;
         return (struct section_streams){&stream[STREAM_COLORS], &stream[STREAM_SECOND_COLORS]};
+    case NVDB_IDS:
+        if (commit->writer->info.ids == BSQ_IDS_NONE)
+            break;
+        return (struct section_streams){&stream[STREAM_IDS], &stream[STREAM_SECOND_IDS]};
     case NVDB_SECONDS:
         return (struct section_streams){.first = &stream[STREAM_SECOND_WORDS]};
     default:
@@ -217,6 +221,7 @@ static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
         return make_from_streams(commit, &streams, to, size);
     const void *memory = commit->section == NVDB_HEAD    ? (const void *)commit->head
                          : commit->section == NVDB_BLIND ? (const void *)commit->blind
+                         : commit->section == NVDB_NAMES ? (const void *)commit->writer->names
                                                          : (const void *)&commit->record;
     return make_from_memory(commit, memory, to, size);
 }
@@ -243,7 +248,8 @@ static int begin_section(struct commit *commit)
 
 static void end_section(struct commit *commit)
 {
-    if (commit->section < NVDB_RECORD)
+    bool of_ids = commit->section == NVDB_IDS || commit->section == NVDB_NAMES;
+    if (commit->section < NVDB_RECORD && (commit->writer->counts.has_ids || !of_ids))
         commit->record.checksum[commit->section] = XXH3_64bits_digest(commit->hash);
     commit->section++;
     commit->done = 0;
@@ -315,8 +321,10 @@ static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record
 {
     const struct fmt_nvdb_info *info = &writer->info;
     memcpy(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic));
-    record->version = FMT_NVDB_RECORD_VERSION;
-    record->flags = info->has_color ? NVDB_RECORD_HAS_COLOR : 0;
+    const bool ids = info->ids != BSQ_IDS_NONE;
+    record->version = ids ? FMT_NVDB_RECORD_VERSION_IDS : FMT_NVDB_RECORD_VERSION;
+    record->flags = (info->has_color ? NVDB_RECORD_HAS_COLOR : 0) | (ids ? NVDB_RECORD_HAS_IDS : 0);
+    record->name_bytes = writer->counts.name_bytes;
     record->source_triangles = info->source_triangles;
     record->second_count = writer->counts.seconds;
     memcpy(record->scan_min, info->scan_min, sizeof(record->scan_min));

@@ -168,12 +168,21 @@ enum nvdb_section {
     NVDB_PLANES,
     NVDB_COLORS, /* of size 0 if the grid has no colour */
     NVDB_SECONDS,
+    NVDB_IDS,    /* this and the next: of size 0 if the grid has no ids */
+    NVDB_NAMES,  /* struct nvdb_names_head and names */
     NVDB_RECORD, /* struct nvdb_record; its checksum is its own last member */
     NVDB_SECTION_COUNT
 };
 
 #define NVDB_RECORD_MAGIC "BISQUE\r\n"
-enum { NVDB_RECORD_HAS_COLOR = 1 };
+enum { NVDB_RECORD_HAS_COLOR = 1, NVDB_RECORD_HAS_IDS = 2 };
+
+/* Names follow: for each a uint32_t with its bytes, and these. */
+struct nvdb_names_head {
+    uint32_t ids; /* enum bsq_ids */
+    uint32_t count;
+};
+static_assert(sizeof(struct nvdb_names_head) == 8, "head of the names");
 
 /* Bisque's record "bisque", the last blind data. */
 struct nvdb_record {
@@ -181,8 +190,9 @@ struct nvdb_record {
     uint32_t version, flags;
     uint64_t source_triangles, second_count;
     double scan_min[3], scan_max[3];
-    uint64_t checksum[NVDB_RECORD]; /* XXH3-64 of each other section */
-    uint64_t reserved[4];
+    uint64_t checksum[NVDB_RECORD]; /* XXH3-64 of each other section; 0 for those of version 3 */
+    uint64_t name_bytes;            /* likewise */
+    uint64_t reserved;
     uint64_t record_checksum; /* XXH3-64 of all members above */
 };
 static_assert(sizeof(struct nvdb_record) == 192, "bisque record");
@@ -190,9 +200,9 @@ static_assert(sizeof(struct nvdb_record) == 192, "bisque record");
 /* The counts that determine a layout. */
 struct nvdb_counts {
     enum fmt_nvdb_type type;
-    bool has_color;
+    bool has_color, has_ids;
     uint32_t uppers, lowers, leaves;
-    uint64_t voxels, seconds;
+    uint64_t voxels, seconds, name_bytes;
 };
 
 struct nvdb_range {
@@ -216,8 +226,8 @@ struct fmt_nvdb_channel {
 /* Returns the description of a section from NVDB_NORMALS to NVDB_RECORD. */
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section);
 
-/* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves and seconds <=
- * voxels. */
+/* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=
+ * voxels and name_bytes is below 2^62. */
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout);
 
 static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
@@ -292,6 +302,10 @@ uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record);
  * checks all nodes. Errors: BSQ_EDATA. */
 int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
 int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+
+/* Returns whether the names of a mapped grid are as FORMATS.md describes, and sets grid->info.ids.
+ */
+bool fmt_nvdb_check_names(struct fmt_nvdb_grid *grid);
 
 /* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its record "bisque". */
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);

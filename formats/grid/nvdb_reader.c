@@ -115,7 +115,8 @@ struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t i
 {
     assert(index > 0 && index < grid->record_count);
     return (struct fmt_nvdb_record){grid->normals[index], grid->planes[index],
-                                    grid->colors ? grid->colors[index] : 0};
+                                    grid->colors ? grid->colors[index] : 0,
+                                    grid->ids ? grid->ids[index] : 0};
 }
 
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)

@@ -66,6 +66,8 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     const struct verify *v = arg;
     const struct nvdb_range *range = &v->layout.section[index];
     uint64_t hash = 0;
+    if ((index == NVDB_IDS || index == NVDB_NAMES) && v->grid->info.ids == BSQ_IDS_NONE)
+        return 0;
     int status = hash_section(v, range, &hash);
     if (status)
         return status;
@@ -162,7 +164,9 @@ static const char *fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, b
     if (!(plane & FMT_NVDB_PLANE_SECOND) != !second)
         return "mark of a second record";
     uint32_t color = grid->colors ? grid->colors[number] : 0;
-    return color != 0 && color >> 24 != 255 ? "colour" : NULL;
+    if (color != 0 && color >> 24 != 255)
+        return "colour";
+    return grid->ids && grid->ids[number] >> 24 != 255 ? "id" : NULL;
 }
 
 static int verify_voxel(const struct verify *v, uint64_t index)
@@ -191,13 +195,16 @@ static int verify_voxels(void *arg, uint64_t task, unsigned worker)
     forget_pages(grid, grid->planes + begin, (end - begin) * 4);
     if (grid->colors)
         forget_pages(grid, grid->colors + begin, (end - begin) * 4);
+    if (grid->ids)
+        forget_pages(grid, grid->ids + begin, (end - begin) * 4);
     return status;
 }
 
 static int verify_records(struct verify *v)
 {
     const struct fmt_nvdb_grid *grid = v->grid;
-    if (grid->normals[0] || grid->planes[0] || (grid->colors && grid->colors[0]))
+    if (grid->normals[0] || grid->planes[0] || (grid->colors && grid->colors[0]) ||
+        (grid->ids && grid->ids[0]))
         return bad_record(v, 0, "value, as it is the background");
     return bsq_parallel_for(v->ctx, grid->voxel_count / VOXELS_PER_TASK + 1, verify_voxels, v);
 }

@@ -78,15 +78,17 @@ static int stream_end(struct nvdb_stream *stream)
 /* ---- creation ---- */
 
 static const char *const stream_names[STREAM_COUNT] = {
-    "grid upper nodes",    "grid lower nodes",  "grid leaves",         "grid normals",
-    "grid planes",         "grid colours",      "grid second normals", "grid second planes",
-    "grid second colours", "grid second words",
+    "grid upper nodes",    "grid lower nodes",   "grid leaves",
+    "grid normals",        "grid planes",        "grid colours",
+    "grid second normals", "grid second planes", "grid second colours",
+    "grid second words",   "grid ids",           "grid second ids",
 };
 
 static bool stream_used(const struct fmt_nvdb_writer *writer, int stream)
 {
     bool color = stream == STREAM_COLORS || stream == STREAM_SECOND_COLORS;
-    return writer->info.has_color || !color;
+    bool id = stream == STREAM_IDS || stream == STREAM_SECOND_IDS;
+    return color ? writer->info.has_color : id ? writer->info.ids != BSQ_IDS_NONE : true;
 }
 
 /* Refuses what fmt_nvdb_check_header() would refuse later. */
@@ -120,6 +122,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     writer->info = *info;
     writer->counts.type = info->type;
     writer->counts.has_color = info->has_color;
+    writer->counts.has_ids = info->ids != BSQ_IDS_NONE;
     fmt_nvdb_bbox_clear(writer->bbox_min, writer->bbox_max);
     uint64_t path_bytes = strlen(path) + 1;
     status = bsq_alloc(ctx, "grid writer", path_bytes, 1, &writer->path);
@@ -127,6 +130,9 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
         goto failed;
     memcpy(writer->path, path, path_bytes);
     status = bsq_calloc(ctx, "grid upper node", 1, sizeof(*writer->upper), &writer->upper);
+    if (status)
+        goto failed;
+    status = fmt_nvdb_set_names(writer, NULL, 0);
     if (status)
         goto failed;
     status = bsq_output_open(ctx, path, &writer->output);
@@ -152,6 +158,7 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
     for (int i = 0; i < STREAM_COUNT; i++)
         fmt_nvdb_stream_close(&writer->stream[i]);
     bsq_free(ctx, writer->keys);
+    bsq_free(ctx, writer->names);
     bsq_free(ctx, writer->upper);
     bsq_free(ctx, writer->path);
     bsq_free(ctx, writer);
@@ -333,33 +340,45 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
     return 0;
 }
 
-/* Splits records into channels: streams `first` (normals), and the next two (planes, colours). */
-static int append_records(struct fmt_nvdb_writer *writer, int first,
-                          const struct fmt_nvdb_record *records, uint64_t count)
+/* Appends a member of records, at byte `member` of each, to a stream. */
+static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_record *records,
+                          uint64_t count, size_t member)
 {
-    int channels = writer->info.has_color ? 3 : 2;
-    uint64_t most = NVDB_STREAM_BYTES / sizeof(uint32_t);
+    const uint64_t most = NVDB_STREAM_BYTES / sizeof(uint32_t);
     for (uint64_t done = 0; done < count;) {
         uint64_t n = count - done < most ? count - done : most;
-        const struct fmt_nvdb_record *from = records + done;
-        uint32_t *to[3] = {NULL, NULL, NULL};
-        for (int c = 0; c < channels; c++) {
-            struct nvdb_stream *stream = &writer->stream[first + c];
-            int status = stream_reserve(stream, n * sizeof(uint32_t), &to[c]);
-            if (status)
-                return status;
-            stream->fill += n * sizeof(uint32_t);
-        }
-        for (uint64_t i = 0; i < n; i++) {
-            to[0][i] = from[i].normal;
-            to[1][i] = from[i].plane;
-        }
-        if (channels == 3)
-            for (uint64_t i = 0; i < n; i++)
-                to[2][i] = from[i].color;
+        uint32_t *to;
+        int status = stream_reserve(stream, n * sizeof *to, &to);
+        if (status)
+            return status;
+        stream->fill += n * sizeof *to;
+        for (uint64_t i = 0; i < n; i++)
+            memcpy(&to[i], (const uint8_t *)&records[done + i] + member, sizeof *to);
         done += n;
     }
     return 0;
+}
+
+/* Splits records into channels: first or second records. */
+static int append_records(struct fmt_nvdb_writer *writer, bool second,
+                          const struct fmt_nvdb_record *records, uint64_t count)
+{
+    static const struct {
+        enum nvdb_writer_stream first, second;
+        size_t member;
+    } channels[] = {
+        {STREAM_NORMALS, STREAM_SECOND_NORMALS, offsetof(struct fmt_nvdb_record, normal)},
+        {STREAM_PLANES, STREAM_SECOND_PLANES, offsetof(struct fmt_nvdb_record, plane)},
+        {STREAM_COLORS, STREAM_SECOND_COLORS, offsetof(struct fmt_nvdb_record, color)},
+        {STREAM_IDS, STREAM_SECOND_IDS, offsetof(struct fmt_nvdb_record, id)},
+    };
+    int status = 0;
+    for (size_t c = 0; c < sizeof channels / sizeof *channels && status == 0; c++) {
+        const enum nvdb_writer_stream stream = second ? channels[c].second : channels[c].first;
+        if (stream_used(writer, stream))
+            status = append_channel(&writer->stream[stream], records, count, channels[c].member);
+    }
+    return status;
 }
 
 /* Writes the open entry of section NVDB_SECONDS. */
@@ -396,7 +415,7 @@ static int append_seconds(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_
 
 static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
-    static const struct fmt_nvdb_record background = {0, 0, 0};
+    static const struct fmt_nvdb_record background = {0};
     int status = bsq_check(writer->ctx);
     if (status == 0)
         status = check_region(writer, region);
@@ -404,16 +423,15 @@ static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *
         return status;
     status = check_limits(writer, region);
     if (status == 0 && writer->counts.voxels == 0)
-        status = append_records(writer, STREAM_NORMALS, &background, 1);
+        status = append_records(writer, false, &background, 1);
     if (status == 0)
         status = open_region(writer, region->origin);
     if (status == 0)
         status = append_leaves(writer, region);
     if (status == 0)
-        status = append_records(writer, STREAM_NORMALS, region->records, region->record_count);
+        status = append_records(writer, false, region->records, region->record_count);
     if (status == 0)
-        status =
-            append_records(writer, STREAM_SECOND_NORMALS, region->second, region->second_count);
+        status = append_records(writer, true, region->second, region->second_count);
     if (status == 0)
         status = append_seconds(writer, region);
     writer->counts.leaves += region->leaf_count;

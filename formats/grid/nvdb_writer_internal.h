@@ -37,10 +37,12 @@ enum nvdb_writer_stream {
     STREAM_NORMALS,
     STREAM_PLANES,
     STREAM_COLORS,
-    STREAM_SECOND_NORMALS, /* of second records: in the order of the three above */
+    STREAM_SECOND_NORMALS, /* this and the next two: of second records */
     STREAM_SECOND_PLANES,
     STREAM_SECOND_COLORS,
     STREAM_SECOND_WORDS,
+    STREAM_IDS,
+    STREAM_SECOND_IDS, /* of second records */
     STREAM_COUNT
 };
 
@@ -51,6 +53,8 @@ struct fmt_nvdb_writer {
     struct fmt_nvdb_info info;
     struct nvdb_stream stream[STREAM_COUNT];
     int failed; /* status of the first failure; nothing can be committed after it */
+
+    uint8_t *names; /* section NVDB_NAMES, counts.name_bytes; NULL: no ids */
 
     uint64_t *keys; /* of the root tiles so far */
     uint64_t keys_capacity;

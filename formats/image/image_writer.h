@@ -16,7 +16,8 @@
 extern "C" {
 #endif
 
-/* How a file stores a sample. Integers hold 0 to 1; FMT_UINT8 is dithered. */
+/* How a file stores a sample. Integers hold 0 to 1; FMT_UINT8 is dithered,
+ * unless the samples are labels. */
 enum fmt_sample_type { FMT_UINT8, FMT_UINT16, FMT_HALF, FMT_FLOAT };
 #define FMT_SAMPLE_BIT(type) (1u << (type))
 
@@ -36,6 +37,8 @@ struct fmt_image_options {
     bool color;
     /* Side of the tiles that the file is made of, to FMT_MAX_TILE_SIDE; 0: it is made of rows. */
     uint32_t tile_side;
+    /* Samples tell things apart: a value between two of them means nothing, so none is dithered. */
+    bool labels;
     /* A format may leave them out, as PNG does. See also fmt_image_describe(). */
     const struct fmt_image_attribute *attributes;
     uint32_t attribute_count;

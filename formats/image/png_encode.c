@@ -52,7 +52,8 @@ static void quantise_row(const struct fmt_png_layout *layout, const float *in, u
             if (layout->srgb && c < colors)
                 v = srgb_from_linear(v);
             if (layout->bits == 8) {
-                uint32_t level = (uint32_t)(v * 255.0f + dither_threshold(x, y, c));
+                float threshold = layout->labels ? 0.5f : dither_threshold(x, y, c);
+                uint32_t level = (uint32_t)(v * 255.0f + threshold);
                 *out++ = (uint8_t)(level < 255 ? level : 255);
             } else {
                 uint32_t level = (uint32_t)(v * 65535.0f + 0.5f);

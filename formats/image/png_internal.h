@@ -10,6 +10,7 @@ struct fmt_png_layout {
     uint32_t width, height;
     uint32_t channel_count; /* 1 grey, 3 RGB, 4 RGBA */
     uint32_t bits;          /* 8 or 16 */
+    bool labels;            /* do not dither */
     bool srgb;              /* samples are linear light: encode and tag them as sRGB; otherwise they
                              * are data, tagged with gamma 1.0 */
 };

@@ -252,6 +252,7 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
                                              .height = options->height,
                                              .channel_count = options->channel_count,
                                              .bits = options->type == FMT_UINT16 ? 16 : 8,
+                                             .labels = options->labels,
                                              .srgb = options->color};
     return prepare(writer);
 }

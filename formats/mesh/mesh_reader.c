@@ -340,7 +340,7 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, cons
                       struct fmt_material *out)
 {
     *out = *from;
-    out->name = out->texture_path = out->texture_place = NULL;
+    out->name = out->texture_path = out->texture_place = out->object = NULL;
     int status = fmt_string_copy(ctx, name, &out->name);
     if (!status && from->texture_path)
         status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);

@@ -1,4 +1,5 @@
 /* exact.c - opens a chunk file: tree of its chunks, materials, textures. */
+#include "base/ids.h"
 #include "base/srgb.h"
 #include "libbake/exact/exact_scene.h"
 
@@ -14,9 +15,9 @@ static void set_info(struct bake_exact *exact)
 {
     const struct fmt_tris_header *h = exact->header;
     struct bake_exact_info *info = &exact->info;
-    bool materials = (h->attributes & FMT_TRIS_MATERIALS) && h->material_count > 0;
     info->triangle_count = h->triangle_count;
-    info->has_color = materials || (h->attributes & FMT_TRIS_COLORS);
+    info->ids = h->ids;
+    info->has_color = fmt_tris_has_color(h);
     for (int k = 0; k < 3; k++) {
         info->origin[k] = h->origin[k];
         info->scan_min[k] = h->origin[k] + (double)h->bounds_min[k];
@@ -88,6 +89,7 @@ void bake_exact_close(struct bake_exact *exact)
     if (exact->textures)
         fmt_textures_close(exact->textures);
     bsq_free(ctx, exact->diffuse);
+    bsq_free(ctx, exact->ids);
     bsq_free(ctx, exact->tree_memory);
     fmt_tris_close(exact->file);
     bsq_free(ctx, exact);
@@ -140,4 +142,25 @@ int bake_exact_use_color(struct bake_exact *exact)
 bool bake_exact_wants_footprints(const struct bake_exact *exact)
 {
     return exact->textures != NULL;
+}
+
+/* ---- ids ---- */
+
+int bake_exact_use_ids(struct bake_exact *exact)
+{
+    const uint64_t count = exact->header->material_count;
+    int status = bsq_alloc(exact->ctx, "ids", count + 1, sizeof *exact->ids, &exact->ids);
+    for (uint64_t m = 0; m <= count && status == 0; m++) {
+        const char *name = m < count ? exact->header->materials[m].name : NULL;
+        exact->ids[m] = bsq_name_id(name ? name : "");
+    }
+    return status;
+}
+
+const char *bake_exact_id_name(const struct bake_exact *exact, uint32_t number)
+{
+    if (number >= exact->header->material_count)
+        return NULL;
+    const char *name = exact->header->materials[number].name;
+    return name ? name : "";
 }

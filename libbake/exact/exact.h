@@ -11,6 +11,7 @@
 #define BAKE_EXACT_EXACT_H
 
 #include "base/context.h"
+#include "base/ids.h"
 #include "libbake/bake.h"
 #include "libbake/maps/maps.h"
 
@@ -27,6 +28,7 @@ struct bake_exact_info {
     double scan_min[3], scan_max[3]; /* world */
     uint64_t triangle_count;
     bool has_color;
+    enum bsq_ids ids; /* what its ids tell apart */
 };
 
 /* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM.
@@ -41,6 +43,14 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
  * most once, not from parallel work. Errors: those of fmt_textures_open(), BSQ_ENOMEM. */
 int bake_exact_use_color(struct bake_exact *exact);
 
+/* Makes later batches evaluate ids. Call it at most once, not from parallel work, and only if the
+ * scan has ids. Errors: BSQ_ENOMEM. */
+int bake_exact_use_ids(struct bake_exact *exact);
+
+/* Returns the name of entry `number` of the scan's materials, by which ids tell triangles apart;
+ * NULL after the last. Names may repeat. */
+const char *bake_exact_id_name(const struct bake_exact *exact, uint32_t number);
+
 /* ---- rays ---- */
 
 struct bake_exact_ray {
@@ -54,6 +64,7 @@ struct bake_exact_hit {
     uint64_t triangle; /* number in the file; BAKE_EXACT_NONE: no hit */
     float normal[3];   /* unit, object space; of a surface that faces away: turned round */
     float color[3];    /* linear RGB */
+    uint32_t id;       /* as in struct bk_map_hit; 0 without ids */
     /* Of triangles only: */
     float facet[3]; /* unit normal of the triangle, on the side that counts as its front */
     bool reversed;  /* that side is the scan's back */

@@ -26,6 +26,7 @@ struct bake_exact {
     bool color; /* hits have colours */
     struct fmt_textures *textures;
     float (*diffuse)[3]; /* linear light of each material */
+    uint32_t *ids;       /* of each material, then of triangles without one; NULL: not used */
 };
 
 /* Locks over the hits, and bucket entries per ray. If rays cross more chunks than that, the batch

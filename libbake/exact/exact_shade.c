@@ -164,8 +164,10 @@ static int shade_color(const struct bake_exact *exact, const struct place *place
                        const struct bake_exact_batch *batch, uint64_t ray, float out[3])
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk;
-    const uint32_t material =
+    uint32_t material =
         chunk->materials && exact->diffuse ? chunk->materials[place->triangle] : UINT32_MAX;
+    if (material != UINT32_MAX && exact->header->materials[material].colorless)
+        material = UINT32_MAX;
     if (material != UINT32_MAX && exact->textures && chunk->texcoords &&
         exact->header->materials[material].texture_path)
         return shade_texture(exact, place, material, batch, ray, out);
@@ -180,6 +182,23 @@ static int shade_color(const struct bake_exact *exact, const struct place *place
     return 0;
 }
 
+/* ---- ids ---- */
+
+/* Returns the id of the triangle's region or, if ids are colours, that of the nearest corner; the
+ * first of several. */
+static uint32_t shade_id(const struct bake_exact *exact, const struct place *place)
+{
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    int nearest = 0;
+    for (int i = 1; i < 3; i++)
+        nearest = place->w[i] > place->w[nearest] ? i : nearest;
+    if (exact->header->ids == BSQ_IDS_COLOR)
+        return chunk->colors ? chunk->colors[place->v[nearest]] : 0;
+    const uint32_t none = exact->header->material_count;
+    const uint32_t material = chunk->materials ? chunk->materials[place->triangle] : none;
+    return exact->ids[material < none ? material : none];
+}
+
 int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *slot,
                      const struct bake_exact_batch *batch, uint64_t ray)
 {
@@ -192,5 +211,6 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     if (hit->reversed)
         for (int k = 0; k < 3; k++)
             hit->normal[k] = -hit->normal[k];
+    hit->id = exact->ids ? shade_id(exact, &place) : 0;
     return exact->color ? shade_color(exact, &place, batch, ray, hit->color) : 0;
 }

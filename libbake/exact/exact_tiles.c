@@ -177,7 +177,8 @@ static bk_map_hits place_hit(const struct job *job, const bk_point *point,
     const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
                           .t = (float)hit->t,
                           .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
-                          .color = {hit->color[0], hit->color[1], hit->color[2]}};
+                          .color = {hit->color[0], hit->color[1], hit->color[2]},
+                          .id = (bk_int)hit->id};
     const bk_start start = bk_start_at(job->tiles->params, point);
     bk_map_hits placed;
     bk_hits_for_maps(job->tiles->params, point, &start, &hits, &placed);

@@ -2,7 +2,7 @@
  */
 #include "bk_sample.h"
 
-/* `colors` begins with the linear values of the sRGB codes, as 256 floats.
+/* `colors` begins with the linear values of the sRGB codes, as 256 floats. Colours and ids follow.
  *
  * Traces rows first_row to end_row - 1 of a tile; work item (x, y) is texel (x, first_row + y). Of
  * each texel it traces lines first_line to end_line - 1 of the samples. The launch with line 0

@@ -42,6 +42,7 @@ typedef struct bk_grid {
     /* Byte distances: root to uppers, uppers to lowers, lowers to leaves. */
     bk_ulong upper_offset, lower_offset, leaf_offset;
     bk_ulong second_base;
+    bk_ulong id_offset; /* of a record's id from its colour, if there are ids */
 } bk_grid;
 
 /* With BK_COUNTERS defined, the kernel counts its work. */
@@ -89,6 +90,7 @@ BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
     grid->upper_offset = bk_join(params->upper_offset);
     grid->lower_offset = bk_join(params->lower_offset);
     grid->leaf_offset = bk_join(params->leaf_offset);
+    grid->id_offset = bk_join(params->id_offset);
     grid->second_base = (bk_ulong)params->second_base_high << 32 | params->second_base_low;
 }
 

@@ -11,6 +11,9 @@
 
 #include "bk_types.h"
 
+/* Different ids that a texel counts. */
+#define BK_ID_SLOTS 4
+
 /* X(name, sums): each map, and how many floats bk_add_NAME() sums. The first map is bit 0 of
  * bk_params.maps and of enum bake_map. */
 #define BK_MAPS(X)                                                                                 \
@@ -22,7 +25,8 @@
     X(curvature, 9)                                                                                \
     X(ao, 1)                                                                                       \
     X(bent, 3)                                                                                     \
-    X(thickness, 1)
+    X(thickness, 1)                                                                                \
+    X(id, 2 * BK_ID_SLOTS)
 
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
@@ -37,6 +41,7 @@ typedef struct bk_map_hit {
     float normal[3];     /* of the scan: unit, object space */
     float map_normal[3]; /* the same in the space of the normal map */
     float color[3];      /* linear RGB, 0 to 1 */
+    bk_uint id;          /* of the region: a colour, red in bits 0-7, green 8-15, blue 16-23 */
     /* For maps that need them: */
     float open;      /* share of the hemisphere that is open */
     float bent[3];   /* mean open direction in the space of the normal map, with its weight */
@@ -110,12 +115,37 @@ BK_FN void bk_add_thickness(const bk_map_hit *hit, BK_GLOBAL float *sums)
     sums[0] += hit->thickness;
 }
 
+/* Counts the samples of each id: a slot is a count and an id. If a sample finds all slots taken by
+ * other ids, all counts and the sample are dropped once (Misra & Gries, "Finding repeated
+ * elements", 1982). So counts are exact for up to BK_ID_SLOTS ids in a texel. */
+BK_FN void bk_add_id(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    const float id = (float)(bk_int)(hit->id & 0xffffffu);
+    bk_uint i, empty = BK_ID_SLOTS;
+
+    for (i = 0; i < BK_ID_SLOTS; i++) {
+        if (sums[2 * i] > 0.0f && sums[2 * i + 1] == id) {
+            sums[2 * i] += 1.0f;
+            return;
+        }
+        if (empty == BK_ID_SLOTS && sums[2 * i] == 0.0f)
+            empty = i;
+    }
+    if (empty < BK_ID_SLOTS) {
+        sums[2 * empty] = 1.0f;
+        sums[2 * empty + 1] = id;
+        return;
+    }
+    for (i = 0; i < BK_ID_SLOTS; i++)
+        sums[2 * i] -= 1.0f;
+}
+
 /* Floats of a texel with these maps. */
 BK_FN bk_uint bk_texel_floats(bk_uint maps)
 {
     bk_uint count = BK_SUMS;
 
-#define BK_MAP_FLOATS(name, sums) count += maps >> BK_MAP_##name & 1u ? sums##u : 0u;
+#define BK_MAP_FLOATS(name, sums) count += maps >> BK_MAP_##name & 1u ? (bk_uint)(sums) : 0u;
     BK_MAPS(BK_MAP_FLOATS)
     return count;
 }

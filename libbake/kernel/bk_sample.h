@@ -132,6 +132,7 @@ typedef struct bk_map_hits {
     bk_uint found; /* bit by bit */
     bk_fw t;
     bk_vec3w position, normal, map_normal, color;
+    bk_iw id;
     bk_fw open, thickness; /* 0 unless bk_surroundings_for_maps() has set them */
     bk_vec3w bent;
 } bk_map_hits;
@@ -155,6 +156,7 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     if (!(params->flags & BK_OBJECT_SPACE))
         out->map_normal = bk_to_tangent_space(points, hits->normal);
     out->color = hits->color;
+    out->id = hits->id;
     out->open = out->thickness = bk_splat(0.0f);
     out->bent = out->map_normal;
 }
@@ -255,6 +257,7 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     bk_copy_lane(&hits->map_normal, lane, hit.map_normal);
     bk_copy_lane(&hits->color, lane, hit.color);
     bk_copy_lane(&hits->bent, lane, hit.bent);
+    hit.id = (bk_uint)bk_lane(hits->id, lane);
     hit.open = bk_lane(hits->open, lane);
     hit.thickness = bk_lane(hits->thickness, lane);
     bk_add_to_maps(params->maps, &hit, texel);

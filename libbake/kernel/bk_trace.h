@@ -520,6 +520,7 @@ typedef struct bk_hits {
     bk_fw t;          /* signed distance in voxels along the direction */
     bk_vec3w normal;  /* unit, object space, along `facing`: turned round if the hit is reversed */
     bk_vec3w color;   /* linear RGB, 0..1 */
+    bk_iw id;         /* of the record that was hit; 0 without BK_HAS_IDS */
 } bk_hits;
 
 /* Moves hits onto the blended surface and sets its normals and colours. */
@@ -588,12 +589,16 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     hits->t = sign * crossing.t;
     hits->normal = crossing.normal;
     hits->color = bk_v3w(zero, zero, zero);
-    if (params->flags & BK_HAS_COLOR)
+    hits->id = bk_splati(0);
+    if (params->flags & (BK_HAS_COLOR | BK_HAS_IDS))
         for (lane = 0; lane < BK_WIDTH; lane++)
             if (hits->found >> lane & 1u) {
                 const bk_ulong number = (bk_ulong)(bk_uint)bk_lane(crossing.high, lane) << 32 |
                                         (bk_uint)bk_lane(crossing.low, lane);
-                bk_set_lane3(&hits->color, lane, bk_color_of(grid, number));
+                if (params->flags & BK_HAS_COLOR)
+                    bk_set_lane3(&hits->color, lane, bk_color_of(grid, number));
+                if (params->flags & BK_HAS_IDS)
+                    bk_set_lane(hits->id, lane, (bk_int)grid->colors[grid->id_offset + number]);
             }
     if (hits->found && !(params->flags & BK_NEAREST))
         bk_blend_hits(grid, params, cache, &ray, sign, crossing.t, hits);

@@ -28,8 +28,9 @@ enum {
     BK_NEAREST = 2,      /* no blending over neighbours */
     BK_TWO_SIDED = 4,    /* surfaces that face away count too */
     BK_HAS_COLOR = 8,
-    BK_CAGE = 16,        /* rays start at a cage and take the first surface */
-    BK_OPEN_FALLOFF = 32 /* a surface hides less, the farther away it is */
+    BK_CAGE = 16,         /* rays start at a cage and take the first surface */
+    BK_OPEN_FALLOFF = 32, /* a surface hides less, the farther away it is */
+    BK_HAS_IDS = 64
 };
 
 /* Job-wide parameters. */
@@ -53,6 +54,7 @@ typedef struct bk_params {
     bk_uint open_rays, thickness_rays; /* a hit */
     float open_limit, thickness_limit; /* lengths in voxels */
     float open_sine2;                  /* squared sine of half of the cone's angle */
+    bk_uint id_offset[2]; /* words from the array of colours to that of ids, low word first */
 } bk_params;
 
 /* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the

@@ -74,7 +74,7 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
     bake_add_attribute(out, "bisque:version", BSQ_VERSION);
     bake_add_attribute(out, "bisque:map", bake_map_names[number]);
     if (bake_map_table[number].describe)
-        bake_map_table[number].describe(options, out);
+        bake_map_table[number].describe(options, traced, out);
     bake_add_attribute(out, "bisque:samples", out->text[0]);
     bake_add_attribute(out, "bisque:sampling", traced->sampling);
     bake_add_attribute(out, "bisque:rays", rays_text(options));

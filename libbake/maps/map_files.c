@@ -123,6 +123,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
         .channel_count = bake_map_table[number].channels,
         .color = bake_map_table[number].color,
         .tile_side = options->exr_tile_side,
+        .labels = bake_map_table[number].labels,
         .attributes = attributes.list,
         .attribute_count = attributes.count,
     };

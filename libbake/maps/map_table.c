@@ -43,8 +43,10 @@ static void encode_normals(const struct bake_encoding_facts *facts, struct bake_
         out->background[2] = 1.0f;
 }
 
-static void describe_normals(const struct bake_options *options, struct bake_attributes *out)
+static void describe_normals(const struct bake_options *options, const struct bake_traced *traced,
+                             struct bake_attributes *out)
 {
+    (void)traced;
     bool object = options->normal_space == BAKE_OBJECT_SPACE;
     bake_add_attribute(out, "bisque:normalSpace", object ? "object" : "tangent");
     bake_add_attribute(out, "bisque:tangents", object ? "none" : "MikkTSpace");
@@ -178,6 +180,31 @@ static void encode_thickness(const struct bake_encoding_facts *facts, struct bak
         out->scale[0] = distance;
 }
 
+/* ---- ids ---- */
+
+/* Takes the id with the most samples from the counts of bk_add_id(); of several, the least number.
+ * If all counts cancelled, takes one of the ids. */
+static bool resolve_id(const float *sums, uint32_t channels, float weight, float *value)
+{
+    float most = sums[0], id = sums[1];
+    (void)weight;
+    for (int i = 1; i < BK_ID_SLOTS; ++i)
+        if (sums[2 * i] > most || (sums[2 * i] == most && most > 0.0f && sums[2 * i + 1] < id)) {
+            most = sums[2 * i];
+            id = sums[2 * i + 1];
+        }
+    for (uint32_t c = 0; c < channels; ++c)
+        value[c] = (float)((uint32_t)id >> 8 * c & 255) / 255.0f;
+    return true;
+}
+
+static void describe_ids(const struct bake_options *options, const struct bake_traced *traced,
+                         struct bake_attributes *out)
+{
+    (void)options;
+    bake_add_attribute(out, "bisque:ids", traced->ids);
+}
+
 /* ---- the table ---- */
 
 const struct bake_map_row bake_map_table[] = {
@@ -233,6 +260,13 @@ const struct bake_map_row bake_map_table[] = {
                           .resolve = resolve_mean,
                           .encode = encode_thickness,
                           .unit = "mesh unit"},
+    [BK_MAP_id] = {.summary = "a colour for each material, object or vertex colour of the scan",
+                   .channels = 3,
+                   .needs_ids = true,
+                   .labels = true,
+                   .usual_type = BAKE_UINT8,
+                   .resolve = resolve_id,
+                   .describe = describe_ids},
 };
 
 _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
@@ -246,7 +280,8 @@ _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << B
                    BAKE_MAP_MASK == 1 << BK_MAP_mask && BAKE_MAP_HEIGHT == 1 << BK_MAP_height &&
                    BAKE_MAP_POSITION == 1 << BK_MAP_position &&
                    BAKE_MAP_CURVATURE == 1 << BK_MAP_curvature && BAKE_MAP_AO == 1 << BK_MAP_ao &&
-                   BAKE_MAP_BENT == 1 << BK_MAP_bent && BAKE_MAP_THICKNESS == 1 << BK_MAP_thickness,
+                   BAKE_MAP_BENT == 1 << BK_MAP_bent &&
+                   BAKE_MAP_THICKNESS == 1 << BK_MAP_thickness && BAKE_MAP_ID == 1 << BK_MAP_id,
                "bits of bake.h are rows of BK_MAPS");
 _Static_assert((int)BK_MAP_COUNT <= (int)BAKE_MAX_MAPS && (int)BAKE_MAPS_ALL == 1 << BAKE_MAX_MAPS,
                "every map has a bit");
@@ -274,13 +309,14 @@ const char *bake_map_summary(unsigned number)
     return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
 }
 
-uint32_t bake_choose_maps(uint32_t asked, bool has_color)
+uint32_t bake_choose_maps(uint32_t asked, const struct bake_scan_facts *scan)
 {
     const bool all = asked & BAKE_MAPS_ALL;
     uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
-            (has_color || !bake_map_table[i].needs_color))
+            (scan->has_color || !bake_map_table[i].needs_color) &&
+            (scan->has_ids || !bake_map_table[i].needs_ids))
             maps |= 1u << i;
     return maps;
 }

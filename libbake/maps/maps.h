@@ -42,6 +42,7 @@ struct bake_traced {
     const char *sampling;            /* "trilinear", "nearest" or "exact" */
     double scan_min[3], scan_max[3]; /* bounds of the scan, world */
     const char *scans;               /* the names of several scans; NULL: there is one */
+    const char *ids;                 /* what ids tell apart, see bsq_ids_text() */
     double image_origin[3];          /* world position that the image's positions are relative to */
 };
 
@@ -70,7 +71,9 @@ struct bake_map_row {
     uint32_t values;
     bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */
+    bool needs_ids;        /* likewise */
     bool color;            /* values are linear light; otherwise data, which is not transformed */
+    bool labels;           /* values tell things apart: nothing may be computed from them */
     uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
     /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */
     enum bake_sample_type usual_type;
@@ -85,7 +88,8 @@ struct bake_map_row {
     bool measured;  /* the encoding needs statistics */
     bool positions; /* values in the image are positions relative to bake_traced.image_origin */
     /* Adds the map's own attributes; NULL: there are none. */
-    void (*describe)(const struct bake_options *options, struct bake_attributes *out);
+    void (*describe)(const struct bake_options *options, const struct bake_traced *traced,
+                     struct bake_attributes *out);
 };
 
 /* Rows in the order of BK_MAPS; row i is bit i of enum bake_map. */
@@ -98,8 +102,13 @@ extern const uint32_t bake_map_sums[BK_MAP_COUNT];
 
 void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value);
 
+/* What a scan can give. */
+struct bake_scan_facts {
+    bool has_color, has_ids;
+};
+
 /* Returns the maps to bake: those asked for, all, or the default ones. */
-uint32_t bake_choose_maps(uint32_t asked, bool has_color);
+uint32_t bake_choose_maps(uint32_t asked, const struct bake_scan_facts *scan);
 
 /* Returns the length of rays into the solid, in mesh units. */
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],

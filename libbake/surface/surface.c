@@ -30,6 +30,7 @@ static int open_grid(struct bake_surface *surface, const struct bake_options *op
     }
     const struct fmt_nvdb_info *info = &surface->grid.info;
     surface->has_color = info->has_color;
+    surface->ids = info->ids;
     memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
     memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
     memcpy(surface->translation, info->translation, sizeof surface->translation);
@@ -65,6 +66,7 @@ static int open_exact(struct bake_surface *surface, const struct bake_options *o
     for (int k = 0; k < 3; k++)
         side = fmax(side, info->scan_max[k] - info->scan_min[k]);
     surface->has_color = info->has_color;
+    surface->ids = info->ids;
     memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
     memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
     memcpy(surface->translation, info->origin, sizeof surface->translation);
@@ -125,6 +127,12 @@ int bake_surface_use_color(struct bake_surface *surface)
     for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
         status = bake_surface_use_color(&surface->parts[p]);
     return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : status;
+}
+
+struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)
+{
+    return (struct bake_scan_facts){.has_color = surface->has_color,
+                                    .has_ids = surface->ids != BSQ_IDS_NONE};
 }
 
 int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out)

@@ -21,6 +21,7 @@ struct bake_surface {
     struct bake_exact *exact;  /* the triangles; NULL: the surface is a grid */
     struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
     bool has_color;
+    enum bsq_ids ids;                /* of several scans: BSQ_IDS_NONE unless they agree */
     double scan_min[3], scan_max[3]; /* world */
     /* Index space, where rays are: (world - translation) / unit. For triangles, unit is 1. */
     double translation[3], unit;
@@ -39,6 +40,8 @@ void bake_surface_close(struct bake_surface *surface); /* a zeroed surface is al
 /* Checks the file of a grid: returns BSQ_EIO if it has been truncated or written to since it was
  * opened, so that hits cannot be trusted. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
+/* Returns what an open scan can give. */
+struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface);
 /* Returns the cause of a job's status: that of bake_surface_check() if it fails, else `status`. For
  * the end of a job, see bsq_map_explain(). */
 int bake_surface_explain(const struct bake_surface *surface, int status);
@@ -46,6 +49,14 @@ int bake_surface_explain(const struct bake_surface *surface, int status);
 /* Makes later hits carry colours, if the scan has any. Call it at most once, not from parallel
  * work. Errors: those of bake_exact_use_color(). */
 int bake_surface_use_color(struct bake_surface *surface);
+
+/* Makes later hits carry ids, if `use` is set and the scan has any; otherwise devices do not get
+ * the channel. Call it at most once, not from parallel work. Errors: BSQ_ENOMEM. */
+int bake_surface_use_ids(struct bake_surface *surface, bool use);
+/* Lists the names that the ids of all scans stand for: sorted, each once, allocated with malloc().
+ * Adds to the report's ids, which the caller frees also after a failure. Errors: BSQ_ENOMEM,
+ * BSQ_EIO. */
+int bake_surface_report_ids(const struct bake_surface *surface, struct bake_report *report);
 
 struct bake_surface_rays {
     const struct bake_exact_ray *rays; /* index space */

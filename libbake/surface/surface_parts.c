@@ -27,6 +27,7 @@ static void join_parts(struct bake_surface *surface)
 {
     const struct bake_surface *first = &surface->parts[0];
     surface->has_color = true;
+    surface->ids = first->ids;
     for (int k = 0; k < 3; k++) {
         surface->scan_min[k] = INFINITY;
         surface->scan_max[k] = -INFINITY;
@@ -34,6 +35,8 @@ static void join_parts(struct bake_surface *surface)
     for (uint32_t p = 0; p < surface->part_count; p++) {
         const struct bake_surface *part = &surface->parts[p];
         surface->has_color &= part->has_color;
+        if (part->ids != surface->ids)
+            surface->ids = BSQ_IDS_NONE;
         surface->detail = fmax(surface->detail, part->detail);
         for (int k = 0; k < 3; k++) {
             surface->scan_min[k] = fmin(surface->scan_min[k], part->scan_min[k]);

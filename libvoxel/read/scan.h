@@ -103,6 +103,7 @@ struct scan {
 
     /* Filled by vox_scan_find_materials(). */
     uint32_t attributes; /* of enum fmt_tris_attribute */
+    enum bsq_ids ids;
     uint32_t material_count;
     struct fmt_tris_material *materials;
     /* For usemtl number i: material of triangles with texture coordinates at 2 i, of those without
@@ -160,9 +161,11 @@ bool vox_textures_have(const struct scan_textures *textures, const char *path);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 
 /* Reads the MTL files and decides on attributes and materials. texture_path: an image for all faces
- * instead, or NULL. */
+ * instead, or NULL. ids: those to keep; by name, each material has its name. Errors: BSQ_EDATA for
+ * ids by colour of a scan without colours. */
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
-                            const char *texture_path, struct scan_textures *textures);
+                            const char *texture_path, struct scan_textures *textures,
+                            enum bsq_ids ids);
 
 /* Returns whether the chunk file has this stream's attribute, after vox_scan_find_materials(). */
 static inline bool scan_keeps(const struct scan *scan, enum scan_stream stream)

@@ -13,6 +13,16 @@
 #include <string.h>
 #include <unistd.h>
 
+/* Copies a text to *out, which the scan owns. */
+static int copy_text(struct scan *scan, const char *text, char **out)
+{
+    const size_t size = strlen(text) + 1;
+    int status = bsq_alloc(scan->ctx, "materials", size, 1, out);
+    if (status == 0)
+        memcpy(*out, text, size);
+    return status;
+}
+
 /* Returns in *out the absolute path of a texture, which the scan owns. A texture that is a part of
  * a file keeps the end of its name. */
 static int resolve_texture(struct scan *scan, const char *path, char **out)
@@ -35,12 +45,21 @@ static int resolve_texture(struct scan *scan, const char *path, char **out)
     return status;
 }
 
-static uint32_t add_material(struct scan *scan, char *texture_path, const float diffuse[3])
+/* Adds an entry to the table of materials. path: of its texture, or NULL; color: whether `diffuse`
+ * is a colour of the scan; name: NULL if materials have no names. */
+static int add_material(struct scan *scan, const char *path, const float diffuse[3], bool color,
+                        const char *name, uint32_t *number)
 {
     struct fmt_tris_material *material = &scan->materials[scan->material_count];
-    material->texture_path = texture_path;
+    int status = 0;
     memcpy(material->diffuse, diffuse, sizeof material->diffuse);
-    return scan->material_count++;
+    material->colorless = !color;
+    *number = scan->material_count++; /* so that what was allocated is freed after a failure */
+    if (path)
+        status = resolve_texture(scan, path, &material->texture_path);
+    if (status == 0 && name)
+        status = copy_text(scan, name, &material->name);
+    return status;
 }
 
 static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
@@ -57,40 +76,69 @@ static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
     return status;
 }
 
-/* Uses one image for all triangles with texture coordinates. */
-static int use_single_texture(struct scan *scan, const char *texture_path)
+/* Returns whether ids are names of materials or objects. */
+static bool by_name(const struct scan *scan)
 {
+    return scan->ids == BSQ_IDS_MATERIAL || scan->ids == BSQ_IDS_OBJECT;
+}
+
+/* Returns the name that ids tell a material by, or NULL. */
+static const char *name_of(const struct scan *scan, const struct fmt_material *from)
+{
+    const char *name = scan->ids == BSQ_IDS_OBJECT ? from->object : from->name;
+    return !by_name(scan) ? NULL : name ? name : "";
+}
+
+/* Adds one entry with the image for all materials; with names, one for each material. */
+static int add_single_texture(struct scan *scan, const char *path,
+                              const struct fmt_materials *found)
+{
+    static const struct fmt_material none = {.name = ""};
     static const float white[3] = {1.0f, 1.0f, 1.0f};
-    char *path = NULL;
+    int status = 0;
+    for (uint32_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
+        uint32_t *map = &scan->material_map[2 * (uint64_t)i];
+        const char *name = name_of(scan, i < found->count ? &found->list[i] : &none);
+        status = bsq_check(scan->ctx);
+        if (status == 0 && (i == 0 || by_name(scan)))
+            status = add_material(scan, path, white, true, name, &map[0]);
+        else
+            map[0] = scan->material_map[0];
+        if (status == 0 && by_name(scan) && scan->lacks_texcoord)
+            status = add_material(scan, NULL, white, false, name, &map[1]);
+    }
+    return status;
+}
+
+/* Uses one image for all triangles with texture coordinates. */
+static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
+                              const char *texture_path)
+{
+    struct fmt_materials found = {0};
     int status = bsq_note_input(scan->ctx, texture_path, "the texture");
+    if (status == 0 && by_name(scan))
+        status = fmt_mesh_read_materials(reader, &found);
     if (status == 0)
-        status = resolve_texture(scan, texture_path, &path);
-    if (status < 0)
-        return status;
-    uint32_t material = add_material(scan, path, white);
-    for (uint32_t i = 0; i <= scan->usemtl_count; i++)
-        scan->material_map[2 * i] = material;
-    return 0;
+        status = add_single_texture(scan, texture_path, &found);
+    fmt_materials_free(scan->ctx, &found);
+    return status;
 }
 
 static int add_own_material(struct scan *scan, const struct scan_textures *textures,
                             const struct fmt_material *from, uint32_t usemtl)
 {
-    uint32_t *map = &scan->material_map[2 * usemtl];
+    uint32_t *map = &scan->material_map[2 * (uint64_t)usemtl];
+    const char *name = name_of(scan, from);
     const bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
                           vox_textures_have(textures, from->texture_path);
-    if (textured) {
-        char *path = NULL;
-        int status = resolve_texture(scan, from->texture_path, &path);
-        if (status < 0)
-            return status;
-        map[0] = add_material(scan, path, from->diffuse);
-    }
-    if (from->has_diffuse && (!textured || scan->lacks_texcoord))
-        map[1] = add_material(scan, NULL, from->diffuse);
+    int status = 0;
+    if (textured)
+        status = add_material(scan, from->texture_path, from->diffuse, true, name, &map[0]);
+    if (status == 0 && (from->has_diffuse || name) && (!textured || scan->lacks_texcoord))
+        status = add_material(scan, NULL, from->diffuse, from->has_diffuse, name, &map[1]);
     if (!textured)
         map[0] = map[1];
-    return 0;
+    return status;
 }
 
 static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
@@ -109,19 +157,44 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     return status;
 }
 
-int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
-                            const char *texture_path, struct scan_textures *textures)
+/* Checks that the scan has what its ids are to tell apart. */
+static int check_ids(const struct scan *scan)
 {
-    int status = allocate_tables(scan, scan->totals.materials);
+    if (scan->ids == BSQ_IDS_COLOR && !scan->has_colors)
+        return bsq_fail(scan->ctx, BSQ_EDATA,
+                        "%s: no vertex colours: ids need materials or objects", scan->paths[0]);
+    return 0;
+}
+
+static void warn_without_names(const struct scan *scan)
+{
+    bool any = !by_name(scan);
+    for (uint32_t i = 0; i < scan->material_count; i++)
+        any |= scan->materials[i].name && scan->materials[i].name[0];
+    if (!any)
+        bsq_warn(scan->ctx, "%s: no faces with %s: all have the same id", scan->paths[0],
+                 scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
+}
+
+int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
+                            const char *texture_path, struct scan_textures *textures,
+                            enum bsq_ids ids)
+{
+    scan->ids = ids;
+    int status = check_ids(scan);
+    if (status == 0)
+        status = allocate_tables(scan, scan->totals.materials);
     if (status < 0)
         return status;
     if (!texture_path)
         status = use_own_materials(scan, reader, textures);
     else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
-        status = use_single_texture(scan, texture_path);
+        status = use_single_texture(scan, reader, texture_path);
     else
         status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
                                scan->paths[0], texture_path);
+    if (status == 0)
+        warn_without_names(scan);
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);

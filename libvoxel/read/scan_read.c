@@ -34,8 +34,10 @@ void vox_scan_free(struct scan *scan)
         return;
     for (int i = 0; i < SCAN_STREAM_COUNT; i++)
         vox_spill_free(&scan->streams[i].spill);
-    for (uint32_t i = 0; i < scan->material_count; i++)
+    for (uint32_t i = 0; i < scan->material_count; i++) {
         bsq_free(scan->ctx, scan->materials[i].texture_path);
+        bsq_free(scan->ctx, scan->materials[i].name);
+    }
     bsq_free(scan->ctx, scan->materials);
     bsq_free(scan->ctx, scan->material_map);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)

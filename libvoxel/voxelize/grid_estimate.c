@@ -27,7 +27,7 @@ enum { SAMPLES = 16 };
 static const double voxels_of_leaf = 64.0;
 /* Measured bytes a voxel: a normal and a plane, with a share of leaves and second records; and a
  * colour. */
-static const double voxel_bytes = 11.0, color_bytes = 4.0;
+static const double voxel_bytes = 11.0, channel_bytes = 4.0;
 static const double certainty = 0.5; /* share of the estimate that the grid has at least */
 
 /* A sampled chunk. */
@@ -139,9 +139,9 @@ static double voxels_by_bounds(const struct fmt_tris_file *file,
     return sum;
 }
 
-double vox_estimate_bytes(double voxels, bool has_color)
+double vox_estimate_bytes(double voxels, unsigned channels)
 {
-    return voxels * (voxel_bytes + (has_color ? color_bytes : 0.0));
+    return voxels * (voxel_bytes + channels * channel_bytes);
 }
 
 /* Says nothing of a grid with fewer voxels than triangles: it is about as large as the scan. */
@@ -168,14 +168,15 @@ static int judge_huge(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
 }
 
 int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
-                       const struct vox_transform *transform, bool has_color, const char *grid_path)
+                       const struct vox_transform *transform, unsigned channels,
+                       const char *grid_path)
 {
     uint64_t chunks_max = voxels_by_bounds(file, transform) < huge_voxels ? SAMPLES : UINT64_MAX;
     double voxels;
     int status = vox_estimate_voxels(ctx, file, transform, chunks_max, &voxels);
     if (status < 0)
         return status;
-    double bytes = vox_estimate_bytes(voxels, has_color);
+    double bytes = vox_estimate_bytes(voxels, channels);
     if ((status = judge_huge(ctx, file, transform, voxels, bytes, grid_path)) < 0)
         return status;
     /* Sections of the grid are temporary files until they are joined. */

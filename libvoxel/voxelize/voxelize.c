@@ -67,20 +67,27 @@ static uint64_t min64(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
+/* Returns what accumulators sum: VOX_SUM_COLORS, VOX_SUM_IDS. */
+static unsigned sums_of(const struct job *job)
+{
+    return (vox_shading_has_color(job->header) ? VOX_SUM_COLORS : 0) |
+           (job->options->ids ? VOX_SUM_IDS : 0);
+}
+
 /* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
  * the results under way and to the writer. Fails early if the minimum of all that does not fit. */
 static int make_plan(const struct job *job, struct plan *plan)
 {
     uint64_t available = bsq_memory_left(job->ctx);
     uint64_t slot = vox_chunks_slot_bytes(job->file, job->smooth != NULL);
-    bool color = vox_shading_has_color(job->header);
+    const unsigned sums = sums_of(job);
     plan->texture_bytes = 0;
     if (vox_shading_needs_textures(job->header)) {
         plan->texture_bytes = min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL);
         if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
             plan->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
     }
-    uint64_t sums_min = vox_accumulator_bytes_min(color),
+    uint64_t sums_min = vox_accumulator_bytes_min(sums),
              blocks = job->workers * vox_fragment_block_bytes();
     uint64_t need =
         plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
@@ -121,11 +128,14 @@ static int open_input(struct job *job)
     if (job->header->chunk_count >= UINT32_MAX)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         job->header->chunk_count);
-    status = vox_transform_init(job->ctx, job->header, path, job->options->resolution,
-                                job->options->voxel_size, &job->shared.transform);
+    status = job->options->ids ? fmt_tris_require_ids(job->file) : 0;
+    if (status == 0)
+        status = vox_transform_init(job->ctx, job->header, path, job->options->resolution,
+                                    job->options->voxel_size, &job->shared.transform);
     if (status == 0)
         status = vox_estimate_check(job->ctx, job->file, &job->shared.transform,
-                                    vox_shading_has_color(job->header), job->options->grid_path);
+                                    vox_shading_has_color(job->header) + job->options->ids,
+                                    job->options->grid_path);
     if (status == 0)
         vox_precision_warn_grid(job->ctx, path, job->header, fmt_tris_chunks(job->file),
                                 job->shared.transform.h);
@@ -141,6 +151,22 @@ static int make_smooth(struct job *job)
     return vox_smooth_create(job->ctx, job->file, job->workers, available / 8, &job->smooth);
 }
 
+/* Gives the writer the names that ids stand for. */
+static int name_ids(const struct job *job)
+{
+    const uint64_t count = job->header->material_count;
+    const char **names;
+    int status = bsq_alloc(job->ctx, "names of ids", count + 1, sizeof *names, &names);
+    if (status < 0)
+        return status;
+    for (uint64_t i = 0; i < count; i++)
+        names[i] = job->header->materials[i].name ? job->header->materials[i].name : "";
+    names[count] = ""; /* triangles without a material */
+    status = fmt_nvdb_set_names(job->writer, names, count + 1);
+    bsq_free(job->ctx, (void *)names);
+    return status;
+}
+
 static int open_output(struct job *job)
 {
     const struct vox_transform *transform = &job->shared.transform;
@@ -148,6 +174,7 @@ static int open_output(struct job *job)
         .type = job->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
         .voxel_size = transform->h,
         .has_color = vox_shading_has_color(job->header),
+        .ids = job->options->ids ? job->header->ids : BSQ_IDS_NONE,
         .source_triangles = job->header->triangle_count,
     };
     for (int a = 0; a < 3; a++) {
@@ -155,7 +182,9 @@ static int open_output(struct job *job)
         info.scan_min[a] = transform->origin[a] + (double)job->header->bounds_min[a];
         info.scan_max[a] = transform->origin[a] + (double)job->header->bounds_max[a];
     }
-    return fmt_nvdb_create(job->ctx, job->options->grid_path, &info, &job->writer);
+    int status = fmt_nvdb_create(job->ctx, job->options->grid_path, &info, &job->writer);
+    return status == 0 && info.ids != BSQ_IDS_NONE && info.ids != BSQ_IDS_COLOR ? name_ids(job)
+                                                                                : status;
 }
 
 static int make_schedule(struct job *job)
@@ -193,11 +222,11 @@ static uint32_t choose_slabs(const struct vox_transform *transform, unsigned wor
 
 static int make_workers(struct job *job, const struct plan *plan)
 {
-    bool color = job->shared.shading.has_color;
     int status = bsq_calloc(job->ctx, "workers", job->workers, sizeof *job->own, &job->own);
     for (unsigned i = 0; i < job->workers && status == 0; i++) {
         struct vox_worker *own = &job->own[i];
-        status = vox_accumulator_create(job->ctx, plan->accumulator_bytes, color, &own->sums);
+        status =
+            vox_accumulator_create(job->ctx, plan->accumulator_bytes, sums_of(job), &own->sums);
         if (status == 0)
             status = vox_fragment_block_create(job->ctx, &own->block);
     }
@@ -221,6 +250,8 @@ static int set_up(struct job *job)
         (status = make_plan(job, &plan)) < 0 ||
         (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes,
                                    &job->shared.shading)) < 0 ||
+        (status = job->options->ids ? vox_shading_use_ids(job->ctx, &job->shared.shading) : 0) <
+            0 ||
         (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
                                     job->box_count, job->smooth, (uint32_t)plan.cache_slots,
                                     &job->shared.chunks)) < 0 ||
@@ -425,6 +456,7 @@ static void fill_report(const struct job *job, const struct fmt_nvdb_totals *tot
     report->grid_bytes = totals->file_bytes;
     report->voxel_size = job->shared.transform.h;
     report->has_color = job->shared.shading.has_color;
+    report->has_ids = job->options->ids;
     memcpy(report->index_min, job->index_min, sizeof report->index_min);
     memcpy(report->index_max, job->index_max, sizeof report->index_max);
 }

@@ -139,7 +139,7 @@ other()
 reads='Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)'
 cp box.tris x.tris
 put x.tris 8 7
-other x.tris 'chunk file of version 7, this program reads version 1'
+other x.tris 'chunk file of version 7, this program reads versions 1 and 2'
 put x.tris 8 0 0 0 1
 other x.tris 'chunk file with its bytes in big-endian order: Bisque reads little-endian ones'
 # A version is major << 21 | minor << 10 | patch.
@@ -156,7 +156,7 @@ printf '0BDVonaN' | dd of=x.nvdb conv=notrunc status=none
 other x.nvdb 'NanoVDB file of a big-endian machine: Bisque reads little-endian ones'
 cp box.nvdb x.nvdb
 put x.nvdb $(($(wc -c <box.nvdb) - 184)) 9
-other x.nvdb 'surface grid of version 9: this Bisque reads version 2'
+other x.nvdb 'surface grid of version 9: this Bisque reads versions 2 and 3'
 
 for type in 1:float 6:Vec3f 19:Index 21:IndexMask; do
     cp box.nvdb x.nvdb

@@ -10,7 +10,21 @@
 
 enum { GRID = 224, TREE = 896, ROOT = 960, TILE_BYTES = 32 };
 enum { UPPER_BYTES = 270400, LOWER_BYTES = 33856, LEAF_BYTES = 96, BLIND_BYTES = 288 };
-enum { HEAD, UPPERS, LOWERS, LEAVES, BLIND, NORMAL, PLANE, COLOR, SECOND, RECORD, SECTIONS };
+enum {
+    HEAD,
+    UPPERS,
+    LOWERS,
+    LEAVES,
+    BLIND,
+    NORMAL,
+    PLANE,
+    COLOR,
+    SECOND,
+    IDS,
+    NAMES,
+    RECORD,
+    SECTIONS
+};
 enum { MASK = 8, ONINDEX = 20, RECORD_BYTES = 192, SECOND_BIT = 1 << 24, SHADED_BIT = 1 << 25 };
 
 struct box {
@@ -25,8 +39,8 @@ struct sums {
 struct grid {
     struct bytes file;
     uint32_t type, version;
-    int has_color;
-    uint64_t uppers, lowers, leaves, voxels, seconds, records, root_bytes;
+    int has_color, has_ids;
+    uint64_t uppers, lowers, leaves, voxels, seconds, records, root_bytes, name_bytes;
     uint64_t at[SECTIONS], size[SECTIONS];
     double h, translation[3];
     struct box box;
@@ -64,8 +78,9 @@ static void read_counts(struct grid *g)
                 g->voxels >= g->leaves && g->voxels <= 512 * g->leaves,
             "wrong counts");
     uint32_t channels = u32(file, GRID + 648);
-    require(file, channels == 4 || channels == 5, "wrong number of channels");
-    g->has_color = channels == 5;
+    require(file, channels >= 4 && channels <= 7, "wrong number of channels");
+    g->has_color = channels == 5 || channels == 7;
+    g->has_ids = channels >= 6;
 }
 
 static void check_record(struct grid *g)
@@ -74,11 +89,15 @@ static void check_record(struct grid *g)
     require(file, file->size > RECORD_BYTES, "no bisque record");
     uint64_t at = file->size - RECORD_BYTES;
     require_text(file, at, "BISQUE\r\n", "no bisque record");
-    if (u32(file, at + 8) != 2)
-        refuse(file, "bisque record of version %u, this reader knows version 2", u32(file, at + 8));
+    if (u32(file, at + 8) != 2 && u32(file, at + 8) != 3)
+        refuse(file, "bisque record of version %u, this reader knows 2 and 3", u32(file, at + 8));
+    require(file, (u32(file, at + 8) == 3) == g->has_ids, "ids in another version");
     require(file, u64(file, at + 184) == checksum(file, at, 184), "wrong checksum of the record");
-    require(file, u32(file, at + 12) == (uint32_t)g->has_color, "wrong flags of the record");
-    require_zeros(file, at + 152, 32);
+    require(file, u32(file, at + 12) == (g->has_color ? 1u : 0u) + (g->has_ids ? 2u : 0u),
+            "wrong flags of the record");
+    require_zeros(file, at + (g->has_ids ? 176 : 152), g->has_ids ? 8 : 32);
+    g->name_bytes = u64(file, at + 168);
+    require(file, g->name_bytes < file->size, "wrong bytes of names");
     g->seconds = u64(file, at + 24);
     require(file, g->seconds <= g->voxels && g->seconds <= UINT32_MAX, "wrong second records");
     g->records = 1 + g->voxels + g->seconds;
@@ -92,11 +111,13 @@ static void place_sections(struct grid *g)
                                 UPPER_BYTES * g->uppers,
                                 LOWER_BYTES * g->lowers,
                                 LEAF_BYTES * g->leaves,
-                                g->has_color ? 5 * BLIND_BYTES : 4 * BLIND_BYTES,
+                                (4 + (g->has_color ? 1 : 0) + (g->has_ids ? 2 : 0)) * BLIND_BYTES,
                                 channel,
                                 channel,
                                 g->has_color ? channel : 0,
                                 8 * (g->voxels / 32 + 1),
+                                g->has_ids ? channel : 0,
+                                g->name_bytes,
                                 RECORD_BYTES};
     for (int i = 0; i < SECTIONS; i++) {
         uint64_t begin = i >= NORMAL ? (at + 63) / 64 * 64 : at;
@@ -111,7 +132,7 @@ static void place_sections(struct grid *g)
 static void check_sums(const struct grid *g)
 {
     const struct bytes *file = &g->file;
-    for (int i = 0; i < RECORD; i++)
+    for (int i = 0; i < (g->has_ids ? RECORD : IDS); i++)
         if (u64(file, g->at[RECORD] + 80 + 8 * (uint64_t)i) != checksum(file, g->at[i], g->size[i]))
             refuse(file, "wrong checksum of section %d", i);
     uint32_t crc = 0xffffffffu;
@@ -236,14 +257,13 @@ static void check_blind(const struct grid *g)
     static const struct {
         const char *name;
         uint32_t bytes, semantic, type;
-    } channels[] = {{"normal", 4, 3, 10},
-                    {"plane", 4, 0, 10},
-                    {"color", 4, 2, 12},
-                    {"second", 4, 0, 10},
+    } channels[] = {{"normal", 4, 3, 10}, {"plane", 4, 0, 10}, {"color", 4, 2, 12},
+                    {"second", 4, 0, 10}, {"id", 4, 0, 10},    {"names", 1, 0, 0},
                     {"bisque", 1, 0, 0}};
     uint64_t at = g->at[BLIND];
-    for (int i = 0; i < 5; i++) {
-        if (i == 2 && !g->has_color)
+    for (int i = 0; i < 7; i++) {
+        if ((NORMAL + i == COLOR && !g->has_color) ||
+            ((NORMAL + i == IDS || NORMAL + i == NAMES) && !g->has_ids))
             continue;
         check_u64(&g->file, at, g->at[NORMAL + i] - at);
         check_u64(&g->file, at + 8, g->size[NORMAL + i] / channels[i].bytes);
@@ -252,6 +272,38 @@ static void check_blind(const struct grid *g)
         require_name(&g->file, at + 32, channels[i].name, 256);
         at += BLIND_BYTES;
     }
+}
+
+/* ---- names ---- */
+
+/* Checks the names, and prints them if `print` is set. */
+static void read_names(const struct grid *g, int print)
+{
+    const struct bytes *file = &g->file;
+    uint64_t at = g->at[NAMES] + 8, end = g->at[NAMES] + g->size[NAMES];
+    const char *last = NULL;
+    uint32_t ids, last_length = 0;
+    if (!g->has_ids)
+        return;
+    ids = u32(file, g->at[NAMES]);
+    require(file, at <= end && ids >= 1 && ids <= 3, "unknown ids");
+    if (print)
+        printf("ids %u\n", ids);
+    for (uint32_t left = u32(file, g->at[NAMES] + 4); left > 0; left--) {
+        uint32_t length = u32(file, at);
+        require(file, ids != 3 && at + 4 + length <= end, "names beyond their section");
+        const char *name = (const char *)bytes_at(file, at + 4, length);
+        require(file, length == 0 || memchr(name, 0, length) == NULL, "a name with a zero byte");
+        if (last) {
+            int order = memcmp(last, name, last_length < length ? last_length : length);
+            require(file, order < 0 || (order == 0 && last_length < length), "names do not ascend");
+        }
+        if (print)
+            printf("name %.*s\n", (int)length, name);
+        last = name, last_length = length;
+        at += 4 + length;
+    }
+    require(file, at == end, "names do not fill their section");
 }
 
 /* ---- records ---- */
@@ -292,6 +344,8 @@ static void check_entry(const struct grid *g, uint64_t entry)
     require(&g->file, plane >> 26 == 0 || !(plane & SHADED_BIT), "grain where planes do not count");
     require(&g->file, entry <= g->voxels || !(plane & SECOND_BIT), "a second record has a second");
     require(&g->file, fabs(plane_offset(plane)) <= 0.8701, "a plane outside of its voxel");
+    if (g->has_ids)
+        require(&g->file, channel(g, IDS, entry) >> 24 == 255, "wrong alpha of an id");
     if (g->has_color) {
         uint32_t color = channel(g, COLOR, entry);
         require(&g->file, color == 0 || color >> 24 == 255, "wrong alpha");
@@ -619,10 +673,13 @@ int main(int argc, char **argv)
     check_tree_and_root(&g);
     check_blind(&g);
     check_second_words(&g);
+    read_names(&g, 0);
     for (int i = NORMAL; i <= COLOR; i++)
         require(&g.file, g.size[i] == 0 || channel(&g, i, 0) == 0, "entry 0 is not 0");
+    require(&g.file, !g.has_ids || channel(&g, IDS, 0) == 0, "entry 0 of the ids is not 0");
     walk(&g);
     print_grid(&g);
+    read_names(&g, 1);
     if (argc == 3)
         look_up(&g, argv[2]);
     free(g.file.data);

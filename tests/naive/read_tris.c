@@ -11,7 +11,7 @@ enum { HEADER_BYTES = 152, ENTRY_BYTES = 56, CHUNK_HEADER_BYTES = 16 };
 #define NONE 4294967295u
 
 struct header {
-    uint32_t attributes, material_count;
+    uint32_t version, attributes, material_count;
     uint64_t triangles, chunks, faces, skipped, materials_at, table_at;
     double origin[3];
     float low[3], high[3];
@@ -51,8 +51,9 @@ static struct header read_header(const struct bytes *file)
 {
     struct header h;
     require_text(file, 0, "BSQTRIS\n", "not a chunk file");
-    if (u32(file, 8) != 1)
-        refuse(file, "chunk file of version %u, this reader knows version 1", u32(file, 8));
+    h.version = u32(file, 8);
+    if (h.version != 1 && h.version != 2)
+        refuse(file, "chunk file of version %u, this reader knows 1 and 2", h.version);
     require(file, u64(file, 144) == checksum(file, 0, 144), "wrong checksum of the header");
     h.attributes = u32(file, 12);
     h.triangles = u64(file, 16);
@@ -90,9 +91,29 @@ static uint64_t align8(uint64_t at)
     return (at + 7) / 8 * 8;
 }
 
+/* Reads what version 2 has after the path of a material. Returns where it ends. */
+static uint64_t read_name(const struct bytes *file, const struct header *h, uint64_t at, int print)
+{
+    uint64_t length = u32(file, at + 4);
+    require(file, u32(file, at) < 2, "unknown flags of a material");
+    require(file, at + 8 + length <= h->table_at, "a name is cut off");
+    const char *text = (const char *)bytes_at(file, at + 8, length);
+    require(file, length == 0 || memchr(text, 0, length) == NULL, "a name with a zero byte");
+    if (print)
+        printf("name %.*s%s\n", (int)length, text, u32(file, at) ? ", colourless" : "");
+    return at + 8 + length;
+}
+
 static void read_materials(const struct bytes *file, const struct header *h, int print)
 {
     uint64_t at = h->materials_at;
+    if (h->version == 2) {
+        require(file, u32(file, at) >= 1 && u32(file, at) <= 3 && u32(file, at + 4) == 0,
+                "unknown ids");
+        if (print)
+            printf("ids %u\n", u32(file, at));
+        at += 8;
+    }
     for (uint32_t i = 0; i < h->material_count; i++) {
         uint32_t length = u32(file, at + 12);
         uint64_t path = length == NONE ? 0 : length;
@@ -108,6 +129,8 @@ static void read_materials(const struct bytes *file, const struct header *h, int
                    (double)f32(file, at + 8), length == NONE ? 4 : (int)path,
                    length == NONE ? "none" : text);
         at += 16 + path;
+        if (h->version == 2)
+            at = read_name(file, h, at, print);
     }
     require(file, align8(at) == h->table_at, "the materials do not fill their part");
     require_zeros(file, at, h->table_at - at);

@@ -18,9 +18,13 @@ def _tris_checksum(content):
     total, h = xxhash.xxh3_64(), content.header
     _add(total, "IQQQQ3d3f3fI", h.attributes, h.triangle_count, h.chunk_count, h.source_faces,
          h.skipped_triangles, *h.origin, *h.bounds_min, *h.bounds_max, h.material_count)
-    for diffuse, path in content.materials:
+    _add(total, "I", content.ids)
+    for diffuse, path, *named in content.materials:
         _add(total, "3fI", *diffuse, read_tris.NONE if path is None else len(path))
         total.update(path or b"")
+        flags, name = named or (0, b"")
+        _add(total, "II", flags, len(name))
+        total.update(name)
     for chunk in content.chunks:
         e = chunk.entry
         _add(total, "QQQII3f3f", e.offset, e.size_bytes, e.first_triangle, e.triangle_count,
@@ -34,9 +38,9 @@ def _tris_checksum(content):
 
 
 def _records(grid, numbers):
-    color = grid.channels["color"][numbers] if grid.has_color else numpy.zeros(len(numbers), "<u4")
-    return numpy.stack([grid.channels["normal"][numbers], grid.channels["plane"][numbers], color],
-                       axis=1)
+    zeros = numpy.zeros(grid.record_count, "<u4")
+    names = ("normal", "plane", "color", "id")
+    return numpy.stack([grid.channels.get(name, zeros)[numbers] for name in names], axis=1)
 
 
 def _second_numbers(grid):
@@ -64,6 +68,10 @@ def _nvdb_checksum(grid):
          grid.triangle_count, *grid.scan_bounds)
     _add(total, "6i5Q", *grid.low, *grid.high, grid.upper_count, grid.lower_count, grid.leaf_count,
          grid.voxel_count, grid.record_count)
+    _add(total, "I", grid.ids)
+    for name in grid.names:
+        _add(total, "I", len(name))
+        total.update(name)
     grid.records = _records(grid, numpy.arange(grid.record_count))
     _add_voxels(total, grid)
     return total.intdigest()

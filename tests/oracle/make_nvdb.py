@@ -60,7 +60,12 @@ def make(random):
     normal = random.integers(-32767, 32768, (records, 2)).astype("<i2").view("<u4").ravel()
     plane = _planes(random, records, numpy.r_[0, marks, numpy.zeros(seconds, int)])
     normal[0] = plane[0] = color[0] = 0
+    ids = (random.integers(0, 1 << 24, records) | 0xFF000000).astype("<u4")
+    ids[0] = 0
+    names = struct.pack("<II", 1, 3) + b"\0\0\0\0\1\0\0\0a\4\0\0\0a \xc3\xa9"
     return SimpleNamespace(
+        has_ids=bool(random.integers(0, 2)), id=ids,
+        names=names if random.integers(0, 2) else struct.pack("<II", 3, 0),
         version=random.choice([MASK, ONINDEX]), positions=positions, has_second=marks,
         has_color=bool(random.integers(0, 2)), normal=normal, plane=plane, color=color,
         voxel_size=float(random.choice([1, 0.1, 3e-39, 1e39, 7e-308, 5e307])),
@@ -188,15 +193,18 @@ def _encode_blind(layout):
 
 
 def _encode_record(grid, layout):
-    return b"BISQUE\r\n" + struct.pack("<IIQQ6d", 2, int(grid.has_color), grid.triangles,
-                                      layout.second_count, *grid.scan_bounds).ljust(184, b"\0")
+    version, flags = (3, 2) if grid.has_ids else (2, 0)
+    record = struct.pack("<IIQQ6d", version, flags + int(grid.has_color), grid.triangles,
+                         layout.second_count, *grid.scan_bounds).ljust(160, b"\0")
+    return b"BISQUE\r\n" + record + struct.pack("<QQQ", layout.name_bytes, 0, 0)
 
 
 def _layout(grid, uppers, lowers, leaves):
     layout = read_nvdb.Grid()
     layout.variant, layout.type, layout.kind, layout.root_bytes, layout.data2 = \
         VARIANTS[grid.version]
-    layout.has_color = grid.has_color
+    layout.has_color, layout.has_ids = grid.has_color, grid.has_ids
+    layout.name_bytes = len(grid.names) if grid.has_ids else 0
     layout.upper_count, layout.lower_count, layout.leaf_count = uppers, lowers, leaves
     layout.voxel_count = len(grid.positions)
     layout.second_count = len(grid.normal) - 1 - layout.voxel_count
@@ -222,6 +230,7 @@ def encode(grid):
              "normal": grid.normal.tobytes(), "plane": grid.plane.tobytes(),
              "color": grid.color.tobytes(),
              "second": _encode_second(layout.voxel_count, grid.has_second),
+             "id": grid.id.tobytes(), "names": grid.names,
              "bisque": _encode_record(grid, layout)}
     data = bytearray(size)
     for name, (offset, length) in layout.sections.items():
@@ -265,13 +274,28 @@ def _odd_color(random, grid):
     grid.color[at] = random.choice([0, 1, 0xFF000000, 0xFE000000, 0x00FFFFFF, 0xFFFFFFFF])
 
 
+def _odd_id(random, grid):
+    grid.has_ids = True
+    grid.id[random.integers(0, len(grid.id))] = random.choice([0, 0xFE000000, 0xFF000000])
+
+
+def _odd_names(random, grid):
+    names = bytearray(grid.names)
+    grid.has_ids = True
+    if random.random() < 0.5:
+        names[random.integers(0, len(names))] ^= 1 << random.integers(0, 8)
+    else:
+        names = names[:random.integers(0, len(names) + 1)]
+    grid.names = bytes(names)
+
+
 def _odd_marks(random, grid):
     at = random.integers(0, len(grid.has_second))
     grid.has_second[at] ^= 1
 
 
 ODD = [_odd_transform, _odd_translation, _odd_scan_bounds, _odd_normal, _odd_plane, _odd_color,
-       _odd_marks]
+       _odd_id, _odd_names, _odd_marks]
 
 
 def make_odd(random, grid):
@@ -283,7 +307,8 @@ def make_odd(random, grid):
 
 def mend(data, layout):
     """Corrects the checksums of a damaged grid, a bytearray, in sections where `layout` has them."""
-    names = ("head", "upper", "lower", "leaf", "blind", "normal", "plane", "color", "second")
+    names = ["head", "upper", "lower", "leaf", "blind", "normal", "plane", "color", "second"]
+    names += [name for name in ("id", "names") if name in layout.sections]
     head_end = sum(layout.sections["head"])
     if len(data) < head_end + 192:
         return

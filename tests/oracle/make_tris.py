@@ -24,6 +24,12 @@ def _normals(random, count):
     return halves.view("<u4").ravel()
 
 
+def _names(random, materials):
+    """Gives materials flags and names."""
+    names = [b"", b"stone", b"\xc3\xa9\xff glass"]
+    return [(*m, int(random.integers(0, 2)), names[random.integers(0, 3)]) for m in materials]
+
+
 def _make_chunk(random, attributes, material_count):
     nt = int(random.choice([1, 2, 3, 7, 50, 300]))
     nv = int(random.integers(1, 3 * nt + 1))
@@ -53,7 +59,9 @@ def make(random):
     attributes = int(random.integers(0, 16))
     materials = [(random.random(3), random.choice([None, b"/a.png", b"/textures/\xc3\xa9 b.jpg"]))
                  for _ in range(random.integers(0, 4))]
-    return {"attributes": attributes, "materials": materials,
+    ids = int(random.choice([0, 0, 1, 2, 3]))
+    return {"attributes": attributes, "ids": ids,
+            "materials": _names(random, materials) if ids else materials,
             "origin": random.choice([0.0, 5e5, -1e300], 3),
             "counts": random.integers(0, 1 << 62, 2),
             "chunks": [_make_chunk(random, attributes, len(materials))
@@ -70,10 +78,13 @@ def _encode_chunk(chunk):
     return struct.pack("<Q", checksum(data)) + data
 
 
-def _encode_materials(materials):
-    part = b""
-    for diffuse, path in materials:
+def _encode_materials(ids, materials):
+    part = struct.pack("<II", ids, 0) if ids else b""
+    for diffuse, path, *named in materials:
         part += struct.pack("<3fI", *diffuse, NONE if path is None else len(path)) + (path or b"")
+        if ids:
+            flags, name = named or (0, b"")
+            part += struct.pack("<II", flags, len(name)) + name
     return _pad(part)
 
 
@@ -88,7 +99,7 @@ def encode(scan):
         parts.append(part)
         offset += len(part)
         triangles += nt
-    materials = _encode_materials(scan["materials"])
+    materials = _encode_materials(scan["ids"], scan["materials"])
     bounds = numpy.zeros((2, 3), "<f4")
     if parts:
         boxes = numpy.stack([chunk["bounds"] for chunk in scan["chunks"]])
@@ -96,7 +107,7 @@ def encode(scan):
     bounds = scan.get("bounds", bounds)
     table_offset = offset + len(materials)
     header = b"BSQTRIS\n" + struct.pack(
-        "<IIQQQQ3d6fQQQIIQQ", 1, scan["attributes"], triangles, len(parts),
+        "<IIQQQQ3d6fQQQIIQQ", 2 if scan["ids"] else 1, scan["attributes"], triangles, len(parts),
         *map(int, scan["counts"]), *scan["origin"], *bounds.ravel(), offset, table_offset,
         table_offset + len(table), len(scan["materials"]), 0, checksum(materials), checksum(table))
     return header + struct.pack("<Q", checksum(header)) + b"".join(parts) + materials + table
@@ -113,6 +124,12 @@ def _odd_path(random, scan):
 def _odd_diffuse(random, scan):
     value = random.choice([-1.0, 2.0, 1e30, numpy.inf, numpy.nan])
     scan["materials"].append(([0.5, value, 0.5], None))
+
+
+def _odd_name(random, scan):
+    flags, name = int(random.choice([0, 1, 2])), random.choice([b"", b"a", b"a\0b", b"x" * 5000])
+    scan["ids"] = int(random.choice([0, 1, 3, 4]))
+    scan["materials"].append(([0.5, 0.5, 0.5], None, flags, bytes(name)))
 
 
 def _odd_bounds(random, scan):
@@ -166,9 +183,9 @@ def _odd_empty_chunk(_, scan):
                 chunk[name] = chunk[name][:0]
 
 
-ODD = [_odd_path, _odd_diffuse, _odd_bounds, _odd_header_bounds, _odd_vertex, _odd_triangle,
+ODD = [_odd_path, _odd_diffuse, _odd_name, _odd_bounds, _odd_header_bounds, _odd_vertex, _odd_triangle,
        _odd_attribute, _odd_many_vertices, _odd_empty_chunk]
-ODD_WEIGHTS = numpy.array([3, 2, 3, 2, 3, 3, 6, 0.2, 0.5])
+ODD_WEIGHTS = numpy.array([3, 2, 3, 3, 2, 3, 3, 6, 0.2, 0.5])
 
 
 def make_odd(random, scan):

@@ -102,7 +102,7 @@ def _used_offset_field(random, data, layout):
 
 
 def _channel_fields(random, layout):
-    names = [name for name in ("normal", "plane", "color", "second") if name in layout.sections]
+    names = [name for name in ("normal", "plane", "color", "second", "id") if name in layout.sections]
     offset, size = layout.sections[random.choice(names)]
     return [("I", offset + 4 * int(random.integers(0, size // 4)))]
 

@@ -46,11 +46,15 @@ static void add_header(struct reading *r, const struct fmt_tris_header *h)
     add(r, h->bounds_min, sizeof h->bounds_min);
     add(r, h->bounds_max, sizeof h->bounds_max);
     add_u32(r, h->material_count);
+    add_u32(r, h->ids);
     for (uint32_t i = 0; i < h->material_count; i++) {
-        const char *path = h->materials[i].texture_path;
+        const char *path = h->materials[i].texture_path, *name = h->materials[i].name;
         add(r, h->materials[i].diffuse, sizeof h->materials[i].diffuse);
         add_u32(r, path ? (uint32_t)strlen(path) : UINT32_MAX);
         add(r, path, path ? strlen(path) : 0);
+        add_u32(r, h->materials[i].colorless);
+        add_u32(r, name ? (uint32_t)strlen(name) : 0);
+        add(r, name, name ? strlen(name) : 0);
     }
 }
 
@@ -96,6 +100,14 @@ static int use_tris(struct reading *r, const char *path)
 
 /* ---- grids ---- */
 
+static int add_name(void *arg, const char *name)
+{
+    struct reading *r = arg;
+    add_u32(r, (uint32_t)strlen(name));
+    add(r, name, strlen(name));
+    return 0;
+}
+
 static void add_grid(struct reading *r, const struct fmt_nvdb_grid *g)
 {
     add_u32(r, (uint32_t)g->info.type);
@@ -112,6 +124,8 @@ static void add_grid(struct reading *r, const struct fmt_nvdb_grid *g)
     add_u64(r, g->leaf_count);
     add_u64(r, g->voxel_count);
     add_u64(r, g->record_count);
+    add_u32(r, g->info.ids);
+    fmt_nvdb_read_names(r->ctx, g, add_name, r);
 }
 
 static void add_record(struct reading *r, const struct fmt_nvdb_grid *g, uint64_t index)
@@ -120,6 +134,7 @@ static void add_record(struct reading *r, const struct fmt_nvdb_grid *g, uint64_
     add_u32(r, record.normal);
     add_u32(r, record.plane);
     add_u32(r, record.color);
+    add_u32(r, record.id);
 }
 
 /* Looks up a voxel and its neighbour along x, and adds the voxel's records. */

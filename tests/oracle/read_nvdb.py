@@ -51,9 +51,10 @@ def channels_of(grid):
     """Returns name, values, bytes, semantic and type of each channel."""
     n = grid.record_count
     table = [("normal", n, 4, 3, 10), ("plane", n, 4, 0, 10), ("color", n, 4, 2, 12),
-             ("second", 2 * (grid.voxel_count // 32 + 1), 4, 0, 10),
-             ("bisque", RECORD_BYTES, 1, 0, 0)]
-    return [row for row in table if row[0] != "color" or grid.has_color]
+             ("second", 2 * (grid.voxel_count // 32 + 1), 4, 0, 10), ("id", n, 4, 0, 10),
+             ("names", grid.name_bytes, 1, 0, 0), ("bisque", RECORD_BYTES, 1, 0, 0)]
+    missing = ([] if grid.has_color else ["color"]) + ([] if grid.has_ids else ["id", "names"])
+    return [row for row in table if row[0] not in missing]
 
 
 def lay_out(grid):
@@ -92,14 +93,17 @@ def _read_record(data, grid):
     record = data[-RECORD_BYTES:]
     magic, version, flags, grid.triangle_count, grid.second_count = fields(record, 0, "8sIIQQ")
     need(magic == b"BISQUE\r\n", "no bisque record at the end")
-    need(version == 2, f"bisque record of version {version}")
+    need(version in (2, 3), f"bisque record of version {version}")
     need(fields(record, 184, "Q")[0] == checksum(record[:184]), "checksum of the bisque record")
-    need(flags < 2, "flags of the bisque record")
-    grid.has_color = flags == 1
+    need(flags < 4 and flags >> 1 == version - 2, "flags of the bisque record")
+    grid.has_color, grid.has_ids = bool(flags & 1), bool(flags & 2)
     grid.scan_bounds = fields(record, 32, "6d")
     need(is_finite(grid.scan_bounds), "bounds of the high-poly mesh are not finite")
-    grid.checksums = fields(record, 80, "9Q")
-    need(is_zero(record[152:184]), "zeros of the bisque record")
+    grid.checksums = fields(record, 80, "11Q")
+    grid.name_bytes, = fields(record, 168, "Q")
+    need(is_zero(record[176:184]), "zeros of the bisque record")
+    need(grid.has_ids or is_zero(record[152:176]), "checksums without ids")
+    need(grid.name_bytes <= len(data), "bytes of the names")
     grid.record_count = 1 + grid.voxel_count + grid.second_count
 
 
@@ -305,6 +309,29 @@ def _read_nodes(data, grid):
          (grid.high == upper.high.max(axis=0)).all(), "bounds of RootData")
 
 
+# ---- names ----
+
+def _read_names(data, grid):
+    grid.ids, grid.names = 0, []
+    if not grid.has_ids:
+        return
+    offset, size = grid.sections["names"]
+    part, at = data[offset:offset + size], 8
+    need(size >= 8, "names are cut off")
+    grid.ids, count = fields(part, 0, "II")
+    need(1 <= grid.ids <= 3 and (grid.ids < 3 or count == 0), "unknown ids")
+    for _ in range(count):
+        need(size - at >= 4, "names are cut off")
+        length, = fields(part, at, "I")
+        at += 4
+        need(size - at >= length, "a name is cut off")
+        grid.names.append(bytes(part[at:at + length]))
+        need(0 not in grid.names[-1], "zero byte in a name")
+        need(len(grid.names) < 2 or grid.names[-2] < grid.names[-1], "order of the names")
+        at += length
+    need(at == size, "names do not fill their section")
+
+
 # ---- channels ----
 
 def _read_channels(data, grid):
@@ -336,6 +363,9 @@ def _verify_channels(grid):
     need(not (plane >> 26 & 7)[plane >> 25 & 1 == 1].any(), "facet-noise weight with bit 25")
     d = numpy.abs((plane & 0xFFFF).astype("u2").view("i2").astype(int))
     need((d <= 28507).all(), "distance of a plane")
+    if grid.has_ids:
+        need(grid.channels["id"][0] == 0, "background has an id")
+        need((grid.channels["id"][1:] >> 24 == 255).all(), "an id is not opaque")
     if grid.has_color:
         color = grid.channels["color"]
         need(color[0] == 0, "background has a colour")
@@ -343,8 +373,9 @@ def _verify_channels(grid):
 
 
 def _verify_checksums(data, grid):
-    names = ("head", "upper", "lower", "leaf", "blind", "normal", "plane", "color", "second")
-    for name, stored in zip(names, grid.checksums):
+    names = ("head", "upper", "lower", "leaf", "blind", "normal", "plane", "color", "second",
+             "id", "names")
+    for name, stored in zip(names if grid.has_ids else names[:9], grid.checksums):
         offset, size = grid.sections.get(name, (0, 0))
         need(stored == checksum(data[offset:offset + size]), f"checksum of {name}")
 
@@ -368,6 +399,7 @@ def read(data, verify):
     _check_tree(data, grid)
     _read_transform(data, grid)
     _check_blind_metadata(data, grid)
+    _read_names(data, grid)
     _read_nodes(data, grid)
     _check_world_bounds(data, grid)
     _read_channels(data, grid)

@@ -61,7 +61,9 @@ class Chunk:
 @dataclass
 class Content:
     header: Header
-    materials: list = field(default_factory=list)  # of (diffuse, path or None)
+    ids: int = 0
+    # of (diffuse, path or None), in version 2 (diffuse, path or None, flags, name)
+    materials: list = field(default_factory=list)
     chunks: list = field(default_factory=list)
 
 
@@ -69,7 +71,7 @@ def _read_header(data):
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQTRIS\n", "not a chunk file")
     n = fields(data, 8, "IIQQQQ3d3f3fQQQIIQQQ")
     header = Header(*n[:6], n[6:9], n[9:12], n[12:15], *n[15:])
-    need(header.version == 1, f"version {header.version}")
+    need(header.version in (1, 2), f"version {header.version}")
     need(header.header_checksum == checksum(data[:144]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
     need(header.attributes < 16, "unknown attributes")
@@ -87,7 +89,12 @@ def _read_header(data):
 def _read_materials(data, header):
     part = data[header.materials_offset:header.table_offset]
     need(header.materials_checksum == checksum(part), "checksum of the materials")
-    materials, at = [], 0
+    ids, materials, at = 0, [], 0
+    if header.version == 2:
+        need(len(part) >= 8, "no ids")
+        ids, zero = fields(part, 0, "II")
+        need(1 <= ids <= 3 and zero == 0, "unknown ids")
+        at = 8
     for _ in range(header.material_count):
         need(len(part) - at >= MATERIAL_BYTES, "materials beyond their part")
         *diffuse, path_bytes = fields(part, at, "3fI")
@@ -100,9 +107,20 @@ def _read_materials(data, header):
             need(0 not in path, "zero byte in a path")
             need(path.startswith(b"/"), "a path that is not absolute")
             at += path_bytes
-        materials.append((tuple(diffuse), path))
+        material = (tuple(diffuse), path)
+        if header.version == 2:
+            need(len(part) - at >= 8, "names beyond their part")
+            flags, name_bytes = fields(part, at, "II")
+            at += 8
+            need(flags < 2, "flags of a material")
+            need(len(part) - at >= name_bytes, "name beyond the materials")
+            name = bytes(part[at:at + name_bytes])
+            need(0 not in name, "zero byte in a name")
+            at += name_bytes
+            material += (flags, name)
+        materials.append(material)
     need(len(part) - at < 8 and is_zero(part[at:]), "materials do not fill their part")
-    return materials
+    return ids, materials
 
 
 def _index_type(vertex_count):
@@ -205,7 +223,7 @@ def _verify_bounds(content):
 def read(data, verify):
     """Returns the Content of a file, or raises Refused."""
     header = _read_header(data)
-    content = Content(header, _read_materials(data, header))
+    content = Content(header, *_read_materials(data, header))
     for i, entry in enumerate(_read_table(data, header)):
         try:
             chunk = _load_chunk(data, header, entry)

@@ -8,7 +8,7 @@
 
 _Static_assert(sizeof(struct bk_triangle) == 188, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
-_Static_assert(sizeof(struct bk_params) == 120, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 128, "layout shared with devices");
 
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
@@ -45,9 +45,12 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
     split((uint64_t)(grid->uppers - grid->root), params->upper_offset);
     split((uint64_t)(grid->lowers - grid->uppers), params->lower_offset);
     split((uint64_t)(grid->leaves - grid->lowers), params->leaf_offset);
-    params->flags &= ~(bk_uint)BK_HAS_COLOR;
+    params->flags &= ~(bk_uint)(BK_HAS_COLOR | BK_HAS_IDS);
     if (grid->colors)
         params->flags |= BK_HAS_COLOR;
+    if (grid->ids)
+        params->flags |= BK_HAS_IDS;
+    split(grid->ids && grid->colors ? (uint64_t)(grid->ids - grid->colors) : 0, params->id_offset);
 }
 
 void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
@@ -60,7 +63,7 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
     out->leaves = (const bk_ulong *)(const void *)grid->leaves;
     out->normals = grid->normals;
     out->planes = grid->planes;
-    out->colors = grid->colors;
+    out->colors = grid->colors ? grid->colors : grid->ids;
     out->seconds = &grid->seconds[0][0];
     out->srgb = bk_srgb;
 }

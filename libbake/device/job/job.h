@@ -31,7 +31,7 @@ struct bake_job {
 /* Checks the index bounds of a grid. Errors: BSQ_EDATA. */
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 
-/* Fills the grid part of params (bounds, counts, second_base, BK_HAS_COLOR). */
+/* Fills the grid part of params (bounds, counts, second_base, BK_HAS_COLOR, ids). */
 void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params);
 
 /* Points the kernel's grid at the arrays of a mapped file; valid while the file is open. */

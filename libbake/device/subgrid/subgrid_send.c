@@ -240,10 +240,13 @@ static int send_second_values(const struct sending *s, void *channel, uint32_t l
     return end > begin ? put(s, seconds + begin, (end - begin) * sizeof *seconds) : 0;
 }
 
+/* `channel` may be NULL: there is none. */
 static int send_channel(const struct sending *s, const uint32_t *channel)
 {
+    if (!channel)
+        return 0;
     if (s->subgrid->whole)
-        return put(s, channel, *s->left);
+        return put(s, channel, s->subgrid->grid->record_count * sizeof *channel);
     int status = put(s, channel, sizeof *channel);
     if (status == 0)
         status = for_leaves(s, send_values, (void *)(uintptr_t)channel);
@@ -294,11 +297,13 @@ static int send_seconds(const struct sending *s)
     return status ? status : send_pairs_until(s, &bits, s->subgrid->voxel_count / 32 + 1);
 }
 
-/* Sends the array of colours, which begins with the kernel's table of sRGB codes. */
+/* Sends the array of colours, which begins with the kernel's table of sRGB codes. Ids follow. */
 static int send_colors(const struct sending *s)
 {
     int status = put(s, bk_srgb, sizeof bk_srgb);
-    return status ? status : send_channel(s, s->subgrid->grid->colors);
+    if (status == 0)
+        status = send_channel(s, s->subgrid->grid->colors);
+    return status ? status : send_channel(s, s->subgrid->grid->ids);
 }
 
 static int send_whole(const struct sending *s, int array)

@@ -19,20 +19,23 @@ static_assert(sizeof(struct block_fragment) == 64, "a fragment begins with a row
 
 /* Where fragments come from and go to, and which rows they have. */
 struct source {
+    const struct vox_accumulation *job;
     const struct vox_fragment_block *block;
     struct vox_accumulator *sums;
-    bool smooth, marked, curved, has_color;
+    bool smooth, marked, curved, has_color, has_ids;
 };
 
 LANES_INLINE struct source source_of(const struct vox_accumulation *job)
 {
     bool smooth = job->chunk->normals != NULL;
-    return (struct source){.block = job->block,
+    return (struct source){.job = job,
+                           .block = job->block,
                            .sums = job->sums,
                            .smooth = smooth,
                            .marked = smooth && (job->chunk->coarse || job->chunk->inconsistent),
                            .curved = smooth && job->chunk->coarse,
-                           .has_color = job->sums->colors != NULL};
+                           .has_color = job->sums->colors != NULL,
+                           .has_ids = job->sums->votes != NULL};
 }
 
 /* Adds a fragment of the triangle at this place. cell: lower corner of its voxel, relative to that
@@ -53,7 +56,12 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
         sum.color = shade_mean(shade_rows(facts, ROW_COLOR), fragment);
     else
         sum.color = (struct row){0};
-    return vox_accumulator_add(from->sums, fragment->voxel, &sum, from->has_color);
+    sum.id = 0;
+    if (from->has_ids)
+        sum.id =
+            vox_shade_id(from->job->shading, from->job->chunk, from->block->triangles[place].number,
+                         fragment->area, fragment->moment);
+    return vox_accumulator_add(from->sums, fragment->voxel, &sum, from->has_color, from->has_ids);
 }
 
 LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)
@@ -86,6 +94,9 @@ LANES_INLINE int add_runs(const struct source *from, uint32_t count)
 LANES_INLINE int add_fragments(const struct vox_accumulation *job, uint32_t count)
 {
     struct source from = source_of(job);
+    if (from.has_ids)
+        return add_runs(&from, count);
+    from.has_ids = false;
     if (from.has_color)
         return add_runs(&from, count);
     from.has_color = false;

@@ -4,6 +4,7 @@
  * fragment's mean exactly (shade_lanes.h). A texture is averaged over the fragment's extent
  * instead. */
 #include "libvoxel/voxelize/clip/shade.h"
+#include "base/ids.h"
 #include "base/srgb.h"
 
 #include <math.h>
@@ -16,7 +17,7 @@ static bool has_materials(const struct fmt_tris_header *header)
 
 bool vox_shading_has_color(const struct fmt_tris_header *header)
 {
-    return has_materials(header) || (header->attributes & FMT_TRIS_COLORS);
+    return fmt_tris_has_color(header);
 }
 
 bool vox_shading_needs_textures(const struct fmt_tris_header *header)
@@ -72,15 +73,20 @@ void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
     shading->textures = NULL;
     bsq_free(ctx, shading->diffuse);
     shading->diffuse = NULL;
+    bsq_free(ctx, shading->ids);
+    shading->ids = NULL;
 }
 
 /* ---- triangles ---- */
 
+/* Returns the material that may give a triangle its colour, or UINT32_MAX. */
 static uint32_t material_of(const struct vox_shading *shading, const struct vox_chunk *chunk,
                             uint32_t triangle)
 {
     bool known = chunk->source.materials && shading->diffuse;
-    return known ? chunk->source.materials[triangle] : UINT32_MAX;
+    uint32_t material = known ? chunk->source.materials[triangle] : UINT32_MAX;
+    bool colored = material != UINT32_MAX && !shading->header->materials[material].colorless;
+    return colored ? material : UINT32_MAX;
 }
 
 uint32_t vox_shade_image(const struct vox_shading *shading, const struct vox_chunk *chunk,
@@ -108,6 +114,38 @@ bool vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk
                     ? shading->tables.to_linear[chunk->source.colors[v[i]] >> (8 * k) & 0xff]
                     : shading->diffuse[material][k];
     return true;
+}
+
+/* ---- ids ---- */
+
+int vox_shading_use_ids(struct bsq_ctx *ctx, struct vox_shading *shading)
+{
+    const struct fmt_tris_header *header = shading->header;
+    const uint64_t count = header->material_count;
+    int status = bsq_alloc(ctx, "ids", count + 1, sizeof *shading->ids, &shading->ids);
+    for (uint64_t i = 0; i <= count && status == 0; i++) {
+        const char *name = i < count ? header->materials[i].name : NULL;
+        shading->ids[i] = bsq_name_id(name ? name : "");
+    }
+    return status;
+}
+
+uint32_t vox_shade_id(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                      uint32_t triangle, double area, const double moment[2])
+{
+    const struct fmt_tris_chunk *source = &chunk->source;
+    const double weight[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
+    const uint32_t none = shading->header->material_count;
+    int nearest = 0;
+    if (shading->header->ids != BSQ_IDS_COLOR) {
+        const uint32_t material = source->materials ? source->materials[triangle] : none;
+        return shading->ids[material < none ? material : none];
+    }
+    for (int i = 1; i < 3; i++)
+        nearest = weight[i] > weight[nearest] ? i : nearest;
+    const uint32_t color =
+        source->colors ? source->colors[source->triangles[triangle][nearest]] : 0;
+    return color | 0xff000000u;
 }
 
 /* ---- fragments ---- */

@@ -13,6 +13,7 @@ struct vox_shading {
     const struct fmt_tris_header *header;
     struct fmt_textures *textures; /* NULL: no texture is used */
     double (*diffuse)[3];          /* of each material, in linear light */
+    uint32_t *ids; /* of each material, then of triangles without one; NULL: not used */
     struct vox_color_tables tables;
 };
 
@@ -24,6 +25,13 @@ void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading);
  * whether vox_shading_init() will open textures. */
 bool vox_shading_has_color(const struct fmt_tris_header *header);
 bool vox_shading_needs_textures(const struct fmt_tris_header *header);
+
+/* Prepares the ids of a scan that has them. */
+int vox_shading_use_ids(struct bsq_ctx *ctx, struct vox_shading *shading);
+/* Returns the id of a fragment: of its triangle's region or, if ids are colours, of the corner
+ * nearest to its centroid. area, moment: as in struct block_fragment. */
+uint32_t vox_shade_id(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                      uint32_t triangle, double area, const double moment[2]);
 
 /* Returns the image that colours a triangle of the chunk, UINT32_MAX if it has no texture. */
 uint32_t vox_shade_image(const struct vox_shading *shading, const struct vox_chunk *chunk,

@@ -81,7 +81,7 @@ void BSQ_SIMD_NAME(vox_make_records)(const struct vox_sum *sums, const uint32_t 
         for (uint64_t l = 0; l < LANE_COUNT && done + l < count; l++) {
             records[done + l].normal = (uint32_t)normal[l];
             records[done + l].plane = (uint32_t)plane[l];
-            records[done + l].color = 0;
+            records[done + l].color = records[done + l].id = 0;
         }
     }
 }

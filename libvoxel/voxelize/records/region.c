@@ -19,40 +19,41 @@ enum {
 
 /* ---- memory ---- */
 
-static uint64_t bytes_per_sum(bool has_color)
+static uint64_t bytes_per_sum(unsigned sums)
 {
     return sizeof(struct vox_sum) + sizeof(uint32_t) +
-           (has_color ? sizeof(struct vox_color_sum) : 0);
+           (sums & VOX_SUM_COLORS ? sizeof(struct vox_color_sum) : 0) +
+           (sums & VOX_SUM_IDS ? sizeof(struct vox_vote) : 0);
 }
 
-static uint64_t capacity_bytes(uint64_t bricks, uint64_t sums, bool has_color)
+static uint64_t capacity_bytes(uint64_t bricks, uint64_t count, unsigned sums)
 {
     return sizeof(struct vox_accumulator) + (bricks + 1) * sizeof(vox_brick) +
-           (sums + 1) * bytes_per_sum(has_color);
+           (count + 1) * bytes_per_sum(sums);
 }
 
-uint64_t vox_accumulator_bytes_min(bool has_color)
+uint64_t vox_accumulator_bytes_min(unsigned sums)
 {
-    return capacity_bytes(1, SUMS_MIN, has_color);
+    return capacity_bytes(1, SUMS_MIN, sums);
 }
 
-uint64_t vox_accumulator_bytes_max(bool has_color)
+uint64_t vox_accumulator_bytes_max(unsigned sums)
 {
-    return capacity_bytes(VOX_BRICKS, SUMS_MAX, has_color);
+    return capacity_bytes(VOX_BRICKS, SUMS_MAX, sums);
 }
 
 /* A surface leaves about 80 records in a brick, so records get most of the memory. */
-static void set_capacities(struct vox_accumulator *a, uint64_t bytes, bool has_color)
+static void set_capacities(struct vox_accumulator *a, uint64_t bytes, unsigned sums)
 {
     uint64_t bricks = bytes / 5 / sizeof(vox_brick);
     bricks = bricks < 1 ? 1 : bricks > VOX_BRICKS ? VOX_BRICKS : bricks;
-    uint64_t rest = capacity_bytes(bricks, 0, has_color);
-    uint64_t sums = bytes > rest ? (bytes - rest) / bytes_per_sum(has_color) : 0;
+    uint64_t rest = capacity_bytes(bricks, 0, sums);
+    uint64_t count = bytes > rest ? (bytes - rest) / bytes_per_sum(sums) : 0;
     a->brick_capacity = (uint32_t)bricks;
-    a->sum_capacity = (uint32_t)(sums < SUMS_MIN ? SUMS_MIN : sums > SUMS_MAX ? SUMS_MAX : sums);
+    a->sum_capacity = (uint32_t)(count < SUMS_MIN ? SUMS_MIN : count > SUMS_MAX ? SUMS_MAX : count);
 }
 
-int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
+int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
                            struct vox_accumulator **out)
 {
     struct vox_accumulator *a;
@@ -61,15 +62,18 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
     if (status < 0)
         return status;
     a->ctx = ctx;
-    set_capacities(a, bytes, has_color);
+    set_capacities(a, bytes, sums);
     if ((status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
                             &a->bricks)) < 0 ||
         (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->sums,
                             &a->sums)) < 0 ||
         (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->others,
                             &a->others)) < 0 ||
-        (has_color && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
-                                          sizeof *a->colors, &a->colors)) < 0)) {
+        (sums & VOX_SUM_COLORS &&
+         (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->colors,
+                             &a->colors)) < 0) ||
+        (sums & VOX_SUM_IDS && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
+                                                   sizeof *a->votes, &a->votes)) < 0)) {
         vox_accumulator_destroy(a);
         return status;
     }
@@ -86,6 +90,7 @@ void vox_accumulator_destroy(struct vox_accumulator *a)
     bsq_free(a->ctx, a->sums);
     bsq_free(a->ctx, a->others);
     bsq_free(a->ctx, a->colors);
+    bsq_free(a->ctx, a->votes);
     bsq_free(a->ctx, a);
 }
 
@@ -110,6 +115,8 @@ bool vox_accumulator_clear_next(struct vox_accumulator *a)
     memset(&a->others[first], 0, count * sizeof *a->others);
     if (a->colors)
         memset(&a->colors[first], 0, count * sizeof *a->colors);
+    if (a->votes)
+        memset(&a->votes[first], 0, count * sizeof *a->votes);
     a->ready_count += count;
     return a->ready_count - a->sum_count >= VOX_FRAGMENTS_AT_ONCE;
 }
@@ -214,6 +221,8 @@ static void make_records(const struct vox_accumulator *a, const uint32_t *number
     BSQ_SIMD_PICK(bsq_simd_best(), vox_make_records)(a->sums, numbers, count, records);
     for (uint32_t i = 0; a->colors && i < count; i++)
         records[i].color = encode_color(&a->colors[numbers[i]], tables);
+    for (uint32_t i = 0; a->votes && i < count; i++)
+        records[i].id = a->votes[numbers[i]].id;
 }
 
 /* Finds the touched voxels of a brick, and prefetches their sums, which lie in the order in which

@@ -45,6 +45,13 @@ struct vox_color_sum {
     double area;   /* of the fragments that have a colour */
 };
 
+/* The id of a record, by the algorithm of Boyer & Moore ("MJRTY", 1991) with areas for votes: if
+ * one id has more than half of the area of all fragments, it is this one. */
+struct vox_vote {
+    double area;
+    uint32_t id;
+};
+
 /* Number of the first record of each voxel, 0: not touched. */
 typedef uint32_t vox_brick[VOX_BRICK_VOXELS];
 
@@ -55,6 +62,7 @@ struct vox_accumulator {
     struct vox_sum *sums;
     uint32_t *others; /* for each record: the number of the voxel's second one, 0: none */
     struct vox_color_sum *colors; /* NULL: the scan has no colours */
+    struct vox_vote *votes;       /* NULL: the grid gets no ids */
     uint32_t brick_count, brick_capacity;
     uint32_t sum_count, sum_capacity;
     uint32_t ready_count; /* records that have been cleared, used or not */
@@ -79,12 +87,15 @@ struct vox_leaves {
     uint32_t voxel_min[3], voxel_max[3]; /* in the region; min > max: no voxels */
 };
 
-/* Returns the fewest bytes an accumulator works with: the voxels of one brick. */
-uint64_t vox_accumulator_bytes_min(bool has_color);
+/* What an accumulator sums besides surfaces. */
+enum { VOX_SUM_COLORS = 1, VOX_SUM_IDS = 2 };
+
+/* Returns the fewest bytes an accumulator with these sums works with: the voxels of one brick. */
+uint64_t vox_accumulator_bytes_min(unsigned sums);
 /* Returns the most bytes it can use. */
-uint64_t vox_accumulator_bytes_max(bool has_color);
+uint64_t vox_accumulator_bytes_max(unsigned sums);
 /* Creates an empty accumulator of about `bytes`. */
-int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, bool has_color,
+int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
                            struct vox_accumulator **out);
 void vox_accumulator_destroy(struct vox_accumulator *a); /* NULL is allowed */
 
@@ -124,6 +135,7 @@ static inline int vox_accumulator_reserve(struct vox_accumulator *a)
 /* A fragment in the form of the sums: the members of struct vox_sum and struct vox_color_sum. */
 struct vox_fragment_sum {
     struct row normal, center, color;
+    uint32_t id;
 };
 
 /* Returns the record for a fragment that faces away from the voxel's first one. */
@@ -145,11 +157,26 @@ LANES_INLINE bool vox_faces_away(struct row normal, double area, const struct vo
            d * d > 0.25 * 0.25 * vox_dot(sum->normal, sum->normal) * area * area;
 }
 
-/* Adds one fragment, of an area above 0, to a voxel. has_color: whether the accumulator has
- * colours. The order of calls decides which record a fragment goes to. Returns 0, or
+/* Adds an area's vote. */
+static inline void vox_vote(struct vox_vote *vote, uint32_t id, double area)
+{
+    if (vote->id == id || vote->area == 0.0) {
+        vote->id = id;
+        vote->area += area;
+    } else if (area > vote->area) {
+        vote->id = id;
+        vote->area = area - vote->area;
+    } else {
+        vote->area -= area;
+    }
+}
+
+/* Adds one fragment, of an area above 0, to a voxel. has_color, has_ids: whether the accumulator
+ * has colours and ids. The order of calls decides which record a fragment goes to. Returns 0, or
  * VOX_REGION_FULL with nothing added. */
 LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
-                                     const struct vox_fragment_sum *fragment, bool has_color)
+                                     const struct vox_fragment_sum *fragment, bool has_color,
+                                     bool has_ids)
 {
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
@@ -171,10 +198,12 @@ LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
     row_add(sum->center, fragment->center);
     if (has_color)
         row_add(a->colors[number].rgb, fragment->color);
+    if (has_ids)
+        vox_vote(&a->votes[number], fragment->id, row_number(fragment->center, 3));
     return 0;
 }
 
-/* Makes `count` records from the sums with these numbers, without colours and without
+/* Makes `count` records from the sums with these numbers, without colours, ids and
  * FMT_NVDB_PLANE_SECOND. */
 typedef void vox_make_records_fn(const struct vox_sum *sums, const uint32_t *numbers,
                                  uint64_t count, struct fmt_nvdb_record *records);

@@ -175,13 +175,21 @@ static void sections_of_the_largest_grid_do_not_wrap(void **state)
 {
     (void)state;
     uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX,
-             n = 1 + v + s;
-    struct nvdb_counts counts = {FMT_NVDB_ONINDEX, true, UINT32_MAX, UINT32_MAX, UINT32_MAX, v, s};
+             n = 1 + v + s, names = (UINT64_C(1) << 62) - 1;
+    struct nvdb_counts counts = {.type = FMT_NVDB_ONINDEX,
+                                 .has_color = true,
+                                 .has_ids = true,
+                                 .uppers = UINT32_MAX,
+                                 .lowers = UINT32_MAX,
+                                 .leaves = UINT32_MAX,
+                                 .voxels = v,
+                                 .seconds = s,
+                                 .name_bytes = names};
     struct nvdb_layout layout;
     fmt_nvdb_layout_compute(&counts, &layout);
     const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u, 270400 * u, 33856 * l, 96 * f,
-                                                5 * 288,           4 * n,      4 * n,     4 * n,
-                                                8 * (v / 32 + 1),  192};
+                                                7 * 288,           4 * n,      4 * n,     4 * n,
+                                                8 * (v / 32 + 1),  4 * n,      names,     192};
     uint64_t at = 0;
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
         at = i >= NVDB_NORMALS ? (at + 63) / 64 * 64 : at;

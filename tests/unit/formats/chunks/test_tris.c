@@ -100,8 +100,9 @@ static int teardown(void **state)
 
 static void write_sample_file(struct fixture *f, uint32_t attributes, uint32_t chunk_count)
 {
-    struct fmt_tris_material materials[2] = {{"/a dir/wall.png", {0.25f, 0.5f, 0.75f}},
-                                             {NULL, {1.0f, 0.0f, 0.5f}}};
+    struct fmt_tris_material materials[2] = {
+        {.texture_path = (char *)"/a dir/wall.png", .diffuse = {0.25f, 0.5f, 0.75f}},
+        {.diffuse = {1.0f, 0.0f, 0.5f}}};
     struct fmt_tris_header header = {
         .attributes = attributes,
         .source_faces = 77,
@@ -488,6 +489,79 @@ static void padding_of_materials_is_zero(void **state)
     free(bytes);
 }
 
+/* Writes a file without chunks that has ids by object, and returns its bytes. */
+static uint8_t *write_ids(struct fixture *f, size_t *size)
+{
+    struct fmt_tris_material materials[] = {
+        {.texture_path = (char *)"/a.png", .name = (char *)"body"},
+        {.colorless = true, .name = NULL},
+        {.diffuse = {0.5f, 0, 1}, .name = (char *)"gl\xc3\xa4s"}};
+    const struct fmt_tris_header header = {
+        .material_count = 3, .materials = materials, .ids = BSQ_IDS_OBJECT};
+    struct fmt_tris_writer *writer;
+    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_commit(writer), 0);
+    return read_bytes(f->path, size);
+}
+
+static void names_of_ids_come_back(void **state)
+{
+    static const char *const names[] = {"body", "", "gl\xc3\xa4s"};
+    struct fixture *f = *state;
+    struct fmt_tris_file *file;
+    size_t size;
+    uint8_t *bytes = write_ids(f, &size);
+    assert_int_equal(bytes[8], 2);
+    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    const struct fmt_tris_header *h = fmt_tris_get_header(file);
+    assert_int_equal(h->ids, BSQ_IDS_OBJECT);
+    assert_int_equal(h->material_count, 3);
+    for (int i = 0; i < 3; i++) {
+        assert_string_equal(h->materials[i].name, names[i]);
+        assert_int_equal(h->materials[i].colorless, i == 1);
+        assert_int_equal(h->materials[i].texture_path != NULL, i == 0);
+    }
+    fmt_tris_close(file);
+    free(bytes);
+}
+
+static void damaged_names_of_ids_are_found(void **state)
+{
+    static const struct {
+        uint64_t at;
+        uint32_t value;
+        const char *message;
+    } cases[] = {
+        {152, 0, "unknown ids"},
+        {152, 4, "unknown ids"},
+        {156, 1, "unknown ids"},
+        {182, 2, "unknown flags"},
+        {186, 3, "cut off"},
+        {186, 0xffffffff, "name is cut off"},
+        {190, 0x00646f62, "name is cut off"}, /* a zero byte in it */
+        {120, 2, "another length"},
+        {120, 4, "cut off"},
+    };
+    struct fixture *f = *state;
+    size_t size;
+    uint8_t *bytes = write_ids(f, &size), *changed = malloc(size);
+    assert_int_equal(read_all(f), 0);
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        memcpy(changed, bytes, size);
+        memcpy(changed + cases[i].at, &cases[i].value, 4);
+        uint64_t sum = XXH3_64bits(changed + 152, size - 152); /* there are no chunks */
+        memcpy(changed + 128, &sum, 8);
+        sum = XXH3_64bits(changed, 144);
+        memcpy(changed + 144, &sum, 8);
+        write_bytes(f->path, changed, size);
+        assert_int_equal(read_all(f), BSQ_EDATA);
+        if (!strstr(bsq_error(f->ctx), cases[i].message))
+            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
+    }
+    free(changed);
+    free(bytes);
+}
+
 static void values_out_of_range_are_found(void **state)
 {
     static const struct {
@@ -495,7 +569,7 @@ static void values_out_of_range_are_found(void **state)
         uint32_t value;
         const char *message;
     } cases[] = {
-        {8, 2, "version 2"},
+        {8, 3, "version 3"},
         {12, 31, "unknown attributes"},
         {24, 0x10000000, "another length"},
         {60, 0x7ff80000, "the origin is not finite"},
@@ -575,6 +649,8 @@ int main(void)
         TEST(sizes_are_compared_with_the_file),
         TEST(padding_is_zero),
         TEST(padding_of_materials_is_zero),
+        TEST(names_of_ids_come_back),
+        TEST(damaged_names_of_ids_are_found),
         TEST(values_out_of_range_are_found),
         TEST(other_files_are_refused),
         TEST(nothing_remains_of_a_discarded_file),

@@ -51,7 +51,7 @@ static int compare_voxels(const void *a, const void *b)
 static struct fmt_nvdb_record random_record(uint64_t *state)
 {
     struct fmt_nvdb_record r = {(uint32_t)scene_next(state), (uint32_t)scene_next(state) & 0xffffff,
-                                (uint32_t)scene_next(state) | 0xff000000u};
+                                (uint32_t)scene_next(state) | 0xff000000u, 0};
     r.normal ^= (r.normal & 0xffff) == 0x8000;
     r.normal ^= r.normal >> 16 == 0x8000 ? 0x10000 : 0;
     int distance = (int16_t)(r.plane & 0xffff);

@@ -18,7 +18,7 @@
 
 static const uint16_t two_ids[2] = {7, 9};
 static const uint64_t two_masks[2][8] = {{1, 0, 0, 0, 0, 0, 0, 0}, {0, 0, 0, 0, 2, 0, 0, 0}};
-static const struct fmt_nvdb_record two_records[2] = {{1, 2, 3}, {4, 5, 6}};
+static const struct fmt_nvdb_record two_records[2] = {{1, 2, 3, 0}, {4, 5, 6, 0}};
 
 static struct fmt_nvdb_region small_region(int32_t x, int32_t y, int32_t z)
 {
@@ -62,9 +62,9 @@ static void test_region_in_parts(void **state)
     (void)state;
     uint64_t masks[3][8] = {{1, 0, 0, 0, 0, 0, 0, 5}, {0, 2}, {UINT64_MAX, 3}};
     uint16_t ids[3] = {7, 8, 4095};
-    struct fmt_nvdb_record records[70], second = {5, 6, 0};
+    struct fmt_nvdb_record records[70], second = {5, 6, 0, 0};
     for (uint32_t i = 0; i < 70; i++)
-        records[i] = (struct fmt_nvdb_record){i, 2 * i, 0};
+        records[i] = (struct fmt_nvdb_record){i, 2 * i, 0, 0};
     records[3].plane |= FMT_NVDB_PLANE_SECOND;
     struct fmt_nvdb_region whole = {.origin = {128, 0, 0},
                                     .leaf_count = 3,
@@ -143,7 +143,8 @@ static void test_wrong_regions(void **state)
     (void)state;
     static const uint16_t descending[2] = {9, 7}, large[2] = {7, 4096};
     static const uint64_t empty[2][8] = {{1, 0, 0, 0, 0, 0, 0, 0}, {0}};
-    static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
+    static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3, 0},
+                                                      {4, 5, 6, 0}};
     struct fmt_nvdb_region region = small_region(0, 0, 64);
     assert_refused(NULL, &region, "multiple of 128");
     region = small_region(0, 0, 0);
@@ -194,7 +195,7 @@ ssize_t pread(int fd, void *to, size_t size, off_t offset)
 static void test_damaged_temporary_files(void **state)
 {
     (void)state;
-    struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
+    struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3, 0}, {4, 5, 6, 0}};
     struct fmt_nvdb_region region = small_region(0, 0, 0);
     region.records = region.second = flagged;
     region.second_count = 1;
@@ -223,7 +224,8 @@ static void test_damaged_temporary_files(void **state)
 static void test_limits(void **state)
 {
     (void)state;
-    static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3}, {4, 5, 6}};
+    static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3, 0},
+                                                      {4, 5, 6, 0}};
     for (int i = 0; i < 3; i++) {
         struct bsq_ctx *ctx = test_context(1, 0);
         struct fmt_nvdb_writer *writer = new_writer(ctx);

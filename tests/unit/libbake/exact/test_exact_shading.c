@@ -205,8 +205,9 @@ static void test_textures_and_materials(void **state)
     write_picture(64);
     mesh.attributes = FMT_TRIS_TEXCOORDS | FMT_TRIS_MATERIALS;
     mesh.material_count = 2;
-    mesh.material[0] = (struct fmt_tris_material){exact_picture_path, {1, 1, 1}};
-    mesh.material[1] = (struct fmt_tris_material){NULL, {0.5f, 1, 0}};
+    mesh.material[0] =
+        (struct fmt_tris_material){.texture_path = exact_picture_path, .diffuse = {1, 1, 1}};
+    mesh.material[1] = (struct fmt_tris_material){.diffuse = {0.5f, 1, 0}};
     mesh.materials[1] = 1;
     for (int v = 0; v < 4; v++)
         for (int k = 0; k < 2; k++)

@@ -148,8 +148,8 @@ static void test_materials_color_what_has_no_other(void **state)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(8, 4);
-    struct fmt_tris_material materials[2] = {{NULL, {0.0f, 0.5f, 1.0f}},
-                                             {NULL, {1.0f, 0.5f, 0.2f}}};
+    struct fmt_tris_material materials[2] = {{.diffuse = {0.0f, 0.5f, 1.0f}},
+                                             {.diffuse = {1.0f, 0.5f, 0.2f}}};
     /* Two halves of voxel (0, 0, 0) have two materials, another voxel has none. */
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){0.5, 0, 0}, (double[3]){0, 0.9, 0});
     scan_set_quad(&mesh, 1, (double[3]){2.1, 0, 0.5}, (double[3]){0.5, 0, 0},
@@ -206,7 +206,7 @@ static void test_texture_is_sampled_where_the_fragment_lies(void **state)
     }
     mesh.colors = calloc(4, sizeof *mesh.colors); /* the texture takes precedence */
     mesh.materials = calloc(2, sizeof *mesh.materials);
-    struct fmt_tris_material material = {f->image, {1.0f, 0.0f, 0.0f}};
+    struct fmt_tris_material material = {.texture_path = f->image, .diffuse = {1.0f, 0.0f, 0.0f}};
     scan_write(f->ctx, f->tris, &mesh, NULL, &material, 1, 4000);
     scan_mesh_free(&mesh);
     assert_true(vox_make(f, 0, 1.0).has_color);
@@ -235,7 +235,7 @@ static void test_missing_texture(void **state)
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
     mesh.texcoords = calloc(4, sizeof *mesh.texcoords);
     mesh.materials = calloc(2, sizeof *mesh.materials);
-    struct fmt_tris_material material = {f->image, {1.0f, 0.0f, 0.0f}};
+    struct fmt_tris_material material = {.texture_path = f->image, .diffuse = {1.0f, 0.0f, 0.0f}};
     scan_write(f->ctx, f->tris, &mesh, NULL, &material, 1, 4000);
     scan_mesh_free(&mesh);
     vox_expect_failure(f, 10, 0.0, BSQ_ENOINPUT, "texture.png");

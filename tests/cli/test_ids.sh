@@ -1,0 +1,181 @@
+#!/bin/sh
+# test_ids.sh - maps of ids: from triangles, grids, several scans, tasks and all devices; never
+# blended, with a table of names.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+vox="run bisque-voxelize" bake="run bisque-bake --size 32 --samples 3"
+ids="python3 -B $top/tests/cli/ids.py"
+
+# sheet FROM TO Z: columns FROM to TO of a wavy sheet of 40 x 40 quads at height Z, with three
+# materials, two objects, and vertices in three colours.
+sheet()
+{
+    awk -v from="$1" -v to="$2" -v z="$3" 'BEGIN {
+        n = 40
+        print "mtllib sheet.mtl"
+        for (j = 0; j <= n; j++)
+            for (i = from; i <= to; i++)
+                printf "v %.6f %.6f %.6f %s\n", i / n, j / n, z + 0.02 * sin(i / 6) * sin(j / 8),
+                    i < 14 ? "1 0 0" : j < 20 ? "0 1 0" : "0 0 1"
+        w = to - from + 1
+        for (j = 0; j < n; j++)
+            for (i = from; i < to; i++) {
+                print "usemtl " (i < 13 ? "stone" : (i + j) % 7 && j < 20 ? "brick wall" : "gl\303\244s")
+                print (j % 2 ? "o " : "g ") (i < 20 ? "left" : "right")
+                a = j * w + i - from + 1
+                print "f", a, a + 1, a + w + 1, a + w
+            }
+    }'
+}
+sheet 0 40 0 >sheet.obj
+sheet 0 13 0 >left.obj
+sheet 13 40 0 >right.obj
+sheet 0 40 -0.25 | sed 's/^usemtl.*/usemtl floor/' >below.obj
+printf 'newmtl stone\nKd .5 .5 .5\nnewmtl brick wall\nKd .8 .2 .1\n' >sheet.mtl
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >low.obj
+
+# few_differ A B PERCENT: at most this percentage of texels differ.
+few_differ()
+{
+    $ids differ "$1" "$2" | awk -v most="$3" '{ exit !($1 <= most) }'
+    check "at most $3 % of $1 and $2 differ" $?
+}
+
+# ---- names and colours ----
+
+for kind in material object color; do
+    $vox sheet.obj -o $kind.nvdb --resolution 80 --channels id --id $kind --json
+    code 0
+    json '.grid.has_ids'
+    $vox --verify $kind.tris $kind.nvdb
+    code 0
+    "$TESTS/naive-read-tris" $kind.tris >"$out" && "$TESTS/naive-read-nvdb" $kind.nvdb >>"$out"
+    check "other readers read $kind.tris and $kind.nvdb" $?
+    for scan in tris nvdb; do
+        $bake $kind.$scan low.obj -o ${kind}_$scan.png --maps id --json
+        code 0
+        json ".ids.source == \"$kind\""
+        cp "$out" ${kind}_$scan.json
+    done
+done
+json '.ids.names == []'
+few_differ material_tris.png material_nvdb.png 3
+$ids name stone 'brick wall' 'gläs' left right floor >all
+{
+    sed -n 1,3p all | sort | paste -sd ' '
+    sed -n 4,5p all | sort | paste -sd ' '
+    echo '#0000ff #00ff00 #ff0000'
+} >expected
+for scan in tris nvdb; do
+    $ids colors material_$scan.png object_$scan.png color_$scan.png >"$out"
+    cmp -s expected "$out"
+    check "maps of $scan have the expected ids and no other colour" $?
+    for kind in material object; do
+        jq -r '.ids.names[] | select(.name != "").color' ${kind}_$scan.json | sort | paste -sd ' '
+    done >"$out"
+    head -n 2 expected | cmp -s - "$out"
+    check "the reports of $scan name them" $?
+done
+
+# ---- several scans ----
+
+# Beside each other, grids and triangles mixed; below, a third one that no ray should reach.
+for scan in left right below; do
+    $vox $scan.obj -o $scan.nvdb --voxel-size 0.0125 --channels id
+    code 0
+done
+rays="--front 0.5 --back 0.5"
+$bake left.tris right.tris below.tris low.obj $rays -o several.png --maps id --json
+code 0
+json '[.ids.names[].name] == ["", "brick wall", "floor", "gläs", "stone"]'
+few_differ several.png material_tris.png 0
+$bake left.nvdb right.tris below.nvdb low.obj $rays -o several.png --maps id
+code 0
+few_differ several.png material_tris.png 3
+$bake below.nvdb left.nvdb right.tris low.obj $rays -o order.png --maps id
+code 0
+same several.png order.png
+$bake left.nvdb object.nvdb low.obj -o x.png --maps id
+refused 65 "bisque-bake: left.nvdb has ids by material, object.nvdb by object: make both with one --id"
+$vox left.tris right.tris -o parts.nvdb --resolution 80 --channels id
+code 0
+$bake parts.nvdb low.obj -o parts.png --maps id
+code 0
+few_differ parts.png material_nvdb.png 0.5
+$vox right.tris object.tris -o x.nvdb --channels id
+refused 65 "bisque-voxelize: object.tris has ids by object, right.tris by material: make both with one --id"
+
+# ---- tasks ----
+
+for scan in tris nvdb; do
+    $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --tasks 2 --write-plan plan.json
+    code 0
+    for task in 1 0; do
+        run bisque-bake --plan plan.json --task $task
+        code 0
+    done
+    run bisque-bake --plan plan.json --merge --json
+    code 0
+    json '[.ids.names[].name] == ["", "brick wall", "gläs", "stone"]'
+    same tasks_id.png material_$scan.png
+    rm plan.json* tasks*
+done
+
+# ---- devices, threads, budgets ----
+
+for device in $("$BIN/bisque-bake" --list-devices --json | jq -r '.devices[].id' | grep opencl: | head -n 1); do
+    $bake material.nvdb low.obj -o other.png --maps id --device "$device"
+    code 0
+    same material_nvdb.png other.png
+done
+# A grid in passes: ids and colours are renumbered.
+$vox material.tris -o fine.nvdb --resolution 400 --channels id
+code 0
+bake="run bisque-bake --size 16 --samples 2 --maps id,color fine.nvdb low.obj"
+$bake -o 'cpu_<MAP>.png'
+code 0
+for memory in 64M 2M; do
+    LD_LIBRARY_PATH=$TESTS/fake FAKE_CUDA_PTX=1 $bake -o 'cuda_<MAP>.png' --device cuda --gpu-memory $memory --json
+    code 0
+    json ".passes $([ $memory = 2M ] && echo '>' || echo '==') 1"
+    same cpu_id.png cuda_id.png
+    same cpu_color.png cuda_color.png
+done
+$vox sheet.obj -o again.nvdb --resolution 80 --channels id --threads 3 --memory 80M
+code 0
+same material.tris again.tris
+same material.nvdb again.nvdb
+$vox material.tris -o other.nvdb --resolution 80
+code 0
+$vox sheet.obj -o plain.nvdb --resolution 80
+code 0
+same other.nvdb plain.nvdb
+
+# ---- what has no ids ----
+
+bake="run bisque-bake"
+for scan in nvdb tris; do
+    $bake plain.$scan low.obj -o x.png --maps id
+    refused 65 "bisque-bake: plain.$scan has no ids for the map id: make it with bisque-voxelize --channels id"
+done
+$bake left.nvdb plain.tris low.obj -o x.png --maps id
+refused 65 "bisque-bake: plain.tris has no ids for the map id: make it with bisque-voxelize --channels id"
+$vox plain.tris -o x.nvdb --channels id
+refused 65 "bisque-voxelize: plain.tris has no ids: make it with bisque-voxelize --channels id"
+$vox left.tris plain.tris -o x.nvdb --channels id
+refused 65 "bisque-voxelize: plain.tris has no ids: make it with bisque-voxelize --channels id"
+sed '/^v /s/ [^ ]* [^ ]* [^ ]*$//' sheet.obj >grey.obj
+$vox grey.obj -o x.nvdb --channels id --id color
+refused 65 "bisque-voxelize: grey.obj: no vertex colours: ids need materials or objects"
+$vox sheet.obj -o x.nvdb --id object
+refused 64 "bisque-voxelize: --id needs --channels id"
+$vox material.tris -o x.nvdb --channels id --id object
+refused 64 "bisque-voxelize: material.tris is already a chunk file: leave out --id"
+$vox sheet.obj -o x.nvdb --channels id,gloss
+refused 64 'bisque-voxelize: --channels: "gloss" is not id'
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n' >bare.obj
+$vox bare.obj -o bare.nvdb --resolution 8 --channels id --id object
+code 0
+grep -q '^bisque-voxelize: warning: bare.obj: no faces with objects or groups: all have the same id$' "$err"
+check "a warning says that there are no objects" $?
+finish
