@@ -4,8 +4,10 @@
  * memory. */
 #include <inttypes.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "base/job_files.h"
+#include "base/path_map.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_path.h"
@@ -46,24 +48,45 @@ static size_t scheme_length(const char *uri)
     return length > 1 && uri[length] == ':' ? length + 1 : 0;
 }
 
-int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, char **out)
+/* Finds a regular file by exactly this name, relative to the directory of `beside`. */
+static int find_exactly(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
+                        bool *exists)
 {
+    const char *slash = strrchr(beside, '/'), *mapped = bsq_map_path(ctx, name);
+    struct stat info;
+    if (!mapped)
+        return BSQ_ENOMEM;
+    const size_t directory = slash && mapped[0] != '/' ? (size_t)(slash - beside) + 1 : 0;
+    int status = bsq_alloc(ctx, "names", directory + strlen(mapped) + 1, 1, out);
+    if (status)
+        return status;
+    memcpy(*out, beside, directory);
+    strcpy(*out + directory, mapped);
+    *exists = stat(*out, &info) == 0 && S_ISREG(info.st_mode);
+    return 0;
+}
+
+int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, bool exactly,
+                      char **out, bool *exists)
+{
+    int (*find)(struct bsq_ctx *, const char *, const char *, char **, bool *) =
+        exactly ? find_exactly : fmt_path_find;
     char *decoded = NULL;
-    bool exists = false;
     *out = NULL;
+    *exists = false;
     if (strncmp(uri, "file:///", 8) == 0)
         uri += 7;
     if (scheme_length(uri) > 0 || !*uri)
         return 0;
-    int status = fmt_path_find(ctx, beside, uri, out, &exists); /* some write names as they are */
-    if (status || exists)
+    int status = find(ctx, beside, uri, out, exists); /* some write names as they are */
+    if (status || *exists)
         return status ? status : 1;
     bsq_free(ctx, *out);
     *out = NULL;
     status = fmt_string_copy(ctx, uri, &decoded);
     if (!status) {
         decode_percent(decoded);
-        status = fmt_path_find(ctx, beside, decoded, out, &exists);
+        status = find(ctx, beside, decoded, out, exists);
     }
     bsq_free(ctx, decoded);
     return status ? status : 1;
@@ -85,11 +108,16 @@ int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint6
     return status;
 }
 
-/* Uses the other file that a URI names. */
+/* Uses the other file that a URI names. A file of another name could give another shape. */
 static int use_file(const struct gltf_place *place, const char *uri, struct gltf_buffer *out)
 {
     struct bsq_ctx *ctx = place->document->ctx;
-    int found = fmt_gltf_uri_path(ctx, fmt_input_beside(place->document->input), uri, &out->path);
+    bool exists;
+    int found = fmt_gltf_uri_path(ctx, fmt_input_beside(place->document->input), uri, true,
+                                  &out->path, &exists);
+    if (found > 0 && !exists)
+        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", out->path,
+                        place->document->file.path);
     if (found == 0)
         return fmt_gltf_fail(place, "its URI \"%.60s\" names no file", uri);
     int status = found < 0 ? found

@@ -168,7 +168,7 @@ struct gltf_material {
 /* What is not read, counted for warnings. */
 struct gltf_unread {
     uint64_t points, rest, outside, skins, morphs, texture_factors, texture_colors, images,
-        instances;
+        packed_images, instances;
 };
 
 struct gltf_source {
@@ -202,6 +202,7 @@ struct gltf_reader {
     uint64_t missing[4];     /* positions, normals, texture coordinates, colours: not finite */
     bool has_colors;         /* some vertex of the scan has one */
     bool read_before;        /* what there is to warn of is known */
+    bool uses_colors;        /* the caller previewed materials */
 };
 
 /* ---- gltf_buffer.c ---- */
@@ -212,9 +213,11 @@ int fmt_gltf_read_buffers(struct gltf_document *document, struct gltf_source *so
 int fmt_gltf_open_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
 int fmt_gltf_close_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
 void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
-/* Sets *out to the path of a file that a URI names. Returns 1 if it does; 0 if the URI is of
- * another kind, such as "https:"; or a status. */
-int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, char **out);
+/* Sets *out to the path of a file that a URI names, and *exists. Returns 1 if it names one; 0 if
+ * the URI is of another kind, such as "https:"; or a status. exactly: no file of a similar name is
+ * looked for, as fmt_path_find() does. */
+int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, bool exactly,
+                      char **out, bool *exists);
 /* Finds out how many bytes base64 text stands for: `size` characters from `offset` in the file. */
 int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
                           uint64_t *out);

@@ -5,7 +5,6 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/job_files.h"
 #include "base/srgb.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
@@ -67,14 +66,15 @@ static const char *part_of_view(const struct gltf_document *document,
 }
 
 /* Sets *out to the path or name of an image; NULL if it has no data that can be read. Those inside
- * of a packed file cannot be named. */
-static int find_image(const struct gltf_place *place, const struct gltf_source *source, char **out)
+ * of a packed file cannot be named: counts them. */
+static int find_image(const struct gltf_place *place, struct gltf_source *source, char **out)
 {
     struct gltf_document *d = place->document;
     const char *uri = fmt_gltf_string(place->object, "uri");
     struct bsq_part part = {.base64 = true};
     uint64_t size;
     uint32_t view;
+    bool exists;
     int status = fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &view);
     if (status)
         return status;
@@ -82,18 +82,21 @@ static int find_image(const struct gltf_place *place, const struct gltf_source *
         return fmt_gltf_fail(place, "an image in a compressed view");
     if (view != GLTF_NONE) {
         const char *path = part_of_view(d, source, view, &part);
+        source->unread.packed_images += !path;
         return path ? bsq_part_name(d->ctx, path, &part, out) : 0;
     }
-    if (uri && fmt_gltf_find_data(uri, &part.offset, &size) && !fmt_input_is_plain(d->input))
+    if (uri && fmt_gltf_find_data(uri, &part.offset, &size) && !fmt_input_is_plain(d->input)) {
+        source->unread.packed_images++;
         return 0;
+    }
     if (uri && fmt_gltf_find_data(uri, &part.offset, &size)) {
         status = fmt_gltf_measure_data(place, part.offset, size, &part.size);
         return status ? status : bsq_part_name(d->ctx, d->file.path, &part, out);
     }
-    int found = uri ? fmt_gltf_uri_path(d->ctx, fmt_input_beside(d->input), uri, out) : 0;
-    if (found > 0)
-        found = bsq_note_input(d->ctx, *out, "the texture that %s names", d->file.path);
-    return found;
+    const char *beside = fmt_input_beside(d->input);
+    const int found = uri ? fmt_gltf_uri_path(d->ctx, beside, uri, false, out, &exists) : 0;
+    source->unread.images += found == 0;
+    return found < 0 ? found : 0;
 }
 
 /* Sets *out to the path of the image of texture number `texture`. */
@@ -106,13 +109,12 @@ static int find_texture(struct gltf_document *document, struct gltf_source *sour
     if (!status && image == GLTF_NONE)
         status = fmt_gltf_index(&place, fmt_gltf_extension(place.object, "EXT_texture_webp"),
                                 "source", "images", &image);
-    if (!status && image != GLTF_NONE) {
-        const struct gltf_place image_place = fmt_gltf_element(document, "images", image);
-        status = find_image(&image_place, source, out);
-    }
-    if (!status)
-        source->unread.images += *out == NULL;
-    return status;
+    if (!status && image == GLTF_NONE)
+        source->unread.images++;
+    if (status || image == GLTF_NONE)
+        return status;
+    const struct gltf_place image_place = fmt_gltf_element(document, "images", image);
+    return find_image(&image_place, source, out);
 }
 
 /* ---- texture coordinates ---- */

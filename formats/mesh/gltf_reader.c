@@ -6,6 +6,7 @@
 #include <inttypes.h>
 #include <string.h>
 
+#include "base/file_part.h"
 #include "base/loss.h"
 #include "base/srgb.h"
 #include "formats/mesh/gltf_internal.h"
@@ -193,25 +194,52 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     return 0;
 }
 
-static void warn_unread(struct bsq_ctx *ctx, const char *path, const struct gltf_unread *unread)
+struct unread_kind {
+    uint64_t count;
+    bool loss; /* the scan is poorer by it */
+    const char *what;
+};
+
+static int warn_kinds(struct bsq_ctx *ctx, const char *path, const struct unread_kind *kinds,
+                      size_t count)
 {
-    const struct {
-        uint64_t count;
-        const char *what;
-    } kinds[] = {
-        {unread->points, "primitives of points or lines are not read"},
-        {unread->rest, "indices of incomplete triangles are not read"},
-        {unread->outside, "nodes with meshes are not in the scene and are not read"},
-        {unread->skins, "meshes have skins, which are not applied"},
-        {unread->morphs, "primitives have morph targets, which are not applied"},
-        {unread->instances, "nodes have EXT_mesh_gpu_instancing, of which one instance is read"},
-        {unread->images, "textures have a format or an address that is not read"},
-        {unread->texture_factors, "materials have a texture, so their colour factor is not used"},
-        {unread->texture_colors, "primitives have a texture, so their vertex colours are not used"},
-    };
-    for (size_t i = 0; i < sizeof kinds / sizeof *kinds; i++)
-        if (kinds[i].count > 0)
+    int status = 0;
+    for (size_t i = 0; i < count && !status; i++) {
+        if (kinds[i].count > 0 && kinds[i].loss)
+            status = bsq_warn_loss(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
+        else if (kinds[i].count > 0)
             bsq_warn(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
+    }
+    return status;
+}
+
+/* Warns of what is not read. Colours matter only if the caller uses them. */
+static int warn_unread(const struct gltf_reader *reader, uint32_t file)
+{
+    struct bsq_ctx *ctx = reader->stream.base.ctx;
+    const char *path = reader->stream.sources[file].path;
+    const struct gltf_unread *unread = &reader->files[file].unread;
+    const struct unread_kind shape[] = {
+        {unread->points, false, "primitives of points or lines are not read"},
+        {unread->rest, true, "indices of incomplete triangles are not read"},
+        {unread->outside, true, "nodes with meshes are not in the scene and are not read"},
+        {unread->skins, false, "meshes have skins, which are not applied"},
+        {unread->morphs, false, "primitives have morph targets, which are not applied"},
+        {unread->instances, true,
+         "nodes have EXT_mesh_gpu_instancing, of which one instance is read"},
+    };
+    const struct unread_kind colors[] = {
+        {unread->images, true, "textures have a format or an address that is not read"},
+        {unread->packed_images, true, "textures are inside of a packed file or a pipe: unpack it"},
+        {unread->texture_factors, true,
+         "materials have a texture, so their colour factor is not used"},
+        {unread->texture_colors, true,
+         "primitives have a texture, so their vertex colours are not used"},
+    };
+    int status = warn_kinds(ctx, path, shape, sizeof shape / sizeof *shape);
+    if (!status && reader->uses_colors)
+        status = warn_kinds(ctx, path, colors, sizeof colors / sizeof *colors);
+    return status;
 }
 
 static int warn_missing(const struct gltf_reader *reader)
@@ -235,9 +263,9 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     if (status || reader->read_before)
         return status;
     reader->read_before = true;
-    for (uint32_t i = 0; i < reader->stream.source_count; i++)
-        warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].unread);
-    return warn_missing(reader);
+    for (uint32_t i = 0; i < reader->stream.source_count && !status; i++)
+        status = warn_unread(reader, i);
+    return status ? status : warn_missing(reader);
 }
 
 static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
@@ -263,15 +291,19 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
 
 /* ---- other files ---- */
 
-static int describe_material(struct bsq_ctx *ctx, const struct gltf_material *from,
-                             struct fmt_material *out)
+/* file: the path of the glTF file */
+static int describe_material(struct bsq_ctx *ctx, const char *file,
+                             const struct gltf_material *from, struct fmt_material *out)
 {
+    struct bsq_part part;
     out->has_diffuse = from->has_color;
     for (int k = 0; k < 3; k++)
         out->diffuse[k] = (float)bsq_linear_to_srgb(from->color[k]);
     int status = fmt_string_copy(ctx, from->name, &out->name);
     if (!status && from->texture_path)
         status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
+    if (!status && from->texture_path && bsq_part_parse(from->texture_path, &part) == 0)
+        status = fmt_string_copy(ctx, file, &out->texture_place);
     return status;
 }
 
@@ -282,11 +314,17 @@ static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *ou
                             sizeof *out->list, &out->list);
     for (uint32_t file = 0; file < reader->stream.source_count && !status; file++)
         for (uint32_t i = 0; i < reader->files[file].material_count && !status; i++)
-            status = describe_material(base->ctx, &reader->files[file].materials[i],
-                                       &out->list[out->count++]);
+            status = describe_material(base->ctx, reader->stream.sources[file].path,
+                                       &reader->files[file].materials[i], &out->list[out->count++]);
     if (status)
         fmt_materials_free(base->ctx, out);
     return status;
+}
+
+static int preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    ((struct gltf_reader *)base)->uses_colors = true;
+    return read_materials(base, out);
 }
 
 static const char *dependency(const struct fmt_mesh_reader *base, uint32_t index)
@@ -339,6 +377,6 @@ const struct fmt_mesh_format fmt_gltf_format = {
     .estimate = estimate,
     .locate_face = locate_face,
     .read_materials = read_materials,
-    .preview_materials = read_materials,
+    .preview_materials = preview_materials,
     .dependency = dependency,
 };

@@ -187,9 +187,11 @@ struct fmt_material {
     char *name;
     float diffuse[3]; /* display-referred (sRGB) 0..1; 0.8 if the file gives none */
     bool has_diffuse;
-    char *texture_path;  /* of the diffuse colour, as the file system finds it; or NULL */
-    char *texture_place; /* of the line that names it, for messages: "scan.mtl:3"; or NULL */
-    char *object;        /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */
+    char *texture_path; /* of the diffuse colour, as the file system finds it; or NULL */
+    /* What names it, for messages: "scan.mtl:3" or "scan.gltf"; NULL: nothing, or the texture is a
+     * part of the scan's own file. */
+    char *texture_place;
+    char *object; /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */
 };
 
 struct fmt_materials {

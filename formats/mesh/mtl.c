@@ -11,7 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/job_files.h"
+#include "base/file.h"
 #include "base/loss.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
@@ -194,10 +194,6 @@ static int read_map(struct reader *reader, char *p)
     bsq_free(reader->ctx, material->texture_path);
     material->texture_path = NULL;
     status = fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
-    if (!status)
-        status =
-            bsq_note_input(reader->ctx, material->texture_path,
-                           "the texture that %s:%" PRIu64 " names", reader->path, reader->line);
     return status ? status : note_place(reader, material);
 }
 

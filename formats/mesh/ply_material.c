@@ -108,6 +108,8 @@ static int describe_texture(struct ply_reader *reader, uint32_t file, const char
     if (!status)
         status = fmt_path_find(ctx, fmt_input_beside(reader->stream.sources[file].input), name,
                                &out->texture_path, &exists);
+    if (!status)
+        status = fmt_string_copy(ctx, reader->stream.sources[file].path, &out->texture_place);
     return status;
 }
 

@@ -7,9 +7,7 @@
 #include <inttypes.h>
 #include <string.h>
 
-#include "base/job_files.h"
 #include "base/loss.h"
-#include "formats/mesh/obj_path.h"
 #include "formats/mesh/ply_internal.h"
 #include "formats/mesh/ply_roles.h"
 
@@ -52,22 +50,6 @@ static void choose_use(struct ply_source *source)
         source->tags = PLY_TAGS_COLOR;
 }
 
-/* Lists the textures of a file among the inputs of the job. */
-static int note_textures(struct bsq_ctx *ctx, const struct fmt_input *input,
-                         const struct ply_header *header)
-{
-    int status = 0;
-    for (uint32_t i = 0; i < header->texture_count && !status; i++) {
-        char *texture = NULL;
-        status = fmt_path_find(ctx, fmt_input_beside(input), header->textures[i], &texture, NULL);
-        if (!status)
-            status =
-                bsq_note_input(ctx, texture, "the texture that %s names", fmt_input_path(input));
-        bsq_free(ctx, texture);
-    }
-    return status;
-}
-
 static int read_header(struct ply_reader *reader, uint32_t number)
 {
     struct bsq_ctx *ctx = reader->stream.base.ctx;
@@ -76,8 +58,6 @@ static int read_header(struct ply_reader *reader, uint32_t number)
     int status = fmt_input_open(input);
     if (!status)
         status = fmt_ply_header_read(ctx, input, &source->header);
-    if (!status)
-        status = note_textures(ctx, input, &source->header);
     int closed = fmt_input_close(input);
     status = status ? status : closed;
     if (status)

@@ -153,9 +153,9 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          const char *texture_path, bool has_texcoords,
                          struct scan_textures *textures);
-/* Checks the textures of materials that have not been checked yet. */
+/* Notes the textures of materials as inputs, and checks those that have not been checked yet. */
 int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
-                       struct scan_textures *textures);
+                       bool has_texcoords, struct scan_textures *textures);
 /* Returns whether a texture was checked and can be used. */
 bool vox_textures_have(const struct scan_textures *textures, const char *path);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);

@@ -146,8 +146,9 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
 {
     struct fmt_materials found = {0};
     int status = fmt_mesh_read_materials(reader, &found);
-    if (status == 0 && scan_count(scan, SCAN_TEXCOORDS) > 0)
-        status = vox_textures_check(scan->ctx, &found, textures);
+    if (status == 0)
+        status =
+            vox_textures_check(scan->ctx, &found, scan_count(scan, SCAN_TEXCOORDS) > 0, textures);
     for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
         status = bsq_check(scan->ctx);
         if (status == 0)

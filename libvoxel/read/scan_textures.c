@@ -165,13 +165,27 @@ static uint64_t list_candidates(const struct scan_textures *textures,
     return count;
 }
 
-int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
-                       struct scan_textures *textures)
+/* Notes the textures that other files name as inputs of the job. */
+static int note_textures(struct bsq_ctx *ctx, const struct fmt_materials *materials)
 {
-    struct candidate *list;
-    if (materials->count == 0)
-        return 0;
-    int status = bsq_calloc(ctx, "textures", materials->count, sizeof *list, &list);
+    int status = 0;
+    for (uint32_t i = 0; i < materials->count && !status; i++) {
+        const struct fmt_material *material = &materials->list[i];
+        if (material->texture_path && material->texture_place)
+            status = bsq_note_input(ctx, material->texture_path, "the texture that %s names",
+                                    material->texture_place);
+    }
+    return status;
+}
+
+int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *materials,
+                       bool has_texcoords, struct scan_textures *textures)
+{
+    struct candidate *list = NULL;
+    int status = note_textures(ctx, materials);
+    if (status || materials->count == 0 || !has_texcoords)
+        return status;
+    status = bsq_calloc(ctx, "textures", materials->count, sizeof *list, &list);
     if (status)
         return status;
     const uint64_t count = list_candidates(textures, materials, list);
@@ -200,8 +214,8 @@ int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
         return !status && textures->decode ? decode(ctx, &texture_path, 1) : status;
     }
     int status = fmt_mesh_preview_materials(reader, &materials);
-    if (!status && has_texcoords)
-        status = vox_textures_check(ctx, &materials, textures);
+    if (!status)
+        status = vox_textures_check(ctx, &materials, has_texcoords, textures);
     fmt_materials_free(ctx, &materials);
     return status;
 }

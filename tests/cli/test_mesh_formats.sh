@@ -234,6 +234,33 @@ run bisque-voxelize other.tris -o image.glb --resolution 64
 code 64
 err_like '^bisque-voxelize: image.glb: this output would overwrite .*, the texture that other.tris names$'
 
+# Textures and geometry that are not read are a loss. A packed file's own textures cannot be named.
+gzip -c image.glb >packed.glb.gz
+sed 's/"image.ppm"/"https:\/\/example.org\/image.ppm"/' beside.gltf >web.gltf
+sed 's/"source": 0/"sampler": 0/' beside.gltf >basisu.gltf
+sed 's/"pbrMetallicRoughness": {/&"baseColorFactor": [1, 0.5, 1, 1], /' beside.gltf >factor.gltf
+sed 's/"nodes": \[{"mesh": 0}/&, {"mesh": 0}/' beside.gltf >outside.gltf
+for case in 'packed.glb.gz textures are inside of a packed file or a pipe: unpack it' \
+    'web.gltf textures have a format or an address that is not read' \
+    'basisu.gltf textures have a format or an address that is not read' \
+    'factor.gltf materials have a texture, so their colour factor is not used' \
+    'outside.gltf nodes with meshes are not in the scene and are not read'; do
+    file=${case%% *} line="${case%% *}: 1 ${case#* }"
+    run bisque-voxelize "$file" -o a.nvdb --resolution 16
+    code 0
+    grep -qxF "bisque-voxelize: warning: $line" "$err"
+    check "warning: $line" $?
+    run bisque-voxelize "$file" -o a.nvdb --resolution 16 --strict
+    code 65
+    err "bisque-voxelize: $line"
+done
+
+# A buffer is never replaced by another file of its name.
+sed 's/"square.bin"/"tile7\/square.bin"/' beside.gltf >tile.gltf
+run bisque-voxelize tile.gltf -o a.nvdb
+code 66
+err 'bisque-voxelize: tile7/square.bin: no such buffer, which tile.gltf names'
+
 # A texture is an input: no output may replace it.
 run bisque-voxelize texture.ply -o a.nvdb --tris image.ppm
 code 64
@@ -259,6 +286,17 @@ done
 for suffix in ply big.ply text.ply; do
     same low.obj.normal.exr "low.$suffix.normal.exr"
     same low.obj.color.exr "low.$suffix.color.exr"
+done
+
+# The textures of a low-poly mesh are not read, so its maps may take their names.
+run bisque-bake texture.nvdb beside.gltf -o image.png --maps normal --size 16
+code 0
+mv image.png beside.png
+sed 's/image.ppm/beside.png/' beside.gltf >again.gltf
+sed 's/image.ppm/beside.png/' texture.ply >again.ply
+for low in again.gltf again.ply; do
+    run bisque-bake texture.nvdb $low -o beside.png --maps normal --size 16
+    code 0
 done
 
 # GLB files split vertices at texture seams. Normals that are missing stay smooth there.
