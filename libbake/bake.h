@@ -336,7 +336,8 @@ int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uin
                     const char *path, bool *kept, struct bake_report *report);
 
 /** Reads a plan; free *out with bake_close_plan(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a file that
- * is no plan, is damaged, or was written by another version of Bisque. */
+ * is no plan, is damaged, or was written by another version of Bisque; those of
+ * bake_check_options(). */
 int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out);
 /** Frees a plan; NULL is allowed. */
 void bake_close_plan(struct bake_farm_plan *plan);

@@ -297,7 +297,14 @@ int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uin
 
 int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out)
 {
-    return bake_farm_plan_read(ctx, path, out);
+    int status = bake_farm_plan_read(ctx, path, out);
+    if (status == 0)
+        status = bake_check_options(ctx, &(*out)->options);
+    if (status < 0) {
+        bake_farm_plan_free(*out);
+        *out = NULL;
+    }
+    return status;
 }
 
 void bake_close_plan(struct bake_farm_plan *plan)
@@ -414,6 +421,8 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
                         task, plan->task_count - 1);
     if (!force) {
         int status = bake_farm_part_is_there(plan, task, kept);
+        if (status == 0 && *kept)
+            status = bake_farm_check_inputs(plan);
         if (status < 0 || *kept)
             return status;
     }
@@ -469,9 +478,21 @@ static int write_outputs(struct bake_run *job)
     return status < 0 ? status : bake_commit_outputs(job);
 }
 
+/* Checks before the work that the note of the merge can be written. */
+static int check_note(const struct bake_farm_plan *plan)
+{
+    char *path = bake_farm_note_path(plan);
+    const int status = path ? check_output(plan->ctx, path)
+                            : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
+    free(path);
+    return status;
+}
+
 static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
 {
     int status = bake_farm_parts_check(plan);
+    if (status == 0)
+        status = check_note(plan);
     if (status == 0)
         status = open_planned(job, plan);
     if (status == 0)
@@ -525,6 +546,8 @@ int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool
     memset(report, 0, sizeof *report);
     int status = list_outputs(plan, &paths, &count);
     *kept = status == 0 && !force && bake_farm_is_merged(plan, paths, count);
+    if (*kept)
+        status = bake_farm_check_inputs(plan);
     if (status == 0 && !*kept) {
         status = bake_begin_job(ctx, &plan->options, report, &job);
         if (status == 0)

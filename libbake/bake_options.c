@@ -80,6 +80,27 @@ static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
     return 0;
 }
 
+/* Checks that choices have one of their values. */
+static int check_choices(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    const struct {
+        const char *what;
+        unsigned value, last;
+    } choices[] = {
+        {"type of samples", options->sample_type, BAKE_FLOAT},
+        {"direction of rays", options->rays, BAKE_RAYS_FACE},
+        {"space of normals", options->normal_space, BAKE_OBJECT_SPACE},
+        {"sampling", options->sampling, BAKE_NEAREST},
+        {"kind of the scan's normals", options->scan_normals, BSQ_SCAN_NORMALS_FLAT},
+        {"range of positions", options->position_in, BAKE_IN_BOX},
+        {"vertical axis", options->preview_up, BAKE_UP_Z},
+    };
+    for (size_t i = 0; i < sizeof choices / sizeof *choices; ++i)
+        if (choices[i].value > choices[i].last)
+            return bsq_fail(ctx, BSQ_EUSAGE, "unknown %s: %u", choices[i].what, choices[i].value);
+    return 0;
+}
+
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
@@ -119,7 +140,9 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
                         "a cage gives the rays' directions and their length in front");
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    int status = check_rays(ctx, options);
+    int status = check_choices(ctx, options);
+    if (status == 0)
+        status = check_rays(ctx, options);
     if (status == 0)
         status = check_tile_numbers(ctx, options);
     /* The default maps depend on the scan; they are checked again after it was opened. */

@@ -22,7 +22,9 @@ static int name_outputs(struct cli *cli, const struct bake_options *bake, char *
     return 0;
 }
 
-static int check_outputs(struct cli *cli, const struct bake_options *bake, char *const *paths)
+/* write_plan: the plan that is written, or NULL. */
+static int check_outputs(struct cli *cli, const struct bake_options *bake, const char *write_plan,
+                         char *const *paths)
 {
     int status = bsq_note_input(cli->ctx, bake->scan_path, "the scan");
     for (uint32_t i = 0; i < bake->more_scan_count && status == 0; i++)
@@ -38,11 +40,16 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, char 
             continue;
         if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
             return cli_usage(cli, "%s: two outputs have this name", paths[i]);
+        if (write_plan && cli_same_file(write_plan, paths[i]))
+            return cli_usage(cli, "%s: the plan and a map have this name", paths[i]);
         /* bake_run() checks the files of tiles and objects, which are known when the mesh is. */
         if (!strstr(paths[i], BAKE_UDIM_TOKEN) && !strstr(paths[i], BAKE_UVTILE_TOKEN) &&
             !strstr(paths[i], BAKE_OBJECT_TOKEN) && !strstr(paths[i], BAKE_MATERIAL_TOKEN))
             status = cli_check_output(cli, paths[i]);
     }
+    if (status == 0 && bake->preview_path && write_plan &&
+        cli_same_file(write_plan, bake->preview_path))
+        return cli_usage(cli, "%s: the plan and the preview have this name", write_plan);
     if (status == 0 && bake->preview_path)
         status = cli_check_picture(cli, bake->preview_path);
     return status;
@@ -81,7 +88,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     if (status == 0)
         status = name_outputs(cli, bake, paths);
     if (status == 0)
-        status = check_outputs(cli, bake, paths);
+        status = check_outputs(cli, bake, arguments->write_plan, paths);
     if (status == 0 && arguments->write_plan)
         status = bake_farm_plan(cli, arguments, &report);
     else if (status == 0)
@@ -108,7 +115,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     arguments->bake = *bake_plan_options(plan);
     int status = name_outputs(cli, &arguments->bake, paths);
     if (status == 0)
-        status = check_outputs(cli, &arguments->bake, paths);
+        status = check_outputs(cli, &arguments->bake, NULL, paths);
     if (status == 0)
         status = bake_merge_plan(cli->ctx, plan, arguments->force, &kept, &report);
     if (status == 0 && kept)
@@ -130,7 +137,9 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
 static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_farm_plan *plan = NULL;
-    int status = bake_open_plan(cli->ctx, arguments->plan, &plan);
+    int status = bsq_note_input(cli->ctx, arguments->plan, "the plan");
+    if (status == 0)
+        status = bake_open_plan(cli->ctx, arguments->plan, &plan);
     if (status == 0)
         status = arguments->merge ? merge(cli, arguments, plan, missed)
                                   : bake_farm_task(cli, arguments, plan);

@@ -29,6 +29,12 @@ static void skip_zeros(struct unpack_span *span)
     }
 }
 
+/* Returns whether the bytes can be the start of a member, also if there is only one. */
+static bool begins_member(const struct unpack_span *span)
+{
+    return span->in[0] == 0x1f && (span->in_size < 2 || span->in[1] == 0x8b);
+}
+
 static const char *describe(int result)
 {
     switch (result) {
@@ -51,6 +57,10 @@ static enum unpack_state step(void *codec, struct unpack_span *span, const char 
         skip_zeros(span);
         if (span->in_size == 0)
             return UNPACK_ENDED;
+        if (!begins_member(span)) {
+            *why = "bytes after the packed data that are no gzip member";
+            return UNPACK_DAMAGED;
+        }
         isal_inflate_init(inflate);
         inflate->crc_flag = ISAL_GZIP;
         gzip->inside = true;

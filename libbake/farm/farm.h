@@ -135,6 +135,10 @@ int bake_farm_parts_read(const struct bake_farm_plan *plan, const struct bake_fa
 
 /* ---- merged maps ---- */
 
+/* Returns the path of the note that the maps are merged, which the caller frees; NULL if there is
+ * no memory. */
+char *bake_farm_note_path(const struct bake_farm_plan *plan);
+
 /* Notes in a file beside the plan that these maps were merged. Errors: BSQ_EIO, BSQ_ECANTCREAT,
  * BSQ_ENOMEM, BSQ_ENOINPUT. */
 int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count);

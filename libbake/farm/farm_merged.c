@@ -12,8 +12,7 @@
 #include "base/output.h"
 #include "libbake/farm/farm.h"
 
-/* Returns the path of the note; NULL if there is no memory. */
-static char *note_path(const struct bake_farm_plan *plan)
+char *bake_farm_note_path(const struct bake_farm_plan *plan)
 {
     char *path;
     return asprintf(&path, "%s.merged", plan->path) < 0 ? NULL : path;
@@ -58,7 +57,7 @@ static int write_note(struct bsq_ctx *ctx, const char *path, const char *text)
 
 int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
 {
-    char *path = note_path(plan), *text = note_text(plan, paths, count);
+    char *path = bake_farm_note_path(plan), *text = note_text(plan, paths, count);
     const int status = path && text ? write_note(plan->ctx, path, text)
                                     : bsq_fail(plan->ctx, BSQ_EIO, "%s: a map is gone", plan->path);
     free(text);
@@ -68,7 +67,7 @@ int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths,
 
 bool bake_farm_is_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
 {
-    char *path = note_path(plan), *text = note_text(plan, paths, count);
+    char *path = bake_farm_note_path(plan), *text = note_text(plan, paths, count);
     const size_t length = text ? strlen(text) : 0;
     char *found = malloc(length + 2);
     FILE *file = path && text && found ? fopen(path, "re") : NULL;

@@ -16,17 +16,23 @@
 
 #include "base/path_map.h"
 
-enum kind { PATH, TEXT, U32, U64, NUMBER, BOOL, CHOICE };
+/* Only an OPTIONAL path may be null. */
+enum kind { PATH, OPTIONAL, TEXT, U32, U64, NUMBER, BOOL, CHOICE };
 
 struct member {
     const char *name;
     enum kind kind;
     size_t offset;
+    uint32_t most; /* the largest value of a CHOICE */
 };
 
 #define MEMBER(kind, name)                                                                         \
     {                                                                                              \
-#name, kind, offsetof(struct bake_options, name)                                           \
+#name, kind, offsetof(struct bake_options, name), 0                                        \
+    }
+#define CHOICE_MEMBER(name, last)                                                                  \
+    {                                                                                              \
+#name, CHOICE, offsetof(struct bake_options, name), last                                   \
     }
 
 static const struct member members[] = {
@@ -34,21 +40,21 @@ static const struct member members[] = {
     MEMBER(PATH, mesh_path),
     MEMBER(U32, maps),
     MEMBER(PATH, output_path),
-    MEMBER(CHOICE, sample_type),
+    CHOICE_MEMBER(sample_type, BAKE_FLOAT),
     MEMBER(U32, width),
     MEMBER(U32, height),
     MEMBER(U32, samples),
-    MEMBER(CHOICE, rays),
-    MEMBER(PATH, cage_path),
+    CHOICE_MEMBER(rays, BAKE_RAYS_FACE),
+    MEMBER(OPTIONAL, cage_path),
     MEMBER(NUMBER, front),
     MEMBER(NUMBER, back),
     MEMBER(U32, padding),
     MEMBER(BOOL, green_down),
-    MEMBER(CHOICE, normal_space),
-    MEMBER(CHOICE, sampling),
-    MEMBER(CHOICE, scan_normals),
+    CHOICE_MEMBER(normal_space, BAKE_OBJECT_SPACE),
+    CHOICE_MEMBER(sampling, BAKE_NEAREST),
+    CHOICE_MEMBER(scan_normals, BSQ_SCAN_NORMALS_FLAT),
     MEMBER(NUMBER, height_range),
-    MEMBER(CHOICE, position_in),
+    CHOICE_MEMBER(position_in, BAKE_IN_BOX),
     MEMBER(NUMBER, curvature_range),
     MEMBER(NUMBER, curvature_radius),
     MEMBER(U32, ao_rays),
@@ -61,9 +67,9 @@ static const struct member members[] = {
     MEMBER(TEXT, device),
     MEMBER(U64, gpu_memory_bytes),
     MEMBER(U32, exr_tile_side),
-    MEMBER(PATH, preview_path),
+    MEMBER(OPTIONAL, preview_path),
     MEMBER(U32, preview_views),
-    MEMBER(CHOICE, preview_up),
+    CHOICE_MEMBER(preview_up, BAKE_UP_Z),
 };
 enum { MEMBERS = sizeof members / sizeof *members };
 
@@ -195,6 +201,7 @@ static json_t *member_to_json(const struct bake_options *options, const struct m
     const void *at = member_of(options, member);
     switch (member->kind) {
     case PATH:
+    case OPTIONAL:
         return path_to_json(plan_path, *(const char *const *)at);
     case TEXT:
         return *(const char *const *)at ? json_string(*(const char *const *)at) : json_null();
@@ -250,8 +257,8 @@ json_t *bake_farm_options_to_json(const struct bake_options *options, const char
 
 static int fail_member(struct bsq_ctx *ctx, const char *plan_path, const char *name)
 {
-    return bsq_fail(ctx, BSQ_EDATA, "%s: the option %s is missing or of the wrong kind", plan_path,
-                    name);
+    return bsq_fail(ctx, BSQ_EDATA, "%s: the option %s is missing or has no value that it can have",
+                    plan_path, name);
 }
 
 /* Reads a whole number up to `most`. Returns false if the value is none. */
@@ -271,7 +278,7 @@ static bool read_string(struct bsq_ctx *ctx, const char *plan_path, const struct
     *out = NULL;
     if (text)
         *out = member->kind == TEXT ? strdup(text) : bake_farm_path_from_plan(ctx, plan_path, text);
-    return text ? *out != NULL : json_is_null(value);
+    return text ? *out != NULL : member->kind == OPTIONAL && json_is_null(value);
 }
 
 static bool read_member(struct bsq_ctx *ctx, struct bake_options *options, const char *plan_path,
@@ -282,11 +289,12 @@ static bool read_member(struct bsq_ctx *ctx, struct bake_options *options, const
     bool good;
     switch (member->kind) {
     case PATH:
+    case OPTIONAL:
     case TEXT:
         return read_string(ctx, plan_path, member, value, at);
     case U32:
     case CHOICE:
-        good = read_count(value, UINT32_MAX, &count);
+        good = read_count(value, member->kind == CHOICE ? member->most : UINT32_MAX, &count);
         *(uint32_t *)at = (uint32_t)count;
         return good;
     case U64:
@@ -345,7 +353,7 @@ int bake_farm_options_from_json(struct bsq_ctx *ctx, const char *plan_path, cons
 void bake_farm_options_free(struct bake_options *options)
 {
     for (size_t i = 0; i < MEMBERS; i++)
-        if (members[i].kind == PATH || members[i].kind == TEXT)
+        if (members[i].kind == PATH || members[i].kind == OPTIONAL || members[i].kind == TEXT)
             free(*(char **)member_of(options, &members[i]));
     free((void *)(uintptr_t)options->tile_sizes);
     free((void *)(uintptr_t)options->tile_ranges);

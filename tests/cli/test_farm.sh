@@ -111,6 +111,15 @@ json '.samples > 0 and .samples == .hits + .misses'
 $bake --plan farm/plan.json --merge --force
 code 0
 out_like '^maps/normal\.1002\.exr: normal map$'
+rm farm/plan.json.merged maps/*
+mkdir farm/plan.json.merged
+$bake --plan farm/plan.json --merge
+code 73
+[ -z "$(ls maps)" ]
+check "no maps if the note of the merge cannot be written" $?
+rmdir farm/plan.json.merged
+$bake --plan farm/plan.json --merge
+code 0
 
 # A folder can move, with all that a plan names below it or beside it.
 mkdir moved
@@ -199,9 +208,11 @@ err "$p farm/plan.json: not a plan of bisque-bake"
 mv plan.good farm/plan.json
 cp low.obj low.good
 sed 's/^v 1 2 3/v 1 2 3.1/' low.good >low.obj
-$bake --plan farm/plan.json --task 0 --force
-code 65
-err "$p low.obj: the low-poly mesh is not the file that the plan farm/plan.json was made with: make a new plan"
+for step in "--task 0 --force" "--task 0" --merge; do # the last two are complete already
+    $bake --plan farm/plan.json $step
+    code 65
+    err "$p low.obj: the low-poly mesh is not the file that the plan farm/plan.json was made with: make a new plan"
+done
 mv low.good low.obj
 # A plan with another option has another id.
 run $plan --samples 1
@@ -340,6 +351,17 @@ $bake scan.nvdb low.obj --maps mask -o '<OBJECT>.exr' --tasks 2 --write-plan p.j
 refused 64 "$p <OBJECT>.exr: a plan has no \"<OBJECT>\" or \"<MATERIAL>\""
 $bake --plan missing.json --task 0
 code 66
+$bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --write-plan o.exr
+refused 64 "$p o.exr: the plan and a map have this name"
+$bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --preview o.png --write-plan ./o.png
+refused 64 "$p ./o.png: the plan and the preview have this name"
+$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --write-plan o.json
+code 0
+cp o.json o.exr
+$bake --plan o.exr --merge
+code 64
+same o.json o.exr
+rm o.json o.exr
 
 # ---- Slurm: what would be submitted; tests/farm/ submits it ----
 
@@ -356,12 +378,25 @@ for line in "'--array=0-8%4' '--gres=gpu:1'" "'--dependency=afterok:<bisque-plan
     grep -qF -- "$(printf '%b' "$line")" "$out"
     check "submitted: $line" $?
 done
+# The printed commands give sbatch the same script as a submission does.
+mkdir fake
+printf '#!/bin/sh\ncat >>"scripts.$RUN"\necho 7\n' >fake/sbatch
+chmod +x fake/sbatch
+command="bisque-slurm bake --dry-run | sh" code=0
+"$slurm" bake --dry-run -- s.nvdb low.obj -o o.exr | RUN=printed PATH=$PWD/fake:$PATH sh >"$out" 2>"$err" || code=$?
+code 0
+RUN=submitted PATH=$PWD/fake:$PATH "$slurm" bake -- s.nvdb low.obj -o o.exr >"$out" 2>"$err" || code=$?
+code 0
+same scripts.printed scripts.submitted
+rm -r fake scripts.*
 printf 'a.obj\tl.obj\to_<MAP>.exr\n' >list
 command="bisque-slurm assets --dry-run" code=0
 "$slurm" assets --dry-run list -- --maps normal >"$out" 2>"$err" || code=$?
 code 0
 [ "$(grep -c "'--array=0-0'" "$out")" -eq 2 ] && grep -qF "'--dependency=aftercorr:<bisque-grid>'" "$out"
 check "two arrays, task by task" $?
+grep -qF "grid=\$scan.nvdb" "$out" # so body.obj and body.ply have two grids
+check "grids have the whole names of their scans" $?
 printf 'p/a 1.ply\np/b.ply.zst\nc' >list # without an end of its last line
 command="bisque-slurm parts --dry-run" code=0
 "$slurm" parts --dry-run --tasks 2 list -- low.obj -o 'o_<MAP>.exr' >"$out" 2>"$err" || code=$?

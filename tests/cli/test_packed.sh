@@ -79,6 +79,12 @@ head -c 20000 scan.obj.gz >cut.obj.gz
 $vox cut.obj.gz -o cut.nvdb
 code 65
 err "$p cut.obj.gz: byte 20000: truncated: the packed data end too early"
+for stray in x xyz; do # even if they are fewer than a member's head
+    { cat scan.obj.gz && printf $stray; } >stray.obj.gz
+    $vox stray.obj.gz -o cut.nvdb
+    code 65
+    err "$p stray.obj.gz: byte $(stat -c %s scan.obj.gz): bytes after the packed data that are no gzip member"
+done
 { head -c 9000 scan.obj.gz; printf '\252\125\252\125'; tail -c +9005 scan.obj.gz; } >bad.obj.gz
 $vox bad.obj.gz -o cut.nvdb
 code 65

@@ -190,7 +190,7 @@ static void test_bytes_after_the_last_member(void **state)
     const size_t end = gzip.size;
     pack_bytes(&gzip, "\0rubbish that is no member", 26);
     assert_int_equal(unpack(ctx, gzip.data, gzip.size, 9, 100, out, 100, &size, error), BSQ_EDATA);
-    assert_non_null(strstr(error, "these bytes are no gzip member"));
+    assert_non_null(strstr(error, "bytes after the packed data that are no gzip member"));
     assert_true(strtoul(error + 5, NULL, 10) > end);
     pack_zstd(&zstd, "v 0 0 0\n", 8, 0);
     pack_bytes(&zstd, "rubbish", 7);

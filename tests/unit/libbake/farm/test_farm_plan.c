@@ -234,6 +234,36 @@ static void test_cut_and_changed_plans_are_refused(void **state)
     bsq_clear_error(ctx);
 }
 
+/* Such plans have a right id: only their options are wrong. */
+static void test_impossible_options_are_refused(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    for (int i = 0; i < 11; i++) {
+        struct bake_options options = some_options();
+        struct bake_farm_plan *read;
+        size_t size;
+        options.scan_path = i == 0 ? NULL : options.scan_path;
+        options.mesh_path = i == 1 ? NULL : options.mesh_path;
+        options.output_path = i == 2 ? NULL : options.output_path;
+        options.sample_type = i == 3 ? BAKE_FLOAT + 1 : BAKE_HALF;
+        options.rays = i == 4 ? UINT32_MAX : BAKE_RAYS_FACE;
+        options.normal_space = i == 5 ? 2 : BAKE_TANGENT_SPACE;
+        options.sampling = i == 6 ? 2 : BAKE_NEAREST;
+        options.scan_normals = i == 7 ? 99 : BSQ_SCAN_NORMALS_SMOOTH;
+        options.position_in = i == 8 ? 2 : BAKE_IN_BOX;
+        options.preview_up = i == 9 ? 3 : BAKE_UP_Z;
+        options.samples = i == 10 ? BAKE_MAX_SAMPLES + 1 : options.samples;
+        bake_farm_plan_free(write_plan(ctx, &options, bytes, sizeof bytes, &size));
+        assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
+        bsq_clear_error(ctx);
+        assert_int_equal(bake_open_plan(ctx, in_directory("plan.json"), &read),
+                         i < 10 ? BSQ_EDATA : BSQ_EUSAGE);
+        assert_null(read);
+        bsq_clear_error(ctx);
+        bsq_forget_files(ctx);
+    }
+}
+
 static void test_a_changed_input_is_named(void **state)
 {
     struct bsq_ctx *ctx = *state;
@@ -255,6 +285,7 @@ int main(void)
         cmocka_unit_test(test_sides_suit_the_tasks),
         cmocka_unit_test_setup_teardown(test_a_plan_is_read_back, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_cut_and_changed_plans_are_refused, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(test_impossible_options_are_refused, set_up, tear_down),
         cmocka_unit_test_setup_teardown(test_a_changed_input_is_named, set_up, tear_down),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
