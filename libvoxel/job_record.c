@@ -18,6 +18,7 @@
 #include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
 
+#include <assert.h>
 #include <errno.h>
 #include <inttypes.h>
 #include <stdio.h>
@@ -57,6 +58,7 @@ static int no_memory(struct bsq_ctx *ctx, const char *path)
 /* Returns the next line; after the last line, the empty one. */
 static const char *next_line(const char *line)
 {
+    assert(line);
     return *line ? line + strlen(line) + 1 : line;
 }
 
@@ -372,6 +374,7 @@ int vox_job_record(struct vox_job *job)
 /* Compares a line of the record with the line as it is now. Either may be empty: there is none. */
 static int compare(const struct vox_job *job, const char *then, const char *now)
 {
+    assert(then && now);
     const char *tris = job->tris_path, *was = path_of(then), *is = path_of(now);
     if (strcmp(then, now) == 0)
         return 0;

@@ -1,5 +1,6 @@
 /* mesh_reader.c - chooses the reader of a mesh and passes every call on to it. */
 #include <inttypes.h>
+#include <assert.h>
 #include <string.h>
 #include <stdio.h>
 #include <strings.h>
@@ -176,17 +177,19 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
     const struct fmt_mesh_format *format = NULL;
     struct fmt_input **inputs;
     *out = NULL;
-    int status = bsq_calloc(ctx, "inputs", from->path_count, sizeof *inputs, &inputs);
+    int status = bsq_calloc(ctx, "inputs", from->path_count, sizeof(void *), &inputs);
     if (status == 0)
         status = create_inputs(ctx, from, inputs);
     if (status == 0)
         status = choose_formats(ctx, inputs, from->path_count, &format);
+    assert(status < 0 || format);
     if (status == 0)
         status = format->open(ctx, inputs, from->path_count, out);
     if (status < 0) {
         free_inputs(ctx, inputs, from->path_count);
         return status;
     }
+    assert(*out);
     (*out)->format = format;
     (*out)->inputs = inputs;
     (*out)->input_count = from->path_count;

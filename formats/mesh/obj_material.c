@@ -239,7 +239,7 @@ static int describe_all(struct obj_reader *reader, uint32_t source, struct fmt_m
     struct bsq_ctx *ctx = reader->base.ctx;
     struct loose_names loose = {0};
     int status =
-        bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof *loose.from, &loose.from);
+        bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof(void *), &loose.from);
     for (uint32_t i = 0; i < found->count && !status; i++) {
         status = i % 1024 == 0 ? bsq_check(ctx) : 0;
         const struct fmt_material *from = describe(reader, source, &found->list[i], out);
