@@ -40,7 +40,7 @@ static int name_scans(struct bake_run *job)
     const struct bake_surface **parts = NULL;
     const uint32_t count = job->surface.part_count;
     uint64_t bytes = 1;
-    int status = bsq_alloc(job->ctx, "names of scans", count, sizeof *parts, &parts);
+    int status = bsq_alloc(job->ctx, "names of scans", count, sizeof(void *), &parts);
     for (uint32_t p = 0; p < count && status == 0; ++p) {
         parts[p] = &job->surface.parts[p];
         bytes += strlen(parts[p]->path) + 2;
@@ -48,7 +48,7 @@ static int name_scans(struct bake_run *job)
     if (status == 0)
         status = bsq_calloc(job->ctx, "names of scans", bytes, 1, &job->scan_names);
     if (status == 0) {
-        qsort(parts, count, sizeof *parts, compare_names);
+        qsort(parts, count, sizeof(void *), compare_names);
         char *to = job->scan_names;
         for (uint32_t p = 0; p < count; ++p)
             to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), file_name(parts[p]->path));

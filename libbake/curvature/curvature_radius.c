@@ -27,7 +27,9 @@ static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double
 /* Returns whether all of the surface are triangles. */
 static bool is_exact(const struct bake_surface *surface)
 {
-    bool exact = surface->parts || surface->exact;
+    if (!surface->parts)
+        return surface->exact;
+    bool exact = true;
     for (uint32_t p = 0; p < surface->part_count; ++p)
         exact &= surface->parts[p].exact != NULL;
     return exact;
