@@ -187,6 +187,14 @@ $(BUILD)/gen/chunk_sources.inc: $(chunk_sources) Makefile
 	cat $(chunk_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
 $(BUILD)/obj/libvoxel/job_record.c.o: $(BUILD)/gen/chunk_sources.inc
 
+# The same of all sources that the maps of a plan may depend on, see libbake/farm/farm_plan.c.
+bake_sources := $(sort $(shell find base formats libbake -name '*.c' -o -name '*.cc' \
+    -o -name '*.h' -o -name '*.cl'))
+$(BUILD)/gen/bake_sources.inc: $(bake_sources) Makefile
+	@mkdir -p $(@D)
+	cat $(bake_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
+$(BUILD)/obj/libbake/farm/farm_plan.c.o: $(BUILD)/gen/bake_sources.inc
+
 # A program is made of tools/bisque-NAME.c, tools/NAME_*.c and tools/cli*.c.
 define program
 $(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
@@ -586,7 +594,8 @@ formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
     -name '*.c' -o -name '*.h' -o -name '*.cc' -o -name '*.cl'))
 .PHONY: lint format
 ## lint: check rooms, documents, formatting, cppcheck, clang-tidy (installs missing tools)
-lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc)
+lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc \
+    bake_sources.inc)
 	tests/lint/rooms.sh
 	tests/lint/documents.sh
 	clang-format --dry-run -Werror $(formatted)

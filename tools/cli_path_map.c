@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "base/file.h"
+#include "base/json_bound.h"
 #include "base/path_map.h"
 #include "tools/cli.h"
 
@@ -45,8 +46,8 @@ static int add_rules(struct cli *cli, const json_t *root)
     return status;
 }
 
-/* Loads a file as JSON, within the budget. */
-static int load(struct cli *cli, json_t **out)
+/* Loads a file as JSON. *reserved: bytes of the budget that the caller releases. */
+static int load(struct cli *cli, json_t **out, uint64_t *reserved)
 {
     struct bsq_file file;
     char *text = NULL;
@@ -57,6 +58,9 @@ static int load(struct cli *cli, json_t **out)
     status = bsq_alloc(cli->ctx, "rules for paths", file.size, 1, &text);
     if (status == 0)
         status = bsq_file_read(cli->ctx, &file, text, file.size, 0);
+    const uint64_t bound = status == 0 ? bsq_json_bound(text, file.size) : 0;
+    if (status == 0 && (status = bsq_reserve(cli->ctx, "rules for paths", bound)) == 0)
+        *reserved = bound;
     if (status == 0 && !(*out = json_loadb(text, file.size, JSON_REJECT_DUPLICATES, &error)))
         status = fail_rules(cli, error.text);
     bsq_free(cli->ctx, text);
@@ -67,12 +71,14 @@ static int load(struct cli *cli, json_t **out)
 int cli_load_path_map(struct cli *cli)
 {
     json_t *root = NULL;
+    uint64_t reserved = 0;
     if (!cli->path_map)
         return 0;
-    int status = load(cli, &root);
+    int status = load(cli, &root, &reserved);
     if (status == 0)
         status = add_rules(cli, root);
     json_decref(root);
+    bsq_release(cli->ctx, reserved);
     return status;
 }
 

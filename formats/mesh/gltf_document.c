@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/json_bound.h"
 #include "formats/mesh/gltf_internal.h"
 
 /* ---- the text ---- */
@@ -18,7 +19,6 @@ struct shortener {
     struct bsq_ctx *ctx;
     char *text;
     uint64_t size, capacity;
-    uint64_t objects, arrays, members, commas, longest; /* bounds for Jansson's memory */
     bool in_string, escaped, in_data;
     uint64_t string_start;           /* in `text`: after the quotation mark */
     uint64_t data_offset, data_size; /* of base64 text, in the file */
@@ -61,14 +61,6 @@ static void end_data(struct shortener *s)
     put_number(s, s->data_size);
 }
 
-static void count_structure(struct shortener *s, char c)
-{
-    s->objects += c == '{';
-    s->arrays += c == '[';
-    s->members += c == ':';
-    s->commas += c == ',';
-}
-
 /* Takes the character at byte `at` of the file. */
 static void take(struct shortener *s, char c, uint64_t at)
 {
@@ -80,15 +72,12 @@ static void take(struct shortener *s, char c, uint64_t at)
         end_data(s);
     put(s, &c, 1);
     if (!s->in_string) {
-        count_structure(s, c);
         s->in_string = c == '"';
         s->string_start = s->size;
     } else if (s->escaped) {
         s->escaped = false;
     } else if (c == '"') {
         s->in_string = false;
-        s->longest =
-            s->size - s->string_start > s->longest ? s->size - s->string_start : s->longest;
     } else if (c == ',' && begins_data(s)) {
         s->in_data = true;
         s->data_offset = at + 1;
@@ -129,15 +118,6 @@ bool fmt_gltf_find_data(const char *uri, uint64_t *offset, uint64_t *size)
 
 /* ---- parsing ---- */
 
-/* Returns a bound of the memory that Jansson 2 needs for the text, with the system's overhead of
- * each block: see its structures json_object_t, hashtable_pair, json_array_t and json_string_t.
- * Tables double when they are full, and so does the buffer for the string that is being read. */
-static uint64_t json_bound(const struct shortener *s)
-{
-    return 65536 + 256 * s->objects + 224 * s->arrays + 224 * s->members + 112 * s->commas +
-           s->size + 4 * s->longest;
-}
-
 struct feed {
     struct gltf_document *document;
     const char *text;
@@ -166,10 +146,11 @@ static int parse_text(struct gltf_document *d, const struct shortener *s)
         feed.text += 3;
         feed.left -= 3;
     }
-    int status = bsq_reserve(d->ctx, "the JSON of a glTF file", json_bound(s));
+    const uint64_t bound = bsq_json_bound(s->text, s->size);
+    int status = bsq_reserve(d->ctx, "the JSON of a glTF file", bound);
     if (status)
         return status;
-    d->json_memory = json_bound(s);
+    d->json_memory = bound;
     d->root = json_load_callback(feed_json, &feed, JSON_ALLOW_NUL, &error);
     if (feed.status)
         return feed.status;

@@ -4,6 +4,8 @@
 #include <string.h>
 #include <stdio.h>
 #include <strings.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
@@ -148,13 +150,28 @@ static int choose_formats(struct bsq_ctx *ctx, struct fmt_input *const *inputs, 
     return 0;
 }
 
+/* Sets *info for a path; "-" is standard input. Returns false if it cannot be seen. */
+static bool identify(const char *path, struct stat *info)
+{
+    return (strcmp(path, "-") == 0 ? fstat(STDIN_FILENO, info) : stat(path, info)) == 0;
+}
+
+/* Returns whether two paths name one file. */
+static bool is_same(const char *a, const char *b)
+{
+    struct stat info_a, info_b;
+    if (!identify(a, &info_a) || !identify(b, &info_b))
+        return strcmp(a, b) == 0;
+    return info_a.st_dev == info_b.st_dev && info_a.st_ino == info_b.st_ino;
+}
+
 /* Checks that input number `i` is not a pipe that is among the earlier ones. */
 static int check_once(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from, uint32_t i)
 {
     if (!from->pipes || !fmt_input_is_pipe(from->paths[i]))
         return 0;
     for (uint32_t k = 0; k < i; k++)
-        if (strcmp(from->paths[k], from->paths[i]) == 0)
+        if (is_same(from->paths[k], from->paths[i]))
             return bsq_fail(ctx, BSQ_EUSAGE, "%s: a pipe can be read only once", from->paths[i]);
     return 0;
 }
@@ -163,11 +180,11 @@ static int create_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
                          struct fmt_input **inputs)
 {
     int status = 0;
-    for (uint32_t i = 0; i < from->path_count && !status; i++) {
+    /* All are checked before one is opened, which may wait for a writer. */
+    for (uint32_t i = 0; i < from->path_count && !status; i++)
         status = check_once(ctx, from, i);
-        if (!status)
-            status = fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &inputs[i]);
-    }
+    for (uint32_t i = 0; i < from->path_count && !status; i++)
+        status = fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &inputs[i]);
     return status;
 }
 

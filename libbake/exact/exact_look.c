@@ -346,14 +346,15 @@ uint64_t bake_exact_look_loads(const struct bake_exact_look *look)
 
 /* ---- memory ---- */
 
-/* Returns the distance above a triangle that exceeds the rounding errors of a hit's position. */
+/* Returns the distance above a triangle that exceeds the rounding errors of a hit's position. Each
+ * coordinate is off by at most 2^-24 of its value, so a position by sqrt(3) times that. */
 static float lift_of(const struct bake_exact *exact)
 {
     double most = 0;
     for (int k = 0; k < 3; k++)
         most = fmax(most, fmax(fabs((double)exact->header->bounds_min[k]),
                                fabs((double)exact->header->bounds_max[k])));
-    return (float)(most * 0x1p-19);
+    return (float)(most * 0x1p-22);
 }
 
 /* Chooses how much of its state a place has, and how many places fit `memory` bytes. */

@@ -105,6 +105,31 @@ static char *absolute(const char *path)
     return asprintf(&out, "%s/%s", strcmp(here, "/") == 0 ? "" : here, path) < 0 ? NULL : out;
 }
 
+/* Returns whether no component of an absolute path but the last is "." or "..". */
+static bool is_plain(const char *path)
+{
+    return !strstr(path, "/../") && !strstr(path, "/./");
+}
+
+/* Replaces the directory of an absolute path that is not plain by its real one, if it exists. The
+ * path is on the heap, and so is what is returned; NULL if there is no memory. */
+static char *made_plain(char *path)
+{
+    char *slash = path ? strrchr(path, '/') : NULL, *out = NULL;
+    if (!slash || is_plain(path))
+        return path;
+    *slash = '\0';
+    char *real = realpath(path, NULL);
+    *slash = '/';
+    if (!real)
+        return path;
+    if (asprintf(&out, "%s%s", strcmp(real, "/") == 0 ? "" : real, slash) < 0)
+        out = NULL;
+    free(real);
+    free(path);
+    return out;
+}
+
 /* Returns the path of `to` as seen from `directory`; both are absolute and share `common` bytes of
  * whole components. */
 static char *path_from(const char *directory, const char *to, size_t common)
@@ -136,12 +161,11 @@ static size_t shared_bytes(const char *directory, const char *path)
 
 char *bake_farm_path_in_plan(const char *plan_path, const char *path)
 {
-    char *directory = plan_directory(plan_path), *full = absolute(path), *out = NULL;
+    char *directory = plan_directory(plan_path), *full = made_plain(absolute(path)), *out = NULL;
     if (directory && full) {
         const size_t common = shared_bytes(directory, full);
         const bool below = common == strlen(directory) && full[common] == '/';
-        const bool plain = !strstr(full, "/../") && !strstr(full, "/./");
-        if (plain && (below || path[0] != '/'))
+        if (is_plain(full) && (below || path[0] != '/'))
             out = path_from(directory, full, common);
     }
     if (!out && full)

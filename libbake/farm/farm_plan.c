@@ -7,14 +7,17 @@
 
 #include <xxhash.h>
 
+#include "base/json_bound.h"
 #include "base/output.h"
 #include "libbake/farm/farm_options.h"
 
 #define FORMAT "Bisque bake plan"
 enum { FORMAT_VERSION = 1 };
 
-/* jansson's values take about as many bytes as this for each byte of the file. */
-enum { JSON_FACTOR = 8 };
+/* Tasks of other sources may bake other texels, whatever their version is called. */
+static const char program_version[] = BSQ_VERSION " of sources "
+#include "bake_sources.inc"
+    ;
 
 static int fail_memory(const struct bake_farm_plan *plan)
 {
@@ -179,7 +182,7 @@ static json_t *costs_to_json(const struct bake_farm_plan *plan)
 static json_t *plan_to_json(const struct bake_farm_plan *plan)
 {
     return json_pack("{s:s, s:i, s:s, s:I, s:I, s:I, s:o, s:o, s:o, s:o}", "format", FORMAT,
-                     "format_version", FORMAT_VERSION, "program_version", BSQ_VERSION, "tasks",
+                     "format_version", FORMAT_VERSION, "program_version", program_version, "tasks",
                      (json_int_t)plan->task_count, "block_side", (json_int_t)plan->block_side,
                      "degenerate_triangles", (json_int_t)plan->degenerate_triangles, "options",
                      bake_farm_options_to_json(&plan->options, plan->path), "inputs",
@@ -412,11 +415,11 @@ static int check_format(struct bsq_ctx *ctx, const char *path, const json_t *jso
     const char *program = json_string_value(json_object_get(json, "program_version"));
     if (!format || strcmp(format, FORMAT) != 0)
         return bsq_fail(ctx, BSQ_EDATA, "%s: not a plan of bisque-bake", path);
-    if (!program || strcmp(program, BSQ_VERSION) != 0)
+    if (!program || strcmp(program, program_version) != 0)
         return bsq_fail(ctx, BSQ_EDATA,
                         "%s: this plan is of Bisque %s, this program is %s: all tasks need one "
                         "version",
-                        path, program ? program : "(unknown)", BSQ_VERSION);
+                        path, program ? program : "(unknown)", program_version);
     if (json_integer_value(json_object_get(json, "format_version")) != FORMAT_VERSION)
         return bsq_fail(ctx, BSQ_EDATA, "%s: unknown version of the plan's format", path);
     return 0;
@@ -489,8 +492,9 @@ static int load(struct bsq_ctx *ctx, const char *path, json_t **json, uint64_t *
     status = bsq_alloc(ctx, "plan", file.size, 1, &text);
     if (status == 0)
         status = bsq_file_read(ctx, &file, text, file.size, 0);
-    if (status == 0 && (status = bsq_reserve(ctx, "plan", file.size * JSON_FACTOR)) == 0)
-        *reserved = file.size * JSON_FACTOR;
+    const uint64_t bound = status == 0 ? bsq_json_bound(text, file.size) : 0;
+    if (status == 0 && (status = bsq_reserve(ctx, "plan", bound)) == 0)
+        *reserved = bound;
     if (status == 0 && !(*json = json_loadb(text, file.size, JSON_REJECT_DUPLICATES, &error)))
         status = bsq_fail(ctx, BSQ_EDATA, "%s:%d: not a plan of bisque-bake: %s", path, error.line,
                           error.text);

@@ -249,6 +249,13 @@ $bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps c
 code 0
 jq -e '[.inputs[].path] | sort == ["../low.obj", "skin.tris", "textures/skin.ppm"]' here/plan.json >"$work/jq"
 check "inputs below the plan and beside it have relative paths" $?
+$bake ./here/skin.tris here/../low.obj $size -o './here/../<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan here/dots.json \
+    --path-map rules.json
+code 0
+jq -e '[.inputs[].path, .options.output_path] | sort ==
+    ["../<MAP>.<UDIM>.exr", "../low.obj", "skin.tris", "textures/skin.ppm"]' here/dots.json >"$work/jq"
+check "paths with . and .. are relative to the plan, too" $?
+rm here/dots.json
 mkdir other
 cp here/*.tris here/*.json other
 cp -r here/textures other
@@ -274,6 +281,13 @@ for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1
     code 65
     err_like "^$p bad\.json: no rules of pathmapping-1\.0: "
 done
+# What the parser would allocate is reserved from the budget: here about 100 bytes for each byte.
+awk 'BEGIN { printf "["; for (i = 0; i < 300000; i++) printf "{},"; print "{}]" }' >wide.json
+$bake --plan farm/plan.json --task 0 --path-map wide.json --memory 60M
+code 71
+$bake --plan wide.json --task 0 --memory 60M
+code 71
+rm wide.json
 for none in '{"version": "pathmapping-1.0"}' '{}'; do
     echo "$none" >none.json
     $bake --plan farm/plan.json --task 0 --path-map none.json

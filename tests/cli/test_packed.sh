@@ -55,6 +55,9 @@ same plain.nvdb piped.nvdb
 $vox - - -o piped.nvdb
 code 64
 err "$p -: a pipe can be read only once"
+$vox pipe ./pipe -o piped.nvdb
+code 64
+err "$p ./pipe: a pipe can be read only once"
 # Nobody writes: a signal ends the wait.
 command="bisque-voxelize pipe ended by SIGTERM" code=0
 env --default-signal=TERM "$BIN/bisque-voxelize" pipe -o piped.nvdb >"$out" 2>"$err" &

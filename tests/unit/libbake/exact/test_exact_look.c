@@ -212,6 +212,28 @@ static void test_falloff_is_linear(void **state)
                 2 * share * (1 - share) + share * share, 0.002, "with falloff");
 }
 
+/* Two squares close to each other hide each other, also where coordinates are large. */
+static void test_a_narrow_gap_is_dark(void **state)
+{
+    (void)state;
+    static const float places[] = {0, 8000};
+    for (int i = 0; i < 2; i++) {
+        const float x = places[i];
+        const struct exact_setup setup = {.threads = 1, .facing_origin = true, .t_max = 1};
+        const struct bk_params params = usual(1024);
+        struct view view = view_new(1);
+        struct triangle_scan mesh = begin_mesh(2);
+        add_rectangle(&mesh, (float[]){x, 0, 0}, (float[]){1, 0, 0}, (float[]){0, 1, 0});
+        add_rectangle(&mesh, (float[]){x, 0, 0.004f}, (float[]){0, 1, 0}, (float[]){1, 0, 0});
+        end_mesh(&mesh);
+        view.rays[0] = (struct bake_exact_ray){{x + 0.5f, 0.4f, 0.002f}, {0, 0, -1}};
+        look(&setup, &params, &view);
+        assert_true(view.hits[0].triangle != BAKE_EXACT_NONE);
+        assert_near((double)view.found[0].open, 0, 0.001, "in a narrow gap");
+        view_free(&view);
+    }
+}
+
 /* A slab of height h, with rays of at most l: 2 h - h^2 / l. */
 static void test_a_slab_is_as_thick_as_it_is(void **state)
 {
@@ -425,6 +447,7 @@ int main(void)
         cmocka_unit_test(test_a_wall_hides_half_of_a_floor),
         cmocka_unit_test(test_a_tube_leaves_a_cone),
         cmocka_unit_test(test_falloff_is_linear),
+        cmocka_unit_test(test_a_narrow_gap_is_dark),
         cmocka_unit_test(test_a_slab_is_as_thick_as_it_is),
         cmocka_unit_test(test_a_ball_is_open_and_thick),
         cmocka_unit_test(test_rays_are_hidden_where_embree_hides_them),
