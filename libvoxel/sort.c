@@ -68,9 +68,11 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
         return status;
     vox_partition_free(scan, out);
     const float max_color = scan->max_color;
+    const bool color_fractions = scan->color_fractions;
     vox_scan_free(scan);
     vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
     scan->max_color = max_color;
+    scan->color_fractions = color_fractions;
     return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
@@ -120,6 +122,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
     scan->max_color = estimate.max_color;
+    scan->color_fractions = estimate.color_fractions;
     if (status == 0)
         status = vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
                                       &textures);

@@ -126,7 +126,8 @@ static int any_library(struct obj_reader *reader, uint32_t source, char *names, 
     *exists = false;
     for (char *name = strtok_r(names, " \t", &rest); name && !status && !*exists;
          name = strtok_r(NULL, " \t", &rest)) {
-        status = fmt_path_find(reader->base.ctx, reader->sources[source].path, name, &path, exists);
+        status = fmt_path_find(reader->base.ctx, fmt_input_beside(reader->sources[source].input),
+                               name, &path, exists);
         bsq_free(reader->base.ctx, path);
     }
     return status;
@@ -281,22 +282,27 @@ static bool has_library(const struct obj_reader *reader, uint32_t source)
     return false;
 }
 
-/* Names the materials that no library describes, and warns of the first of them. If there is no
- * library, the file promises no colours, or a warning has said that it is missing. */
+/* Names the materials that no library describes, and warns of the first of them. If a file names
+ * no library, it promises no colours, or a warning has said that the library is missing. */
 static int name_others(struct obj_reader *reader, struct fmt_materials *out)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     const struct obj_name *first = NULL;
-    uint32_t others = 0;
+    uint32_t others = 0, source = UINT32_MAX;
+    bool promised = false;
     int status = 0;
     for (uint32_t i = 0; i < out->count && !status; i++) {
         const struct obj_name *name = &reader->materials.list[i];
         if (out->list[i].name)
             continue;
-        first = others++ == 0 ? name : first;
+        if (name->source != source)
+            promised = has_library(reader, name->source);
+        source = name->source;
+        others += promised;
+        first = first || !promised ? first : name;
         status = fmt_string_copy(ctx, name->text, &out->list[i].name);
     }
-    if (!status && first && reader->warns && has_library(reader, first->source))
+    if (!status && first && reader->warns)
         status = bsq_warn_loss(ctx,
                                "%s: no material library describes \"%.60s\"; faces of %u such "
                                "materials have no colour (see --texture)",

@@ -12,7 +12,8 @@ enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
 struct counts {
     uint64_t bytes, vertices, texcoords, normals, faces, corners;
     bool colors, face_seen, element_follows_face;
-    double max_color; /* the largest component of a vertex colour */
+    double max_color;     /* the largest component of a vertex colour */
+    bool color_fractions; /* some component is not whole */
 };
 
 /* Returns the number of words in text[0..end). */
@@ -36,8 +37,10 @@ static void count_color(struct counts *counts, const char *text)
     for (int word = 0; word < 7; word++) {
         while (*text == ' ' || *text == '\t' || *text == '\r')
             text++;
-        if (word >= 4 && obj_number(text, &value) && value > counts->max_color)
-            counts->max_color = value;
+        if (word >= 4 && obj_number(text, &value) && value > 0.0) {
+            counts->max_color = fmax(counts->max_color, value);
+            counts->color_fractions |= value != floor(value);
+        }
         while ((unsigned char)*text > ' ')
             text++;
     }
@@ -137,6 +140,7 @@ int fmt_obj_estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimat
         out->corners += (uint64_t)(scale * (double)counts.corners);
         out->has_colors |= counts.colors;
         out->max_color = fmaxf(out->max_color, (float)fmin(counts.max_color, FLT_MAX));
+        out->color_fractions |= counts.color_fractions;
         out->faces_come_last &= !counts.element_follows_face;
     }
     return status;

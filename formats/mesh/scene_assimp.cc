@@ -215,11 +215,16 @@ void copy_vertex(const Place &place, const double normals[3][3], unsigned v, fmt
     if (!place.mesh->HasNormals())
         return;
     const aiVector3D &n = place.mesh->mNormals[v];
+    bool finite = true;
     for (int k = 0; k < 3; k++) {
         const double value =
             normals[k][0] * double(n.x) + normals[k][1] * double(n.y) + normals[k][2] * double(n.z);
-        out->normals[to][k] = std::fabs(value) < 3e38 ? float(value) : 0;
+        finite &= std::fabs(value) < 3e38;
+        out->normals[to][k] = float(value);
     }
+    out->missing_normals += !finite;
+    for (int k = 0; k < 3 && !finite; k++)
+        out->normals[to][k] = 0;
 }
 
 // Copies polygons, turned round if the node mirrors. Returns false if an index is out of range.
@@ -254,13 +259,20 @@ bool copy_place(const Place &place, fmt_scene *out)
     return copy_faces(*place.mesh, mirrored, first, out);
 }
 
-void copy_names(const aiScene &scene, fmt_scene *out)
+int copy_names(const Source &s, const aiScene &scene, fmt_scene *out)
 {
-    for (unsigned i = 0; i < scene.mNumMaterials; i++) {
+    int status = 0;
+    for (unsigned i = 0; i < scene.mNumMaterials && status == 0; i++) {
         const aiString name = scene.mMaterials[i]->GetName();
-        std::snprintf(out->material_names[i], sizeof out->material_names[i], "%.63s", name.C_Str());
+        const size_t size = std::strlen(name.C_Str()) + 1;
+        char *copy = nullptr;
+        status = s.host->alloc(s.ctx, "names", size, 1, &copy);
+        if (status == 0) {
+            std::memcpy(copy, name.C_Str(), size);
+            out->material_names[out->material_count++] = copy;
+        }
     }
-    out->material_count = scene.mNumMaterials;
+    return status;
 }
 
 int allocate(const Source &s, const aiScene &scene, const std::vector<Place> &places,
@@ -309,8 +321,7 @@ int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
     if (status != 0)
         return status;
     out->parts[out->part_count] = {out->face_count, out->corner_count, 0, false, false};
-    copy_names(scene, out);
-    return 0;
+    return copy_names(s, scene, out);
 }
 
 int import(const Source &s, fmt_scene *out)

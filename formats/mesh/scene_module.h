@@ -26,10 +26,11 @@ struct fmt_scene {
     uint32_t *face_sizes;
     uint64_t *corners;
     struct fmt_scene_part *parts; /* and one more, with the counts of all */
-    char (*material_names)[64];   /* cut off */
+    char **material_names;
     uint64_t vertex_count, face_count, corner_count, part_count, material_count;
     uint64_t short_faces;                          /* points and lines, left out */
     uint64_t missing_positions, missing_texcoords; /* not finite: NaN */
+    uint64_t missing_normals;                      /* not finite: 0 */
     bool has_tangents;
 };
 

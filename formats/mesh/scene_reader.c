@@ -7,6 +7,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/loss.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/scene_module.h"
@@ -91,6 +92,8 @@ static void close_reader(struct fmt_mesh_reader *base)
     bsq_free(base->ctx, r->scene.face_sizes);
     bsq_free(base->ctx, r->scene.corners);
     bsq_free(base->ctx, r->scene.parts);
+    for (uint64_t i = 0; i < r->scene.material_count; i++)
+        bsq_free(base->ctx, r->scene.material_names[i]);
     bsq_free(base->ctx, r->scene.material_names);
     bsq_free(base->ctx, r);
 }
@@ -239,9 +242,10 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     totals->short_faces = s->short_faces;
     totals->has_tangents = s->has_tangents;
     totals->split_vertices = true;
-    if (!status && !r->read_before && s->missing_positions + s->missing_texcoords > 0)
-        bsq_warn(base->ctx, "%s: %" PRIu64 " values are not finite and were left out", r->path,
-                 s->missing_positions + s->missing_texcoords);
+    const uint64_t missing = s->missing_positions + s->missing_texcoords + s->missing_normals;
+    if (!status && !r->read_before && missing > 0)
+        status = bsq_warn_loss(base->ctx, "%s: %" PRIu64 " values are not finite and were left out",
+                               r->path, missing);
     r->read_before |= status == 0;
     return status;
 }

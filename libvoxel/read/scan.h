@@ -89,6 +89,7 @@ struct scan {
     bool origin_known, has_colors;
     float color_scale;        /* to 0..255, of blocks that do not say it; 0: not known yet */
     float max_color;          /* in samples of the whole scan; set after vox_scan_init() */
+    bool color_fractions;     /* the same: some component is not whole */
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */

@@ -12,7 +12,7 @@
 #include <string.h>
 
 /* Colours up to this value count as colours from 0 to 1; larger ones, as colours from 0 to 255. */
-static const float unit_color_limit = 2.0f;
+static const float unit_color_limit = 2.0f, bright_color_limit = 16.0f;
 
 void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
                    const char *const *scan_paths, const char *tris_path)
@@ -180,14 +180,20 @@ static bool color_given(const float color[3])
 
 /* Decides from the first colours, and from samples of the whole scan, whether values are from 0 to
  * 1 or from 0 to 255. Some tools write values slightly above 1, which must not turn the scan black.
- * The largest of thousands of byte values is hardly ever 2 or less. */
+ * The largest of thousands of byte values is hardly ever 2 or less. Byte values are whole: some
+ * above 2 among fractions are bright spots, which are clamped, unless one is too large for that. */
 static void choose_color_scale(struct scan *scan, const struct fmt_mesh_block *block)
 {
     float max = scan->max_color;
+    bool fractions = scan->color_fractions;
     for (uint64_t v = 0; v < block->vertex_count; v++)
-        for (int i = 0; i < 3; i++)
-            max = fmaxf(max, block->colors[v][i]);
-    scan->color_scale = max > unit_color_limit ? 1.0f : 255.0f;
+        for (int i = 0; i < 3; i++) {
+            const float value = block->colors[v][i];
+            max = fmaxf(max, value);
+            fractions |= value > 0.0f && value != floorf(value);
+        }
+    const float limit = fractions ? bright_color_limit : unit_color_limit;
+    scan->color_scale = max > limit ? 1.0f : 255.0f;
 }
 
 /* Returns the factor from the block's colours to 0..255. */

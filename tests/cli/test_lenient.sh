@@ -95,6 +95,28 @@ warns 'nan.obj:4: vertices without a finite position: 1; this is the first' nan.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng a\nodd one\nodder\n' >odd.obj
 warns 'odd.obj:6: lines with statements that are not of the format: 2; this is the first' odd.obj
 
+# A few bright spots do not turn a scan dark.
+awk 'BEGIN { for (i = 0; i < 1000; i++) print "v", i % 2, i / 999, 0, (i == 7 ? 2.5 : 0.8), 0.8, 0.8
+    print "f 1 2 1000" }' >bright.obj
+warns 'bright.obj: colours out of range were clamped at 1 vertex' bright.obj
+
+# Each file is checked with its own library: the first has none here.
+sed '/mtllib/d' scan.obj >bare.obj
+printf 'newmtl b\nKd 1 0 0\n' >scan.mtl
+warns 'scan.obj: no material library describes "a"; faces of 1 such materials have no colour (see --texture)' bare.obj scan.obj
+rm scan.mtl
+
+# The libraries of a pipe are beside nothing but the current directory, also several of them.
+printf 'newmtl a\nKd 1 0 0\n' >one.mtl
+mkfifo folder/pipe.obj
+sed 's/scan.mtl/none.mtl one.mtl/' scan.obj >folder/pipe.obj &
+run bisque-voxelize --progress none folder/pipe.obj -o a.nvdb --tris a.tris --resolution 8
+code 0
+wait
+grep -q 'with colour' "$out"
+check "the library of a pipe is found" $?
+rm a.nvdb a.tris
+
 # The low-poly mesh of a bake.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/7\n' >low.obj
 $vox lost.obj -o lost.nvdb --no-tris --resolution 8
