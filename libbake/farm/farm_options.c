@@ -21,18 +21,18 @@ enum kind { PATH, OPTIONAL, TEXT, U32, U64, NUMBER, BOOL, CHOICE };
 
 struct member {
     const char *name;
-    enum kind kind;
     size_t offset;
+    enum kind kind;
     uint32_t most; /* the largest value of a CHOICE */
 };
 
 #define MEMBER(kind, name)                                                                         \
     {                                                                                              \
-#name, kind, offsetof(struct bake_options, name), 0                                        \
+#name, offsetof(struct bake_options, name), kind, 0                                        \
     }
 #define CHOICE_MEMBER(name, last)                                                                  \
     {                                                                                              \
-#name, CHOICE, offsetof(struct bake_options, name), last                                   \
+#name, offsetof(struct bake_options, name), CHOICE, last                                   \
     }
 
 static const struct member members[] = {
