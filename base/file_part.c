@@ -113,6 +113,19 @@ static int read_groups(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_
     return status;
 }
 
+/* Reports that the group of four characters at `offset` cannot be decoded. */
+static int fail_base64(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_t offset)
+{
+    char group[4];
+    uint64_t got;
+    int status = bsq_file_read_some(ctx, file, group, sizeof group, offset, &got);
+    if (status)
+        return status;
+    return bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": %s", file->path, offset,
+                    memchr(group, '\\', got) ? "escapes in base64 are not read"
+                                             : "malformed base64");
+}
+
 int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
                   void *to, uint64_t size, uint64_t at)
 {
@@ -124,8 +137,7 @@ int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct
         uint64_t done;
         int status = read_groups(ctx, file, part->offset, at, next, size, &done);
         if (!status && done == 0)
-            status = bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": malformed base64", file->path,
-                              part->offset + at / 3 * 4);
+            status = fail_base64(ctx, file, part->offset + at / 3 * 4);
         if (status)
             return status;
         next += done;
@@ -170,6 +182,9 @@ int bsq_part_extract(struct bsq_ctx *ctx, const char *name, struct bsq_file *out
     status = bsq_file_open(ctx, path, &file);
     if (!status)
         status = bsq_file_temp(ctx, NULL, "an embedded image", out);
+    /* A part that claims to be larger than its file cannot be copied whole. */
+    if (!status)
+        status = bsq_require_disk(ctx, NULL, part.size < file.size ? part.size : file.size);
     if (!status)
         status = copy_part(ctx, &file, &part, out);
     if (!status)

@@ -53,6 +53,8 @@ uint64_t fmt_gltf_count(const struct gltf_document *document, const char *array)
 int fmt_gltf_fail(const struct gltf_place *place, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 
+/* Reads a whole number from 0 to `most`. Some programs write 12.0. Returns false if it is none. */
+bool fmt_gltf_whole(const json_t *value, uint64_t most, uint64_t *out);
 /* Reads a member of `object` that is a whole number from 0 to `most`. If it is missing, *out stays
  * as it is; if it must not be missing, *out is GLTF_REQUIRED before. */
 int fmt_gltf_number(const struct gltf_place *place, const json_t *object, const char *key,

@@ -32,8 +32,7 @@ int fmt_gltf_fail(const struct gltf_place *place, const char *format, ...)
                     place->document->file.path, place->array, place->index, text);
 }
 
-/* Some programs write whole numbers as 12.0. */
-static bool whole_number(const json_t *value, uint64_t most, uint64_t *out)
+bool fmt_gltf_whole(const json_t *value, uint64_t most, uint64_t *out)
 {
     if (json_is_integer(value)) {
         const json_int_t number = json_integer_value(value);
@@ -55,7 +54,7 @@ int fmt_gltf_number(const struct gltf_place *place, const json_t *object, const 
         return fmt_gltf_fail(place, "\"%s\" is missing", key);
     if (!value)
         return 0;
-    if (!whole_number(value, most, out))
+    if (!fmt_gltf_whole(value, most, out))
         return fmt_gltf_fail(place, "\"%s\" is no whole number from 0 to %" PRIu64, key, most);
     return 0;
 }

@@ -144,13 +144,12 @@ static int push_nodes(struct walk *w, const struct gltf_place *place, const json
                       const double matrix[3][4])
 {
     for (size_t i = json_array_size(list); i-- > 0;) {
-        const json_t *value = json_array_get(list, i);
-        const json_int_t node = json_is_integer(value) ? json_integer_value(value) : -1;
-        if (node < 0 || (uint64_t)node >= w->node_count)
+        uint64_t node;
+        if (w->node_count == 0 ||
+            !fmt_gltf_whole(json_array_get(list, i), w->node_count - 1, &node))
             return fmt_gltf_fail(place, "refers to a node that does not exist");
         if (w->seen[node])
-            return fmt_gltf_fail(place, "nodes[%" PRIu64 "] occurs twice in the hierarchy",
-                                 (uint64_t)node);
+            return fmt_gltf_fail(place, "nodes[%" PRIu64 "] occurs twice in the hierarchy", node);
         w->seen[node] = 1;
         struct visit *visit = &w->stack[w->stack_count++];
         visit->node = (uint32_t)node;
@@ -188,8 +187,8 @@ static int visit_all_roots(struct walk *w, uint8_t *is_child)
         const json_t *list =
             json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "children");
         for (size_t k = 0; k < json_array_size(list); k++) {
-            const json_int_t child = json_integer_value(json_array_get(list, k));
-            if (child >= 0 && (uint64_t)child < w->node_count)
+            uint64_t child;
+            if (fmt_gltf_whole(json_array_get(list, k), w->node_count - 1, &child))
                 is_child[child] = 1;
         }
     }

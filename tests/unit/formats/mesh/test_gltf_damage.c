@@ -100,6 +100,8 @@ static void test_messages(void **state)
          "bad.gltf: nodes[0]: nodes[0] occurs twice in the hierarchy"},
         {MESH "'scenes':[{'nodes':[0,1]}],'nodes':[{'children':[2]},{'children':[2]},{'mesh':0}]}",
          "bad.gltf: nodes[1]: nodes[2] occurs twice in the hierarchy"},
+        {MESH "'scenes':[{'nodes':[0.0]}],'nodes':[{'mesh':0.0,'children':[0.0]}]}",
+         "bad.gltf: nodes[0]: nodes[0] occurs twice in the hierarchy"},
         {MESH "'scenes':[{'nodes':[7]}],'nodes':[{'mesh':0}]}",
          "bad.gltf: scenes[0]: refers to a node that does not exist"},
     };
@@ -151,6 +153,15 @@ static void test_values(void **state)
                                       "'meshes':[{'primitives':[{'attributes':{'POSITION':0}}]}]}",
                                  NULL),
                       "bad.gltf: byte 87: malformed base64");
+    gltf_expect_error(gltf_write("bad",
+                                 HEAD "'buffers':[{'byteLength':36,'uri':'data:;base64,"
+                                      "AAAAAAAAAAAAA\\/AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA'}],"
+                                      "'bufferViews':[{'buffer':0,'byteLength':36}],"
+                                      "'accessors':[{'bufferView':0,'componentType':5126,"
+                                      "'count':3,'type':'VEC3'}],"
+                                      "'meshes':[{'primitives':[{'attributes':{'POSITION':0}}]}]}",
+                                 NULL),
+                      "bad.gltf: byte 87: escapes in base64 are not read");
 }
 
 /* Buffers that are no regular files. */
