@@ -45,6 +45,7 @@ static int fail_ids(const struct bake_run *job, const char *map)
 {
     const struct bake_surface *whole = &job->surface, *lacking = whole->parts ? NULL : whole;
     uint32_t other = 0;
+    assert(whole->parts || whole->part_count == 0);
     for (uint32_t p = 0; p < whole->part_count; ++p) {
         if (whole->parts[p].ids == BSQ_IDS_NONE && !lacking)
             lacking = &whole->parts[p];

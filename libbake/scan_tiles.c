@@ -3,6 +3,7 @@
  * Each scan is traced as if it were alone, by the functions for a single scan, so all devices and
  * all kinds of scans can be baked together. A texel of these images is a sample of the map. Of all
  * scans, each sample keeps its nearest hit. Then the samples are summed as the kernel sums them. */
+#include <assert.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -212,12 +213,13 @@ static int merge_row(void *arg, uint64_t row, unsigned worker)
     const struct work *work = arg;
     const uint64_t floats = (uint64_t)work->width * work->floats;
     float *buffers = work->rows + worker * work->row_floats, *to = buffers + floats;
-    const float *from, *old;
+    const float *from = NULL, *old = NULL;
     int status = bake_image_rows(work->image, (uint32_t)row, 1, buffers, &from);
     if (status == 0)
         status = bake_image_rows(work->nearest, (uint32_t)row, 1, to, &old);
     if (status < 0)
         return status;
+    assert(from && old);
     if (old != to)
         memcpy(to, old, floats * sizeof *to);
     for (uint32_t x = 0; x < work->width; x++)

@@ -332,10 +332,10 @@ static int replace_array(struct bsq_ctx *ctx, const struct array *array, const u
         return status;
     for (uint64_t i = 0; i < count && order; i++)
         memcpy(to + i * size, from + order[i] * size, size);
-    if (!order) {
+    if (!order && kept > 0)
         memcpy(to, from, kept * size);
+    if (!order && others)
         memcpy(to + kept * size, others, (count - kept) * size);
-    }
     bsq_free(ctx, from);
     memcpy(array->at, &to, sizeof to);
     return 0;

@@ -1,6 +1,7 @@
 /* names.c - see names.h. */
 #include "libbake/lowpoly/names.h"
 
+#include <assert.h>
 #include <string.h>
 #include <xxhash.h>
 
@@ -42,7 +43,7 @@ int bake_names_enter(struct bsq_ctx *ctx, struct bake_name_table *table, const c
         return status;
     uint32_t *slot = find_slot(table, name);
     if (*slot == 0) {
-        char *copy;
+        char *copy = NULL;
         if (names->count == UINT32_MAX / 2)
             return bsq_fail(ctx, BSQ_EDATA, "more than %u names of objects", UINT32_MAX / 2);
         status = bsq_grow(ctx, "names", names->count + UINT64_C(1), sizeof *names->list,
@@ -51,6 +52,7 @@ int bake_names_enter(struct bsq_ctx *ctx, struct bake_name_table *table, const c
             status = bsq_alloc(ctx, "names", strlen(name) + 1, 1, &copy);
         if (status < 0)
             return status;
+        assert(copy);
         names->list[names->count++] = strcpy(copy, name);
         *slot = names->count;
     }
