@@ -110,64 +110,11 @@ static int trace_part(const struct work *work, struct bake_report *report)
 
 /* ---- the nearest hits ---- */
 
-/* Turn the sums of one sample into its hit. There is one for each map of BK_MAPS. */
-#define TAKE(member) memcpy(hit->member, sums, sizeof hit->member)
-static void take_normal(const float *sums, bk_map_hit *hit)
-{
-    TAKE(map_normal);
-}
-static void take_color(const float *sums, bk_map_hit *hit)
-{
-    TAKE(color);
-}
-static void take_mask(const float *sums, bk_map_hit *hit)
-{
-    (void)sums, (void)hit;
-}
-static void take_height(const float *sums, bk_map_hit *hit)
-{
-    hit->t = sums[0];
-}
-static void take_position(const float *sums, bk_map_hit *hit)
-{
-    TAKE(position);
-}
-static void take_curvature(const float *sums, bk_map_hit *hit)
-{
-    TAKE(position);
-    memcpy(hit->normal, sums + 6, sizeof hit->normal);
-}
-static void take_ao(const float *sums, bk_map_hit *hit)
-{
-    hit->open = sums[0];
-}
-static void take_bent(const float *sums, bk_map_hit *hit)
-{
-    TAKE(bent);
-}
-static void take_thickness(const float *sums, bk_map_hit *hit)
-{
-    hit->thickness = sums[0];
-}
-static void take_id(const float *sums, bk_map_hit *hit)
-{
-    hit->id = (bk_uint)sums[1]; /* after its count, 1 */
-}
-#undef TAKE
-
 /* Returns the hit of a sample. */
 static bk_map_hit hit_of(uint32_t maps, const float *sample)
 {
-    const float *sums = sample + BK_SUMS;
     bk_map_hit hit = {0};
-#define TAKE_MAP(name, count)                                                                      \
-    if (maps >> BK_MAP_##name & 1u) {                                                              \
-        take_##name(sums, &hit);                                                                   \
-        sums += count;                                                                             \
-    }
-    BK_MAPS(TAKE_MAP)
-#undef TAKE_MAP
-    (void)sums;
+    bk_take_from_maps(maps, sample, &hit);
     return hit;
 }
 

@@ -4,8 +4,8 @@
  * the number of samples inside a chart, the number of those that hit, and the sums of each selected
  * map, in the order of BK_MAPS. The host resolves them, see libbake/maps/map_table.c.
  *
- * A new map takes a row of BK_MAPS and its function bk_add_NAME() here, and a row of
- * bake_map_table[] in libbake/maps/map_table.c. */
+ * A new map takes a row of BK_MAPS and its functions bk_add_NAME() and bk_take_NAME() here, and a
+ * row of bake_map_table[] in libbake/maps/map_table.c. */
 #ifndef BAKE_KERNEL_BK_MAPS_H
 #define BAKE_KERNEL_BK_MAPS_H
 
@@ -55,14 +55,33 @@ BK_FN void bk_add3(BK_GLOBAL float *sums, const float v[3])
     sums[2] += v[2];
 }
 
+/* bk_take_NAME() does the reverse of bk_add_NAME() for the sums of one sample. Bakes of several
+ * scans compare and add up hits of samples that were traced before. */
+BK_FN void bk_take3(BK_GLOBAL const float *sums, float v[3])
+{
+    v[0] = sums[0];
+    v[1] = sums[1];
+    v[2] = sums[2];
+}
+
 BK_FN void bk_add_normal(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     bk_add3(sums, hit->map_normal);
 }
 
+BK_FN void bk_take_normal(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    bk_take3(sums, hit->map_normal);
+}
+
 BK_FN void bk_add_color(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     bk_add3(sums, hit->color);
+}
+
+BK_FN void bk_take_color(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    bk_take3(sums, hit->color);
 }
 
 /* Adds nothing: BK_HITS and BK_COVERED are enough for the share of samples that hit. */
@@ -72,9 +91,20 @@ BK_FN void bk_add_mask(const bk_map_hit *hit, BK_GLOBAL float *sums)
     (void)sums;
 }
 
+BK_FN void bk_take_mask(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    (void)sums;
+    (void)hit;
+}
+
 BK_FN void bk_add_height(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->t;
+}
+
+BK_FN void bk_take_height(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    hit->t = sums[0];
 }
 
 /* Sums three values and, after them, what rounding added to their sums (Kahan, "Further Remarks on
@@ -93,6 +123,11 @@ BK_FN void bk_add_position(const bk_map_hit *hit, BK_GLOBAL float *sums)
     }
 }
 
+BK_FN void bk_take_position(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    bk_take3(sums, hit->position);
+}
+
 /* Sums where the hits are and how they are oriented; libbake/curvature/ looks around them. */
 BK_FN void bk_add_curvature(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
@@ -100,9 +135,20 @@ BK_FN void bk_add_curvature(const bk_map_hit *hit, BK_GLOBAL float *sums)
     bk_add3(sums + 6, hit->normal);
 }
 
+BK_FN void bk_take_curvature(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    bk_take3(sums, hit->position);
+    bk_take3(sums + 6, hit->normal);
+}
+
 BK_FN void bk_add_ao(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->open;
+}
+
+BK_FN void bk_take_ao(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    hit->open = sums[0];
 }
 
 BK_FN void bk_add_bent(const bk_map_hit *hit, BK_GLOBAL float *sums)
@@ -110,9 +156,19 @@ BK_FN void bk_add_bent(const bk_map_hit *hit, BK_GLOBAL float *sums)
     bk_add3(sums, hit->bent);
 }
 
+BK_FN void bk_take_bent(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    bk_take3(sums, hit->bent);
+}
+
 BK_FN void bk_add_thickness(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->thickness;
+}
+
+BK_FN void bk_take_thickness(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    hit->thickness = sums[0];
 }
 
 /* Counts the samples of each id: a slot is a count and an id. If a sample finds all slots taken by
@@ -138,6 +194,11 @@ BK_FN void bk_add_id(const bk_map_hit *hit, BK_GLOBAL float *sums)
     }
     for (i = 0; i < BK_ID_SLOTS; i++)
         sums[2 * i] -= 1.0f;
+}
+
+BK_FN void bk_take_id(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    hit->id = (bk_uint)sums[1]; /* after its count, 1 */
 }
 
 /* Floats of a texel with these maps. */
@@ -171,6 +232,20 @@ BK_FN void bk_add_to_maps(bk_uint maps, const bk_map_hit *hit, BK_GLOBAL float *
         sums += count;                                                                             \
     }
     BK_MAPS(BK_MAP_ADD)
+    (void)sums;
+}
+
+/* Sets the members of a hit that the selected maps need from the sums of one sample. */
+BK_FN void bk_take_from_maps(bk_uint maps, BK_GLOBAL const float *texel, bk_map_hit *hit)
+{
+    BK_GLOBAL const float *sums = texel + BK_SUMS;
+
+#define BK_MAP_TAKE(name, count)                                                                   \
+    if (maps >> BK_MAP_##name & 1u) {                                                              \
+        bk_take_##name(sums, hit);                                                                 \
+        sums += count;                                                                             \
+    }
+    BK_MAPS(BK_MAP_TAKE)
     (void)sums;
 }
 

@@ -321,11 +321,11 @@ cut_off nvdb box.nvdb
 
 # An unknown version is refused by name, also by Bisque.
 cp box.tris new.tris
-put new.tris 8 2
+put new.tris 8 3
 naive tris new.tris
-err_like '^new\.tris: chunk file of version 2, '
+err_like '^new\.tris: chunk file of version 3, '
 run bisque-voxelize new.tris -o new.nvdb
-err_like '^bisque-voxelize: new\.tris: chunk file of version 2, '
+err_like '^bisque-voxelize: new\.tris: chunk file of version 3, '
 "$TESTS/generate-scan" vase-low -o low.obj
 cp box.nvdb new.nvdb
 put new.nvdb 8 3
@@ -333,7 +333,7 @@ naive nvdb new.nvdb
 err_like '^new\.nvdb: version 32\.4\.3 '
 run bisque-bake new.nvdb low.obj -o new.exr
 err_like '^bisque-bake: new\.nvdb: NanoVDB file of version 32\.4\.3: '
-for version in 1 3; do
+for version in 1 4; do
     cp box.nvdb new.nvdb
     put new.nvdb $((end - 184)) $version
     naive nvdb new.nvdb
