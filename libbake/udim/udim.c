@@ -82,11 +82,11 @@ static int check_tiles(const struct bake_tile_sorter *sorter, uint32_t count)
 /* Adds a tile, whose triangles follow those of all others. */
 static int add_tile(struct bsq_ctx *ctx, const struct bake_udim_tile *tile, struct bake_udim *out)
 {
-    const struct bake_udim_tile *last = out->count > 0 ? &out->tiles[out->count - 1] : NULL;
     int status = bsq_grow(ctx, "tiles", out->count + UINT64_C(1), sizeof *out->tiles, &out->tiles,
                           &out->capacity);
     if (status < 0)
         return status;
+    const struct bake_udim_tile *last = out->count > 0 ? &out->tiles[out->count - 1] : NULL;
     out->tiles[out->count] = *tile;
     out->tiles[out->count++].first = last ? last->first + last->count : 0;
     return 0;
