@@ -26,19 +26,19 @@ run_one='
     status=$?
     seconds=$(($(date +%s) - started))
     # cmocka also prints "not ok" for skipped tests.
-    ok=$(grep "^ok " "$log" | grep -vci "# skip")
-    skip=$(grep -Eci "^(not )?ok .*# skip" "$log")
-    bad=$(grep "^not ok " "$log" | grep -vci "# skip")
+    ok=$(grep -a "^ok " "$log" | grep -avci "# skip")
+    skip=$(grep -aEci "^(not )?ok .*# skip" "$log")
+    bad=$(grep -a "^not ok " "$log" | grep -avci "# skip")
     [ "$status" -eq 0 ] || [ "$bad" -gt 0 ] || bad=1
     [ $((ok + skip)) -gt 0 ] || [ "$bad" -gt 0 ] || bad=1
     echo "$ok $bad $skip" >"$log.counts"
     {
         echo "$0: $ok passed, $bad failed, $skip skipped, $seconds s"
         if [ "$bad" -gt 0 ]; then
-            grep -v "^ok " "$log"
+            grep -av "^ok " "$log"
             echo "exit status $status"
         elif [ "$skip" -gt 0 ]; then
-            grep -i "# skip" "$log"
+            grep -ai "# skip" "$log"
         fi
     } >"$log.lines"
     flock "$results" cat "$log.lines"
