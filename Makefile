@@ -633,6 +633,7 @@ moddir = $(DESTDIR)$(prefix)/lib/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
+farm_programs := tools/farm/bisque-slurm tools/farm/bisque-openjd
 
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
@@ -641,8 +642,8 @@ install: all
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
-	install -m 755 tools/farm/bisque-slurm $(farmdir)
-	install -m 644 $(filter-out %/bisque-slurm,$(wildcard tools/farm/*)) $(farmdir)
+	install -m 755 $(farm_programs) $(farmdir)
+	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*)) $(farmdir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helper) $(moddir)
 	install -m 644 $(archives) $(arcdir)

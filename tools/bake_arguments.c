@@ -13,6 +13,7 @@ static const char help_format[] =
     "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --write-plan PLAN\n"
     "       bisque-bake --plan PLAN --task I\n"
     "       bisque-bake --plan PLAN --merge\n"
+    "       bisque-bake --plan PLAN\n"
     "       bisque-bake --list-tiles LOW.obj...\n"
     "       bisque-bake --verify FILE...\n"
     "Bakes the normals and colours of a scan into texture maps of a low-poly mesh: fast from a\n"
@@ -64,7 +65,8 @@ static const char help_format[] =
     "      --tasks N           with --write-plan: divide the bake into N tasks\n"
     "      --write-plan FILE   write a plan of the tasks, and bake nothing\n"
     "      --plan FILE         take inputs, output and options from a plan\n"
-    "      --task I            bake task I of the plan, from 0 on, into a part file\n"
+    "                          alone: print how many tasks it has, and what each needs\n"
+    "      --task I | I-J      bake task I, or I to J, of the plan, from 0 on, into part files\n"
     "      --merge             write the maps from all parts of the plan\n"
     "      --force             do it again if the part or the maps are there already\n"
     "      --list-devices      print the devices and exit\n"
@@ -371,6 +373,26 @@ static int common_option(struct cli *cli, int option)
     return cli_common_option(cli, option, help);
 }
 
+/* Parses the number of a task, or of the first and the last one with a dash between them. */
+static int parse_tasks(struct cli *cli, struct bake_arguments *arguments)
+{
+    unsigned long long number[2] = {0};
+    const char *at = optarg;
+    char *end;
+    for (int i = 0; i < 2; i++) {
+        number[i] = strtoull(at, &end, 10);
+        if (*at < '0' || *at > '9' || number[i] >= BAKE_MAX_TASKS || (*end && (*end != '-' || i)))
+            return cli_usage(cli, "--task: \"%s\" is no number from 0 to %d, and no range of them",
+                             optarg, BAKE_MAX_TASKS - 1);
+        at = *end ? end + 1 : at;
+    }
+    arguments->task = (uint32_t)number[0];
+    arguments->last_task = (uint32_t)number[1];
+    return number[0] <= number[1]
+               ? 0
+               : cli_usage(cli, "--task: \"%s\": the first task comes after the last one", optarg);
+}
+
 /* Parses an option of a bake's tasks. Returns 1 if it is another option. */
 static int parse_farm_option(struct cli *cli, struct bake_arguments *arguments, int option)
 {
@@ -385,7 +407,7 @@ static int parse_farm_option(struct cli *cli, struct bake_arguments *arguments, 
         return 0;
     case OPT_TASK:
         arguments->task_given = true;
-        return parse_count(cli, "--task", optarg, 0, BAKE_MAX_TASKS - 1, &arguments->task);
+        return parse_tasks(cli, arguments);
     case OPT_MERGE:
         arguments->merge = true;
         return 0;
@@ -509,14 +531,15 @@ static int check_tasks(struct cli *cli, const struct bake_arguments *arguments, 
         return cli_usage(cli, "--tasks and --write-plan need each other");
     if (work && !arguments->plan)
         return cli_usage(cli, "--task and --merge need --plan");
-    if (arguments->force && !arguments->plan)
-        return cli_usage(cli, "--force needs --plan");
-    if ((arguments->write_plan || arguments->task_given) && arguments->max_missed < 100)
+    if (arguments->force && !work)
+        return cli_usage(cli, "--force needs --task or --merge");
+    if ((arguments->write_plan || (arguments->plan && !arguments->merge)) &&
+        arguments->max_missed < 100)
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
     if (!arguments->plan)
         return 0;
-    if (!work || (arguments->task_given && arguments->merge))
-        return cli_usage(cli, "--plan needs one of --task and --merge");
+    if (arguments->task_given && arguments->merge)
+        return cli_usage(cli, "--task and --merge exclude each other");
     if (arguments->write_plan)
         return cli_usage(cli, "--plan and --write-plan exclude each other");
     if (arguments->bake_option)

@@ -11,7 +11,8 @@ struct bake_arguments {
     const char *write_plan; /* plan to write; NULL: none */
     const char *plan;       /* plan to work by; NULL: none */
     uint32_t tasks;         /* of the plan to write; 0: not given */
-    uint32_t task;          /* to bake */
+    uint32_t task;          /* the first one to bake */
+    uint32_t last_task;     /* the last one to bake */
     bool task_given, merge, force;
     int bake_option;   /* the last option that is about the bake itself; 0: none */
     double max_missed; /* percent of the samples */

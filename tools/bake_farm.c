@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "tools/cli_percent.h"
+
 /* Prints that a file is there already. */
 static int say_kept(struct cli *cli, const char *path, const char *what)
 {
@@ -40,6 +42,7 @@ static void sum_costs(const struct bake_farm_plan *plan, struct bake_task_cost *
     }
 }
 
+/* kept: the plan was to be written, but was there already. */
 static int print_plan(struct cli *cli, const char *path, const struct bake_farm_plan *plan,
                       bool kept)
 {
@@ -63,6 +66,11 @@ static int print_plan(struct cli *cli, const char *path, const struct bake_farm_
               most.cpu_seconds);
     cli_print("all parts: at most %s\n", cli_size_text(all.part_bytes, parts));
     return 0;
+}
+
+int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_plan *plan)
+{
+    return print_plan(cli, path, plan, false);
 }
 
 int bake_farm_plan(struct cli *cli, const struct bake_arguments *arguments,
@@ -103,21 +111,36 @@ static int print_task(struct cli *cli, const char *path, uint32_t task,
     return 0;
 }
 
-int bake_farm_task(struct cli *cli, const struct bake_arguments *arguments,
-                   const struct bake_farm_plan *plan)
+static int run_task(struct cli *cli, const struct bake_arguments *arguments,
+                    const struct bake_farm_plan *plan, uint32_t task)
 {
     struct bake_report report = {0};
     bool kept = false;
     cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
-    int status = bake_run_task(cli->ctx, plan, arguments->task, arguments->force, &kept, &report);
-    char *path = status == 0 ? bake_plan_part_path(plan, arguments->task) : NULL;
+    int status = bake_run_task(cli->ctx, plan, task, arguments->force, &kept, &report);
+    char *path = status == 0 ? bake_plan_part_path(plan, task) : NULL;
     if (status == 0 && !path)
         status = bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->plan);
     if (status == 0)
-        status = kept ? say_kept(cli, path, "this part")
-                      : print_task(cli, path, arguments->task, &report);
+        status = kept ? say_kept(cli, path, "this part") : print_task(cli, path, task, &report);
     free(path);
     cli->tile_count = NULL;
     bake_report_free(&report);
+    return status;
+}
+
+int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
+                    const struct bake_farm_plan *plan)
+{
+    const uint32_t first = arguments->task, last = arguments->last_task;
+    const uint32_t count = bake_plan_task_count(plan);
+    int status = last < count
+                     ? 0
+                     : bsq_fail(cli->ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u",
+                                arguments->plan, last, count - 1);
+    for (uint32_t task = first; task <= last && status == 0; task++) {
+        cli_percent_turn(cli, task - first, last - first + 1);
+        status = run_task(cli, arguments, plan, task);
+    }
     return status;
 }

@@ -133,7 +133,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     return status;
 }
 
-/* Bakes a task of a plan, or merges its parts. */
+/* Bakes tasks of a plan, merges its parts, or prints what it asks for. */
 static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_farm_plan *plan = NULL;
@@ -141,8 +141,9 @@ static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool 
     if (status == 0)
         status = bake_open_plan(cli->ctx, arguments->plan, &plan);
     if (status == 0)
-        status = arguments->merge ? merge(cli, arguments, plan, missed)
-                                  : bake_farm_task(cli, arguments, plan);
+        status = arguments->merge        ? merge(cli, arguments, plan, missed)
+                 : arguments->task_given ? bake_farm_tasks(cli, arguments, plan)
+                                         : bake_farm_print(cli, arguments->plan, plan);
     bake_close_plan(plan);
     return status;
 }

@@ -33,11 +33,13 @@ static struct {
     pthread_t thread;
     bool running, stopping;
     const struct cli *cli;
-    const char *name;   /* of the stage that runs; NULL: none */
-    uint32_t times;     /* how often it was begun before */
-    double percent;     /* of all stages */
-    double printed;     /* in the last line; < 0: none yet */
-    struct timespec at; /* when the last line was printed */
+    const char *name;     /* of the stage that runs; NULL: none */
+    const char *last;     /* the stage that was begun last in this turn; NULL: none */
+    uint32_t times;       /* how often it was begun before */
+    uint32_t turn, turns; /* a job that is done several times, and how often; 0: once */
+    double percent;       /* of all stages */
+    double printed;       /* in the last line; < 0: none yet */
+    struct timespec at;   /* when the last line was printed */
 } state = {.lock = PTHREAD_MUTEX_INITIALIZER, .printed = -1};
 
 bool cli_prints_percent(const struct cli *cli)
@@ -92,12 +94,11 @@ static double percent_at(const struct cli *cli, const char *name, uint32_t times
 /* Notes that a stage runs; counts how often it was begun. */
 static void enter_stage(const struct cli *cli, const struct bsq_progress *progress)
 {
-    static const char *last;
-    const bool same = last && strcmp(last, progress->stage) == 0;
+    const bool same = state.last && strcmp(state.last, progress->stage) == 0;
     if (state.name)
         return;
     state.times = same ? state.times + 1 : 0;
-    state.name = last = progress->stage;
+    state.name = state.last = progress->stage;
     if (cli->progress == CLI_PROGRESS_OPENJD && !same) {
         printf("openjd_status: %s\n", progress->stage);
         fflush(stdout);
@@ -110,10 +111,26 @@ void cli_percent_report(struct cli *cli, const struct bsq_progress *progress)
     pthread_mutex_lock(&state.lock);
     enter_stage(cli, progress);
     part = progress->finished ? 1 : fmin(part, 1);
-    state.percent = fmax(state.percent, percent_at(cli, progress->stage, state.times, part));
+    part = percent_at(cli, progress->stage, state.times, part);
+    if (state.turns > 1)
+        part = (100 * state.turn + part) / state.turns;
+    state.percent = fmax(state.percent, part);
     print_if_new(cli);
     if (progress->finished)
         state.name = NULL;
+    pthread_mutex_unlock(&state.lock);
+}
+
+void cli_percent_turn(struct cli *cli, uint32_t turn, uint32_t turns)
+{
+    if (!cli_prints_percent(cli))
+        return;
+    pthread_mutex_lock(&state.lock);
+    state.turn = turn;
+    state.turns = turns;
+    state.last = NULL;
+    state.percent = fmax(state.percent, 100.0 * turn / turns);
+    print_if_new(cli);
     pthread_mutex_unlock(&state.lock);
 }
 

@@ -86,6 +86,12 @@ err "$p farm/plan.0001.part: missing; 1 of 3 parts are missing: those of task 1"
 $bake --plan farm/plan.json --task 3
 code 64
 err "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
+$bake --plan farm/plan.json
+code 0
+out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels$'
+$bake --plan farm/plan.json --json
+code 0
+json '.tasks == 3 and .task_memory_bytes > 0 and .parts_bytes > 0'
 $bake --plan farm/plan.json --task 1 --json
 code 0
 json '.task == 1 and (.kept | not) and .samples > 0'
@@ -304,6 +310,10 @@ $bake --plan farm/plan.json --task 0 --force --progress alf
 code 0
 percentages 's/^ALF_PROGRESS \([0-9]*\)%$/\1/p'
 check "progress of a task rises from 0 to 100" $?
+$bake --plan farm/plan.json --task 0-2 --force --progress openjd
+code 0
+percentages 's/^openjd_progress: \([0-9.]*\)$/\1/p' && grep -qx 'openjd_progress: 33.3' "$out" && grep -q '^farm/plan\.0002\.part: task 2' "$out"
+check "progress of three tasks rises from 0 to 100 once" $?
 $bake --plan farm/plan.json --task 9 --progress openjd
 code 64
 grep -qx 'openjd_fail: farm/plan.json: there is no task 9: tasks are 0 to 2' "$out" && ! grep -q 'openjd_progress: 100' "$out"
@@ -327,10 +337,8 @@ fi
 
 # ---- options ----
 
-$bake --plan farm/plan.json
-err "$p --plan needs one of --task and --merge"
 $bake --plan farm/plan.json --task 0 --merge
-err "$p --plan needs one of --task and --merge"
+err "$p --task and --merge exclude each other"
 $bake --plan farm/plan.json --task 0 --samples 4
 err "$p --plan has the options of the bake: leave out --samples"
 $bake --plan farm/plan.json --task 0 low.obj
@@ -340,7 +348,19 @@ err "$p --task and --merge need --plan"
 $bake scan.nvdb low.obj -o x.exr --tasks 4
 err "$p --tasks and --write-plan need each other"
 $bake scan.nvdb low.obj -o x.exr --force
-err "$p --force needs --plan"
+err "$p --force needs --task or --merge"
+$bake --plan farm/plan.json --force
+err "$p --force needs --task or --merge"
+for tasks in 2-1 1- -1 1-2-3 0x1 1-65536 '1 ' ''; do
+    $bake --plan farm/plan.json --task "$tasks"
+    code 64
+    err_like "^$p --task: \"$tasks\""
+done
+$bake --plan farm/plan.json --task 1-3
+code 64
+err "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
+$bake --plan farm/plan.json --max-missed 3
+err "$p --max-missed is for the bake of all texels: give it to --merge"
 $bake --plan farm/plan.json --task 0 --max-missed 3
 err "$p --max-missed is for the bake of all texels: give it to --merge"
 mkfifo pipe.obj
@@ -402,6 +422,20 @@ code 0
 RUN=submitted PATH=$PWD/fake:$PATH "$slurm" bake -- s.nvdb low.obj -o o.exr >"$out" 2>"$err" || code=$?
 code 0
 same scripts.printed scripts.submitted
+rm scripts.printed
+# Several tasks in an element of the array, also if there were too many elements otherwise.
+for tasks in "--tasks 10 --chunk 4" "--tasks 2500"; do
+    command="bisque-slurm bake $tasks --dry-run | sh" code=0
+    "$slurm" bake --dry-run --at-most 5 $tasks -- s.nvdb low.obj -o o.exr | RUN=printed PATH=$PWD/fake:$PATH sh >"$out" 2>"$err"
+    sed -n '/^first=/,/--task/p' scripts.printed | sed "s/^ 'bisque-bake'.*--task \(.*\) ||.*/echo \1/" >numbers
+    ends=$(for element in 0 1 2 833; do SLURM_ARRAY_TASK_ID=$element sh numbers; done | tr '\n' ' ')
+    case $tasks in
+    *chunk*) [ "${ends%% 3332*}" = "0-3 4-7 8-9" ] ;;
+    *) [ "$ends" = "0-2 3-5 6-8 2499-2499 " ] ;;
+    esac
+    check "elements bake several tasks: $tasks" $?
+    rm scripts.printed numbers
+done
 rm -r fake scripts.*
 printf 'a.obj\tl.obj\to_<MAP>.exr\n' >list
 command="bisque-slurm assets --dry-run" code=0
@@ -424,7 +458,7 @@ check "parts are sorted, voxelized together and baked" $?
 printf 'a.ply\na.obj\n' >twice
 printf 'a.ply\n\nb.ply\n' >gap
 : >empty
-for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --tasks 2000 -- a b -o c" "bake --what" assets "render" \
+for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --chunk 0 -- a b -o c" "bake --what" assets "render" \
     "parts twice -- l -o o" "parts gap -- l -o o" "parts empty -- l -o o" "parts none -- l -o o" "parts list" "assets none"; do
     command="bisque-slurm $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
@@ -433,6 +467,33 @@ for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --tasks 2000 -
     err_like '^bisque-slurm: '
 done
 rm list twice gap empty
+
+# ---- Open Job Description: templates for a plan; tests/farm/ runs them ----
+
+openjd=$top/tools/farm/bisque-openjd
+command="bisque-openjd" code=0
+"$openjd" bake --plan farm/plan.json --bin "$BIN" --chunk 2 --cpus 8 --gpu >"$out" 2>"$err" || code=$?
+code 0
+for line in 'extensions: [TASK_CHUNKING]' '    default: 2' '          type: CHUNK[INT]' \
+    '          chunks: {defaultTaskCount: 2, rangeConstraint: CONTIGUOUS}' '        - {name: amount.worker.vcpu, min: 8}' \
+    '        - {name: amount.worker.gpu, min: 1}'; do
+    grep -qxF -- "$line" "$out"
+    check "the template has \"$line\"" $?
+done
+memory=$("$BIN/bisque-bake" --plan farm/plan.json --json | jq '.task_memory_bytes / 1048576 | ceil')
+[ "$(grep -c "amount.worker.memory, min: $memory}" "$out")" -eq 2 ]
+check "tasks and merge ask for the plan's memory" $?
+for template in asset parts assets bake; do # without options, it is the template itself
+    "$openjd" $template | cmp -s - "$top/tools/farm/$template.openjd.yaml"
+    check "bisque-openjd $template" $?
+done
+for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memory 1G" "assets --plan farm/plan.json" "--what asset"; do
+    command="bisque-openjd $bad" code=0
+    # shellcheck disable=SC2086 # $bad is several words
+    "$openjd" $bad >"$out" 2>"$err" || code=$?
+    code 64
+    err_like '^bisque-openjd: '
+done
 
 # ---- killed, interrupted, twice at once ----
 

@@ -27,7 +27,7 @@ for program in bisque-voxelize bisque-bake bisque-compare; do
     is_there "bin/$program" "share/man/man1/$program.1"
 done
 is_there share/bisque/farm/bisque-slurm share/bisque/farm/asset.openjd.yaml share/bisque/farm/assets.openjd.yaml
-is_there share/bisque/farm/parts.openjd.yaml
+is_there share/bisque/farm/bisque-openjd share/bisque/farm/parts.openjd.yaml share/bisque/farm/bake.openjd.yaml
 is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so lib/bisque/bisque-devices
 is_there lib/bisque/bisque-gltf.so lib/bisque/bisque-scene.so
 command="tests/lint/symbols.sh" code=0

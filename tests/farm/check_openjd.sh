@@ -15,10 +15,17 @@ openjd()
     code 0
 }
 
-for template in asset parts assets; do
-    openjd check "$farm/$template.openjd.yaml"
-    grep -q 'passes validation checks' "$out"
-    check "$template.openjd.yaml is valid" $?
+for template in asset parts assets bake; do
+    command="bisque-openjd $template" code=0
+    "$farm/bisque-openjd" $template --chunk 3 --cpus 2 --memory 700 --scratch 3 --gpu >$template.chunks.yaml 2>"$err" || code=$?
+    code 0
+    grep -q 'amount.worker.vcpu, min: 2}' $template.chunks.yaml && grep -q 'amount.worker.memory, min: 700}' $template.chunks.yaml
+    check "host requirements of $template" $?
+    for file in "$farm/$template.openjd.yaml" $template.chunks.yaml; do
+        openjd check "$file"
+        grep -q 'passes validation checks' "$out"
+        check "${file##*/} is valid" $?
+    done
 done
 
 "$TESTS/generate-scan" --triangles 20000 --colors vase -o scan.obj
@@ -52,12 +59,41 @@ openjd run "$farm/asset.openjd.yaml" --step Merge --run-dependencies -p Scan=/mn
     \"source_path\": \"/mnt/studio\", \"destination_path\": \"$PWD\"}]}"
 same map_normal.1001.exr other/map_normal.1001.exr
 
+# A plan that is there, in chunks of three tasks, and without this extension.
+mkdir planned
+run bisque-bake scan.nvdb low.obj -o 'planned/map_<MAP>.<UDIM>.exr' $options --tasks 7 --write-plan "a plan.json"
+code 0
+for chunk in "" "--chunk 3"; do
+    rm -f "a plan".*.part "a plan.json.merged" planned/*
+    command="bisque-openjd bake $chunk" code=0
+    "$farm/bisque-openjd" bake --plan "a plan.json" --bin "$BIN" $chunk >bake.yaml 2>"$err" || code=$?
+    code 0
+    openjd run bake.yaml --step Merge --run-dependencies -p PlanDir=. -p BinDir="$BIN"
+    if [ -n "$chunk" ]; then
+        grep -q 'Task(CHUNK\[INT\]) = 0-2$' "$out" && grep -q 'Task(CHUNK\[INT\]) = 6' "$out"
+    else
+        grep -q 'Task(INT) = 6$' "$out"
+    fi
+    check "all tasks of the plan run, $chunk" $?
+    for map in normal height color; do
+        same map_$map.1001.exr planned/map_$map.1001.exr
+    done
+done
+
 # A task that fails says why.
 command="openjd run of a missing scan" code=0
 "$openjd" run "$farm/asset.openjd.yaml" --step Voxelize -p Scan=none.obj -p Low=low.obj -p OutputDir=bad -p BinDir="$BIN" \
     >"$out" 2>"$err" || code=$?
 [ "$code" -ne 0 ] && grep -q 'openjd_fail: .*none\.obj: No such file' "$out"
 check "a failure is told to Open Job Description" $?
+
+# ---- a scan that is moved, and a cancelation ----
+
+run bisque-voxelize scan.obj -o moved.nvdb --no-tris --resolution 64 --scale 2 --up y --translate 1,2,3
+code 0
+openjd run "$farm/asset.openjd.yaml" --step Voxelize -p Scan=scan.obj -p Low=low.obj -p OutputDir=moved -p Resolution=64 \
+    -p Scale=2 -p Up=y -p Translate=1,2,3 -p VoxelizeOptions='--grid-type mask' -p BinDir="$BIN"
+same moved.nvdb moved/scan.nvdb
 
 # ---- a comparison with maps of before ----
 
@@ -80,7 +116,7 @@ write_parts scan.obj
 voxelize_parts 128
 run bisque-bake parts.nvdb low.obj -o 'part_<MAP>.<UDIM>.exr' $options
 code 0
-openjd run "$farm/parts.openjd.yaml" --step Compare --run-dependencies -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj \
+openjd run parts.chunks.yaml --step Compare --run-dependencies -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj \
     -p OutputDir=parts -p LastTask=4 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
 [ "$(ls parts/*.tris | wc -l)" -eq 8 ]
 check "there are eight chunk files" $?
@@ -100,9 +136,31 @@ for i in 0 1 2; do
     cp scan.obj asset$i.obj
     printf 'asset%d.obj\tlow.obj\tasset%d_<MAP>.exr\n' $i $i
 done >list.tsv
-openjd run "$farm/assets.openjd.yaml" --step Bake -p Root=. -p List=list.tsv -p LastAsset=2 -p Resolution=128 \
-    -p BakeOptions="$options" -p BinDir="$BIN"
-for i in 0 1 2; do
-    same map_color.1001.exr asset${i}_color.exr
+for template in "$farm/assets.openjd.yaml" assets.chunks.yaml; do
+    rm -f asset?_*
+    openjd run $template --step Bake -p Root=. -p List=list.tsv -p LastAsset=2 -p Resolution=128 -p BakeOptions="$options" \
+        -p BinDir="$BIN"
+    for i in 0 1 2; do
+        same map_color.1001.exr asset${i}_color.exr
+    done
 done
+sed -n 's/.*openjd_progress: //p' "$out" | awk '$1 < last { bad = 1 } { last = $1 } END { exit bad || last != 100 }'
+check "the progress of a chunk of assets rises to 100" $?
+
+# A session that is cancelled interrupts the program, which leaves no half of a file.
+rm -f asset?_* asset?.obj.nvdb
+command="openjd run, cancelled" code=0
+PYTHONUNBUFFERED=1 "$openjd" run assets.chunks.yaml --step Bake -p Root=. -p List=list.tsv -p LastAsset=2 -p Resolution=128 \
+    -p BakeOptions="--size 4096 --samples 4 --maps normal --device cpu" -p BinDir="$BIN" >"$out" 2>"$err" &
+pid=$! tries=0
+until grep -q 'openjd_status: tracing' "$out" || [ $tries -gt 300 ]; do
+    tries=$((tries + 1))
+    sleep 0.1
+done
+kill -INT $pid
+wait $pid || code=$?
+[ "$code" -ne 0 ] && grep -q 'openjd_fail: interrupted' "$out" && grep -q 'exited with code: 75 ' "$out"
+check "a cancelation interrupts the program" $?
+[ -z "$(ls -A | grep '^asset._normal\|tmp$')" ]
+check "and nothing of its maps is left" $?
 finish
