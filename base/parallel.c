@@ -60,27 +60,30 @@ static void *pool_thread_main(void *arg)
     return NULL;
 }
 
-/* Blocks signals in pool threads, so that the program's own threads get them. Signals that a
- * thread's own instructions raise stay open: blocked, they would end the process whatever handles
- * them. */
+/* Signals that a thread's own instructions raise stay open: blocked, they would end the process
+ * whatever handles them. */
+bool bsq_thread_start(pthread_t *out, void *(*fn)(void *arg), void *arg)
+{
+    static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
+    sigset_t blocked, before;
+    sigfillset(&blocked);
+    for (size_t i = 0; i < sizeof own / sizeof *own; i++)
+        sigdelset(&blocked, own[i]);
+    pthread_sigmask(SIG_SETMASK, &blocked, &before);
+    const bool started = pthread_create(out, NULL, fn, arg) == 0;
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
+    return started;
+}
+
 static void start_threads(struct bsq_pool *pool, unsigned count)
 {
-    if (count <= pool->thread_count || pool->refused)
-        return;
-    sigset_t all, before;
-    sigfillset(&all);
-    static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
-    for (size_t i = 0; i < sizeof own / sizeof *own; i++)
-        sigdelset(&all, own[i]);
-    pthread_sigmask(SIG_SETMASK, &all, &before);
     while (pool->thread_count < count && !pool->refused) {
         struct pool_thread *thread = &pool->threads[pool->thread_count];
         *thread =
             (struct pool_thread){.pool = pool, .number = pool->thread_count, .seen = pool->job};
-        pool->refused = pthread_create(&thread->handle, NULL, pool_thread_main, thread) != 0;
+        pool->refused = !bsq_thread_start(&thread->handle, pool_thread_main, thread);
         pool->thread_count += !pool->refused;
     }
-    pthread_sigmask(SIG_SETMASK, &before, NULL);
 }
 
 /* Returns the context's pool; NULL if work is to run on the calling thread alone. */

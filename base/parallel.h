@@ -5,6 +5,8 @@
 #ifndef BSQ_PARALLEL_H
 #define BSQ_PARALLEL_H
 
+#include <pthread.h>
+
 #include "base/context.h"
 
 #ifdef __cplusplus
@@ -41,6 +43,10 @@ struct bsq_pipeline {
 
 /* Runs the pipeline to its end. Returns 0 or the first failure (in time). Must not be nested. */
 int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline);
+
+/* Starts a thread that runs fn(arg). Signals are blocked in it, so that the program's own threads
+ * get them. Returns false if the system refuses a thread. The caller joins *out. */
+bool bsq_thread_start(pthread_t *out, void *(*fn)(void *arg), void *arg);
 
 #ifdef __cplusplus
 }

@@ -11,6 +11,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/parallel.h"
+
 enum { HEARTBEAT_SECONDS = 30 };
 
 static const struct stage {
@@ -163,7 +165,7 @@ void cli_percent_begin(const struct cli *cli)
     pthread_cond_init(&state.stop, &attributes);
     pthread_condattr_destroy(&attributes);
     print_line(cli, 0);
-    state.running = pthread_create(&state.thread, NULL, beat, NULL) == 0;
+    state.running = bsq_thread_start(&state.thread, beat, NULL);
 }
 
 void cli_percent_end(const struct cli *cli, bool success)

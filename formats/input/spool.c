@@ -1,11 +1,11 @@
 /* spool.c - see spool.h. */
 #include <errno.h>
 #include <pthread.h>
-#include <signal.h>
 #include <string.h>
 #include <time.h>
 #include <xxhash.h>
 
+#include "base/parallel.h"
 #include "formats/input/pipe.h"
 #include "formats/input/spool.h"
 #include "formats/input/unpack.h"
@@ -112,20 +112,6 @@ static void *run(void *arg)
     return NULL;
 }
 
-/* Blocks signals in the thread, so that the program's own threads get them. If the system refuses a
- * thread, readers unpack what they need themselves. */
-static void start_thread(struct spool *spool)
-{
-    sigset_t all, before;
-    sigfillset(&all);
-    static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
-    for (size_t i = 0; i < sizeof own / sizeof *own; i++)
-        sigdelset(&all, own[i]);
-    pthread_sigmask(SIG_SETMASK, &all, &before);
-    spool->has_thread = pthread_create(&spool->thread, NULL, run, spool) == 0;
-    pthread_sigmask(SIG_SETMASK, &before, NULL);
-}
-
 /* ---- the spool ---- */
 
 static int make_hash(struct spool *spool)
@@ -156,7 +142,7 @@ static int set_up(struct spool *spool)
     if (!status)
         status = fmt_unpack_create(ctx, read_packed, spool, &spool->unpacker);
     if (!status)
-        start_thread(spool);
+        spool->has_thread = bsq_thread_start(&spool->thread, run, spool);
     return status;
 }
 

@@ -40,8 +40,9 @@ static int read_document(struct gltf_document *document, struct gltf_source *sou
     return status;
 }
 
-static int read_file(struct gltf_reader *reader, uint32_t number)
+static int read_file(struct stream_reader *stream, uint32_t number)
 {
+    struct gltf_reader *reader = (struct gltf_reader *)stream;
     struct gltf_source *source = &reader->files[number];
     struct gltf_document document;
     struct fmt_input *input = reader->stream.sources[number].input;
@@ -84,8 +85,7 @@ static void close_reader(struct fmt_mesh_reader *base)
     for (uint32_t i = 0; reader->files && i < reader->stream.source_count; i++)
         free_source(base->ctx, &reader->files[i]);
     bsq_free(base->ctx, reader->files);
-    fmt_stream_close_sources(&reader->stream);
-    bsq_free(base->ctx, reader);
+    fmt_stream_free(&reader->stream);
 }
 
 /* ---- cutting ---- */
@@ -339,32 +339,32 @@ static const char *dependency(const struct fmt_mesh_reader *base, uint32_t index
 
 /* ---- the format ---- */
 
+static int prepare(struct stream_reader *stream)
+{
+    struct gltf_reader *reader = (struct gltf_reader *)stream;
+    int status = bsq_calloc(stream->base.ctx, "glTF files", stream->source_count,
+                            sizeof *reader->files, &reader->files);
+    for (uint32_t i = 0; i < stream->source_count && !status; i++)
+        reader->files[i].own = reader->files[i].decoded = (struct bsq_file)BSQ_FILE_CLOSED;
+    return status;
+}
+
 static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
-    static const struct stream_format stream = {.open = open_buffers,
-                                                .close = close_buffers,
-                                                .cut = cut,
-                                                .parse = fmt_gltf_parse,
-                                                .pass = pass};
-    struct gltf_reader *reader;
-    int status = bsq_calloc(ctx, "glTF reader", 1, sizeof *reader, &reader);
-    if (status)
-        return status;
-    reader->stream.base.ctx = ctx;
-    reader->stream.stream = &stream;
-    status = fmt_stream_open_sources(&reader->stream, inputs, input_count);
-    if (!status)
-        status = bsq_calloc(ctx, "glTF files", input_count, sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < input_count && !status; i++)
-        reader->files[i].own = reader->files[i].decoded = (struct bsq_file)BSQ_FILE_CLOSED;
-    for (uint32_t i = 0; i < input_count && !status; i++)
-        status = read_file(reader, i);
-    if (status)
-        close_reader(&reader->stream.base);
-    else
-        *out = &reader->stream.base;
-    return status;
+    static const struct stream_format stream = {
+        .reader_name = "glTF reader",
+        .reader_bytes = sizeof(struct gltf_reader),
+        .prepare = prepare,
+        .begin = read_file,
+        .end = close_reader,
+        .open = open_buffers,
+        .close = close_buffers,
+        .cut = cut,
+        .parse = fmt_gltf_parse,
+        .pass = pass,
+    };
+    return fmt_stream_open(ctx, &stream, inputs, input_count, out);
 }
 
 const struct fmt_mesh_format fmt_gltf_format = {

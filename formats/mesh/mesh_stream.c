@@ -23,8 +23,8 @@ struct job {
 
 /* ---- files ---- */
 
-int fmt_stream_open_sources(struct stream_reader *reader, struct fmt_input *const *inputs,
-                            uint32_t input_count)
+static int set_sources(struct stream_reader *reader, struct fmt_input *const *inputs,
+                       uint32_t input_count)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     int status =
@@ -39,11 +39,34 @@ int fmt_stream_open_sources(struct stream_reader *reader, struct fmt_input *cons
     return 0;
 }
 
-void fmt_stream_close_sources(struct stream_reader *reader)
+int fmt_stream_open(struct bsq_ctx *ctx, const struct stream_format *stream,
+                    struct fmt_input *const *inputs, uint32_t input_count,
+                    struct fmt_mesh_reader **out)
+{
+    struct stream_reader *reader;
+    int status = bsq_calloc(ctx, stream->reader_name, 1, stream->reader_bytes, &reader);
+    if (status)
+        return status;
+    reader->base.ctx = ctx;
+    reader->stream = stream;
+    status = set_sources(reader, inputs, input_count);
+    if (!status)
+        status = stream->prepare(reader);
+    for (uint32_t i = 0; i < input_count && !status; i++)
+        status = stream->begin(reader, i);
+    if (status)
+        stream->end(&reader->base);
+    else
+        *out = &reader->base;
+    return status;
+}
+
+void fmt_stream_free(struct stream_reader *reader)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     bsq_free(ctx, reader->sources);
     bsq_free(ctx, reader->places);
+    bsq_free(ctx, reader);
 }
 
 /* Opens a file before its first part. */

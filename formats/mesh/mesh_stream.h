@@ -77,6 +77,14 @@ struct stream_reader {
 
 /* What a format does. The reader is a structure that begins with a struct stream_reader. */
 struct stream_format {
+    const char *reader_name; /* for messages about memory: "PLY reader" */
+    size_t reader_bytes;     /* size of the format's reader */
+    /* Allocates what the reader has for each file. */
+    int (*prepare)(struct stream_reader *reader);
+    /* Reads the start of file number `source`. Called for each file, in order. */
+    int (*begin)(struct stream_reader *reader, uint32_t source);
+    /* Frees the reader, also after a failure of `prepare` or `begin`. */
+    void (*end)(struct fmt_mesh_reader *reader);
     /* Open and close what belongs to file number `source` besides the file itself, before its first
      * cut and after its last part has passed. Both may be NULL. Closing what is not open does
      * nothing; after a failure of `open` it is called too. */
@@ -96,11 +104,13 @@ struct stream_format {
                 struct fmt_mesh_totals *totals);
 };
 
-/* Sets the sources. `reader` is zero but for its ctx. Call fmt_stream_close_sources() also after a
- * failure. */
-int fmt_stream_open_sources(struct stream_reader *reader, struct fmt_input *const *inputs,
-                            uint32_t input_count);
-void fmt_stream_close_sources(struct stream_reader *reader);
+/* Implements `open` of struct fmt_mesh_format: makes a reader of stream->reader_bytes, and reads
+ * the start of each file. */
+int fmt_stream_open(struct bsq_ctx *ctx, const struct stream_format *stream,
+                    struct fmt_input *const *inputs, uint32_t input_count,
+                    struct fmt_mesh_reader **out);
+/* Frees the reader and what fmt_stream_open() gave it. */
+void fmt_stream_free(struct stream_reader *reader);
 
 /* Implements `read` of struct fmt_mesh_format. */
 int fmt_stream_read(struct stream_reader *reader, const struct fmt_mesh_steps *steps, void *arg,

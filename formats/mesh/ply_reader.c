@@ -50,8 +50,9 @@ static void choose_use(struct ply_source *source)
         source->tags = PLY_TAGS_COLOR;
 }
 
-static int read_header(struct ply_reader *reader, uint32_t number)
+static int read_header(struct stream_reader *stream, uint32_t number)
 {
+    struct ply_reader *reader = (struct ply_reader *)stream;
     struct bsq_ctx *ctx = reader->stream.base.ctx;
     struct ply_source *source = &reader->files[number];
     struct fmt_input *input = reader->stream.sources[number].input;
@@ -75,8 +76,7 @@ static void close_reader(struct fmt_mesh_reader *base)
         fmt_ply_header_free(base->ctx, &reader->files[i].header);
     bsq_free(base->ctx, reader->files);
     fmt_ply_colors_free(base->ctx, &reader->colors);
-    fmt_stream_close_sources(&reader->stream);
-    bsq_free(base->ctx, reader);
+    fmt_stream_free(&reader->stream);
 }
 
 /* ---- reading ---- */
@@ -250,26 +250,27 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
 
 /* ---- the format ---- */
 
+static int prepare(struct stream_reader *stream)
+{
+    struct ply_reader *reader = (struct ply_reader *)stream;
+    return bsq_calloc(stream->base.ctx, "PLY files", stream->source_count, sizeof *reader->files,
+                      &reader->files);
+}
+
 static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
-    static const struct stream_format stream = {.cut = fmt_ply_cut, .parse = parse, .pass = pass};
-    struct ply_reader *reader;
-    int status = bsq_calloc(ctx, "PLY reader", 1, sizeof *reader, &reader);
-    if (status)
-        return status;
-    reader->stream.base.ctx = ctx;
-    reader->stream.stream = &stream;
-    status = fmt_stream_open_sources(&reader->stream, inputs, input_count);
-    if (!status)
-        status = bsq_calloc(ctx, "PLY files", input_count, sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < input_count && !status; i++)
-        status = read_header(reader, i);
-    if (status)
-        close_reader(&reader->stream.base);
-    else
-        *out = &reader->stream.base;
-    return status;
+    static const struct stream_format stream = {
+        .reader_name = "PLY reader",
+        .reader_bytes = sizeof(struct ply_reader),
+        .prepare = prepare,
+        .begin = read_header,
+        .end = close_reader,
+        .cut = fmt_ply_cut,
+        .parse = parse,
+        .pass = pass,
+    };
+    return fmt_stream_open(ctx, &stream, inputs, input_count, out);
 }
 
 const struct fmt_mesh_format fmt_ply_format = {

@@ -94,8 +94,9 @@ static int examine(struct bsq_ctx *ctx, const struct fmt_input *input, const cha
     return 0;
 }
 
-static int open_file(struct stl_reader *reader, uint32_t number)
+static int open_file(struct stream_reader *stream, uint32_t number)
 {
+    struct stl_reader *reader = (struct stl_reader *)stream;
     struct bsq_ctx *ctx = reader->stream.base.ctx;
     struct fmt_input *input = reader->stream.sources[number].input;
     char head[FMT_MESH_HEAD_BYTES];
@@ -108,8 +109,7 @@ static void close_reader(struct fmt_mesh_reader *base)
 {
     struct stl_reader *reader = (struct stl_reader *)base;
     bsq_free(base->ctx, reader->files);
-    fmt_stream_close_sources(&reader->stream);
-    bsq_free(base->ctx, reader);
+    fmt_stream_free(&reader->stream);
 }
 
 /* ---- binary files ---- */
@@ -301,26 +301,27 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
 
 /* ---- the format ---- */
 
+static int prepare(struct stream_reader *stream)
+{
+    struct stl_reader *reader = (struct stl_reader *)stream;
+    return bsq_calloc(stream->base.ctx, "STL files", stream->source_count, sizeof *reader->files,
+                      &reader->files);
+}
+
 static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
                        struct fmt_mesh_reader **out)
 {
-    static const struct stream_format stream = {.cut = cut, .parse = parse, .pass = pass};
-    struct stl_reader *reader;
-    int status = bsq_calloc(ctx, "STL reader", 1, sizeof *reader, &reader);
-    if (status)
-        return status;
-    reader->stream.base.ctx = ctx;
-    reader->stream.stream = &stream;
-    status = fmt_stream_open_sources(&reader->stream, inputs, input_count);
-    if (!status)
-        status = bsq_calloc(ctx, "STL files", input_count, sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < input_count && !status; i++)
-        status = open_file(reader, i);
-    if (status)
-        close_reader(&reader->stream.base);
-    else
-        *out = &reader->stream.base;
-    return status;
+    static const struct stream_format stream = {
+        .reader_name = "STL reader",
+        .reader_bytes = sizeof(struct stl_reader),
+        .prepare = prepare,
+        .begin = open_file,
+        .end = close_reader,
+        .cut = cut,
+        .parse = parse,
+        .pass = pass,
+    };
+    return fmt_stream_open(ctx, &stream, inputs, input_count, out);
 }
 
 const struct fmt_mesh_format fmt_stl_format = {

@@ -37,8 +37,8 @@ static uint64_t count_texels(const struct bake_raster *raster)
     return texels;
 }
 
-/* Creates the workers with buffers for so many samples, texels with sums and texels of the image.
- */
+/* Creates the workers. Each has buffers for `samples` samples, the sums of `texels` texels and
+ * `resolved` texels of the image. */
 static int create_workers(struct bsq_ctx *ctx, uint64_t samples, uint64_t texels, uint64_t resolved,
                           struct bake_tile_workers *out)
 {
