@@ -50,6 +50,8 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
         status = vox_scan_find_materials(scan, reader, options->texture_path, textures,
                                          (enum bsq_ids)options->ids);
     if (status == 0)
+        status = vox_scan_compare_files(scan, options->texture_path);
+    if (status == 0)
         vox_partition_finish(scan, out);
     return status;
 }

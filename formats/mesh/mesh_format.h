@@ -4,8 +4,8 @@
  *
  * A reader delivers blocks in file order, each of at most about FMT_MESH_SLOT_BYTES. They are the
  * same for each reading, any budget and any number of threads. Their byte_size add up to the files.
- * Blocks and their arrays are the reader's own memory, which its caller may change in on_block: the
- * reader uses positions and normals no more after that.
+ * A block and its arrays are memory of the reader that its caller may change in on_block: the
+ * reader uses none of it after that, and no two arrays overlap.
  * The reader calls bsq_check() for each block. A reader without threads uses slot 0 only. */
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
@@ -15,10 +15,11 @@
 
 /* Where a face is, for messages. */
 struct fmt_mesh_place {
-    const char *path; /* owned by the reader */
-    uint64_t line;    /* from 1; 0: the format has none */
-    uint64_t byte;    /* of the file, from 0; 0: unknown, then messages count faces */
-    bool from_zero;   /* the file counts elements from 0, and not from 1 */
+    const char *path;    /* owned by the reader */
+    uint64_t line;       /* from 1; 0: the format has none */
+    uint64_t byte;       /* of the file, from 0; 0: unknown, then messages count faces */
+    uint64_t first_face; /* then: the face of the scan that is the first of the file */
+    bool from_zero;      /* the file counts elements from 0, and not from 1 */
     /* By kind: elements of the scan in files before the face's file, and in the face's file. With
      * one file, base is 0. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
@@ -31,6 +32,7 @@ struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj". Blanks separate
                            several. */
+    bool single;        /* a reader takes one input; several inputs have a reader each */
     /* Returns true if the first bytes of a file show this format beyond doubt. `head` is the first
      * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. */
     bool (*recognise)(const char *head, size_t size);
@@ -78,6 +80,14 @@ int fmt_mesh_keep_placements(struct fmt_mesh_reader *reader,
 /* Reads as fmt_mesh_read_steps() does, and places each block before steps->on_block. */
 int fmt_mesh_read_placed(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
                          void *arg, struct fmt_mesh_totals *totals);
+
+/* ---- mesh_mixed.c ---- */
+
+/* Opens inputs that need several readers; formats: of each input. Implements `open`. */
+int fmt_mesh_open_mixed(struct bsq_ctx *ctx, struct fmt_input *const *inputs,
+                        const struct fmt_mesh_format *const *formats, uint32_t input_count,
+                        struct fmt_mesh_reader **out);
+extern const struct fmt_mesh_format fmt_mixed_format; /* of such a reader; not in the registry */
 
 /* The registry. The first row also reads files that no row recognises. */
 #define FMT_MESH_FORMATS(ROW)                                                                      \

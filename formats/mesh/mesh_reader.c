@@ -129,25 +129,36 @@ static void free_inputs(struct bsq_ctx *ctx, struct fmt_input **inputs, uint32_t
     bsq_free(ctx, inputs);
 }
 
-/* Sets *format to the one format of all inputs. */
+/* Finds the format of each input. Sets *one to that of all if one reader takes them, else to NULL.
+ */
 static int choose_formats(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t count,
-                          const struct fmt_mesh_format **format)
+                          const struct fmt_mesh_format **found, const struct fmt_mesh_format **one)
 {
-    *format = formats[0];
-    for (uint32_t i = 0; i < count; i++) {
-        const struct fmt_mesh_format *found;
-        int status = choose_format(ctx, inputs[i], &found);
-        if (status < 0)
-            return status;
-        if (i == 0)
-            *format = found;
-        if (found != *format)
-            return bsq_fail(
-                ctx, BSQ_EDATA,
-                "%s has the format %s, but %s has %s: all files of a scan need one format",
-                fmt_input_path(inputs[i]), found->name, fmt_input_path(inputs[0]), (*format)->name);
+    int status = 0;
+    *one = NULL;
+    for (uint32_t i = 0; i < count && !status; i++) {
+        status = choose_format(ctx, inputs[i], &found[i]);
+        *one = i == 0 || (found[i] == *one && !found[i]->single) ? found[i] : NULL;
     }
-    return 0;
+    return status;
+}
+
+/* Opens the reader, or the readers, that the inputs need. */
+static int open_readers(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t count,
+                        struct fmt_mesh_reader **out)
+{
+    const struct fmt_mesh_format **found, *one = NULL;
+    int status = bsq_calloc(ctx, "inputs", count, sizeof(void *), &found);
+    if (!status)
+        status = choose_formats(ctx, inputs, count, found, &one);
+    if (!status && one)
+        status = one->open(ctx, inputs, count, out);
+    else if (!status)
+        status = fmt_mesh_open_mixed(ctx, inputs, found, count, out);
+    if (!status)
+        (*out)->format = one ? one : &fmt_mixed_format;
+    bsq_free(ctx, found);
+    return status;
 }
 
 /* Sets *info for a path; "-" is standard input. Returns false if it cannot be seen. */
@@ -191,23 +202,18 @@ static int create_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from
 int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from,
                          struct fmt_mesh_reader **out)
 {
-    const struct fmt_mesh_format *format = NULL;
     struct fmt_input **inputs;
     *out = NULL;
     int status = bsq_calloc(ctx, "inputs", from->path_count, sizeof(void *), &inputs);
     if (status == 0)
         status = create_inputs(ctx, from, inputs);
     if (status == 0)
-        status = choose_formats(ctx, inputs, from->path_count, &format);
-    assert(status < 0 || format);
-    if (status == 0)
-        status = format->open(ctx, inputs, from->path_count, out);
+        status = open_readers(ctx, inputs, from->path_count, out);
     if (status < 0) {
         free_inputs(ctx, inputs, from->path_count);
         return status;
     }
     assert(*out);
-    (*out)->format = format;
     (*out)->inputs = inputs;
     (*out)->input_count = from->path_count;
     status = from->placements ? fmt_mesh_keep_placements(*out, from->placements) : 0;
@@ -404,7 +410,8 @@ __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
     if (place->byte > 0)
         return bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": face %s", place->path, place->byte,
                         text);
-    return bsq_fail(ctx, BSQ_EDATA, "%s: face %" PRIu64 " %s", place->path, face + 1, text);
+    return bsq_fail(ctx, BSQ_EDATA, "%s: face %" PRIu64 " %s", place->path,
+                    face - place->first_face + 1, text);
 }
 
 int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out)
@@ -422,7 +429,7 @@ int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **ou
     else if (place.byte > 0)
         snprintf(*out, size, "%s: byte %" PRIu64, place.path, place.byte);
     else
-        snprintf(*out, size, "%s: face %" PRIu64, place.path, face + 1);
+        snprintf(*out, size, "%s: face %" PRIu64, place.path, face - place.first_face + 1);
     return 0;
 }
 

@@ -4,8 +4,8 @@
  * format is one row of the registry (mesh_format.h): a file's first bytes choose it, then its
  * suffix. A file that neither names is read as OBJ. Callers never learn which format a mesh has.
  *
- * Several files are read as one scan; they must be of one format. Files may be packed by gzip or
- * Zstandard (formats/input). Nothing is kept: memory does not grow with the files. */
+ * Several files are read as one scan, also if they have several formats. Files may be packed by
+ * gzip or Zstandard (formats/input). Nothing is kept: memory does not grow with the files. */
 #ifndef FMT_MESH_READER_H
 #define FMT_MESH_READER_H
 
@@ -88,7 +88,7 @@ struct fmt_mesh_totals {
 struct fmt_mesh_reader;
 
 /* Opens the files and checks that all can be read. The paths are copied. Errors: BSQ_ENOINPUT;
- * BSQ_EDATA for a file of a kind that is known but not read, and for files of several formats. */
+ * BSQ_EDATA for a file of a kind that is known but not read. */
 int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                   struct fmt_mesh_reader **out);
 void fmt_mesh_close(struct fmt_mesh_reader *reader); /* NULL is allowed */

@@ -324,6 +324,8 @@ static int call_on_block(struct job *job, struct slot *slot)
         .material_changes = slot->changes,
         .material_at_start = job->material,
     };
+    if (slot->change_count)
+        job->material = slot->changes[slot->change_count - 1].material;
     return job->steps->on_block ? job->steps->on_block(job->arg, &slot->view) : 0;
 }
 
@@ -364,8 +366,6 @@ static void pass_block(struct job *job, const struct slot *slot)
     totals->skipped_lines += block->odd[OBJ_UNKNOWN].count;
     totals->short_faces += block->short_faces;
     totals->materials = (uint32_t)fmt_obj_numbers(job->reader)->count;
-    if (slot->change_count)
-        job->material = slot->changes[slot->change_count - 1].material;
     job->sequence += block->size > 0;
 }
 

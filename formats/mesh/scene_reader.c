@@ -2,12 +2,14 @@
  *
  * Meant for low-poly meshes. The memory that Assimp takes is not known before; it is counted as a
  * multiple of the file. */
+#include <assert.h>
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
 #include <strings.h>
 
 #include "base/loss.h"
+#include "formats/mesh/mesh_arrays.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/scene_module.h"
@@ -24,6 +26,7 @@ struct scene_reader {
     struct fmt_scene scene;
     uint64_t bytes; /* of the file */
     bool read_before;
+    struct mesh_arrays arrays; /* of one block: a copy that callers may change */
 };
 
 /* ---- opening ---- */
@@ -95,6 +98,7 @@ static void close_reader(struct fmt_mesh_reader *base)
     for (uint64_t i = 0; i < r->scene.material_count; i++)
         bsq_free(base->ctx, r->scene.material_names[i]);
     bsq_free(base->ctx, r->scene.material_names);
+    fmt_arrays_free(base->ctx, &r->arrays);
     bsq_free(base->ctx, r);
 }
 
@@ -117,9 +121,8 @@ static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uin
                        struct fmt_mesh_reader **out)
 {
     struct scene_reader *r;
-    if (input_count != 1)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s: only one file of this format can be read",
-                        fmt_input_path(inputs[1]));
+    assert(input_count == 1);
+    (void)input_count;
     int status = bsq_calloc(ctx, "scene reader", 1, sizeof *r, &r);
     if (status)
         return status;
@@ -168,9 +171,30 @@ static uint64_t count_missing(const double *values, uint64_t count, unsigned siz
     return missing;
 }
 
+/* Copies vertices to the arrays of a block. */
+static int copy_vertices(struct scene_reader *r, uint64_t first, uint64_t count)
+{
+    const struct fmt_scene *s = &r->scene;
+    struct mesh_arrays *a = &r->arrays;
+    fmt_arrays_clear(a);
+    int status = fmt_arrays_reserve_positions(r->base.ctx, a, count);
+    if (!status)
+        status = fmt_arrays_reserve_texcoords(r->base.ctx, a, count);
+    if (!status)
+        status = fmt_arrays_reserve_normals(r->base.ctx, a, count);
+    if (status || count == 0)
+        return status;
+    memcpy(a->positions, s->positions + first, count * sizeof *a->positions);
+    memcpy(a->texcoords, s->texcoords + first, count * sizeof *a->texcoords);
+    memcpy(a->normals, s->normals + first, count * sizeof *a->normals);
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        a->count[kind] = count;
+    return 0;
+}
+
 /* The first block has all bytes of the file, also if there are no vertices. */
-static int read_vertices(const struct scene_reader *r, const struct fmt_mesh_steps *steps,
-                         void *arg, uint64_t *sequence, struct fmt_mesh_totals *totals)
+static int read_vertices(struct scene_reader *r, const struct fmt_mesh_steps *steps, void *arg,
+                         uint64_t *sequence, struct fmt_mesh_totals *totals)
 {
     const struct fmt_scene *s = &r->scene;
     int status = 0;
@@ -180,25 +204,48 @@ static int read_vertices(const struct scene_reader *r, const struct fmt_mesh_ste
             .sequence = (*sequence)++,
             .byte_size = v == 0 ? r->bytes : 0,
             .byte_offset = v == 0 ? 0 : r->bytes,
-            .vertex_count = count,
             .vertex_base = v,
-            .positions = (const double(*)[3])(s->positions + v),
-            .texcoord_count = count,
             .texcoord_base = v,
-            .texcoords = (const double(*)[2])(s->texcoords + v),
-            .normal_count = count,
             .normal_base = v,
-            .normals = (const float(*)[3])(s->normals + v),
             .missing_positions = count_missing(&s->positions[v][0], count, 3),
             .missing_texcoords = count_missing(&s->texcoords[v][0], count, 2),
             .material_at_start = FMT_MESH_NO_MATERIAL,
         };
-        status = deliver(r, steps, arg, &block, totals);
+        status = copy_vertices(r, v, count);
+        fmt_arrays_show(&r->arrays, &block);
+        if (!status)
+            status = deliver(r, steps, arg, &block, totals);
     }
     return status;
 }
 
-static int read_faces(const struct scene_reader *r, const struct fmt_scene_part *part,
+/* Copies faces of a part to the arrays of a block. */
+static int copy_faces(struct scene_reader *r, const struct fmt_scene_part *part, uint64_t face,
+                      uint64_t face_count, uint64_t corner, uint64_t corner_count)
+{
+    const bool has[FMT_MESH_KIND_COUNT] = {[FMT_MESH_VERTEX] = true,
+                                           [FMT_MESH_TEXCOORD] = part->has_texcoords,
+                                           [FMT_MESH_NORMAL] = part->has_normals};
+    struct mesh_arrays *a = &r->arrays;
+    fmt_arrays_clear(a);
+    int status = fmt_arrays_reserve_faces(r->base.ctx, a, face_count);
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT && !status; kind++) {
+        a->has_corners[kind] = has[kind];
+        if (has[kind])
+            status =
+                fmt_arrays_reserve_corners(r->base.ctx, a, (enum fmt_mesh_kind)kind, corner_count);
+        if (has[kind] && !status)
+            memcpy(a->corners[kind], r->scene.corners + corner, corner_count * sizeof(uint64_t));
+    }
+    if (status)
+        return status;
+    memcpy(a->face_sizes, r->scene.face_sizes + face, face_count * sizeof *a->face_sizes);
+    a->face_count = face_count;
+    a->corner_count = corner_count;
+    return 0;
+}
+
+static int read_faces(struct scene_reader *r, const struct fmt_scene_part *part,
                       const struct fmt_mesh_steps *steps, void *arg, uint64_t *sequence,
                       struct fmt_mesh_totals *totals)
 {
@@ -213,18 +260,16 @@ static int read_faces(const struct scene_reader *r, const struct fmt_scene_part 
             .texcoord_base = s->vertex_count,
             .normal_base = s->vertex_count,
             .face_base = f,
-            .face_sizes = s->face_sizes + f,
-            .corner_vertices = s->corners + corner,
-            .corner_texcoords = part->has_texcoords ? s->corners + corner : NULL,
-            .corner_normals = part->has_normals ? s->corners + corner : NULL,
             .material_at_start = part->material,
         };
-        for (; f < part[1].first_face && block.corner_count < 3 * BLOCK_ELEMENTS; f++) {
-            block.corner_count += s->face_sizes[f];
-            block.face_count++;
-        }
-        corner += block.corner_count;
-        status = deliver(r, steps, arg, &block, totals);
+        uint64_t corners = 0;
+        for (; f < part[1].first_face && corners < 3 * BLOCK_ELEMENTS; f++)
+            corners += s->face_sizes[f];
+        status = copy_faces(r, part, block.face_base, f - block.face_base, corner, corners);
+        fmt_arrays_show(&r->arrays, &block);
+        corner += corners;
+        if (!status)
+            status = deliver(r, steps, arg, &block, totals);
     }
     return status;
 }
@@ -265,7 +310,7 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
 static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
 {
     const struct scene_reader *r = (const struct scene_reader *)base;
-    (void)face;
+    (void)face; /* its number tells where it is */
     *out = (struct fmt_mesh_place){.path = r->path, .from_zero = true};
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         out->count[kind] = r->scene.vertex_count;
@@ -287,6 +332,7 @@ static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *ou
 const struct fmt_mesh_format fmt_scene_format = {
     .name = "FBX, COLLADA or the like",
     .suffix = ".fbx .dae .3ds .x",
+    .single = true,
     .recognise = recognise,
     .open = open_reader,
     .close = close_reader,

@@ -236,9 +236,9 @@ static int finish(void *arg, const struct fmt_mesh_block *block, unsigned number
     int status = 0;
     if (!r->faces || block->face_count == 0)
         return 0;
-    vox_scan_note_faces(r->scan, &slot->check);
-    if (r->scan->bad_index.found)
-        return 0;
+    status = vox_scan_note_faces(r->scan, &slot->check);
+    if (status < 0 || r->scan->bad_index.found)
+        return status;
     const struct triangulator *t = &slot->triangulator;
     for (uint32_t i = 0; status == 0 && i < t->run_count; i++)
         status = vox_buckets_add(&r->out->buckets, t->runs[i].bucket, t->bytes + t->runs[i].offset,

@@ -59,25 +59,26 @@ static bool any_missing(const struct scan *scan, enum fmt_mesh_kind kind, const 
 }
 
 /* Returns whether some index of this kind names nothing. */
-static bool any_lost(const struct scan *scan, enum fmt_mesh_kind kind, const uint64_t *indices,
-                     uint64_t count)
+static bool any_lost(const struct scan *scan, uint32_t file, enum fmt_mesh_kind kind,
+                     const uint64_t *indices, uint64_t count)
 {
-    return indices && (!all_below(indices, count, scan_count(scan, scan_stream_of(kind))) ||
-                       any_missing(scan, kind, indices, count));
+    const uint64_t end = scan_file_end(scan, file, kind);
+    return indices && (!all_below(indices, count, end) || any_missing(scan, kind, indices, count));
 }
 
 int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
                          struct scan_clean_faces *clean, struct scan_face_check *out)
 {
-    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS), all = block->corner_count;
+    const uint64_t vertices = scan_file_end(scan, block->file, FMT_MESH_VERTEX);
+    const uint64_t all = block->corner_count;
     *out = (struct scan_face_check){.block = block, .max_size = 3};
     if (!all_below(block->corner_vertices, all, vertices)) {
         out->bad_index = find_bad_index(block, vertices);
         return 0;
     }
     if (any_missing(scan, FMT_MESH_VERTEX, block->corner_vertices, all) ||
-        any_lost(scan, FMT_MESH_TEXCOORD, block->corner_texcoords, all) ||
-        any_lost(scan, FMT_MESH_NORMAL, block->corner_normals, all)) {
+        any_lost(scan, block->file, FMT_MESH_TEXCOORD, block->corner_texcoords, all) ||
+        any_lost(scan, block->file, FMT_MESH_NORMAL, block->corner_normals, all)) {
         int status = vox_scan_clean_faces(scan, block, clean, out);
         if (status < 0)
             return status;
@@ -86,6 +87,7 @@ int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *b
     const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
     out->max_size = largest_face(block);
     out->lacks_texcoord = !texcoords || any_none(texcoords, block->corner_count);
+    out->has_texcoords = texcoords && any_index(texcoords, block->corner_count);
     out->has_normals = normals && any_index(normals, block->corner_count);
     return 0;
 }
@@ -96,10 +98,10 @@ static void add_loss(struct scan_loss *to, const struct scan_loss *loss)
     to->count += loss->count;
 }
 
-void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
+int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
 {
     if (scan->bad_index.found)
-        return;
+        return 0;
     scan->bad_index = check->bad_index;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         add_loss(&scan->lost[kind], &check->lost[kind]);
@@ -107,4 +109,5 @@ void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
     scan->has_normals |= check->has_normals;
     scan->max_face_size =
         check->max_size > scan->max_face_size ? check->max_size : scan->max_face_size;
+    return vox_scan_note_file_faces(scan, check);
 }

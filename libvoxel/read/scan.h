@@ -55,11 +55,22 @@ struct scan_clean_faces {
     uint64_t size_capacity, corner_capacity[FMT_MESH_KIND_COUNT], change_capacity;
 };
 
+/* What became of late colours of a file. */
+enum scan_paint { SCAN_PAINT_NONE, SCAN_PAINT_USED, SCAN_PAINT_LOST };
+
+/* What one of a scan's files has. */
+struct scan_file {
+    uint64_t ends[FMT_MESH_KIND_COUNT];         /* elements of this and of all earlier files */
+    bool has_colors;                            /* of vertices, in their own lines */
+    bool has_faces, has_normals, has_texcoords; /* some corner has one */
+    enum scan_paint paint;                      /* late colours */
+};
+
 /* Facts about the faces of one block. */
 struct scan_face_check {
     const struct fmt_mesh_block *block; /* the faces to use: the block itself or its clean copy */
     uint32_t max_size;                  /* corners of the largest face, at least 3 */
-    bool lacks_texcoord, has_normals;
+    bool lacks_texcoord, has_normals, has_texcoords;
     struct scan_bad_index bad_index; /* the first one of a vertex */
     /* By kind: faces left out for lack of a position, and corners that refer to a texture
      * coordinate or normal that the file does not have. */
@@ -94,6 +105,10 @@ struct scan {
     uint64_t merged_vertices; /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
     struct fmt_mesh_totals totals;
+    struct scan_file *files; /* up to the last one that had elements or faces so far */
+    uint64_t file_count, file_capacity;
+    uint32_t *material_files; /* by the readers' number of a material: a file that uses it */
+    uint64_t material_file_count, material_file_capacity;
 
     /* Of all faces. */
     uint32_t max_face_size;
@@ -139,8 +154,8 @@ void vox_scan_clean_free(struct bsq_ctx *ctx, struct scan_clean_faces *clean);
 int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block);
 /* Returns the bytes that notes on missing elements take. */
 uint64_t vox_scan_missing_memory(const struct scan *scan);
-/* Adds the result to the scan. Serial, in the order of the file. */
-void vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check);
+/* Adds the result to the scan. Serial, in the order of the file. Errors: BSQ_ENOMEM. */
+int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check);
 
 /* Ends reading: reports warnings. Errors: BSQ_EDATA if the index of a vertex is out of range, if
  * more than 1 % of the faces are left out, or if there are no faces. */
@@ -167,6 +182,20 @@ void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids);
+
+/* Notes that elements of a file come. Serial. Errors: BSQ_ENOMEM. */
+int vox_scan_enter_file(struct scan *scan, uint32_t number);
+/* Notes what faces of a file have, whose elements have been noted. Serial. Errors: BSQ_ENOMEM. */
+int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *check);
+/* Warns of attributes that some files have and others lack, in a scan of several files. Called
+ * after vox_scan_find_materials(). */
+int vox_scan_compare_files(struct scan *scan, const char *texture_path);
+/* Returns the number of elements in a file and in all earlier ones, of a kind of index. */
+static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,
+                                     enum fmt_mesh_kind kind)
+{
+    return file < scan->file_count ? scan->files[file].ends[kind] : 0;
+}
 
 /* Returns whether the chunk file has this stream's attribute, after vox_scan_find_materials(). */
 static inline bool scan_keeps(const struct scan *scan, enum scan_stream stream)

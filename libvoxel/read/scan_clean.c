@@ -95,7 +95,7 @@ static bool lacks_position(const struct scan_missing *missing, const uint64_t *c
 static void copy_indices(const struct scan *scan, const uint64_t *from, uint32_t size, int kind,
                          uint64_t face, uint64_t *to, struct scan_face_check *check)
 {
-    const uint64_t end = scan_count(scan, scan_stream_of((enum fmt_mesh_kind)kind));
+    const uint64_t end = scan_file_end(scan, check->block->file, (enum fmt_mesh_kind)kind);
     for (uint32_t i = 0; i < size; i++) {
         to[i] = from[i];
         if (from[i] == FMT_MESH_NONE)

@@ -40,6 +40,8 @@ void vox_scan_free(struct scan *scan)
     }
     bsq_free(scan->ctx, scan->materials);
     bsq_free(scan->ctx, scan->material_map);
+    bsq_free(scan->ctx, scan->material_files);
+    bsq_free(scan->ctx, scan->files);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(scan->ctx, scan->missing[kind].bits);
     memset(scan, 0, sizeof *scan);
@@ -299,9 +301,13 @@ static int add_late_colors(struct scan *scan, const struct fmt_mesh_block *block
 {
     const uint64_t base = block->late_color_base, vertices = scan_count(scan, SCAN_POSITIONS);
     uint64_t begin = scan_count(scan, SCAN_COLORS), end = base + block->late_color_count;
+    enum scan_paint *paint = &scan->files[block->file].paint;
     end = end < vertices ? end : vertices;
     if (begin > base)
+        *paint = SCAN_PAINT_LOST;
+    if (*paint == SCAN_PAINT_LOST)
         return 0;
+    *paint = SCAN_PAINT_USED;
     while (begin < end) {
         uint32_t *to;
         uint64_t capacity;
@@ -337,9 +343,21 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
     return status;
 }
 
+/* Counts a block's elements for its file. */
+static void count_elements(struct scan *scan, const struct fmt_mesh_block *block)
+{
+    struct scan_file *file = &scan->files[block->file];
+    file->has_colors |= block->colors != NULL;
+    file->ends[FMT_MESH_VERTEX] = scan_count(scan, SCAN_POSITIONS);
+    file->ends[FMT_MESH_TEXCOORD] = scan_count(scan, SCAN_TEXCOORDS);
+    file->ends[FMT_MESH_NORMAL] = scan_count(scan, SCAN_NORMALS);
+}
+
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
-    int status = vox_scan_note_missing(scan, block);
+    int status = vox_scan_enter_file(scan, block->file);
+    if (status == 0)
+        status = vox_scan_note_missing(scan, block);
     if (status == 0 && block->vertex_count > 0)
         status = add_vertices(scan, block);
     if (status == 0 && block->texcoord_count > 0)
@@ -348,6 +366,8 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
         status = add_normals(scan, block);
     if (status == 0 && block->late_color_count > 0)
         status = add_late_colors(scan, block);
+    if (status == 0)
+        count_elements(scan, block);
     return status;
 }
 

@@ -368,8 +368,5 @@ head -c 100000 scan.ply >cut.ply
 run bisque-voxelize cut.ply -o a.nvdb
 code 65
 err_like '^bisque-voxelize: cut\.ply: truncated: .*vertex'
-run bisque-voxelize scan.ply scan.obj -o a.nvdb
-code 65
-err_like 'all files of a scan need one format'
 
 finish

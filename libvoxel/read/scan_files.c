@@ -1,0 +1,152 @@
+/* scan_files.c - what each file of a scan has, and warnings of attributes that some files lack.
+ *
+ * A file without vertex colours is white beside files with such colours, and its facets are flat
+ * beside files with normals. Users learn of both, because they may not expect it. */
+#include "base/loss.h"
+#include "libvoxel/read/scan.h"
+
+#include <string.h>
+
+int vox_scan_enter_file(struct scan *scan, uint32_t number)
+{
+    if (number < scan->file_count)
+        return 0;
+    const uint64_t before = scan->file_count, count = (uint64_t)number + 1;
+    int status = bsq_grow(scan->ctx, "files of a scan", count, sizeof *scan->files, &scan->files,
+                          &scan->file_capacity);
+    if (status < 0)
+        return status;
+    memset(scan->files + before, 0, (count - before) * sizeof *scan->files);
+    for (uint64_t i = before; before > 0 && i < count; i++)
+        memcpy(scan->files[i].ends, scan->files[before - 1].ends, sizeof scan->files[i].ends);
+    scan->file_count = count;
+    return 0;
+}
+
+/* Notes which file uses a material. */
+static int note_material(struct scan *scan, uint32_t material, uint32_t file)
+{
+    if (material == FMT_MESH_NO_MATERIAL)
+        return 0;
+    const uint64_t before = scan->material_file_count, count = (uint64_t)material + 1;
+    int status = 0;
+    if (count > before)
+        status = bsq_grow(scan->ctx, "materials", count, sizeof *scan->material_files,
+                          &scan->material_files, &scan->material_file_capacity);
+    if (status < 0)
+        return status;
+    if (count > before) {
+        memset(scan->material_files + before, 0xff,
+               (count - before) * sizeof *scan->material_files);
+        scan->material_file_count = count;
+    }
+    scan->material_files[material] = file;
+    return 0;
+}
+
+int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *check)
+{
+    const struct fmt_mesh_block *block = check->block;
+    /* A file with faces has elements too: otherwise all its indices are out of range. */
+    struct scan_file *file = &scan->files[block->file];
+    file->has_faces = true;
+    file->has_normals |= check->has_normals;
+    file->has_texcoords |= check->has_texcoords;
+    int status = note_material(scan, block->material_at_start, block->file);
+    for (uint64_t i = 0; i < block->material_change_count && status == 0; i++)
+        status = note_material(scan, block->material_changes[i].material, block->file);
+    return status;
+}
+
+/* ---- comparing ---- */
+
+/* Files that lack something, and the first of them. */
+struct lacking {
+    uint64_t count;
+    uint32_t first;
+};
+
+static void add(struct lacking *lacking, uint64_t file)
+{
+    if (lacking->count++ == 0)
+        lacking->first = (uint32_t)file;
+}
+
+/* Warns of `lacking` files, unless there are none. loss: data of the scan is not used. */
+static int warn(const struct scan *scan, const struct lacking *lacking, bool loss, const char *what)
+{
+    const char *path = scan->paths[lacking->first];
+    if (lacking->count == 0)
+        return 0;
+    if (loss)
+        return bsq_warn_loss(scan->ctx, "%s: %s; files like this: %llu", path, what,
+                             (unsigned long long)lacking->count);
+    bsq_warn(scan->ctx, "%s: %s; files like this: %llu", path, what,
+             (unsigned long long)lacking->count);
+    return 0;
+}
+
+/* Returns whether a file's material has a colour that vertex colours of other files displace. */
+static bool loses_material_color(const struct scan *scan, uint64_t file)
+{
+    const uint64_t count = scan->material_file_count < scan->usemtl_count
+                               ? scan->material_file_count
+                               : scan->usemtl_count;
+    for (uint64_t i = 0; i < count; i++) {
+        const uint32_t entry =
+            scan->material_files[i] == file ? scan->material_map[2 * i] : UINT32_MAX;
+        if (entry != UINT32_MAX && !scan->materials[entry].texture_path &&
+            !scan->materials[entry].colorless)
+            return true;
+    }
+    return false;
+}
+
+/* Warns of colours. Files are white if they have none of their own. */
+static int compare_colors(const struct scan *scan)
+{
+    struct lacking materials = {0}, vertices = {0}, paint = {0};
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        const struct scan_file *file = &scan->files[i];
+        const bool own = file->has_colors || file->paint == SCAN_PAINT_USED;
+        if (file->paint != SCAN_PAINT_NONE && !scan->totals.unread_colors && !file->has_colors &&
+            (!scan->has_colors || file->paint == SCAN_PAINT_LOST))
+            add(&paint, i);
+        if (!scan->has_colors || own || !file->has_faces)
+            continue;
+        add(loses_material_color(scan, i) ? &materials : &vertices, i);
+    }
+    int status = warn(scan, &paint, true,
+                      "ZBrush's polypaint is not used beside files without it: export a texture of "
+                      "it, or vertex colours");
+    if (status == 0)
+        status = warn(scan, &materials, true,
+                      "colours of materials are not used, because other files of the scan have "
+                      "vertex colours");
+    return status ? status
+                  : warn(scan, &vertices, false,
+                         "no vertex colours, so what has no texture is white; other files of the "
+                         "scan have vertex colours");
+}
+
+int vox_scan_compare_files(struct scan *scan, const char *texture_path)
+{
+    struct lacking normals = {0}, texcoords = {0};
+    if (scan->file_count < 2)
+        return 0;
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        const struct scan_file *file = &scan->files[i];
+        if (file->has_faces && scan->has_normals && !file->has_normals)
+            add(&normals, i);
+        if (file->has_faces && texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
+            !file->has_texcoords)
+            add(&texcoords, i);
+    }
+    int status = compare_colors(scan);
+    if (status == 0)
+        status = warn(scan, &texcoords, true, "no texture coordinates, --texture is not used");
+    return status ? status
+                  : warn(scan, &normals, false,
+                         "no normals, so its facets stay flat; other files of the scan have "
+                         "normals");
+}

@@ -1,0 +1,132 @@
+#!/bin/sh
+# test_mixed.sh - one scan from files of several formats.
+. "$(dirname "$0")/lib.sh"
+p=bisque-voxelize:
+vox="run bisque-voxelize --resolution 60"
+
+# strip N: quads of a wavy sheet, as OBJ text with normals; four strips lie side by side. All numbers
+# are exact as float32.
+strip()
+{
+    awk -v n="$1" 'BEGIN {
+        for (i = 0; i < 2 * 41; i++) {
+            x = (i % 41) / 8; y = n + int(i / 41)
+            print "v", x, y, (i % 7) / 16
+        }
+        for (i = 0; i < 2 * 41; i++) print "vn", (i % 5) / 8, 0, 1
+        for (i = 1; i < 41; i++)
+            printf "f %d//%d %d//%d %d//%d\nf %d//%d %d//%d %d//%d\n",
+                i, i, i + 1, i + 1, i + 42, i + 42, i, i, i + 42, i + 42, i + 41, i + 41
+    }'
+}
+
+# to_ply FILE [COLOR]: the same mesh as PLY text; COLOR: of all vertices.
+to_ply()
+{
+    awk -v color="${2:-}" '
+        $1 == "v" { v[nv++] = $2 " " $3 " " $4 }
+        $1 == "vn" { n[nn++] = $2 " " $3 " " $4 }
+        $1 == "f" { gsub("//[0-9]*", ""); f[nf++] = "3 " $2 - 1 " " $3 - 1 " " $4 - 1 }
+        END {
+            print "ply\nformat ascii 1.0\nelement vertex", nv
+            print "property float x\nproperty float y\nproperty float z"
+            print "property float nx\nproperty float ny\nproperty float nz"
+            if (color) print "property uchar red\nproperty uchar green\nproperty uchar blue"
+            print "element face", nf "\nproperty list uchar int vertex_indices\nend_header"
+            for (i = 0; i < nv; i++) print v[i], n[i], color
+            for (i = 0; i < nf; i++) print f[i]
+        }' "$1"
+}
+
+for n in 0 1 2 3; do
+    strip $n >"s$n.obj"
+    to_ply "s$n.obj" >"s$n.ply"
+    python3 "$top/tests/scan/write_glb.py" "s$n.obj" "s$n.glb"
+done
+
+# ---- the same scan ----
+
+$vox s0.obj s1.obj s2.obj s3.obj -o obj.nvdb
+code 0
+gzip -c s3.ply >s3.ply.gz
+while read -r files; do
+    $vox $files -o mixed.nvdb
+    code 0
+    same obj.nvdb mixed.nvdb
+    same obj.tris mixed.tris
+done <<'CASES'
+s0.obj s1.ply s2.glb s3.obj
+s0.glb s1.glb s2.obj s3.ply.gz
+s0.ply s1.obj s2.ply s3.glb --threads 1 --memory 64M
+CASES
+# Positions of a file are moved before the files are put together.
+$vox s0.obj s0.ply s0.glb s3.obj --translate 0,0,0 --translate 0,1,0 --translate 0,2,0 \
+    --translate 0,0,0 -o moved.nvdb
+code 0
+$vox s0.obj s0.obj s0.obj s3.obj --translate 0,0,0 --translate 0,1,0 --translate 0,2,0 \
+    --translate 0,0,0 -o plain.nvdb
+code 0
+same plain.nvdb moved.nvdb
+run bisque-voxelize --parse-only s0.obj s1.ply
+code 0
+# Files that Assimp reads, two of one kind beside another one.
+meshes=$top/tests/meshes
+for up in '' '--up z'; do
+    # shellcheck disable=SC2086 # two words
+    $vox s0.obj "$meshes/uv.assimp.dae" "$meshes/uv.blender.fbx" $up -o assimp.nvdb
+    code 0
+    grep -q ', 224 triangles,' "$out"
+    check "all triangles are there" $?
+done
+$vox "$meshes/uv.assimp.dae" "$meshes/uv.assimp.dae" -o assimp.nvdb
+code 0
+
+# ---- indices belong to their file ----
+
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n' >bad.obj
+for other in s0.obj s0.ply; do
+    $vox bad.obj $other -o bad.nvdb
+    code 65
+    err "$p bad.obj:4: face refers to vertex 4, file has 3"
+    $vox $other bad.obj s1.glb -o bad.nvdb
+    code 65
+    err "$p bad.obj:4: face refers to vertex 4, file has 3"
+done
+
+# ---- attributes that some files lack ----
+
+grep -v '^vn' s1.obj | sed 's,//[0-9]*,,g' >bare.obj
+$vox s0.ply bare.obj -o bare.nvdb
+code 0
+grep -Fqx "$p warning: bare.obj: no normals, so its facets stay flat; other files of the scan have normals; files like this: 1" "$err"
+check "warning of normals" $?
+to_ply s0.obj '10 20 30' >color.ply
+$vox color.ply s1.obj s2.glb -o white.nvdb --strict
+code 0
+grep -Fqx "$p warning: s1.obj: no vertex colours, so what has no texture is white; other files of the scan have vertex colours; files like this: 2" "$err"
+check "warning of colours" $?
+printf 'newmtl red\nKd 1 0 0\n' >red.mtl
+{
+    echo 'mtllib red.mtl'
+    echo 'usemtl red'
+    cat s1.obj
+} >red.obj
+$vox color.ply red.obj -o lost.nvdb
+code 0
+lost='red.obj: colours of materials are not used, because other files of the scan have vertex colours; files like this: 1'
+grep -Fqx "$p warning: $lost" "$err"
+check "warning of lost colours" $?
+$vox color.ply red.obj -o strict.nvdb --strict
+code 65
+err "$p $lost"
+printf '#MRGB ff102030ff102030ff102030\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' |
+    awk '/^v/ { print; next } /^#/ { paint = $0; next } { print paint; print }' >paint.obj
+$vox paint.obj s1.ply -o paint.nvdb
+code 0
+grep -q "warning: paint.obj: ZBrush's polypaint is not used beside files without it" "$err"
+check "warning of polypaint" $?
+$vox paint.obj color.ply -o paint.nvdb --strict
+code 0
+$vox color.ply paint.obj -o paint.nvdb --strict
+code 65
+finish
