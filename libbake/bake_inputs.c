@@ -12,14 +12,11 @@
 /* Maps of rays from hits. */
 enum { RAYS_FROM_HITS = BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS };
 
-/* Returns the maps that `asked` stands for. On several scans, rays from hits would see only the
- * scan of the hit, so maps of such rays are left out of "all". */
+/* Returns the maps that `asked` stands for. */
 static uint32_t choose_from(const struct bake_surface *surface, uint32_t asked)
 {
-    const uint32_t named = asked & ~(uint32_t)BAKE_MAPS_ALL;
     const struct bake_scan_facts facts = bake_surface_facts(surface);
-    const uint32_t maps = bake_choose_maps(asked, &facts);
-    return surface->part_count > 0 ? (maps & ~(uint32_t)RAYS_FROM_HITS) | named : maps;
+    return bake_choose_maps(asked, &facts);
 }
 
 int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out)
@@ -160,18 +157,6 @@ static int begin_tiles(struct bake_run *job)
     return status < 0 ? status : report_tiles(job);
 }
 
-/* Rays from hits see the scan of the hit only, so objects must see one scan. */
-static int check_rays_from_hits(struct bake_run *job)
-{
-    const uint32_t maps = job->maps & RAYS_FROM_HITS;
-    if (maps == 0 || bake_sees_one_scan(job))
-        return 0;
-    return bsq_fail(job->ctx, BSQ_EUSAGE,
-                    "%s: the map %s is baked from one scan; bisque-voxelize makes a grid of "
-                    "several meshes",
-                    job->options->scan_path, bake_map_names[__builtin_ctz(maps)]);
-}
-
 int bake_open_inputs(struct bake_run *job)
 {
     int status = bake_check_options(job->ctx, job->options);
@@ -200,8 +185,6 @@ int bake_open_inputs(struct bake_run *job)
     job->report->low_triangles = job->mesh.triangle_count;
     if (job->options->match_names)
         status = bake_match_names(job);
-    if (status == 0)
-        status = check_rays_from_hits(job);
     if (status < 0)
         return status;
     return begin_tiles(job);
@@ -280,7 +263,17 @@ static void set_lengths(const struct bake_run *job, const struct bake_surface *s
     params->back = (float)(job->report->back / surface->unit);
 }
 
-/* On several scans, each sample is traced as a texel, and its height tells which hit is nearest. */
+/* Returns the maps that several scans are traced for. The height tells which hit is nearest. Rays
+ * from hits wait for the nearest hits of all scans, unless each object sees one scan. */
+static uint32_t part_maps(const struct bake_run *job)
+{
+    const uint32_t maps = job->maps | BAKE_MAP_HEIGHT;
+    if (!(maps & RAYS_FROM_HITS) || bake_sees_one_scan(job))
+        return maps;
+    return (maps & ~(uint32_t)RAYS_FROM_HITS) | BK_PLACE;
+}
+
+/* On several scans, each sample is traced as a texel, with lengths in voxels. */
 static int set_part_params(struct bake_run *job)
 {
     const struct bake_surface *surface = &job->surface;
@@ -289,8 +282,9 @@ static int set_part_params(struct bake_run *job)
     for (uint32_t p = 0; p < surface->part_count && status == 0; ++p) {
         fill_params(job, &surface->parts[p], &job->part_params[p]);
         set_lengths(job, &surface->parts[p], &job->part_params[p]);
+        job->part_params[p].unit = 1;
         job->part_params[p].samples = 1;
-        job->part_params[p].maps |= BAKE_MAP_HEIGHT;
+        job->part_params[p].maps = part_maps(job);
     }
     return status;
 }

@@ -2,14 +2,15 @@
  *
  * Each scan is traced as if it were alone, by the functions for a single scan, so all devices and
  * all kinds of scans can be baked together. A texel of these images is a sample of the map. Of all
- * scans, each sample keeps its nearest hit. Then the samples are summed as the kernel sums them. */
+ * scans, each sample keeps its nearest hit. Rays from hits are traced when these are known. Then
+ * the samples are summed as the kernel sums them. */
 #include <assert.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "base/parallel.h"
-#include "libbake/tile_bake.h"
+#include "libbake/scan_rays.h"
 
 /* No ray starts as far away as this, so a triangle there hits nothing. */
 #define OUT_OF_SIGHT (4.0f * BK_FAR)
@@ -18,12 +19,15 @@ struct work {
     const struct bake_tile_scene *scene;
     struct bake_tile *tile;
     uint32_t part;
-    uint32_t maps;                      /* that are traced */
-    uint32_t floats;                    /* of a sample */
-    uint32_t width;                     /* of the images below, in samples */
-    struct bake_image *nearest, *image; /* samples of all scans so far, and of one */
+    uint32_t traced, kept; /* maps of the images below */
+    uint32_t traced_floats, kept_floats;
+    uint32_t width;           /* of the images, in samples */
+    struct bake_image *image; /* samples of one scan, with lengths in voxels */
+    /* Samples of all scans so far, with lengths in world units. The last float is the number of the
+     * scan. */
+    struct bake_image *nearest;
     struct bake_tile_workers workers;
-    float *rows; /* of each worker: two rows of samples */
+    float *rows; /* of each worker: a row of either image, and a sample */
     uint64_t row_floats;
 };
 
@@ -110,56 +114,59 @@ static int trace_part(const struct work *work, struct bake_report *report)
 
 /* ---- the nearest hits ---- */
 
-/* Returns the hit of a sample. */
-static bk_map_hit hit_of(uint32_t maps, const float *sample)
-{
-    bk_map_hit hit = {0};
-    bk_take_from_maps(maps, sample, &hit);
-    return hit;
-}
-
-/* Moves the position of a hit from the origin of a scan to that of all scans. */
-static void move_position(const struct work *work, bk_map_hit *hit)
+/* Converts the hit of a scan to world units and to the origin of all scans. The processor computes
+ * what the kernel would with the unit of the scan. */
+static void move_hit(const struct work *work, bk_map_hit *hit)
 {
     const struct bake_surface *whole = work->scene->surface, *part = &whole->parts[work->part];
+    const float unit = (float)part->unit;
+    hit->t *= unit;
+    hit->thickness *= unit;
     for (int k = 0; k < 3; k++)
-        hit->position[k] =
-            (float)((double)hit->position[k] + (part->translation[k] - whole->translation[k]));
+        hit->position[k] = (float)((double)(hit->position[k] * unit) +
+                                   (part->translation[k] - whole->translation[k]));
 }
 
-/* Returns whether a sample's hit comes before another one. Rays from a cage take the first surface,
- * which is the highest; others take the nearest. */
+/* Returns whether a sample comes before another one. Rays from a cage take the first surface, which
+ * is the highest; others take the nearest. Of hits at the same distance, any is as good, but it
+ * must not depend on the order of scans. */
 static bool is_nearer(const struct work *work, const float *sample, const float *other)
 {
     if (sample[BK_HITS] == 0.0f || other[BK_HITS] == 0.0f)
-        return sample[BK_HITS] > 0.0f;
-    const float t = hit_of(work->maps, sample).t, other_t = hit_of(work->maps, other).t;
+        return sample[BK_HITS] > other[BK_HITS];
+    const float t = bake_sample_hit(work->kept, sample).t;
+    const float other_t = bake_sample_hit(work->kept, other).t;
+    if (t == other_t)
+        return memcmp(sample, other, (work->kept_floats - 1) * sizeof *sample) < 0;
     if (work->scene->part_params[0].flags & BK_CAGE || fabsf(t) == fabsf(other_t))
         return t > other_t;
     return fabsf(t) < fabsf(other_t);
 }
 
-/* Replaces a sample by that of the current scan, if it is nearer. */
-static void keep_nearest(const struct work *work, const float *sample, float *nearest)
+/* Replaces a sample by that of the current scan, if it is nearer. moved: room for a sample. */
+static void keep_nearest(const struct work *work, const float *sample, float *moved, float *nearest)
 {
-    if (sample[BK_COVERED] == 0.0f ||
-        (nearest[BK_COVERED] > 0.0f && !is_nearer(work, sample, nearest)))
+    if (sample[BK_COVERED] == 0.0f)
         return;
-    memset(nearest, 0, work->floats * sizeof *nearest);
-    nearest[BK_COVERED] = 1.0f;
+    memset(moved, 0, work->kept_floats * sizeof *moved);
+    moved[BK_COVERED] = 1.0f;
+    moved[work->kept_floats - 1] = (float)work->part;
     if (sample[BK_HITS] > 0.0f) {
-        bk_map_hit hit = hit_of(work->maps, sample);
-        move_position(work, &hit);
-        bk_add_to_maps(work->maps, &hit, nearest);
+        bk_map_hit hit = bake_sample_hit(work->traced, sample);
+        move_hit(work, &hit);
+        bk_add_to_maps(work->kept, &hit, moved);
     }
+    if (nearest[BK_COVERED] == 0.0f || is_nearer(work, moved, nearest))
+        memcpy(nearest, moved, work->kept_floats * sizeof *nearest);
 }
 
 /* Merges a row of samples of the current scan into the nearest ones. */
 static int merge_row(void *arg, uint64_t row, unsigned worker)
 {
     const struct work *work = arg;
-    const uint64_t floats = (uint64_t)work->width * work->floats;
-    float *buffers = work->rows + worker * work->row_floats, *to = buffers + floats;
+    const uint64_t floats = (uint64_t)work->width * work->kept_floats;
+    float *buffers = work->rows + worker * work->row_floats;
+    float *to = buffers + (uint64_t)work->width * work->traced_floats;
     const float *from = NULL, *old = NULL;
     int status = bake_image_rows(work->image, (uint32_t)row, 1, buffers, &from);
     if (status == 0)
@@ -170,7 +177,8 @@ static int merge_row(void *arg, uint64_t row, unsigned worker)
     if (old != to)
         memcpy(to, old, floats * sizeof *to);
     for (uint32_t x = 0; x < work->width; x++)
-        keep_nearest(work, from + (uint64_t)x * work->floats, to + (uint64_t)x * work->floats);
+        keep_nearest(work, from + (uint64_t)x * work->traced_floats, to + floats,
+                     to + (uint64_t)x * work->kept_floats);
     return bake_image_write(work->nearest, 0, (uint32_t)row, work->width, 1, to);
 }
 
@@ -180,9 +188,9 @@ static int merge_row(void *arg, uint64_t row, unsigned worker)
 static void sum_samples(const struct work *work, const float *sample, float *texels)
 {
     const uint32_t n = work->tile->options.samples;
-    for (uint32_t x = 0; x < work->width; x++, sample += work->floats) {
+    for (uint32_t x = 0; x < work->width; x++, sample += work->kept_floats) {
         float *texel = texels + (size_t)(x / n) * work->workers.texel_floats;
-        const bk_map_hit hit = hit_of(work->maps, sample);
+        const bk_map_hit hit = bake_sample_hit(work->kept, sample);
         texel[BK_COVERED] += sample[BK_COVERED];
         if (sample[BK_HITS] > 0.0f)
             bk_add_to_maps(work->workers.maps, &hit, texel);
@@ -228,31 +236,48 @@ static int resolve(struct work *work, struct bake_report *report)
 static int create_images(struct work *work, uint64_t memory_bytes)
 {
     const struct bake_options *options = &work->tile->options;
-    const uint32_t n = options->samples;
-    const struct bake_image_options image = {.width = work->width,
-                                             .height = options->height * n,
-                                             .channels = work->floats,
-                                             .memory_bytes = memory_bytes / 3,
-                                             .beside = work->tile->beside};
+    struct bake_image_options image = {.width = work->width,
+                                       .height = options->height * options->samples,
+                                       .channels = work->kept_floats,
+                                       .memory_bytes = memory_bytes / 3,
+                                       .beside = work->tile->beside};
     struct bsq_ctx *ctx = work->scene->ctx;
     int status = bake_image_create(ctx, &image, &work->nearest);
+    image.channels = work->traced_floats;
     if (status == 0)
         status = bake_image_create(ctx, &image, &work->image);
-    work->row_floats = UINT64_C(2) * work->width * work->floats;
+    work->row_floats =
+        (uint64_t)work->width * (work->traced_floats + work->kept_floats) + work->kept_floats;
     if (status == 0)
         status = bsq_alloc(ctx, "rows of samples", bsq_threads(ctx),
                            work->row_floats * sizeof *work->rows, &work->rows);
     return status;
 }
 
+static int trace_rays_from_hits(struct work *work, struct bake_report *report)
+{
+    const struct bake_scan_samples samples = {.scene = work->scene,
+                                              .tile = work->tile,
+                                              .image = work->nearest,
+                                              .maps = work->kept,
+                                              .floats = work->kept_floats,
+                                              .width = work->width,
+                                              .height = bake_image_height(work->nearest)};
+    bake_image_free(work->image);
+    work->image = NULL;
+    return bake_trace_scan_rays(&samples, report);
+}
+
 int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile *tile,
                           uint64_t memory_bytes, struct bake_report *report)
 {
-    const uint32_t n = tile->options.samples;
+    const uint32_t n = tile->options.samples, traced = scene->part_params[0].maps;
     struct work work = {.scene = scene,
                         .tile = tile,
-                        .maps = scene->part_params[0].maps,
-                        .floats = bk_texel_floats(scene->part_params[0].maps),
+                        .traced = traced,
+                        .kept = traced | tile->maps,
+                        .traced_floats = bk_texel_floats(traced),
+                        .kept_floats = bk_texel_floats(traced | tile->maps) + 1,
                         .width = tile->options.width * n};
     int status = create_images(&work, memory_bytes);
     for (; work.part < scene->surface->part_count && status == 0; work.part++) {
@@ -261,6 +286,8 @@ int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile 
             status =
                 bsq_parallel_for(scene->ctx, (uint64_t)tile->options.height * n, merge_row, &work);
     }
+    if (status == 0 && traced & BK_PLACE)
+        status = trace_rays_from_hits(&work, report);
     if (status == 0)
         status = resolve(&work, report);
     bsq_free(scene->ctx, work.rows);

@@ -333,3 +333,10 @@ void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *p
 {
     bake_native_trace_rays(grid, params, rays, hits);
 }
+
+void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                       const struct bake_places *places, uint64_t begin, uint64_t end,
+                       struct bake_ray_states *states)
+{
+    bake_native_trace_places(grid, params, places, begin, end, states);
+}

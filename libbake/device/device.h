@@ -11,6 +11,8 @@
 #include "libbake/device/subgrid/subgrid.h"
 
 struct bake_device;
+struct bake_places;
+struct bake_ray_states;
 
 /* Opens a device by its name on the command line (BAKE_DEVICE_NAMES) and loads the grid if it fits.
  * "auto" takes the first GPU that works, else the processor. If the GPU fails later, the processor
@@ -47,6 +49,12 @@ int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
  * bake_trace_ray(); a ray without direction has none. */
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                      const struct bake_ray_batch *rays, struct bk_hit *hits);
+
+/* Traces the rays of places begin to end - 1 on the calling thread, and notes in their states what
+ * the grid adds to other parts of the surface. params: maps, counts and lengths of rays. */
+void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                       const struct bake_places *places, uint64_t begin, uint64_t end,
+                       struct bake_ray_states *states);
 
 /* Returns what the device did so far; zeros for the processor. Must not be called while tiles are
  * traced. */

@@ -102,6 +102,8 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
 /* ---- rays from hits ---- */
 
 struct bake_exact_look;
+struct bake_places;
+struct bake_ray_states;
 struct bk_surroundings;
 
 /* Hits that send rays. */
@@ -113,9 +115,10 @@ struct bake_exact_places {
     uint64_t progress; /* what all of them add to the context's progress */
 };
 
-/* Prepares rays from at most `places` hits at a time: takes up to half of what is left of the
- * budget, for the chunks of the scan and for the state of rays. params: maps, counts and lengths of
- * rays; must outlive *out. Errors: BSQ_ENOMEM. */
+/* Prepares rays from hits: takes up to half of what is left of the budget, for the chunks of the
+ * scan and for the state of rays from at most `places` hits at a time. 0: the caller has the
+ * states, and calls bake_exact_look_from() only. params: maps, counts and lengths of rays; must
+ * outlive *out. Errors: BSQ_ENOMEM. */
 int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *params,
                            uint64_t places, struct bake_exact_look **out);
 void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
@@ -126,6 +129,15 @@ void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
  * fits. Must not be called from parallel work. Errors: those of bake_exact_trace(). */
 int bake_exact_look_around(struct bake_exact_look *look, const struct bake_exact_places *places,
                            struct bk_surroundings *out);
+
+/* Traces the rays of all places, and notes in their states what the scan adds to other parts of the
+ * surface. Must not be called from parallel work. Errors: those of bake_exact_trace(). */
+int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
+                         struct bake_ray_states *states);
+
+/* Returns the distance above a triangle at which open rays start: more than the rounding errors of
+ * a hit's position. */
+float bake_exact_lift(const struct bake_exact *exact);
 
 /* Returns how many chunks have been loaded for rays from hits, counted again each time. */
 uint64_t bake_exact_look_loads(const struct bake_exact_look *look);

@@ -18,70 +18,67 @@
 
 #include "base/parallel.h"
 #include "libbake/kernel/bk_secondary.h"
+#include "libbake/secondary/secondary.h"
 
 enum { BLOCK = 64 /* places that a thread traces at a time */ };
 
 struct bake_exact_look {
     struct bake_exact *exact;
     const struct bk_params *params;
-    uint32_t opens, solids; /* rays of a place */
-    float lift;             /* start of open rays above the triangle */
+    float lift; /* start of open rays above the triangle */
     struct exact_slots memory;
     struct exact_group group; /* the chunks in memory */
     uint32_t loaded;          /* of them */
     bool whole;               /* they are all of the scan's */
     struct exact_box *boxes;  /* of the slots' chunks */
     void *tree_memory, *tree_scratch;
-    uint32_t *reached; /* chunks that the current batch can reach */
-    /* The state of the rays of a batch of `capacity` places. */
-    uint64_t capacity, words; /* words: of hidden[], for a place */
-    uint32_t lengths;         /* of distances[], for a place */
-    uint64_t *hidden;         /* a bit for each open ray */
-    float *distances;         /* of nearest hits: open rays if they fall off, rays into the solid */
+    uint32_t *reached;             /* chunks that the current batch can reach */
+    struct bake_ray_states states; /* of a batch of bake_exact_look_around() */
     uint64_t loads;
 };
 
 /* What a batch has in common. */
 struct pass {
     struct bake_exact_look *look;
-    const struct bake_exact_places *places;
-    struct bk_surroundings *out;
-    uint64_t first, count; /* of the places */
-    uint64_t steps, step;  /* of the progress: groups of the batch; those before this one */
+    const struct bake_places *places;
+    struct bake_ray_states *states; /* of the batch's places */
+    struct bk_surroundings *out;    /* of all places */
+    uint64_t first, count;          /* of the batch's places */
+    uint64_t steps, step; /* of the progress: groups of the batch; those before this one */
 };
 
-/* ---- rays ---- */
+/* ---- places ---- */
 
-static bool falls_off(const struct bake_exact_look *look)
+/* Hits, and who looks around from them. */
+struct hit_places {
+    const struct bake_exact_look *look;
+    const struct bake_exact_places *hits;
+};
+
+static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
 {
-    return look->params->flags & BK_OPEN_FALLOFF;
+    const struct hit_places *from = arg;
+    const struct bake_exact_ray *ray = &from->hits->rays[index];
+    const struct bake_exact_hit *hit = &from->hits->hits[index];
+    if (hit->triangle == BAKE_EXACT_NONE)
+        return false;
+    for (int k = 0; k < 3; k++) {
+        const double p = (double)ray->origin[k] + hit->t * (double)ray->direction[k];
+        out->solid_from[k] = (float)p;
+        out->open_from[k] = (float)(p + (double)from->look->lift * (double)hit->facet[k]);
+    }
+    memcpy(out->normal, hit->normal, sizeof out->normal);
+    memcpy(out->facet, hit->facet, sizeof out->facet);
+    out->reversed = hit->reversed;
+    out->seed = from->hits->seeds[index];
+    return true;
 }
 
-/* Returns ray `number` of a place: an open one, or one into the solid. */
 static struct bake_exact_ray ray_of(const struct bake_exact_look *look,
-                                    const struct bake_exact_places *places, uint64_t place,
-                                    bool open, uint32_t number)
+                                    const struct bake_place *place, bool open, uint32_t number)
 {
-    const struct bake_exact_ray *from = &places->rays[place];
-    const struct bake_exact_hit *hit = &places->hits[place];
-    const float side = open ? 1.0f : -1.0f, lift = open ? look->lift : 0.0f;
-    const bk_vec3 n = bk_v3(side * hit->normal[0], side * hit->normal[1], side * hit->normal[2]);
-    const bk_vec3 facet = bk_v3(side * hit->facet[0], side * hit->facet[1], side * hit->facet[2]);
-    const bk_uint seed = places->seeds[place] ^ (open ? 0u : BK_SOLID_SEED);
-    const bk_vec3w cone = bk_cone_directions(seed, number, open ? look->opens : look->solids,
-                                             open ? look->params->open_sine2 : 1.0f);
-    const bk_vec3w around = bk_around(cone, n);
-    bk_vec3 d = bk_lane3(&around, 0);
-    const float above = bk_dot(d, facet);
     struct bake_exact_ray ray;
-    if (above < 0.0f)
-        d = bk_add_scaled(d, -2.0f * above, facet);
-    for (int k = 0; k < 3; k++)
-        ray.origin[k] = (float)((double)from->origin[k] + hit->t * (double)from->direction[k] +
-                                (double)lift * (double)hit->facet[k]);
-    ray.direction[0] = d.x;
-    ray.direction[1] = d.y;
-    ray.direction[2] = d.z;
+    bake_place_ray(look->params, place, open, number, ray.origin, ray.direction);
     return ray;
 }
 
@@ -89,38 +86,39 @@ struct bake_exact_ray bake_exact_open_ray(const struct bake_exact_look *look,
                                           const struct bake_exact_places *places, uint64_t place,
                                           uint32_t number)
 {
-    return ray_of(look, places, place, true, number);
+    const struct hit_places from = {look, places};
+    struct bake_place at = {0};
+    get_place(&from, place, &at);
+    return ray_of(look, &at, true, number);
 }
 
 /* ---- tracing ---- */
 
 /* Traces the open rays of a place that are not hidden yet. */
-static void trace_open(const struct pass *pass, uint64_t place)
+static void trace_open(const struct pass *pass, const struct bake_place *place, uint64_t *hidden)
 {
     const struct bake_exact_look *look = pass->look;
-    uint64_t *hidden = look->hidden + (place - pass->first) * look->words;
     const struct exact_limits limits = {
         .t_max = (double)look->params->open_limit, .two_sided = true, .any = true};
-    for (uint32_t i = 0; i < look->opens; i++) {
+    for (uint32_t i = 0; i < pass->states->opens; i++) {
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
         if (hidden[i / 64] >> (i % 64) & 1)
             continue;
-        const struct bake_exact_ray ray = ray_of(look, pass->places, place, true, i);
+        const struct bake_exact_ray ray = ray_of(look, place, true, i);
         const bool found = bake_exact_group_trace(&look->group, &ray, &limits, &best);
         hidden[i / 64] |= (uint64_t)found << (i % 64);
     }
 }
 
 /* Shortens the distances of `count` rays of a place to their nearest hits. */
-static void trace_nearest(const struct pass *pass, uint64_t place, bool open, uint32_t count,
-                          float *distances)
+static void trace_nearest(const struct pass *pass, const struct bake_place *place, bool open,
+                          uint32_t count, float *distances)
 {
     const struct bake_exact_look *look = pass->look;
-    struct exact_limits limits = {.two_sided = open,
-                                  .facing_origin = pass->places->hits[place].reversed};
+    struct exact_limits limits = {.two_sided = open, .facing_origin = place->reversed};
     for (uint32_t i = 0; i < count; i++) {
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
-        const struct bake_exact_ray ray = ray_of(look, pass->places, place, open, i);
+        const struct bake_exact_ray ray = ray_of(look, place, open, i);
         const float most = open ? look->params->open_limit : look->params->thickness_limit;
         limits.t_max = (double)fminf(distances[i], most);
         if (bake_exact_group_trace(&look->group, &ray, &limits, &best))
@@ -144,87 +142,40 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct pass *pass = arg;
-    const struct bake_exact_look *look = pass->look;
+    const struct bake_ray_states *states = pass->states;
     const uint64_t begin = index * BLOCK, left = pass->count - begin;
     const uint64_t end = begin + (left < BLOCK ? left : BLOCK);
     for (uint64_t i = begin; i < end; i++) {
-        const uint64_t place = pass->first + i;
-        float *distances = look->distances + i * look->lengths;
-        if (pass->places->hits[place].triangle == BAKE_EXACT_NONE)
+        struct bake_place place;
+        if (!pass->places->get(pass->places->arg, pass->first + i, &place))
             continue;
-        if (look->words > 0)
-            trace_open(pass, place);
-        else if (look->opens > 0)
-            trace_nearest(pass, place, true, look->opens, distances);
-        trace_nearest(pass, place, false, look->solids,
-                      distances + (look->words > 0 ? 0 : look->opens));
+        if (states->words > 0)
+            trace_open(pass, &place, bake_hidden_rays(states, i));
+        else if (states->opens > 0)
+            trace_nearest(pass, &place, true, states->opens, bake_ray_distances(states, i, true));
+        trace_nearest(pass, &place, false, states->solids, bake_ray_distances(states, i, false));
     }
     add_progress(pass, begin, end);
     return 0;
-}
-
-/* ---- sums ---- */
-
-/* Returns the t at which a ray leaves the bounds of the scan. */
-static double leaving(const struct bake_exact *exact, const struct bake_exact_ray *ray)
-{
-    double t = INFINITY;
-    for (int k = 0; k < 3; k++) {
-        const double d = (double)ray->direction[k], o = (double)ray->origin[k];
-        const double wall =
-            (double)(d > 0 ? exact->header->bounds_max : exact->header->bounds_min)[k];
-        if (d != 0)
-            t = fmin(t, (wall - o) / d);
-    }
-    return t;
-}
-
-static void sum_open(const struct pass *pass, uint64_t place, struct bk_surroundings *sums)
-{
-    const struct bake_exact_look *look = pass->look;
-    const uint64_t i = place - pass->first;
-    for (uint32_t r = 0; r < look->opens; r++) {
-        const struct bake_exact_ray ray = ray_of(look, pass->places, place, true, r);
-        const bk_vec3 d = bk_v3(ray.direction[0], ray.direction[1], ray.direction[2]);
-        const float t = look->words > 0 ? 0.0f : look->distances[i * look->lengths + r];
-        const bool found =
-            look->words > 0 ? look->hidden[i * look->words + r / 64] >> (r % 64) & 1 : t < INFINITY;
-        bk_add_open(look->params, found, t, d, sums);
-    }
-}
-
-/* Returns how many rays count. */
-static uint32_t sum_solid(const struct pass *pass, uint64_t place, struct bk_surroundings *sums)
-{
-    const struct bake_exact_look *look = pass->look;
-    const float limit = look->params->thickness_limit;
-    const float *distances = look->distances + (place - pass->first) * look->lengths +
-                             (look->words > 0 ? 0 : look->opens);
-    uint32_t counted = 0;
-    for (uint32_t r = 0; r < look->solids; r++) {
-        const struct bake_exact_ray ray = ray_of(look, pass->places, place, false, r);
-        if (!(distances[r] < INFINITY) && leaving(look->exact, &ray) < (double)limit)
-            continue;
-        sums->thickness += fminf(distances[r], limit);
-        counted++;
-    }
-    return counted;
 }
 
 static int sum_block(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct pass *pass = arg;
-    const struct bake_exact_look *look = pass->look;
+    const struct fmt_tris_header *header = pass->look->exact->header;
     const uint64_t begin = index * BLOCK, left = pass->count - begin;
+    double low[3], high[3];
+    for (int k = 0; k < 3; k++) {
+        low[k] = (double)header->bounds_min[k];
+        high[k] = (double)header->bounds_max[k];
+    }
     for (uint64_t i = begin; i < begin + (left < BLOCK ? left : BLOCK); i++) {
-        const uint64_t place = pass->first + i;
-        bk_surroundings sums = bk_no_surroundings();
-        if (pass->places->hits[place].triangle != BAKE_EXACT_NONE) {
-            sum_open(pass, place, &sums);
-            bk_mean_surroundings(look->params, look->opens, sum_solid(pass, place, &sums), &sums);
-        }
-        pass->out[place] = sums;
+        struct bk_surroundings *out = &pass->out[pass->first + i];
+        struct bake_place place;
+        *out = bk_no_surroundings();
+        if (pass->places->get(pass->places->arg, pass->first + i, &place))
+            *out = bake_sum_rays(pass->states, pass->look->params, &place, i, low, high);
     }
     return 0;
 }
@@ -235,18 +186,18 @@ static int sum_block(void *arg, uint64_t index, unsigned worker)
 static uint32_t find_reached(const struct pass *pass)
 {
     const struct bake_exact_look *look = pass->look;
-    const float open = look->opens > 0 ? look->params->open_limit : 0.0f;
-    const float solid = look->solids > 0 ? look->params->thickness_limit : 0.0f;
+    const float open = pass->states->opens > 0 ? look->params->open_limit : 0.0f;
+    const float solid = pass->states->solids > 0 ? look->params->thickness_limit : 0.0f;
     /* Directions are unit vectors up to rounding. */
     const float far = 1.001f * fmaxf(open, solid) + 2.0f * look->lift;
     struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
     for (uint64_t i = pass->first; i < pass->first + pass->count; i++) {
-        const struct bake_exact_ray *ray = &pass->places->rays[i];
-        const struct bake_exact_hit *hit = &pass->places->hits[i];
-        for (int k = 0; hit->triangle != BAKE_EXACT_NONE && k < 3; k++) {
-            const float p = (float)((double)ray->origin[k] + hit->t * (double)ray->direction[k]);
-            box.low[k] = fminf(box.low[k], p - far);
-            box.high[k] = fmaxf(box.high[k], p + far);
+        struct bake_place place;
+        if (!pass->places->get(pass->places->arg, i, &place))
+            continue;
+        for (int k = 0; k < 3; k++) {
+            box.low[k] = fminf(box.low[k], fminf(place.open_from[k], place.solid_from[k]) - far);
+            box.high[k] = fmaxf(box.high[k], fmaxf(place.open_from[k], place.solid_from[k]) + far);
         }
     }
     /* A box without end would overlap the tree's empty boxes. */
@@ -300,15 +251,13 @@ static int trace_group(struct pass *pass, const uint32_t *chunks, uint32_t count
     return status;
 }
 
+/* Traces the rays of a batch through all chunks that they can reach. */
 static int trace_places(struct pass *pass)
 {
     struct bake_exact_look *look = pass->look;
     const uint32_t slots = look->memory.count;
     uint32_t count = look->exact->chunk_count;
     int status = 0;
-    memset(look->hidden, 0, pass->count * look->words * sizeof *look->hidden);
-    for (uint64_t i = 0; i < pass->count * look->lengths; i++)
-        look->distances[i] = INFINITY;
     if (look->whole)
         for (uint32_t c = 0; c < count; c++)
             look->reached[c] = c;
@@ -318,23 +267,39 @@ static int trace_places(struct pass *pass)
     pass->steps = (count + slots - 1) / slots;
     for (uint32_t c = 0; c < count && status == 0; c += slots)
         status = trace_group(pass, look->reached + c, count - c < slots ? count - c : slots);
-    return status == 0 ? bsq_parallel_for(look->exact->ctx, (pass->count + BLOCK - 1) / BLOCK,
-                                          sum_block, pass)
-                       : status;
+    return status;
 }
 
-int bake_exact_look_around(struct bake_exact_look *look, const struct bake_exact_places *places,
+int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
+                         struct bake_ray_states *states)
+{
+    struct pass pass = {.look = look, .places = places, .states = states, .count = places->count};
+    return trace_places(&pass);
+}
+
+int bake_exact_look_around(struct bake_exact_look *look, const struct bake_exact_places *hits,
                            struct bk_surroundings *out)
 {
+    const struct hit_places from = {look, hits};
+    const struct bake_places places = {.get = get_place,
+                                       .arg = &from,
+                                       .count = hits->count,
+                                       .unit = 1,
+                                       .progress = hits->progress};
     int status = 0;
-    for (uint64_t at = 0; at < places->count && status == 0; at += look->capacity) {
-        const uint64_t left = places->count - at;
+    for (uint64_t at = 0; at < places.count && status == 0; at += look->states.capacity) {
+        const uint64_t left = places.count - at;
         struct pass pass = {.look = look,
-                            .places = places,
+                            .places = &places,
+                            .states = &look->states,
                             .out = out,
                             .first = at,
-                            .count = left < look->capacity ? left : look->capacity};
+                            .count = left < look->states.capacity ? left : look->states.capacity};
+        bake_ray_states_clear(pass.states, pass.count);
         status = trace_places(&pass);
+        if (status == 0)
+            status = bsq_parallel_for(look->exact->ctx, (pass.count + BLOCK - 1) / BLOCK, sum_block,
+                                      &pass);
     }
     return status;
 }
@@ -346,9 +311,9 @@ uint64_t bake_exact_look_loads(const struct bake_exact_look *look)
 
 /* ---- memory ---- */
 
-/* Returns the distance above a triangle that exceeds the rounding errors of a hit's position. Each
- * coordinate is off by at most 2^-24 of its value, so a position by sqrt(3) times that. */
-static float lift_of(const struct bake_exact *exact)
+/* Each coordinate of a hit is off by at most 2^-24 of its value, so a position by sqrt(3) times
+ * that. */
+float bake_exact_lift(const struct bake_exact *exact)
 {
     double most = 0;
     for (int k = 0; k < 3; k++)
@@ -357,28 +322,12 @@ static float lift_of(const struct bake_exact *exact)
     return (float)(most * 0x1p-22);
 }
 
-/* Chooses how much of its state a place has, and how many places fit `memory` bytes. */
-static void plan_states(struct bake_exact_look *look, uint64_t places, uint64_t memory)
+/* Returns how many places fit `memory` bytes. */
+static uint64_t choose_capacity(const struct bk_params *params, uint64_t places, uint64_t memory)
 {
-    look->opens = bk_open_rays(look->params);
-    look->solids = bk_solid_rays(look->params);
-    look->words = falls_off(look) ? 0 : (look->opens + 63) / 64;
-    look->lengths = look->solids + (falls_off(look) ? look->opens : 0);
-    const uint64_t bytes =
-        look->words * sizeof *look->hidden + look->lengths * sizeof *look->distances;
-    look->capacity = bytes == 0 || places < memory / bytes ? places : memory / bytes;
-    look->capacity = look->capacity < 1 ? 1 : look->capacity;
-}
-
-static int allocate_states(struct bake_exact_look *look)
-{
-    struct bsq_ctx *ctx = look->exact->ctx;
-    int status = bsq_alloc(ctx, "rays from hits", look->capacity * look->words + 1,
-                           sizeof *look->hidden, &look->hidden);
-    if (status == 0)
-        status = bsq_alloc(ctx, "rays from hits", look->capacity * look->lengths + 1,
-                           sizeof *look->distances, &look->distances);
-    return status;
+    const uint64_t bytes = bake_ray_state_bytes(params);
+    const uint64_t capacity = bytes == 0 || places < memory / bytes ? places : memory / bytes;
+    return capacity < 1 ? 1 : capacity;
 }
 
 static int allocate_tree(struct bake_exact_look *look)
@@ -410,9 +359,10 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
         return status;
     look->exact = exact;
     look->params = params;
-    look->lift = lift_of(exact);
-    plan_states(look, places, left / 8);
-    status = allocate_states(look);
+    look->lift = bake_exact_lift(exact);
+    if (places > 0)
+        status = bake_ray_states_create(ctx, params, choose_capacity(params, places, left / 8),
+                                        &look->states);
     if (status == 0)
         status = bake_exact_slots_create(exact, exact->chunk_count, left / 3, &look->memory);
     if (status == 0)
@@ -436,7 +386,6 @@ void bake_exact_look_free(struct bake_exact_look *look)
     bsq_free(ctx, look->tree_scratch);
     bsq_free(ctx, look->boxes);
     bsq_free(ctx, look->reached);
-    bsq_free(ctx, look->hidden);
-    bsq_free(ctx, look->distances);
+    bake_ray_states_free(ctx, &look->states);
     bsq_free(ctx, look);
 }

@@ -175,6 +175,7 @@ static bk_map_hits place_hit(const struct job *job, const bk_point *point,
                              const struct bake_exact_hit *hit)
 {
     const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
+                          .reversed = hit->reversed,
                           .t = (float)hit->t,
                           .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
                           .color = {hit->color[0], hit->color[1], hit->color[2]},
@@ -182,6 +183,7 @@ static bk_map_hits place_hit(const struct job *job, const bk_point *point,
     const bk_start start = bk_start_at(job->tiles->params, point);
     bk_map_hits placed;
     bk_hits_for_maps(job->tiles->params, point, &start, &hits, &placed);
+    placed.facet = bk_v3w(hit->facet[0], hit->facet[1], hit->facet[2]);
     return placed;
 }
 

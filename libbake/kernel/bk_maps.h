@@ -31,6 +31,10 @@
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
 
+/* Bit of bk_params.maps that is no map: samples of several scans keep from where rays from their
+ * hits start, because these rays are traced when the nearest hits of all scans are known. */
+enum { BK_PLACE = 1 << BK_MAP_COUNT, BK_PLACE_FLOATS = 10 };
+
 /* Floats of a texel. The counts are whole numbers below 2^24, which floats hold exactly. */
 enum { BK_COVERED, BK_HITS, BK_SUMS };
 
@@ -42,6 +46,10 @@ typedef struct bk_map_hit {
     float map_normal[3]; /* the same in the space of the normal map */
     float color[3];      /* linear RGB, 0 to 1 */
     bk_uint id;          /* of the region: a colour, red in bits 0-7, green 8-15, blue 16-23 */
+    /* For BK_PLACE: */
+    float place[3]; /* position in the index space of the scan */
+    float facet[3]; /* unit normal of the triangle, in front of it; zero: the hit is of a grid */
+    float side;     /* 1, or -1 if the scan's own normal points into the solid */
     /* For maps that need them: */
     float open;      /* share of the hemisphere that is open */
     float bent[3];   /* mean open direction in the space of the normal map, with its weight */
@@ -201,6 +209,22 @@ BK_FN void bk_take_id(BK_GLOBAL const float *sums, bk_map_hit *hit)
     hit->id = (bk_uint)sums[1]; /* after its count, 1 */
 }
 
+BK_FN void bk_add_place(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_add3(sums, hit->place);
+    bk_add3(sums + 3, hit->normal);
+    bk_add3(sums + 6, hit->facet);
+    sums[9] += hit->side;
+}
+
+BK_FN void bk_take_place(BK_GLOBAL const float *sums, bk_map_hit *hit)
+{
+    bk_take3(sums, hit->place);
+    bk_take3(sums + 3, hit->normal);
+    bk_take3(sums + 6, hit->facet);
+    hit->side = sums[9];
+}
+
 /* Floats of a texel with these maps. */
 BK_FN bk_uint bk_texel_floats(bk_uint maps)
 {
@@ -208,7 +232,7 @@ BK_FN bk_uint bk_texel_floats(bk_uint maps)
 
 #define BK_MAP_FLOATS(name, sums) count += maps >> BK_MAP_##name & 1u ? (bk_uint)(sums) : 0u;
     BK_MAPS(BK_MAP_FLOATS)
-    return count;
+    return count + (maps & BK_PLACE ? (bk_uint)BK_PLACE_FLOATS : 0u);
 }
 
 BK_FN void bk_clear_texel(bk_uint maps, BK_GLOBAL float *texel)
@@ -232,7 +256,8 @@ BK_FN void bk_add_to_maps(bk_uint maps, const bk_map_hit *hit, BK_GLOBAL float *
         sums += count;                                                                             \
     }
     BK_MAPS(BK_MAP_ADD)
-    (void)sums;
+    if (maps & BK_PLACE)
+        bk_add_place(hit, sums);
 }
 
 /* Sets the members of a hit that the selected maps need from the sums of one sample. */
@@ -246,7 +271,8 @@ BK_FN void bk_take_from_maps(bk_uint maps, BK_GLOBAL const float *texel, bk_map_
         sums += count;                                                                             \
     }
     BK_MAPS(BK_MAP_TAKE)
-    (void)sums;
+    if (maps & BK_PLACE)
+        bk_take_place(sums, hit);
 }
 
 #endif

@@ -129,12 +129,13 @@ BK_FN bk_uint bk_sample_seed(float x, float y, bk_uint n)
 
 /* Hits as maps take them: see bk_map_hit. Values of lanes whose ray hit nothing mean nothing. */
 typedef struct bk_map_hits {
-    bk_uint found; /* bit by bit */
+    bk_uint found, reversed; /* bit by bit; reversed: the scan's own normal points into the solid */
     bk_fw t;
     bk_vec3w position, normal, map_normal, color;
     bk_iw id;
     bk_fw open, thickness; /* 0 unless bk_surroundings_for_maps() has set them */
     bk_vec3w bent;
+    bk_vec3w facet; /* as in bk_map_hit */
 } bk_map_hits;
 
 /* Turns hits of rays into hits for maps. Rays from a cage end at params->back behind the low-poly
@@ -145,6 +146,7 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     const bk_fw unit = bk_splat(params->unit);
 
     out->found = hits->found;
+    out->reversed = hits->reversed;
     out->t = hits->t * unit;
     if (params->flags & BK_CAGE) {
         const bk_fw end = start->height + bk_splat(params->back);
@@ -159,6 +161,7 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     out->id = hits->id;
     out->open = out->thickness = bk_splat(0.0f);
     out->bent = out->map_normal;
+    out->facet = bk_v3w(bk_splat(0.0f), bk_splat(0.0f), bk_splat(0.0f));
 }
 
 /* Turns what rays from hits found, lane by lane, into values for maps. A bent direction has the
@@ -257,6 +260,9 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     bk_copy_lane(&hits->map_normal, lane, hit.map_normal);
     bk_copy_lane(&hits->color, lane, hit.color);
     bk_copy_lane(&hits->bent, lane, hit.bent);
+    bk_copy_lane(&hits->position, lane, hit.place); /* several scans are traced with unit 1 */
+    bk_copy_lane(&hits->facet, lane, hit.facet);
+    hit.side = hits->reversed >> lane & 1u ? -1.0f : 1.0f;
     hit.id = (bk_uint)bk_lane(hits->id, lane);
     hit.open = bk_lane(hits->open, lane);
     hit.thickness = bk_lane(hits->thickness, lane);

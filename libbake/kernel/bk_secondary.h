@@ -111,6 +111,19 @@ BK_FN bk_vec3w bk_around(bk_vec3w cone, bk_vec3 n)
                   (cone.x * s.z + cone.y * t.z) + cone.z * n.z);
 }
 
+/* Returns directions like bk_cone_directions() around a unit normal. Those that point into the
+ * triangle whose unit normal is `facet` are mirrored at it; zero: there is no triangle. */
+BK_FN bk_vec3w bk_hemisphere(bk_uint seed, bk_vec3 normal, bk_vec3 facet, bk_uint first,
+                             bk_uint count, float sine2)
+{
+    const bk_fw zero = bk_splat(0.0f);
+    const bk_vec3w f = bk_v3w(bk_splat(facet.x), bk_splat(facet.y), bk_splat(facet.z));
+    const bk_vec3w d = bk_around(bk_cone_directions(seed, first, count, sine2), normal);
+    const bk_fw above = bk_dotw(d, f);
+
+    return bk_select3(bk_less(above, zero), bk_add_scaledw(d, -2.0f * above, f), d);
+}
+
 /* ---- walking through blocks ---- */
 
 /* Returns log2 of the side of the empty block around voxel (x, y, z), or 0 if its block of 4^3 has
@@ -260,14 +273,15 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
     bk_end_run(walk, walked);
 }
 
-/* Walks rays from one point to the first surface within `limit` voxels. Surfaces that face against
- * `facing` count only if both_sides is set. Returns the t at which rays leave the grid. */
+/* Walks the rays of these lanes from one point to the first surface within `limit` voxels. Surfaces
+ * that face against `facing` count only if both_sides is set. Returns the t at which rays leave the
+ * grid. */
 BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                         bk_vec3 origin, bk_vec3w direction, bk_vec3w facing, bk_uint count,
+                         bk_vec3 origin, bk_vec3w direction, bk_vec3w facing, bk_uint lanes,
                          bk_uint both_sides, float limit, bk_walk *walk)
 {
     const bk_vec3w start = bk_v3w(bk_splat(origin.x), bk_splat(origin.y), bk_splat(origin.z));
-    const bk_ray ray = bk_ray_along(start, direction, facing, bk_mask_of((1u << count) - 1u));
+    const bk_ray ray = bk_ray_along(start, direction, facing, bk_mask_of(lanes));
     bk_fw t_near, t_far;
 
     bk_bounds(&ray, params, &t_near, &t_far);
@@ -343,9 +357,9 @@ BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *param
             bk_cone_directions(from->seed ^ (open ? 0u : BK_SOLID_SEED), first, rays, sine2);
         const bk_vec3w direction = bk_around(cone, open ? n : inwards);
         bk_walk walk;
-        const bk_fw t_far =
-            bk_walk_from(grid, params, cache, open ? lifted : from->position, direction,
-                         bk_scalew(direction, bk_splat(from->side)), count, open, limit, &walk);
+        const bk_fw t_far = bk_walk_from(grid, params, cache, open ? lifted : from->position,
+                                         direction, bk_scalew(direction, bk_splat(from->side)),
+                                         (1u << count) - 1u, open, limit, &walk);
         for (lane = 0; lane < count; lane++) {
             const bk_uint found = bk_bits(walk.hit.found) >> lane & 1u;
             const float t = found ? bk_min(bk_lane(walk.hit.t, lane), limit) : limit;

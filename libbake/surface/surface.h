@@ -74,6 +74,20 @@ struct bake_surface_rays {
 int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
                        const struct bake_surface_rays *rays);
 
+struct bake_places;
+struct bake_ray_states;
+
+/* Traces the rays of all places against one scan, and notes in their states what it adds to other
+ * scans; adds to *chunk_loads. params: maps, counts and lengths of rays. Must not be called from
+ * parallel work. Errors: those of bake_exact_look_from() and bake_surface_check(). */
+int bake_surface_look(const struct bake_surface *surface, const struct bk_params *params,
+                      const struct bake_places *places, struct bake_ray_states *states,
+                      uint64_t *chunk_loads);
+
+/* Returns the distance above a hit at which open rays start, so that one scan does not hide itself;
+ * world units. */
+double bake_surface_lift(const struct bake_surface *surface);
+
 /* Returns whether some of the surface are triangles. */
 bool bake_surface_has_triangles(const struct bake_surface *surface);
 

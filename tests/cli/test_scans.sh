@@ -171,11 +171,10 @@ refused 64 "$p: --match-suffixes: \"low\" is not LOW,HIGH"
 
 # ---- what is refused ----
 
-$bake $size --maps ao left.nvdb right.nvdb wide.obj -o x.exr
-refused 64 "$p: left.nvdb: the map ao is baked from one scan; bisque-voxelize makes a grid of several meshes"
-$bake $size --maps all left.nvdb right.nvdb wide.obj -o 'all_<MAP>.exr' --json
+$bake $size --maps all left.nvdb right.nvdb wide.obj -o 'all_<MAP>.exr' --ao-rays 4 \
+    --thickness-rays 4 --json
 code 0
-json '.maps | has("ao") == false and has("curvature")'
+json '.maps | has("ao") and has("bent") and has("thickness") and has("curvature")'
 $bake $size --maps color left.nvdb plain.nvdb wide.obj -o x.exr
 code 65
 err_like 'has no colour; leave color out of --maps'

@@ -67,6 +67,16 @@ void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_pa
     BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, rays, hits);
 }
 
+void bake_native_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                              const struct bake_places *places, uint64_t begin, uint64_t end,
+                              struct bake_ray_states *states)
+{
+    struct bk_grid native;
+
+    bake_kernel_grid(grid, params, &native);
+    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_look)(&native, params, places, begin, end, states);
+}
+
 static void describe(struct bsq_ctx *ctx, struct bake_device_info *info)
 {
     long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);

@@ -4,6 +4,7 @@
 
 #include "base/simd/simd.h"
 #include "libbake/device/job/job.h"
+#include "libbake/secondary/secondary.h"
 
 /* Side in texels of the squares that a tile is traced in: what they share of the grid stays in the
  * first-level cache. */
@@ -20,5 +21,12 @@ BSQ_SIMD_DECLARE(bake_native_tile_fn, bake_native_tile);
 typedef void bake_native_rays_fn(const struct bk_grid *grid, const struct bk_params *params,
                                  const struct bake_ray_batch *rays, struct bk_hit *hits);
 BSQ_SIMD_DECLARE(bake_native_rays_fn, bake_native_rays);
+
+/* Traces the rays of places begin to end - 1 on the calling thread, and notes in their states what
+ * the grid adds. */
+typedef void bake_native_look_fn(const struct bk_grid *grid, const struct bk_params *params,
+                                 const struct bake_places *places, uint64_t begin, uint64_t end,
+                                 struct bake_ray_states *states);
+BSQ_SIMD_DECLARE(bake_native_look_fn, bake_native_look);
 
 #endif

@@ -1,4 +1,4 @@
-/* native_lanes.c - traces a tile, or rays, BK_WIDTH at a time. */
+/* native_lanes.c - traces a tile, or rays, or rays from hits, BK_WIDTH at a time. */
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/native_code.h"
@@ -125,4 +125,99 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
         for (bk_uint lane = 0; lane < lines.count; lane++)
             get_hit(&found, lane, &hits[first + lane]);
     }
+}
+
+/* ---- rays from hits ---- */
+
+struct view {
+    const struct bk_grid *grid;
+    const struct bk_params *params;
+    struct bake_ray_states *states;
+    double unit; /* of index space, in world units */
+    bk_cache cache;
+};
+
+/* Rays of a place that are traced together: BK_WIDTH of them from ray `first` on. */
+struct rays {
+    uint64_t place;
+    bool open;
+    bk_uint first, count;
+};
+
+/* Returns the lanes of rays of which more can be known. */
+static bk_uint wanted(const struct bake_ray_states *states, const struct rays *rays)
+{
+    const bk_uint lanes = (1u << rays->count) - 1;
+    if (!rays->open || states->words == 0)
+        return lanes;
+    /* BK_WIDTH divides 64. */
+    return lanes &
+           ~(bk_uint)(bake_hidden_rays(states, rays->place)[rays->first / 64] >> rays->first % 64);
+}
+
+/* Notes what a ray met, after t voxels. */
+static void note_hit(const struct view *view, const struct rays *rays, bk_uint lane, float t)
+{
+    const struct bake_ray_states *states = view->states;
+    const bk_uint ray = rays->first + lane;
+    if (rays->open && states->words > 0) {
+        bake_hidden_rays(states, rays->place)[ray / 64] |= UINT64_C(1) << ray % 64;
+        return;
+    }
+    float *distance = bake_ray_distances(states, rays->place, rays->open) + ray;
+    *distance = fminf(*distance, (float)((double)t * view->unit));
+}
+
+static void trace_from(struct view *view, const struct bake_place *place, const struct rays *rays)
+{
+    const struct bk_params *params = view->params;
+    const float side = rays->open ? 1.0f : -1.0f, facing = place->reversed ? -1.0f : 1.0f;
+    const float limit = rays->open ? params->open_limit : params->thickness_limit;
+    const float *from = rays->open ? place->open_from : place->solid_from;
+    const float *n = place->normal, *f = place->facet;
+    const bk_uint lanes = wanted(view->states, rays);
+    if (lanes == 0)
+        return;
+    const bk_vec3w direction = bk_hemisphere(
+        place->seed ^ (rays->open ? 0u : BK_SOLID_SEED),
+        bk_v3(side * n[0], side * n[1], side * n[2]), bk_v3(side * f[0], side * f[1], side * f[2]),
+        rays->first, rays->open ? view->states->opens : view->states->solids,
+        rays->open ? params->open_sine2 : 1.0f);
+    bk_walk walk;
+    bk_walk_from(view->grid, params, &view->cache, bk_v3(from[0], from[1], from[2]), direction,
+                 bk_scalew(direction, bk_splat(facing)), lanes, rays->open, limit, &walk);
+    for (bk_uint lane = 0; lane < rays->count; lane++)
+        if (bk_bits(walk.hit.found) >> lane & 1)
+            note_hit(view, rays, lane, bk_min(bk_lane(walk.hit.t, lane), limit));
+}
+
+static void look_from(struct view *view, const struct bake_place *place, uint64_t index)
+{
+    const bk_uint opens = view->states->opens, solids = view->states->solids;
+    for (bk_uint i = 0; i < opens + solids;) {
+        const bool open = i < opens;
+        const bk_uint left = (open ? opens : opens + solids) - i;
+        const struct rays rays = {.place = index,
+                                  .open = open,
+                                  .first = open ? i : i - opens,
+                                  .count = left < BK_WIDTH ? left : BK_WIDTH};
+        trace_from(view, place, &rays);
+        i += rays.count;
+    }
+}
+
+void BSQ_SIMD_NAME(bake_native_look)(const struct bk_grid *grid, const struct bk_params *params,
+                                     const struct bake_places *places, uint64_t begin, uint64_t end,
+                                     struct bake_ray_states *states)
+{
+    struct view view = {.grid = grid,
+                        .params = params,
+                        .states = states,
+                        .unit = places->unit,
+                        .cache = bk_cache_empty()};
+    struct bake_place place;
+
+    for (uint64_t i = begin; i < end; i++)
+        if (places->get(places->arg, i, &place))
+            look_from(&view, &place, i);
 }

@@ -1,0 +1,83 @@
+/* secondary.h - rays from hits, in batches: the maps ao, bent and thickness of triangles, and of
+ * several scans. (The kernel sends the rays of a single grid itself.)
+ *
+ * Takes places on the surface. Gives their rays, which are those of bk_secondary.h, keeps what is
+ * known of each ray while one part of the surface after the other is traced, and sums it up. A ray
+ * is hidden if any part hides it, and as long as its nearest hit is far. So the order of parts does
+ * not matter. */
+#ifndef BAKE_SECONDARY_SECONDARY_H
+#define BAKE_SECONDARY_SECONDARY_H
+
+#include <stdbool.h>
+
+#include "base/context.h"
+#include "libbake/kernel/bk_types.h"
+
+struct bk_surroundings;
+
+/* A place on the surface, in the index space of what is traced. */
+struct bake_place {
+    float open_from[3];  /* where open rays start: above the surface */
+    float solid_from[3]; /* where rays into the solid start: on it */
+    float normal[3];     /* unit, away from the solid */
+    float facet[3];      /* unit normal of the triangle, on that side; zero: there is none */
+    bool reversed;       /* the scan's own normal points into the solid */
+    uint32_t seed;       /* by which directions are turned */
+};
+
+/* Gives place `index`; returns false if no rays start there. Thread-safe. */
+typedef bool bake_place_fn(const void *arg, uint64_t index, struct bake_place *out);
+
+struct bake_places {
+    bake_place_fn *get;
+    const void *arg;
+    uint64_t count;
+    double unit;       /* of their index space, in world units */
+    uint64_t progress; /* what all of them add to the context's progress */
+};
+
+/* Computes ray `number` of a place: an open one, or one into the solid. params: maps and counts of
+ * rays. direction: unit. */
+void bake_place_ray(const struct bk_params *params, const struct bake_place *place, bool open,
+                    uint32_t number, float origin[3], float direction[3]);
+
+/* What is known of the rays of `capacity` places. */
+struct bake_ray_states {
+    uint32_t opens, solids;  /* rays of a place */
+    uint32_t words, lengths; /* entries below for a place */
+    uint64_t capacity;
+    uint64_t *hidden; /* a bit for each open ray, if any hit will do */
+    float *distances; /* of nearest hits, world units: open rays if they fall off, rays into the
+                         solid */
+};
+
+/* Returns the bytes that a place takes. */
+uint64_t bake_ray_state_bytes(const struct bk_params *params);
+/* Allocates states; free them also after a failure. Errors: BSQ_ENOMEM. */
+int bake_ray_states_create(struct bsq_ctx *ctx, const struct bk_params *params, uint64_t capacity,
+                           struct bake_ray_states *out);
+void bake_ray_states_free(struct bsq_ctx *ctx, struct bake_ray_states *states);
+/* Forgets what is known of the first `count` places. */
+void bake_ray_states_clear(struct bake_ray_states *states, uint64_t count);
+
+/* Return the state of a place: its bits, and the distances of its open rays or of those into the
+ * solid. */
+static inline uint64_t *bake_hidden_rays(const struct bake_ray_states *states, uint64_t index)
+{
+    return states->hidden + index * states->words;
+}
+static inline float *bake_ray_distances(const struct bake_ray_states *states, uint64_t index,
+                                        bool open)
+{
+    return states->distances + index * states->lengths +
+           (open || states->words > 0 ? 0 : states->opens);
+}
+
+/* Returns what the rays of a place found. index: of its state. low, high: bounds of all that was
+ * traced; a ray into the solid that leaves them within its limit has missed the solid's other side,
+ * and is not counted. The place, the bounds and the lengths of params are in world units. */
+struct bk_surroundings bake_sum_rays(const struct bake_ray_states *states,
+                                     const struct bk_params *params, const struct bake_place *place,
+                                     uint64_t index, const double low[3], const double high[3]);
+
+#endif

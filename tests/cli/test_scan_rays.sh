@@ -1,0 +1,160 @@
+#!/bin/sh
+# test_scan_rays.sh - rays from hits on several scans: ao, bent and thickness against formulas, in
+# any order of scans, with any memory, threads and device, and for objects that see some scans.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+bake="run bisque-bake"
+
+# patch NAME X0 Y0 Z0 UX UY UZ VX VY VZ: a parallelogram of 16 x 16 quads with a corner and two sides.
+patch()
+{
+    awk -v corner="$2 $3 $4" -v first="$5 $6 $7" -v second="$8 $9 ${10}" 'BEGIN {
+        split(corner, c); split(first, u); split(second, v)
+        for (j = 0; j <= 16; j++) for (i = 0; i <= 16; i++) {
+            printf "v"
+            for (k = 1; k <= 3; k++) printf " %.9g", c[k] + u[k] * i / 16 + v[k] * j / 16
+            print ""
+        }
+        for (j = 0; j < 16; j++) for (i = 0; i < 16; i++) {
+            a = 1 + 17 * j + i; print "f", a, a + 1, a + 18, a + 17
+        } }' >"$1.obj"
+}
+# square NAME X Y SIDE Z: a low-poly square whose normals point up.
+square()
+{
+    awk -v x="$2" -v y="$3" -v s="$4" -v z="$5" 'BEGIN {
+        for (i = 0; i < 4; i++) {
+            a = i == 1 || i == 2; b = i > 1
+            print "v", x + s * a, y + s * b, z; print "vt", a, b
+        }
+        print "f 1/1 2/2 3/3 4/4" }' >"$1.obj"
+}
+# scan NAME VOXEL [OBJ...]: makes NAME.nvdb and NAME.tris.
+scan()
+{
+    name=$1 voxel=$2
+    shift 2
+    run bisque-voxelize "${@:-$name.obj}" -o "$name.nvdb" --voxel-size "$voxel"
+    code 0
+}
+# value MAP.exr EXPECTED TOLERANCE: all texels are near a value. The mask beside the map is 1.
+value()
+{
+    run bisque-compare "$1" mask.exr --force --type data --json
+    json "(.mean - (1 - $2 | fabs) | fabs) < $3 and .max < 0.05 + (1 - $2 | fabs)"
+}
+
+# ---- a wall of one scan hides half of the floor of another ----
+
+patch floor 0 -4 0 4 0 0 0 8 0
+patch wall 0 -4 0 0 8 0 0 0 4
+patch far 40 0 0 1 0 0 0 1 0
+square foot 0.0625 -0.0625 0.125 -0.0625
+scan floor 0.0625
+scan wall 0.05
+scan far 0.05
+scan both 0.0625 floor.obj wall.obj
+usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0"
+$bake $usual --maps mask floor.tris foot.obj -o mask.exr
+code 0
+# Beside the middle of a wall of height 4 and width 8, at the distance d from 1/16 to 3/16: a
+# rectangle at a right angle hides (atan(4 / d) - d / s atan(4 / s)) / pi, with s^2 = d^2 + 4^2
+# (Howell, "A Catalog of Radiation Heat Transfer Configuration Factors", B-4). Its mean over the
+# square is 0.4822.
+for scans in "floor.nvdb wall.nvdb" "wall.tris floor.tris" "wall.nvdb floor.tris" \
+    "floor.nvdb wall.tris"; do
+    $bake $usual --maps ao,bent $scans foot.obj -o 'foot_<MAP>.exr'
+    code 0
+    value foot_ao.exr 0.5178 0.01
+    # The mean open direction leans away from the wall by atan(2 / pi) = 32.48 degrees.
+    $bake $usual --maps bent both.tris foot.obj -o both.exr
+    run bisque-compare both.exr foot_bent.exr --max-error 4 --max-mean 1
+    code 0
+done
+$bake $usual --maps ao floor.nvdb far.nvdb foot.obj -o far.exr
+code 0
+value far.exr 1 0.0001
+# A scan that no ray reaches changes nothing.
+$bake $usual --maps ao both.nvdb foot.obj -o one.exr
+$bake $usual --maps ao far.nvdb both.nvdb foot.obj -o two.exr
+run bisque-compare one.exr two.exr --max-error 0
+code 0
+# The wall hides less the farther away it is: 1 - t / 2.
+$bake $usual --maps ao --ao-distance 2 --ao-falloff linear wall.nvdb floor.tris foot.obj -o one.exr
+$bake $usual --maps ao --ao-distance 2 --ao-falloff linear both.tris foot.obj -o two.exr
+run bisque-compare one.exr two.exr --type data --max-mean 0.01 --max-error 0.05
+code 0
+
+# ---- the other side of a slab is another scan ----
+
+# A ray at the angle a to the normal goes h / cos a, but at most L: 2 h - h^2 / L in the mean.
+patch below 0 -4 -0.5 0 8 0 4 0 0
+square middle 1.9375 -0.0625 0.125 -0.0625
+scan below 0.0625
+for scans in "floor.nvdb below.nvdb" "below.tris floor.tris" "floor.nvdb below.tris"; do
+    $bake $usual --maps thickness --thickness-distance 1.5 $scans middle.obj -o slab.exr
+    code 0
+    value slab.exr 0.8333 0.01
+done
+$bake $usual --maps thickness --thickness-distance 1.5 floor.nvdb far.nvdb middle.obj -o slab.exr
+code 0
+value slab.exr 1.5 0.0001
+
+# ---- a scan in two parts ----
+
+patch left 0 -1 1 1 0 -1 0 2 0
+patch right 1 -1 0 1 0 1 0 2 0
+square groove 0.5 -0.5 1 0.25
+scan left 0.03125
+scan right 0.03125
+scan groove_scan 0.03125 left.obj right.obj
+maps="--maps ao,bent,thickness --thickness-distance 1"
+usual="--size 24 --device cpu --front 1 --back 1 --padding 0"
+for kind in nvdb tris; do
+    $bake $usual $maps groove_scan.$kind groove.obj -o 'whole_<MAP>.exr'
+    code 0
+    $bake $usual $maps left.$kind right.$kind groove.obj -o 'parts_<MAP>.exr' --threads 1
+    code 0
+    for map in ao thickness; do
+        run bisque-compare whole_$map.exr parts_$map.exr --max-mean 0.003 --max-p95 0.01
+        code 0
+    done
+    run bisque-compare whole_bent.exr parts_bent.exr --max-mean 0.3 --max-p95 1
+    code 0
+    # Any order, threads, memory, and again for devices.
+    $bake $usual $maps right.$kind left.$kind groove.obj -o 'other_<MAP>.exr' --threads 3 \
+        --memory 1500K --json
+    code 0
+    [ $kind = nvdb ] || json '.chunk_loads > 2'
+    for map in ao bent thickness; do
+        same parts_$map.exr other_$map.exr
+    done
+done
+LD_LIBRARY_PATH=$TESTS/fake $bake --maps ao,bent,thickness --thickness-distance 1 --size 24 \
+    --front 1 --back 1 --padding 0 --device cuda left.nvdb right.nvdb groove.obj -o 'cuda_<MAP>.exr'
+code 0
+$bake $usual $maps left.nvdb right.nvdb groove.obj -o 'cpu_<MAP>.exr'
+for map in ao bent thickness; do
+    same cuda_$map.exr cpu_$map.exr
+done
+
+# ---- objects that see some scans ----
+
+for kind in nvdb tris; do
+    cp floor.$kind a_high.$kind
+    cp wall.$kind a_high_wall.$kind
+    cp floor.$kind b_high.$kind
+done
+awk '/^f/ { next } { print }' foot.obj >pair.obj
+printf 'o a_low\nf 1/1 2/2 3/3 4/4\no b_low\nf 1/1 2/2 3/3 4/4\n' >>pair.obj
+usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0"
+for kind in nvdb tris; do
+    $bake $usual --maps ao --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
+        -o '<OBJECT>.exr'
+    code 0
+    value a_low.exr 0.5178 0.01
+    value b_low.exr 1 0.0001
+done
+
+finish
