@@ -12,12 +12,13 @@
 #include "formats/input/pipe.h"
 #include "formats/input/spool.h"
 #include "formats/input/unpack.h"
+#include "formats/input/utf16.h"
 
 struct fmt_input {
     struct bsq_ctx *ctx;
     char *path, *beside; /* beside: NULL for "." */
-    bool packed;
-    int pipe_fd; /* -1: a file */
+    bool packed;         /* or text in UTF-16: the file's bytes are not those that readers get */
+    int pipe_fd;         /* -1: a file */
     uint64_t file_size;
     pthread_mutex_t lock; /* guards `users`, and opening and closing */
     unsigned users;
@@ -42,6 +43,8 @@ static int copy_text(struct bsq_ctx *ctx, const char *text, char **out)
     return status;
 }
 
+_Static_assert(UTF16_HEAD_BYTES <= PACKING_HEAD_BYTES, "one head shows both");
+
 /* Opens a file for a moment, to learn its size and whether it is packed. */
 static int examine(struct fmt_input *input)
 {
@@ -51,7 +54,8 @@ static int examine(struct fmt_input *input)
     if (!status)
         status = bsq_file_read_some(input->ctx, &input->file, head, sizeof head, 0, &size);
     input->file_size = input->file.size;
-    input->packed = !status && fmt_packing_of(head, size) != PACKING_NONE;
+    input->packed =
+        !status && (fmt_packing_of(head, size) != PACKING_NONE || fmt_utf16_recognise(head, size));
     bsq_file_close(input->ctx, &input->file);
     return status;
 }
@@ -272,6 +276,57 @@ int fmt_input_peek(struct fmt_input *input, void *buffer, uint64_t size, uint64_
         status = fmt_input_read_some(input, buffer, size, 0, got);
     int closed = fmt_input_close(input);
     return status ? status : closed;
+}
+
+/* ---- small files ---- */
+
+/* Reads to the end of a file into a buffer that grows. */
+static int read_to_end(struct bsq_ctx *ctx, struct unpacker *unpacker, uint64_t padding,
+                       char **text, uint64_t *capacity, uint64_t *size)
+{
+    int status = 0;
+    for (;;) {
+        uint64_t got = 0;
+        const uint64_t space = *capacity - padding - *size;
+        status = fmt_unpack_read(unpacker, *text + *size, space, &got);
+        *size += got;
+        if (status || got < space)
+            return status;
+        status = bsq_grow(ctx, "a text file", *capacity + 1, 1, text, capacity);
+        if (status)
+            return status;
+    }
+}
+
+int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char **text,
+                   uint64_t *size)
+{
+    struct packed_reader reader = {.ctx = ctx, .file = BSQ_FILE_CLOSED};
+    struct unpacker *unpacker = NULL;
+    uint64_t capacity = 0;
+    *text = NULL;
+    *size = 0;
+    int status = bsq_file_open(ctx, path, &reader.file);
+    if (!status && __builtin_add_overflow(reader.file.size, padding + 1, &capacity))
+        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: too large", path);
+    if (!status)
+        status = bsq_alloc(ctx, "a text file", capacity, 1, text);
+    if (!status)
+        status = fmt_unpack_create(ctx, read_packed, &reader, &unpacker);
+    if (!status)
+        status = read_to_end(ctx, unpacker, padding, text, &capacity, size);
+    if (status == BSQ_EDATA)
+        status = bsq_fail(ctx, BSQ_EDATA, "%s: %s", path, fmt_unpack_error(unpacker));
+    if (!status)
+        status = bsq_file_check(ctx, &reader.file);
+    fmt_unpack_free(unpacker);
+    bsq_file_close(ctx, &reader.file);
+    if (!status)
+        memset(*text + *size, 0, padding);
+    else
+        bsq_free(ctx, *text);
+    *text = status ? NULL : *text;
+    return status;
 }
 
 static int guess_packed(struct fmt_input *input, uint64_t *bytes)

@@ -2,6 +2,8 @@
  *
  * Takes the path of a regular file, of a FIFO, or "-" for standard input; gives ranges of bytes. A
  * file that gzip or Zstandard packed gives its unpacked bytes; its first bytes tell, not its name.
+ * Text in UTF-16 with a byte order mark, also if it is packed, gives UTF-8 without a mark. In this
+ * room, such text counts as packed.
  *
  * A packed file, or a pipe, is unpacked by a thread of its own into a temporary file without a
  * name, while readers parse what is there already. Who reads a range waits until it has arrived.
@@ -79,6 +81,11 @@ bool fmt_input_given(const struct fmt_input *input, uint64_t *bytes, uint64_t *h
 
 /* Reads the pipe `path` to its end and gives the same as fmt_input_given(). */
 int fmt_input_drain(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t *hash);
+
+/* Reads a small file of text whole, with `padding` zeros after its end. The caller frees *text with
+ * bsq_free(). Errors: as fmt_input_read(), and BSQ_ENOINPUT. */
+int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char **text,
+                   uint64_t *size);
 
 /* Returns true if fmt_input_create() would take `path` for a pipe. */
 bool fmt_input_is_pipe(const char *path);

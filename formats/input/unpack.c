@@ -5,8 +5,22 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "formats/input/utf16.h"
+
 /* Packed bytes that are read at once. */
 enum { IN_BYTES = 128 << 10 };
+
+/* Units of UTF-16 that are converted at once, and the bytes that they may become. */
+enum { UNIT_BYTES = 32 << 10, TEXT_BYTES = 3 * UNIT_BYTES / 2 + 2 * UTF16_MAX_BYTES };
+
+/* A stream of text in UTF-16. */
+struct text {
+    struct utf16 converter;
+    uint8_t units[UNIT_BYTES], bytes[TEXT_BYTES];
+    uint64_t unit_count; /* bytes of `units` that are not converted yet, from its start */
+    uint64_t begin, end; /* of `bytes` that have not been given out yet */
+    bool ended;          /* no more units come */
+};
 
 struct unpacker {
     struct bsq_ctx *ctx;
@@ -20,6 +34,13 @@ struct unpacker {
     uint64_t taken;            /* packed bytes before in_begin, of the whole stream */
     bool started, source_ended;
     bool between; /* at the start of a member, or at the end of the stream */
+    /* The first unpacked bytes, which tell whether they are text in UTF-16, and the status after
+     * them. */
+    uint8_t head[UTF16_HEAD_BYTES];
+    uint64_t head_begin, head_end;
+    bool head_read;
+    int failure;
+    struct text *text; /* NULL: bytes are given out as they are */
     char error[160];
 };
 
@@ -57,6 +78,7 @@ void fmt_unpack_free(struct unpacker *u)
         return;
     if (u->codec_state)
         u->codec->free(u->ctx, u->codec_state);
+    bsq_free(u->ctx, u->text);
     bsq_free(u->ctx, u->in);
     bsq_free(u->ctx, u);
 }
@@ -139,7 +161,8 @@ static int step(struct unpacker *u, uint8_t *buffer, uint64_t size, uint64_t *go
                                                : 0;
 }
 
-int fmt_unpack_read(struct unpacker *u, void *buffer, uint64_t size, uint64_t *got)
+/* Unpacks the next bytes of any kind, as fmt_unpack_read() does. */
+static int read_bytes(struct unpacker *u, void *buffer, uint64_t size, uint64_t *got)
 {
     int status = u->started ? 0 : start(u);
     *got = 0;
@@ -159,6 +182,81 @@ int fmt_unpack_read(struct unpacker *u, void *buffer, uint64_t size, uint64_t *g
         if (!status)
             status = bsq_check(u->ctx);
     }
+    return status;
+}
+
+/* ---- text ---- */
+
+/* Reads the first bytes and decides whether they are text in UTF-16. */
+static int read_head(struct unpacker *u)
+{
+    u->head_read = true;
+    u->failure = read_bytes(u, u->head, sizeof u->head, &u->head_end);
+    if (u->failure && u->failure != BSQ_EDATA)
+        return u->failure;
+    if (!fmt_utf16_recognise(u->head, u->head_end))
+        return 0;
+    int status = bsq_calloc(u->ctx, "text in UTF-16", 1, sizeof *u->text, &u->text);
+    if (status)
+        return status;
+    u->text->converter.big_endian = u->head[0] == 0xfe;
+    memcpy(u->text->units, u->head, u->head_end);
+    u->text->unit_count = u->head_end;
+    return 0;
+}
+
+/* Fills text->bytes. Keeps what is wrong in u->failure until all bytes before it are given out. */
+static void convert(struct unpacker *u)
+{
+    struct text *t = u->text;
+    uint64_t more = 0, used;
+    if (!u->failure && !t->ended) {
+        const uint64_t space = UNIT_BYTES - t->unit_count;
+        u->failure = read_bytes(u, t->units + t->unit_count, space, &more);
+        t->unit_count += more;
+        t->ended = !u->failure && more < space;
+    }
+    fmt_utf16_convert(&t->converter, t->units, t->unit_count, t->ended, t->bytes, TEXT_BYTES, &used,
+                      &t->end);
+    t->begin = 0;
+    t->unit_count -= used;
+    memmove(t->units, t->units + used, t->unit_count);
+    if (t->ended && t->unit_count > 0)
+        u->failure = fail(u, "truncated: text in UTF-16 ends in the middle of a character");
+}
+
+static int read_text(struct unpacker *u, uint8_t *buffer, uint64_t size, uint64_t *got)
+{
+    struct text *t = u->text;
+    while (*got < size) {
+        if (t->begin == t->end && !u->failure && !t->ended)
+            convert(u);
+        if (t->begin == t->end)
+            return u->failure;
+        const uint64_t have = t->end - t->begin, wanted = size - *got;
+        const uint64_t count = have < wanted ? have : wanted;
+        memcpy(buffer + *got, t->bytes + t->begin, count);
+        t->begin += count;
+        *got += count;
+    }
+    return 0;
+}
+
+int fmt_unpack_read(struct unpacker *u, void *buffer, uint64_t size, uint64_t *got)
+{
+    uint64_t more = 0;
+    *got = 0;
+    int status = u->head_read ? 0 : read_head(u);
+    if (status)
+        return status;
+    if (u->text)
+        return read_text(u, buffer, size, got);
+    for (; *got < size && u->head_begin < u->head_end; ++*got)
+        ((uint8_t *)buffer)[*got] = u->head[u->head_begin++];
+    if (*got == size || u->failure)
+        return *got == size ? 0 : u->failure;
+    status = read_bytes(u, (uint8_t *)buffer + *got, size - *got, &more);
+    *got += more;
     return status;
 }
 

@@ -1,4 +1,5 @@
-/* unpack.h - private to formats/input: unpacks a stream of bytes that gzip or Zstandard packed.
+/* unpack.h - private to formats/input: unpacks a stream of bytes that gzip or Zstandard packed, and
+ * turns text in UTF-16 into UTF-8 (utf16.h).
  *
  * Members of a gzip file, and frames of a Zstandard file, may lie side by side; their contents
  * follow each other. */
@@ -30,7 +31,7 @@ int fmt_unpack_read(struct unpacker *unpacker, void *buffer, uint64_t size, uint
 const char *fmt_unpack_error(const struct unpacker *unpacker);
 /* Returns the packed bytes whose contents were returned so far, within some KiB. */
 uint64_t fmt_unpack_taken(const struct unpacker *unpacker);
-/* Returns how the stream is packed, after the first fmt_unpack_read(). */
+/* Returns how the stream is packed, in any text, after the first fmt_unpack_read(). */
 enum packing fmt_unpack_packing(const struct unpacker *unpacker);
 
 /* ---- codecs ---- */

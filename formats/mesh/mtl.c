@@ -11,8 +11,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/file.h"
 #include "base/loss.h"
+#include "formats/input/input.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/obj_path.h"
@@ -246,6 +246,20 @@ static int check_readable(const struct reader *reader, bool *readable)
     return bsq_warn_loss(reader->ctx, "%s: %s: its materials are missing", reader->path, problem);
 }
 
+/* Turns the failure to read a damaged text into a warning. */
+static int warn_damaged(const struct reader *reader)
+{
+    char *why;
+    int status = fmt_string_copy(reader->ctx, bsq_error(reader->ctx), &why);
+    if (status)
+        return status;
+    bsq_clear_error(reader->ctx);
+    if (!reader->again)
+        status = bsq_warn_loss(reader->ctx, "%s: its materials are missing", why);
+    bsq_free(reader->ctx, why);
+    return status;
+}
+
 int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, bool again, struct fmt_materials *materials)
 {
     struct reader reader = {.ctx = ctx,
@@ -253,26 +267,17 @@ int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, bool again, struct fmt_m
                             .materials = materials,
                             .capacity = materials->count,
                             .again = again};
-    struct bsq_file file = BSQ_FILE_CLOSED;
     char *text = NULL;
+    uint64_t size = 0;
     bool readable;
     int status = check_readable(&reader, &readable);
     if (status || !readable)
         return status;
-    status = bsq_file_open(ctx, path, &file);
-    if (status)
-        goto done;
-    status = bsq_alloc(ctx, "MTL text", file.size + OBJ_TEXT_PADDING, 1, &text);
-    if (status)
-        goto done;
-    memset(text + file.size, 0, OBJ_TEXT_PADDING);
-    status = bsq_file_read(ctx, &file, text, file.size, 0);
+    status = fmt_input_text(ctx, path, OBJ_TEXT_PADDING, &text, &size);
     if (!status)
-        status = bsq_file_check(ctx, &file);
-    if (!status)
-        status = read_text(&reader, text, file.size);
-done:
+        status = read_text(&reader, text, size);
+    else if (status == BSQ_EDATA)
+        status = warn_damaged(&reader);
     bsq_free(ctx, text);
-    bsq_file_close(ctx, &file);
     return status;
 }
