@@ -272,3 +272,12 @@ void bsq_output_discard(struct bsq_output *output)
         unlink(output->temp_path);
     free_output(output);
 }
+
+int bsq_output_check(struct bsq_ctx *ctx, const char *path)
+{
+    struct bsq_output *output;
+    int status = bsq_output_open(ctx, path, &output);
+    if (status == 0)
+        bsq_output_discard(output);
+    return status;
+}

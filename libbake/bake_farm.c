@@ -9,6 +9,7 @@
 
 #include "base/output.h"
 #include "base/parallel.h"
+#include "formats/farm/farm.h"
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 #include "libbake/curvature/curvature.h"
@@ -163,7 +164,7 @@ static void expect_costs(const struct bake_run *job, struct bake_farm_plan *plan
     for (uint32_t t = 0; t < plan->tile_count; t++)
         for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
             plan->costs[plan->tiles[t].tasks[b]].part_bytes += block;
-    for (uint32_t i = 0; i < plan->task_count; i++) {
+    for (uint32_t i = 0; i < plan->base.task_count; i++) {
         struct bake_task_cost *cost = &plan->costs[i];
         cost->scratch_bytes = cost->part_bytes;
         cost->memory_bytes = open + OTHER_BYTES + 2 * cost->part_bytes;
@@ -183,20 +184,10 @@ static int open_job(struct bake_run *job)
     return status;
 }
 
-/* Checks before the work that a plan or part can be written. */
-static int check_output(struct bsq_ctx *ctx, const char *path)
-{
-    struct bsq_output *output;
-    int status = bsq_output_open(ctx, path, &output);
-    if (status == 0)
-        bsq_output_discard(output);
-    return status;
-}
-
 /* Checks the files of the plan and of all maps. */
 static int check_files(struct bake_run *job, const char *plan_path)
 {
-    int status = check_output(job->ctx, plan_path);
+    int status = bsq_output_check(job->ctx, plan_path);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
         status = bake_tile_check_files(job->ctx, &job->tiles[i]);
     return status;
@@ -220,10 +211,10 @@ static struct bake_options shared_options(const struct bake_run *job)
 /* Checks that tasks can read a file again. A pipe or a standard input is not among the inputs. */
 static int check_input(const struct bake_farm_plan *plan, const char *path)
 {
-    for (uint32_t i = 0; i < plan->input_count; i++)
-        if (strcmp(plan->inputs[i].path, path) == 0)
+    for (uint32_t i = 0; i < plan->base.input_count; i++)
+        if (strcmp(plan->base.inputs[i].path, path) == 0)
             return 0;
-    return bsq_fail(plan->ctx, BSQ_EUSAGE, "%s: tasks cannot read it again: it is not a file",
+    return bsq_fail(plan->base.ctx, BSQ_EUSAGE, "%s: tasks cannot read it again: it is not a file",
                     path);
 }
 
@@ -231,14 +222,15 @@ static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *ke
 {
     const struct bake_report *report = job->report;
     plan->degenerate_triangles = report->degenerate_uv_triangles;
-    plan->block_side = bake_farm_block_side(report->tiles, report->tile_count, plan->task_count);
+    plan->block_side =
+        bake_farm_block_side(report->tiles, report->tile_count, plan->base.task_count);
     int status = bake_farm_add_tiles(plan, report->tiles, report->tile_count);
     if (status == 0)
         status = divide(job, plan);
     if (status == 0)
         expect_costs(job, plan);
     if (status == 0)
-        status = bake_farm_add_inputs(plan);
+        status = fmt_farm_add_inputs(&plan->base);
     if (status == 0)
         status = check_input(plan, job->options->scan_path);
     if (status == 0)
@@ -319,7 +311,7 @@ const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan)
 
 uint32_t bake_plan_task_count(const struct bake_farm_plan *plan)
 {
-    return plan->task_count;
+    return plan->base.task_count;
 }
 
 const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *plan, uint32_t task)
@@ -329,7 +321,7 @@ const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *pl
 
 char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task)
 {
-    return bake_farm_part_path(plan, task);
+    return fmt_farm_part_path(&plan->base, task);
 }
 
 /* ---- a task ---- */
@@ -337,7 +329,7 @@ char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task)
 /* Checks that the inputs are those of the plan, opens them, and checks that they give its tiles. */
 static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
 {
-    int status = bake_farm_check_inputs(plan);
+    int status = fmt_farm_check_inputs(&plan->base);
     if (status == 0)
         status = open_job(job);
     if (status < 0)
@@ -349,7 +341,7 @@ static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
                job->report->tiles[i].height == plan->tiles[i].height;
     return same ? 0
                 : bsq_fail(job->ctx, BSQ_EDATA, "%s: the plan has other UDIM tiles than its inputs",
-                           plan->path);
+                           plan->base.path);
 }
 
 /* Makes each tile bake the blocks of a task only. Returns the number of blocks, or an error. */
@@ -397,10 +389,7 @@ static int write_part(const struct bake_run *job, const struct bake_farm_plan *p
 static int run_task(struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
 {
     uint64_t blocks = 0;
-    char *path = bake_farm_part_path(plan, task);
-    int status = path ? check_output(job->ctx, path)
-                      : bsq_fail(job->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
-    free(path);
+    int status = fmt_farm_check_part_output(&plan->base, task);
     if (status == 0)
         status = open_planned(job, plan);
     if (status == 0)
@@ -416,17 +405,17 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
     struct bake_run *job;
     *kept = false;
     memset(report, 0, sizeof *report);
-    if (task >= plan->task_count)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u", plan->path,
-                        task, plan->task_count - 1);
+    int status = fmt_farm_check_task(&plan->base, task);
+    if (status < 0)
+        return status;
     if (!force) {
-        int status = bake_farm_part_is_there(plan, task, kept);
+        status = bake_farm_part_is_there(plan, task, kept);
         if (status == 0 && *kept)
-            status = bake_farm_check_inputs(plan);
+            status = fmt_farm_check_inputs(&plan->base);
         if (status < 0 || *kept)
             return status;
     }
-    int status = bake_begin_job(ctx, &plan->options, report, &job);
+    status = bake_begin_job(ctx, &plan->options, report, &job);
     return status < 0 ? status : bake_end_job(job, run_task(job, plan, task));
 }
 
@@ -464,7 +453,7 @@ static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
     job->report->hits = counts.hits;
     job->report->misses = counts.samples - counts.hits;
     job->report->overlapping_samples = counts.overlapping_samples;
-    snprintf(job->report->device, sizeof job->report->device, "%u tasks", plan->task_count);
+    snprintf(job->report->device, sizeof job->report->device, "%u tasks", plan->base.task_count);
     return bake_check_hits(job);
 }
 
@@ -478,21 +467,11 @@ static int write_outputs(struct bake_run *job)
     return status < 0 ? status : bake_commit_outputs(job);
 }
 
-/* Checks before the work that the note of the merge can be written. */
-static int check_note(const struct bake_farm_plan *plan)
-{
-    char *path = bake_farm_note_path(plan);
-    const int status = path ? check_output(plan->ctx, path)
-                            : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
-    free(path);
-    return status;
-}
-
 static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
 {
     int status = bake_farm_parts_check(plan);
     if (status == 0)
-        status = check_note(plan);
+        status = fmt_farm_check_note_output(&plan->base);
     if (status == 0)
         status = open_planned(job, plan);
     if (status == 0)
@@ -527,7 +506,7 @@ static int list_outputs(const struct bake_farm_plan *plan, char ***out, uint64_t
     if (!failed && options->preview_path)
         failed |= !(paths[(*count)++] = strdup(options->preview_path));
     *out = paths;
-    return failed ? bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path) : 0;
+    return failed ? bsq_fail(plan->base.ctx, BSQ_ENOMEM, "%s: out of memory", plan->base.path) : 0;
 }
 
 static void free_paths(char **paths, uint64_t count)
@@ -545,15 +524,15 @@ int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool
     uint64_t count;
     memset(report, 0, sizeof *report);
     int status = list_outputs(plan, &paths, &count);
-    *kept = status == 0 && !force && bake_farm_is_merged(plan, paths, count);
+    *kept = status == 0 && !force && fmt_farm_is_merged(&plan->base, paths, count);
     if (*kept)
-        status = bake_farm_check_inputs(plan);
+        status = fmt_farm_check_inputs(&plan->base);
     if (status == 0 && !*kept) {
         status = bake_begin_job(ctx, &plan->options, report, &job);
         if (status == 0)
             status = bake_end_job(job, merge(job, plan));
         if (status == 0)
-            status = bake_farm_note_merged(plan, paths, count);
+            status = fmt_farm_note_merged(&plan->base, paths, count);
     }
     free_paths(paths, count);
     return status;

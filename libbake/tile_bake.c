@@ -195,14 +195,13 @@ int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile)
     for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i) {
         if (!(tile->maps & 1u << i))
             continue;
-        struct bsq_output *output;
         char *path = bake_map_path(tile->output_path, (enum bake_map)(1u << i));
         if (!path)
             return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
         if (preview && is_same_path(path, preview))
             status = bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
-        if (status == 0 && (status = bsq_output_open(ctx, path, &output)) == 0)
-            bsq_output_discard(output);
+        if (status == 0)
+            status = bsq_output_check(ctx, path);
         free(path);
     }
     return status;

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/job_files.h"
+#include "base/output.h"
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 
@@ -45,7 +46,7 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, const
         /* bake_run() checks the files of tiles and objects, which are known when the mesh is. */
         if (!strstr(paths[i], BAKE_UDIM_TOKEN) && !strstr(paths[i], BAKE_UVTILE_TOKEN) &&
             !strstr(paths[i], BAKE_OBJECT_TOKEN) && !strstr(paths[i], BAKE_MATERIAL_TOKEN))
-            status = cli_check_output(cli, paths[i]);
+            status = bsq_output_check(cli->ctx, paths[i]);
     }
     if (status == 0 && bake->preview_path && write_plan &&
         cli_same_file(write_plan, bake->preview_path))

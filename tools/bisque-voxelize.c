@@ -6,6 +6,7 @@
 
 #include "base/clock.h"
 #include "base/job_files.h"
+#include "base/output.h"
 #include "formats/file_kind.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
@@ -102,7 +103,7 @@ static int check_outputs(struct voxelize_job *job)
             if (outputs[j] && cli_same_file(outputs[i], outputs[j]))
                 return cli_usage(job->cli, "%s: two outputs have this name", outputs[i]);
         }
-        int status = cli_check_output(job->cli, outputs[i]);
+        int status = bsq_output_check(job->cli->ctx, outputs[i]);
         if (status < 0)
             return status;
     }

@@ -386,18 +386,9 @@ bool cli_same_file(const char *a, const char *b)
     return same;
 }
 
-int cli_check_output(struct cli *cli, const char *path)
-{
-    struct bsq_output *output;
-    int status = bsq_output_open(cli->ctx, path, &output);
-    if (status == 0)
-        bsq_output_discard(output);
-    return status;
-}
-
 int cli_check_picture(struct cli *cli, const char *path)
 {
-    int status = cli_check_output(cli, path);
+    int status = bsq_output_check(cli->ctx, path);
     if (status == 0 && !cli_ends_with(path, ".png"))
         status = cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png", path);
     return status;

@@ -151,11 +151,7 @@ bool cli_ends_with(const char *text, const char *ending);
 /* Returns whether both paths name one file, which need not exist. */
 bool cli_same_file(const char *a, const char *b);
 
-/* Checks before the work that an output can be created and that it is none of the inputs that are
- * noted so far (base/job_files.h). */
-int cli_check_output(struct cli *cli, const char *path);
-
-/* Checks the output of a picture in the same way; its name must also end in .png. */
+/* Checks the output of a picture with bsq_output_check(); its name must also end in .png. */
 int cli_check_picture(struct cli *cli, const char *path);
 
 /* Checks whole files (.tris, .nvdb) and prints a line on each: its content on standard output, or

@@ -10,17 +10,11 @@
 #ifndef BAKE_FARM_FARM_H
 #define BAKE_FARM_FARM_H
 
+#include "formats/farm/farm.h"
 #include "libbake/bake.h"
 #include "libbake/maps/maps.h"
 
 /* ---- the plan ---- */
-
-/* A file that the bake reads. */
-struct bake_farm_input {
-    char *path, *role; /* owned; the role is for messages */
-    uint64_t bytes;
-    uint64_t hash[2]; /* see bake_farm_hash() */
-};
 
 /* A UDIM tile and its blocks. */
 struct bake_farm_tile {
@@ -30,14 +24,10 @@ struct bake_farm_tile {
 };
 
 struct bake_farm_plan {
-    struct bsq_ctx *ctx;
-    char *path;                  /* of the plan file */
-    uint64_t id[2];              /* a checksum of what is in the file */
+    struct fmt_farm_plan base;
     struct bake_options options; /* with distances, maps and radius as all tasks use them */
     bool owns_options;           /* the strings and arrays in them */
-    uint32_t task_count, block_side;
-    struct bake_farm_input *inputs;
-    uint32_t input_count;
+    uint32_t block_side;
     struct bake_farm_tile *tiles;
     uint32_t tile_count;
     struct bake_task_cost *costs; /* one a task */
@@ -55,18 +45,6 @@ void bake_farm_plan_free(struct bake_farm_plan *plan); /* NULL is allowed */
 int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_tile *tiles,
                         uint32_t count);
 
-/* Adds each file that the job has opened as input, with its checksum. Errors: those of
- * bsq_file_open() and bsq_file_read(), BSQ_ENOMEM. */
-int bake_farm_add_inputs(struct bake_farm_plan *plan);
-
-/* Checks that all inputs are those of the plan. Errors: BSQ_EDATA, which names the first that is
- * not; those of bsq_file_open(). */
-int bake_farm_check_inputs(const struct bake_farm_plan *plan);
-
-/* Computes a checksum of a file: of all of it up to BAKE_FARM_WHOLE bytes, else of samples. */
-int bake_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t hash[2]);
-#define BAKE_FARM_WHOLE (UINT64_C(64) << 20)
-
 /* Writes the plan file, computes its id, and sets *kept if the same plan was there already. Errors:
  * BSQ_EUSAGE for a file name that is not UTF-8; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int bake_farm_plan_write(struct bake_farm_plan *plan, bool *kept);
@@ -74,9 +52,6 @@ int bake_farm_plan_write(struct bake_farm_plan *plan, bool *kept);
 /* Reads a plan file. Free *out with bake_farm_plan_free(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a
  * file that is no plan, is damaged or was written by another version. */
 int bake_farm_plan_read(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out);
-
-/* Returns the path of a task's part file, which the caller frees; NULL if there is no memory. */
-char *bake_farm_part_path(const struct bake_farm_plan *plan, uint32_t task);
 
 /* ---- dividing ---- */
 
@@ -132,18 +107,5 @@ int bake_farm_parts_check(const struct bake_farm_plan *plan);
  * those of bake_farm_parts_check() and bake_image_write(). */
 int bake_farm_parts_read(const struct bake_farm_plan *plan, const struct bake_farm_image *images,
                          struct bake_farm_counts *counts);
-
-/* ---- merged maps ---- */
-
-/* Returns the path of the note that the maps are merged, which the caller frees; NULL if there is
- * no memory. */
-char *bake_farm_note_path(const struct bake_farm_plan *plan);
-
-/* Notes in a file beside the plan that these maps were merged. Errors: BSQ_EIO, BSQ_ECANTCREAT,
- * BSQ_ENOMEM, BSQ_ENOINPUT. */
-int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count);
-
-/* Returns whether these maps were merged from the plan and not touched since. */
-bool bake_farm_is_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count);
 
 #endif

@@ -71,14 +71,14 @@ int bake_farm_divide(struct bake_farm_plan *plan, struct bake_farm_block *blocks
     for (uint64_t i = 0; i < count; i++) {
         const uint64_t weight = weight_of(plan, &blocks[i]);
         const uint32_t task =
-            (uint32_t)((unsigned __int128)(before + weight / 2) * plan->task_count / all);
+            (uint32_t)((unsigned __int128)(before + weight / 2) * plan->base.task_count / all);
         plan->tiles[blocks[i].tile].tasks[blocks[i].block] = task;
         plan->costs[task].texels += blocks[i].samples;
         before += weight;
     }
     for (uint32_t t = 0; t < plan->tile_count; t++)
         fill_rest(&plan->tiles[t]);
-    return bsq_check(plan->ctx);
+    return bsq_check(plan->base.ctx);
 }
 
 int bake_farm_task_blocks(const struct bake_farm_plan *plan, uint32_t tile, uint32_t task,
@@ -88,15 +88,15 @@ int bake_farm_task_blocks(const struct bake_farm_plan *plan, uint32_t tile, uint
     const uint64_t blocks = (uint64_t)t->columns * t->rows;
     uint32_t *slots;
     *out = (struct bake_blocks){.side = plan->block_side, .columns = t->columns, .rows = t->rows};
-    int status = bsq_alloc(plan->ctx, "blocks of a tile", blocks, sizeof *slots, &slots);
+    int status = bsq_alloc(plan->base.ctx, "blocks of a tile", blocks, sizeof *slots, &slots);
     if (status < 0)
         return status;
     out->slots = slots;
     for (uint64_t b = 0; b < blocks; b++)
         slots[b] = t->tasks[b] == task ? out->count++ : BAKE_NO_SLOT;
     if (out->count > UINT32_MAX / plan->block_side)
-        return bsq_fail(plan->ctx, BSQ_EUSAGE,
-                        "%s: task %u has too many texels: make a plan of more tasks", plan->path,
-                        task);
+        return bsq_fail(plan->base.ctx, BSQ_EUSAGE,
+                        "%s: task %u has too many texels: make a plan of more tasks",
+                        plan->base.path, task);
     return 0;
 }

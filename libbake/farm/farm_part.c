@@ -1,28 +1,14 @@
 /* farm_part.c - part files: the texels of the blocks that one task baked. See FORMATS.md. */
-#include <inttypes.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include <xxhash.h>
 
-#include "base/output.h"
 #include "base/parallel.h"
 #include "libbake/farm/farm.h"
 
 /* Structures are copied to and from the file as they are. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
-#define MAGIC "BSQPART\n"
-enum { VERSION = 1, ATTEMPTS = 3, LIST_BYTES = 160 };
-
 struct part_header {
-    char magic[8];
-    uint32_t version;
-    uint32_t channels;
-    uint64_t plan_id[2];
-    uint32_t task;
-    uint32_t task_count;
+    struct fmt_farm_part_head head; /* `own` is the number of channels */
     uint32_t block_side;
     uint32_t reserved;
     uint64_t block_count;
@@ -58,16 +44,12 @@ static uint64_t block_bytes(const struct bake_farm_plan *plan)
     return (uint64_t)plan->block_side * plan->block_side * channels_of(plan) * sizeof(float);
 }
 
-static int fail_memory(const struct bake_farm_plan *plan)
-{
-    return bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
-}
-
 /* ---- writing ---- */
 
 struct part_writer {
     const struct bake_farm_plan *plan;
     const struct bake_farm_image *images;
+    struct part_header header;
     struct bsq_output *output;
     struct part_entry *entries;
     uint64_t count; /* blocks so far */
@@ -89,7 +71,7 @@ static int write_block(struct part_writer *writer, const struct bake_farm_image 
     const uint32_t side = writer->plan->block_side;
     const uint64_t bytes = block_bytes(writer->plan);
     const float *texels = NULL;
-    int status = bsq_check(writer->plan->ctx);
+    int status = bsq_check(writer->plan->base.ctx);
     if (status == 0)
         status = bake_image_rows(image->image, slot * side, side, writer->texels, &texels);
     if (!texels || status < 0 ||
@@ -122,47 +104,33 @@ static uint64_t blocks_in(const struct bake_farm_plan *plan, const struct bake_f
     return count;
 }
 
+static int check_part(void *arg, uint32_t task);
+
 /* Writes the whole file: first the header without its values, then blocks and table, then the
  * header again. */
-static int write_file(struct part_writer *writer, struct part_header *header)
+static int write_part(void *arg, struct bsq_output *output)
 {
-    int status = bsq_output_write(writer->output, header, sizeof *header);
+    struct part_writer *writer = arg;
+    struct part_header *header = &writer->header;
+    writer->output = output;
     writer->count = 0;
+    int status = bsq_output_write(output, header, sizeof *header);
     if (status == 0)
         status = write_blocks(writer);
     if (status == 0)
-        status = bsq_output_write(writer->output, writer->entries,
-                                  writer->count * sizeof *writer->entries);
+        status = bsq_output_write(output, writer->entries, writer->count * sizeof *writer->entries);
     header->block_count = writer->count;
     header->table_checksum = XXH3_64bits(writer->entries, writer->count * sizeof *writer->entries);
     header->header_checksum = header_checksum(header);
     if (status == 0)
-        status = bsq_output_write_at(writer->output, header, sizeof *header, 0);
-    return status;
-}
-
-static int write_and_commit(struct part_writer *writer, const char *path,
-                            struct part_header *header)
-{
-    int status = bsq_output_open(writer->plan->ctx, path, &writer->output);
-    if (status < 0)
-        return status;
-    status = write_file(writer, header);
-    if (status == 0)
-        return bsq_output_commit(writer->output);
-    bsq_output_discard(writer->output);
+        status = bsq_output_write_at(output, header, sizeof *header, 0);
     return status;
 }
 
 static struct part_header header_for(const struct bake_farm_plan *plan, uint32_t task,
                                      const struct bake_farm_counts *counts)
 {
-    struct part_header header = {.magic = MAGIC,
-                                 .version = VERSION,
-                                 .channels = channels_of(plan),
-                                 .plan_id = {plan->id[0], plan->id[1]},
-                                 .task = task,
-                                 .task_count = plan->task_count,
+    struct part_header header = {.head = fmt_farm_part_head(&plan->base, task, channels_of(plan)),
                                  .block_side = plan->block_side,
                                  .covered_texels = counts->covered_texels,
                                  .samples = counts->samples,
@@ -171,37 +139,22 @@ static struct part_header header_for(const struct bake_farm_plan *plan, uint32_t
     return header;
 }
 
-/* On file systems whose locks hold on one machine only, the same task on another machine may remove
- * this one's temporary file. Then its part may be there by now; else writing starts again. */
 int bake_farm_part_write(const struct bake_farm_plan *plan, uint32_t task,
                          const struct bake_farm_image *images,
                          const struct bake_farm_counts *counts)
 {
-    struct bsq_ctx *ctx = plan->ctx;
-    struct part_writer writer = {.plan = plan, .images = images};
-    struct part_header header = header_for(plan, task, counts);
-    char *path = bake_farm_part_path(plan, task);
-    int status = path ? 0 : fail_memory(plan);
-    if (status == 0)
-        status = bsq_alloc(ctx, "blocks", blocks_in(plan, images), sizeof *writer.entries,
-                           &writer.entries);
+    struct bsq_ctx *ctx = plan->base.ctx;
+    struct part_writer writer = {
+        .plan = plan, .images = images, .header = header_for(plan, task, counts)};
+    const struct fmt_farm_part_steps steps = {&writer, write_part, check_part};
+    int status =
+        bsq_alloc(ctx, "blocks", blocks_in(plan, images), sizeof *writer.entries, &writer.entries);
     if (status == 0)
         status = bsq_alloc(ctx, "texels of a block", 1, block_bytes(plan), &writer.texels);
-    for (int attempt = 1; status == 0; attempt++) {
-        bool there = false;
-        status = write_and_commit(&writer, path, &header);
-        if (status != BSQ_ECANTCREAT || attempt == ATTEMPTS)
-            break;
-        if (bake_farm_part_is_there(plan, task, &there) < 0 || bsq_check(ctx) < 0)
-            break;
-        bsq_clear_error(ctx);
-        status = 0;
-        if (there)
-            break;
-    }
+    if (status == 0)
+        status = fmt_farm_part_write(&plan->base, task, &steps);
     bsq_free(ctx, writer.texels);
     bsq_free(ctx, writer.entries);
-    free(path);
     return status;
 }
 
@@ -216,8 +169,7 @@ struct part {
 
 static int fail_part(const struct part *part, const char *what)
 {
-    return bsq_fail(part->plan->ctx, BSQ_EDATA, "%s: %s: run this task again", part->file.path,
-                    what);
+    return fmt_farm_fail_part(&part->plan->base, &part->file, what);
 }
 
 /* Returns the index of the plan's tile with this number, tile_count if there is none. */
@@ -229,23 +181,12 @@ static uint32_t find_tile(const struct bake_farm_plan *plan, uint32_t number)
     return t;
 }
 
-static int check_header(const struct part *part, uint32_t task, uint32_t channels)
+static int check_header(const struct part *part)
 {
-    const struct bake_farm_plan *plan = part->plan;
     const struct part_header *header = &part->header;
-    if (memcmp(header->magic, MAGIC, sizeof header->magic) != 0)
-        return fail_part(part, "not a part of a bake");
-    if (header->version != VERSION)
-        return bsq_fail(plan->ctx, BSQ_EDATA,
-                        "%s: version %u of parts is unknown: run this task "
-                        "again",
-                        part->file.path, header->version);
-    if (header->header_checksum != header_checksum(header) || header->reserved != 0)
+    if (header->reserved != 0)
         return fail_part(part, "damaged header");
-    if (header->plan_id[0] != plan->id[0] || header->plan_id[1] != plan->id[1])
-        return fail_part(part, "a part of another plan");
-    if (header->task != task || header->task_count != plan->task_count ||
-        header->block_side != plan->block_side || header->channels != channels)
+    if (header->block_side != part->plan->block_side || header->head.own != channels_of(part->plan))
         return fail_part(part, "the part of another task");
     return 0;
 }
@@ -270,7 +211,7 @@ static int check_entries(const struct part *part)
         const uint32_t t = find_tile(plan, entry->tile);
         const bool known = t < plan->tile_count &&
                            entry->block < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows &&
-                           plan->tiles[t].tasks[entry->block] == part->header.task;
+                           plan->tiles[t].tasks[entry->block] == part->header.head.task;
         const bool later = i == 0 || entry->tile > entry[-1].tile ||
                            (entry->tile == entry[-1].tile && entry->block > entry[-1].block);
         if (!known || !later)
@@ -281,7 +222,7 @@ static int check_entries(const struct part *part)
 
 static int read_table(struct part *part)
 {
-    struct bsq_ctx *ctx = part->plan->ctx;
+    struct bsq_ctx *ctx = part->plan->base.ctx;
     const uint64_t count = part->header.block_count, bytes = count * sizeof *part->entries;
     int status = bsq_alloc(ctx, "blocks of a part", count, sizeof *part->entries, &part->entries);
     if (status == 0)
@@ -293,39 +234,30 @@ static int read_table(struct part *part)
 
 static void close_part(struct part *part)
 {
-    bsq_free(part->plan->ctx, part->entries);
+    bsq_free(part->plan->base.ctx, part->entries);
     part->entries = NULL;
-    bsq_file_close(part->plan->ctx, &part->file);
+    bsq_file_close(part->plan->base.ctx, &part->file);
 }
 
 /* Opens the part of a task and checks all but its texels. Close it also after a failure. */
 static int open_part(const struct bake_farm_plan *plan, uint32_t task, struct part *part)
 {
-    *part = (struct part){.plan = plan, .file = BSQ_FILE_CLOSED};
-    char *path = bake_farm_part_path(plan, task);
-    if (!path)
-        return fail_memory(plan);
-    int status = bsq_file_open_as(plan->ctx, path, BSQ_OPEN_OTHER, &part->file);
-    if (status == 0 && part->file.size < sizeof part->header)
-        status = fail_part(part, "not a part of a bake");
+    *part = (struct part){.plan = plan};
+    int status =
+        fmt_farm_part_open(&plan->base, task, &part->header, sizeof part->header, &part->file);
     if (status == 0)
-        status = bsq_file_read(plan->ctx, &part->file, &part->header, sizeof part->header, 0);
-    if (status == 0)
-        status = check_header(part, task, channels_of(plan));
+        status = check_header(part);
     if (status == 0)
         status = check_size(part);
-    if (status == 0)
-        status = read_table(part);
-    free(path);
-    return status;
+    return status < 0 ? status : read_table(part);
 }
 
 /* Reads the texels of block i and checks them. */
 static int read_block(const struct part *part, uint64_t i, float *texels)
 {
     const uint64_t bytes = block_bytes(part->plan);
-    int status =
-        bsq_file_read(part->plan->ctx, &part->file, texels, bytes, sizeof part->header + i * bytes);
+    int status = bsq_file_read(part->plan->base.ctx, &part->file, texels, bytes,
+                               sizeof part->header + i * bytes);
     if (status == 0 && XXH3_64bits(texels, bytes) != part->entries[i].checksum)
         status = fail_part(part, "damaged texels");
     return status;
@@ -336,70 +268,50 @@ static int check_blocks(const struct part *part)
 {
     float *texels;
     int status =
-        bsq_alloc(part->plan->ctx, "texels of a block", 1, block_bytes(part->plan), &texels);
+        bsq_alloc(part->plan->base.ctx, "texels of a block", 1, block_bytes(part->plan), &texels);
     for (uint64_t i = 0; i < part->header.block_count && status == 0; i++) {
-        status = bsq_check(part->plan->ctx);
+        status = bsq_check(part->plan->base.ctx);
         if (status == 0)
             status = read_block(part, i, texels);
     }
-    bsq_free(part->plan->ctx, texels);
+    bsq_free(part->plan->base.ctx, texels);
+    return status;
+}
+
+/* Checks all of a task's part. arg: a part_writer of its plan. */
+static int check_part(void *arg, uint32_t task)
+{
+    const struct part_writer *writer = arg;
+    struct part part;
+    int status = open_part(writer->plan, task, &part);
+    if (status == 0)
+        status = check_blocks(&part);
+    close_part(&part);
     return status;
 }
 
 int bake_farm_part_is_there(const struct bake_farm_plan *plan, uint32_t task, bool *out)
 {
-    struct part part;
-    int status = open_part(plan, task, &part);
-    if (status == 0)
-        status = check_blocks(&part);
-    close_part(&part);
-    *out = status == 0;
-    if (status == BSQ_ENOMEM || status == BSQ_EINTR)
-        return status;
-    bsq_clear_error(plan->ctx);
-    return 0;
+    struct part_writer of = {.plan = plan};
+    const struct fmt_farm_part_steps steps = {&of, write_part, check_part};
+    return fmt_farm_part_is_there(&plan->base, task, &steps, out);
 }
 
 /* ---- all parts ---- */
 
-/* Fails with the numbers of the missing parts, as many as fit a line. */
-static int fail_missing(const struct bake_farm_plan *plan, const uint32_t *missing, uint32_t count)
+/* Checks all but the texels of a task's part. arg: the plan. */
+static int check_table(void *arg, uint32_t task)
 {
-    char list[LIST_BYTES] = "";
-    size_t length = 0;
-    uint32_t named = 0;
-    while (named < count && length + 32 < sizeof list) {
-        length += (size_t)snprintf(list + length, sizeof list - length, "%s%u", named ? ", " : "",
-                                   missing[named]);
-        named++;
-    }
-    char *path = bake_farm_part_path(plan, missing[0]);
-    const int status = bsq_fail(plan->ctx, BSQ_ENOINPUT,
-                                "%s: missing; %u of %u parts are missing: those of task%s %s%s",
-                                path ? path : plan->path, count, plan->task_count,
-                                count == 1 ? "" : "s", list, named < count ? " ..." : "");
-    free(path);
+    struct part part;
+    int status = open_part(arg, task, &part);
+    close_part(&part);
     return status;
 }
 
 int bake_farm_parts_check(const struct bake_farm_plan *plan)
 {
-    uint32_t *missing, count = 0;
-    int status = bsq_alloc(plan->ctx, "tasks", plan->task_count, sizeof *missing, &missing);
-    for (uint32_t task = 0; task < plan->task_count && status == 0; task++) {
-        struct part part;
-        status = open_part(plan, task, &part);
-        if (status == BSQ_ENOINPUT) {
-            bsq_clear_error(plan->ctx);
-            missing[count++] = task;
-            status = 0;
-        }
-        close_part(&part);
-    }
-    if (status == 0 && count > 0)
-        status = fail_missing(plan, missing, count);
-    bsq_free(plan->ctx, missing);
-    return status;
+    const struct fmt_farm_part_steps steps = {.arg = (void *)(uintptr_t)plan, .check = check_table};
+    return fmt_farm_parts_check(&plan->base, &steps);
 }
 
 struct reading {
@@ -423,7 +335,7 @@ static int copy_block(void *arg, uint64_t i, unsigned worker)
     int status = read_block(part, i, texels);
     for (uint32_t row = 0; row < height && status == 0; row++)
         status = bake_image_write(reading->images[t].image, x, y + row, width, 1,
-                                  texels + (size_t)row * side * part->header.channels);
+                                  texels + (size_t)row * side * part->header.head.own);
     return status;
 }
 
@@ -442,7 +354,7 @@ static int copy_part(const struct bake_farm_plan *plan, uint32_t task, const str
     struct reading reading = {.part = &part, .images = all->images, .texels = all->texels};
     int status = open_part(plan, task, &part);
     if (status == 0)
-        status = bsq_parallel_for(plan->ctx, part.header.block_count, copy_block, &reading);
+        status = bsq_parallel_for(plan->base.ctx, part.header.block_count, copy_block, &reading);
     if (status == 0)
         add_counts(counts, &part.header);
     close_part(&part);
@@ -452,16 +364,16 @@ static int copy_part(const struct bake_farm_plan *plan, uint32_t task, const str
 int bake_farm_parts_read(const struct bake_farm_plan *plan, const struct bake_farm_image *images,
                          struct bake_farm_counts *counts)
 {
-    struct bsq_ctx *ctx = plan->ctx;
+    struct bsq_ctx *ctx = plan->base.ctx;
     const unsigned workers = bsq_threads(ctx);
     struct reading reading = {.images = images};
     *counts = (struct bake_farm_counts){0};
-    bsq_progress_begin(ctx, "reading parts", "parts", plan->task_count);
+    bsq_progress_begin(ctx, "reading parts", "parts", plan->base.task_count);
     int status =
         bsq_calloc(ctx, "texels of blocks", workers, sizeof *reading.texels, &reading.texels);
     for (unsigned w = 0; w < workers && status == 0; w++)
         status = bsq_alloc(ctx, "texels of blocks", 1, block_bytes(plan), &reading.texels[w]);
-    for (uint32_t task = 0; task < plan->task_count && status == 0; task++) {
+    for (uint32_t task = 0; task < plan->base.task_count && status == 0; task++) {
         status = copy_part(plan, task, &reading, counts);
         bsq_progress_add(ctx, 1);
     }

@@ -122,8 +122,8 @@ static void test_sides_suit_the_tasks(void **state)
 static void assert_same(const struct bake_farm_plan *a, const struct bake_farm_plan *b)
 {
     const struct bake_options *x = &a->options, *y = &b->options;
-    assert_memory_equal(a->id, b->id, sizeof a->id);
-    assert_int_equal(a->task_count, b->task_count);
+    assert_memory_equal(a->base.id, b->base.id, sizeof a->base.id);
+    assert_int_equal(a->base.task_count, b->base.task_count);
     assert_int_equal(a->block_side, b->block_side);
     assert_string_equal(x->scan_path, y->scan_path);
     assert_string_equal(x->output_path, y->output_path);
@@ -136,9 +136,10 @@ static void assert_same(const struct bake_farm_plan *a, const struct bake_farm_p
     assert_true(y->green_down);
     assert_memory_equal(x->tile_sizes, y->tile_sizes, sizeof *x->tile_sizes);
     assert_memory_equal(x->tile_ranges, y->tile_ranges, sizeof *x->tile_ranges);
-    assert_int_equal(a->input_count, b->input_count);
-    assert_string_equal(a->inputs[0].path, b->inputs[0].path);
-    assert_memory_equal(a->inputs[0].hash, b->inputs[0].hash, sizeof a->inputs[0].hash);
+    assert_int_equal(a->base.input_count, b->base.input_count);
+    assert_string_equal(a->base.inputs[0].path, b->base.inputs[0].path);
+    assert_memory_equal(a->base.inputs[0].hash, b->base.inputs[0].hash,
+                        sizeof a->base.inputs[0].hash);
     for (uint32_t t = 0; t < TILES; t++)
         assert_memory_equal(a->tiles[t].tasks, b->tiles[t].tasks,
                             sizeof *a->tiles[t].tasks * a->tiles[t].columns * a->tiles[t].rows);
@@ -162,8 +163,8 @@ static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_
     write_file(in_directory("input"), "some bytes", 10);
     assert_int_equal(bsq_file_open(ctx, in_directory("input"), &input), 0);
     bsq_file_close(ctx, &input);
-    assert_int_equal(bake_farm_add_inputs(plan), 0);
-    assert_int_equal(plan->input_count, 1);
+    assert_int_equal(fmt_farm_add_inputs(&plan->base), 0);
+    assert_int_equal(plan->base.input_count, 1);
     assert_int_equal(bake_farm_plan_write(plan, &kept), 0);
     assert_false(kept);
     FILE *file = fopen(in_directory("plan.json"), "rb");
@@ -187,7 +188,7 @@ static void test_a_plan_is_read_back(void **state)
     assert_true(kept);
     assert_int_equal(bake_farm_plan_read(ctx, in_directory("plan.json"), &read), 0);
     assert_same(plan, read);
-    assert_int_equal(bake_farm_check_inputs(read), 0);
+    assert_int_equal(fmt_farm_check_inputs(&read->base), 0);
     bake_farm_plan_free(read);
     bake_farm_plan_free(plan);
 }
@@ -272,7 +273,7 @@ static void test_a_changed_input_is_named(void **state)
     struct bake_farm_plan *plan = write_plan(ctx, &options, bytes, sizeof bytes, &size);
     bsq_forget_files(ctx);
     write_file(in_directory("input"), "some other", 10);
-    assert_int_equal(bake_farm_check_inputs(plan), BSQ_EDATA);
+    assert_int_equal(fmt_farm_check_inputs(&plan->base), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "input"));
     bsq_clear_error(ctx);
     bake_farm_plan_free(plan);

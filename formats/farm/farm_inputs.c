@@ -1,6 +1,6 @@
 /* farm_inputs.c - the files that a plan was made of, and whether they are still the same.
  *
- * Checksums are XXH3-128. Of a file above BAKE_FARM_WHOLE only samples are read: its first and last
+ * Checksums are XXH3-128. Of a file above FMT_FARM_WHOLE only samples are read: its first and last
  * MiB and pieces in equal steps, because a task must not read all of a scan of 100 GB to begin. The
  * headers of .tris and .nvdb files lie in the first MiB, and hold checksums of other parts. */
 #include <inttypes.h>
@@ -10,7 +10,7 @@
 #include <xxhash.h>
 
 #include "base/job_files.h"
-#include "libbake/farm/farm.h"
+#include "formats/farm/farm.h"
 
 enum { BUFFER = 1 << 20, PIECE = 16 << 10, PIECES = 512 };
 
@@ -50,8 +50,8 @@ static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, void *buf
         XXH3_freeState(state);
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", file->path);
     }
-    int status = file->size <= BAKE_FARM_WHOLE ? add_bytes(ctx, file, 0, file->size, buffer, state)
-                                               : add_samples(ctx, file, buffer, state);
+    int status = file->size <= FMT_FARM_WHOLE ? add_bytes(ctx, file, 0, file->size, buffer, state)
+                                              : add_samples(ctx, file, buffer, state);
     const XXH128_hash_t digest = XXH3_128bits_digest(state);
     hash[0] = digest.high64;
     hash[1] = digest.low64;
@@ -59,7 +59,7 @@ static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, void *buf
     return status < 0 ? status : bsq_file_check(ctx, file);
 }
 
-int bake_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t hash[2])
+int fmt_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t hash[2])
 {
     struct bsq_file file;
     void *buffer;
@@ -77,22 +77,22 @@ int bake_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint6
 }
 
 /* Adds an input, whose path and role the plan takes over in any case. */
-static int add_input(struct bake_farm_plan *plan, char *path, char *role)
+static int add_input(struct fmt_farm_plan *plan, char *path, char *role)
 {
-    struct bake_farm_input *inputs =
+    struct fmt_farm_input *inputs =
         reallocarray(plan->inputs, plan->input_count + 1u, sizeof *inputs);
     if (!inputs) {
         free(path);
         free(role);
-        return bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
+        return fmt_farm_fail_memory(plan);
     }
     plan->inputs = inputs;
-    struct bake_farm_input *input = &inputs[plan->input_count++];
-    *input = (struct bake_farm_input){.path = path, .role = role};
-    return bake_farm_hash(plan->ctx, path, &input->bytes, input->hash);
+    struct fmt_farm_input *input = &inputs[plan->input_count++];
+    *input = (struct fmt_farm_input){.path = path, .role = role};
+    return fmt_farm_hash(plan->ctx, path, &input->bytes, input->hash);
 }
 
-int bake_farm_add_inputs(struct bake_farm_plan *plan)
+int fmt_farm_add_inputs(struct fmt_farm_plan *plan)
 {
     uint64_t next = 0;
     char *path, *role;
@@ -105,13 +105,13 @@ int bake_farm_add_inputs(struct bake_farm_plan *plan)
     return status;
 }
 
-int bake_farm_check_inputs(const struct bake_farm_plan *plan)
+int fmt_farm_check_inputs(const struct fmt_farm_plan *plan)
 {
     int status = 0;
     for (uint32_t i = 0; i < plan->input_count && status == 0; i++) {
-        const struct bake_farm_input *input = &plan->inputs[i];
+        const struct fmt_farm_input *input = &plan->inputs[i];
         uint64_t bytes = 0, hash[2] = {0};
-        status = bake_farm_hash(plan->ctx, input->path, &bytes, hash);
+        status = fmt_farm_hash(plan->ctx, input->path, &bytes, hash);
         if (status == 0 &&
             (bytes != input->bytes || hash[0] != input->hash[0] || hash[1] != input->hash[1]))
             status = bsq_fail(plan->ctx, BSQ_EDATA,

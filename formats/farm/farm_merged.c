@@ -1,4 +1,4 @@
-/* farm_merged.c - the note that the maps of a plan are merged, so that doing it again costs
+/* farm_merged.c - the note that the parts of a plan are merged, so that doing it again costs
  * nothing.
  *
  * The note has the plan's id, and the size and time of each file. A file that was touched since is
@@ -10,9 +10,9 @@
 #include <sys/stat.h>
 
 #include "base/output.h"
-#include "libbake/farm/farm.h"
+#include "formats/farm/farm.h"
 
-char *bake_farm_note_path(const struct bake_farm_plan *plan)
+char *fmt_farm_note_path(const struct fmt_farm_plan *plan)
 {
     char *path;
     return asprintf(&path, "%s.merged", plan->path) < 0 ? NULL : path;
@@ -20,7 +20,7 @@ char *bake_farm_note_path(const struct bake_farm_plan *plan)
 
 /* Returns the text of the note for the files as they are now; NULL if one is missing or there is no
  * memory. The caller frees it. */
-static char *note_text(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+static char *note_text(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count)
 {
     char *text = NULL;
     size_t size;
@@ -55,19 +55,20 @@ static int write_note(struct bsq_ctx *ctx, const char *path, const char *text)
     return status;
 }
 
-int bake_farm_note_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+int fmt_farm_note_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count)
 {
-    char *path = bake_farm_note_path(plan), *text = note_text(plan, paths, count);
-    const int status = path && text ? write_note(plan->ctx, path, text)
-                                    : bsq_fail(plan->ctx, BSQ_EIO, "%s: a map is gone", plan->path);
+    char *path = fmt_farm_note_path(plan), *text = note_text(plan, paths, count);
+    const int status = path && text
+                           ? write_note(plan->ctx, path, text)
+                           : bsq_fail(plan->ctx, BSQ_EIO, "%s: an output is gone", plan->path);
     free(text);
     free(path);
     return status;
 }
 
-bool bake_farm_is_merged(const struct bake_farm_plan *plan, char *const *paths, uint64_t count)
+bool fmt_farm_is_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count)
 {
-    char *path = bake_farm_note_path(plan), *text = note_text(plan, paths, count);
+    char *path = fmt_farm_note_path(plan), *text = note_text(plan, paths, count);
     const size_t length = text ? strlen(text) : 0;
     char *found = malloc(length + 2);
     FILE *file = path && text && found ? fopen(path, "re") : NULL;
