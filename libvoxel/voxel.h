@@ -216,6 +216,78 @@ void vox_voxelize_defaults(struct vox_voxelize_options *options);
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report);
 
+/** @name A grid as tasks
+ *
+ * Several processes, on one machine or many, make one grid: a plan divides the regions of the grid
+ * into tasks, each task writes the voxels of its regions to a part file, and merging the parts
+ * gives the file of vox_voxelize(), byte for byte. Plans and parts are for programs of the same
+ * version. formats/FORMATS.md describes both files.
+ * @{ */
+
+/** The most tasks that a plan can have. */
+#define VOX_MAX_TASKS 65536
+
+/** A plan that was read from its file. */
+struct vox_farm_plan;
+
+/** What a task is expected to need. */
+struct vox_task_cost {
+    uint64_t regions;       /**< Regions of 128^3 voxels. */
+    double work;            /**< Work in them, as a number of triangles. */
+    uint64_t memory_bytes;  /**< Memory with which it runs at full speed; it works with less. */
+    uint64_t scratch_bytes; /**< Temporary files. */
+    uint64_t part_bytes;    /**< Size of its part. */
+    double cpu_seconds;     /**< Processor time. */
+};
+
+/** What a task did. */
+struct vox_task_report {
+    uint64_t regions;        /**< Regions of 128^3 voxels that have voxels. */
+    uint64_t voxels;         /**< Voxels that are set. */
+    uint64_t second_records; /**< Voxels with a second record. */
+    uint64_t part_bytes;     /**< Size of the part. */
+    double seconds;          /**< Wall time. */
+};
+
+/** Divides a grid into tasks and writes the plan file `path`; makes no voxels. The inputs must be
+ * chunk files, not temporary ones. Sets *kept if this plan was there already. Errors: those of
+ * vox_voxelize(), and BSQ_EUSAGE for a number of tasks outside of 1 to VOX_MAX_TASKS. */
+int vox_write_plan(struct bsq_ctx *ctx, const struct vox_voxelize_options *options, uint32_t tasks,
+                   const char *path, bool *kept);
+
+/** Reads a plan file. Close *out with vox_close_plan(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a file
+ * that is no plan, is damaged or was written by another version. */
+int vox_open_plan(struct bsq_ctx *ctx, const char *path, struct vox_farm_plan **out);
+
+/** Frees a plan; NULL is allowed. */
+void vox_close_plan(struct vox_farm_plan *plan);
+
+/** Returns the options of the grid; the plan owns them. */
+const struct vox_voxelize_options *vox_plan_options(const struct vox_farm_plan *plan);
+
+/** Returns the number of tasks. */
+uint32_t vox_plan_task_count(const struct vox_farm_plan *plan);
+
+/** Returns what a task is expected to need. */
+const struct vox_task_cost *vox_plan_task_cost(const struct vox_farm_plan *plan, uint32_t task);
+
+/** Returns the path of a task's part, which the caller frees; NULL if there is no memory. */
+char *vox_plan_part_path(const struct vox_farm_plan *plan, uint32_t task);
+
+/** Makes the regions of a task and writes its part beside the plan. If the part is there already
+ * and complete, sets *kept and does nothing, unless `force`. Errors: those of vox_voxelize();
+ * BSQ_EDATA if an input is not that of the plan; BSQ_EUSAGE if there is no such task. */
+int vox_run_task(struct bsq_ctx *ctx, const struct vox_farm_plan *plan, uint32_t task, bool force,
+                 bool *kept, struct vox_task_report *report);
+
+/** Merges the parts of all tasks into the grid. If that was done already, sets *kept and does
+ * nothing, unless `force`. Errors: BSQ_ENOINPUT, which names missing parts; BSQ_EDATA for a part
+ * that is damaged or of another plan; those of vox_voxelize(). */
+int vox_merge_plan(struct bsq_ctx *ctx, const struct vox_farm_plan *plan, bool force, bool *kept,
+                   struct vox_voxelize_report *report);
+
+/** @} */
+
 /** Checks that OpenVDB files can be written. vox_voxelize() checks this too; call it before other
  * long work. Errors: BSQ_ENOINPUT if the module is missing. */
 int vox_check_export(struct bsq_ctx *ctx);

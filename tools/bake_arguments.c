@@ -74,7 +74,7 @@ static const char help_format[] =
         CLI_STRICT_HELP CLI_COMMON_HELP;
 
 enum {
-    OPT_MAPS = CLI_OWN,
+    OPT_MAPS = CLI_TASKS_END,
     OPT_SIZE,
     OPT_TILES,
     OPT_SAMPLES,
@@ -111,13 +111,7 @@ enum {
     OPT_DEVICE,
     OPT_GPU_MEMORY,
     OPT_LIST_DEVICES,
-    OPT_LIST_TILES,
-    OPT_TASKS,
-    OPT_WRITE_PLAN,
-    OPT_PLAN,
-    OPT_TASK,
-    OPT_MERGE,
-    OPT_FORCE
+    OPT_LIST_TILES
 };
 
 static const struct option long_options[] = {
@@ -160,12 +154,7 @@ static const struct option long_options[] = {
     {"gpu-memory", required_argument, NULL, OPT_GPU_MEMORY},
     {"list-devices", no_argument, NULL, OPT_LIST_DEVICES},
     {"list-tiles", no_argument, NULL, OPT_LIST_TILES},
-    {"tasks", required_argument, NULL, OPT_TASKS},
-    {"write-plan", required_argument, NULL, OPT_WRITE_PLAN},
-    {"plan", required_argument, NULL, OPT_PLAN},
-    {"task", required_argument, NULL, OPT_TASK},
-    {"merge", no_argument, NULL, OPT_MERGE},
-    {"force", no_argument, NULL, OPT_FORCE},
+    CLI_TASKS_OPTIONS,
     CLI_VERIFY_OPTION,
     CLI_STRICT_OPTION,
     CLI_COMMON_OPTIONS,
@@ -373,60 +362,14 @@ static int common_option(struct cli *cli, int option)
     return cli_common_option(cli, option, help);
 }
 
-/* Parses the number of a task, or of the first and the last one with a dash between them. */
-static int parse_tasks(struct cli *cli, struct bake_arguments *arguments)
-{
-    unsigned long long number[2] = {0};
-    const char *at = optarg;
-    char *end;
-    for (int i = 0; i < 2; i++) {
-        number[i] = strtoull(at, &end, 10);
-        if (*at < '0' || *at > '9' || number[i] >= BAKE_MAX_TASKS || (*end && (*end != '-' || i)))
-            return cli_usage(cli, "--task: \"%s\" is no number from 0 to %d, and no range of them",
-                             optarg, BAKE_MAX_TASKS - 1);
-        at = *end ? end + 1 : at;
-    }
-    arguments->task = (uint32_t)number[0];
-    arguments->last_task = (uint32_t)number[1];
-    return number[0] <= number[1]
-               ? 0
-               : cli_usage(cli, "--task: \"%s\": the first task comes after the last one", optarg);
-}
-
-/* Parses an option of a bake's tasks. Returns 1 if it is another option. */
-static int parse_farm_option(struct cli *cli, struct bake_arguments *arguments, int option)
-{
-    switch (option) {
-    case OPT_TASKS:
-        return parse_count(cli, "--tasks", optarg, 1, BAKE_MAX_TASKS, &arguments->tasks);
-    case OPT_WRITE_PLAN:
-        arguments->write_plan = optarg;
-        return 0;
-    case OPT_PLAN:
-        arguments->plan = optarg;
-        return 0;
-    case OPT_TASK:
-        arguments->task_given = true;
-        return parse_tasks(cli, arguments);
-    case OPT_MERGE:
-        arguments->merge = true;
-        return 0;
-    case OPT_FORCE:
-        arguments->force = true;
-        return 0;
-    default:
-        return 1;
-    }
-}
-
 static int parse_option(struct cli *cli, void *arg, int option)
 {
     struct bake_arguments *arguments = arg;
     struct bake_options *bake = &arguments->bake;
-    const int status = parse_farm_option(cli, arguments, option);
+    const int status = cli_tasks_option(cli, &arguments->farm, option);
     if (status <= 0)
         return status;
-    if ((option >= CLI_OWN && option != OPT_MAX_MISSED) || option == 'o')
+    if ((option >= CLI_TASKS_END && option != OPT_MAX_MISSED) || option == 'o')
         arguments->bake_option = option;
     switch (option) {
     case 'o':
@@ -526,26 +469,11 @@ static const char *name_of(int option)
 /* Checks the options of tasks against each other. */
 static int check_tasks(struct cli *cli, const struct bake_arguments *arguments, int inputs)
 {
-    const bool work = arguments->task_given || arguments->merge;
-    if (!arguments->write_plan != !arguments->tasks)
-        return cli_usage(cli, "--tasks and --write-plan need each other");
-    if (work && !arguments->plan)
-        return cli_usage(cli, "--task and --merge need --plan");
-    if (arguments->force && !work)
-        return cli_usage(cli, "--force needs --task or --merge");
-    if ((arguments->write_plan || (arguments->plan && !arguments->merge)) &&
-        arguments->max_missed < 100)
+    const struct cli_tasks *farm = &arguments->farm;
+    const char *option = arguments->bake_option ? name_of(arguments->bake_option) : NULL;
+    if ((farm->write_plan || (farm->plan && !farm->merge)) && arguments->max_missed < 100)
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
-    if (!arguments->plan)
-        return 0;
-    if (arguments->task_given && arguments->merge)
-        return cli_usage(cli, "--task and --merge exclude each other");
-    if (arguments->write_plan)
-        return cli_usage(cli, "--plan and --write-plan exclude each other");
-    if (arguments->bake_option)
-        return cli_usage(cli, "--plan has the options of the bake: leave out --%s",
-                         name_of(arguments->bake_option));
-    return inputs == 0 ? 0 : cli_usage(cli, "--plan names the inputs: leave out the files");
+    return cli_tasks_check(cli, farm, option, inputs);
 }
 
 static int check_arguments(struct cli *cli, struct bake_arguments *arguments, int count,
@@ -562,7 +490,7 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
         return count > 0 ? 0 : cli_usage(cli, "--list-tiles takes files: LOW.obj...");
     if (check_tasks(cli, arguments, count) < 0)
         return BSQ_EUSAGE;
-    if (arguments->plan)
+    if (arguments->farm.plan)
         return 0;
     if (count < 2)
         return cli_usage(cli, "%d input file%s given, not two: SCAN.nvdb and LOW.obj (see --help)",

@@ -3,17 +3,12 @@
 #define BAKE_ARGUMENTS_H
 
 #include "libbake/bake.h"
-#include "tools/cli.h"
+#include "tools/cli_tasks.h"
 
 struct bake_arguments {
     struct bake_options bake;
     bool list_devices, list_tiles;
-    const char *write_plan; /* plan to write; NULL: none */
-    const char *plan;       /* plan to work by; NULL: none */
-    uint32_t tasks;         /* of the plan to write; 0: not given */
-    uint32_t task;          /* the first one to bake */
-    uint32_t last_task;     /* the last one to bake */
-    bool task_given, merge, force;
+    struct cli_tasks farm;
     int bake_option;   /* the last option that is about the bake itself; 0: none */
     double max_missed; /* percent of the samples */
     char **files;      /* the inputs, as given */

@@ -4,21 +4,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "tools/cli_percent.h"
-
-/* Prints that a file is there already. */
-static int say_kept(struct cli *cli, const char *path, const char *what)
-{
-    if (!cli->json) {
-        cli_print("%s: %s is complete already, kept\n", path, what);
-        return 0;
-    }
-    return cli_print_json(cli, json_pack("{s:o, s:b}", "path", cli_json_text(path), "kept", 1));
-}
-
 int bake_farm_say_merged(struct cli *cli, const struct bake_arguments *arguments)
 {
-    return say_kept(cli, arguments->plan, "the merge of this plan");
+    return cli_tasks_say_kept(cli, arguments->farm.plan, "the merge of this plan");
 }
 
 /* ---- the plan ---- */
@@ -77,9 +65,10 @@ int bake_farm_plan(struct cli *cli, const struct bake_arguments *arguments,
                    struct bake_report *report)
 {
     struct bake_farm_plan *plan = NULL;
-    const char *path = arguments->write_plan;
+    const char *path = arguments->farm.write_plan;
     bool kept = false;
-    int status = bake_write_plan(cli->ctx, &arguments->bake, arguments->tasks, path, &kept, report);
+    int status =
+        bake_write_plan(cli->ctx, &arguments->bake, arguments->farm.tasks, path, &kept, report);
     if (status == 0)
         status = bake_open_plan(cli->ctx, path, &plan);
     if (status == 0)
@@ -111,18 +100,26 @@ static int print_task(struct cli *cli, const char *path, uint32_t task,
     return 0;
 }
 
-static int run_task(struct cli *cli, const struct bake_arguments *arguments,
-                    const struct bake_farm_plan *plan, uint32_t task)
+struct task_job {
+    const struct bake_arguments *arguments;
+    const struct bake_farm_plan *plan;
+};
+
+static int run_task(struct cli *cli, void *arg, uint32_t task)
 {
+    const struct task_job *job = arg;
+    const struct bake_arguments *arguments = job->arguments;
+    const struct bake_farm_plan *plan = job->plan;
     struct bake_report report = {0};
     bool kept = false;
     cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
-    int status = bake_run_task(cli->ctx, plan, task, arguments->force, &kept, &report);
+    int status = bake_run_task(cli->ctx, plan, task, arguments->farm.force, &kept, &report);
     char *path = status == 0 ? bake_plan_part_path(plan, task) : NULL;
     if (status == 0 && !path)
-        status = bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->plan);
+        status = bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->farm.plan);
     if (status == 0)
-        status = kept ? say_kept(cli, path, "this part") : print_task(cli, path, task, &report);
+        status = kept ? cli_tasks_say_kept(cli, path, "this part")
+                      : print_task(cli, path, task, &report);
     free(path);
     cli->tile_count = NULL;
     bake_report_free(&report);
@@ -132,15 +129,6 @@ static int run_task(struct cli *cli, const struct bake_arguments *arguments,
 int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
                     const struct bake_farm_plan *plan)
 {
-    const uint32_t first = arguments->task, last = arguments->last_task;
-    const uint32_t count = bake_plan_task_count(plan);
-    int status = last < count
-                     ? 0
-                     : bsq_fail(cli->ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u",
-                                arguments->plan, last, count - 1);
-    for (uint32_t task = first; task <= last && status == 0; task++) {
-        cli_percent_turn(cli, task - first, last - first + 1);
-        status = run_task(cli, arguments, plan, task);
-    }
-    return status;
+    struct task_job job = {arguments, plan};
+    return cli_tasks_run(cli, &arguments->farm, bake_plan_task_count(plan), run_task, &job);
 }

@@ -70,7 +70,7 @@ static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
     }
     if (status == 0)
         status = cli_map_input(cli, &bake->cage_path);
-    return status < 0 ? status : cli_map_input(cli, &arguments->plan);
+    return status < 0 ? status : cli_map_input(cli, &arguments->farm.plan);
 }
 
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
@@ -89,12 +89,12 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     if (status == 0)
         status = name_outputs(cli, bake, paths);
     if (status == 0)
-        status = check_outputs(cli, bake, arguments->write_plan, paths);
-    if (status == 0 && arguments->write_plan)
+        status = check_outputs(cli, bake, arguments->farm.write_plan, paths);
+    if (status == 0 && arguments->farm.write_plan)
         status = bake_farm_plan(cli, arguments, &report);
     else if (status == 0)
         status = bake_run(cli->ctx, bake, &report);
-    if (status == 0 && !arguments->write_plan) {
+    if (status == 0 && !arguments->farm.write_plan) {
         status = bake_report_print(cli, arguments, &report, paths);
         *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
     }
@@ -118,7 +118,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     if (status == 0)
         status = check_outputs(cli, &arguments->bake, NULL, paths);
     if (status == 0)
-        status = bake_merge_plan(cli->ctx, plan, arguments->force, &kept, &report);
+        status = bake_merge_plan(cli->ctx, plan, arguments->farm.force, &kept, &report);
     if (status == 0 && kept)
         status = bake_farm_say_merged(cli, arguments);
     else if (status == 0)
@@ -138,13 +138,13 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
 static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_farm_plan *plan = NULL;
-    int status = bsq_note_input(cli->ctx, arguments->plan, "the plan");
+    int status = bsq_note_input(cli->ctx, arguments->farm.plan, "the plan");
     if (status == 0)
-        status = bake_open_plan(cli->ctx, arguments->plan, &plan);
+        status = bake_open_plan(cli->ctx, arguments->farm.plan, &plan);
     if (status == 0)
-        status = arguments->merge        ? merge(cli, arguments, plan, missed)
-                 : arguments->task_given ? bake_farm_tasks(cli, arguments, plan)
-                                         : bake_farm_print(cli, arguments->plan, plan);
+        status = arguments->farm.merge        ? merge(cli, arguments, plan, missed)
+                 : arguments->farm.task_given ? bake_farm_tasks(cli, arguments, plan)
+                                              : bake_farm_print(cli, arguments->farm.plan, plan);
     bake_close_plan(plan);
     return status;
 }
@@ -162,12 +162,12 @@ int main(int argc, char **argv)
         status = map_inputs(&cli, &arguments);
     if (status == 0 && cli.verify)
         status = cli_verify(&cli, arguments.files, arguments.file_count);
-    else if (status == 0 && !arguments.list_devices && !arguments.plan)
+    else if (status == 0 && !arguments.list_devices && !arguments.farm.plan)
         status = bake_arguments_sort_inputs(&cli, &arguments);
     if (status == 0 && !cli.verify)
         status = arguments.list_devices ? bake_report_devices(&cli)
                  : arguments.list_tiles ? bake_report_tiles(&cli, &arguments.bake)
-                 : arguments.plan       ? work_by_plan(&cli, &arguments, &missed)
+                 : arguments.farm.plan  ? work_by_plan(&cli, &arguments, &missed)
                                         : bake_maps(&cli, &arguments, &missed);
     bake_arguments_free(&arguments);
     int code = cli_end(&cli, status);

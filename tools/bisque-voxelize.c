@@ -10,6 +10,7 @@
 #include "formats/file_kind.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
+#include "tools/voxelize_farm.h"
 #include "tools/voxelize_report.h"
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
@@ -47,6 +48,12 @@ static int recognise_inputs(struct voxelize_job *job)
         sorted++;
     }
     job->sorted_input = sorted > 0;
+    if (sorted > 0 && arguments->sort_only)
+        return cli_usage(job->cli, "%s: only meshes can be sorted, and an input is a chunk file",
+                         arguments->output);
+    if (sorted == 0 && arguments->farm.write_plan)
+        return cli_usage(job->cli, "%s: tasks share chunk files: sort it first, with -o FILE.tris",
+                         arguments->inputs[0]);
     if (sorted > 0 && sorted < arguments->input_count)
         return cli_usage(job->cli,
                          "chunk files and meshes cannot be one scan: sort the meshes first");
@@ -71,8 +78,8 @@ static int choose_tris_path(struct voxelize_job *job)
     job->temporary_tris = arguments->no_tris && !job->sorted_input;
     if (job->sorted_input)
         job->tris_path = strdup(arguments->inputs[0]);
-    else if (arguments->tris)
-        job->tris_path = strdup(arguments->tris);
+    else if (arguments->tris || arguments->sort_only)
+        job->tris_path = strdup(arguments->sort_only ? arguments->output : arguments->tris);
     else
         job->tris_path = default_tris_path(arguments->output);
     if (!job->tris_path)
@@ -94,9 +101,10 @@ static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
 static int check_outputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    bool makes_tris = !job->sorted_input && !job->temporary_tris;
-    const char *outputs[] = {arguments->output, makes_tris ? job->tris_path : NULL, arguments->vdb};
-    for (unsigned i = 0; i < 3; i++) {
+    const bool makes_tris = !job->sorted_input && !job->temporary_tris && !arguments->sort_only;
+    const char *outputs[] = {arguments->output, makes_tris ? job->tris_path : NULL, arguments->vdb,
+                             arguments->farm.write_plan};
+    for (unsigned i = 0; i < sizeof outputs / sizeof *outputs; i++) {
         if (!outputs[i])
             continue;
         for (unsigned j = 0; j < i; j++) {
@@ -201,10 +209,10 @@ static int sort_scan(struct voxelize_job *job)
     return status == 0 && job->record ? vox_job_record(job->record) : status;
 }
 
-static int make_grid(struct voxelize_job *job)
+static struct vox_voxelize_options grid_options(const struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    struct vox_voxelize_options options = {
+    const struct vox_voxelize_options options = {
         .tris_path = job->tris_path,
         .part_paths = job->sorted_input ? arguments->inputs : NULL,
         .part_count = job->sorted_input ? arguments->input_count : 0,
@@ -217,7 +225,16 @@ static int make_grid(struct voxelize_job *job)
         .vdb_path = arguments->vdb,
         .ids = arguments->channel_ids,
     };
-    return vox_voxelize(job->cli->ctx, &options, &job->grid);
+    return options;
+}
+
+/* Makes the grid, or the plan of its tasks. */
+static int make_grid(struct voxelize_job *job)
+{
+    const struct vox_voxelize_options options = grid_options(job);
+    return job->arguments->farm.write_plan
+               ? voxelize_farm_plan(job->cli, &job->arguments->farm, &options)
+               : vox_voxelize(job->cli->ctx, &options, &job->grid);
 }
 
 static int do_work(struct voxelize_job *job)
@@ -235,11 +252,11 @@ static int do_work(struct voxelize_job *job)
         status = check_outputs(job);
     if (status == 0)
         status = check_temporary_files(job);
-    if (status == 0 && !job->sorted_input)
+    if (status == 0 && !job->sorted_input && !arguments->sort_only)
         status = vox_temp_tris_create(job->cli->ctx, &job->temp_tris);
     if (status == 0 && !job->sorted_input)
         status = sort_scan(job);
-    if (status == 0)
+    if (status == 0 && !arguments->sort_only)
         status = make_grid(job);
     if (status == 0)
         vox_job_finish(job->record);
@@ -254,13 +271,15 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
     };
     if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
+    if (arguments->farm.plan)
+        return voxelize_farm_by_plan(cli, &arguments->farm);
     int status = note_inputs(cli->ctx, arguments);
     if (status == 0)
         status = recognise_inputs(&job);
     if (status == 0)
         status = do_work(&job);
     vox_temp_tris_close(job.temp_tris);
-    if (status == 0)
+    if (status == 0 && !arguments->farm.write_plan)
         status = voxelize_report_print(&job);
     vox_job_close(job.record);
     free(job.tris_path);
@@ -272,6 +291,8 @@ static int map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
 {
     const char **inputs = (const char **)(uintptr_t)arguments->inputs;
     int status = cli_map_input(cli, &arguments->texture);
+    if (status == 0)
+        status = cli_map_input(cli, &arguments->farm.plan);
     for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
         status = cli_map_input(cli, &inputs[i]);
     return status;

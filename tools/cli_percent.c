@@ -20,10 +20,15 @@ static const struct stage {
     unsigned share; /* percent of the program's time */
     bool per_tile;  /* comes once for each UDIM tile */
 } stages[] = {
-    {"bisque-voxelize", "reading", 45, false},    {"bisque-voxelize", "writing", 15, false},
-    {"bisque-voxelize", "voxelizing", 39, false}, {"bisque-bake", "planning", 1, true},
-    {"bisque-bake", "tracing", 65, true},         {"bisque-bake", "measuring curvature", 14, true},
-    {"bisque-bake", "reading parts", 4, false},   {"bisque-bake", "writing", 12, true},
+    {"bisque-voxelize", "reading", 45, false},
+    {"bisque-voxelize", "writing", 15, false},
+    {"bisque-voxelize", "voxelizing", 30, false},
+    {"bisque-voxelize", "reading parts", 9, false},
+    {"bisque-bake", "planning", 1, true},
+    {"bisque-bake", "tracing", 65, true},
+    {"bisque-bake", "measuring curvature", 14, true},
+    {"bisque-bake", "reading parts", 4, false},
+    {"bisque-bake", "writing", 12, true},
     {"bisque-bake", "preview", 3, false},
 };
 enum { STAGES = sizeof stages / sizeof *stages };

@@ -8,12 +8,17 @@
 static const char help[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
+    "       bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.tris\n"
+    "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb --tasks N --write-plan PLAN\n"
+    "       bisque-voxelize --plan PLAN --task I\n"
+    "       bisque-voxelize --plan PLAN --merge\n"
+    "       bisque-voxelize --plan PLAN\n"
     "       bisque-voxelize --verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
     "and colours. Several mesh files are read as one scan. The sorted triangles are kept in a chunk\n"
     "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n"
     "\n"
-    "  -o, --output FILE       the grid, a NanoVDB file\n"
+    "  -o, --output FILE       the grid, a NanoVDB file; a name that ends in .tris sorts only\n"
     "      --resolution N      voxels along the scan's longest side (default: 2048)\n"
     "      --voxel-size X      edge of a voxel in the scan's units, instead of a resolution\n"
     "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
@@ -29,12 +34,19 @@ static const char help[] =
     "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
     "      --no-tris           do not keep the chunk file\n"
     "      --parse-only        only read the mesh files, to measure the reader\n"
+    "      --tasks N           with --write-plan: divide the grid into N tasks\n"
+    "      --write-plan FILE   write a plan of the tasks, and make no grid\n"
+    "      --plan FILE         take inputs, output and options from a plan\n"
+    "                          alone: print how many tasks it has, and what each needs\n"
+    "      --task I | I-J      make the voxels of task I, or I to J, from 0 on, into part files\n"
+    "      --merge             write the grid from all parts of the plan\n"
+    "      --force             do it again if the part or the grid is there already\n"
     "      --resume            continue the same job from its chunk file, if that is complete\n"
     "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the output's)\n" CLI_VERIFY_HELP
         CLI_STRICT_HELP CLI_COMMON_HELP;
 
 enum {
-    OPT_RESOLUTION = CLI_OWN,
+    OPT_RESOLUTION = CLI_TASKS_END,
     OPT_VOXEL_SIZE,
     OPT_GRID_TYPE,
     OPT_SCAN_NORMALS,
@@ -69,6 +81,7 @@ static const struct option long_options[] = {
     {"scale", required_argument, NULL, OPT_SCALE},
     {"up", required_argument, NULL, OPT_UP},
     {"translate", required_argument, NULL, OPT_TRANSLATE},
+    CLI_TASKS_OPTIONS,
     CLI_VERIFY_OPTION,
     CLI_STRICT_OPTION,
     CLI_COMMON_OPTIONS,
@@ -200,9 +213,33 @@ static int parse_ids(struct cli *cli, struct voxelize_arguments *arguments)
     return status;
 }
 
+/* Returns whether an option does nothing if no grid is made. */
+static bool is_of_grid(int option)
+{
+    return option == OPT_RESOLUTION || option == OPT_VOXEL_SIZE || option == OPT_GRID_TYPE ||
+           option == OPT_SCAN_NORMALS || option == OPT_VDB || option == OPT_TRIS ||
+           option == OPT_NO_TRIS;
+}
+
+/* Returns the name of an option without its dashes. */
+static const char *name_of(int option)
+{
+    const struct option *o = long_options;
+    while (o->name && o->val != option)
+        o++;
+    return o->name ? o->name : "";
+}
+
 static int parse_option(struct cli *cli, void *arg, int option)
 {
     struct voxelize_arguments *arguments = arg;
+    const int status = cli_tasks_option(cli, &arguments->farm, option);
+    if (status <= 0)
+        return status;
+    if (option >= CLI_TASKS_END || option == 'o')
+        arguments->work_option = name_of(option);
+    if (is_of_grid(option))
+        arguments->grid_option = name_of(option);
     switch (option) {
     case 'o':
         arguments->output = optarg;
@@ -251,10 +288,18 @@ static int parse_option(struct cli *cli, void *arg, int option)
 
 static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
 {
-    if (arguments->input_count == 0)
+    const struct cli_tasks *farm = &arguments->farm;
+    if (arguments->input_count == 0 && !farm->plan)
         return cli_usage(cli, "no input file given (see --help)");
     if (cli->verify)
         return 0;
+    if (cli_tasks_check(cli, farm, arguments->work_option, (int)arguments->input_count) < 0)
+        return BSQ_EUSAGE;
+    if (farm->plan)
+        return 0;
+    if (farm->write_plan && (arguments->parse_only || arguments->sort_only))
+        return cli_usage(cli, "a plan is for a grid: leave out %s",
+                         arguments->parse_only ? "--parse-only" : "the chunk file as output");
     if (arguments->parse_only && arguments->output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
     if (arguments->parse_only &&
@@ -268,6 +313,9 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "--id needs --channels id");
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
+    if (arguments->sort_only && arguments->grid_option)
+        return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", arguments->output,
+                         arguments->grid_option);
     if (arguments->resume && (arguments->no_tris || arguments->parse_only))
         return cli_usage(cli, "--resume continues from a chunk file: leave out %s",
                          arguments->no_tris ? "--no-tris" : "--parse-only");
@@ -280,6 +328,7 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
     arguments->inputs = (const char *const *)argv + optind;
     arguments->input_count = (uint32_t)(argc - optind);
+    arguments->sort_only = arguments->output && cli_ends_with(arguments->output, ".tris");
     if (status == 0)
         status = check_arguments(cli, arguments);
     if (status == 0 && arguments->input_count > 0)

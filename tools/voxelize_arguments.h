@@ -3,7 +3,7 @@
 #define VOXELIZE_ARGUMENTS_H
 
 #include "libvoxel/voxel.h"
-#include "tools/cli.h"
+#include "tools/cli_tasks.h"
 
 struct voxelize_arguments {
     const char *const *inputs;
@@ -17,6 +17,10 @@ struct voxelize_arguments {
     bool channel_ids;
     enum vox_ids ids; /* VOX_IDS_NONE: not given */
     bool no_tris, parse_only, resume;
+    bool sort_only; /* the output is a chunk file: no grid is made */
+    struct cli_tasks farm;
+    const char *work_option; /* the last option of sorting or of the grid; NULL: none was given */
+    const char *grid_option; /* the last option of the grid alone; NULL: none was given */
     /* Of all files, or of each one: as often as the option was given. */
     double *scales;
     enum vox_up *ups;

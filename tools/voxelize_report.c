@@ -32,24 +32,28 @@ static void print_read(const struct voxelize_job *job)
         putchar('\n');
 }
 
-static void print_grid(const struct voxelize_job *job)
+static void print_tris(const struct voxelize_job *job)
 {
-    const struct vox_voxelize_report *grid = &job->grid;
-    const struct voxelize_arguments *arguments = job->arguments;
-    char voxels[CLI_TEXT], size[CLI_TEXT], chunks[CLI_TEXT];
+    char size[CLI_TEXT], chunks[CLI_TEXT];
     if (!job->sorted_input && !job->resumed && !job->temporary_tris)
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
-    cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s%s, %.2f s\n", arguments->output,
+}
+
+void voxelize_report_grid(const struct vox_voxelize_options *options,
+                          const struct vox_voxelize_report *grid)
+{
+    char voxels[CLI_TEXT], size[CLI_TEXT];
+    cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s%s, %.2f s\n", options->grid_path,
               cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
               (long long)grid->index_max[0] - grid->index_min[0] + 1,
               (long long)grid->index_max[1] - grid->index_min[1] + 1,
               (long long)grid->index_max[2] - grid->index_min[2] + 1, grid->voxel_size,
               cli_size_text(grid->grid_bytes, size), grid->has_color ? ", with colour" : "",
               grid->has_ids ? ", with ids" : "", grid->seconds);
-    if (arguments->vdb)
-        cli_print("%s: the same as OpenVDB\n", arguments->vdb);
+    if (options->vdb_path)
+        cli_print("%s: the same as OpenVDB\n", options->vdb_path);
 }
 
 static json_t *inputs_json(const struct voxelize_arguments *arguments)
@@ -82,7 +86,7 @@ static json_t *sort_json(const struct vox_sort_report *sort)
         sort->seconds_sort);
 }
 
-static json_t *grid_json(const struct vox_voxelize_report *grid)
+json_t *voxelize_report_grid_json(const struct vox_voxelize_report *grid)
 {
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:b, s:f}",
@@ -99,13 +103,14 @@ static int print_json(const struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
-    json_t *root =
-        json_pack("{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments),
-                  "resumed", (int)job->resumed, "grid_path", cli_json_text(arguments->output),
-                  "tris_path", cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
-                  cli_json_text(arguments->vdb), "scan",
-                  job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
-                  arguments->parse_only ? json_null() : grid_json(&job->grid));
+    const bool no_grid = arguments->parse_only || arguments->sort_only;
+    json_t *root = json_pack(
+        "{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments), "resumed",
+        (int)job->resumed, "grid_path", cli_json_text(no_grid ? NULL : arguments->output),
+        "tris_path", cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
+        cli_json_text(arguments->vdb), "scan",
+        job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
+        no_grid ? json_null() : voxelize_report_grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
 
@@ -120,7 +125,7 @@ static void warn_of_stray_parts(const struct voxelize_job *job)
         int64_t length = (int64_t)grid->index_max[a] - grid->index_min[a] + 1;
         side = length > side ? length : side;
     }
-    if (!job->arguments->parse_only && grid->voxels < (uint64_t)side)
+    if (!job->arguments->parse_only && !job->arguments->sort_only && grid->voxels < (uint64_t)side)
         bsq_warn(job->cli->ctx,
                  "%s: only %s in a grid of %lld along the longest side: is there something far "
                  "away from the scan, or are its files in different units?",
@@ -139,7 +144,11 @@ int voxelize_report_print(const struct voxelize_job *job)
     else if (!job->sorted_input)
         print_read(job);
     if (!job->arguments->parse_only)
-        print_grid(job);
+        print_tris(job);
+    const struct vox_voxelize_options options = {.grid_path = job->arguments->output,
+                                                 .vdb_path = job->arguments->vdb};
+    if (!job->arguments->parse_only && !job->arguments->sort_only)
+        voxelize_report_grid(&options, &job->grid);
     cli_print_cost(job->cli);
     return 0;
 }

@@ -1,487 +1,69 @@
-/* voxelize.c - makes the grid file from the chunk file.
- *
- * Regions of 128^3 voxels, the lower nodes of the grid, go through a pipeline. The schedule
- * produces the next region with the chunks that touch it. A worker sums the fragments of their
- * triangles. The grid's writer takes the results in sequence. Every voxel belongs to one region and
- * gets its fragments in the order of the file, so the grid's bytes do not depend on threads or
- * budget. */
-#include "libvoxel/voxel.h"
-
-#include <inttypes.h>
-#include <math.h>
+/* voxelize.c - makes the grid file from the regions of chunk files. */
 #include <string.h>
 
 #include "base/clock.h"
 #include "base/job_files.h"
-#include "base/parallel.h"
-#include "formats/grid/nvdb.h"
-#include "libvoxel/voxelize/grid_estimate.h"
-#include "libvoxel/float_precision.h"
-#include "libvoxel/temp_tris.h"
-#include "libvoxel/voxelize/region_work.h"
+#include "libvoxel/voxelize/voxelize_run.h"
 
-/* More bytes of sums than this would not stay in a processor's cache; then regions are made in
- * parts. */
-#define ACCUMULATOR_BYTES_USEFUL   (UINT64_C(48) << 20)
-#define TEXTURE_CACHE_BYTES_MIN    (UINT64_C(12) << 20)
-#define TEXTURE_CACHE_BYTES_USEFUL (UINT64_C(1) << 30)
-/* Least bytes for results of regions under way, for each worker. */
-#define RESULT_BYTES_MIN (UINT64_C(1) << 20)
-
-/* Units under way for each worker. Some regions take a hundred times as long as others. Meanwhile
- * results of later regions wait in their slots, and no worker has to. */
-enum { UNITS_PER_WORKER = 8 };
-
-enum { SLABS_MAX = VOX_REGION_SIZE / 8 };
-
-struct job {
-    const struct vox_voxelize_options *options;
-    struct bsq_ctx *ctx;
-    struct fmt_tris_file *file;
-    const struct fmt_tris_header *header;
-    struct vox_shared shared;
-    struct vox_smooth *smooth; /* NULL: the scan has normals, or is to be flat */
-    struct vox_box *bounds;    /* voxels of each chunk's bounds */
-    struct vox_chunk_box *boxes;
-    uint64_t box_count;
-    struct vox_schedule *schedule;
-    struct fmt_nvdb_writer *writer;
-    struct vox_worker *own; /* one for each worker */
-    struct vox_unit *units; /* the pipeline's slots */
-    unsigned workers, unit_count;
-    uint32_t slabs;          /* units that each region is cut into */
-    uint32_t next_slab;      /* next slab of the region in production */
-    struct vox_unit current; /* the region in production: its origin and chunks */
-    int32_t index_min[3], index_max[3];
-    bool gate_open;
-};
-
-/* ---- the budget ---- */
-
-struct plan {
-    uint64_t cache_slots, accumulator_bytes, texture_bytes, result_bytes;
-};
-
-static uint64_t min64(uint64_t a, uint64_t b)
-{
-    return a < b ? a : b;
-}
-
-/* Returns what accumulators sum: VOX_SUM_COLORS, VOX_SUM_IDS. */
-static unsigned sums_of(const struct job *job)
-{
-    return (vox_shading_has_color(job->header) ? VOX_SUM_COLORS : 0) |
-           (job->options->ids ? VOX_SUM_IDS : 0);
-}
-
-/* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
- * the results under way and to the writer. Fails early if the minimum of all that does not fit. */
-static int make_plan(const struct job *job, struct plan *plan)
-{
-    uint64_t available = bsq_memory_left(job->ctx);
-    uint64_t slot = vox_chunks_slot_bytes(job->file, job->smooth != NULL);
-    const unsigned sums = sums_of(job);
-    plan->texture_bytes = 0;
-    if (vox_shading_needs_textures(job->header)) {
-        plan->texture_bytes = min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL);
-        if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
-            plan->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
-    }
-    uint64_t sums_min = vox_accumulator_bytes_min(sums),
-             blocks = job->workers * vox_fragment_block_bytes();
-    uint64_t need =
-        plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
-    if (available < need)
-        return bsq_fail(job->ctx, BSQ_ENOMEM,
-                        "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
-                        "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
-                        job->options->tris_path, bsq_memory_limit(job->ctx), job->workers, need,
-                        bsq_memory_used(job->ctx));
-    available -= plan->texture_bytes + blocks;
-    uint64_t slots = available / 2 / slot;
-    plan->cache_slots = slots < 1 ? 1 : min64(min64(slots, job->header->chunk_count), INT32_MAX);
-    available -= plan->cache_slots * slot;
-    uint64_t share = min64(available / 2 / job->workers, ACCUMULATOR_BYTES_USEFUL);
-    plan->accumulator_bytes = share > sums_min ? share : sums_min;
-    available -= job->workers * plan->accumulator_bytes;
-    /* The other half is for results that grow while they are held, and for the writer. */
-    plan->result_bytes = available / 2;
-    return 0;
-}
-
-/* ---- set-up ---- */
-
-static int open_input(struct job *job)
-{
-    const char *path = job->options->tris_path;
-    const struct vox_temp_tris *temp = job->options->temp_tris;
-    const uint32_t parts = job->options->part_paths ? job->options->part_count : 0;
-    int status = temp ? fmt_tris_open_temp(job->ctx, &temp->file, &job->file)
-                 : parts > 0
-                     ? fmt_tris_open_parts(job->ctx, job->options->part_paths, parts, &job->file)
-                     : fmt_tris_open(job->ctx, path, &job->file);
-    if (status < 0)
-        return status;
-    job->header = fmt_tris_get_header(job->file);
-    if (job->header->triangle_count == 0)
-        return bsq_fail(job->ctx, BSQ_EDATA, "%s: the scan has no triangles", path);
-    if (job->header->chunk_count >= UINT32_MAX)
-        return bsq_fail(job->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
-                        job->header->chunk_count);
-    status = job->options->ids ? fmt_tris_require_ids(job->file) : 0;
-    if (status == 0)
-        status = vox_transform_init(job->ctx, job->header, path, job->options->resolution,
-                                    job->options->voxel_size, &job->shared.transform);
-    if (status == 0)
-        status = vox_estimate_check(job->ctx, job->file, &job->shared.transform,
-                                    vox_shading_has_color(job->header) + job->options->ids,
-                                    job->options->grid_path);
-    if (status == 0)
-        vox_precision_warn_grid(job->ctx, path, job->header, fmt_tris_chunks(job->file),
-                                job->shared.transform.h);
-    return status;
-}
-
-static int make_smooth(struct job *job)
-{
-    if ((job->header->attributes & FMT_TRIS_NORMALS) ||
-        job->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
-        return 0;
-    uint64_t available = bsq_memory_left(job->ctx);
-    return vox_smooth_create(job->ctx, job->file, job->workers, available / 8, &job->smooth);
-}
+/* ---- the grid file ---- */
 
 /* Gives the writer the names that ids stand for. */
-static int name_ids(const struct job *job)
+static int name_ids(const struct vox_run *run, struct fmt_nvdb_writer *writer)
 {
-    const uint64_t count = job->header->material_count;
+    const uint64_t count = run->header->material_count;
     const char **names;
-    int status = bsq_alloc(job->ctx, "names of ids", count + 1, sizeof *names, &names);
+    int status = bsq_alloc(run->ctx, "names of ids", count + 1, sizeof *names, &names);
     if (status < 0)
         return status;
     for (uint64_t i = 0; i < count; i++)
-        names[i] = job->header->materials[i].name ? job->header->materials[i].name : "";
+        names[i] = run->header->materials[i].name ? run->header->materials[i].name : "";
     names[count] = ""; /* triangles without a material */
-    status = fmt_nvdb_set_names(job->writer, names, count + 1);
-    bsq_free(job->ctx, (void *)names);
+    status = fmt_nvdb_set_names(writer, names, count + 1);
+    bsq_free(run->ctx, (void *)names);
     return status;
 }
 
-static int open_output(struct job *job)
+int vox_grid_create(const struct vox_run *run, struct fmt_nvdb_writer **out)
 {
-    const struct vox_transform *transform = &job->shared.transform;
+    const struct vox_transform *transform = &run->shared.transform;
     struct fmt_nvdb_info info = {
-        .type = job->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
+        .type = run->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
         .voxel_size = transform->h,
-        .has_color = vox_shading_has_color(job->header),
-        .ids = job->options->ids ? job->header->ids : BSQ_IDS_NONE,
-        .source_triangles = job->header->triangle_count,
+        .has_color = vox_shading_has_color(run->header),
+        .ids = run->options->ids ? run->header->ids : BSQ_IDS_NONE,
+        .source_triangles = run->header->triangle_count,
     };
     for (int a = 0; a < 3; a++) {
         info.translation[a] = transform->start[a] + 0.5 * transform->h;
-        info.scan_min[a] = transform->origin[a] + (double)job->header->bounds_min[a];
-        info.scan_max[a] = transform->origin[a] + (double)job->header->bounds_max[a];
+        info.scan_min[a] = transform->origin[a] + (double)run->header->bounds_min[a];
+        info.scan_max[a] = transform->origin[a] + (double)run->header->bounds_max[a];
     }
-    int status = fmt_nvdb_create(job->ctx, job->options->grid_path, &info, &job->writer);
-    return status == 0 && info.ids != BSQ_IDS_NONE && info.ids != BSQ_IDS_COLOR ? name_ids(job)
-                                                                                : status;
-}
-
-static int make_schedule(struct job *job)
-{
-    uint64_t count = job->header->chunk_count;
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(job->file);
-    int status = bsq_alloc(job->ctx, "chunk bounds", count, sizeof *job->bounds, &job->bounds);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; i < count; i++)
-        job->bounds[i] =
-            vox_transform_box(&job->shared.transform, infos[i].bounds_min, infos[i].bounds_max);
-    job->shared.bounds = job->bounds;
-    status = vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds,
-                                    bsq_memory_left(job->ctx) / 16, &job->boxes, &job->box_count);
-    return status < 0 ? status
-                      : vox_schedule_create(job->ctx, job->boxes, job->box_count, &job->schedule);
-}
-
-/* Chooses the slabs that regions are cut into. A small grid has too few regions to keep all workers
- * busy. */
-static uint32_t choose_slabs(const struct vox_transform *transform, unsigned workers)
-{
-    double regions = 1.0;
-    uint32_t slabs = 1;
-    for (int a = 0; a < 3; a++)
-        regions *= (transform->voxels.hi[a] >> VOX_REGION_LOG2) -
-                   (transform->voxels.lo[a] >> VOX_REGION_LOG2) + 1;
-    if (workers == 1)
-        return 1;
-    while (slabs < SLABS_MAX && regions * slabs < 16.0 * workers)
-        slabs *= 2;
-    return slabs;
-}
-
-static int make_workers(struct job *job, const struct plan *plan)
-{
-    int status = bsq_calloc(job->ctx, "workers", job->workers, sizeof *job->own, &job->own);
-    for (unsigned i = 0; i < job->workers && status == 0; i++) {
-        struct vox_worker *own = &job->own[i];
-        status =
-            vox_accumulator_create(job->ctx, plan->accumulator_bytes, sums_of(job), &own->sums);
-        if (status == 0)
-            status = vox_fragment_block_create(job->ctx, &own->block);
+    int status = fmt_nvdb_create(run->ctx, run->options->grid_path, &info, out);
+    if (status == 0 && info.ids != BSQ_IDS_NONE && info.ids != BSQ_IDS_COLOR) {
+        status = name_ids(run, *out);
+        if (status < 0) {
+            fmt_nvdb_discard(*out);
+            *out = NULL;
+        }
     }
-    if (status < 0)
-        return status;
-    uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * job->workers;
-    if ((status = bsq_calloc(job->ctx, "workers", count, sizeof *job->units, &job->units)) < 0)
-        return status;
-    job->unit_count = (unsigned)count;
-    for (unsigned i = 0; i < job->unit_count; i++)
-        vox_leaves_init(&job->units[i].leaves, job->ctx);
-    return 0;
-}
-
-static int set_up(struct job *job)
-{
-    struct plan plan = {0, 0, 0, 0};
-    int status;
-    if ((status = open_input(job)) < 0 || (status = make_schedule(job)) < 0 ||
-        (status = open_output(job)) < 0 || (status = make_smooth(job)) < 0 ||
-        (status = make_plan(job, &plan)) < 0 ||
-        (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes,
-                                   &job->shared.shading)) < 0 ||
-        (status = job->options->ids ? vox_shading_use_ids(job->ctx, &job->shared.shading) : 0) <
-            0 ||
-        (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
-                                    job->box_count, job->smooth, (uint32_t)plan.cache_slots,
-                                    &job->shared.chunks)) < 0 ||
-        (status = make_workers(job, &plan)) < 0)
-        return status;
-    vox_gate_init(&job->shared.gate, job->ctx, plan.result_bytes);
-    job->gate_open = true;
-    job->slabs = choose_slabs(&job->shared.transform, job->workers);
-    job->next_slab = job->slabs;
-    return 0;
-}
-
-/* Frees what the pipeline needed, except the writer. */
-static void end_pipeline(struct job *job)
-{
-    for (unsigned i = 0; i < job->unit_count; i++) {
-        bsq_free(job->ctx, job->units[i].chunks);
-        vox_leaves_free(&job->units[i].leaves);
-    }
-    bsq_free(job->ctx, job->units);
-    job->unit_count = 0;
-    job->units = NULL;
-    for (unsigned i = 0; job->own && i < job->workers; i++) {
-        vox_accumulator_destroy(job->own[i].sums);
-        vox_fragment_block_destroy(job->ctx, job->own[i].block);
-    }
-    bsq_free(job->ctx, job->own);
-    job->own = NULL;
-    bsq_free(job->ctx, job->current.chunks);
-    job->current.chunks = NULL;
-    vox_chunks_destroy(job->shared.chunks);
-    job->shared.chunks = NULL;
-    vox_smooth_destroy(job->smooth);
-    job->smooth = NULL;
-    vox_schedule_destroy(job->schedule);
-    job->schedule = NULL;
-    bsq_free(job->ctx, job->boxes);
-    job->boxes = NULL;
-    vox_shading_free(job->ctx, &job->shared.shading);
-}
-
-static void tear_down(struct job *job)
-{
-    fmt_nvdb_discard(job->writer);
-    end_pipeline(job);
-    if (job->gate_open)
-        vox_gate_free(&job->shared.gate);
-    bsq_free(job->ctx, job->bounds);
-    fmt_tris_close(job->file);
-}
-
-/* ---- the pipeline ---- */
-
-/* Begins the next region and collects its chunks. Returns 1, 0 at the end or a negative status. */
-static int begin_region(struct job *job)
-{
-    struct vox_unit *region = &job->current;
-    struct vox_region_key key, after;
-    uint32_t chunk;
-    int status;
-    if (!vox_schedule_next(job->schedule, &key))
-        return 0;
-    vox_region_origin(key, region->origin);
-    region->chunk_count = 0;
-    while (vox_schedule_chunk(job->schedule, &chunk, &after)) {
-        if ((status = bsq_grow(job->ctx, "region's chunks", region->chunk_count + 1,
-                               sizeof *region->chunks, &region->chunks, &region->chunk_capacity)) <
-            0)
-            return status;
-        region->chunks[region->chunk_count++] = chunk;
-        vox_chunks_expect(job->shared.chunks, chunk, job->slabs, after);
-    }
-    job->next_slab = 0;
-    return 1;
-}
-
-static struct vox_box slab_window(const struct job *job, const int32_t origin[3])
-{
-    int32_t thickness = VOX_REGION_SIZE / (int32_t)job->slabs;
-    struct vox_box window;
-    for (int a = 0; a < 3; a++) {
-        window.lo[a] = origin[a];
-        window.hi[a] = origin[a] + VOX_REGION_SIZE - 1;
-    }
-    window.lo[0] += (int32_t)job->next_slab * thickness;
-    window.hi[0] = window.lo[0] + thickness - 1;
-    return window;
-}
-
-static int fill_unit(struct job *job, struct vox_unit *unit, uint64_t sequence)
-{
-    const struct vox_unit *region = &job->current;
-    int status;
-    unit->sequence = sequence;
-    if (job->next_slab == job->slabs && (status = begin_region(job)) <= 0)
-        return status;
-    if ((status = bsq_grow(job->ctx, "region's chunks", region->chunk_count, sizeof *unit->chunks,
-                           &unit->chunks, &unit->chunk_capacity)) < 0)
-        return status;
-    memcpy(unit->origin, region->origin, sizeof unit->origin);
-    memcpy(unit->chunks, region->chunks, region->chunk_count * sizeof *unit->chunks);
-    unit->chunk_count = region->chunk_count;
-    unit->window = slab_window(job, region->origin);
-    job->next_slab++;
-    return 1;
-}
-
-static int produce(void *arg, void *slot, uint64_t sequence)
-{
-    struct job *job = arg;
-    int status = fill_unit(job, slot, sequence);
-    return status < 0 ? vox_gate_fail(&job->shared.gate, status) : status;
-}
-
-static int work(void *arg, void *slot, uint64_t sequence, unsigned worker)
-{
-    struct job *job = arg;
-    (void)sequence;
-    return vox_region_work(&job->shared, slot, &job->own[worker]);
-}
-
-static void widen_index(struct job *job, const struct vox_unit *unit)
-{
-    for (int a = 0; a < 3; a++) {
-        int32_t lo = unit->origin[a] + (int32_t)unit->leaves.voxel_min[a];
-        int32_t hi = unit->origin[a] + (int32_t)unit->leaves.voxel_max[a];
-        job->index_min[a] = lo < job->index_min[a] ? lo : job->index_min[a];
-        job->index_max[a] = hi > job->index_max[a] ? hi : job->index_max[a];
-    }
-}
-
-static int write_unit(void *arg, const struct vox_unit *unit)
-{
-    struct job *job = arg;
-    const struct vox_leaves *leaves = &unit->leaves;
-    if (leaves->leaf_count == 0)
-        return 0;
-    struct fmt_nvdb_region region = {
-        .leaf_count = leaves->leaf_count,
-        .leaf_ids = leaves->ids,
-        .masks = (const uint64_t(*)[8])leaves->masks,
-        .record_count = leaves->record_count,
-        .second_count = leaves->second_count,
-        .records = leaves->records,
-        .second = leaves->second,
-    };
-    memcpy(region.origin, unit->origin, sizeof region.origin);
-    widen_index(job, unit);
-    return fmt_nvdb_append(job->writer, &region);
-}
-
-/* Writes a unit. Its slot keeps memory of ordinary size for the next unit, at most half of the
- * limit for all slots together. */
-static int emit(void *arg, void *slot, uint64_t sequence)
-{
-    struct job *job = arg;
-    struct vox_unit *unit = slot;
-    uint64_t give_back = 0;
-    (void)sequence;
-    int status = write_unit(job, unit);
-    if (status < 0)
-        return vox_gate_fail(&job->shared.gate, status);
-    if (unit->held_bytes > job->shared.gate.limit / 2 / job->unit_count) {
-        vox_leaves_free(&unit->leaves);
-        give_back = unit->held_bytes;
-        unit->held_bytes = 0;
-    }
-    vox_gate_written(&job->shared.gate, give_back);
-    return 0;
-}
-
-static int run_pipeline(struct job *job)
-{
-    struct bsq_pipeline pipeline = {
-        .produce = produce,
-        .work = work,
-        .emit = emit,
-        .arg = job,
-        .slots = job->units,
-        .slot_size = sizeof *job->units,
-        .slot_count = job->unit_count,
-    };
-    job->shared.write = write_unit;
-    job->shared.write_arg = job;
-    bsq_progress_begin(job->ctx, "voxelizing", "triangles", job->header->triangle_count);
-    int status = bsq_pipeline_run(job->ctx, &pipeline);
-    bsq_progress_end(job->ctx);
     return status;
 }
 
-/* ---- the whole ---- */
-
-static void fill_report(const struct job *job, const struct fmt_nvdb_totals *totals,
+static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals *totals,
                         struct vox_voxelize_report *report)
 {
-    report->triangles = job->header->triangle_count;
+    report->triangles = run->header->triangle_count;
     report->voxels = totals->voxels;
     report->second_records = totals->second_records;
     report->leaves = totals->leaves;
     report->lowers = totals->lowers;
     report->uppers = totals->uppers;
     report->grid_bytes = totals->file_bytes;
-    report->voxel_size = job->shared.transform.h;
-    report->has_color = job->shared.shading.has_color;
-    report->has_ids = job->options->ids;
-    memcpy(report->index_min, job->index_min, sizeof report->index_min);
-    memcpy(report->index_max, job->index_max, sizeof report->index_max);
-}
-
-/* *out: the complete grid, without its final name. */
-static int make_grid(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
-                     struct vox_voxelize_report *report, struct bsq_output **out)
-{
-    struct job job = {.options = options, .ctx = ctx, .workers = bsq_threads(ctx)};
-    struct fmt_nvdb_totals totals;
-    job.shared.ctx = ctx;
-    for (int a = 0; a < 3; a++) {
-        job.index_min[a] = INT32_MAX;
-        job.index_max[a] = INT32_MIN;
-    }
-    int status;
-    if ((status = set_up(&job)) == 0 && (status = run_pipeline(&job)) == 0) {
-        end_pipeline(&job); /* joining the file's sections needs memory too */
-        status = fmt_nvdb_finish(job.writer, &totals, out);
-        job.writer = NULL;
-    }
-    if (status == 0)
-        fill_report(&job, &totals, report);
-    tear_down(&job);
-    return status;
+    report->voxel_size = run->shared.transform.h;
+    report->has_color = vox_shading_has_color(run->header);
+    report->has_ids = run->options->ids;
+    memcpy(report->index_min, run->index_min, sizeof report->index_min);
+    memcpy(report->index_max, run->index_max, sizeof report->index_max);
 }
 
 static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *from,
@@ -499,6 +81,58 @@ static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *
     return status;
 }
 
+int vox_grid_commit(const struct vox_run *run, struct fmt_nvdb_writer *writer,
+                    struct vox_voxelize_report *report)
+{
+    const char *vdb_path = run->options->vdb_path;
+    struct bsq_output_group group = {0};
+    struct bsq_output *grid = NULL, *vdb = NULL;
+    struct fmt_nvdb_totals totals;
+    int status = fmt_nvdb_finish(writer, &totals, &grid);
+    if (status == 0)
+        fill_report(run, &totals, report);
+    if (status == 0)
+        status = bsq_output_group_add(&group, grid);
+    if (status == 0 && vdb_path && (status = export_vdb(run->ctx, vdb_path, grid, &vdb)) == 0)
+        status = bsq_output_group_add(&group, vdb);
+    if (status == 0)
+        status = bsq_output_group_commit(&group);
+    bsq_output_group_discard(&group);
+    return status;
+}
+
+int vox_grid_note_outputs(struct bsq_ctx *ctx, const struct vox_voxelize_options *options)
+{
+    int status = options->vdb_path ? vox_check_export(ctx) : 0;
+    if (status == 0)
+        status = bsq_note_output(ctx, options->grid_path);
+    if (status == 0 && options->vdb_path)
+        status = bsq_note_output(ctx, options->vdb_path);
+    return status;
+}
+
+/* ---- the whole ---- */
+
+static int append_region(void *arg, const struct fmt_nvdb_region *region)
+{
+    return fmt_nvdb_append(arg, region);
+}
+
+static int make_grid(struct vox_run *run, struct vox_voxelize_report *report)
+{
+    struct fmt_nvdb_writer *writer = NULL;
+    int status = vox_run_check_grid(run);
+    if (status == 0)
+        status = vox_grid_create(run, &writer);
+    const struct vox_sink sink = {append_region, writer};
+    if (status == 0)
+        status = vox_run_regions(run, &sink);
+    if (status == 0)
+        return vox_grid_commit(run, writer, report);
+    fmt_nvdb_discard(writer);
+    return status;
+}
+
 int vox_check_export(struct bsq_ctx *ctx)
 {
     return fmt_vdb_check(ctx);
@@ -512,25 +146,15 @@ void vox_voxelize_defaults(struct vox_voxelize_options *options)
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report)
 {
+    struct vox_run run = {0};
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
-    struct bsq_output_group group = {0};
-    struct bsq_output *grid = NULL, *vdb = NULL;
-    int status = options->vdb_path ? vox_check_export(ctx) : 0;
+    int status = vox_grid_note_outputs(ctx, options);
     if (status == 0)
-        status = bsq_note_output(ctx, options->grid_path);
-    if (status == 0 && options->vdb_path)
-        status = bsq_note_output(ctx, options->vdb_path);
+        status = vox_run_open(ctx, options, &run);
     if (status == 0)
-        status = make_grid(ctx, options, report, &grid);
-    if (status == 0)
-        status = bsq_output_group_add(&group, grid);
-    if (status == 0 && options->vdb_path &&
-        (status = export_vdb(ctx, options->vdb_path, grid, &vdb)) == 0)
-        status = bsq_output_group_add(&group, vdb);
-    if (status == 0)
-        status = bsq_output_group_commit(&group);
-    bsq_output_group_discard(&group);
+        status = make_grid(&run, report);
+    vox_run_close(&run);
     report->seconds = bsq_seconds_now() - start;
     return status;
 }

@@ -340,7 +340,7 @@ fi
 $bake --plan farm/plan.json --task 0 --merge
 err "$p --task and --merge exclude each other"
 $bake --plan farm/plan.json --task 0 --samples 4
-err "$p --plan has the options of the bake: leave out --samples"
+err "$p --plan has the options of the work: leave out --samples"
 $bake --plan farm/plan.json --task 0 low.obj
 err "$p --plan names the inputs: leave out the files"
 $bake --task 0

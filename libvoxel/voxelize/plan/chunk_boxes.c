@@ -17,14 +17,6 @@ struct maker {
     uint64_t count, capacity, most;
 };
 
-static double regions_of(const struct vox_box *box)
-{
-    double regions = 1.0;
-    for (int a = 0; a < 3; a++)
-        regions *= (box->hi[a] >> VOX_REGION_LOG2) - (box->lo[a] >> VOX_REGION_LOG2) + 1;
-    return regions;
-}
-
 static struct vox_box run_box(const struct vox_transform *transform,
                               const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
 {
@@ -52,7 +44,7 @@ static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_c
                    uint32_t begin, uint32_t end)
 {
     struct vox_box box = run_box(maker->transform, chunk, begin, end);
-    if (end - begin == 1 || maker->count >= maker->most || regions_of(&box) <= few_regions)
+    if (end - begin == 1 || maker->count >= maker->most || vox_region_count(&box) <= few_regions)
         return add_box(maker, number, &box);
     uint32_t middle = begin + (end - begin) / 2;
     int status = add_run(maker, number, chunk, begin, middle);
@@ -71,7 +63,8 @@ int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file
     int status = 0;
     for (uint64_t i = 0; i < chunks && status == 0; i++) {
         struct fmt_tris_chunk chunk;
-        bool wide = regions_of(&bounds[i]) > few_regions && maker.count + (chunks - i) < maker.most;
+        bool wide =
+            vox_region_count(&bounds[i]) > few_regions && maker.count + (chunks - i) < maker.most;
         if (wide && !scratch)
             status = bsq_alloc(ctx, "chunk boxes", fmt_tris_load_size_max(file), 1, &scratch);
         if (wide && status == 0 && (status = bsq_check(ctx)) == 0)

@@ -101,6 +101,12 @@ static inline bool vox_region_before(struct vox_region_key a, struct vox_region_
 /* Sets the index of the region's first voxel. */
 void vox_region_origin(struct vox_region_key key, int32_t origin[3]);
 
+/* Returns the key of the region with this first voxel. */
+struct vox_region_key vox_region_key_of(const int32_t origin[3]);
+
+/* Returns the number of regions that a box of voxels touches; it may be inexact above 2^53. */
+double vox_region_count(const struct vox_box *box);
+
 /* Returns the first region that a box of voxels touches. */
 struct vox_region_key vox_region_first(const struct vox_box *box);
 

@@ -54,6 +54,22 @@ void vox_region_origin(struct vox_region_key key, int32_t origin[3])
         origin[a] *= VOX_REGION_SIZE;
 }
 
+struct vox_region_key vox_region_key_of(const int32_t origin[3])
+{
+    int32_t region[3];
+    for (int a = 0; a < 3; a++)
+        region[a] = origin[a] >> VOX_REGION_LOG2;
+    return make_key(region);
+}
+
+double vox_region_count(const struct vox_box *box)
+{
+    double regions = 1.0;
+    for (int a = 0; a < 3; a++)
+        regions *= (box->hi[a] >> VOX_REGION_LOG2) - (box->lo[a] >> VOX_REGION_LOG2) + 1;
+    return regions;
+}
+
 /* ---- the sequence of one box ---- */
 
 static int32_t region_of(int32_t voxel)

@@ -1,0 +1,100 @@
+/* cli_tasks.c - see cli_tasks.h. */
+#include "tools/cli_tasks.h"
+
+#include <stdlib.h>
+
+#include "tools/cli_percent.h"
+
+/* Parses the number of a task, or of the first and the last one with a dash between them. */
+static int parse_range(struct cli *cli, struct cli_tasks *tasks)
+{
+    unsigned long long number[2] = {0};
+    const char *at = optarg;
+    char *end;
+    for (int i = 0; i < 2; i++) {
+        number[i] = strtoull(at, &end, 10);
+        if (*at < '0' || *at > '9' || number[i] >= CLI_MOST_TASKS || (*end && (*end != '-' || i)))
+            return cli_usage(cli, "--task: \"%s\" is no number from 0 to %d, and no range of them",
+                             optarg, CLI_MOST_TASKS - 1);
+        at = *end ? end + 1 : at;
+    }
+    tasks->task = (uint32_t)number[0];
+    tasks->last_task = (uint32_t)number[1];
+    return number[0] <= number[1]
+               ? 0
+               : cli_usage(cli, "--task: \"%s\": the first task comes after the last one", optarg);
+}
+
+int cli_tasks_option(struct cli *cli, struct cli_tasks *tasks, int option)
+{
+    uint64_t count = 0;
+    int status = 0;
+    switch (option) {
+    case CLI_TASKS:
+        status = cli_parse_count(cli, "--tasks", optarg, 1, CLI_MOST_TASKS, &count);
+        tasks->tasks = (uint32_t)count;
+        return status;
+    case CLI_WRITE_PLAN:
+        tasks->write_plan = optarg;
+        return 0;
+    case CLI_PLAN:
+        tasks->plan = optarg;
+        return 0;
+    case CLI_TASK:
+        tasks->task_given = true;
+        return parse_range(cli, tasks);
+    case CLI_MERGE:
+        tasks->merge = true;
+        return 0;
+    case CLI_FORCE:
+        tasks->force = true;
+        return 0;
+    default:
+        return 1;
+    }
+}
+
+int cli_tasks_check(struct cli *cli, const struct cli_tasks *tasks, const char *work_option,
+                    int files)
+{
+    const bool work = tasks->task_given || tasks->merge;
+    if (!tasks->write_plan != !tasks->tasks)
+        return cli_usage(cli, "--tasks and --write-plan need each other");
+    if (work && !tasks->plan)
+        return cli_usage(cli, "--task and --merge need --plan");
+    if (tasks->force && !work)
+        return cli_usage(cli, "--force needs --task or --merge");
+    if (!tasks->plan)
+        return 0;
+    if (tasks->task_given && tasks->merge)
+        return cli_usage(cli, "--task and --merge exclude each other");
+    if (tasks->write_plan)
+        return cli_usage(cli, "--plan and --write-plan exclude each other");
+    if (work_option)
+        return cli_usage(cli, "--plan has the options of the work: leave out --%s", work_option);
+    return files == 0 ? 0 : cli_usage(cli, "--plan names the inputs: leave out the files");
+}
+
+int cli_tasks_run(struct cli *cli, const struct cli_tasks *tasks, uint32_t count,
+                  int (*fn)(struct cli *cli, void *arg, uint32_t task), void *arg)
+{
+    const uint32_t first = tasks->task, last = tasks->last_task;
+    int status = last < count
+                     ? 0
+                     : bsq_fail(cli->ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u",
+                                tasks->plan, last, count - 1);
+    for (uint32_t task = first; task <= last && status == 0; task++) {
+        cli_percent_turn(cli, task - first, last - first + 1);
+        status = fn(cli, arg, task);
+    }
+    return status;
+}
+
+int cli_tasks_say_kept(struct cli *cli, const char *path, const char *what)
+{
+    if (!cli->json) {
+        cli_print("%s: %s is complete already, kept\n", path, what);
+        return 0;
+    }
+    return cli_print_json(cli, json_pack("{s:o, s:b}", "path", cli_json_text(path), "kept", 1));
+}

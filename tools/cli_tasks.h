@@ -1,0 +1,56 @@
+/* cli_tasks.h - the options of work that is divided into tasks, for programs that divide theirs. */
+#ifndef CLI_TASKS_H
+#define CLI_TASKS_H
+
+#include "tools/cli.h"
+
+struct cli_tasks {
+    const char *write_plan; /* plan to write; NULL: none */
+    const char *plan;       /* plan to work by; NULL: none */
+    uint32_t tasks;         /* of the plan to write; 0: not given */
+    uint32_t task;          /* the first one to do */
+    uint32_t last_task;     /* the last one to do */
+    bool task_given, merge, force;
+};
+
+/* The most tasks that a plan can have. */
+enum { CLI_MOST_TASKS = 65536 };
+
+/* Values of the options for getopt_long. A program's own long options start at CLI_TASKS_END. */
+enum {
+    CLI_TASKS = CLI_OWN,
+    CLI_WRITE_PLAN,
+    CLI_PLAN,
+    CLI_TASK,
+    CLI_MERGE,
+    CLI_FORCE,
+    CLI_TASKS_END
+};
+
+#define CLI_TASKS_OPTIONS                                                                          \
+    {"tasks", required_argument, NULL, CLI_TASKS},                                                 \
+        {"write-plan", required_argument, NULL, CLI_WRITE_PLAN},                                   \
+        {"plan", required_argument, NULL, CLI_PLAN}, {"task", required_argument, NULL, CLI_TASK},  \
+        {"merge", no_argument, NULL, CLI_MERGE},                                                   \
+    {                                                                                              \
+        "force", no_argument, NULL, CLI_FORCE                                                      \
+    }
+
+/* Parses an option of tasks. Returns 1 if it is another one, and what cli_usage() returns if its
+ * value is wrong. */
+int cli_tasks_option(struct cli *cli, struct cli_tasks *tasks, int option);
+
+/* Checks the options against each other. work_option: the name of an option of the work itself that
+ * was given, which a plan has already; NULL if none was. files: how many were given. */
+int cli_tasks_check(struct cli *cli, const struct cli_tasks *tasks, const char *work_option,
+                    int files);
+
+/* Calls fn for each task that was asked for, one after the other. count: tasks of the plan. Returns
+ * the first failure. */
+int cli_tasks_run(struct cli *cli, const struct cli_tasks *tasks, uint32_t count,
+                  int (*fn)(struct cli *cli, void *arg, uint32_t task), void *arg);
+
+/* Prints that a file is there already. */
+int cli_tasks_say_kept(struct cli *cli, const char *path, const char *what);
+
+#endif
