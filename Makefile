@@ -39,7 +39,7 @@ pc_formats := OpenEXR libpng libxxhash jansson libisal libzstd
 pc_texture := OpenImageIO Imath libpng
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
-formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture)) $(module_cppflags)
+formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture))
 LIBS.base    := -lm
 LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
 LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
@@ -72,13 +72,16 @@ src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pyramid.cc 
 src.gltf     := formats/mesh/gltf_decode.cc
 src.scene    := formats/mesh/scene_assimp.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
+module_stamp := formats/module/module_stamp.c
+$(foreach m,$(modules),$(eval src.$(m) += $(module_stamp)))
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h file_part.h output.h \
     parallel.h) \
     $(addprefix formats/,module/module.h mesh/gltf_module.h mesh/scene_module.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
     texture/texture.h texture/texture_module.h)
-module_cppflags  = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"' \
+directory_cppflags = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"'
+stamp_cppflags = \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
 
 programs := bisque-voxelize bisque-bake bisque-compare
@@ -100,9 +103,9 @@ $(BUILD)/obj/%.c.o: %.c
 $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
 	$(here) $(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
-# Objects that hold the stamp depend on all headers that it covers.
-stamped := formats/module/module.c $(filter formats/%,$(foreach m,$(modules),$(src.$(m))))
-$(stamped:%=$(BUILD)/obj/%.o): $(module_headers)
+$(BUILD)/obj/formats/module/module_directory.c.o: CPPFLAGS += $(directory_cppflags)
+$(BUILD)/obj/$(module_stamp).o: CPPFLAGS += $(stamp_cppflags)
+$(BUILD)/obj/$(module_stamp).o: $(module_headers)
 # Fused operations would change results. -ffp-contract=off already prevents them, and with -mno-fma
 # Clang would drop AVX-512, so only GCC gets it.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
@@ -605,7 +608,7 @@ lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk
 	    --suppress=missingIncludeSystem --error-exitcode=1 -I. -I$(BUILD)/gen \
 	    -D__x86_64__ $(filter %.c,$(sources_c))
 	printf '%s\n' $(filter %.c,$(sources_c)) | xargs -P $(jobs) -I FILE clang-tidy --quiet FILE -- \
-	    -std=c11 $(CPPFLAGS) $(formats_cppflags) $(module_cppflags)
+	    -std=c11 $(CPPFLAGS) $(formats_cppflags) $(directory_cppflags) $(stamp_cppflags)
 
 ## format: format all sources with clang-format
 format: deps-lint
@@ -649,7 +652,7 @@ install: all
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helper) $(moddir)
 	install -m 644 $(archives) $(arcdir)
-	$(here) $(CC) $(CPPFLAGS) $(module_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
+	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
 	    -o $(moddir)/module_directory.c.o
 	$(AR) rD $(arcdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
 	rm $(moddir)/module_directory.c.*

@@ -257,5 +257,5 @@ int write_file(const fmt_host *host, bsq_ctx *ctx, const fmt_nvdb_grid *grid, bs
 
 extern "C" {
 extern const fmt_vdb_module bisque_module;
-const fmt_vdb_module bisque_module = {{FMT_MODULE_STAMP}, export_bytes, write_file};
+const fmt_vdb_module bisque_module = {{fmt_module_stamp}, export_bytes, write_file};
 }

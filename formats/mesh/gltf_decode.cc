@@ -122,4 +122,4 @@ const char *decode_draco(const gltf_draco *task)
 } // namespace
 
 extern "C" const struct fmt_gltf_module bisque_module;
-const struct fmt_gltf_module bisque_module = {{FMT_MODULE_STAMP}, decode_meshopt, decode_draco};
+const struct fmt_gltf_module bisque_module = {{fmt_module_stamp}, decode_meshopt, decode_draco};

@@ -360,4 +360,4 @@ int read_scene(const struct fmt_host *host, struct bsq_ctx *ctx, const struct bs
 } // namespace
 
 extern "C" const struct fmt_scene_module bisque_module;
-const struct fmt_scene_module bisque_module = {{FMT_MODULE_STAMP}, read_scene};
+const struct fmt_scene_module bisque_module = {{fmt_module_stamp}, read_scene};

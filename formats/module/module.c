@@ -203,10 +203,10 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
     if (!module)
         status = bsq_fail(ctx, BSQ_ENOINPUT, "%s need the module %s, which cannot be opened: %s",
                           purpose, path, dlerror());
-    else if (strcmp(module->stamp, FMT_MODULE_STAMP) != 0)
+    else if (strcmp(module->stamp, fmt_module_stamp) != 0)
         status = bsq_fail(ctx, BSQ_ENOINPUT,
                           "%s need the module %s, which is of build %s; this program is of %s",
-                          purpose, path, module->stamp, FMT_MODULE_STAMP);
+                          purpose, path, module->stamp, fmt_module_stamp);
     else
         *out = module;
     free(path);

@@ -45,10 +45,13 @@ struct fmt_host {
 
 extern const struct fmt_host fmt_host_functions;
 
-/* The head of each module's table. The stamp is FMT_MODULE_STAMP: the version of Bisque and a
- * checksum of all headers that a module and its program share (module_headers in the Makefile). */
+/* The version of Bisque and a checksum of all headers that a module and its program share
+ * (module_headers in the Makefile). The program and each module have a copy. */
+extern const char fmt_module_stamp[];
+
+/* The head of each module's table. */
 struct fmt_module {
-    const char *stamp;
+    const char *stamp; /* fmt_module_stamp of the module */
 };
 
 /* Opens bisque-NAME.so and checks that its stamp is the program's. The module stays open; opening

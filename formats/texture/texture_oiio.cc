@@ -710,5 +710,5 @@ int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *
 
 extern "C" {
 const struct fmt_texture_module bisque_module = {
-    {FMT_MODULE_STAMP}, open_textures, close_textures, texture_size, sample_texture};
+    {fmt_module_stamp}, open_textures, close_textures, texture_size, sample_texture};
 }
