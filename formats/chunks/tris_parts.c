@@ -3,8 +3,9 @@
  * The chunks of all files follow each other in one table. Files are ordered by their content, so
  * the order in which they are given does not matter. A file is open only while a chunk of it is
  * loaded, so there may be any number of files. Chunks are made equal when they are loaded: their
- * positions get a common origin, their materials are numbered over all files, and attributes that
- * only other files have get the values that sorting gives to meshes without them. */
+ * positions get a common origin, vertices that parts share get one position (tris_weld.c), their
+ * materials are numbered over all files, and attributes that only other files have get the values
+ * that sorting gives to meshes without them. */
 #include "formats/chunks/tris_internal.h"
 
 #include <errno.h>
@@ -176,7 +177,7 @@ static int join(struct fmt_tris_file *all)
         const uint64_t bytes = fmt_tris_load_size(all, i);
         all->load_size_max = bytes > all->load_size_max ? bytes : all->load_size_max;
     }
-    return status;
+    return status ? status : fmt_tris_weld_parts(all);
 }
 
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
@@ -212,6 +213,7 @@ void fmt_tris_close_parts(struct fmt_tris_file *all)
     for (uint32_t i = 0; i < all->part_count; i++)
         fmt_tris_close(all->parts[i].file);
     bsq_free(all->ctx, all->parts);
+    bsq_free(all->ctx, all->welds);
 }
 
 /* ---- loading ---- */
@@ -298,6 +300,7 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
     if (status < 0)
         return status;
     make_common(part, out);
+    fmt_tris_apply_welds(all, index, (float(*)[3])out->positions);
     add_attributes(all, part, index, scratch, out);
     return 0;
 }

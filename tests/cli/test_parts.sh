@@ -102,6 +102,62 @@ code 0
 jq -c '[.grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
 
+# ---- parts with different origins ----
+
+# write_ball FROM TO: longitudes FROM to TO of a coarse sphere, in the coordinates of a map. They
+# have more digits than float32 holds.
+write_ball()
+{
+    awk -v from="$1" -v to="$2" 'BEGIN {
+        n = 48; pi = atan2(0, -1); w = to - from + 1
+        for (y = 1; y < 24; y++) for (x = from; x <= to; x++) {
+            a = (x % n) * 2 * pi / n; b = y * pi / 24
+            printf "v %.4f %.4f %.4f\n", 500123.4 + 100 * sin(b) * cos(a),
+                4000321.7 + 100 * sin(b) * sin(a), 50.3 + 100 * cos(b) }
+        for (y = 0; y < 22; y++) for (x = 0; x < w - 1; x++) {
+            i = y * w + x + 1
+            printf "f %d %d %d\nf %d %d %d\n", i, i + w, i + w + 1, i, i + w + 1, i + 1 }
+    }'
+}
+
+for columns in '0 48 ball' '0 15 p1' '15 31 p2' '31 48 p3'; do
+    set -- $columns
+    write_ball "$1" "$2" >"$3.obj"
+    run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
+    code 0
+done
+[ "$(od -An -v -t x1 -j 48 -N 24 p1.tris)" != "$(od -An -v -t x1 -j 48 -N 24 p2.tris)" ]
+check "the origins of the parts differ" $?
+$vox ball.tris -o ball.nvdb --json
+code 0
+jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >whole.json
+$vox p1.tris p2.tris p3.tris -o ball_parts.nvdb --json
+code 0
+jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >parts.json
+same whole.json parts.json
+$vox p3.tris p1.tris p2.tris -o other.nvdb --threads 1 --memory 60MiB
+code 0
+same ball_parts.nvdb other.nvdb
+cat >above.obj <<'OBJ'
+v 500023 4000221 160
+v 500223 4000221 160
+v 500223 4000421 160
+v 500023 4000421 160
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+f 1/1 2/2 3/3 4/4
+OBJ
+above="above.obj --size 128 --samples 1 --maps normal --front 1 --back 150"
+for grid in ball ball_parts; do
+    run bisque-bake $grid.nvdb $above -o $grid.exr
+    code 0
+done
+# A crease at the seams is 3 degrees.
+run bisque-compare --type normal ball.exr ball_parts.exr --max-error 0.2
+code 0
+
 # ---- misuse ----
 
 sed 's/^v .*/&\nvn 0 0 1/; s/ \([0-9]*\)/ \1/g' a.obj | awk '/^f/ { print $1, $2 "//" 1, $3 "//" 1,
