@@ -30,6 +30,7 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
     scans.scan_path = options->scan_path;
     scans.more_scan_paths = options->more_scan_paths;
     scans.more_scan_count = options->more_scan_count;
+    scans.match_names = options->match_names;
     int status = bake_surface_open(ctx, &scans, &surface);
     if (status == 0)
         *out = choose_from(&surface, options->maps);

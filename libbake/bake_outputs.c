@@ -30,30 +30,31 @@ static const char *file_name(const char *path)
 
 static int compare_names(const void *a, const void *b)
 {
-    const struct bake_surface *const *x = a, *const *y = b;
-    return strcmp(file_name((*x)->path), file_name((*y)->path));
+    const char *const *x = a, *const *y = b;
+    return strcmp(file_name(*x), file_name(*y));
 }
 
 /* Joins the names of several scans, sorted, so that their order does not show. */
 static int name_scans(struct bake_run *job)
 {
-    const struct bake_surface **parts = NULL;
-    const uint32_t count = job->surface.part_count;
+    const struct bake_options *options = job->options;
+    const char **paths = NULL;
+    const uint32_t count = options->more_scan_count + 1;
     uint64_t bytes = 1;
-    int status = bsq_alloc(job->ctx, "names of scans", count, sizeof(void *), &parts);
+    int status = bsq_alloc(job->ctx, "names of scans", count, sizeof(void *), &paths);
     for (uint32_t p = 0; p < count && status == 0; ++p) {
-        parts[p] = &job->surface.parts[p];
-        bytes += strlen(parts[p]->path) + 2;
+        paths[p] = p == 0 ? options->scan_path : options->more_scan_paths[p - 1];
+        bytes += strlen(paths[p]) + 2;
     }
     if (status == 0)
         status = bsq_calloc(job->ctx, "names of scans", bytes, 1, &job->scan_names);
     if (status == 0) {
-        qsort(parts, count, sizeof(void *), compare_names);
+        qsort(paths, count, sizeof(void *), compare_names);
         char *to = job->scan_names;
         for (uint32_t p = 0; p < count; ++p)
-            to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), file_name(parts[p]->path));
+            to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), file_name(paths[p]));
     }
-    bsq_free(job->ctx, parts);
+    bsq_free(job->ctx, paths);
     return status;
 }
 
@@ -74,7 +75,7 @@ static struct bake_traced traced_of(const struct bake_run *job)
  * tiles are created when they are written. */
 int bake_open_outputs(struct bake_run *job)
 {
-    int status = job->surface.part_count > 0 ? name_scans(job) : 0;
+    int status = job->options->more_scan_count > 0 ? name_scans(job) : 0;
     const struct bake_traced traced = traced_of(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
         status = bake_tile_check_files(job->ctx, &job->tiles[i]);

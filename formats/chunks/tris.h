@@ -124,6 +124,11 @@ int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
  * fmt_tris_open(). */
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                         struct fmt_tris_file **out);
+/* Sets *one: whether files can be one scan in which no file loses anything or has something made
+ * up. All of them have normals, or none; the same for colours; and they have ids of one kind.
+ * Errors: those of fmt_tris_open(). */
+int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                      bool *one);
 /* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */
 int fmt_tris_require_ids(const struct fmt_tris_file *file);
 void fmt_tris_close(struct fmt_tris_file *file);

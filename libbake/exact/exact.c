@@ -50,17 +50,24 @@ static int build_chunk_tree(struct bake_exact *exact)
 
 static int open_file(struct bake_exact *exact)
 {
-    int status = fmt_tris_open(exact->ctx, exact->options.path, &exact->file);
+    int status = fmt_tris_open_parts(exact->ctx, exact->options.paths, exact->options.path_count,
+                                     &exact->file);
     if (status < 0)
         return status;
     exact->header = fmt_tris_get_header(exact->file);
     exact->chunks = fmt_tris_chunks(exact->file);
     if (exact->header->chunk_count == 0 || exact->header->chunk_count > EXACT_TREE_BOXES)
         return bsq_fail(exact->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks: must be 1 to %" PRIu32,
-                        exact->options.path, exact->header->chunk_count, EXACT_TREE_BOXES);
+                        exact->options.paths[0], exact->header->chunk_count, EXACT_TREE_BOXES);
     exact->chunk_count = (uint32_t)exact->header->chunk_count;
     set_info(exact);
     return build_chunk_tree(exact);
+}
+
+int bake_exact_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                        bool *one)
+{
+    return fmt_tris_can_join(ctx, paths, path_count, one);
 }
 
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,

@@ -18,7 +18,8 @@
 struct bake_exact;
 
 struct bake_exact_options {
-    const char *path;              /* chunk file; must live until bake_exact_close() */
+    const char *const *paths; /* chunk files that are one scan; live until bake_exact_close() */
+    uint32_t path_count;
     enum bsq_scan_normals normals; /* if the scan has none of its own */
     bool two_sided;                /* also hit surfaces that face away; turns their normals */
 };
@@ -31,6 +32,9 @@ struct bake_exact_info {
     enum bsq_ids ids; /* what its ids tell apart */
 };
 
+/* Sets *one: whether chunk files can be one scan; see fmt_tris_can_join(). */
+int bake_exact_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
+                        bool *one);
 /* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM.
  */
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,

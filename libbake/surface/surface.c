@@ -51,11 +51,14 @@ static int check_exact(struct bsq_ctx *ctx, const struct bake_options *options)
     return 0;
 }
 
+/* Opens a chunk file, or surface->joined. */
 static int open_exact(struct bake_surface *surface, const struct bake_options *options)
 {
-    const struct bake_exact_options exact = {.path = options->scan_path,
-                                             .normals = options->scan_normals,
-                                             .two_sided = options->two_sided};
+    const struct bake_exact_options exact = {
+        .paths = surface->joined ? surface->joined : &surface->path,
+        .path_count = surface->joined ? options->more_scan_count + 1 : 1,
+        .normals = options->scan_normals,
+        .two_sided = options->two_sided};
     int status = check_exact(surface->ctx, options);
     if (status == 0)
         status = bake_exact_open(surface->ctx, &exact, &surface->exact);
@@ -75,20 +78,47 @@ static int open_exact(struct bake_surface *surface, const struct bake_options *o
     return 0;
 }
 
+/* Sets surface->joined to the paths of all scans if they are chunk files that are parts of one
+ * scan. Objects that see some scans only need separate scans. */
+static int join_chunk_files(struct bake_surface *surface, const struct bake_options *options)
+{
+    const uint32_t count = options->more_scan_count + 1;
+    const char **paths;
+    bool one = !options->match_names;
+    int status = bsq_alloc(surface->ctx, "scans", count, sizeof *paths, &paths);
+    for (uint32_t i = 0; i < count && status == 0 && one; i++) {
+        enum fmt_kind kind;
+        paths[i] = i == 0 ? options->scan_path : options->more_scan_paths[i - 1];
+        status = fmt_recognise_scan(surface->ctx, paths[i], &kind);
+        one = kind == FMT_KIND_TRIS;
+    }
+    if (status == 0 && one)
+        status = bake_exact_can_join(surface->ctx, paths, count, &one);
+    if (status == 0 && one)
+        surface->joined = paths;
+    else
+        bsq_free(surface->ctx, paths);
+    return status;
+}
+
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out)
 {
     memset(out, 0, sizeof *out);
     out->ctx = ctx;
     out->path = options->scan_path;
-    if (options->more_scan_count > 0)
+    int status = options->more_scan_count > 0 ? join_chunk_files(out, options) : 0;
+    if (status == 0 && options->more_scan_count > 0 && !out->joined)
         return bake_surface_open_parts(out, options);
-    enum fmt_kind kind;
-    int status = fmt_recognise_scan(ctx, options->scan_path, &kind);
+    enum fmt_kind kind = FMT_KIND_TRIS;
+    if (status == 0 && !out->joined)
+        status = fmt_recognise_scan(ctx, options->scan_path, &kind);
     if (status == 0)
         status = kind == FMT_KIND_TRIS ? open_exact(out, options) : open_grid(out, options);
-    if (status < 0)
+    if (status < 0) {
+        bsq_free(ctx, out->joined);
         memset(out, 0, sizeof *out);
+    }
     return status;
 }
 
@@ -100,6 +130,8 @@ void bake_surface_close(struct bake_surface *surface)
         bake_exact_close(surface->exact);
     else if (surface->ctx)
         fmt_nvdb_close(surface->ctx, &surface->grid);
+    if (surface->joined)
+        bsq_free(surface->ctx, surface->joined);
     memset(surface, 0, sizeof *surface);
 }
 

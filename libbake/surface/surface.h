@@ -18,6 +18,7 @@ struct bake_surface {
     struct bake_surface *parts;
     uint32_t part_count;
     const char *path;          /* of the scan */
+    const char **joined;       /* all paths, if several chunk files are one scan; else NULL */
     struct bake_exact *exact;  /* the triangles; NULL: the surface is a grid */
     struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
     bool has_color;
@@ -30,7 +31,8 @@ struct bake_surface {
 };
 
 /* Opens the scans of the options; the content of each file decides which kind of surface it is. The
- * index space of several scans is that of one of them, whatever their order. *out must not be
+ * index space of several scans is that of one of them, whatever their order. Chunk files that can
+ * be one scan (bake_exact_can_join()) are one, unless the options match names. *out must not be
  * moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for
  * options that do not apply to this kind of surface. */
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,

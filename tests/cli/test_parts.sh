@@ -157,6 +157,15 @@ done
 # A crease at the seams is 3 degrees.
 run bisque-compare --type normal ball.exr ball_parts.exr --max-error 0.2
 code 0
+# Exact maps of the parts are those of the whole, in any order.
+run bisque-bake ball.tris $above -o ball.exr
+run bisque-bake p1.tris p2.tris p3.tris $above -o exact.exr
+code 0
+run bisque-compare --type normal ball.exr exact.exr --max-error 0.2
+code 0
+run bisque-bake p3.tris p1.tris p2.tris $above -o other.exr --threads 1
+code 0
+same exact.exr other.exr
 
 # ---- misuse ----
 

@@ -108,7 +108,9 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
                  struct bake_exact_hit *hits)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
-    struct bake_exact_options options = {.path = exact_scan_path,
+    const char *path = exact_scan_path;
+    struct bake_exact_options options = {.paths = &path,
+                                         .path_count = 1,
                                          .normals = setup->flat ? BSQ_SCAN_NORMALS_FLAT
                                                                 : BSQ_SCAN_NORMALS_SMOOTH,
                                          .two_sided = setup->two_sided};

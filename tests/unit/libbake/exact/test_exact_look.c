@@ -65,7 +65,9 @@ static struct bk_params usual(uint32_t rays)
 static void look(const struct exact_setup *setup, const struct bk_params *params, struct view *view)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
-    const struct bake_exact_options options = {.path = exact_scan_path,
+    const char *path = exact_scan_path;
+    const struct bake_exact_options options = {.paths = &path,
+                                               .path_count = 1,
                                                .normals = setup->flat ? BSQ_SCAN_NORMALS_FLAT
                                                                       : BSQ_SCAN_NORMALS_SMOOTH,
                                                .two_sided = setup->two_sided};
