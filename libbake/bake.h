@@ -89,6 +89,14 @@ struct bake_tile_range {
     uint32_t last;  /**< Number of the last tile, inclusive. */
 };
 
+/** A transfer map: another texture of the scan, such as its roughness. */
+struct bake_transfer {
+    /** Lower-case letters, digits and underscores, with a letter first; not the name of another
+     * map. Stands for "<MAP>" in the output path. docs/maps.md lists names that have a meaning. */
+    const char *name;
+    const char *texture_path; /**< Image for all faces of the scan, which is a chunk file. */
+};
+
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */
 struct bake_options {
     const char
@@ -105,6 +113,9 @@ struct bake_options {
     const char *const *more_mesh_paths; /**< More of them; all are baked. */
     uint32_t more_mesh_count;           /**< Entries of more_mesh_paths. */
     uint32_t maps;                      /**< Bits of enum bake_map. */
+    const struct bake_transfer
+        *transfers;          /**< Transfer maps. With any, maps may be 0: no others. */
+    uint32_t transfer_count; /**< Entries of transfers. */
     /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(), "<UDIM>" and
      * "<UVTILE>" for the tile, "<OBJECT>" and "<MATERIAL>" for what has maps of its own. It must
      * contain "<MAP>" if there are several maps, and "<UDIM>" or "<UVTILE>" if there are several
@@ -178,12 +189,13 @@ struct bake_options {
 enum { BAKE_FIRST_TILE = 1001, BAKE_LAST_TILE = 9990 };
 
 enum {
-    BAKE_MAX_MAPS = 30,      /**< Largest number of maps. */
-    BAKE_MAX_SIDE = 1 << 20, /**< Largest width and height of a map. */
-    BAKE_MAX_SAMPLES = 64,   /**< Largest N of N x N samples a texel. */
-    BAKE_MAX_RAYS = 4096,    /**< Most rays of a hit. */
-    BAKE_MAX_VIEWS = 360,    /**< Most views of a preview. */
-    BAKE_MAX_EXR_TILE = 8192 /**< Largest side of a tile of an OpenEXR file. */
+    BAKE_MAX_MAPS = 16,         /**< Largest number of maps with a bit of enum bake_map. */
+    BAKE_MAX_TRANSFERS = 16383, /**< Most transfer maps of a bake. */
+    BAKE_MAX_SIDE = 1 << 20,    /**< Largest width and height of a map. */
+    BAKE_MAX_SAMPLES = 64,      /**< Largest N of N x N samples a texel. */
+    BAKE_MAX_RAYS = 4096,       /**< Most rays of a hit. */
+    BAKE_MAX_VIEWS = 360,       /**< Most views of a preview. */
+    BAKE_MAX_EXR_TILE = 8192    /**< Largest side of a tile of an OpenEXR file. */
 };
 
 /** Returns the name of a map, such as "normal". Map number 0, 1, ... has the bit 1 << number in
@@ -202,6 +214,8 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
 /** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
  * it with free(). Returns NULL if there is no memory. */
 char *bake_map_path(const char *output_path, enum bake_map map);
+/** Does the same for the transfer map of this name. */
+char *bake_transfer_path(const char *output_path, const char *name);
 
 /** Returns output_path with "<OBJECT>" and "<MATERIAL>" replaced by names; characters that could
  * lead to another folder become '_'. NULL keeps a token. The caller frees it with free(). Returns

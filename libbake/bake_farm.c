@@ -197,7 +197,7 @@ static int check_files(struct bake_run *job, const char *plan_path)
 static struct bake_options shared_options(const struct bake_run *job)
 {
     struct bake_options shared = *job->options;
-    shared.maps = job->maps;
+    shared.maps = job->maps & ((1u << BK_MAP_COUNT) - 1u);
     if (!shared.cage_path)
         shared.front = job->report->front;
     shared.back = job->report->back;
@@ -492,14 +492,15 @@ static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
 static int list_outputs(const struct bake_farm_plan *plan, char ***out, uint64_t *count)
 {
     const struct bake_options *options = &plan->options;
-    char **paths = calloc((uint64_t)plan->tile_count * BK_MAP_COUNT + 1, sizeof *paths);
+    const uint32_t maps = bake_selection(options);
+    char **paths = calloc((uint64_t)plan->tile_count * bake_selection_end(maps) + 1, sizeof *paths);
     bool failed = paths == NULL;
     *count = 0;
     for (uint32_t t = 0; t < plan->tile_count && !failed; t++) {
         char *tile = bake_tile_path(options->output_path, plan->tiles[t].number);
-        for (unsigned i = 0; i < BK_MAP_COUNT; i++)
-            if (tile && options->maps & 1u << i)
-                failed |= !(paths[(*count)++] = bake_map_path(tile, (enum bake_map)(1u << i)));
+        for (unsigned i = 0; i < bake_selection_end(maps); i++)
+            if (tile && bake_is_selected(maps, i))
+                failed |= !(paths[(*count)++] = bake_transfer_path(tile, bake_name_of(options, i)));
         failed |= tile == NULL;
         free(tile);
     }

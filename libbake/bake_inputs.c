@@ -19,12 +19,19 @@ static uint32_t choose_from(const struct bake_surface *surface, uint32_t asked)
     return bake_choose_maps(asked, &facts);
 }
 
+/* Returns whether the options leave the choice of maps to the scan. */
+static bool leaves_choice(const struct bake_options *options)
+{
+    return options->maps & BAKE_MAPS_ALL ||
+           (options->maps == BAKE_MAPS_DEFAULT && options->transfer_count == 0);
+}
+
 int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out)
 {
     struct bake_options scans;
     struct bake_surface surface;
     *out = options->maps;
-    if (options->maps != BAKE_MAPS_DEFAULT && !(options->maps & BAKE_MAPS_ALL))
+    if (!leaves_choice(options))
         return 0;
     bake_defaults(&scans);
     scans.scan_path = options->scan_path;
@@ -77,7 +84,10 @@ static int choose_maps(struct bake_run *job)
 {
     const struct bake_scan_facts scan = bake_surface_facts(&job->surface);
     int status = 0;
-    job->maps = choose_from(&job->surface, job->options->maps);
+    struct bake_options chosen = *job->options;
+    if (leaves_choice(job->options))
+        chosen.maps = choose_from(&job->surface, job->options->maps);
+    job->maps = bake_selection(&chosen);
     for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i)
         if (job->maps & 1u << i)
             status = check_map(job, i, &scan);
@@ -91,6 +101,8 @@ static int use_attributes(struct bake_run *job)
     int status = 0;
     if (job->maps & BAKE_MAP_COLOR)
         status = bake_surface_use_color(&job->surface);
+    if (status == 0)
+        status = bake_surface_use_transfers(&job->surface, job->options);
     if (status == 0)
         status = bake_surface_use_ids(&job->surface, ids);
     return status == 0 && ids ? bake_surface_report_ids(&job->surface, job->report) : status;

@@ -2,6 +2,9 @@
 #include "libbake/bake_options.h"
 
 #include <math.h>
+#include <string.h>
+
+#include "base/channels.h"
 
 void bake_defaults(struct bake_options *options)
 {
@@ -101,6 +104,40 @@ static int check_choices(struct bsq_ctx *ctx, const struct bake_options *options
     return 0;
 }
 
+/* Returns whether a name is that of a map of the table. */
+static bool is_map_name(const char *name)
+{
+    for (unsigned i = 0; bake_map_name(i); ++i)
+        if (strcmp(bake_map_name(i), name) == 0)
+            return true;
+    return false;
+}
+
+static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    if (options->transfer_count > BAKE_MAX_TRANSFERS)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%u transfer maps: must be at most %d",
+                        options->transfer_count, BAKE_MAX_TRANSFERS);
+    for (uint32_t i = 0; i < options->transfer_count; ++i) {
+        const struct bake_transfer *transfer = &options->transfers[i];
+        if (!bsq_is_channel_name(transfer->name))
+            return bsq_fail(ctx, BSQ_EUSAGE,
+                            "\"%s\" cannot be a transfer map: names have lower-case letters, "
+                            "digits and _, with a letter first",
+                            transfer->name);
+        if (is_map_name(transfer->name))
+            return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: there is another map of this name",
+                            transfer->name);
+        if (!transfer->texture_path)
+            return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: its texture is missing",
+                            transfer->name);
+        for (uint32_t j = 0; j < i; ++j)
+            if (strcmp(options->transfers[j].name, transfer->name) == 0)
+                return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s is named twice", transfer->name);
+    }
+    return 0;
+}
+
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
@@ -145,9 +182,13 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
         status = check_rays(ctx, options);
     if (status == 0)
         status = check_tile_numbers(ctx, options);
+    if (status == 0)
+        status = check_transfers(ctx, options);
+    if (status < 0)
+        return status;
     /* The default maps depend on the scan; they are checked again after it was opened. */
-    return status < 0
-               ? status
-               : bake_check_maps(ctx, options,
-                                 bake_choose_maps(options->maps, &(struct bake_scan_facts){0}));
+    struct bake_options chosen = *options;
+    if (options->transfer_count == 0 || options->maps != BAKE_MAPS_DEFAULT)
+        chosen.maps = bake_choose_maps(options->maps, &(struct bake_scan_facts){0});
+    return bake_check_maps(ctx, options, bake_selection(&chosen));
 }

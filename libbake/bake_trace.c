@@ -157,12 +157,12 @@ int bake_trace_curvature(struct bake_run *job)
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         if (!job->tiles[i].image)
             continue;
-        const struct bake_curvature curvature = {
-            .surface = &job->surface,
-            .params = &job->traced.params,
-            .image = job->tiles[i].image,
-            .place = bake_image_channels_for(job->maps & (BAKE_MAP_CURVATURE - 1)),
-            .radius = job->measures.curvature_radius};
+        const struct bake_curvature curvature = {.surface = &job->surface,
+                                                 .params = &job->traced.params,
+                                                 .image = job->tiles[i].image,
+                                                 .place =
+                                                     bake_place_of(job->maps, BK_MAP_curvature),
+                                                 .radius = job->measures.curvature_radius};
         status = bake_curvature_trace(job->ctx, &curvature);
     }
     return status;

@@ -114,6 +114,12 @@ static int trace_part(const struct work *work, struct bake_report *report)
 
 /* ---- the nearest hits ---- */
 
+/* Returns the values of transfer maps of a sample, the last ones. */
+static const float *channels_of(uint32_t maps, const float *sample)
+{
+    return sample + (bk_texel_floats(maps) - BK_TRANSFER_VALUES * bk_transfers(maps));
+}
+
 /* Converts the hit of a scan to world units and to the origin of all scans. The processor computes
  * what the kernel would with the unit of the scan. */
 static void move_hit(const struct work *work, bk_map_hit *hit)
@@ -155,6 +161,7 @@ static void keep_nearest(const struct work *work, const float *sample, float *mo
         bk_map_hit hit = bake_sample_hit(work->traced, sample);
         move_hit(work, &hit);
         bk_add_to_maps(work->kept, &hit, moved);
+        bk_add_transfers(work->kept, channels_of(work->traced, sample), moved);
     }
     if (nearest[BK_COVERED] == 0.0f || is_nearer(work, moved, nearest))
         memcpy(nearest, moved, work->kept_floats * sizeof *nearest);
@@ -192,8 +199,10 @@ static void sum_samples(const struct work *work, const float *sample, float *tex
         float *texel = texels + (size_t)(x / n) * work->workers.texel_floats;
         const bk_map_hit hit = bake_sample_hit(work->kept, sample);
         texel[BK_COVERED] += sample[BK_COVERED];
-        if (sample[BK_HITS] > 0.0f)
+        if (sample[BK_HITS] > 0.0f) {
             bk_add_to_maps(work->workers.maps, &hit, texel);
+            bk_add_transfers(work->workers.maps, channels_of(work->kept, sample), texel);
+        }
     }
 }
 

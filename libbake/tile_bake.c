@@ -22,7 +22,7 @@ int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uin
     free(path);
     out->options.output_path = out->output_path;
     if (out->output_path)
-        out->beside = bake_map_path(out->output_path, (enum bake_map)(maps & -maps));
+        out->beside = bake_path_of(&out->options, bake_first_of(maps));
     return out->beside ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
 }
 
@@ -53,7 +53,7 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
             scene->ctx, BSQ_EUSAGE,
             "a map of %u x %u texels is too large for %u x %u samples a texel of several scans",
             options->width, options->height, n, n);
-    tile->tile_size = bake_tile_size(scene->ctx, width, height, samples);
+    tile->tile_size = bake_tile_size(scene->ctx, width, height, samples, tile->maps);
     if (tile->in_blocks && tile->tile_size > tile->blocks.side)
         tile->tile_size = tile->blocks.side;
     const struct bake_raster_options raster = {.width = width,
@@ -192,10 +192,10 @@ int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile)
 {
     const char *preview = tile->options.preview_path;
     int status = 0;
-    for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i) {
-        if (!(tile->maps & 1u << i))
+    for (unsigned i = 0; i < bake_selection_end(tile->maps) && status == 0; ++i) {
+        if (!bake_is_selected(tile->maps, i))
             continue;
-        char *path = bake_map_path(tile->output_path, (enum bake_map)(1u << i));
+        char *path = bake_path_of(&tile->options, i);
         if (!path)
             return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
         if (preview && is_same_path(path, preview))

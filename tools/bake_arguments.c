@@ -26,6 +26,7 @@ static const char help_format[] =
     "  -o, --output FILE       the maps; must contain \"<MAP>\" if there are several\n"
     "      --maps LIST         the maps to bake, separated by commas:\n"
     "%s"
+    "      --texture NAME=FILE the scan's image for transfer:NAME\n"
     "      --size N | WxH      texels (default: 2048); by UDIM tile: 1001=4096,*=2048\n"
     "      --tiles LIST        UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)\n"
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
@@ -75,6 +76,7 @@ static const char help_format[] =
 
 enum {
     OPT_MAPS = CLI_TASKS_END,
+    OPT_TEXTURE,
     OPT_SIZE,
     OPT_TILES,
     OPT_SAMPLES,
@@ -117,6 +119,7 @@ enum {
 static const struct option long_options[] = {
     {"output", required_argument, NULL, 'o'},
     {"maps", required_argument, NULL, OPT_MAPS},
+    {"texture", required_argument, NULL, OPT_TEXTURE},
     {"size", required_argument, NULL, OPT_SIZE},
     {"tiles", required_argument, NULL, OPT_TILES},
     {"samples", required_argument, NULL, OPT_SAMPLES},
@@ -184,8 +187,9 @@ static unsigned list_map_words(struct map_word words[MOST_MAP_WORDS])
     return count;
 }
 
-static int parse_maps(struct cli *cli, struct bake_options *bake)
+static int parse_maps(struct cli *cli, struct bake_arguments *arguments)
 {
+    struct bake_options *bake = &arguments->bake;
     struct map_word words[MOST_MAP_WORDS];
     const char *names[MOST_MAP_WORDS + 1] = {NULL};
     const unsigned count = list_map_words(words);
@@ -196,6 +200,11 @@ static int parse_maps(struct cli *cli, struct bake_options *bake)
     bake->maps = 0;
     while (status == 0 && (word = strsep(&rest, ","))) {
         unsigned number = 0;
+        const char *transfer = bake_transfer_name(word);
+        if (transfer) {
+            status = bake_add_transfer(cli, &arguments->transfers, transfer);
+            continue;
+        }
         status = cli_parse_word(cli, "--maps", word, names, &number);
         bake->maps |= words[number].maps;
     }
@@ -348,7 +357,7 @@ static int common_option(struct cli *cli, int option)
     struct map_word words[MOST_MAP_WORDS];
     const unsigned count = list_map_words(words);
     char maps[4096] = "", help[sizeof help_format + sizeof maps], same[64];
-    size_t length = 0, width = 10;
+    size_t length = 0, width = 13;
     for (unsigned i = 0; i < count; i++)
         if (strlen(words[i].name) > width)
             width = strlen(words[i].name);
@@ -358,6 +367,9 @@ static int common_option(struct cli *cli, int option)
             (size_t)snprintf(maps + length, sizeof maps - length, "%28s%-*s  %s\n", "", (int)width,
                              words[i].name, words[i].summary ? words[i].summary : same);
     }
+    if (length < sizeof maps)
+        snprintf(maps + length, sizeof maps - length, "%28s%-*s  %s\n", "", (int)width,
+                 "transfer:NAME", "another texture of the scan, such as roughness");
     snprintf(help, sizeof help, help_format, maps);
     return cli_common_option(cli, option, help);
 }
@@ -376,7 +388,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         bake->output_path = optarg;
         return 0;
     case OPT_MAPS:
-        return parse_maps(cli, bake);
+        return parse_maps(cli, arguments);
+    case OPT_TEXTURE:
+        return bake_parse_texture(cli, &arguments->transfers, optarg);
     case OPT_SIZE:
         return bake_parse_sizes(cli, optarg, bake);
     case OPT_TILES:
@@ -499,7 +513,7 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
         return cli_usage(cli, "--ao-falloff needs --ao-distance");
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
-    return 0;
+    return bake_use_transfers(cli, &arguments->transfers, bake);
 }
 
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv)
@@ -570,6 +584,7 @@ void bake_arguments_free(struct bake_arguments *arguments)
 {
     free(arguments->paths);
     free(arguments->suffixes);
+    bake_transfers_free(&arguments->transfers);
     free((void *)(uintptr_t)arguments->bake.tile_sizes);
     free((void *)(uintptr_t)arguments->bake.tile_ranges);
 }

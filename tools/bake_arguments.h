@@ -3,10 +3,12 @@
 #define BAKE_ARGUMENTS_H
 
 #include "libbake/bake.h"
+#include "tools/bake_transfers.h"
 #include "tools/cli_tasks.h"
 
 struct bake_arguments {
     struct bake_options bake;
+    struct bake_transfers transfers;
     bool list_devices, list_tiles;
     struct cli_tasks farm;
     int bake_option;   /* the last option that is about the bake itself; 0: none */

@@ -75,6 +75,16 @@ int bake_report_tiles(struct cli *cli, const struct bake_options *options)
 
 /* ---- maps ---- */
 
+uint32_t bake_path_count(const struct bake_options *bake)
+{
+    return MOST_MAPS + bake->transfer_count;
+}
+
+const char *bake_path_name(const struct bake_options *bake, unsigned number)
+{
+    return number < MOST_MAPS ? bake_map_name(number) : bake->transfers[number - MOST_MAPS].name;
+}
+
 static double percent(uint64_t part, uint64_t whole)
 {
     return whole > 0 ? 100.0 * (double)part / (double)whole : 0;
@@ -141,13 +151,16 @@ static char *tile_path(const char *path, const struct bake_baked_tile *tile)
 }
 
 /* Prints the file of each map and tile. */
-static void print_maps(const struct bake_report *report, char *const *paths)
+static void print_maps(const struct bake_options *bake, const struct bake_report *report,
+                       char *const *paths)
 {
+    static const struct bake_value_encoding none = {0};
     for (uint32_t t = 0; t < report->tile_count; t++)
-        for (unsigned i = 0; bake_map_name(i); i++) {
+        for (unsigned i = 0; i < bake_path_count(bake); i++) {
             char *path = tile_path(paths[i], &report->tiles[t]);
             if (path)
-                print_map(path, bake_map_name(i), &report->encodings[i]);
+                print_map(path, bake_path_name(bake, i),
+                          i < MOST_MAPS ? &report->encodings[i] : &none);
             free(path);
         }
 }
@@ -176,7 +189,7 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
               cli_counted_text(report->samples, "sample", "samples", samples),
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
-    print_maps(report, paths);
+    print_maps(bake, report, paths);
     if (bake->preview_path)
         cli_print("%s: preview\n", bake->preview_path);
     cli_print(
@@ -199,13 +212,14 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
 
 /* Returns an object with the file of each map; tile NULL: with all tokens but that of the map.
  * NULL: no memory. */
-static json_t *maps_json(char *const *paths, const struct bake_baked_tile *tile)
+static json_t *maps_json(const struct bake_options *bake, char *const *paths,
+                         const struct bake_baked_tile *tile)
 {
     json_t *maps = json_object();
-    for (unsigned i = 0; maps && bake_map_name(i); i++) {
+    for (unsigned i = 0; maps && i < bake_path_count(bake); i++) {
         char *path = !paths[i] ? NULL : tile ? tile_path(paths[i], tile) : strdup(paths[i]);
-        if (paths[i] &&
-            (!path || json_object_set_new(maps, bake_map_name(i), cli_json_text(path)) != 0)) {
+        if (paths[i] && (!path || json_object_set_new(maps, bake_path_name(bake, i),
+                                                      cli_json_text(path)) != 0)) {
             json_decref(maps);
             maps = NULL;
         }
@@ -214,15 +228,16 @@ static json_t *maps_json(char *const *paths, const struct bake_baked_tile *tile)
     return maps;
 }
 
-static json_t *tiles_json(const struct bake_report *report, char *const *paths)
+static json_t *tiles_json(const struct bake_options *bake, const struct bake_report *report,
+                          char *const *paths)
 {
     json_t *tiles = json_array();
     for (uint32_t i = 0; tiles && i < report->tile_count; i++) {
         const struct bake_baked_tile *tile = &report->tiles[i];
-        json_t *entry = json_pack("{s:i, s:i, s:i, s:o, s:o, s:o}", "tile", (int)tile->tile,
-                                  "width", (int)tile->width, "height", (int)tile->height, "object",
-                                  cli_json_text(tile->object), "material",
-                                  cli_json_text(tile->material), "maps", maps_json(paths, tile));
+        json_t *entry = json_pack(
+            "{s:i, s:i, s:i, s:o, s:o, s:o}", "tile", (int)tile->tile, "width", (int)tile->width,
+            "height", (int)tile->height, "object", cli_json_text(tile->object), "material",
+            cli_json_text(tile->material), "maps", maps_json(bake, paths, tile));
         if (json_array_append_new(tiles, entry) != 0) {
             json_decref(tiles);
             tiles = NULL;
@@ -305,7 +320,7 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
         paths_json(bake->mesh_path, bake->more_mesh_paths, bake->more_mesh_count), "maps",
-        maps_json(paths, NULL), "tiles", tiles_json(report, paths), "encodings",
+        maps_json(bake, paths, NULL), "tiles", tiles_json(bake, report, paths), "encodings",
         encodings_json(report), "ids", ids_json(report), "preview_path",
         cli_json_text(bake->preview_path), "width", (int)bake->width, "height", (int)bake->height,
         "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),

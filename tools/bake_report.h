@@ -4,8 +4,13 @@
 
 #include "tools/bake_arguments.h"
 
+/* Files of maps are in arrays: MOST_MAPS entries in the order of bake_map_name(), then one for each
+ * transfer map. Return the number of entries, and the name of a map that is baked. */
+uint32_t bake_path_count(const struct bake_options *bake);
+const char *bake_path_name(const struct bake_options *bake, unsigned number);
+
 /* Prints what was baked, as lines or as JSON, and warns of many misses or overlaps. paths: the file
- * of each map, in the order of bake_map_name(), with the tokens of tiles; NULL: not baked. */
+ * of each map, with the tokens of tiles; NULL: not baked. */
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths);
 

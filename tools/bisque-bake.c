@@ -9,18 +9,29 @@
 
 /* ---- outputs ---- */
 
-/* Names the files of all maps, of which there is one for each UDIM tile. paths: MOST_MAPS entries;
- * the caller frees them. */
-static int name_outputs(struct cli *cli, const struct bake_options *bake, char **paths)
+/* Names the files of all maps, of which there is one for each UDIM tile. The caller frees *out with
+ * free_paths(), also after a failure. */
+static int name_outputs(struct cli *cli, const struct bake_options *bake, char ***out)
 {
-    for (unsigned i = 0; bake_map_name(i); i++) {
-        if (!(bake->maps & 1u << i))
+    char **paths = *out = calloc(bake_path_count(bake), sizeof *paths);
+    if (!paths)
+        return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
+    for (unsigned i = 0; i < bake_path_count(bake); i++) {
+        if (i < MOST_MAPS && !(bake->maps & 1u << i))
             continue;
-        paths[i] = bake_map_path(bake->output_path, (enum bake_map)(1u << i));
+        paths[i] = i < MOST_MAPS ? bake_map_path(bake->output_path, (enum bake_map)(1u << i))
+                                 : bake_transfer_path(bake->output_path, bake_path_name(bake, i));
         if (!paths[i])
             return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
     }
     return 0;
+}
+
+static void free_paths(const struct bake_options *bake, char **paths)
+{
+    for (unsigned i = 0; paths && i < bake_path_count(bake); i++)
+        free(paths[i]);
+    free(paths);
 }
 
 /* write_plan: the plan that is written, or NULL. */
@@ -36,7 +47,11 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, const
         status = bsq_note_input(cli->ctx, bake->more_mesh_paths[i], "a low-poly mesh");
     if (status == 0 && bake->cage_path)
         status = bsq_note_input(cli->ctx, bake->cage_path, "the cage");
-    for (unsigned i = 0; i < MOST_MAPS && status == 0; i++) {
+    for (uint32_t i = 0; i < bake->transfer_count && status == 0; i++)
+        if (bake->transfers[i].texture_path)
+            status = bsq_note_input(cli->ctx, bake->transfers[i].texture_path, "the texture %s",
+                                    bake->transfers[i].name);
+    for (unsigned i = 0; i < bake_path_count(bake) && status == 0; i++) {
         if (!paths[i])
             continue;
         if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
@@ -70,6 +85,8 @@ static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
     }
     if (status == 0)
         status = cli_map_input(cli, &bake->cage_path);
+    for (uint32_t i = 0; i < arguments->transfers.map_count && status == 0; i++)
+        status = cli_map_input(cli, &arguments->transfers.maps[i].texture_path);
     return status < 0 ? status : cli_map_input(cli, &arguments->farm.plan);
 }
 
@@ -77,7 +94,7 @@ static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_options *bake = &arguments->bake;
-    char *paths[MOST_MAPS] = {NULL};
+    char **paths = NULL;
     struct bake_report report = {0};
     cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
     int status = bake_check_options(cli->ctx, bake);
@@ -87,7 +104,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     if (status == 0)
         status = bake_check_options(cli->ctx, bake);
     if (status == 0)
-        status = name_outputs(cli, bake, paths);
+        status = name_outputs(cli, bake, &paths);
     if (status == 0)
         status = check_outputs(cli, bake, arguments->farm.write_plan, paths);
     if (status == 0 && arguments->farm.write_plan)
@@ -100,8 +117,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     }
     cli->tile_count = NULL;
     bake_report_free(&report);
-    for (unsigned i = 0; i < MOST_MAPS; i++)
-        free(paths[i]);
+    free_paths(bake, paths);
     return status;
 }
 
@@ -109,12 +125,12 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
 static int merge(struct cli *cli, struct bake_arguments *arguments,
                  const struct bake_farm_plan *plan, bool *missed)
 {
-    char *paths[MOST_MAPS] = {NULL};
+    char **paths = NULL;
     struct bake_report report = {0};
     bool kept = false;
     cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
     arguments->bake = *bake_plan_options(plan);
-    int status = name_outputs(cli, &arguments->bake, paths);
+    int status = name_outputs(cli, &arguments->bake, &paths);
     if (status == 0)
         status = check_outputs(cli, &arguments->bake, NULL, paths);
     if (status == 0)
@@ -126,9 +142,10 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     *missed = status == 0 && !kept && bake_report_too_many_missed(cli, arguments, &report);
     cli->tile_count = NULL;
     bake_report_free(&report);
-    for (unsigned i = 0; i < MOST_MAPS; i++)
-        free(paths[i]);
+    free_paths(&arguments->bake, paths);
     /* The plan owns what these point to. */
+    arguments->bake.transfers = NULL;
+    arguments->bake.transfer_count = 0;
     arguments->bake.tile_sizes = NULL;
     arguments->bake.tile_ranges = NULL;
     return status;

@@ -1,7 +1,7 @@
 /* texture.c - passes the calls of texture.h on to the module bisque-texture.so. */
 #include "formats/texture/texture_module.h"
 
-int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
+int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out)
 {
     const struct fmt_module *module;
@@ -11,7 +11,7 @@ int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t co
     if (status != 0)
         return status;
     return ((const struct fmt_texture_module *)module)
-        ->open(&fmt_host_functions, ctx, paths, count, cache_bytes, out);
+        ->open(&fmt_host_functions, ctx, sources, count, cache_bytes, out);
 }
 
 void fmt_textures_close(struct fmt_textures *textures)

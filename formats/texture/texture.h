@@ -1,9 +1,10 @@
-/* texture.h - filtered lookups in the colour images of a high-poly mesh.
+/* texture.h - filtered lookups in the images of a high-poly mesh.
  *
  * Takes paths of image files and a share of the memory budget, which holds whatever the size of the
  * images. Gives colours in linear light: texels are converted (from sRGB unless the file says
- * otherwise) before they are averaged. Images are read by OpenImageIO, PNG files by libpng, in a
- * module that is opened at its first use. texture_formats.cc lists the formats. */
+ * otherwise) before they are averaged. Texels of data, such as roughness, are not converted. Images
+ * are read by OpenImageIO, PNG files by libpng, in a module that is opened at its first use.
+ * texture_formats.cc lists the formats. */
 #ifndef FMT_TEXTURE_TEXTURE_H
 #define FMT_TEXTURE_TEXTURE_H
 
@@ -15,12 +16,18 @@ extern "C" {
 
 struct fmt_textures;
 
-/* Opens `count` images. An entry of `paths` may be NULL (no image); a path that occurs twice is
- * opened once. Reads each image through once, on all threads, so it must not be called from
- * parallel work. Reserves `cache_bytes` (at least 12 MiB) from the budget, or less if the images
- * are small; files stored in rows that exceed it are copied to temporary tiled files. Errors:
- * BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no image, or damaged; BSQ_ENOMEM. */
-int fmt_textures_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t count,
+/* An image to open. */
+struct fmt_texture_source {
+    const char *path; /* NULL: no image */
+    bool data;        /* no colours: integers are values from 0 to 1, whatever the file says */
+};
+
+/* Opens `count` images. A source that occurs twice is opened once. Reads each image through once,
+ * on all threads, so it must not be called from parallel work. Reserves `cache_bytes` (at least 12
+ * MiB) from the budget, or less if the images are small; files stored in rows that exceed it are
+ * copied to temporary tiled files. Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no
+ * image, or damaged; BSQ_ENOMEM. */
+int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out);
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
 
@@ -30,7 +37,8 @@ void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint3
 
 /* Averages `image` over an axis-aligned box centred at (u, v). Coordinates are OBJ's: v points up,
  * both wrap. `du` and `dv` are the box's full widths in UV units, raised to one texel (so 0 gives
- * bilinear interpolation) and limited to the whole image. out: linear RGB, not clamped.
+ * bilinear interpolation) and limited to the whole image. out: RGB, not clamped; linear light or,
+ * of data, the values. An image of one or two channels gives the first one three times.
  * Thread-safe. Errors: BSQ_EDATA if the file can no longer be read, BSQ_EIO. */
 int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
                        float dv, float out[3]);

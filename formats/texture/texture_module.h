@@ -18,8 +18,9 @@ struct fmt_textures {
 /* Each function does the work of its namesake in texture.h. */
 struct fmt_texture_module {
     struct fmt_module module;
-    int (*open)(const struct fmt_host *host, struct bsq_ctx *ctx, const char *const *paths,
-                uint32_t count, uint64_t cache_bytes, struct fmt_textures **out);
+    int (*open)(const struct fmt_host *host, struct bsq_ctx *ctx,
+                const struct fmt_texture_source *sources, uint32_t count, uint64_t cache_bytes,
+                struct fmt_textures **out);
     void (*close)(struct fmt_textures *textures);
     void (*size)(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
                  uint32_t *height);

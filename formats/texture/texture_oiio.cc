@@ -64,6 +64,7 @@ struct Image {
     uint32_t width = 0, height = 0;
     int x = 0, y = 0;             // the first texel in the file's coordinates
     int channels = 0;             // channels that are read: 1 or 3
+    bool data = false;            // values are no colours
     TypeDesc type;                // of texels in the cache: UINT8, UINT16 or FLOAT
     const float *table = nullptr; // to linear light; for integers only
     bool tiled = false;
@@ -171,7 +172,8 @@ int describe_spec(Textures *textures, Image &image)
     image.type = TypeDesc::FLOAT;
     if (spec.format == TypeDesc::UINT8 || spec.format == TypeDesc::UINT16) {
         image.type = spec.format;
-        image.table = find_table(textures, unsigned(spec.format.size()) * 8, file_gamma(spec));
+        image.table = find_table(textures, unsigned(spec.format.size()) * 8,
+                                 image.data ? 1 : file_gamma(spec));
     }
     return reserve_chunk(textures, *image.file);
 }
@@ -493,31 +495,34 @@ int open_cache(Textures *textures)
     return 0;
 }
 
-// Describes each distinct file among the paths once; materials often share a file.
-int describe_all(Textures *textures, const char *const *paths, uint32_t count)
+// Describes each distinct source once; materials often share a file.
+int describe_all(Textures *textures, const struct fmt_texture_source *sources, uint32_t count)
 {
-    std::unordered_map<std::string, uint32_t> known;
+    std::unordered_map<std::string, uint32_t> known[2]; // colours, data
     textures->image_of.assign(count, no_image);
     for (uint32_t i = 0; i < count; i++) {
-        if (!paths[i])
+        if (!sources[i].path)
             continue;
-        auto entry = known.emplace(paths[i], uint32_t(textures->images.size()));
+        auto entry =
+            known[sources[i].data].emplace(sources[i].path, uint32_t(textures->images.size()));
         textures->image_of[i] = entry.first->second;
         if (!entry.second)
             continue;
         textures->images.emplace_back();
+        textures->images.back().data = sources[i].data;
         int status = textures->host->check(textures->ctx);
         if (!status)
-            status = describe(textures, paths[i], textures->images.back());
+            status = describe(textures, sources[i].path, textures->images.back());
         if (status)
             return status;
     }
     return 0;
 }
 
-int open_all(Textures *textures, const char *const *paths, uint32_t count, uint64_t cache_bytes)
+int open_all(Textures *textures, const struct fmt_texture_source *sources, uint32_t count,
+             uint64_t cache_bytes)
 {
-    int status = describe_all(textures, paths, count);
+    int status = describe_all(textures, sources, count);
     if (!status)
         status = share_cache(textures, cache_bytes);
     if (!status)
@@ -681,8 +686,9 @@ int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v
     }
 }
 
-int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *const *paths,
-                  uint32_t count, uint64_t cache_bytes, struct fmt_textures **out)
+int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx,
+                  const struct fmt_texture_source *sources, uint32_t count, uint64_t cache_bytes,
+                  struct fmt_textures **out)
 {
     auto *textures = new (std::nothrow) Textures;
     if (!textures)
@@ -693,7 +699,7 @@ int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx, const char *
     int status = 0;
     try {
         OIIO::attribute("exr_threads", -1); // decodes on the calling thread
-        status = open_all(textures, paths, count, cache_bytes);
+        status = open_all(textures, sources, count, cache_bytes);
     } catch (const std::bad_alloc &) {
         status = host->fail(ctx, BSQ_ENOMEM, "out of memory for textures");
     } catch (const std::exception &exception) {

@@ -7,8 +7,6 @@
 #include <math.h>
 #include <string.h>
 
-enum { MAX_TEXTURE_CACHE = 64 << 20, MIN_TEXTURE_CACHE = 12 << 20 }; /* bytes */
-
 /* ---- opening ---- */
 
 static void set_info(struct bake_exact *exact)
@@ -95,6 +93,7 @@ void bake_exact_close(struct bake_exact *exact)
     struct bsq_ctx *ctx = exact->ctx;
     if (exact->textures)
         fmt_textures_close(exact->textures);
+    bake_exact_transfers_free(exact);
     bsq_free(ctx, exact->diffuse);
     bsq_free(ctx, exact->ids);
     bsq_free(ctx, exact->tree_memory);
@@ -112,21 +111,20 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
 static int open_textures(struct bake_exact *exact)
 {
     const struct fmt_tris_header *h = exact->header;
-    const char **paths;
+    struct fmt_texture_source *sources;
     bool any = false;
-    int status = bsq_alloc(exact->ctx, "texture paths", h->material_count, sizeof *paths, &paths);
+    int status =
+        bsq_calloc(exact->ctx, "texture paths", h->material_count, sizeof *sources, &sources);
     if (status < 0)
         return status;
     for (uint32_t m = 0; m < h->material_count; m++) {
-        paths[m] = h->materials[m].texture_path;
-        any |= paths[m] != NULL;
+        sources[m].path = h->materials[m].texture_path;
+        any |= sources[m].path != NULL;
     }
-    uint64_t cache = bsq_memory_left(exact->ctx) / 4;
-    cache = cache > MAX_TEXTURE_CACHE ? MAX_TEXTURE_CACHE : cache;
-    cache = cache < MIN_TEXTURE_CACHE ? MIN_TEXTURE_CACHE : cache;
     if (any)
-        status = fmt_textures_open(exact->ctx, paths, h->material_count, cache, &exact->textures);
-    bsq_free(exact->ctx, paths);
+        status = fmt_textures_open(exact->ctx, sources, h->material_count, exact_cache_bytes(exact),
+                                   &exact->textures);
+    bsq_free(exact->ctx, sources);
     return status;
 }
 
@@ -148,7 +146,7 @@ int bake_exact_use_color(struct bake_exact *exact)
 
 bool bake_exact_wants_footprints(const struct bake_exact *exact)
 {
-    return exact->textures != NULL;
+    return exact->textures || exact->transfers.textures;
 }
 
 /* ---- ids ---- */

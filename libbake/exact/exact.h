@@ -47,6 +47,13 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
  * most once, not from parallel work. Errors: those of fmt_textures_open(), BSQ_ENOMEM. */
 int bake_exact_use_color(struct bake_exact *exact);
 
+/* Makes later batches evaluate further channels of the scan, three values for each of `count`
+ * transfers, and opens their textures. The transfers must live until bake_exact_close(). Call it at
+ * most once, not from parallel work. Errors: BSQ_EDATA for a scan without texture coordinates;
+ * those of fmt_textures_open(), BSQ_ENOMEM. */
+int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
+                             uint32_t count);
+
 /* Makes later batches evaluate ids. Call it at most once, not from parallel work, and only if the
  * scan has ids. Errors: BSQ_ENOMEM. */
 int bake_exact_use_ids(struct bake_exact *exact);
@@ -92,6 +99,9 @@ struct bake_exact_batch {
     /* For each ray the index of its footprint in the table. NULL: textures are not filtered. */
     const uint32_t *footprints;
     const struct bake_exact_footprint *footprint_table;
+    /* Out: the channels of each hit, three values for each transfer; NULL: they are not wanted.
+     * Undefined for rays that hit nothing. */
+    float *channels;
     uint64_t progress; /* what the whole batch adds to the context's progress */
 };
 

@@ -71,7 +71,8 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
                            (exact->chunk_count + 1) * (sizeof(uint64_t) + EXACT_PAIRS_PER_RAY * 4) +
                            EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
-                         (exact->textures ? sizeof(uint32_t) : 0) +
+                         (bake_exact_wants_footprints(exact) ? sizeof(uint32_t) : 0) +
+                         exact_transfer_floats(exact) * sizeof(float) +
                          EXACT_PAIRS_PER_RAY * sizeof(uint32_t) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;

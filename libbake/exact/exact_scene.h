@@ -13,6 +13,13 @@
 #include "libbake/exact/exact.h"
 #include "libbake/exact/exact_tree.h"
 
+/* Further channels of the scan. */
+struct exact_transfers {
+    uint32_t count;
+    const struct bake_transfer *list;
+    struct fmt_textures *textures; /* image number: that of the transfer */
+};
+
 struct bake_exact {
     struct bsq_ctx *ctx;
     struct bake_exact_options options;
@@ -27,7 +34,22 @@ struct bake_exact {
     struct fmt_textures *textures;
     float (*diffuse)[3]; /* linear light of each material */
     uint32_t *ids;       /* of each material, then of triangles without one; NULL: not used */
+    struct exact_transfers transfers;
 };
+
+/* Returns the bytes that a cache of textures may take. */
+static inline uint64_t exact_cache_bytes(const struct bake_exact *exact)
+{
+    const uint64_t least = UINT64_C(12) << 20, most = UINT64_C(64) << 20;
+    const uint64_t bytes = bsq_memory_left(exact->ctx) / 4;
+    return bytes < least ? least : bytes > most ? most : bytes;
+}
+
+/* Returns the number of values that the channels of a hit have. */
+static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
+{
+    return (uint64_t)BK_TRANSFER_VALUES * exact->transfers.count;
+}
 
 /* Locks over the hits, and bucket entries per ray. If rays cross more chunks than that, the batch
  * is traced in parts. */
@@ -166,6 +188,19 @@ void bake_exact_smooth_begin(struct exact_slot *slot);
 void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
 int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
                           const struct exact_scratch *scratch);
+
+/* Frees what bake_exact_use_transfers() has opened. */
+void bake_exact_transfers_free(struct bake_exact *exact);
+
+/* Where a hit lies on the textures of its triangle: coordinates, and the widths of its footprint.
+ */
+struct exact_texture_place {
+    float u, v, du, dv;
+};
+
+/* Evaluates the channels of a hit. at: as found for the scan's texture coordinates. */
+int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,
+                              float *out);
 
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */

@@ -139,9 +139,8 @@ static void footprint(const struct place *place, const struct bake_exact_ray *ra
     width[1] = sqrt(width[1]);
 }
 
-static int shade_texture(const struct bake_exact *exact, const struct place *place,
-                         uint32_t material, const struct bake_exact_batch *batch, uint64_t ray,
-                         float out[3])
+static struct exact_texture_place texture_place(const struct place *place,
+                                                const struct bake_exact_batch *batch, uint64_t ray)
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk;
     double width[2] = {0, 0}, at[2] = {0, 0};
@@ -154,8 +153,16 @@ static int shade_texture(const struct bake_exact *exact, const struct place *pla
     if (batch->footprints)
         footprint(place, &batch->rays[ray], &batch->footprint_table[batch->footprints[ray]],
                   (const float(*)[2])uv, width);
-    return fmt_texture_sample(exact->textures, material, (float)at[0], (float)at[1],
-                              (float)width[0], (float)width[1], out);
+    return (struct exact_texture_place){(float)at[0], (float)at[1], (float)width[0],
+                                        (float)width[1]};
+}
+
+static int shade_texture(const struct bake_exact *exact, const struct place *place,
+                         uint32_t material, const struct bake_exact_batch *batch, uint64_t ray,
+                         float out[3])
+{
+    const struct exact_texture_place at = texture_place(place, batch, ray);
+    return fmt_texture_sample(exact->textures, material, at.u, at.v, at.du, at.dv, out);
 }
 
 /* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
@@ -212,5 +219,12 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
         for (int k = 0; k < 3; k++)
             hit->normal[k] = -hit->normal[k];
     hit->id = exact->ids ? shade_id(exact, &place) : 0;
+    if (batch->channels) {
+        const struct exact_texture_place at = texture_place(&place, batch, ray);
+        int status = bake_exact_shade_channels(
+            exact, &at, batch->channels + ray * exact_transfer_floats(exact));
+        if (status < 0)
+            return status;
+    }
     return exact->color ? shade_color(exact, &place, batch, ray, hit->color) : 0;
 }

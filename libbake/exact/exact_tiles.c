@@ -35,6 +35,7 @@ struct job {
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
     uint32_t *footprints;
+    float *channels; /* of each hit: values of transfer maps; NULL: there are none */
     uint64_t capacity;
     /* For maps of rays from hits; else NULL. */
     struct bake_exact_look *look;
@@ -187,6 +188,12 @@ static bk_map_hits place_hit(const struct job *job, const bk_point *point,
     return placed;
 }
 
+/* Returns the number of values that transfer maps have of a hit. */
+static uint64_t transfer_floats(const struct job *job)
+{
+    return (uint64_t)BK_TRANSFER_VALUES * bk_transfers(job->tiles->params->maps);
+}
+
 static void add_sample(const struct job *job, const bk_point *point, uint64_t ray, float *texel)
 {
     const struct bk_params *params = job->tiles->params;
@@ -194,6 +201,8 @@ static void add_sample(const struct job *job, const bk_point *point, uint64_t ra
     if (job->look)
         bk_surroundings_for_maps(params, point, &job->surroundings[ray], &placed);
     bk_add_sample(params, &placed, 0, texel);
+    if (job->channels && placed.found)
+        bk_add_transfers(params->maps, job->channels + ray * transfer_floats(job), texel);
 }
 
 /* Sums a row of texels. Hits come in rows of samples, so the texels of the row are summed together.
@@ -316,6 +325,7 @@ static int run_batch(struct job *job, uint64_t texels)
                                            .facing_origin = cage,
                                            .footprints = job->footprints,
                                            .footprint_table = job->footprint_table,
+                                           .channels = job->channels,
                                            .progress = first_texels};
     int status = bsq_parallel_for(job->ctx, job->count, cast_tile, job);
     if (status == 0)
@@ -380,6 +390,9 @@ static int allocate_rays(struct job *job)
     if (status == 0 && job->footprint_table)
         status = bsq_alloc(job->ctx, "footprints", job->capacity, sizeof *job->footprints,
                            &job->footprints);
+    if (status == 0 && transfer_floats(job) > 0)
+        status = bsq_alloc(job->ctx, "channels of hits", job->capacity,
+                           transfer_floats(job) * sizeof *job->channels, &job->channels);
     return status;
 }
 
@@ -392,6 +405,7 @@ static void release(struct job *job, struct bake_report *report)
     bsq_free(job->ctx, job->rays);
     bsq_free(job->ctx, job->hits);
     bsq_free(job->ctx, job->footprints);
+    bsq_free(job->ctx, job->channels);
     if (job->look)
         report->chunk_loads += bake_exact_look_loads(job->look);
     bake_exact_look_free(job->look);

@@ -54,9 +54,16 @@ static const struct fmt_farm_member members[] = {
 };
 enum { MEMBERS = sizeof members / sizeof *members };
 
-/* tile_sizes and tile_ranges are written by themselves. Plans have no more scans and meshes,
- * so names need no matching. */
-_Static_assert(sizeof(struct bake_options) == 296, "a new option needs a row in `members`");
+/* Of a transfer map. */
+static const struct fmt_farm_member transfer_members[] = {
+    {"name", offsetof(struct bake_transfer, name), FMT_FARM_TEXT, 0},
+    {"texture", offsetof(struct bake_transfer, texture_path), FMT_FARM_OPTIONAL, 0},
+};
+enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
+
+/* tile_sizes, tile_ranges and transfers are written by themselves. Plans have no more scans and
+ * meshes, so names need no matching. */
+_Static_assert(sizeof(struct bake_options) == 312, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum bake_rays) == sizeof(unsigned), "a choice is an unsigned number");
 
 static json_t *tile_sizes_to_json(const struct bake_options *options)
@@ -79,11 +86,26 @@ static json_t *tile_ranges_to_json(const struct bake_options *options)
     return list;
 }
 
+static json_t *transfers_to_json(const struct bake_options *options, const char *plan_path)
+{
+    json_t *list = json_array();
+    int failed = list == NULL;
+    for (uint32_t i = 0; i < options->transfer_count; i++)
+        failed |= json_array_append_new(
+            list, fmt_farm_options_to_json(transfer_members, TRANSFER_MEMBERS,
+                                           &options->transfers[i], plan_path));
+    if (!failed)
+        return list;
+    json_decref(list);
+    return NULL;
+}
+
 json_t *bake_farm_options_to_json(const struct bake_options *options, const char *plan_path)
 {
     json_t *json = fmt_farm_options_to_json(members, MEMBERS, options, plan_path);
     if (json_object_set_new(json, "tile_sizes", tile_sizes_to_json(options)) == 0 &&
-        json_object_set_new(json, "tile_ranges", tile_ranges_to_json(options)) == 0)
+        json_object_set_new(json, "tile_ranges", tile_ranges_to_json(options)) == 0 &&
+        json_object_set_new(json, "transfers", transfers_to_json(options, plan_path)) == 0)
         return json;
     json_decref(json);
     return NULL;
@@ -121,6 +143,22 @@ static bool read_tiles(const json_t *json, struct bake_options *options)
     return good;
 }
 
+static int read_transfers(struct bsq_ctx *ctx, const char *plan_path, const json_t *json,
+                          struct bake_options *options)
+{
+    const size_t count = json_array_size(json);
+    struct bake_transfer *list = calloc(count + 1, sizeof *list);
+    options->transfers = list;
+    if (!json_is_array(json) || !list || count > BAKE_MAX_TRANSFERS)
+        return fmt_farm_fail_option(ctx, plan_path, "transfers");
+    options->transfer_count = (uint32_t)count;
+    int status = 0;
+    for (size_t i = 0; i < count && status == 0; i++)
+        status = fmt_farm_options_from_json(ctx, transfer_members, TRANSFER_MEMBERS, plan_path,
+                                            json_array_get(json, i), &list[i]);
+    return status;
+}
+
 int bake_farm_options_from_json(struct bsq_ctx *ctx, const char *plan_path, const json_t *json,
                                 struct bake_options *out)
 {
@@ -128,12 +166,17 @@ int bake_farm_options_from_json(struct bsq_ctx *ctx, const char *plan_path, cons
     int status = fmt_farm_options_from_json(ctx, members, MEMBERS, plan_path, json, out);
     if (status == 0 && !read_tiles(json, out))
         status = fmt_farm_fail_option(ctx, plan_path, "tile_sizes or tile_ranges");
-    return status;
+    return status == 0 ? read_transfers(ctx, plan_path, json_object_get(json, "transfers"), out)
+                       : status;
 }
 
 void bake_farm_options_free(struct bake_options *options)
 {
     fmt_farm_options_free(members, MEMBERS, options);
+    for (uint32_t i = 0; i < options->transfer_count; i++)
+        fmt_farm_options_free(transfer_members, TRANSFER_MEMBERS,
+                              (void *)(uintptr_t)&options->transfers[i]);
+    free((void *)(uintptr_t)options->transfers);
     free((void *)(uintptr_t)options->tile_sizes);
     free((void *)(uintptr_t)options->tile_ranges);
 }

@@ -36,7 +36,7 @@ static uint64_t header_checksum(const struct part_header *header)
 /* Returns the floats of a texel in all parts of a plan. */
 static uint32_t channels_of(const struct bake_farm_plan *plan)
 {
-    return bake_image_channels_for(plan->options.maps);
+    return bake_image_channels_for(bake_selection(&plan->options));
 }
 
 static uint64_t block_bytes(const struct bake_farm_plan *plan)

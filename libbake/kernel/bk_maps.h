@@ -35,6 +35,18 @@ enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
  * hits start, because these rays are traced when the nearest hits of all scans are known. */
 enum { BK_PLACE = 1 << BK_MAP_COUNT, BK_PLACE_FLOATS = 10 };
 
+/* Transfer maps show further channels of the scan. A selection of maps has the bits of BK_MAPS and,
+ * from bit BK_TRANSFER_SHIFT on, the number of transfer maps. Each has three sums, after those of
+ * all other maps. */
+#define BK_TRANSFER_SHIFT  16
+#define BK_TRANSFER_MASK   0x3fffu
+#define BK_TRANSFER_VALUES 3u
+
+BK_FN bk_uint bk_transfers(bk_uint maps)
+{
+    return maps >> BK_TRANSFER_SHIFT & BK_TRANSFER_MASK;
+}
+
 /* Floats of a texel. The counts are whole numbers below 2^24, which floats hold exactly. */
 enum { BK_COVERED, BK_HITS, BK_SUMS };
 
@@ -232,7 +244,8 @@ BK_FN bk_uint bk_texel_floats(bk_uint maps)
 
 #define BK_MAP_FLOATS(name, sums) count += maps >> BK_MAP_##name & 1u ? (bk_uint)(sums) : 0u;
     BK_MAPS(BK_MAP_FLOATS)
-    return count + (maps & BK_PLACE ? (bk_uint)BK_PLACE_FLOATS : 0u);
+    count += maps & BK_PLACE ? (bk_uint)BK_PLACE_FLOATS : 0u;
+    return count + BK_TRANSFER_VALUES * bk_transfers(maps);
 }
 
 BK_FN void bk_clear_texel(bk_uint maps, BK_GLOBAL float *texel)
@@ -258,6 +271,17 @@ BK_FN void bk_add_to_maps(bk_uint maps, const bk_map_hit *hit, BK_GLOBAL float *
     BK_MAPS(BK_MAP_ADD)
     if (maps & BK_PLACE)
         bk_add_place(hit, sums);
+}
+
+/* Adds the values of a hit's channels, three for each transfer map. */
+BK_FN void bk_add_transfers(bk_uint maps, const float *values, BK_GLOBAL float *texel)
+{
+    const bk_uint count = BK_TRANSFER_VALUES * bk_transfers(maps);
+    BK_GLOBAL float *sums = texel + (bk_texel_floats(maps) - count);
+    bk_uint i;
+
+    for (i = 0; i < count; i++)
+        sums[i] += values[i];
 }
 
 /* Sets the members of a hit that the selected maps need from the sums of one sample. */

@@ -10,8 +10,8 @@
 void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, unsigned number,
                        struct bake_encoder *out)
 {
-    *out = (struct bake_encoder){.row = &bake_map_table[number],
-                                 .offset = bake_image_channels_for(maps & ((1u << number) - 1u)),
+    *out = (struct bake_encoder){.row = bake_row_of(facts->options, number),
+                                 .offset = bake_place_of(maps, number),
                                  .encoding = {.scale = {1.0, 1.0, 1.0}}};
     const struct bake_encoding *encoding = &out->encoding;
     if (out->row->encode)
@@ -72,9 +72,12 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
     snprintf(out->text[2], sizeof out->text[2], "%.9g", traced->back);
     bake_add_attribute(out, "software", "Bisque " BSQ_VERSION);
     bake_add_attribute(out, "bisque:version", BSQ_VERSION);
-    bake_add_attribute(out, "bisque:map", bake_map_names[number]);
-    if (bake_map_table[number].describe)
-        bake_map_table[number].describe(options, traced, out);
+    bake_add_attribute(out, "bisque:map",
+                       number < BK_MAP_COUNT ? bake_map_names[number] : "transfer");
+    if (number >= BK_MAP_COUNT)
+        bake_add_attribute(out, "bisque:transfer", bake_name_of(options, number));
+    if (bake_row_of(options, number)->describe)
+        bake_row_of(options, number)->describe(options, traced, out);
     bake_add_attribute(out, "bisque:samples", out->text[0]);
     bake_add_attribute(out, "bisque:sampling", traced->sampling);
     bake_add_attribute(out, "bisque:rays", rays_text(options));

@@ -14,8 +14,7 @@ enum { BAND_STEP = 64 };
 #define BAND_BYTES (UINT64_C(128) << 20) /* larger bands are not faster */
 
 struct map_file {
-    uint32_t map; /* bit of enum bake_map */
-    unsigned number;
+    unsigned number; /* of the map in the selection */
     bool integers;
     struct bake_encoder encoder; /* while writing */
     struct fmt_image_writer *writer;
@@ -30,7 +29,7 @@ struct bake_map_files {
     char *beside; /* path of an output; temporary files go to its directory */
     uint32_t width, height, padding, maps;
     uint32_t count;
-    struct map_file files[BK_MAP_COUNT];
+    struct map_file *files;
     struct bake_dilation *dilation; /* while writing */
     uint32_t image_channels;        /* likewise */
 };
@@ -65,7 +64,7 @@ static enum fmt_sample_type choose_type(const struct bake_options *options,
 static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options, unsigned number,
                          const struct fmt_image_format **format, enum fmt_sample_type *type)
 {
-    const struct bake_map_row *row = &bake_map_table[number];
+    const struct bake_map_row *row = bake_row_of(options, number);
     const char *path = options->output_path;
     *format = fmt_image_format_of(path);
     if (!*format)
@@ -73,9 +72,9 @@ static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options
                         "%s: maps are OpenEXR or PNG files: the name must end in .exr or .png",
                         path);
     if (row->sample_types && !(row->sample_types & (*format)->sample_types))
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "%s: %s files cannot hold a %s map: the name must end in %s", path,
-                        (*format)->name, bake_map_names[number], suffix_for(row->sample_types));
+        return bsq_fail(
+            ctx, BSQ_EUSAGE, "%s: %s files cannot hold a %s map: the name must end in %s", path,
+            (*format)->name, bake_name_of(options, number), suffix_for(row->sample_types));
     *type = choose_type(options, row->usual_type, *format);
     int status = fmt_image_check_type(ctx, *format, path, *type);
     if (status == 0)
@@ -83,7 +82,7 @@ static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options
     if (status == 0 && row->sample_types && !(row->sample_types & FMT_SAMPLE_BIT(*type)))
         status =
             bsq_fail(ctx, BSQ_EUSAGE, "%s: this sample type cannot hold the values of a %s map",
-                     path, bake_map_names[number]);
+                     path, bake_name_of(options, number));
     return status;
 }
 
@@ -91,15 +90,18 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
 {
     const char *path = options->output_path;
     int status = 0;
-    for (unsigned i = 0; status == 0 && i < BK_MAP_COUNT; ++i) {
+    unsigned count = 0;
+    for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
         const struct fmt_image_format *format;
         enum fmt_sample_type type;
-        if (maps & 1u << i)
-            status = choose_format(ctx, options, i, &format, &type);
+        if (!bake_is_selected(maps, i))
+            continue;
+        count++;
+        status = choose_format(ctx, options, i, &format, &type);
     }
     if (status < 0)
         return status;
-    if ((maps & (maps - 1)) != 0 && !strstr(path, BAKE_MAP_TOKEN))
+    if (count > 1 && !strstr(path, BAKE_MAP_TOKEN))
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "%s: several maps need \"" BAKE_MAP_TOKEN "\" in the output's name", path);
     if (options->width == 0 || options->height == 0 || options->width > BAKE_MAX_SIDE ||
@@ -115,15 +117,16 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
 static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, unsigned number,
                      const struct bake_traced *traced, struct map_file *file)
 {
+    const struct bake_map_row *row = bake_row_of(options, number);
     struct bake_attributes attributes;
     bake_describe_map(options, number, traced, &attributes);
     struct fmt_image_options image = {
         .width = options->width,
         .height = options->height,
-        .channel_count = bake_map_table[number].channels,
-        .color = bake_map_table[number].color,
+        .channel_count = row->channels,
+        .color = row->color,
         .tile_side = options->exr_tile_side,
-        .labels = bake_map_table[number].labels,
+        .labels = row->labels,
         .attributes = attributes.list,
         .attribute_count = attributes.count,
     };
@@ -132,7 +135,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
     if (status < 0)
         return status;
     file->integers = image.type == FMT_UINT8 || image.type == FMT_UINT16;
-    char *path = bake_map_path(options->output_path, (enum bake_map)file->map);
+    char *path = bake_path_of(options, number);
     if (!path)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
     status = fmt_image_create(ctx, format, path, &image, &file->writer);
@@ -155,14 +158,16 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
     files->width = options->width;
     files->height = options->height;
     files->padding = options->padding;
-    files->beside = bake_map_path(options->output_path, (enum bake_map)(maps & -maps));
+    files->beside = bake_path_of(options, bake_first_of(maps));
     if (!files->beside)
         status = bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
-    for (unsigned i = 0; status == 0 && i < BK_MAP_COUNT; ++i) {
-        if (!(maps & 1u << i))
+    if (status == 0)
+        status = bsq_calloc(ctx, "map files", bake_selection_end(maps), sizeof *files->files,
+                            &files->files);
+    for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
+        if (!bake_is_selected(maps, i))
             continue;
         struct map_file *file = &files->files[files->count++];
-        file->map = 1u << i;
         file->number = i;
         status = open_file(ctx, options, i, traced, file);
     }
@@ -177,7 +182,7 @@ void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map ma
                                   struct bake_thumbnail *thumbnail)
 {
     for (uint32_t i = 0; i < files->count; ++i)
-        if (files->files[i].map == (uint32_t)map)
+        if (files->files[i].number < BK_MAP_COUNT && 1u << files->files[i].number == (uint32_t)map)
             files->files[i].thumbnail = thumbnail;
 }
 
@@ -195,6 +200,13 @@ static void report_encoding(const struct bake_encoder *encoder, struct bake_valu
     memcpy(out->origin, encoding->origin, sizeof out->origin);
 }
 
+/* Transfer maps have no statistics: their values are stored as they are. */
+static struct bake_statistics statistics_of(const struct bake_measures *measures, unsigned number)
+{
+    static const struct bake_statistics none = {0};
+    return number < BK_MAP_COUNT ? measures->statistics[number] : none;
+}
+
 /* Chooses the encodings of all files, and writes to their headers how to decode them. */
 static int choose_encodings(struct bake_map_files *files, const struct bake_measures *measures,
                             struct bake_report *report)
@@ -204,13 +216,15 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
         struct map_file *file = &files->files[i];
         const struct bake_encoding_facts facts = {.options = files->options,
                                                   .traced = &files->traced,
-                                                  .statistics = measures->statistics[file->number],
+                                                  .statistics =
+                                                      statistics_of(measures, file->number),
                                                   .curvature_radius = measures->curvature_radius,
                                                   .integers = file->integers};
         struct bake_attributes attributes;
         bake_encoder_init(&facts, files->maps, file->number, &file->encoder);
         bake_describe_encoding(&file->encoder, &attributes);
-        report_encoding(&file->encoder, &report->encodings[file->number]);
+        if (file->number < BK_MAP_COUNT)
+            report_encoding(&file->encoder, &report->encodings[file->number]);
         status = fmt_image_describe(file->writer, attributes.list, attributes.count);
     }
     return status;
@@ -347,5 +361,6 @@ void bake_map_files_discard(struct bake_map_files *files)
     for (uint32_t i = 0; i < files->count; ++i)
         fmt_image_discard(files->files[i].writer);
     free(files->beside);
+    bsq_free(files->ctx, files->files);
     bsq_free(files->ctx, files);
 }

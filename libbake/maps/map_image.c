@@ -70,7 +70,7 @@ uint32_t bake_image_channels_for(uint32_t maps)
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if (maps & 1u << i)
             channels += bake_map_values(i);
-    return channels;
+    return channels + BK_TRANSFER_VALUES * bk_transfers(maps);
 }
 
 uint32_t bake_image_width(const struct bake_image *image)

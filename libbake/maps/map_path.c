@@ -34,6 +34,11 @@ char *bake_map_path(const char *path, enum bake_map map)
     return replace(path, BAKE_MAP_TOKEN, bake_map_names[number]);
 }
 
+char *bake_transfer_path(const char *path, const char *name)
+{
+    return replace(path, BAKE_MAP_TOKEN, name);
+}
+
 /* Returns a name as a part of a file's name: '/', control characters and the brackets of tokens
  * become '_', and so does a point at the start, so that no name leads to another folder. The caller
  * frees it. */

@@ -82,7 +82,6 @@ int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint
     int status = 0;
     for (unsigned i = 0; status == 0 && i < BK_MAP_COUNT; ++i)
         if (maps & 1u << i && bake_map_table[i].measured)
-            status = measure_values(ctx, image, bake_image_channels_for(maps & ((1u << i) - 1u)),
-                                    &statistics[i]);
+            status = measure_values(ctx, image, bake_place_of(maps, i), &statistics[i]);
     return status;
 }

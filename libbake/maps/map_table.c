@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "base/vec.h"
 
 /* Makes samples from 0 to 1 stand for values from -range to range. */
@@ -283,8 +284,60 @@ _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << B
                    BAKE_MAP_BENT == 1 << BK_MAP_bent &&
                    BAKE_MAP_THICKNESS == 1 << BK_MAP_thickness && BAKE_MAP_ID == 1 << BK_MAP_id,
                "bits of bake.h are rows of BK_MAPS");
-_Static_assert((int)BK_MAP_COUNT <= (int)BAKE_MAX_MAPS && (int)BAKE_MAPS_ALL == 1 << BAKE_MAX_MAPS,
-               "every map has a bit");
+_Static_assert((int)BK_MAP_COUNT < (int)BAKE_MAX_MAPS && (int)BAKE_MAX_MAPS == BK_TRANSFER_SHIFT &&
+                   (unsigned)BAKE_MAX_TRANSFERS == BK_TRANSFER_MASK,
+               "every map has a bit, and the number of transfer maps has bits of its own");
+
+/* ---- transfer maps ---- */
+
+/* Encodings of channels of the scan, by whether they are colours and have three values. */
+static const struct bake_map_row transfer_rows[2][2] = {
+    {{.channels = 1, .resolve = resolve_mean}, {.channels = 3, .resolve = resolve_mean}},
+    {{.channels = 1, .color = true, .resolve = resolve_mean},
+     {.channels = 3, .color = true, .resolve = resolve_mean}},
+};
+
+uint32_t bake_selection(const struct bake_options *options)
+{
+    return (options->maps & ~(uint32_t)BAKE_MAPS_ALL) | options->transfer_count
+                                                            << BK_TRANSFER_SHIFT;
+}
+
+const struct bake_map_row *bake_row_of(const struct bake_options *options, unsigned number)
+{
+    if (number < BK_MAP_COUNT)
+        return &bake_map_table[number];
+    const struct bsq_channel *channel =
+        bsq_channel_find(options->transfers[number - BK_MAP_COUNT].name);
+    return &transfer_rows[channel->color][channel->values == 3];
+}
+
+const char *bake_name_of(const struct bake_options *options, unsigned number)
+{
+    return number < BK_MAP_COUNT ? bake_map_names[number]
+                                 : options->transfers[number - BK_MAP_COUNT].name;
+}
+
+char *bake_path_of(const struct bake_options *options, unsigned number)
+{
+    return bake_transfer_path(options->output_path, bake_name_of(options, number));
+}
+
+unsigned bake_first_of(uint32_t maps)
+{
+    unsigned number = 0;
+    while (number < BK_MAP_COUNT && !bake_is_selected(maps, number))
+        number++;
+    return number;
+}
+
+uint32_t bake_place_of(uint32_t maps, unsigned number)
+{
+    const uint32_t rows = maps & ((1u << BK_MAP_COUNT) - 1u);
+    if (number < BK_MAP_COUNT)
+        return bake_image_channels_for(rows & ((1u << number) - 1u));
+    return bake_image_channels_for(rows) + BK_TRANSFER_VALUES * (number - BK_MAP_COUNT);
+}
 
 /* ---- names and choice ---- */
 

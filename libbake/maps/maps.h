@@ -96,6 +96,34 @@ struct bake_map_row {
 extern const struct bake_map_row bake_map_table[];
 /* Returns the floats of row i in a texel of the image. */
 uint32_t bake_map_values(unsigned i);
+
+/* ---- selections ---- */
+
+/* A selection of maps has the bits of rows and the number of transfer maps, see BK_TRANSFER_SHIFT.
+ * Map number i of a selection is row i or, from BK_MAP_COUNT on, a transfer map of the options. */
+
+/* Returns the options' maps, without defaults, and transfer maps as a selection. */
+uint32_t bake_selection(const struct bake_options *options);
+/* Returns the first number above those of all maps of a selection. */
+static inline unsigned bake_selection_end(uint32_t maps)
+{
+    return BK_MAP_COUNT + bk_transfers(maps);
+}
+static inline bool bake_is_selected(uint32_t maps, unsigned number)
+{
+    return number < BK_MAP_COUNT ? maps >> number & 1u : number < bake_selection_end(maps);
+}
+/* Returns the row of a map, which transfer maps of one kind share. */
+const struct bake_map_row *bake_row_of(const struct bake_options *options, unsigned number);
+/* Returns the name that stands for "<MAP>" in file names. */
+const char *bake_name_of(const struct bake_options *options, unsigned number);
+/* Returns the output path of a map; NULL if there is no memory. The caller frees it. */
+char *bake_path_of(const struct bake_options *options, unsigned number);
+/* Returns the lowest number in a selection, which is not empty. */
+unsigned bake_first_of(uint32_t maps);
+/* Returns the place of a map's values in a texel of the image. */
+uint32_t bake_place_of(uint32_t maps, unsigned number);
+
 /* Name and sums of row i, from BK_MAPS. */
 extern const char *const bake_map_names[BK_MAP_COUNT];
 extern const uint32_t bake_map_sums[BK_MAP_COUNT];
@@ -107,7 +135,7 @@ struct bake_scan_facts {
     bool has_color, has_ids;
 };
 
-/* Returns the maps to bake: those asked for, all, or the default ones. */
+/* Returns the maps to bake: those asked for, all, or the default ones. Leaves transfer maps out. */
 uint32_t bake_choose_maps(uint32_t asked, const struct bake_scan_facts *scan);
 
 /* Returns the length of rays into the solid, in mesh units. */
@@ -181,8 +209,10 @@ struct bake_tiles {
     uint32_t tile_size; /* side in texels */
 };
 
-/* Returns a side for tiles: large if there is work for all threads, small if memory is short. */
-uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples);
+/* Returns a side for tiles: large if there is work for all threads, small if memory is short.
+ * maps: a selection of maps. */
+uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
+                        uint32_t maps);
 
 /* Buffers of one worker for one tile, and its counts for the report. */
 struct bake_tile_worker {

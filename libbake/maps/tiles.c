@@ -7,14 +7,16 @@
 /* Sides in texels, and the tiles that each thread should at least get. */
 enum { LARGEST_TILE = 256, USUAL_TILE = 64, SMALLEST_TILE = 8, TILES_A_THREAD = 16 };
 
-/* Returns the largest size of a worker's buffers, which is that with all maps. */
-static uint64_t tile_bytes(uint64_t side, uint64_t samples)
+/* Returns the largest size of a worker's buffers, which is that with all rows of the table. */
+static uint64_t tile_bytes(uint64_t side, uint64_t samples, uint32_t maps)
 {
-    uint64_t most_floats = bk_texel_floats(~0u) + bake_image_channels_for(~0u);
+    maps |= (1u << BK_MAP_COUNT) - 1u;
+    uint64_t most_floats = bk_texel_floats(maps) + bake_image_channels_for(maps);
     return side * side * (samples * samples * sizeof(uint32_t) + most_floats * sizeof(float));
 }
 
-uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples)
+uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
+                        uint32_t maps)
 {
     uint64_t threads = bsq_threads(ctx);
     uint64_t share = bsq_memory_left(ctx) / 8 / threads;
@@ -22,7 +24,7 @@ uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, ui
     uint32_t side = LARGEST_TILE;
     while (side > USUAL_TILE && texels / side / side < TILES_A_THREAD * threads)
         side /= 2;
-    while (side > SMALLEST_TILE && tile_bytes(side, samples) > share)
+    while (side > SMALLEST_TILE && tile_bytes(side, samples, maps) > share)
         side /= 2;
     return side;
 }
@@ -100,6 +102,8 @@ static void resolve_texel(const float *texel, uint32_t maps, float *out)
         }
         sums += bake_map_sums[i];
     }
+    for (uint32_t i = 0; i < BK_TRANSFER_VALUES * bk_transfers(maps); ++i)
+        out[i] = sums[i] * weight;
 }
 
 void bake_tile_worker_resolve(const struct bake_tile_workers *workers,

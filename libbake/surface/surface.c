@@ -161,6 +161,22 @@ int bake_surface_use_color(struct bake_surface *surface)
     return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : status;
 }
 
+int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options)
+{
+    const struct bake_transfer *transfers = options->transfers;
+    if (options->transfer_count == 0)
+        return 0;
+    if (surface->parts)
+        return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                        "%s is a texture of one scan, but there are %u scans",
+                        transfers[0].texture_path, surface->part_count);
+    if (!surface->exact)
+        return bsq_fail(surface->ctx, BSQ_EDATA,
+                        "%s is a grid: the map %s is baked from triangles (.tris)", surface->path,
+                        transfers[0].name);
+    return bake_exact_use_transfers(surface->exact, transfers, options->transfer_count);
+}
+
 struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)
 {
     return (struct bake_scan_facts){.has_color = surface->has_color,

@@ -52,6 +52,11 @@ int bake_surface_explain(const struct bake_surface *surface, int status);
  * work. Errors: those of bake_exact_use_color(). */
 int bake_surface_use_color(struct bake_surface *surface);
 
+/* Makes later hits of maps carry the channels of transfer maps, if there are any. The options must
+ * live until bake_surface_close(). Call it at most once, not from parallel work. Errors: those of
+ * bake_exact_use_transfers(); BSQ_EDATA for a grid; BSQ_EUSAGE for a texture of several scans. */
+int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options);
+
 /* Makes later hits carry ids, if `use` is set and the scan has any; otherwise devices do not get
  * the channel. Call it at most once, not from parallel work. Errors: BSQ_ENOMEM. */
 int bake_surface_use_ids(struct bake_surface *surface, bool use);

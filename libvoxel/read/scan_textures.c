@@ -79,12 +79,13 @@ static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
     return access(path, R_OK) ? warn_bad(ctx, candidate, path, ": not readable") : 0;
 }
 
-static int decode(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
+static int decode(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count)
 {
     struct fmt_textures *textures = NULL;
     const uint64_t share = bsq_memory_left(ctx) / DECODING_SHARE;
-    int status = fmt_textures_open(
-        ctx, paths, count, share > LEAST_DECODING_BYTES ? share : LEAST_DECODING_BYTES, &textures);
+    int status =
+        fmt_textures_open(ctx, sources, count,
+                          share > LEAST_DECODING_BYTES ? share : LEAST_DECODING_BYTES, &textures);
     fmt_textures_close(textures);
     return status;
 }
@@ -96,7 +97,8 @@ static int decode_each(struct bsq_ctx *ctx, struct candidate *list, uint64_t cou
     for (uint64_t i = 0; i < count && !status; i++) {
         if (!list[i].good)
             continue;
-        status = decode(ctx, (const char *const *)&list[i].material->texture_path, 1);
+        status =
+            decode(ctx, &(struct fmt_texture_source){list[i].material->texture_path, false}, 1);
         if (status != BSQ_EDATA)
             continue;
         char *text = strdup(bsq_error(ctx));
@@ -112,15 +114,15 @@ static int decode_each(struct bsq_ctx *ctx, struct candidate *list, uint64_t cou
 /* Decodes all good candidates. */
 static int decode_all(struct bsq_ctx *ctx, struct candidate *list, uint64_t count)
 {
-    const char **paths = NULL;
+    struct fmt_texture_source *sources = NULL;
     uint32_t good = 0;
-    int status = bsq_alloc(ctx, "texture paths", count, sizeof *paths, &paths);
+    int status = bsq_calloc(ctx, "texture paths", count, sizeof *sources, &sources);
     for (uint64_t i = 0; i < count && !status; i++)
         if (list[i].good)
-            paths[good++] = list[i].material->texture_path;
+            sources[good++].path = list[i].material->texture_path;
     if (!status && good > 0)
-        status = decode(ctx, paths, good);
-    bsq_free(ctx, paths);
+        status = decode(ctx, sources, good);
+    bsq_free(ctx, sources);
     if (status != BSQ_EDATA || bsq_check(ctx))
         return status;
     bsq_clear_error(ctx);
@@ -211,7 +213,9 @@ int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
         return 0;
     if (texture_path) {
         int status = bsq_note_input(ctx, texture_path, "the texture");
-        return !status && textures->decode ? decode(ctx, &texture_path, 1) : status;
+        return !status && textures->decode
+                   ? decode(ctx, &(struct fmt_texture_source){texture_path, false}, 1)
+                   : status;
     }
     int status = fmt_mesh_preview_materials(reader, &materials);
     if (!status)

@@ -22,7 +22,7 @@ static int choose_distances(struct rays_scene *scene)
 
 static int make_raster(struct rays_scene *scene, uint32_t size)
 {
-    scene->tile_size = bake_tile_size(scene->ctx, size, size, scene->samples);
+    scene->tile_size = bake_tile_size(scene->ctx, size, size, scene->samples, 0);
     const struct bake_raster_options options = {.width = size,
                                                 .height = size,
                                                 .samples = scene->samples,

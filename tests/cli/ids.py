@@ -2,9 +2,9 @@
 ids.py colors FILE.png...: prints the colours of each image with 8 bits, sorted, on one line.
 ids.py differ A.png B.png: prints the percentage of texels that differ.
 """
-import struct
 import sys
-import zlib
+
+import png
 
 
 def id_of(name):
@@ -22,33 +22,11 @@ def id_of(name):
     return "#" + "".join(f"{value[c]:02x}" for c in "RGB")
 
 
-def paeth(a, b, c):
-    p = a + b - c
-    return min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
-
-
 def texels(path):
     """Returns the texels of an RGB image with 8 bits, as bytes of three."""
-    data, at, packed = open(path, "rb").read(), 8, b""
-    while at < len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        chunk = data[at + 8:at + 8 + length]
-        if kind == b"IHDR":
-            width, height, bits, color = struct.unpack_from(">IIBB", chunk)
-        packed += chunk if kind == b"IDAT" else b""
-        at += 12 + length
-    assert (bits, color) == (8, 2), path
-    raw, out, above = zlib.decompress(packed), [], bytearray(3 * width)
-    for y in range(height):
-        kind, *line = raw[y * (3 * width + 1):(y + 1) * (3 * width + 1)]
-        line = bytearray(line)
-        for i in range(3 * width):
-            left, corner = (line[i - 3], above[i - 3]) if i >= 3 else (0, 0)
-            line[i] = (line[i] + (0, left, above[i], (left + above[i]) // 2,
-                                  paeth(left, above[i], corner))[kind]) % 256
-        out += [bytes(line[i:i + 3]) for i in range(0, 3 * width, 3)]
-        above = line
-    return out
+    _, _, most, rows = png.read(path)
+    assert most == 255 and len(rows[0][0]) == 3, path
+    return [bytes(texel) for row in rows for texel in row]
 
 
 def main(what, *names):

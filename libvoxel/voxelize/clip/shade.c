@@ -33,14 +33,15 @@ bool vox_shading_needs_textures(const struct fmt_tris_header *header)
 static int open_textures(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
                          uint64_t texture_bytes, struct fmt_textures **out)
 {
-    const char **paths;
-    int status = bsq_calloc(ctx, "texture paths", header->material_count, sizeof *paths, &paths);
+    struct fmt_texture_source *sources;
+    int status =
+        bsq_calloc(ctx, "texture paths", header->material_count, sizeof *sources, &sources);
     if (status < 0)
         return status;
     for (uint32_t i = 0; i < header->material_count; i++)
-        paths[i] = header->materials[i].texture_path;
-    status = fmt_textures_open(ctx, paths, header->material_count, texture_bytes, out);
-    bsq_free(ctx, paths);
+        sources[i].path = header->materials[i].texture_path;
+    status = fmt_textures_open(ctx, sources, header->material_count, texture_bytes, out);
+    bsq_free(ctx, sources);
     return status;
 }
 

@@ -127,8 +127,14 @@ static int open_textures(struct fixture *f, const char *const *paths, uint32_t c
 {
     struct bsq_ctx_options options = {
         .threads = 3, .memory_bytes = 256 << 20, .tmpdir = scratch_directory};
+    struct fmt_texture_source *sources = calloc(count, sizeof *sources);
+    assert_non_null(sources);
+    for (uint32_t i = 0; i < count; i++)
+        sources[i].path = paths[i];
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
-    return fmt_textures_open(f->ctx, paths, count, cache, &f->textures);
+    int status = fmt_textures_open(f->ctx, sources, count, cache, &f->textures);
+    free(sources);
+    return status;
 }
 
 static void open_one(struct fixture *f, const char *path)

@@ -192,6 +192,40 @@ static void test_encodings_decode_to_the_values(void **state)
         }
 }
 
+/* Three sums each, after those of the rows; files have the channels of the name. */
+static void test_transfer_maps_follow_the_rows(void **state)
+{
+    (void)state;
+    const struct bake_transfer transfers[] = {
+        {"roughness", "r.png"}, {"emission", "e.png"}, {"other", "o.png"}};
+    struct bake_options options = options_for(BAKE_MAP_ID | BAKE_MAP_NORMAL, "a_<MAP>.exr");
+    options.transfers = transfers;
+    options.transfer_count = 3;
+    const uint32_t maps = bake_selection(&options), rows = options.maps;
+    const uint32_t floats = bk_texel_floats(rows), place = bake_image_channels_for(rows);
+    float texel[64] = {0};
+    const float values[9] = {1, 2, 3, 4, 5, 6, 7, 8, 9};
+    assert_int_equal(bk_texel_floats(maps), floats + 9);
+    assert_int_equal(bake_image_channels_for(maps), place + 9);
+    assert_int_equal(bake_place_of(maps, BK_MAP_id), bake_place_of(rows, BK_MAP_id));
+    assert_int_equal(bake_place_of(maps, BK_MAP_COUNT + 2), place + 6);
+    bk_add_transfers(maps, values, texel);
+    bk_add_transfers(maps, values, texel);
+    for (uint32_t i = 0; i < floats; ++i)
+        assert_true(texel[i] == 0);
+    for (uint32_t i = 0; i < 9; ++i)
+        assert_true(texel[floats + i] == 2.0f * values[i]);
+    assert_int_equal(bake_row_of(&options, BK_MAP_COUNT)->channels, 1);
+    assert_false(bake_row_of(&options, BK_MAP_COUNT)->color);
+    assert_true(bake_row_of(&options, BK_MAP_COUNT + 1)->color);
+    assert_int_equal(bake_row_of(&options, BK_MAP_COUNT + 2)->channels, 3);
+    char *path = bake_path_of(&options, BK_MAP_COUNT + 1);
+    assert_string_equal(path, "a_emission.exr");
+    free(path);
+    options.maps = 0;
+    assert_int_equal(bake_first_of(bake_selection(&options)), BK_MAP_COUNT);
+}
+
 static void test_unknown_maps_are_refused(void **state)
 {
     (void)state;
@@ -218,6 +252,7 @@ int main(void)
         cmocka_unit_test(test_defaults_need_no_colours),
         cmocka_unit_test(test_all_maps_are_those_that_the_scan_gives),
         cmocka_unit_test(test_encodings_decode_to_the_values),
+        cmocka_unit_test(test_transfer_maps_follow_the_rows),
         cmocka_unit_test(test_unknown_maps_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

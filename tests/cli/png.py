@@ -1,0 +1,51 @@
+"""png.py - reads and writes PNG files for tests, from the specification alone: 8 or 16 bits, grey or
+RGB, not interlaced."""
+import struct
+import zlib
+
+
+def paeth(a, b, c):
+    p = a + b - c
+    return min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
+
+
+def read(path):
+    """Returns width, height, the largest sample, and rows of texels, which are tuples of samples."""
+    data, at, packed = open(path, "rb").read(), 8, b""
+    while at < len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        chunk = data[at + 8:at + 8 + length]
+        if kind == b"IHDR":
+            width, height, bits, color = struct.unpack_from(">IIBB", chunk)
+        packed += chunk if kind == b"IDAT" else b""
+        at += 12 + length
+    assert bits in (8, 16) and color in (0, 2), path
+    channels, size = 3 if color else 1, bits // 8
+    texel, stride = channels * size, channels * size * width
+    raw, rows, above = zlib.decompress(packed), [], bytearray(stride)
+    for y in range(height):
+        kind, *line = raw[y * (stride + 1):(y + 1) * (stride + 1)]
+        line = bytearray(line)
+        for i in range(stride):
+            left, corner = (line[i - texel], above[i - texel]) if i >= texel else (0, 0)
+            line[i] = (line[i] + (0, left, above[i], (left + above[i]) // 2,
+                                  paeth(left, above[i], corner))[kind]) % 256
+        samples = struct.unpack(">%d%s" % (channels * width, "BH"[size - 1]), line)
+        rows.append([samples[i:i + channels] for i in range(0, len(samples), channels)])
+        above = line
+    return width, height, 2**bits - 1, rows
+
+
+def write(path, bits, rows):
+    """Writes rows of texels, which are tuples of 1 or 3 samples."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + \
+            struct.pack(">I", zlib.crc32(kind + data))
+    raw = b"".join(b"\0" + b"".join(struct.pack(">%d%s" % (len(texel), "BH"[bits // 8 - 1]), *texel)
+                                    for texel in row) for row in rows)
+    color = 0 if len(rows[0][0]) == 1 else 2
+    with open(path, "wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n" +
+                   chunk(b"IHDR", struct.pack(">IIBBBBB", len(rows[0]), len(rows), bits, color,
+                                              0, 0, 0)) +
+                   chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b""))

@@ -1,0 +1,125 @@
+#!/bin/sh
+# test_transfer.sh - maps of further textures of a scan: values by formula, colour or data, tasks,
+# the same bytes for any threads, budget and tiles, and what is refused.
+. "$(dirname "$0")/lib.sh"
+vox="run bisque-voxelize --resolution 40" bake="run bisque-bake --size 48"
+maps="python3 -B $top/tests/cli/transfer.py"
+
+# A square of 5 x 5 quads with texture coordinates u = x, v = y, and another one over it whose
+# texture coordinates are u = y, v = x.
+awk 'BEGIN {
+    for (j = 0; j <= 5; j++)
+        for (i = 0; i <= 5; i++)
+            printf "v %.2f %.2f 0\nvt %.2f %.2f\n", i / 5, j / 5, i / 5, j / 5
+    for (j = 0; j < 5; j++)
+        for (i = 1; i <= 5; i++) {
+            a = 6 * j + i
+            printf "f %d/%d %d/%d %d/%d %d/%d\n", a, a, a + 1, a + 1, a + 7, a + 7, a + 6, a + 6
+        }
+}' >plane.obj
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3 4/4\n' >low.obj
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n' >bare.obj
+$maps make || exit 1
+
+# values FILE FUNCTION TOLERANCE: the map has the values of a function.
+values()
+{
+    $maps check "$@" >"$out"
+    check "$1 shows $2" $?
+}
+
+$vox plane.obj --texture light.png -o plane.nvdb
+code 0
+$vox bare.obj -o bare.nvdb
+code 0
+
+# ---- values from triangles ----
+
+four=transfer:roughness,transfer:metallic,transfer:emission,transfer:coat
+textures="--texture roughness=ramp.png --texture metallic=slope.png --texture emission=light.png
+    --texture coat=three.png"
+$bake plane.tris low.obj --maps color,$four $textures -o 't_<MAP>.png' --json
+code 0
+json '.maps | keys == ["coat", "color", "emission", "metallic", "roughness"]'
+json '.maps.coat == "t_coat.png"'
+values t_roughness.png ramp 0.00003
+values t_metallic.png slope 0.002
+values t_emission.png light 0.00003
+values t_coat.png three 0.00003
+cmp -s t_color.png t_emission.png
+check "a transferred colour is that of the map color" $?
+
+$bake plane.tris low.obj --maps transfer:roughness --texture roughness=ramp.png -o one.png --png-bits 8
+code 0
+values one.png ramp 0.004
+$bake plane.tris low.obj --maps transfer:emission --texture emission=light.png -o e.exr
+code 0
+grep -aq 'bisque:transfer.*emission' e.exr && grep -aq lin_rec709_scene e.exr
+check "the file says what it shows" $?
+
+# ---- the same bytes ----
+
+for how in '--threads 1' '--memory 100M'; do
+    $bake plane.tris low.obj --maps color,$four $textures -o 's_<MAP>.png' $how
+    code 0
+    for map in color roughness metallic emission coat; do
+        cmp -s t_$map.png s_$map.png || echo "$map differs" >>differ
+    done
+done
+[ ! -e differ ]
+check "maps have the same bytes with other options of the work" $?
+$bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --write-plan plan.json
+code 0
+for step in '--task 0' '--task 1' '--merge'; do
+    run bisque-bake --plan plan.json $step
+    code 0
+done
+for map in color roughness metallic emission coat; do
+    cmp -s t_$map.png p_$map.png
+    check "tasks give the bytes of $map" $?
+done
+
+# ---- what is refused ----
+
+$bake plane.tris low.obj --maps transfer:gloss -o x.png
+code 64
+err_like 'transfer:gloss needs --texture gloss=FILE'
+$bake plane.tris low.obj --maps normal --texture gloss=ramp.png -o x.png
+code 64
+err_like -- '--maps does not have transfer:gloss'
+$bake plane.tris low.obj --maps transfer:Gloss --texture Gloss=ramp.png -o x.png
+code 64
+err_like 'cannot be a transfer map'
+$bake plane.tris low.obj --maps transfer:normal --texture normal=ramp.png -o x.png
+code 64
+err_like 'another map of this name'
+$bake plane.tris low.obj --maps transfer:a,transfer:a --texture a=ramp.png -o 'x_<MAP>.png'
+code 64
+err_like 'transfer:a is named twice'
+$bake plane.tris low.obj --maps transfer:a --texture a=ramp.png --texture a=ramp.png -o x.png
+code 64
+err_like '"a" is given twice'
+$bake plane.tris low.obj --maps transfer:a --texture ramp.png -o x.png
+code 64
+err_like '"ramp.png" is not NAME=FILE'
+$bake plane.tris low.obj --maps transfer:a,mask --texture a=ramp.png -o x.png
+code 64
+err_like 'several maps need'
+$bake plane.tris low.obj --maps transfer:ramp --texture ramp=ramp.png -o '<MAP>.png'
+code 64
+err_like 'ramp.png'
+$bake plane.nvdb low.obj --maps transfer:a --texture a=ramp.png -o x.png
+code 65
+err_like 'is a grid'
+$bake bare.tris low.obj --maps transfer:a --texture a=ramp.png -o x.png
+code 65
+err_like 'has no texture coordinates'
+$bake plane.tris low.obj --maps transfer:a --texture a=none.png -o x.png
+code 66
+err_like 'none.png'
+$bake plane.tris low.obj --maps transfer:a --texture a=plane.obj -o x.png
+code 65
+err_like 'plane.obj: not a readable image'
+[ ! -e x.png ] && [ ! -e x_a.png ]
+check "nothing was written" $?
+finish

@@ -1,0 +1,53 @@
+"""transfer.py make: writes textures whose values are functions of u and v.
+transfer.py check FILE FUNCTION TOLERANCE [swap]: checks that the texels of a map are values of a
+function of the scan's texture coordinates, of which x of the map is v and y is u.
+
+The functions are known by the names of the textures. u grows to the right, v upwards."""
+import sys
+
+import png
+
+SIDE = 64
+
+
+def to_srgb(c):
+    return 12.92 * c if c <= 0.0031308 else 1.055 * c ** (1 / 2.4) - 0.055
+
+
+# Values of data, or linear light; all are linear in u and v, so filters keep them.
+FUNCTIONS = {
+    "ramp": lambda u, v: (u,),
+    "slope": lambda u, v: (0.25 + 0.5 * v,),
+    "three": lambda u, v: (u, v, 0.5 + 0.25 * u - 0.5 * v),
+    "light": lambda u, v: (0.1 + 0.8 * u, 0.2 + 0.6 * v, 0.3),
+}
+
+
+def make():
+    for name, bits in (("ramp", 16), ("slope", 8), ("three", 16), ("light", 16)):
+        most = 2**bits - 1
+        encode = to_srgb if name == "light" else float
+        rows = [[tuple(round(most * encode(c))
+                       for c in FUNCTIONS[name]((x + 0.5) / SIDE, 1 - (y + 0.5) / SIDE))
+                 for x in range(SIDE)] for y in range(SIDE)]
+        png.write(name + ".png", bits, rows)
+
+
+def check(path, name, tolerance):
+    width, height, most, rows = png.read(path)
+    worst = 0
+    for y in range(height):
+        for x in range(width):
+            u, v = 1 - (y + 0.5) / height, (x + 0.5) / width
+            if min(u, v, 1 - u, 1 - v) < 1.5 / SIDE:  # filters wrap there
+                continue
+            expected = FUNCTIONS[name](u, v)
+            if name == "light":
+                expected = [to_srgb(c) for c in expected]
+            assert len(expected) == len(rows[y][x]), f"{path}: {len(rows[y][x])} channels"
+            worst = max(worst, *(abs(c / most - e) for c, e in zip(rows[y][x], expected)))
+    print(f"{path}: at most {worst:.6f} from {name}")
+    sys.exit(not worst <= float(tolerance))
+
+
+make() if sys.argv[1] == "make" else check(*sys.argv[2:])

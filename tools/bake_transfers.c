@@ -1,0 +1,86 @@
+/* bake_transfers.c - see bake_transfers.h. */
+#include "tools/bake_transfers.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+const char *bake_transfer_name(const char *word)
+{
+    static const char prefix[] = "transfer:";
+    return strncmp(word, prefix, strlen(prefix)) == 0 ? word + strlen(prefix) : NULL;
+}
+
+/* Adds an entry with a copy of the name's first `length` bytes. */
+static int add(struct cli *cli, struct bake_transfer **list, uint32_t *count, const char *name,
+               size_t length, const char *path)
+{
+    struct bake_transfer *grown = realloc(*list, (*count + UINT64_C(1)) * sizeof *grown);
+    char *copy = strndup(name, length);
+    if (grown)
+        *list = grown;
+    if (!grown || !copy) {
+        free(copy);
+        return cli_usage(cli, "out of memory");
+    }
+    grown[(*count)++] = (struct bake_transfer){copy, path};
+    return 0;
+}
+
+static struct bake_transfer *find(const struct bake_transfers *transfers, const char *name)
+{
+    for (uint32_t i = 0; i < transfers->map_count; i++)
+        if (strcmp(transfers->maps[i].name, name) == 0)
+            return &transfers->maps[i];
+    return NULL;
+}
+
+int bake_add_transfer(struct cli *cli, struct bake_transfers *transfers, const char *name)
+{
+    if (find(transfers, name))
+        return cli_usage(cli, "--maps: transfer:%s is named twice", name);
+    return add(cli, &transfers->maps, &transfers->map_count, name, strlen(name), NULL);
+}
+
+int bake_parse_texture(struct cli *cli, struct bake_transfers *transfers, const char *text)
+{
+    const char *equals = strchr(text, '=');
+    if (!equals || equals == text || equals[1] == '\0')
+        return cli_usage(cli, "--texture: \"%s\" is not NAME=FILE", text);
+    return add(cli, &transfers->textures, &transfers->texture_count, text, (size_t)(equals - text),
+               equals + 1);
+}
+
+int bake_use_transfers(struct cli *cli, struct bake_transfers *transfers,
+                       struct bake_options *options)
+{
+    for (uint32_t i = 0; i < transfers->texture_count; i++) {
+        const struct bake_transfer *texture = &transfers->textures[i];
+        struct bake_transfer *map = find(transfers, texture->name);
+        if (!map)
+            return cli_usage(cli, "--texture %s=%s: --maps does not have transfer:%s",
+                             texture->name, texture->texture_path, texture->name);
+        if (map->texture_path)
+            return cli_usage(cli, "--texture: \"%s\" is given twice", texture->name);
+        map->texture_path = texture->texture_path;
+    }
+    for (uint32_t i = 0; i < transfers->map_count; i++)
+        if (!transfers->maps[i].texture_path)
+            return cli_usage(cli, "transfer:%s needs --texture %s=FILE", transfers->maps[i].name,
+                             transfers->maps[i].name);
+    options->transfers = transfers->maps;
+    options->transfer_count = transfers->map_count;
+    return 0;
+}
+
+static void free_list(struct bake_transfer *list, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++)
+        free((void *)(uintptr_t)list[i].name);
+    free(list);
+}
+
+void bake_transfers_free(struct bake_transfers *transfers)
+{
+    free_list(transfers->maps, transfers->map_count);
+    free_list(transfers->textures, transfers->texture_count);
+}
