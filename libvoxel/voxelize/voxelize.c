@@ -153,6 +153,8 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     if (status == 0)
         status = vox_run_open(ctx, options, &run);
     if (status == 0)
+        status = vox_run_find_boxes(&run, NULL);
+    if (status == 0)
         status = make_grid(&run, report);
     vox_run_close(&run);
     report->seconds = bsq_seconds_now() - start;

@@ -24,7 +24,7 @@ static int visit_regions(const struct vox_run *run,
     struct vox_region_key key, after;
     uint64_t visited = 0;
     uint32_t chunk;
-    int status = vox_schedule_create(run->ctx, run->boxes, run->box_count, &schedule);
+    int status = vox_schedule_create(run->ctx, run->boxes, run->box_count, run->filter, &schedule);
     while (status == 0 && vox_schedule_next(schedule, &key)) {
         int32_t origin[3];
         vox_region_origin(key, origin);
@@ -172,6 +172,8 @@ int vox_write_plan(struct bsq_ctx *ctx, const struct vox_voxelize_options *optio
     if (status == 0)
         status = vox_run_open(ctx, options, &run);
     if (status == 0)
+        status = vox_run_find_boxes(&run, NULL);
+    if (status == 0)
         status = vox_run_check_grid(&run);
     if (status == 0)
         status = make_plan(&run, tasks, path, kept);
@@ -228,64 +230,53 @@ static int open_planned(const struct vox_farm_plan *plan, struct vox_run *run)
     return same ? 0 : fmt_farm_fail_plan(&plan->base, "its inputs give other voxels");
 }
 
+/* The regions of a task. */
 struct choice {
-    const struct vox_run *run;
     const struct vox_farm_plan *plan;
     uint32_t task;
-    bool own; /* the region at hand is of the task */
-    struct vox_chunk_box *boxes;
-    uint64_t count, capacity, regions;
+    uint64_t regions;
 };
 
-static int choose_region(void *arg, const int32_t origin[3], uint32_t chunk)
+/* Reading a chunk takes as long as looking at about this many regions. */
+static const double most_looked_at = 16384.0;
+
+/* Returns whether a box touches regions of the task, or reaches across too many to tell. */
+static bool touches_task(void *arg, const struct vox_box *box)
+{
+    const struct choice *choice = arg;
+    const int32_t *lo = box->lo, *hi = box->hi;
+    int32_t at[3];
+    if (vox_region_count(box) > most_looked_at)
+        return true;
+    for (at[0] = lo[0] & -VOX_REGION_SIZE; at[0] <= hi[0]; at[0] += VOX_REGION_SIZE)
+        for (at[1] = lo[1] & -VOX_REGION_SIZE; at[1] <= hi[1]; at[1] += VOX_REGION_SIZE)
+            for (at[2] = lo[2] & -VOX_REGION_SIZE; at[2] <= hi[2]; at[2] += VOX_REGION_SIZE)
+                if (vox_farm_task_of(choice->plan, at) == choice->task)
+                    return true;
+    return false;
+}
+
+static int count_own(void *arg, const int32_t origin[3], uint32_t chunk)
 {
     struct choice *choice = arg;
-    if (chunk == UINT32_MAX) {
-        choice->own = vox_farm_task_of(choice->plan, origin) == choice->task;
-        choice->regions += choice->own;
-        return 0;
-    }
-    if (!choice->own)
-        return 0;
-    int status = bsq_grow(choice->run->ctx, "chunk boxes", choice->count + 1, sizeof *choice->boxes,
-                          &choice->boxes, &choice->capacity);
-    if (status < 0)
-        return status;
-    struct vox_chunk_box *box = &choice->boxes[choice->count++];
-    box->chunk = chunk;
-    for (int a = 0; a < 3; a++) {
-        box->box.lo[a] = origin[a];
-        box->box.hi[a] = origin[a] + VOX_REGION_SIZE - 1;
-    }
+    (void)origin;
+    choice->regions += chunk == UINT32_MAX;
     return 0;
 }
 
-static int compare_boxes(const void *a, const void *b)
+/* Makes the run one of the regions that the filter's choice wants. */
+static int choose_regions(struct vox_run *run, const struct vox_box_filter *filter)
 {
-    const struct vox_chunk_box *x = a, *y = b;
-    return (x->chunk > y->chunk) - (x->chunk < y->chunk);
-}
-
-/* Replaces the boxes of chunks by the regions of the task that they touch. The schedule then has no
- * others. */
-static int choose_regions(struct vox_run *run, const struct vox_farm_plan *plan, uint32_t task)
-{
-    struct choice choice = {.run = run, .plan = plan, .task = task};
-    int status = visit_regions(run, choose_region, &choice);
-    if (status == 0 && choice.regions != plan->costs[task].regions)
+    struct choice *choice = filter->arg;
+    const struct vox_farm_plan *plan = choice->plan;
+    int status = vox_run_find_boxes(run, filter);
+    if (status == 0)
+        status = visit_regions(run, count_own, choice);
+    if (status == 0 && choice->regions > plan->costs[choice->task].regions)
         status = fmt_farm_fail_plan(&plan->base, "its inputs give other regions");
-    if (status < 0) {
-        bsq_free(run->ctx, choice.boxes);
-        return status;
-    }
-    if (choice.count > 0)
-        qsort(choice.boxes, choice.count, sizeof *choice.boxes, compare_boxes);
-    bsq_free(run->ctx, run->boxes);
-    run->boxes = choice.boxes;
-    run->box_count = choice.count;
-    run->expected_triangles = (uint64_t)plan->costs[task].work;
-    run->expected_regions = (double)choice.regions;
-    return 0;
+    run->expected_triangles = (uint64_t)plan->costs[choice->task].work;
+    run->expected_regions = (double)choice->regions;
+    return status;
 }
 
 struct task_job {
@@ -301,7 +292,7 @@ static int write_regions(const struct task_job *job, struct vox_run *run, struct
     int status = vox_part_begin(job->plan, job->task, vox_shading_has_color(run->header),
                                 run->options->ids, output, &writer);
     const struct vox_sink sink = {vox_part_append, writer};
-    if (status == 0 && run->box_count > 0)
+    if (status == 0 && run->expected_regions > 0)
         status = vox_run_regions(run, &sink);
     memcpy(totals.index_min, run->index_min, sizeof totals.index_min);
     memcpy(totals.index_max, run->index_max, sizeof totals.index_max);
@@ -320,9 +311,11 @@ static int write_part(void *arg, struct bsq_output *output)
 {
     const struct task_job *job = arg;
     struct vox_run run = {0};
+    struct choice choice = {.plan = job->plan, .task = job->task};
+    const struct vox_box_filter filter = {touches_task, &choice};
     int status = open_planned(job->plan, &run);
     if (status == 0)
-        status = choose_regions(&run, job->plan, job->task);
+        status = choose_regions(&run, &filter);
     if (status == 0)
         status = write_regions(job, &run, output);
     vox_run_close(&run);

@@ -122,10 +122,11 @@ int vox_run_check_grid(struct vox_run *job)
     return status;
 }
 
-static int find_boxes(struct vox_run *job)
+int vox_run_find_boxes(struct vox_run *job, const struct vox_box_filter *filter)
 {
     uint64_t count = job->header->chunk_count;
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(job->file);
+    job->filter = filter;
     int status = bsq_alloc(job->ctx, "chunk bounds", count, sizeof *job->bounds, &job->bounds);
     if (status < 0)
         return status;
@@ -133,7 +134,7 @@ static int find_boxes(struct vox_run *job)
         job->bounds[i] =
             vox_transform_box(&job->shared.transform, infos[i].bounds_min, infos[i].bounds_max);
     job->shared.bounds = job->bounds;
-    return vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds,
+    return vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds, filter,
                                   bsq_memory_left(job->ctx) / 16, &job->boxes, &job->box_count);
 }
 
@@ -147,8 +148,6 @@ int vox_run_open(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
         job->index_max[a] = INT32_MIN;
     }
     int status = open_input(job);
-    if (status == 0)
-        status = find_boxes(job);
     if (status < 0)
         return status;
     job->expected_triangles = job->header->triangle_count;
@@ -201,7 +200,8 @@ static int set_up(struct vox_run *job)
 {
     struct plan plan = {0, 0, 0, 0};
     int status;
-    if ((status = vox_schedule_create(job->ctx, job->boxes, job->box_count, &job->schedule)) < 0 ||
+    if ((status = vox_schedule_create(job->ctx, job->boxes, job->box_count, job->filter,
+                                      &job->schedule)) < 0 ||
         (status = make_smooth(job)) < 0 || (status = make_plan(job, &plan)) < 0 ||
         (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes,
                                    &job->shared.shading)) < 0 ||

@@ -19,9 +19,10 @@ struct vox_run {
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
     struct vox_shared shared;
-    struct vox_smooth *smooth;   /* NULL: the scan has normals, or is to be flat */
-    struct vox_box *bounds;      /* voxels of each chunk's bounds */
-    struct vox_chunk_box *boxes; /* the schedule makes all regions that these touch */
+    struct vox_smooth *smooth;           /* NULL: the scan has normals, or is to be flat */
+    struct vox_box *bounds;              /* voxels of each chunk's bounds */
+    const struct vox_box_filter *filter; /* which regions are made; NULL: all */
+    struct vox_chunk_box *boxes;         /* of the chunks that touch these */
     uint64_t box_count;
     uint64_t expected_triangles; /* for the progress */
     double expected_regions;     /* at most; for the division of work */
@@ -37,10 +38,14 @@ struct vox_run {
     bool gate_open;
 };
 
-/* Opens the input, places the voxels, and finds the boxes of all chunks. Close the run also after a
- * failure; zeros are allowed. The options must outlive it. */
+/* Opens the input and places the voxels. Close the run also after a failure; zeros are allowed. The
+ * options must outlive it. */
 int vox_run_open(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_run *run);
+
+/* Finds the boxes of chunks in the regions that a filter wants; NULL: in all. Only these regions
+ * are made. The filter must outlive the run. */
+int vox_run_find_boxes(struct vox_run *run, const struct vox_box_filter *filter);
 void vox_run_close(struct vox_run *run);
 
 /* Returns the 32-bit numbers of a record: normal and plane, colour, id. */
@@ -49,8 +54,8 @@ unsigned vox_run_channels(const struct vox_run *run);
 /* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
 int vox_run_check_grid(struct vox_run *run);
 
-/* Makes the regions that the boxes touch, and hands their voxels to the sink in the grid's order.
- * Errors: those of reading, and of the sink. */
+/* Makes the regions that boxes touch and the filter wants, and hands their voxels to the sink in
+ * the grid's order. Errors: those of reading, and of the sink. */
 int vox_run_regions(struct vox_run *run, const struct vox_sink *sink);
 
 /* ---- the grid file ---- */

@@ -127,9 +127,9 @@ $vox box.obj -o a.nvdb --vdb box.obj
 refused 64 "$p box.obj: this output would overwrite the scan"
 $vox box.obj -o a.nvdb --vdb ./a.nvdb
 refused 64 "$p ./a.nvdb: two outputs have this name"
-$vox box.obj -o a.tris --resolution 24
+$vox box.obj -o a.grid --resolution 24
 code 0
-rm a.tris a.tris.tris
+rm a.grid a.grid.tris
 files box.obj
 
 # ---- a box of 8 x 16 x 24 voxels: its surface is 8 * 16 * 24 - 6 * 14 * 22 voxels ----
@@ -212,7 +212,7 @@ refused 64 "$p box.tris is already a chunk file: leave out --texture"
 $vox box.tris --parse-only
 refused 64 "$p box.tris: --parse-only reads meshes"
 $vox box.tris -o box.tris
-refused 64 "$p box.tris: this output would overwrite the scan"
+refused 64 "$p box.tris: only meshes can be sorted, and an input is a chunk file"
 head -c 100 box.tris >short.tris
 $vox short.tris -o a.nvdb
 code 65

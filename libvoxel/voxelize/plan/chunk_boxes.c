@@ -7,12 +7,15 @@
 
 #include <math.h>
 
-/* Reading a chunk takes as long as visiting about this many empty regions. */
-static const double few_regions = 128.0;
+/* Reading a chunk takes as long as visiting about this many empty regions. With a filter, a chunk
+ * is not used if all regions that it touches are unwanted; then it is cut more closely. */
+static const double few_regions = 128.0, few_wanted_regions = 2.0;
 
 struct maker {
     struct bsq_ctx *ctx;
     const struct vox_transform *transform;
+    const struct vox_box_filter *filter; /* NULL: all boxes are wanted */
+    double few;                          /* regions that a box may have without being cut */
     struct vox_chunk_box *boxes;
     uint64_t count, capacity, most;
 };
@@ -40,11 +43,18 @@ static int add_box(struct maker *maker, uint32_t chunk, const struct vox_box *bo
     return status;
 }
 
+static bool is_wanted(const struct maker *maker, const struct vox_box *box)
+{
+    return !maker->filter || maker->filter->wants(maker->filter->arg, box);
+}
+
 static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_chunk *chunk,
                    uint32_t begin, uint32_t end)
 {
     struct vox_box box = run_box(maker->transform, chunk, begin, end);
-    if (end - begin == 1 || maker->count >= maker->most || vox_region_count(&box) <= few_regions)
+    if (!is_wanted(maker, &box))
+        return 0;
+    if (end - begin == 1 || maker->count >= maker->most || vox_region_count(&box) <= maker->few)
         return add_box(maker, number, &box);
     uint32_t middle = begin + (end - begin) / 2;
     int status = add_run(maker, number, chunk, begin, middle);
@@ -53,18 +63,23 @@ static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_c
 
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                            const struct vox_transform *transform, const struct vox_box *bounds,
-                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count)
+                           const struct vox_box_filter *filter, uint64_t bytes,
+                           struct vox_chunk_box **boxes, uint64_t *count)
 {
     uint64_t chunks = fmt_tris_get_header(file)->chunk_count;
     struct maker maker = {.ctx = ctx,
                           .transform = transform,
+                          .filter = filter,
+                          .few = filter ? few_wanted_regions : few_regions,
                           .most = bytes / (sizeof *maker.boxes + vox_schedule_entry_bytes())};
     void *scratch = NULL;
     int status = 0;
     for (uint64_t i = 0; i < chunks && status == 0; i++) {
         struct fmt_tris_chunk chunk;
+        if (!is_wanted(&maker, &bounds[i]))
+            continue;
         bool wide =
-            vox_region_count(&bounds[i]) > few_regions && maker.count + (chunks - i) < maker.most;
+            vox_region_count(&bounds[i]) > maker.few && maker.count + (chunks - i) < maker.most;
         if (wide && !scratch)
             status = bsq_alloc(ctx, "chunk boxes", fmt_tris_load_size_max(file), 1, &scratch);
         if (wide && status == 0 && (status = bsq_check(ctx)) == 0)

@@ -71,13 +71,22 @@ struct vox_chunk_box {
     uint32_t chunk;
 };
 
-/* Creates the boxes of all chunks in ascending order of chunks; free them with bsq_free(). bounds:
- * the voxels of each chunk's bounds. Chunks that reach across many regions are read and cut into
- * boxes that do not, or that hold one triangle. The boxes and their schedule take at most `bytes`,
- * unless one box a chunk needs more. */
+/* Chooses boxes: those that may touch the regions at hand. Chunks without such a box are not used.
+ */
+struct vox_box_filter {
+    bool (*wants)(void *arg, const struct vox_box *box);
+    void *arg;
+};
+
+/* Creates the boxes of chunks in ascending order of chunks; free them with bsq_free(). bounds: the
+ * voxels of each chunk's bounds. filter: NULL: all boxes are wanted. Chunks that reach across many
+ * regions are read and cut into boxes that do not, or that hold one triangle. With a filter, chunks
+ * that reach across several regions are, because reading one takes less time than using it. The
+ * boxes and their schedule take at most `bytes`, unless one box a chunk needs more. */
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                            const struct vox_transform *transform, const struct vox_box *bounds,
-                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count);
+                           const struct vox_box_filter *filter, uint64_t bytes,
+                           struct vox_chunk_box **boxes, uint64_t *count);
 
 /* ---- the schedule ----
  *
@@ -112,10 +121,10 @@ struct vox_region_key vox_region_first(const struct vox_box *box);
 
 struct vox_schedule;
 
-/* Creates a schedule. boxes: in ascending order of chunks; the caller keeps them until the schedule
- * is destroyed. */
+/* Creates a schedule. boxes: in ascending order of chunks. filter: which regions are made; NULL:
+ * all. The caller keeps both until the schedule is destroyed. */
 int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
-                        struct vox_schedule **out);
+                        const struct vox_box_filter *filter, struct vox_schedule **out);
 void vox_schedule_destroy(struct vox_schedule *schedule); /* NULL is allowed */
 
 /* Returns the bytes that a schedule takes for each chunk box. */
@@ -124,8 +133,7 @@ uint64_t vox_schedule_entry_bytes(void);
 /* Starts the next region. Returns false at the end. */
 bool vox_schedule_next(struct vox_schedule *schedule, struct vox_region_key *key);
 /* Gives the next chunk of that region, in ascending order. Returns false after the last one. after:
- * the next region that the chunk's boxes in this region touch, VOX_REGION_KEY_NEVER if there is
- * none. */
+ * the next region that the chunk's boxes touch, VOX_REGION_KEY_NEVER if there is none. */
 bool vox_schedule_chunk(struct vox_schedule *schedule, uint32_t *chunk,
                         struct vox_region_key *after);
 

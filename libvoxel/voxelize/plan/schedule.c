@@ -18,8 +18,10 @@ struct entry {
 struct vox_schedule {
     struct bsq_ctx *ctx;
     const struct vox_chunk_box *boxes;
+    const struct vox_box_filter *filter; /* NULL: all regions are made */
     struct entry *heap;
-    uint64_t count;
+    struct vox_region_key *keys; /* of each box: its next region */
+    uint64_t count, box_count;
     struct vox_region_key current;
 };
 
@@ -169,28 +171,50 @@ static void sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
 
 uint64_t vox_schedule_entry_bytes(void)
 {
-    return sizeof(struct entry);
+    return sizeof(struct entry) + sizeof(struct vox_region_key);
+}
+
+/* Returns the first region from `key` on that the box touches and that is to be made. */
+static struct vox_region_key wanted_from(const struct vox_schedule *s, const struct vox_box *box,
+                                         struct vox_region_key key)
+{
+    while (s->filter && key.tile != UINT64_MAX) {
+        struct vox_box region;
+        vox_region_origin(key, region.lo);
+        for (int a = 0; a < 3; a++)
+            region.hi[a] = region.lo[a] + VOX_REGION_SIZE - 1;
+        if (s->filter->wants(s->filter->arg, &region))
+            break;
+        key = region_after(box, key);
+    }
+    return key;
 }
 
 int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
-                        struct vox_schedule **out)
+                        const struct vox_box_filter *filter, struct vox_schedule **out)
 {
     struct vox_schedule *s;
     *out = NULL;
     int status = bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s);
     if (status < 0)
         return status;
-    if ((status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap)) <
-        0) {
-        bsq_free(ctx, s);
-        return status;
-    }
     s->ctx = ctx;
     s->boxes = boxes;
-    s->count = box_count;
-    for (uint64_t i = 0; i < box_count; i++)
-        s->heap[i] = (struct entry){vox_region_first(&boxes[i].box), i};
-    for (uint64_t i = box_count / 2; i-- > 0;)
+    s->box_count = box_count;
+    s->filter = filter;
+    status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap);
+    if (status == 0)
+        status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->keys, &s->keys);
+    if (status < 0) {
+        vox_schedule_destroy(s);
+        return status;
+    }
+    for (uint64_t i = 0; i < box_count; i++) {
+        s->keys[i] = wanted_from(s, &boxes[i].box, vox_region_first(&boxes[i].box));
+        if (s->keys[i].tile != UINT64_MAX)
+            s->heap[s->count++] = (struct entry){s->keys[i], i};
+    }
+    for (uint64_t i = s->count / 2; i-- > 0;)
         sift_down(s, i, s->heap[i]);
     *out = s;
     return 0;
@@ -201,6 +225,7 @@ void vox_schedule_destroy(struct vox_schedule *s)
     if (!s)
         return;
     bsq_free(s->ctx, s->heap);
+    bsq_free(s->ctx, s->keys);
     bsq_free(s->ctx, s);
 }
 
@@ -212,30 +237,40 @@ bool vox_schedule_next(struct vox_schedule *s, struct vox_region_key *key)
     return true;
 }
 
-/* Moves the first box of the heap to its next region, and returns that region. */
-static struct vox_region_key advance(struct vox_schedule *s)
+/* Moves the first box of the heap to its next region. */
+static void advance(struct vox_schedule *s)
 {
     struct entry entry = s->heap[0];
-    struct vox_region_key after = region_after(&s->boxes[entry.box].box, entry.key);
-    entry.key = after;
-    if (after.tile == UINT64_MAX)
+    const struct vox_box *box = &s->boxes[entry.box].box;
+    entry.key = s->keys[entry.box] = wanted_from(s, box, region_after(box, entry.key));
+    if (entry.key.tile == UINT64_MAX)
         entry = s->heap[--s->count];
     if (s->count > 0)
         sift_down(s, 0, entry);
-    return after;
+}
+
+/* Returns the next region of the chunk that box `i` belongs to. */
+static struct vox_region_key next_of_chunk(const struct vox_schedule *s, uint64_t i)
+{
+    const uint32_t chunk = s->boxes[i].chunk;
+    struct vox_region_key next = VOX_REGION_KEY_NEVER;
+    while (i > 0 && s->boxes[i - 1].chunk == chunk)
+        i--;
+    for (; i < s->box_count && s->boxes[i].chunk == chunk; i++)
+        if (vox_region_before(s->keys[i], next))
+            next = s->keys[i];
+    return next;
 }
 
 bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, struct vox_region_key *after)
 {
     if (s->count == 0 || vox_region_before(s->current, s->heap[0].key))
         return false;
-    *chunk = s->boxes[s->heap[0].box].chunk;
-    *after = VOX_REGION_KEY_NEVER;
+    const uint64_t box = s->heap[0].box;
+    *chunk = s->boxes[box].chunk;
     while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) &&
-           s->boxes[s->heap[0].box].chunk == *chunk) {
-        struct vox_region_key next = advance(s);
-        if (vox_region_before(next, *after))
-            *after = next;
-    }
+           s->boxes[s->heap[0].box].chunk == *chunk)
+        advance(s);
+    *after = next_of_chunk(s, box);
     return true;
 }
