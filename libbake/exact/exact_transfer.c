@@ -25,7 +25,7 @@ int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfe
         return bsq_fail(exact->ctx, BSQ_EDATA,
                         "%s has no texture coordinates for the map %s: make it with "
                         "bisque-voxelize --texture FILE",
-                        exact->options.path, transfers[0].name);
+                        exact->options.paths[0], transfers[0].name);
     exact->transfers = (struct exact_transfers){.count = count, .list = transfers};
     return open_textures(exact);
 }
