@@ -155,6 +155,8 @@ struct gltf_placement {
     double matrix[3][4];
     double normal_matrix[3][3];
     uint64_t base[FMT_MESH_KIND_COUNT]; /* elements of earlier placements in the file */
+    char *name;                         /* of the object: the node's, or else the mesh's */
+    uint64_t part_base;                 /* primitives of earlier placements in the file */
 };
 
 struct gltf_material {
@@ -190,7 +192,8 @@ struct gltf_source {
     struct gltf_placement *placements;
     uint32_t buffer_count, view_count, accessor_count, primitive_count, mesh_count, material_count;
     uint32_t placement_count;
-    uint32_t material_base; /* materials of earlier files */
+    uint32_t material_base;         /* materials of earlier files */
+    uint64_t part_count, part_base; /* primitives of all placements; those of earlier files */
     uint64_t total[FMT_MESH_KIND_COUNT], triangles;
     uint64_t bytes; /* of the file and its buffers */
     bool has_colors, has_tangents;
@@ -201,6 +204,7 @@ struct gltf_reader {
     struct stream_reader stream; /* must be first */
     struct gltf_source *files;
     uint32_t material_count; /* of all files */
+    uint64_t part_count;     /* primitives of the placements of all files */
     uint64_t missing[4];     /* positions, normals, texture coordinates, colours: not finite */
     bool has_colors;         /* some vertex of the scan has one */
     bool read_before;        /* what there is to warn of is known */

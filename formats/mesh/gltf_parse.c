@@ -253,6 +253,15 @@ static int add_triangles(const struct parser *p, const struct window *w)
     return 0;
 }
 
+/* Returns the number of a part: of a primitive at a node. fmt_gltf_open() has checked that it fits.
+ */
+static uint32_t part_of(const struct parser *p)
+{
+    const uint64_t primitive = (uint64_t)(p->primitive - p->source->primitives) -
+                               p->source->meshes[p->placement->mesh].first;
+    return (uint32_t)(p->source->part_base + p->placement->part_base + primitive);
+}
+
 static int reserve_faces(const struct parser *p)
 {
     const bool wanted[FMT_MESH_KIND_COUNT] = {
@@ -283,7 +292,8 @@ static int parse_faces(struct parser *p)
     p->arrays->change_count = p->arrays->face_count > 0;
     p->arrays->changes[0] = (struct fmt_mesh_material_change){
         .face = 0,
-        .material = p->primitive->material == GLTF_NONE
+        .material = p->reader->stream.base.objects ? part_of(p)
+                    : p->primitive->material == GLTF_NONE
                         ? FMT_MESH_NO_MATERIAL
                         : p->source->material_base + p->primitive->material};
     return 0;

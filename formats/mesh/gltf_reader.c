@@ -60,6 +60,10 @@ static int read_file(struct stream_reader *stream, uint32_t number)
         status = bsq_fail(reader->stream.base.ctx, BSQ_EDATA, "too many materials");
     source->material_base = reader->material_count;
     reader->material_count += source->material_count;
+    source->part_base = reader->part_count;
+    if (!status &&
+        __builtin_add_overflow(reader->part_count, source->part_count, &reader->part_count))
+        status = bsq_fail(reader->stream.base.ctx, BSQ_EDATA, "too many elements");
     reader->has_colors |= source->has_colors;
     return status;
 }
@@ -76,6 +80,8 @@ static void free_source(struct bsq_ctx *ctx, struct gltf_source *source)
     bsq_free(ctx, source->accessors);
     bsq_free(ctx, source->primitives);
     bsq_free(ctx, source->meshes);
+    for (uint32_t i = 0; i < source->placement_count; i++)
+        bsq_free(ctx, source->placements[i].name);
     bsq_free(ctx, source->placements);
 }
 
@@ -188,7 +194,8 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     reader->missing[1] += slot->bad_normals;
     reader->missing[2] += slot->missing_texcoords;
     reader->missing[3] += slot->bad_colors;
-    totals->materials = reader->material_count;
+    totals->materials =
+        reader->stream.base.objects ? (uint32_t)reader->part_count : reader->material_count;
     totals->split_vertices = true;
     totals->has_tangents |= reader->files[slot->part.source].has_tangents;
     return 0;
@@ -258,6 +265,9 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
                     struct fmt_mesh_totals *totals)
 {
     struct gltf_reader *reader = (struct gltf_reader *)base;
+    if (base->objects && reader->part_count >= FMT_MESH_NO_MATERIAL)
+        return bsq_fail(base->ctx, BSQ_EDATA, "%s: too many objects",
+                        reader->stream.sources[0].path);
     memset(reader->missing, 0, sizeof reader->missing);
     int status = fmt_stream_read(&reader->stream, steps, arg, totals);
     if (status || reader->read_before)
@@ -307,7 +317,7 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
     return status;
 }
 
-static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static int list_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
 {
     const struct gltf_reader *reader = (const struct gltf_reader *)base;
     int status = bsq_calloc(base->ctx, "materials", (uint64_t)reader->material_count + 1,
@@ -321,10 +331,53 @@ static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *ou
     return status;
 }
 
+/* Describes the material and the object of a primitive at a node. */
+static int describe_part(struct bsq_ctx *ctx, const char *file, const struct gltf_source *source,
+                         const struct gltf_placement *placement,
+                         const struct gltf_primitive *primitive, struct fmt_material *out)
+{
+    int status = 0;
+    for (int k = 0; k < 3; k++)
+        out->diffuse[k] = 0.8f;
+    if (primitive->material != GLTF_NONE)
+        status = describe_material(ctx, file, &source->materials[primitive->material], out);
+    else
+        status = fmt_string_copy(ctx, "", &out->name);
+    return status ? status : fmt_string_copy(ctx, placement->name, &out->object);
+}
+
+/* Lists the parts: the primitives of each placement, in the order of their numbers. */
+static int list_parts(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    const struct gltf_reader *reader = (const struct gltf_reader *)base;
+    int status =
+        bsq_calloc(base->ctx, "materials", reader->part_count + 1, sizeof *out->list, &out->list);
+    for (uint32_t file = 0; file < reader->stream.source_count && !status; file++) {
+        const struct gltf_source *source = &reader->files[file];
+        for (uint32_t i = 0; i < source->placement_count && !status; i++) {
+            const struct gltf_placement *placement = &source->placements[i];
+            const struct gltf_mesh *mesh = &source->meshes[placement->mesh];
+            status = bsq_check(base->ctx);
+            for (uint32_t k = 0; k < mesh->count && !status; k++)
+                status =
+                    describe_part(base->ctx, reader->stream.sources[file].path, source, placement,
+                                  &source->primitives[mesh->first + k], &out->list[out->count++]);
+        }
+    }
+    if (status)
+        fmt_materials_free(base->ctx, out);
+    return status;
+}
+
+static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    return base->objects ? list_parts(base, out) : list_materials(base, out);
+}
+
 static int preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
 {
     ((struct gltf_reader *)base)->uses_colors = true;
-    return read_materials(base, out);
+    return list_materials(base, out);
 }
 
 static const char *dependency(const struct fmt_mesh_reader *base, uint32_t index)

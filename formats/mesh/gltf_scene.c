@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/mesh_text.h"
 
 struct visit {
     uint32_t node;
@@ -100,6 +101,16 @@ static bool invert_for_normals(const double m[3][4], double out[3][3])
 
 /* ---- placing meshes ---- */
 
+/* Copies the name of an object: that of its node, or else of its mesh. place: the node. */
+static int copy_name(const struct gltf_place *place, uint32_t mesh, char **out)
+{
+    const struct gltf_place mesh_place = fmt_gltf_element(place->document, "meshes", mesh);
+    const char *name = fmt_gltf_string(place->object, "name");
+    if (!name || !name[0])
+        name = fmt_gltf_string(mesh_place.object, "name");
+    return fmt_string_copy(place->document->ctx, name ? name : "", out);
+}
+
 static int add_placement(struct walk *w, const struct gltf_place *place, uint32_t mesh,
                          const double matrix[3][4])
 {
@@ -118,8 +129,11 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
         overflow |=
             __builtin_add_overflow(source->total[kind], m->total[kind], &source->total[kind]) ||
             source->total[kind] > INT64_MAX;
+    out->part_base = source->part_count;
+    overflow |= __builtin_add_overflow(source->part_count, m->count, &source->part_count);
     source->placement_count++;
-    return overflow ? fmt_gltf_fail(place, "too many elements") : 0;
+    return overflow ? fmt_gltf_fail(place, "too many elements")
+                    : copy_name(place, mesh, &out->name);
 }
 
 static int place_mesh(struct walk *w, const struct gltf_place *place, const double matrix[3][4])

@@ -180,8 +180,9 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 /* ---- materials ---- */
 
 /* Makes blocks number faces by material and object: a material number then belongs to one object.
- * An object of an OBJ file begins at an "o" or "g" statement and has its name. Call it before the
- * first reading. Does nothing for formats without objects. */
+ * An object of an OBJ file begins at an "o" or "g" statement and has its name. In glTF files, and
+ * in those that Assimp reads, it is a node with a mesh. Call it before the first reading. Does
+ * nothing for formats without objects. */
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 
 struct fmt_material {

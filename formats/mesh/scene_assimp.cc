@@ -140,6 +140,7 @@ Matrix multiply(const Matrix &a, const aiMatrix4x4 &b)
 struct Place {
     const aiMesh *mesh;
     Matrix matrix;
+    const aiNode *node;
 };
 
 // Returns the meshes with triangles or polygons, node by node.
@@ -156,7 +157,7 @@ std::vector<Place> find_places(const aiScene &scene)
         stack.pop_back();
         for (unsigned i = 0; i < node->mNumMeshes; i++)
             if (node->mMeshes[i] < scene.mNumMeshes)
-                places.push_back({scene.mMeshes[node->mMeshes[i]], matrix});
+                places.push_back({scene.mMeshes[node->mMeshes[i]], matrix, node});
         for (unsigned i = node->mNumChildren; i-- > 0;)
             stack.emplace_back(node->mChildren[i], matrix);
     }
@@ -251,27 +252,39 @@ bool copy_place(const Place &place, fmt_scene *out)
     double normals[3][3];
     const bool mirrored = invert_for_normals(place.matrix, normals);
     const uint64_t first = out->vertex_count;
-    out->parts[out->part_count++] = {out->face_count, out->corner_count, place.mesh->mMaterialIndex,
-                                     place.mesh->HasNormals(), place.mesh->HasTextureCoords(0)};
+    out->parts[out->part_count++] = {out->face_count,
+                                     out->corner_count,
+                                     place.mesh->mMaterialIndex,
+                                     place.mesh->HasNormals(),
+                                     place.mesh->HasTextureCoords(0),
+                                     nullptr};
     out->has_tangents |= place.mesh->HasTangentsAndBitangents();
     for (unsigned v = 0; v < place.mesh->mNumVertices; v++)
         copy_vertex(place, normals, v, out);
     return copy_faces(*place.mesh, mirrored, first, out);
 }
 
-int copy_names(const Source &s, const aiScene &scene, fmt_scene *out)
+int copy_name(const Source &s, const aiString &name, char **out)
+{
+    const size_t size = std::strlen(name.C_Str()) + 1;
+    const int status = s.host->alloc(s.ctx, "names", size, 1, out);
+    if (status == 0)
+        std::memcpy(*out, name.C_Str(), size);
+    return status;
+}
+
+int copy_names(const Source &s, const aiScene &scene, const std::vector<Place> &places,
+               fmt_scene *out)
 {
     int status = 0;
     for (unsigned i = 0; i < scene.mNumMaterials && status == 0; i++) {
-        const aiString name = scene.mMaterials[i]->GetName();
-        const size_t size = std::strlen(name.C_Str()) + 1;
         char *copy = nullptr;
-        status = s.host->alloc(s.ctx, "names", size, 1, &copy);
-        if (status == 0) {
-            std::memcpy(copy, name.C_Str(), size);
+        status = copy_name(s, scene.mMaterials[i]->GetName(), &copy);
+        if (status == 0)
             out->material_names[out->material_count++] = copy;
-        }
     }
+    for (size_t i = 0; i < places.size() && status == 0; i++)
+        status = copy_name(s, places[i].node->mName, &out->parts[i].object);
     return status;
 }
 
@@ -320,8 +333,8 @@ int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
     }
     if (status != 0)
         return status;
-    out->parts[out->part_count] = {out->face_count, out->corner_count, 0, false, false};
-    return copy_names(s, scene, out);
+    out->parts[out->part_count] = {out->face_count, out->corner_count, 0, false, false, nullptr};
+    return copy_names(s, scene, places, out);
 }
 
 int import(const Source &s, fmt_scene *out)

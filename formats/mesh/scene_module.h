@@ -14,6 +14,7 @@ struct fmt_scene_part {
     uint64_t first_face, first_corner;
     uint32_t material;
     bool has_normals, has_texcoords;
+    char *object; /* name of the node, which may be ""; NULL only after the last part */
 };
 
 /* All meshes of a file, at the places of their nodes. Arrays are from the context's budget; the

@@ -94,6 +94,8 @@ static void close_reader(struct fmt_mesh_reader *base)
     bsq_free(base->ctx, r->scene.normals);
     bsq_free(base->ctx, r->scene.face_sizes);
     bsq_free(base->ctx, r->scene.corners);
+    for (uint64_t i = 0; i < r->scene.part_count; i++)
+        bsq_free(base->ctx, r->scene.parts[i].object);
     bsq_free(base->ctx, r->scene.parts);
     for (uint64_t i = 0; i < r->scene.material_count; i++)
         bsq_free(base->ctx, r->scene.material_names[i]);
@@ -260,7 +262,7 @@ static int read_faces(struct scene_reader *r, const struct fmt_scene_part *part,
             .texcoord_base = s->vertex_count,
             .normal_base = s->vertex_count,
             .face_base = f,
-            .material_at_start = part->material,
+            .material_at_start = r->base.objects ? (uint32_t)(part - s->parts) : part->material,
         };
         uint64_t corners = 0;
         for (; f < part[1].first_face && corners < 3 * BLOCK_ELEMENTS; f++)
@@ -283,7 +285,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     int status = read_vertices(r, steps, arg, &sequence, totals);
     for (uint64_t i = 0; i < s->part_count && !status; i++)
         status = read_faces(r, &s->parts[i], steps, arg, &sequence, totals);
-    totals->materials = (uint32_t)s->material_count;
+    totals->materials = (uint32_t)(base->objects ? s->part_count : s->material_count);
     totals->short_faces = s->short_faces;
     totals->has_tangents = s->has_tangents;
     totals->split_vertices = true;
@@ -317,8 +319,29 @@ static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_m
     return 0;
 }
 
+/* Lists the parts with the names of their materials and objects. */
+static int list_parts(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
+    int status =
+        bsq_calloc(base->ctx, "materials", s->part_count + 1, sizeof *out->list, &out->list);
+    for (uint64_t i = 0; i < s->part_count && !status; i++, out->count++) {
+        const uint32_t material = s->parts[i].material;
+        status = fmt_string_copy(base->ctx,
+                                 material < s->material_count ? s->material_names[material] : "",
+                                 &out->list[i].name);
+        if (!status)
+            status = fmt_string_copy(base->ctx, s->parts[i].object, &out->list[i].object);
+    }
+    if (status)
+        fmt_materials_free(base->ctx, out);
+    return status;
+}
+
 static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
 {
+    if (base->objects)
+        return list_parts(base, out);
     const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
     int status =
         bsq_calloc(base->ctx, "materials", s->material_count + 1, sizeof *out->list, &out->list);

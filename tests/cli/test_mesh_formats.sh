@@ -346,6 +346,14 @@ for suffix in blender.fbx assimp.dae assimp.x assimp.3ds; do
         ;;
     esac
 done
+# Nodes are objects.
+for suffix in blender.fbx assimp.dae; do
+    run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o 'object_<OBJECT>.exr' --maps normal --size 16
+    code 0
+    [ -e object_patch.exr ]
+    check "the object of uv.$suffix has a name" $?
+    rm -f object_*.exr
+done
 head -c 3000 "$meshes/uv.blender.fbx" >cut.fbx
 run bisque-bake uv.nvdb cut.fbx -o other.exr
 code 65

@@ -23,6 +23,15 @@ static void assert_near(double value, double expected, double tolerance)
         fail_msg("%.17g is not %.17g", value, expected);
 }
 
+/* Keeps the material number of the only face of each block. */
+static int keep_material(void *arg, const struct fmt_mesh_block *block)
+{
+    uint32_t **to = arg;
+    if (block->face_count > 0)
+        *(*to)++ = block->material_changes[0].material;
+    return 0;
+}
+
 /* Appends vertices (i, 2 i, -i) as floats. */
 static void put_vertices(struct ply_builder *b, int count)
 {
@@ -513,6 +522,51 @@ static void test_threads(void **state)
     ply_free(&b);
 }
 
+/* An object is a node with a mesh: it has the node's name, or else the mesh's. */
+static void test_objects(void **state)
+{
+    (void)state;
+    static const char *const objects[] = {"left", "left", "wheel", "wheel", "right", ""};
+    static const char *const materials[] = {"a", "", "a", "", "a", ""};
+    struct ply_builder b;
+    gltf_begin(&b);
+    put_vertices(&b, 3);
+    const char *path = gltf_write(
+        "scan",
+        HEAD FILE_BUFFER(
+            "scan") "'scenes':[{'nodes':[0,1,2,3]}],'materials':[{'name':'a'}],"
+                    "'nodes':[{'mesh':0,'name':'left'},{'mesh':0},{'mesh':1,'name':'right'},{'mesh':2}],"
+                    "'bufferViews':[{'buffer':0,'byteLength':$BYTES}],"
+                    "'accessors':[{'bufferView':0,'componentType':5126,'count':3,'type':'VEC3'}],"
+                    "'meshes':[{'name':'wheel','primitives':[{'attributes':{'POSITION':0},'material':0},"
+                    "{'attributes':{'POSITION':0}}]},"
+                    "{'name':'x','primitives':[{'attributes':{'POSITION':0},'material':0}]},"
+                    "{'primitives':[{'attributes':{'POSITION':0}}]}]}",
+        &b);
+    struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 64 << 20};
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_totals totals;
+    struct fmt_materials parts;
+    struct bsq_ctx *ctx;
+    uint32_t numbers[8], *end = numbers;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
+    fmt_mesh_use_objects(reader);
+    assert_int_equal(fmt_mesh_read(reader, keep_material, &end, &totals), 0);
+    assert_int_equal(end - numbers, 6);
+    assert_int_equal(fmt_mesh_read_materials(reader, &parts), 0);
+    assert_int_equal(parts.count, totals.materials);
+    for (int i = 0; i < 6; i++) {
+        assert_string_equal(parts.list[numbers[i]].object, objects[i]);
+        assert_string_equal(parts.list[numbers[i]].name, materials[i]);
+    }
+    fmt_materials_free(ctx, &parts);
+    fmt_mesh_close(reader);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+    ply_free(&b);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -521,7 +575,8 @@ int main(void)
         cmocka_unit_test(test_attributes),     cmocka_unit_test(test_color_types),
         cmocka_unit_test(test_sparse),         cmocka_unit_test(test_nodes),
         cmocka_unit_test(test_scaled_normals), cmocka_unit_test(test_buffers),
-        cmocka_unit_test(test_textures),       cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_textures),       cmocka_unit_test(test_objects),
+        cmocka_unit_test(test_threads),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }
