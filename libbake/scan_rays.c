@@ -105,7 +105,9 @@ static int fill_tile(void *arg, uint64_t index, unsigned worker)
 {
     const struct scan_rays *rays = arg;
     const struct bake_tile *tile = rays->samples->tile;
-    const struct bk_tile place = bake_raster_tile(tile->raster, (uint32_t)index);
+    struct bk_tile place = bake_raster_tile(tile->raster, (uint32_t)index);
+    if (tile->in_blocks)
+        bake_blocks_to_image(&tile->sample_blocks, &place.x, &place.y);
     uint32_t *triangles = rays->tiles + (uint64_t)worker * tile->tile_size * tile->tile_size;
     uint64_t overlaps;
     if (place.y >= rays->row + rays->rows || place.y + place.height <= rays->row)
@@ -118,6 +120,16 @@ static int fill_tile(void *arg, uint64_t index, unsigned worker)
                    triangles + (uint64_t)y * place.width, place.width * sizeof *triangles);
     }
     return status;
+}
+
+/* Sets the place in the map of the first sample of a row of the image. */
+static void place_row(const struct scan_rays *rays, uint32_t row, uint32_t *x, uint32_t *y)
+{
+    const struct bake_tile *tile = rays->samples->tile;
+    *x = 0;
+    *y = row;
+    if (tile->in_blocks)
+        bake_blocks_to_map(&tile->sample_blocks, x, y);
 }
 
 /* Reads a row of samples into the worker's buffer. */
@@ -138,10 +150,12 @@ static int load_row(void *arg, uint64_t index, unsigned worker)
     const struct scan_rays *rays = arg;
     const struct bake_scan_samples *samples = rays->samples;
     const uint32_t row = rays->row + (uint32_t)index;
+    uint32_t map_x, map_y;
     float *sample;
     int status = read_row(rays, row, worker, &sample);
     if (status < 0)
         return status;
+    place_row(rays, row, &map_x, &map_y);
     for (uint32_t x = 0; x < samples->width; x++, sample += samples->floats) {
         struct origin *to = &rays->origins[index * samples->width + x];
         const bk_map_hit hit = bake_sample_hit(samples->maps, sample);
@@ -151,7 +165,8 @@ static int load_row(void *arg, uint64_t index, unsigned worker)
         memcpy(to->normal, hit.normal, sizeof to->normal);
         memcpy(to->facet, hit.facet, sizeof to->facet);
         to->reversed = hit.side < 0;
-        to->seed = bk_sample_seed(bk_sample_place(x, 0, 1), bk_sample_place(row, 0, 1), 1);
+        to->seed =
+            bk_sample_seed(bk_sample_place(map_x + x, 0, 1), bk_sample_place(map_y, 0, 1), 1);
     }
     return 0;
 }
@@ -171,7 +186,7 @@ static bk_surroundings sum_rays(const struct scan_rays *rays, uint64_t index)
     return bake_sum_rays(&rays->states, &rays->params, &place, index, low, high);
 }
 
-/* Writes what the rays found to a sample. */
+/* Writes what the rays found to a sample at (x, y) of the map. */
 static void finish_sample(const struct scan_rays *rays, uint64_t index, uint32_t x, uint32_t y,
                           float *sample)
 {
@@ -195,12 +210,14 @@ static int finish_row(void *arg, uint64_t index, unsigned worker)
     const struct scan_rays *rays = arg;
     const struct bake_scan_samples *samples = rays->samples;
     const uint32_t row = rays->row + (uint32_t)index;
+    uint32_t map_x, map_y;
     float *sample;
     int status = read_row(rays, row, worker, &sample);
+    place_row(rays, row, &map_x, &map_y);
     for (uint32_t x = 0; x < samples->width && status == 0; x++) {
         const uint64_t number = index * samples->width + x;
         if (rays->origins[number].scan != NO_SCAN)
-            finish_sample(rays, number, x, row, sample + (uint64_t)x * samples->floats);
+            finish_sample(rays, number, map_x + x, map_y, sample + (uint64_t)x * samples->floats);
     }
     return status < 0 ? status
                       : bake_image_write(samples->image, 0, row, samples->width, 1, sample);

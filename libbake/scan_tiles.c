@@ -21,7 +21,7 @@ struct work {
     uint32_t part;
     uint32_t traced, kept; /* maps of the images below */
     uint32_t traced_floats, kept_floats;
-    uint32_t width;           /* of the images, in samples */
+    uint32_t width, height;   /* of the images, in samples */
     struct bake_image *image; /* samples of one scan, with lengths in voxels */
     /* Samples of all scans so far, with lengths in world units. The last float is the number of the
      * scan. */
@@ -211,7 +211,7 @@ static int resolve_row(void *arg, uint64_t row, unsigned number)
 {
     const struct work *work = arg;
     struct bake_tile_worker *worker = &work->workers.workers[number];
-    const uint32_t n = work->tile->options.samples, width = work->tile->options.width;
+    const uint32_t n = work->tile->options.samples, width = work->width / n;
     float *buffer = work->rows + number * work->row_floats;
     int status = 0;
     memset(worker->texels, 0, (size_t)width * work->workers.texel_floats * sizeof *worker->texels);
@@ -232,10 +232,10 @@ static int resolve_row(void *arg, uint64_t row, unsigned number)
 static int resolve(struct work *work, struct bake_report *report)
 {
     struct bsq_ctx *ctx = work->scene->ctx;
-    int status =
-        bake_row_workers_begin(ctx, work->tile->maps, work->tile->options.width, &work->workers);
+    const uint32_t n = work->tile->options.samples;
+    int status = bake_row_workers_begin(ctx, work->tile->maps, work->width / n, &work->workers);
     if (status == 0)
-        status = bsq_parallel_for(ctx, work->tile->options.height, resolve_row, work);
+        status = bsq_parallel_for(ctx, work->height / n, resolve_row, work);
     bake_tile_workers_end(ctx, &work->workers, report);
     return status;
 }
@@ -244,12 +244,13 @@ static int resolve(struct work *work, struct bake_report *report)
 
 static int create_images(struct work *work, uint64_t memory_bytes)
 {
-    const struct bake_options *options = &work->tile->options;
+    const struct bake_tile *tile = work->tile;
     struct bake_image_options image = {.width = work->width,
-                                       .height = options->height * options->samples,
+                                       .height = work->height,
                                        .channels = work->kept_floats,
                                        .memory_bytes = memory_bytes / 3,
-                                       .beside = work->tile->beside};
+                                       .beside = tile->beside,
+                                       .blocks = tile->in_blocks ? &tile->sample_blocks : NULL};
     struct bsq_ctx *ctx = work->scene->ctx;
     int status = bake_image_create(ctx, &image, &work->nearest);
     image.channels = work->traced_floats;
@@ -271,7 +272,7 @@ static int trace_rays_from_hits(struct work *work, struct bake_report *report)
                                               .maps = work->kept,
                                               .floats = work->kept_floats,
                                               .width = work->width,
-                                              .height = bake_image_height(work->nearest)};
+                                              .height = work->height};
     bake_image_free(work->image);
     work->image = NULL;
     return bake_trace_scan_rays(&samples, report);
@@ -287,13 +288,13 @@ int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile 
                         .kept = traced | tile->maps,
                         .traced_floats = bk_texel_floats(traced),
                         .kept_floats = bk_texel_floats(traced | tile->maps) + 1,
-                        .width = tile->options.width * n};
+                        .width = bake_image_width(tile->image) * n,
+                        .height = bake_image_height(tile->image) * n};
     int status = create_images(&work, memory_bytes);
     for (; work.part < scene->surface->part_count && status == 0; work.part++) {
         status = trace_part(&work, report);
         if (status == 0)
-            status =
-                bsq_parallel_for(scene->ctx, (uint64_t)tile->options.height * n, merge_row, &work);
+            status = bsq_parallel_for(scene->ctx, work.height, merge_row, &work);
     }
     if (status == 0 && traced & BK_PLACE)
         status = trace_rays_from_hits(&work, report);

@@ -30,7 +30,7 @@ void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
 {
     bake_raster_free(tile->raster);
     bake_image_free(tile->image);
-    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots);
+    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots); /* sample_blocks has the same */
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
@@ -53,16 +53,24 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
             scene->ctx, BSQ_EUSAGE,
             "a map of %u x %u texels is too large for %u x %u samples a texel of several scans",
             options->width, options->height, n, n);
+    if (tile->in_blocks && tile->blocks.count > UINT32_MAX / n / tile->blocks.side)
+        return bsq_fail(scene->ctx, BSQ_EUSAGE,
+                        "a task has too many texels for %u x %u samples of several scans: make a "
+                        "plan of more tasks",
+                        n, n);
     tile->tile_size = bake_tile_size(scene->ctx, width, height, samples, tile->maps);
-    if (tile->in_blocks && tile->tile_size > tile->blocks.side)
-        tile->tile_size = tile->blocks.side;
+    tile->sample_blocks = tile->blocks;
+    tile->sample_blocks.side *= n;
+    while (tile->in_blocks && tile->sample_blocks.side % tile->tile_size != 0)
+        tile->tile_size /= 2;
     const struct bake_raster_options raster = {.width = width,
                                                .height = height,
                                                .samples = samples,
                                                .tile_size = tile->tile_size,
                                                .first = tile->place.first,
                                                .count = tile->place.count,
-                                               .blocks = tile->in_blocks ? &tile->blocks : NULL};
+                                               .blocks =
+                                                   tile->in_blocks ? &tile->sample_blocks : NULL};
     struct bake_raster_report counts = {0};
     int status = bake_raster_create(scene->ctx, scene->mesh, &raster, &counts, &tile->raster);
     if (status < 0)

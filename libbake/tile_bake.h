@@ -16,6 +16,7 @@ struct bake_tile {
     uint32_t tile_size; /* side of the raster's tiles in texels */
     bool in_blocks;     /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
+    struct bake_blocks sample_blocks; /* the same for the raster, whose texels may be samples */
     struct bake_raster *raster;
     struct bake_image *image;
     struct bake_map_files *files;

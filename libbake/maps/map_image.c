@@ -115,13 +115,9 @@ int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t 
 int bake_image_write_tile(struct bake_image *image, const struct bk_tile *tile,
                           const float *samples)
 {
-    const struct bake_blocks *blocks = image->blocks;
     uint32_t x = tile->x, y = tile->y;
-    if (blocks) {
-        const uint64_t block = (uint64_t)(y / blocks->side) * blocks->columns + x / blocks->side;
-        x %= blocks->side;
-        y = blocks->slots[block] * blocks->side + y % blocks->side;
-    }
+    if (image->blocks)
+        bake_blocks_to_image(image->blocks, &x, &y);
     return bake_image_write(image, x, y, tile->width, tile->height, samples);
 }
 

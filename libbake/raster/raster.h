@@ -10,12 +10,18 @@
 /* Blocks of a map, squares of texels in row order, of which a job bakes some. Those at the right
  * and lower border may be smaller. */
 struct bake_blocks {
-    uint32_t side; /* texels; a power of two, which the sides of tiles divide */
+    uint32_t side; /* texels; sides of tiles divide it */
     uint32_t columns, rows;
     uint32_t count;        /* blocks to bake */
     const uint32_t *slots; /* for each block: its number among those to bake, or BAKE_NO_SLOT */
 };
 #define BAKE_NO_SLOT UINT32_MAX
+
+/* Converts the place of a texel in the map to the place in an image that holds the blocks to bake
+ * one below the other. The texel must lie in such a block. */
+void bake_blocks_to_image(const struct bake_blocks *blocks, uint32_t *x, uint32_t *y);
+/* Converts a place in such an image to the map. Takes time linear in all blocks. */
+void bake_blocks_to_map(const struct bake_blocks *blocks, uint32_t *x, uint32_t *y);
 
 /* The triangles of a mesh in texture space, indexed by tile. */
 struct bake_raster;
