@@ -1,55 +1,118 @@
 #!/bin/sh
-# farm.sh - what dividing a bake costs: processor time (user and system) of the plan, all tasks
-# and the merge beside that of a single run, one thread each, in seconds and as a ratio; the bytes of
-# the parts; the longest task. Checks that the maps are the same. SIDE: of the maps; TRIANGLES: of the
-# scan; COUNTS: numbers of tasks.
+# farm.sh - what dividing work costs. Processor time, user and system, one thread each: of the plan,
+# all tasks and the merge of a bake beside that of a single run; of many small assets. Bytes that
+# tasks read. Checks that the maps are the same, and predicts large scans from what it measured.
+# SIDE: of the maps; TRIANGLES: of the scan; COUNTS: numbers of tasks, 16 among them for the
+# prediction; ASSETS: how many small ones.
 set -eu
+here=$(cd "$(dirname "$0")" && pwd)
 BIN=$(cd "${BIN:?is the directory with the programs}" && pwd)
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd)
 work=$(mktemp -d "${TMPDIR:-/tmp}/bisque-bench.XXXXXX")
 trap 'cd / && rm -rf "$work"' EXIT
 cd "$work"
-side=${SIDE:-2048} triangles=${TRIANGLES:-2000000} counts=${COUNTS:-1 4 16 64}
+side=${SIDE:-2048} triangles=${TRIANGLES:-2000000} counts=${COUNTS:-1 4 16 64} assets=${ASSETS:-200}
 
-"$TESTS/generate-scan" --triangles "$triangles" --colors vase -o scan.obj
-"$TESTS/generate-scan" vase-low -o low.obj
-"$BIN/bisque-voxelize" scan.obj -o scan.nvdb --resolution 1024 >report
-
-# cost COMMAND...: adds its processor seconds to $total.
+# cost COMMAND...: runs it and sets $seconds of a processor, $wall and $read bytes.
 cost()
 {
     "$@" --threads 1 --json >report
-    total=$(jq --argjson t "$total" '$t + .cost.seconds_user + .cost.seconds_system' report)
+    set -- $(jq -r '.cost | "\(.seconds_user + .seconds_system) \(.seconds) \(.bytes_read)"' report)
+    seconds=$1 wall=$2 read=$3
+}
+
+# note NAME VALUE: keeps a figure for the prediction.
+note()
+{
+    echo "$1 $2" >>figures
+}
+
+# calculate EXPRESSION: prints its value.
+calculate()
+{
+    jq -n "$1"
+}
+
+# ---- the scan and its grid ----
+
+"$TESTS/generate-scan" --triangles "$triangles" --colors vase -o scan.obj
+"$TESTS/generate-scan" vase-low -o low.obj
+cost "$BIN/bisque-voxelize" scan.obj -o coarse.nvdb --tris scan.tris --resolution 1
+note sort_seconds "$seconds"
+cost "$BIN/bisque-voxelize" scan.tris -o scan.nvdb --resolution 1024
+note grid_seconds "$seconds"
+note triangles "$triangles"
+note side "$side"
+for kind in obj tris nvdb; do
+    note ${kind}_bytes "$(stat -c %s scan.$kind)"
+done
+
+# ---- bakes ----
+
+# divide TASKS: bakes in tasks, and prints a row of the table. $scan, $options and $single are set.
+divide()
+{
+    rm -f plan.* part_*
+    cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --tasks "$1" --write-plan plan.json
+    plan=$seconds all=0 longest=0 most=0 bytes=0 task=0
+    while [ $task -lt "$1" ]; do
+        cost "$BIN/bisque-bake" --plan plan.json --task $task
+        all=$(calculate "$all + $seconds") longest=$(calculate "[$longest, $seconds] | max")
+        bytes=$((bytes + read)) most=$((read > most ? read : most))
+        task=$((task + 1))
+    done
+    cost "$BIN/bisque-bake" --plan plan.json --merge
+    for map in normal color height; do
+        cmp one_$map.exr part_$map.exr
+    done
+    parts=$(cat plan.*.part | wc -c)
+    jq -nr --arg scan "${scan#scan.}" "[\$scan, $1, $plan, $all, $seconds, $single,
+        ($plan + $all + $seconds) / $single, $parts / 1048576, $longest, $bytes / $1 / 1048576, $most / 1048576] |
+        \"| \" + (map(if type == \"number\" then . * 1000 | round / 1000 else . end | tostring) | join(\" | \")) + \" |\""
+    [ "$1" -ne 16 ] || {
+        for figure in plan:$plan tasks:$all merge:$seconds parts:$parts read:$bytes merge_read:$read; do
+            note "${scan#scan.}_${figure%%:*}" "${figure#*:}"
+        done
+        ratio=$(calculate "($plan + $all + $seconds) / $single")
+    }
 }
 
 echo "maps of $side x $side, 2 x 2 samples, normal, color, height; scan of $triangles triangles"
-echo "| bake | tasks | plan s | tasks s | merge s | single run s | ratio | parts MiB | longest task s |"
-echo "|---|---:|---:|---:|---:|---:|---:|---:|---:|"
+echo "| bake | tasks | plan s | tasks s | merge s | single run s | ratio | parts MiB | longest task s | a task reads MiB | at most MiB |"
+echo "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
+limits=
 for scan in scan.nvdb scan.tris; do
-    options="--size $side --maps normal,color,height --device cpu"
-    total=0
+    options="--size $((side / 4)) --maps normal,color,height --device cpu" ratio=0
     cost "$BIN/bisque-bake" $scan low.obj -o 'one_<MAP>.exr' $options
-    single=$total
+    note ${scan#scan.}_small "$seconds"
+    options="--size $side --maps normal,color,height --device cpu"
+    cost "$BIN/bisque-bake" $scan low.obj -o 'one_<MAP>.exr' $options
+    single=$seconds
+    note ${scan#scan.}_single "$seconds"
     for tasks in $counts; do
-        rm -f plan.* part_*
-        total=0
-        cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --tasks "$tasks" --write-plan plan.json
-        plan=$total all=0 longest=0 task=0
-        while [ $task -lt "$tasks" ]; do
-            total=0
-            cost "$BIN/bisque-bake" --plan plan.json --task $task
-            all=$(jq -n "$all + $total")
-            longest=$(jq -n "[$longest, $total] | max")
-            task=$((task + 1))
-        done
-        total=0
-        cost "$BIN/bisque-bake" --plan plan.json --merge
-        for map in normal color height; do
-            cmp one_$map.exr part_$map.exr
-        done
-        parts=$(cat plan.*.part | wc -c)
-        jq -nr --arg scan "${scan#scan.}" "[\$scan, $tasks, $plan, $all, $total, $single,
-            ($plan + $all + $total) / $single, $parts / 1048576, $longest] |
-            \"| \" + (map(if type == \"number\" then . * 1000 | round / 1000 else . end | tostring) | join(\" | \")) + \" |\""
+        divide "$tasks"
     done
+    limits="$limits $ratio"
 done
+echo
+echo "$limits" | awk '$1 { printf "16 tasks: %.2f of a single run from the grid (limit 1.10), %.2f from triangles (limit 1.25)\n", $1, $2 }'
+
+# ---- many small assets ----
+
+"$TESTS/generate-scan" --triangles 2000 --colors vase -o small.obj
+all=0 whole=0 asset=0
+while [ $asset -lt "$assets" ]; do
+    cost "$BIN/bisque-voxelize" small.obj -o small.nvdb --no-tris --resolution 32
+    all=$(calculate "$all + $seconds") whole=$(calculate "$whole + $wall")
+    cost "$BIN/bisque-bake" small.nvdb low.obj -o 'small_<MAP>.exr' --size 32 --maps normal --device cpu
+    all=$(calculate "$all + $seconds") whole=$(calculate "$whole + $wall")
+    asset=$((asset + 1))
+done
+echo "$assets small assets: $(calculate "$all / $assets * 1000 | round / 1000") s of a processor each, $(
+    calculate "$whole / $assets * 1000 | round / 1000") s in all, for voxelizing and baking (limit 0.2)"
+
+# ---- large scans ----
+
+grep -q '^tris_tasks ' figures || exit 0
+echo
+awk -f "$here/farm_predict.awk" figures
