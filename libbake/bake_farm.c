@@ -147,7 +147,10 @@ static const double grid_seconds = 0.25e-6, exact_seconds = 0.8e-6, ray_seconds 
 static double sample_seconds(const struct bake_run *job)
 {
     const struct bake_options *options = job->options;
-    double seconds = job->surface.exact ? exact_seconds : grid_seconds;
+    const struct bake_surface *surface = &job->surface;
+    double seconds = surface->exact ? exact_seconds : grid_seconds;
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        seconds += surface->parts[p].exact ? exact_seconds : grid_seconds;
     if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
         seconds += options->ao_rays * ray_seconds;
     if (job->maps & BAKE_MAP_THICKNESS)
@@ -155,19 +158,28 @@ static double sample_seconds(const struct bake_run *job)
     return seconds;
 }
 
+/* Returns the bytes of the samples of several scans, for a texel; 0 for one scan. */
+static uint64_t sample_bytes(const struct bake_run *job)
+{
+    const uint64_t n = job->options->samples;
+    return job->surface.part_count > 0
+               ? 2 * n * n * bk_texel_floats(job->maps | BAKE_MAP_HEIGHT) * sizeof(float)
+               : 0;
+}
+
 static void expect_costs(const struct bake_run *job, struct bake_farm_plan *plan)
 {
     enum { OTHER_BYTES = 256 << 20 }; /* buffers of tiles, rays and chunks */
-    const uint64_t block = (uint64_t)plan->block_side * plan->block_side *
-                           bake_image_channels_for(job->maps) * sizeof(float);
+    const uint64_t texel = bake_image_channels_for(job->maps) * sizeof(float);
+    const uint64_t block = (uint64_t)plan->block_side * plan->block_side * texel;
     const uint64_t open = bsq_memory_used(job->ctx);
     for (uint32_t t = 0; t < plan->tile_count; t++)
         for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
             plan->costs[plan->tiles[t].tasks[b]].part_bytes += block;
     for (uint32_t i = 0; i < plan->base.task_count; i++) {
         struct bake_task_cost *cost = &plan->costs[i];
-        cost->scratch_bytes = cost->part_bytes;
-        cost->memory_bytes = open + OTHER_BYTES + 2 * cost->part_bytes;
+        cost->scratch_bytes = cost->part_bytes + cost->part_bytes / texel * sample_bytes(job);
+        cost->memory_bytes = open + OTHER_BYTES + 2 * cost->scratch_bytes;
         cost->cpu_seconds = (double)cost->texels * job->options->samples * job->options->samples *
                             sample_seconds(job);
     }
@@ -189,7 +201,7 @@ static int check_files(struct bake_run *job, const char *plan_path)
 {
     int status = bsq_output_check(job->ctx, plan_path);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
-        status = bake_tile_check_files(job->ctx, &job->tiles[i]);
+        status = bake_tile_check_files(job->ctx, &job->tiles[i], plan_path);
     return status;
 }
 
@@ -205,6 +217,10 @@ static struct bake_options shared_options(const struct bake_run *job)
         shared.curvature_radius = job->measures.curvature_radius;
     if (!shared.device)
         shared.device = "auto";
+    if (!shared.low_suffix)
+        shared.low_suffix = "";
+    if (!shared.high_suffix)
+        shared.high_suffix = "";
     return shared;
 }
 
@@ -216,6 +232,18 @@ static int check_input(const struct bake_farm_plan *plan, const char *path)
             return 0;
     return bsq_fail(plan->base.ctx, BSQ_EUSAGE, "%s: tasks cannot read it again: it is not a file",
                     path);
+}
+
+static int check_named_inputs(const struct bake_farm_plan *plan, const struct bake_options *options)
+{
+    int status = check_input(plan, options->scan_path);
+    for (uint32_t i = 0; i < options->more_scan_count && status == 0; i++)
+        status = check_input(plan, options->more_scan_paths[i]);
+    if (status == 0)
+        status = check_input(plan, options->mesh_path);
+    for (uint32_t i = 0; i < options->more_mesh_count && status == 0; i++)
+        status = check_input(plan, options->more_mesh_paths[i]);
+    return status == 0 && options->cage_path ? check_input(plan, options->cage_path) : status;
 }
 
 static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *kept)
@@ -232,35 +260,16 @@ static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *ke
     if (status == 0)
         status = fmt_farm_add_inputs(&plan->base);
     if (status == 0)
-        status = check_input(plan, job->options->scan_path);
-    if (status == 0)
-        status = check_input(plan, job->options->mesh_path);
+        status = check_named_inputs(plan, job->options);
     if (status == 0)
         status = bake_surface_check(&job->surface);
     return status < 0 ? status : bake_farm_plan_write(plan, kept);
 }
 
-/* Checks that a plan can hold the job. Errors: BSQ_EUSAGE. */
-static int check_plan(const struct bake_run *job)
-{
-    const struct bake_options *options = job->options;
-    if (options->more_scan_count > 0 || options->more_mesh_count > 0 || options->match_names)
-        return bsq_fail(job->ctx, BSQ_EUSAGE, "a plan is for one scan and one low-poly mesh");
-    if (strstr(options->output_path, BAKE_OBJECT_TOKEN) ||
-        strstr(options->output_path, BAKE_MATERIAL_TOKEN))
-        return bsq_fail(job->ctx, BSQ_EUSAGE,
-                        "%s: a plan has no \"" BAKE_OBJECT_TOKEN "\" or \"" BAKE_MATERIAL_TOKEN
-                        "\"",
-                        options->output_path);
-    return 0;
-}
-
 static int plan_job(struct bake_run *job, uint32_t tasks, const char *path, bool *kept)
 {
     struct bake_farm_plan *plan = NULL;
-    int status = check_plan(job);
-    if (status == 0)
-        status = open_job(job);
+    int status = open_job(job);
     if (status == 0)
         status = check_files(job, path);
     if (status == 0)
@@ -326,6 +335,18 @@ char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task)
 
 /* ---- a task ---- */
 
+/* Returns whether two names are the same, or both are NULL. */
+static bool is_same_name(const char *a, const char *b)
+{
+    return a && b ? strcmp(a, b) == 0 : a == b;
+}
+
+static bool is_same_tile(const struct bake_baked_tile *a, const struct bake_farm_tile *b)
+{
+    return a->tile == b->number && a->width == b->width && a->height == b->height &&
+           is_same_name(a->object, b->object) && is_same_name(a->material, b->material);
+}
+
 /* Checks that the inputs are those of the plan, opens them, and checks that they give its tiles. */
 static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
 {
@@ -336,9 +357,7 @@ static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
         return status;
     bool same = job->udim.count == plan->tile_count;
     for (uint32_t i = 0; same && i < plan->tile_count; i++)
-        same = job->report->tiles[i].tile == plan->tiles[i].number &&
-               job->report->tiles[i].width == plan->tiles[i].width &&
-               job->report->tiles[i].height == plan->tiles[i].height;
+        same = is_same_tile(&job->report->tiles[i], &plan->tiles[i]);
     return same ? 0
                 : bsq_fail(job->ctx, BSQ_EDATA, "%s: the plan has other UDIM tiles than its inputs",
                            plan->base.path);
@@ -497,7 +516,10 @@ static int list_outputs(const struct bake_farm_plan *plan, char ***out, uint64_t
     bool failed = paths == NULL;
     *count = 0;
     for (uint32_t t = 0; t < plan->tile_count && !failed; t++) {
-        char *tile = bake_tile_path(options->output_path, plan->tiles[t].number);
+        const struct bake_farm_tile *of = &plan->tiles[t];
+        char *set = bake_object_path(options->output_path, of->object, of->material);
+        char *tile = set ? bake_tile_path(set, of->number) : NULL;
+        free(set);
         for (unsigned i = 0; i < bake_selection_end(maps); i++)
             if (tile && bake_is_selected(maps, i))
                 failed |= !(paths[(*count)++] = bake_transfer_path(tile, bake_name_of(options, i)));

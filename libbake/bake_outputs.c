@@ -78,7 +78,7 @@ int bake_open_outputs(struct bake_run *job)
     int status = job->options->more_scan_count > 0 ? name_scans(job) : 0;
     const struct bake_traced traced = traced_of(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = bake_tile_check_files(job->ctx, &job->tiles[i]);
+        status = bake_tile_check_files(job->ctx, &job->tiles[i], NULL);
     if (status == 0)
         status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
     if (status == 0 && job->options->preview_path)

@@ -196,7 +196,7 @@ static bool is_same_path(const char *a, const char *b)
     return info[0].st_dev == info[1].st_dev && info[0].st_ino == info[1].st_ino;
 }
 
-int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile)
+int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other)
 {
     const char *preview = tile->options.preview_path;
     int status = 0;
@@ -206,7 +206,7 @@ int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile)
         char *path = bake_path_of(&tile->options, i);
         if (!path)
             return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
-        if (preview && is_same_path(path, preview))
+        if ((preview && is_same_path(path, preview)) || (other && is_same_path(path, other)))
             status = bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
         if (status == 0)
             status = bsq_output_check(ctx, path);

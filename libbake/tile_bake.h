@@ -65,9 +65,9 @@ int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
  * those of bake_image_create(). */
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
 
-/* Checks that the tile's files can be created, are no inputs, and are not the preview. Errors:
- * BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
-int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile);
+/* Checks that the tile's files can be created, are no inputs, and are neither the preview nor the
+ * file `other`, which may be NULL. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other);
 
 /* Traces one grid into an image: opens a plan for the device. */
 int bake_tile_trace_grid(struct bsq_ctx *ctx, struct bake_device *device,

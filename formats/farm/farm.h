@@ -100,6 +100,7 @@ int fmt_farm_check_name(struct bsq_ctx *ctx, const char *path);
 enum fmt_farm_member_kind {
     FMT_FARM_PATH,     /* char *, a file */
     FMT_FARM_OPTIONAL, /* the same, or NULL */
+    FMT_FARM_PATHS,    /* char **, a list of files; its count is a uint32_t at offset `most` */
     FMT_FARM_TEXT,     /* char * */
     FMT_FARM_U32,
     FMT_FARM_U64,
@@ -112,7 +113,7 @@ struct fmt_farm_member {
     const char *name;
     size_t offset;
     enum fmt_farm_member_kind kind;
-    uint32_t most; /* the largest value of a choice */
+    uint32_t most; /* the largest value of a choice; of a list, where its count is */
 };
 
 /* Returns the options as a JSON object; paths are relative to the plan's directory where possible.

@@ -9,6 +9,12 @@ static void *member_of(const void *options, const struct fmt_farm_member *member
     return (char *)(uintptr_t)options + member->offset;
 }
 
+/* Returns the count of a list of paths. */
+static uint32_t *count_of(const void *options, const struct fmt_farm_member *member)
+{
+    return (void *)((char *)(uintptr_t)options + member->most);
+}
+
 static bool is_string(const struct fmt_farm_member *member)
 {
     return member->kind == FMT_FARM_PATH || member->kind == FMT_FARM_OPTIONAL ||
@@ -25,6 +31,18 @@ static json_t *path_to_json(const char *plan_path, const char *path)
     return json;
 }
 
+static json_t *paths_to_json(const char *plan_path, char *const *paths, uint32_t count)
+{
+    json_t *list = json_array();
+    int failed = list == NULL;
+    for (uint32_t i = 0; i < count; i++)
+        failed |= json_array_append_new(list, path_to_json(plan_path, paths[i]));
+    if (!failed)
+        return list;
+    json_decref(list);
+    return NULL;
+}
+
 static json_t *member_to_json(const void *options, const struct fmt_farm_member *member,
                               const char *plan_path)
 {
@@ -33,6 +51,8 @@ static json_t *member_to_json(const void *options, const struct fmt_farm_member 
     case FMT_FARM_PATH:
     case FMT_FARM_OPTIONAL:
         return path_to_json(plan_path, *(const char *const *)at);
+    case FMT_FARM_PATHS:
+        return paths_to_json(plan_path, *(char *const *const *)at, *count_of(options, member));
     case FMT_FARM_TEXT:
         return *(const char *const *)at ? json_string(*(const char *const *)at) : json_null();
     case FMT_FARM_U32:
@@ -89,6 +109,22 @@ static bool read_string(struct bsq_ctx *ctx, const char *plan_path,
     return text ? *out != NULL : member->kind == FMT_FARM_OPTIONAL && json_is_null(value);
 }
 
+/* Reads a list of paths. *count: those that are there to be freed, also after a failure. */
+static bool read_paths(struct bsq_ctx *ctx, const char *plan_path, const json_t *list, char ***out,
+                       uint32_t *count)
+{
+    static const struct fmt_farm_member path = {.kind = FMT_FARM_PATH};
+    const size_t size = json_array_size(list);
+    bool good = json_is_array(list) && size <= UINT32_MAX;
+    *count = 0;
+    *out = good ? calloc(size + 1, sizeof **out) : NULL;
+    for (size_t i = 0; *out && i < size && good; i++) {
+        good = read_string(ctx, plan_path, &path, json_array_get(list, i), &(*out)[i]);
+        *count += good;
+    }
+    return good && *out;
+}
+
 static bool read_member(struct bsq_ctx *ctx, void *options, const char *plan_path,
                         const struct fmt_farm_member *member, const json_t *value)
 {
@@ -100,6 +136,8 @@ static bool read_member(struct bsq_ctx *ctx, void *options, const char *plan_pat
     case FMT_FARM_OPTIONAL:
     case FMT_FARM_TEXT:
         return read_string(ctx, plan_path, member, value, at);
+    case FMT_FARM_PATHS:
+        return read_paths(ctx, plan_path, value, at, count_of(options, member));
     case FMT_FARM_U32:
     case FMT_FARM_CHOICE:
         good = fmt_farm_is_count(value, member->kind == FMT_FARM_CHOICE ? member->most : UINT32_MAX,
@@ -130,7 +168,14 @@ int fmt_farm_options_from_json(struct bsq_ctx *ctx, const struct fmt_farm_member
 
 void fmt_farm_options_free(const struct fmt_farm_member *members, size_t count, void *options)
 {
-    for (size_t i = 0; i < count; i++)
-        if (is_string(&members[i]))
-            free(*(char **)member_of(options, &members[i]));
+    for (size_t i = 0; i < count; i++) {
+        void *at = member_of(options, &members[i]);
+        if (members[i].kind == FMT_FARM_PATHS) {
+            char **paths = *(char ***)at;
+            for (uint32_t k = 0; k < *count_of(options, &members[i]); k++)
+                free(paths[k]);
+        }
+        if (members[i].kind == FMT_FARM_PATHS || is_string(&members[i]))
+            free(*(void **)at);
+    }
 }

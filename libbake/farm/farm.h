@@ -16,9 +16,10 @@
 
 /* ---- the plan ---- */
 
-/* A UDIM tile and its blocks. */
+/* A UDIM tile, of one object or material if these have maps of their own, and its blocks. */
 struct bake_farm_tile {
     uint32_t number, width, height; /* texels */
+    char *object, *material;        /* owned; or NULL */
     uint32_t columns, rows;         /* of blocks */
     uint32_t *tasks;                /* for each block: the task that bakes it */
 };
@@ -40,8 +41,8 @@ int bake_farm_plan_create(struct bsq_ctx *ctx, const char *path, const struct ba
                           uint32_t task_count, struct bake_farm_plan **out);
 void bake_farm_plan_free(struct bake_farm_plan *plan); /* NULL is allowed */
 
-/* Adds tiles with the numbers, sizes and blocks that options and block_side give. No block has a
- * task yet. Errors: BSQ_ENOMEM. */
+/* Adds tiles with the numbers, names, sizes and blocks that options and block_side give. No block
+ * has a task yet. Errors: BSQ_ENOMEM. */
 int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_tile *tiles,
                         uint32_t count);
 

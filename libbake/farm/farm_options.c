@@ -16,9 +16,20 @@
 #name, offsetof(struct bake_options, name), FMT_FARM_CHOICE, last                          \
     }
 
+#define PATHS_MEMBER(name, count)                                                                  \
+    {                                                                                              \
+#name, offsetof(struct bake_options, name), FMT_FARM_PATHS,                                \
+            offsetof(struct bake_options, count)                                                   \
+    }
+
 static const struct fmt_farm_member members[] = {
     MEMBER(PATH, scan_path),
+    PATHS_MEMBER(more_scan_paths, more_scan_count),
+    MEMBER(BOOL, match_names),
+    MEMBER(TEXT, low_suffix),
+    MEMBER(TEXT, high_suffix),
     MEMBER(PATH, mesh_path),
+    PATHS_MEMBER(more_mesh_paths, more_mesh_count),
     MEMBER(U32, maps),
     MEMBER(PATH, output_path),
     CHOICE_MEMBER(sample_type, BAKE_FLOAT),
@@ -61,8 +72,7 @@ static const struct fmt_farm_member transfer_members[] = {
 };
 enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
 
-/* tile_sizes, tile_ranges and transfers are written by themselves. Plans have no more scans and
- * meshes, so names need no matching. */
+/* tile_sizes, tile_ranges and transfers are written by themselves. */
 _Static_assert(sizeof(struct bake_options) == 312, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum bake_rays) == sizeof(unsigned), "a choice is an unsigned number");
 

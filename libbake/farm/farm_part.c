@@ -22,7 +22,7 @@ struct part_header {
 _Static_assert(sizeof(struct part_header) == 104, "the header has no padding");
 
 struct part_entry {
-    uint32_t tile;     /* number of the UDIM tile */
+    uint32_t tile;     /* index in the plan */
     uint32_t block;    /* in row order */
     uint64_t checksum; /* of the texels */
 };
@@ -90,8 +90,7 @@ static int write_blocks(struct part_writer *writer)
         const uint64_t blocks = (uint64_t)image->blocks.columns * image->blocks.rows;
         for (uint64_t b = 0; image->image && b < blocks && status == 0; b++)
             if (image->blocks.slots[b] != BAKE_NO_SLOT)
-                status = write_block(writer, image, writer->plan->tiles[t].number, (uint32_t)b,
-                                     image->blocks.slots[b]);
+                status = write_block(writer, image, t, (uint32_t)b, image->blocks.slots[b]);
     }
     return status;
 }
@@ -172,15 +171,6 @@ static int fail_part(const struct part *part, const char *what)
     return fmt_farm_fail_part(&part->plan->base, &part->file, what);
 }
 
-/* Returns the index of the plan's tile with this number, tile_count if there is none. */
-static uint32_t find_tile(const struct bake_farm_plan *plan, uint32_t number)
-{
-    uint32_t t = 0;
-    while (t < plan->tile_count && plan->tiles[t].number != number)
-        t++;
-    return t;
-}
-
 static int check_header(const struct part *part)
 {
     const struct part_header *header = &part->header;
@@ -208,7 +198,7 @@ static int check_entries(const struct part *part)
     const struct bake_farm_plan *plan = part->plan;
     for (uint64_t i = 0; i < part->header.block_count; i++) {
         const struct part_entry *entry = &part->entries[i];
-        const uint32_t t = find_tile(plan, entry->tile);
+        const uint32_t t = entry->tile;
         const bool known = t < plan->tile_count &&
                            entry->block < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows &&
                            plan->tiles[t].tasks[entry->block] == part->header.head.task;
@@ -326,7 +316,7 @@ static int copy_block(void *arg, uint64_t i, unsigned worker)
     const struct reading *reading = arg;
     const struct part *part = reading->part;
     const struct part_entry *entry = &part->entries[i];
-    const uint32_t t = find_tile(part->plan, entry->tile), side = part->plan->block_side;
+    const uint32_t t = entry->tile, side = part->plan->block_side;
     const struct bake_farm_tile *tile = &part->plan->tiles[t];
     const uint32_t x = entry->block % tile->columns * side, y = entry->block / tile->columns * side;
     const uint32_t width = tile->width - x < side ? tile->width - x : side;

@@ -2,6 +2,7 @@
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "libbake/farm/farm_options.h"
 
@@ -11,12 +12,12 @@ static const char program_version[] = BSQ_VERSION " of sources "
     ;
 
 static const struct fmt_farm_kind bake_kind = {.format = "Bisque bake plan",
-                                               .format_version = 1,
+                                               .format_version = 2,
                                                .program = "bisque-bake",
                                                .program_version = program_version,
                                                .work = "a bake",
                                                .magic = "BSQPART\n",
-                                               .part_version = 1,
+                                               .part_version = 2,
                                                .most_tasks = BAKE_MAX_TASKS};
 
 int bake_farm_plan_create(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
@@ -43,14 +44,24 @@ void bake_farm_plan_free(struct bake_farm_plan *plan)
     if (!plan)
         return;
     struct bsq_ctx *ctx = plan->base.ctx;
-    for (uint32_t i = 0; i < plan->tile_count; i++)
+    for (uint32_t i = 0; i < plan->tile_count; i++) {
         bsq_free(ctx, plan->tiles[i].tasks);
+        free(plan->tiles[i].object);
+        free(plan->tiles[i].material);
+    }
     if (plan->owns_options)
         bake_farm_options_free(&plan->options);
     bsq_free(ctx, plan->tiles);
     bsq_free(ctx, plan->costs);
     fmt_farm_plan_clear(&plan->base);
     bsq_free(ctx, plan);
+}
+
+/* Copies a name, which may be NULL. */
+static int copy_name(const struct bake_farm_plan *plan, const char *name, char **out)
+{
+    *out = name ? strdup(name) : NULL;
+    return name && !*out ? fmt_farm_fail_memory(&plan->base) : 0;
 }
 
 int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_tile *tiles,
@@ -67,6 +78,10 @@ int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_til
         status =
             bsq_calloc(plan->base.ctx, "blocks of a tile", (uint64_t)tile->columns * tile->rows,
                        sizeof *tile->tasks, &tile->tasks);
+        if (status == 0)
+            status = copy_name(plan, tiles[i].object, &tile->object);
+        if (status == 0)
+            status = copy_name(plan, tiles[i].material, &tile->material);
     }
     return status;
 }
@@ -101,7 +116,8 @@ static json_t *tiles_to_json(const struct bake_farm_plan *plan)
     for (uint32_t i = 0; i < plan->tile_count; i++) {
         const struct bake_farm_tile *tile = &plan->tiles[i];
         failed |= json_array_append_new(
-            list, json_pack("{s:I, s:I, s:I, s:o}", "tile", (json_int_t)tile->number, "width",
+            list, json_pack("{s:I, s:s?, s:s?, s:I, s:I, s:o}", "tile", (json_int_t)tile->number,
+                            "object", tile->object, "material", tile->material, "width",
                             (json_int_t)tile->width, "height", (json_int_t)tile->height, "blocks",
                             blocks_to_json(tile)));
     }
@@ -144,6 +160,15 @@ int bake_farm_plan_write(struct bake_farm_plan *plan, bool *kept)
     int status = fmt_farm_check_name(plan->base.ctx, plan->options.output_path);
     if (status == 0)
         status = fmt_farm_check_name(plan->base.ctx, plan->options.preview_path);
+    if (status == 0)
+        status = fmt_farm_check_name(plan->base.ctx, plan->options.low_suffix);
+    if (status == 0)
+        status = fmt_farm_check_name(plan->base.ctx, plan->options.high_suffix);
+    for (uint32_t i = 0; i < plan->tile_count && status == 0; i++) {
+        status = fmt_farm_check_name(plan->base.ctx, plan->tiles[i].object);
+        if (status == 0)
+            status = fmt_farm_check_name(plan->base.ctx, plan->tiles[i].material);
+    }
     return status < 0 ? status : fmt_farm_plan_write(&plan->base, members_to_json(plan), kept);
 }
 
@@ -170,6 +195,16 @@ static bool read_blocks(const struct bake_farm_plan *plan, const char *text,
     return at == blocks;
 }
 
+/* Sets *out to the name in an object, NULL if it is null there. */
+static int read_name(const struct bake_farm_plan *plan, const json_t *json, const char *name,
+                     const char **out)
+{
+    const json_t *value = json_object_get(json, name);
+    *out = json_string_value(value);
+    return *out || json_is_null(value) ? 0 : fmt_farm_fail_plan(&plan->base, name);
+}
+
+/* The names in *sizes are those of the JSON. */
 static int read_sizes(const struct bake_farm_plan *plan, const json_t *list,
                       struct bake_baked_tile *sizes)
 {
@@ -183,8 +218,16 @@ static int read_sizes(const struct bake_farm_plan *plan, const json_t *list,
             status = fmt_farm_read_count(&plan->base, json, "width", 1, BAKE_MAX_SIDE, &width);
         if (status == 0)
             status = fmt_farm_read_count(&plan->base, json, "height", 1, BAKE_MAX_SIDE, &height);
-        sizes[i] = (struct bake_baked_tile){
-            .tile = (uint32_t)tile, .width = (uint32_t)width, .height = (uint32_t)height};
+        const char *object = NULL, *material = NULL;
+        if (status == 0)
+            status = read_name(plan, json, "object", &object);
+        if (status == 0)
+            status = read_name(plan, json, "material", &material);
+        sizes[i] = (struct bake_baked_tile){.tile = (uint32_t)tile,
+                                            .width = (uint32_t)width,
+                                            .height = (uint32_t)height,
+                                            .object = (char *)(uintptr_t)object,
+                                            .material = (char *)(uintptr_t)material};
     }
     return status;
 }
@@ -193,7 +236,7 @@ static int read_tiles(struct bake_farm_plan *plan, const json_t *list)
 {
     const size_t count = json_array_size(list);
     struct bake_baked_tile *sizes;
-    if (count == 0 || count > BAKE_LAST_TILE)
+    if (count == 0 || count > UINT32_MAX)
         return fmt_farm_fail_plan(&plan->base, "tiles");
     int status = bsq_alloc(plan->base.ctx, "tiles", count, sizeof *sizes, &sizes);
     if (status == 0)

@@ -53,6 +53,59 @@ alike scan.nvdb 1 --maps mask -o 'k_<UDIM>.exr' --samples 3
 alike scan.nvdb 40 --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
 alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal-space object
 
+# ---- several scans and low-poly meshes ----
+
+# alike_several TASKS OPTION...: as alike(), with all inputs in `inputs`.
+alike_several()
+{
+    rm -rf one farm
+    mkdir one farm
+    tasks=$1
+    shift
+    (cd one && "$BIN/bisque-bake" $inputs $size "$@") >"$out" 2>"$err"
+    check "one bake of $inputs: $*" $?
+    (cd farm && "$BIN/bisque-bake" $inputs $size "$@" --tasks "$tasks" --write-plan "a <UDIM> plan.json") >"$out" 2>"$err"
+    check "a plan of $tasks tasks: $*" $?
+    $bake --plan "farm/a <UDIM> plan.json" --task 1-$((tasks - 1)) --memory 60M
+    code 0
+    $bake --plan "farm/a <UDIM> plan.json" --task 0 --threads 1
+    code 0
+    $bake --plan "farm/a <UDIM> plan.json" --merge
+    code 0
+    (cd one && ls) >maps
+    (cd farm && ls | grep '\.exr$') | cmp -s - maps
+    check "all maps are there: $*" $?
+    while read -r map; do
+        same "one/$map" "farm/$map"
+    done <maps
+    rm maps
+}
+
+awk '/^v / { $4 += 0.05 } { print }' low.obj | sed '1i o lid' >lid_low.obj
+sed '1i o box' low.obj >box_low.obj
+run bisque-voxelize low.obj -o box_high.nvdb --resolution 24
+run bisque-voxelize lid_low.obj -o lid_high.nvdb --resolution 33
+inputs="../box_high.nvdb ../lid_high.tris ../low.obj"
+alike_several 3 --maps normal,height,curvature,mask -o 'm_<MAP>.<UDIM>.exr' --samples 3
+[ "$(jq -c '[.inputs[].path] | sort' farm/*.json)" = '["../box_high.nvdb","../lid_high.tris","../low.obj"]' ]
+check "all scans are inputs of the plan" $?
+cp lid_high.tris keep
+run bisque-voxelize box_low.obj -o lid_high.nvdb --resolution 33
+$bake --plan "farm/a <UDIM> plan.json" --task 0
+code 65
+err_like '^bisque-bake: farm/\.\./lid_high\.tris: a scan is not the file that the plan|^bisque-bake: lid_high\.tris: a scan is not'
+mv keep lid_high.tris
+run bisque-voxelize lid_high.tris -o lid_high.nvdb --resolution 33
+# Objects see scans of their names, and have maps of their own.
+inputs="../box_high.nvdb ../lid_high.nvdb ../box_low.obj ../lid_low.obj"
+sed -i 's/^o .*/o lid_low/' lid_low.obj
+sed -i 's/^o .*/o box_low/' box_low.obj
+alike_several 4 --maps normal,ao,position --ao-rays 2 --match name -o '<OBJECT>_<MAP>.<UDIM>.exr'
+[ "$(ls farm/*.exr | wc -l)" -eq 12 ]
+check "maps of two objects in two tiles" $?
+inputs="../scan.nvdb ../box_low.obj ../lid_low.obj"
+alike_several 2 --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
+
 # ---- the same again ----
 
 plan="bisque-bake scan.nvdb low.obj $size -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
@@ -379,14 +432,12 @@ for tasks in 0 65537 x; do
     $bake scan.nvdb low.obj -o x.exr --tasks $tasks --write-plan p.json
     code 64
 done
-$bake scan.nvdb low.obj low.obj --maps mask -o x.exr --tasks 2 --write-plan p.json
-refused 64 "$p a plan is for one scan and one low-poly mesh"
-$bake scan.nvdb low.obj --maps mask -o '<OBJECT>.exr' --tasks 2 --write-plan p.json
-refused 64 "$p <OBJECT>.exr: a plan has no \"<OBJECT>\" or \"<MATERIAL>\""
 $bake --plan missing.json --task 0
 code 66
 $bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --write-plan o.exr
 refused 64 "$p o.exr: the plan and a map have this name"
+$bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps mask --tasks 2 --write-plan o.1012.exr
+refused 64 "$p ./o.1012.exr: two outputs have this name"
 $bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --preview o.png --write-plan ./o.png
 refused 64 "$p ./o.png: the plan and the preview have this name"
 $bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --write-plan o.json

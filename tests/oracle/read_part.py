@@ -19,7 +19,7 @@ def read_plan(path):
     """Returns the plan, with the tasks of each tile's blocks as lists in "blocks"."""
     with open(path, encoding="utf-8") as file:
         plan = json.load(file)
-    need(plan["format"] == "Bisque bake plan" and plan["format_version"] == 1, "not a plan")
+    need(plan["format"] == "Bisque bake plan" and plan["format_version"] == 2, "not a plan")
     need(len(plan["id"]) == 32 and plan["block_side"] in SIDES, "id or side")
     need(1 <= plan["tasks"] <= 65536 and len(plan["expected"]) == plan["tasks"], "tasks")
     side = plan["block_side"]
@@ -37,7 +37,7 @@ def read(plan, data):
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQPART\n", "not a part")
     version, channels, high, low, task, tasks, side, reserved, count = fields(data, 8, "IIQQIIIIQ")
     table_checksum, header_checksum = fields(data, 88, "QQ")
-    need(version == 1, "version")
+    need(version == 2, "version")
     need(header_checksum == checksum(data[:96]), "header_checksum")
     need(reserved == 0 and channels >= 1, "reserved or channels")
     need(f"{high:016x}{low:016x}" == plan["id"], "plan_id")
@@ -46,13 +46,13 @@ def read(plan, data):
     need(len(data) == HEADER_BYTES + count * (size + ENTRY_BYTES), "length")
     table = HEADER_BYTES + count * size
     need(table_checksum == checksum(data[table:]), "table_checksum")
-    tiles = {tile["tile"]: tile["blocks"] for tile in plan["tiles"]}
+    tiles = [tile["blocks"] for tile in plan["tiles"]]
     blocks, last = [], (0, 0)
     for i in range(count):
         number, block, block_checksum = fields(data, table + i * ENTRY_BYTES, "IIQ")
         at = HEADER_BYTES + i * size
         need(i == 0 or (number, block) > last, "order of blocks")
-        need(number in tiles and block < len(tiles[number]), "no such block")
+        need(number < len(tiles) and block < len(tiles[number]), "no such block")
         need(tiles[number][block] == task, "a block of another task")
         need(block_checksum == checksum(data[at:at + size]), "checksum of a block")
         texels = array(data, at, "f4", side, side, channels)

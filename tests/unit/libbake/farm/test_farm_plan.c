@@ -9,8 +9,12 @@
 #include "libbake/farm/farm.h"
 
 enum { TASKS = 7, TILES = 2 };
-static const struct bake_baked_tile sizes[TILES] = {{.tile = 1001, .width = 200, .height = 90},
-                                                    {.tile = 1012, .width = 64, .height = 300}};
+static char object[] = "an object", material[] = "mat\"erial";
+static const struct bake_baked_tile sizes[TILES] = {
+    {.tile = 1001, .width = 200, .height = 90, .object = object},
+    {.tile = 1012, .width = 64, .height = 300, .material = material}};
+static const char *const more_scans[] = {"/scans/t.tris", "/else/u.nvdb"};
+static const char *const more_meshes[] = {"/scans/m.ply"};
 static const struct bake_tile_size size_option = {1012, 64, 300};
 static const struct bake_tile_range range_option = {1001, 1012};
 
@@ -44,7 +48,13 @@ static struct bake_options some_options(void)
     struct bake_options options;
     bake_defaults(&options);
     options.scan_path = "/scans/s.nvdb";
+    options.more_scan_paths = more_scans;
+    options.more_scan_count = 2;
+    options.match_names = true;
+    options.high_suffix = "_hi";
     options.mesh_path = "/scans/l.obj";
+    options.more_mesh_paths = more_meshes;
+    options.more_mesh_count = 1;
     options.output_path = "/maps/<MAP>.<UDIM>.exr";
     options.maps = BAKE_MAP_NORMAL;
     options.front = 0.1 + 0.2; /* needs all of its digits */
@@ -129,6 +139,18 @@ static void assert_same(const struct bake_farm_plan *a, const struct bake_farm_p
     assert_string_equal(x->output_path, y->output_path);
     assert_string_equal(x->device, y->device);
     assert_null(y->cage_path);
+    assert_int_equal(y->more_scan_count, 2);
+    assert_string_equal(y->more_scan_paths[0], more_scans[0]);
+    assert_string_equal(y->more_scan_paths[1], more_scans[1]);
+    assert_int_equal(y->more_mesh_count, 1);
+    assert_string_equal(y->more_mesh_paths[0], more_meshes[0]);
+    assert_true(y->match_names);
+    assert_string_equal(y->low_suffix, x->low_suffix);
+    assert_string_equal(y->high_suffix, "_hi");
+    assert_string_equal(b->tiles[0].object, object);
+    assert_null(b->tiles[0].material);
+    assert_null(b->tiles[1].object);
+    assert_string_equal(b->tiles[1].material, material);
     assert_memory_equal(&x->front, &y->front, sizeof x->front);
     assert_memory_equal(&x->back, &y->back, sizeof x->back);
     assert_int_equal(x->padding, y->padding);
