@@ -39,6 +39,8 @@ calculate()
 "$TESTS/generate-scan" vase-low -o low.obj
 cost "$BIN/bisque-voxelize" scan.obj -o coarse.nvdb --tris scan.tris --resolution 1
 note sort_seconds "$seconds"
+cost "$BIN/bisque-voxelize" scan.tris -o small.nvdb --resolution 256
+note small_grid_seconds "$seconds"
 cost "$BIN/bisque-voxelize" scan.tris -o scan.nvdb --resolution 1024
 note grid_seconds "$seconds"
 note triangles "$triangles"
@@ -46,6 +48,7 @@ note side "$side"
 for kind in obj tris nvdb; do
     note ${kind}_bytes "$(stat -c %s scan.$kind)"
 done
+note small_grid_bytes "$(stat -c %s small.nvdb)"
 
 # ---- bakes ----
 

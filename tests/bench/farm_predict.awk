@@ -4,12 +4,13 @@
 # Model: a step that is divided takes its core seconds / (nodes * CORES). Serial steps take theirs on
 # one core. Work grows with texels, triangles and voxels as it was measured:
 #   sorting       triangles, divided by parts of the scan
-#   voxelizing    triangles; one job on one node, or divided by regions
+#   voxelizing    triangles and bytes of the grid; divided by regions
 #   tasks         texels; from triangles also each triangle that a task loads
 #   merge         texels; one core
 # The load of the file system is what the tasks of a step read and write, by the time of the step.
-# TEXELS: of all UDIM tiles; the grid has RESOLUTION voxels along the longest side for 10^9 triangles,
-# and voxels as large as the triangles for others.
+# Tasks on one node share its page cache, so a node reads less than its tasks do.
+# TEXELS: of all UDIM tiles. The grid has RESOLUTION voxels along the longest side for 10^9 triangles,
+# and as many for each triangle of others.
 BEGIN {
     CORES = 16
     TEXELS = 20 * 16384 * 16384
@@ -38,7 +39,7 @@ function row(kind, triangles, nodes,    cores, grid, sort, voxels, tasks, merge,
     cores = nodes * CORES
     grid = f["nvdb_bytes"] * (RESOLUTION / 1024) ^ 2 * triangles / 1e9
     sort = f["sort_seconds"] / f["triangles"] * triangles / cores
-    voxels = kind == "nvdb" ? f["grid_seconds"] / f["triangles"] * triangles / cores : 0
+    voxels = kind == "nvdb" ? (grid * grid_byte + triangles * grid_triangle) / cores : 0
     scan = kind == "nvdb" ? grid : f["tris_bytes"] / f["triangles"] * triangles
     tasks = (TEXELS * each_texel[kind] * most(1, overhead[kind]) +
              (kind == "tris" ? triangles * again[kind] * each_triangle[kind] : 0)) / cores
@@ -55,6 +56,8 @@ function row(kind, triangles, nodes,    cores, grid, sort, voxels, tasks, merge,
 function time(s) { return s < 90 ? sprintf("%.0f s", s) : s < 5400 ? sprintf("%.0f min", s / 60) : sprintf("%.1f h", s / 3600) }
 
 END {
+    grid_byte = (f["grid_seconds"] - f["small_grid_seconds"]) / (f["nvdb_bytes"] - f["small_grid_bytes"])
+    grid_triangle = most(0, f["small_grid_seconds"] - grid_byte * f["small_grid_bytes"]) / f["triangles"]
     fit("nvdb")
     fit("tris")
     printf "predicted for %.1f billion texels (20 maps of 16384 x 16384), nodes of %d cores like this one:\n", TEXELS / 1e9, CORES
@@ -67,7 +70,8 @@ END {
     printf "\nmeasured for each texel: %.2f us in tasks from a grid, %.2f us from triangles, %.2f us in the merge, %.1f bytes of parts\n",
         each_texel["nvdb"] * 1e6, each_texel["tris"] * 1e6, merge_texel["nvdb"] * 1e6, part_texel["nvdb"]
     printf "for each triangle: %.2f us sorting, %.2f us voxelizing, %.2f us when an exact bake loads it; %.1f bytes sorted\n",
-        f["sort_seconds"] / f["triangles"] * 1e6, f["grid_seconds"] / f["triangles"] * 1e6,
-        each_triangle["tris"] * 1e6, f["tris_bytes"] / f["triangles"]
+        f["sort_seconds"] / f["triangles"] * 1e6, grid_triangle * 1e6, each_triangle["tris"] * 1e6,
+        f["tris_bytes"] / f["triangles"]
+    printf "for each MB of the grid: %.1f ms voxelizing\n", grid_byte * 1e9
     printf "16 tasks read the grid %.2f times, the triangles %.2f times\n", again["nvdb"], again["tris"]
 }
