@@ -8,13 +8,15 @@
 #   tasks         texels; from triangles also each triangle that a task loads
 #   merge         texels; one core
 # The load of the file system is what the tasks of a step read and write, by the time of the step.
-# Tasks on one node share its page cache, so a node reads less than its tasks do.
+# The measured scan has fewer chunks than a large one has for each task, so how many tasks read a chunk
+# is assumed: CHUNK_READERS. Tasks on one node share its page cache, so a node reads less than its tasks do.
 # TEXELS: of all UDIM tiles. The grid has RESOLUTION voxels along the longest side for 10^9 triangles,
 # and as many for each triangle of others.
 BEGIN {
     CORES = 16
     TEXELS = 20 * 16384 * 16384
     RESOLUTION = 8192
+    CHUNK_READERS = 3
     GB = 1e9
 }
 { f[$1] = $2 }
@@ -32,7 +34,7 @@ function fit(kind,    texels) {
     overhead[kind] = f[kind "_tasks"] / (f[kind "_single"] - f[kind "_merge"])
     part_texel[kind] = f[kind "_parts"] / texels
     # How often the bytes of the scan are read by all tasks together.
-    again[kind] = most(1, f[kind "_read"] / f[kind "_bytes"])
+    again[kind] = kind == "tris" ? CHUNK_READERS : most(1, f[kind "_read"] / f[kind "_bytes"])
 }
 
 function row(kind, triangles, nodes,    cores, grid, sort, voxels, tasks, merge, scan, parts, total) {
@@ -41,8 +43,10 @@ function row(kind, triangles, nodes,    cores, grid, sort, voxels, tasks, merge,
     sort = f["sort_seconds"] / f["triangles"] * triangles / cores
     voxels = kind == "nvdb" ? (grid * grid_byte + triangles * grid_triangle) / cores : 0
     scan = kind == "nvdb" ? grid : f["tris_bytes"] / f["triangles"] * triangles
-    tasks = (TEXELS * each_texel[kind] * most(1, overhead[kind]) +
-             (kind == "tris" ? triangles * again[kind] * each_triangle[kind] : 0)) / cores
+    tasks = TEXELS * each_texel[kind] * most(1, overhead[kind])
+    if (kind == "tris")
+        tasks += triangles * again[kind] * each_triangle[kind]
+    tasks /= cores
     merge = TEXELS * merge_texel[kind]
     parts = TEXELS * part_texel[kind]
     total = sort + voxels + tasks + merge
@@ -73,5 +77,5 @@ END {
         f["sort_seconds"] / f["triangles"] * 1e6, grid_triangle * 1e6, each_triangle["tris"] * 1e6,
         f["tris_bytes"] / f["triangles"]
     printf "for each MB of the grid: %.1f ms voxelizing\n", grid_byte * 1e9
-    printf "16 tasks read the grid %.2f times, the triangles %.2f times\n", again["nvdb"], again["tris"]
+    printf "16 tasks read the grid %.1f times; assumed: %d tasks read each chunk\n", again["nvdb"], CHUNK_READERS
 }
