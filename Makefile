@@ -573,6 +573,14 @@ bench-accuracy: deps
 	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(checkers) >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/accuracy.sh $(BENCH)
 
+.PHONY: bench-normals
+## bench-normals: compare the weights of vertex normals on analytic surfaces
+$(BUILD)/tests/bench-normals: $(BUILD)/obj/tests/bench/normals.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^ -lm
+bench-normals: $(BUILD)/tests/bench-normals
+	@$< $(BENCH_CELLS)
+
 # The programs with their shared libraries, except those of C and C++, for machines that cannot
 # build.
 gpu_bundle := build/gpu

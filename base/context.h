@@ -39,11 +39,17 @@ enum bsq_status {
     BSQ_RETRY = -1        /**< Another method is needed. Stays inside of a library. */
 };
 
-/** Normals of a scan (the high-poly mesh) that has none of its own. */
+/** Normals of a scan (the high-poly mesh) that has none of its own. Smooth normals are interpolated
+ * between vertices. The normal of a vertex is the weighted mean of its triangles' normals, but at
+ * creases the triangles keep their own. */
 enum bsq_scan_normals {
-    BSQ_SCAN_NORMALS_SMOOTH, /**< Interpolated between area-weighted vertex normals. They stop at
-                                creases. */
-    BSQ_SCAN_NORMALS_FLAT    /**< The normals of the triangles. */
+    BSQ_SCAN_NORMALS_AREA,  /**< Smooth; weights are the triangles' areas. */
+    BSQ_SCAN_NORMALS_ANGLE, /**< Smooth; weights are the triangles' angles at the vertex (Thuermer
+                               and Wuethrich 1998). */
+    BSQ_SCAN_NORMALS_MAX,   /**< Smooth; weights are the sine of the angle over the product of both
+                               edges' lengths (Max 1999). */
+    BSQ_SCAN_NORMALS_FLAT,  /**< The normals of the triangles. */
+    BSQ_SCAN_NORMALS_SMOOTH = BSQ_SCAN_NORMALS_AREA /**< The default. */
 };
 
 /** A progress report. */

@@ -177,7 +177,7 @@ struct vox_voxelize_options {
                             multiples. */
     enum vox_grid_type grid_type;       /**< NanoVDB type of the grid. */
     enum bsq_scan_normals scan_normals; /**< Normals of a scan without normals. If its edges are
-                                           shorter than 0.7 voxels, both choices are the same. */
+                                           shorter than 0.7 voxels, all choices are the same. */
     const char *vdb_path;               /**< Output: an OpenVDB file, or NULL. */
     bool ids;                           /**< Give the grid the ids of the chunk file. */
 };

@@ -340,11 +340,14 @@ int cli_parse_word(struct cli *cli, const char *option, const char *text, const 
 
 int cli_parse_scan_normals(struct cli *cli, const char *text, enum bsq_scan_normals *out)
 {
-    static const char *const words[] = {"smooth", "flat", NULL};
+    static const char *const words[] = {"smooth", "area", "angle", "max", "flat", NULL};
+    static const enum bsq_scan_normals normals[] = {BSQ_SCAN_NORMALS_SMOOTH, BSQ_SCAN_NORMALS_AREA,
+                                                    BSQ_SCAN_NORMALS_ANGLE, BSQ_SCAN_NORMALS_MAX,
+                                                    BSQ_SCAN_NORMALS_FLAT};
     unsigned word = 0;
     int status = cli_parse_word(cli, "--scan-normals", text, words, &word);
     if (status == 0)
-        *out = word == 0 ? BSQ_SCAN_NORMALS_SMOOTH : BSQ_SCAN_NORMALS_FLAT;
+        *out = normals[word];
     return status;
 }
 

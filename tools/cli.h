@@ -140,7 +140,7 @@ int cli_parse_length(struct cli *cli, const char *option, const char *text, bool
 /* Parses one of `words` (NULL-terminated); sets *out to its index. */
 int cli_parse_word(struct cli *cli, const char *option, const char *text, const char *const *words,
                    unsigned *out);
-/* Parses the value of --scan-normals: smooth or flat. */
+/* Parses the value of --scan-normals, such as smooth. */
 int cli_parse_scan_normals(struct cli *cli, const char *text, enum bsq_scan_normals *out);
 
 /* ---- files ---- */

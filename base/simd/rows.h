@@ -39,6 +39,17 @@ LANES_INLINE row_part row_part_max(row_part a, row_part b)
 #endif
 }
 
+LANES_INLINE row_part row_part_sqrt(row_part x)
+{
+#ifdef __AVX2__
+    return _mm256_sqrt_pd(x);
+#elif defined __SSE2__
+    return _mm_sqrt_pd(x);
+#else
+    return (row_part){sqrt(x[0]), sqrt(x[1])};
+#endif
+}
+
 LANES_INLINE struct row row_load(const double *from)
 {
     struct row x;
@@ -81,6 +92,13 @@ LANES_INLINE struct row row_quotient(struct row a, struct row b)
     return a;
 }
 
+LANES_INLINE struct row row_sqrt(struct row x)
+{
+    for (int i = 0; i < ROW_PARTS; i++)
+        x.part[i] = row_part_sqrt(x.part[i]);
+    return x;
+}
+
 LANES_INLINE struct row row_times(double factor, struct row x)
 {
     for (int i = 0; i < ROW_PARTS; i++)
@@ -97,10 +115,7 @@ LANES_INLINE void row_add(double *to, struct row x)
 LANES_INLINE struct row row_of(double a, double b, double c, double d)
 {
     const double numbers[4] = {a, b, c, d};
-    struct row x;
-    for (int i = 0; i < 4; i++)
-        x.part[i / ROW_LANES][i % ROW_LANES] = numbers[i];
-    return x;
+    return row_load(numbers);
 }
 
 /* Returns three numbers and 0. */
@@ -114,11 +129,17 @@ LANES_INLINE struct row row_of_floats(const float from[3])
 #endif
 }
 
+/* Returns x with number i replaced. */
+LANES_INLINE struct row row_with(struct row x, int i, double number)
+{
+    x.part[i / ROW_LANES][i % ROW_LANES] = number;
+    return x;
+}
+
 /* Returns x with its fourth number replaced. */
 LANES_INLINE struct row row_with_last(struct row x, double last)
 {
-    x.part[3 / ROW_LANES][3 % ROW_LANES] = last;
-    return x;
+    return row_with(x, 3, last);
 }
 
 /* Returns number i. */

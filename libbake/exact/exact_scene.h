@@ -65,7 +65,7 @@ static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
 static inline bool exact_needs_smooth(const struct bake_exact *exact)
 {
     return !(exact->header->attributes & FMT_TRIS_NORMALS) &&
-           exact->options.normals == BSQ_SCAN_NORMALS_SMOOTH;
+           exact->options.normals != BSQ_SCAN_NORMALS_FLAT;
 }
 
 /* ---- a chunk in memory ---- */

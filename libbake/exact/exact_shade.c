@@ -71,7 +71,7 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
             n[0] += place->w[i] * (double)unit.x;
             n[1] += place->w[i] * (double)unit.y;
             n[2] += place->w[i] * (double)unit.z;
-        } else if (exact->options.normals == BSQ_SCAN_NORMALS_SMOOTH) {
+        } else if (exact->options.normals != BSQ_SCAN_NORMALS_FLAT) {
             add_smooth(place, i, n);
         }
     }

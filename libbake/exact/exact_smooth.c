@@ -62,13 +62,14 @@ static bool inside(const struct exact_box *box, const float p[3])
 }
 
 /* Adds the triangles of a chunk to the sums. map: scratch, one entry per vertex. */
-static void add_chunk(struct exact_smooth *s, const struct fmt_tris_chunk *chunk,
-                      const struct exact_box *box, uint32_t *map)
+static void add_chunk(struct exact_smooth *s, enum bsq_scan_normals weights,
+                      const struct fmt_tris_chunk *chunk, const struct exact_box *box,
+                      uint32_t *map)
 {
     if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count,
                             map))
-        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, chunk->triangle_count, map, 1,
-                          s->sums);
+        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, chunk->triangle_count, map,
+                          weights, 1, s->sums);
 }
 
 static struct exact_box bounds_of(const struct exact_smooth *s)
@@ -112,7 +113,7 @@ int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slo
         const uint32_t number = scratch->near[i];
         if (number == slot->number) {
             /* Also matches vertices that are not needed but share the position of one that is. */
-            add_chunk(s, &slot->chunk, &box, s->entry_of);
+            add_chunk(s, exact->options.normals, &slot->chunk, &box, s->entry_of);
             continue;
         }
         if (!touches_chunk(s, &exact->chunks[number]))
@@ -121,7 +122,7 @@ int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slo
         int status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
         if (status < 0)
             return status;
-        add_chunk(s, &neighbour, &box, scratch->map);
+        add_chunk(s, exact->options.normals, &neighbour, &box, scratch->map);
     }
     return 0;
 }

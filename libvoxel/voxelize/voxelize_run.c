@@ -161,7 +161,8 @@ static int make_smooth(struct vox_run *job)
         job->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
         return 0;
     uint64_t available = bsq_memory_left(job->ctx);
-    return vox_smooth_create(job->ctx, job->file, job->workers, available / 8, &job->smooth);
+    return vox_smooth_create(job->ctx, job->file, job->options->scan_normals, job->workers,
+                             available / 8, &job->smooth);
 }
 
 /* Chooses the slabs that regions are cut into. Few regions would not keep all workers busy. */

@@ -6,9 +6,9 @@
 
 void BSQ_SIMD_NAME(vox_add_one_rings)(const struct fmt_tris_chunk *chunk, uint32_t begin,
                                       uint32_t end, const uint32_t *ring_of,
-                                      struct vox_one_ring *rings)
+                                      enum bsq_scan_normals weights, struct vox_one_ring *rings)
 {
-    bsq_add_one_rings(chunk->positions, chunk->triangles, begin, end, ring_of, 2,
+    bsq_add_one_rings(chunk->positions, chunk->triangles, begin, end, ring_of, weights, 2,
                       (double(*)[4])(void *)rings);
 }
 
@@ -29,14 +29,14 @@ LANES_INLINE void ring_finish(const struct vox_one_ring *const from[LANE_COUNT],
     const double *half[2][LANE_COUNT];
     doubles n[4], m[4];
     for (int l = 0; l < LANE_COUNT; l++) {
-        half[0][l] = from[l]->area_vector;
+        half[0][l] = from[l]->normal;
         half[1][l] = from[l]->moment;
     }
     lanes_gather_four(half[0], n);
     lanes_gather_four(half[1], m);
-    doubles length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), area = n[3];
-    lane_mask smooth = bsq_are_smooth(length, area);
-    doubles height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * area);
+    doubles length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), weight = n[3];
+    lane_mask smooth = bsq_are_smooth(length, weight);
+    doubles height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * weight);
     for (int k = 0; k < 3; k++)
         normal[k] = lanes_keep(smooth, n[k] / length);
     normal[3] = ring_rounded(lanes_keep(smooth, RISE_SHARE * height)) / h;

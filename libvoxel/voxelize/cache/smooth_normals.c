@@ -25,6 +25,7 @@ struct workspace {
 struct vox_smooth {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
+    enum bsq_scan_normals weights;
     pthread_mutex_t lock;
     pthread_cond_t freed; /* a workspace became free */
     unsigned workspace_count;
@@ -66,8 +67,9 @@ static int make_workspace(struct vox_smooth *s, struct workspace *d)
     return bsq_alloc(s->ctx, "smooth normals", fmt_tris_load_size_max(s->file), 1, &d->scratch);
 }
 
-int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, unsigned calls,
-                      uint64_t bytes, struct vox_smooth **out)
+int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      enum bsq_scan_normals weights, unsigned calls, uint64_t bytes,
+                      struct vox_smooth **out)
 {
     struct vox_smooth *s;
     uint64_t most = bytes / workspace_bytes(file);
@@ -77,6 +79,7 @@ int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uns
         return status;
     s->ctx = ctx;
     s->file = file;
+    s->weights = weights;
     s->workspace_count = most < 1 ? 1 : most < calls ? (unsigned)most : calls;
     pthread_mutex_init(&s->lock, NULL);
     pthread_cond_init(&s->freed, NULL);
@@ -195,19 +198,20 @@ static bool match(const struct workspace *d, const struct neighbour *n)
     return any;
 }
 
-static void add_neighbour(const struct workspace *d, const struct neighbour *n)
+static void add_neighbour(const struct vox_smooth *s, const struct workspace *d,
+                          const struct neighbour *n)
 {
     vox_add_one_rings_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings);
     const struct fmt_tris_chunk *chunk = n->loan.chunk;
     if (!n->loan.triangle_groups) {
-        add(chunk, 0, chunk->triangle_count, d->neighbour_rings, d->rings);
+        add(chunk, 0, chunk->triangle_count, d->neighbour_rings, s->weights, d->rings);
         return;
     }
     for (uint32_t begin = 0, g = 0; begin < chunk->triangle_count;
          begin += VOX_GROUP_TRIANGLES, g++)
         if (vox_boxes_meet(&n->loan.triangle_groups[g], &n->box))
             add(chunk, begin, vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES),
-                d->neighbour_rings, d->rings);
+                d->neighbour_rings, s->weights, d->rings);
 }
 
 static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
@@ -223,7 +227,7 @@ static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender 
     if (!lent)
         n->loan = (struct vox_loan){.chunk = &own};
     if (match(d, n))
-        add_neighbour(d, n);
+        add_neighbour(s, d, n);
     if (lent)
         lender->take_back(lender->arg, other);
     return 0;
@@ -243,7 +247,7 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == index)
             BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings)
-        (chunk, 0, chunk->triangle_count, d->own_rings, d->rings);
+        (chunk, 0, chunk->triangle_count, d->own_rings, s->weights, d->rings);
         else if (touch(&infos[i], info)) status = add_chunk(s, lender, d, &neighbour, i);
     }
     return status;

@@ -7,9 +7,11 @@
 struct vox_smooth;
 
 /* Allocates workspaces for up to `calls` >= 1 calls at a time: as many as `bytes` allow, but at
- * least one. The file must outlive *out. */
-int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file, unsigned calls,
-                      uint64_t bytes, struct vox_smooth **out);
+ * least one. weights: of the triangles around a vertex, not BSQ_SCAN_NORMALS_FLAT. The file must
+ * outlive *out. */
+int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                      enum bsq_scan_normals weights, unsigned calls, uint64_t bytes,
+                      struct vox_smooth **out);
 void vox_smooth_destroy(struct vox_smooth *smooth); /* NULL is allowed */
 
 /* A decoded chunk, and the bounds of its groups. */
@@ -26,7 +28,7 @@ struct vox_smooth_lender {
     void (*take_back)(void *arg, uint32_t index);
 };
 
-/* Computes area-weighted smooth normals of a chunk's vertices as if the scan were whole: vertices
+/* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices
  * at the same position are one, whichever chunk they are in. chunk: number `index`, decoded.
  * normals: one entry for each vertex. An entry is a unit normal, or zero at creases
  * (BSQ_CREASE_SHARE), and a height in voxels: how far above the vertex, along its normal, the

@@ -1,5 +1,5 @@
-/* test_smooth_normals.c - sums over one-rings have the bits of scalar code; creases begin at a fold
- * of 60 degrees. */
+/* test_smooth_normals.c - sums over one-rings have the bits of scalar code; weights are those of
+ * their definitions; creases begin at a fold of 60 degrees. */
 #include "base/smooth_normals.h"
 #include "tests/unit/fixture.h"
 
@@ -49,13 +49,102 @@ static void test_sums_over_one_rings(void **state)
     for (uint32_t begin = 0; begin < TRIANGLES; begin += TRIANGLES / 2) {
         const uint32_t end = begin + TRIANGLES / 2;
         bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
-                          ring_of, 2, sums);
+                          ring_of, BSQ_SCAN_NORMALS_AREA, 2, sums);
         bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
-                          ring_of, 1, short_sums);
+                          ring_of, BSQ_SCAN_NORMALS_AREA, 1, short_sums);
     }
     assert_memory_equal(sums[2], expected[2], sizeof sums - 2 * sizeof sums[0]);
     for (int ring = 1; ring < RINGS; ring++)
         assert_memory_equal(short_sums[ring], expected[2 * ring], sizeof short_sums[0]);
+}
+
+/* Right angles, and angles down to 1e-9 and up to nearly pi. */
+static void test_angles(void **state)
+{
+    (void)state;
+    assert_true(fabs(row_number(bsq_angles(2, row_of(0, 2, -2, 0)), 0) - acos(0)) < 1e-10);
+    for (double ratio = 1e-9; ratio < 1e10; ratio *= 1.7) {
+        const double along[4] = {ratio, -ratio, 1 / ratio, -1 / ratio};
+        const struct row angles = bsq_angles(3, row_times(3, row_load(along)));
+        for (int i = 0; i < 4; i++) {
+            const double expected = atan2(1, along[i]);
+            assert_true(fabs(row_number(angles, i) - expected) < 1e-10 * expected);
+        }
+    }
+}
+
+/* Sets the unit normal of vertex 0. */
+static void normal_of_first(const float (*positions)[3], const uint32_t (*triangles)[3],
+                            uint32_t count, enum bsq_scan_normals weights, double out[3])
+{
+    const uint32_t ring_of[VERTICES] = {1};
+    double sums[2][4] = {{0}};
+    bsq_add_one_rings(positions, triangles, 0, count, ring_of, weights, 1, sums);
+    const double *s = sums[1], length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
+    for (int k = 0; k < 3; k++)
+        out[k] = s[k] / length;
+}
+
+/* Max's weights are exact on a sphere, however its points are chosen; the others are not. */
+static void test_max_on_a_sphere(void **state)
+{
+    (void)state;
+    enum { RIM = 7 };
+    uint64_t seed = test_seed();
+    float positions[RIM + 1][3] = {{0, 0, 1}};
+    uint32_t triangles[RIM][3];
+    double largest[BSQ_SCAN_NORMALS_FLAT] = {0};
+    for (int round = 0; round < 100; round++) {
+        for (uint32_t i = 0; i < RIM; i++) {
+            const double turn =
+                (i + 0.8 * (double)(test_random(&seed) >> 11) * 0x1p-53) * 2 * BSQ_PI / RIM;
+            const double tilt = 0.05 + 0.6 * (double)(test_random(&seed) >> 11) * 0x1p-53;
+            const double at[3] = {sin(tilt) * cos(turn), sin(tilt) * sin(turn), cos(tilt)};
+            for (int k = 0; k < 3; k++)
+                positions[i + 1][k] = (float)at[k];
+            triangles[i][0] = 0;
+            triangles[i][1] = i + 1;
+            triangles[i][2] = (i + 1) % RIM + 1;
+        }
+        for (unsigned w = 0; w < BSQ_SCAN_NORMALS_FLAT; w++) {
+            double n[3];
+            normal_of_first((const float(*)[3])positions, (const uint32_t(*)[3])triangles, RIM,
+                            (enum bsq_scan_normals)w, n);
+            largest[w] = fmax(largest[w], hypot(n[0], n[1]));
+        }
+    }
+    assert_true(largest[BSQ_SCAN_NORMALS_MAX] < 1e-5);
+    assert_true(largest[BSQ_SCAN_NORMALS_AREA] > 0.01);
+    assert_true(largest[BSQ_SCAN_NORMALS_ANGLE] > 0.01);
+}
+
+/* Angles do not depend on how faces are cut. Three squares meet at the corner of a cube; the
+ * diagonal of the first one ends there. */
+static void test_angles_at_a_cube(void **state)
+{
+    (void)state;
+    const float positions[7][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0},
+                                   {0, 1, 1}, {0, 0, 1}, {1, 0, 1}};
+    const uint32_t triangles[4][3] = {{0, 1, 2}, {0, 2, 3}, {0, 3, 5}, {0, 5, 1}};
+    double n[3];
+    normal_of_first(positions, triangles, 4, BSQ_SCAN_NORMALS_ANGLE, n);
+    for (int k = 0; k < 3; k++)
+        assert_true(fabs(n[k] - 1 / sqrt(3)) < 1e-9);
+    normal_of_first(positions, triangles, 4, BSQ_SCAN_NORMALS_AREA, n);
+    assert_true(fabs(n[2] - 2 / sqrt(6)) < 1e-9);
+}
+
+/* A triangle without an area has no weight. */
+static void test_no_area(void **state)
+{
+    (void)state;
+    const float positions[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {2, 0, 0}};
+    const uint32_t triangles[3][3] = {{0, 1, 2}, {0, 1, 3}, {0, 0, 2}};
+    for (unsigned w = 0; w < BSQ_SCAN_NORMALS_FLAT; w++) {
+        double n[3];
+        normal_of_first(positions, triangles, 3, (enum bsq_scan_normals)w, n);
+        assert_true(n[0] == 0 && n[1] == 0 && n[2] == 1);
+    }
 }
 
 static void test_creases(void **state)
@@ -75,6 +164,10 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_sums_over_one_rings),
+        cmocka_unit_test(test_angles),
+        cmocka_unit_test(test_max_on_a_sphere),
+        cmocka_unit_test(test_angles_at_a_cube),
+        cmocka_unit_test(test_no_area),
         cmocka_unit_test(test_creases),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -109,11 +109,8 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
     const char *path = exact_scan_path;
-    struct bake_exact_options options = {.paths = &path,
-                                         .path_count = 1,
-                                         .normals = setup->flat ? BSQ_SCAN_NORMALS_FLAT
-                                                                : BSQ_SCAN_NORMALS_SMOOTH,
-                                         .two_sided = setup->two_sided};
+    struct bake_exact_options options = {
+        .paths = &path, .path_count = 1, .normals = setup->normals, .two_sided = setup->two_sided};
     struct bake_exact *exact;
     assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
     if (setup->color)

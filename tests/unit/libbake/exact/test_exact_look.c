@@ -66,11 +66,8 @@ static void look(const struct exact_setup *setup, const struct bk_params *params
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
     const char *path = exact_scan_path;
-    const struct bake_exact_options options = {.paths = &path,
-                                               .path_count = 1,
-                                               .normals = setup->flat ? BSQ_SCAN_NORMALS_FLAT
-                                                                      : BSQ_SCAN_NORMALS_SMOOTH,
-                                               .two_sided = setup->two_sided};
+    const struct bake_exact_options options = {
+        .paths = &path, .path_count = 1, .normals = setup->normals, .two_sided = setup->two_sided};
     const struct bake_exact_batch batch = {.rays = view->rays,
                                            .hits = view->hits,
                                            .count = view->count,

@@ -178,7 +178,8 @@ static void test_no_ray_slips_through_edges_and_vertices(void **state)
     struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
     struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
     struct triangle_scan mesh = exact_torus(120, 90);
-    struct exact_setup setup = {.threads = 2, .flat = true, .two_sided = true, .t_max = 0.7};
+    struct exact_setup setup = {
+        .threads = 2, .normals = BSQ_SCAN_NORMALS_FLAT, .two_sided = true, .t_max = 0.7};
     exact_write_scan(&mesh, 50);
     for (uint32_t r = 0; r < RAYS; r++) {
         const uint32_t triangle = (uint32_t)((uint64_t)r * mesh.triangle_count / RAYS);

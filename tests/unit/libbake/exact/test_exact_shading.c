@@ -68,6 +68,39 @@ static void test_smooth_normals_across_borders(void **state)
     triangle_scan_free(&mesh);
 }
 
+/* All weights, from chunks of every size: the same bits. */
+static void test_weights_of_smooth_normals(void **state)
+{
+    (void)state;
+    struct triangle_scan mesh = exact_torus(30, 20);
+    enum { WEIGHTS = BSQ_SCAN_NORMALS_FLAT };
+    struct bake_exact_hit first[WEIGHTS], hit;
+    const double to[3] = {0, 0, 0};
+    struct bake_exact_ray ray;
+    for (int k = 0; k < 3; k++)
+        ray.origin[k] = 1.1f * mesh.positions[0][k] - 0.3f * mesh.positions[31][k] +
+                        0.2f * mesh.positions[1][k];
+    exact_toward(ray.origin, to, ray.direction);
+    for (uint32_t chunk = 1200; chunk >= 5; chunk /= 6) {
+        exact_write_scan(&mesh, chunk);
+        for (unsigned w = 0; w < WEIGHTS; w++) {
+            const struct exact_setup setup = {.threads = 2,
+                                              .two_sided = true,
+                                              .t_min = -9,
+                                              .t_max = 9,
+                                              .normals = (enum bsq_scan_normals)w};
+            exact_trace(&setup, &ray, 1, &hit);
+            assert_true(hit.triangle != BAKE_EXACT_NONE);
+            if (chunk == 1200)
+                first[w] = hit;
+            assert_memory_equal(hit.normal, first[w].normal, sizeof hit.normal);
+            for (unsigned other = 0; other < w; other++)
+                assert_memory_not_equal(hit.normal, first[other].normal, sizeof hit.normal);
+        }
+    }
+    triangle_scan_free(&mesh);
+}
+
 /* Returns a roof: two squares that meet in the ridge x = 0, where their vertices have different
  * colours. */
 static struct triangle_scan make_roof(float height)
@@ -106,7 +139,7 @@ static void test_smooth_normals_ignore_repeated_vertices(void **state)
         for (int k = 0; k < 3; k++)
             assert_true(fabs((double)hit.normal[k] - sum[k] / sqrt(length)) < 1e-6);
     }
-    setup.flat = true;
+    setup.normals = BSQ_SCAN_NORMALS_FLAT;
     struct bake_exact_hit hit = exact_trace_one(&setup, 0.25f, 0.5f, 0, 1);
     assert_true(fabs((double)hit.normal[0] - 0.25 / sqrt(1.0625)) < 1e-6);
     triangle_scan_free(&mesh);
@@ -233,6 +266,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_smooth_normals_across_borders),
+        cmocka_unit_test(test_weights_of_smooth_normals),
         cmocka_unit_test(test_smooth_normals_ignore_repeated_vertices),
         cmocka_unit_test(test_smooth_normals_end_at_creases),
         cmocka_unit_test(test_vertex_normals_are_interpolated),

@@ -201,7 +201,7 @@ enum { RING_VERTICES = 100 };
 /* Computes the one-ring of one vertex as struct vox_one_ring describes it. */
 static struct vox_one_ring expected_ring(const struct fmt_tris_chunk *chunk, uint32_t vertex)
 {
-    struct vox_one_ring ring = {.area = 0.0};
+    struct vox_one_ring ring = {.weight = 0.0};
     for (uint32_t t = 0; t < chunk->triangle_count; t++)
         for (int i = 0; i < 3; i++) {
             const uint32_t *v = chunk->triangles[t];
@@ -218,11 +218,11 @@ static struct vox_one_ring expected_ring(const struct fmt_tris_chunk *chunk, uin
             }
             length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
             for (int a = 0; a < 3; a++) {
-                ring.area_vector[a] += n[a];
+                ring.normal[a] += n[a];
                 ring.moment[a] +=
                     length * (corner[0][a] + corner[1][a] + corner[2][a] - 3.0 * corner[0][a]);
             }
-            ring.area += length;
+            ring.weight += length;
         }
     return ring;
 }
@@ -250,16 +250,19 @@ static void test_rings(void **state)
     struct vox_one_ring rings[LEVELS][RING_VERTICES];
     float normals[LEVELS][RING_VERTICES][4];
     const size_t count = level_count();
-    for (size_t c = 0; c < count; c++) {
-        memset(rings[c], 0, sizeof rings[c]);
-        BSQ_SIMD_PICK(c, vox_add_one_rings)(&chunk, 0, chunk.triangle_count, ring_of, rings[c]);
-        assert_memory_equal(rings[c], rings[0], sizeof rings[c]);
-    }
+    for (unsigned weights = BSQ_SCAN_NORMALS_FLAT; weights-- > BSQ_SCAN_NORMALS_AREA;)
+        for (size_t c = 0; c < count; c++) {
+            memset(rings[c], 0, sizeof rings[c]);
+            BSQ_SIMD_PICK(c, vox_add_one_rings)
+            (&chunk, 0, chunk.triangle_count, ring_of, (enum bsq_scan_normals)weights, rings[c]);
+            assert_memory_equal(rings[c], rings[0], sizeof rings[c]);
+        }
+    /* The last weights were areas. */
     for (uint32_t v = 1; v < RING_VERTICES; v++) {
         const struct vox_one_ring expected = expected_ring(&chunk, v), *ring = &rings[0][v];
-        assert_true(fabs(ring->area - expected.area) < 1e-9);
+        assert_true(fabs(ring->weight - expected.weight) < 1e-9);
         for (int a = 0; a < 3; a++) {
-            assert_true(fabs(ring->area_vector[a] - expected.area_vector[a]) < 1e-9);
+            assert_true(fabs(ring->normal[a] - expected.normal[a]) < 1e-9);
             assert_true(fabs(ring->moment[a] - expected.moment[a]) < 1e-7);
         }
     }

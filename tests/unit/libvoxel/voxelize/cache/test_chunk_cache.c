@@ -58,7 +58,8 @@ static int set_up(void **state)
     const struct fmt_tris_header *header = fmt_tris_get_header(f->file);
     assert_int_equal(header->chunk_count, CHUNKS);
     assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 0, 0.1, &f->transform), 0);
-    assert_int_equal(vox_smooth_create(f->ctx, f->file, 1, 1 << 20, &f->smooth), 0);
+    assert_int_equal(
+        vox_smooth_create(f->ctx, f->file, BSQ_SCAN_NORMALS_SMOOTH, 1, 1 << 20, &f->smooth), 0);
     for (uint32_t i = 0; i < CHUNKS; i++)
         f->boxes[i].chunk = i;
     f->boxes[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};

@@ -30,6 +30,7 @@ struct fixture {
     struct scan_mesh mesh;
     uint32_t chunk_count, lent;
     bool lends;
+    enum bsq_scan_normals weights;
     struct decoded chunks[CHUNKS_MAX];
 };
 
@@ -86,7 +87,7 @@ static void begin(struct fixture *f, uint32_t chunk_triangles)
     f->chunk_count = (uint32_t)header->chunk_count;
     assert_true(f->chunk_count > 1 && f->chunk_count <= CHUNKS_MAX);
     assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 100, 0.0, &f->transform), 0);
-    assert_int_equal(vox_smooth_create(f->ctx, f->file, 1, 1 << 20, &f->smooth), 0);
+    assert_int_equal(vox_smooth_create(f->ctx, f->file, f->weights, 1, 1 << 20, &f->smooth), 0);
     for (uint32_t i = 0; i < f->chunk_count; i++)
         decode(f, i);
 }
@@ -113,14 +114,32 @@ static bool same_place(const float a[3], const float b[3])
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 }
 
+/* Returns the weight of a triangle of twice this area at corner i. */
+static double expected_weight(const float *const p[3], int i, double area,
+                              enum bsq_scan_normals weights)
+{
+    double a = 0.0, b = 0.0, dot = 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double next = (double)p[(i + 1) % 3][k] - p[i][k];
+        const double previous = (double)p[(i + 2) % 3][k] - p[i][k];
+        a += next * next;
+        b += previous * previous;
+        dot += next * previous;
+    }
+    if (area == 0.0 || weights == BSQ_SCAN_NORMALS_AREA)
+        return area;
+    return weights == BSQ_SCAN_NORMALS_ANGLE ? atan2(area, dot) : area / (a * b);
+}
+
 /* Computes the normal as smooth_normals.h defines it, over all triangles of the mesh with a corner
  * at this position. */
-static void expected_normal(const struct scan_mesh *mesh, const float at[3], double normal[3])
+static void expected_normal(const struct scan_mesh *mesh, enum bsq_scan_normals weights,
+                            const float at[3], double normal[3])
 {
-    double sum[3] = {0}, areas = 0.0;
+    double sum[3] = {0}, total = 0.0;
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const float *p[3];
-        double n[3];
+        double n[3], area;
         for (int i = 0; i < 3; i++)
             p[i] = mesh->positions[mesh->triangles[t][i]];
         for (int a = 0; a < 3; a++) {
@@ -128,17 +147,19 @@ static void expected_normal(const struct scan_mesh *mesh, const float at[3], dou
             n[a] = ((double)p[1][b] - p[0][b]) * ((double)p[2][c] - p[0][c]) -
                    ((double)p[1][c] - p[0][c]) * ((double)p[2][b] - p[0][b]);
         }
+        area = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
         for (int i = 0; i < 3; i++) {
+            const double weight = expected_weight(p, i, area, weights);
             if (!same_place(p[i], at))
                 continue;
-            for (int a = 0; a < 3; a++)
-                sum[a] += n[a];
-            areas += sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+            for (int a = 0; a < 3 && area > 0.0; a++)
+                sum[a] += weight * n[a] / area;
+            total += weight;
         }
     }
     double length = sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
     for (int a = 0; a < 3; a++)
-        normal[a] = length >= BSQ_CREASE_SHARE * areas && length > 0 ? sum[a] / length : 0.0;
+        normal[a] = length >= BSQ_CREASE_SHARE * total && length > 0 ? sum[a] / length : 0.0;
 }
 
 /* Checks the normals of all chunks, with neighbours lent and with neighbours read. */
@@ -158,7 +179,7 @@ static void check(struct fixture *f)
         assert_memory_equal(normals, read, bytes);
         for (uint32_t v = 0; v < chunk->vertex_count; v++) {
             double expected[3];
-            expected_normal(&f->mesh, chunk->positions[v], expected);
+            expected_normal(&f->mesh, f->weights, chunk->positions[v], expected);
             for (int a = 0; a < 3; a++)
                 assert_true(fabs((double)normals[v][a] - expected[a]) < 1e-6);
         }
@@ -173,11 +194,13 @@ static void check(struct fixture *f)
 static void test_sphere(void **state)
 {
     (void)state;
-    struct fixture f = {.mesh = scan_sphere(1.0, 0.1)};
-    scan_sort(&f.mesh);
-    begin(&f, CHUNK_TRIANGLES);
-    check(&f);
-    end(&f);
+    for (unsigned w = BSQ_SCAN_NORMALS_AREA; w < BSQ_SCAN_NORMALS_FLAT; w++) {
+        struct fixture f = {.mesh = scan_sphere(1.0, 0.1), .weights = (enum bsq_scan_normals)w};
+        scan_sort(&f.mesh);
+        begin(&f, CHUNK_TRIANGLES);
+        check(&f);
+        end(&f);
+    }
 }
 
 /* Unordered triangles touch in vertices, lie in creases and stretch across all chunks. */
@@ -226,13 +249,13 @@ static void test_two_closed_fans_with_one_apex(void **state)
     double alone[3], both[3];
     struct fixture f = {.mesh = scan_mesh_new(2 * (CORNERS + 1), CORNERS)};
     put_fan(&f.mesh, 0, 0, CORNERS, at, -0.3);
-    expected_normal(&f.mesh, f.mesh.positions[0], alone);
+    expected_normal(&f.mesh, f.weights, f.mesh.positions[0], alone);
     f.mesh.triangles = realloc(f.mesh.triangles, 2 * CORNERS * sizeof *f.mesh.triangles);
     f.mesh.triangle_count = 2 * CORNERS;
     put_fan(&f.mesh, CORNERS + 1, CORNERS, CORNERS, at, -0.1);
     for (uint32_t i = CORNERS + 2; i < 2 * (CORNERS + 1); i++)
         f.mesh.positions[i][2] += 0.3f * (f.mesh.positions[i][0] - (float)at[0]);
-    expected_normal(&f.mesh, f.mesh.positions[0], both);
+    expected_normal(&f.mesh, f.weights, f.mesh.positions[0], both);
     assert_true(fabs(alone[0] - both[0]) > 0.01);
     begin(&f, CORNERS);
     assert_int_equal(f.chunk_count, 2);
@@ -249,11 +272,11 @@ static void test_repeated_triangle(void **state)
     double once[3], twice[3];
     scan_sort(&f.mesh);
     const float *corner = f.mesh.positions[f.mesh.triangles[count / 2][0]];
-    expected_normal(&f.mesh, corner, once);
+    expected_normal(&f.mesh, f.weights, corner, once);
     f.mesh.triangles = realloc(f.mesh.triangles, (count + 1) * sizeof *f.mesh.triangles);
     memcpy(f.mesh.triangles[count], f.mesh.triangles[count / 2], sizeof *f.mesh.triangles);
     f.mesh.triangle_count = count + 1;
-    expected_normal(&f.mesh, corner, twice);
+    expected_normal(&f.mesh, f.weights, corner, twice);
     assert_true(fabs(once[0] - twice[0]) + fabs(once[1] - twice[1]) + fabs(once[2] - twice[2]) >
                 1e-3);
     begin(&f, CHUNK_TRIANGLES);
@@ -275,7 +298,7 @@ static void test_both_zeros_are_one_place(void **state)
                       (double[3]){0.0, 1.0, 0.0});
         f.mesh.positions[5][0] = f.mesh.positions[6][0] = -0.0f;
         double normal[3];
-        expected_normal(&f.mesh, f.mesh.positions[5], normal);
+        expected_normal(&f.mesh, f.weights, f.mesh.positions[5], normal);
         assert_true(normal[0] < -0.05 && normal[0] > -0.15);
         begin(&f, chunk_triangles);
         check(&f);
