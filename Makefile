@@ -581,6 +581,11 @@ $(BUILD)/tests/bench-normals: $(BUILD)/obj/tests/bench/normals.c.o
 bench-normals: $(BUILD)/tests/bench-normals
 	@$< $(BENCH_CELLS)
 
+.PHONY: bench-blender
+## bench-blender: compare ambient occlusion and normals with Blender's, which BLENDER=PROGRAM names
+bench-blender: all $(generator) $(BUILD)/tests/measure
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender.sh
+
 # The programs with their shared libraries, except those of C and C++, for machines that cannot
 # build.
 gpu_bundle := build/gpu
