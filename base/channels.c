@@ -4,19 +4,19 @@
 #include <string.h>
 
 static const struct bsq_channel channels[] = {
-    {"roughness", 1, false},
-    {"metallic", 1, false},
-    {"sheen", 1, false},
-    {"clearcoat", 1, false},
-    {"clearcoat_roughness", 1, false},
-    {"anisotropy", 1, false},
-    {"anisotropy_rotation", 1, false},
-    {"shininess", 1, false},
-    {"opacity", 1, false},
-    {"occlusion", 1, false},
-    {"displacement", 1, false},
-    {"specular", 3, true},
-    {"emission", 3, true},
+    {"roughness", 1, false, "map_Pr", "Pr"},
+    {"metallic", 1, false, "map_Pm", "Pm"},
+    {"sheen", 1, false, "map_Ps", "Ps"},
+    {"clearcoat", 1, false, "map_Pc", "Pc"},
+    {"clearcoat_roughness", 1, false, "map_Pcr", "Pcr"},
+    {"anisotropy", 1, false, "map_aniso", "aniso"},
+    {"anisotropy_rotation", 1, false, "map_anisor", "anisor"},
+    {"shininess", 1, false, "map_Ns", NULL},
+    {"opacity", 1, false, "map_d", "d"},
+    {"occlusion", 1, false, "map_ao", NULL},
+    {"displacement", 1, false, "disp", NULL},
+    {"specular", 3, true, "map_Ks", "Ks"},
+    {"emission", 3, true, "map_Ke", "Ke"},
 };
 enum { CHANNELS = sizeof channels / sizeof *channels };
 
@@ -27,7 +27,7 @@ const struct bsq_channel *bsq_channel_at(unsigned number)
 
 const struct bsq_channel *bsq_channel_find(const char *name)
 {
-    static const struct bsq_channel other = {"", 3, false};
+    static const struct bsq_channel other = {"", 3, false, NULL, NULL};
     for (unsigned i = 0; i < CHANNELS; i++)
         if (strcmp(channels[i].name, name) == 0)
             return &channels[i];

@@ -16,6 +16,8 @@ struct bsq_channel {
     const char *name; /* "" for names that the table does not have */
     uint32_t values;  /* 1 or 3 */
     bool color;       /* linear light, which files of integers hold sRGB-encoded; else data */
+    /* Statements of MTL files: its texture and its value; NULL: none. */
+    const char *mtl_map, *mtl_value;
 };
 
 /* Returns the row of a name, or that of all other names: three values, data. */

@@ -14,7 +14,7 @@ static int verify_tris(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
         return status;
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     report->kind = FMT_VERIFY_TRIS;
-    report->version = header->ids == BSQ_IDS_NONE ? FMT_TRIS_VERSION : FMT_TRIS_VERSION_IDS;
+    report->version = fmt_tris_version(header);
     report->triangles = header->triangle_count;
     report->chunks = header->chunk_count;
     bsq_progress_begin(ctx, "verifying", "bytes", report->file_bytes);

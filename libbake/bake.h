@@ -94,7 +94,9 @@ struct bake_transfer {
     /** Lower-case letters, digits and underscores, with a letter first; not the name of another
      * map. Stands for "<MAP>" in the output path. docs/maps.md lists names that have a meaning. */
     const char *name;
-    const char *texture_path; /**< Image for all faces of the scan, which is a chunk file. */
+    /** Image for all faces of the scan, which is a chunk file; NULL: the channel of this name that
+     * the chunk file has. */
+    const char *texture_path;
 };
 
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */

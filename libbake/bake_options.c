@@ -128,9 +128,6 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
         if (is_map_name(transfer->name))
             return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: there is another map of this name",
                             transfer->name);
-        if (!transfer->texture_path)
-            return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: its texture is missing",
-                            transfer->name);
         for (uint32_t j = 0; j < i; ++j)
             if (strcmp(options->transfers[j].name, transfer->name) == 0)
                 return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s is named twice", transfer->name);

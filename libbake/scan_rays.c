@@ -200,7 +200,7 @@ static void finish_sample(const struct scan_rays *rays, uint64_t index, uint32_t
     hit.open = hits.open;
     hit.thickness = hits.thickness;
     bk_copy_lane(&hits.bent, 0, hit.bent);
-    bk_clear_texel(samples->maps, sample);
+    bk_clear_texel(samples->maps & ~(BK_TRANSFER_MASK << BK_TRANSFER_SHIFT), sample);
     sample[BK_COVERED] = 1.0f;
     bk_add_to_maps(samples->maps, &hit, sample);
 }

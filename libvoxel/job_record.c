@@ -8,6 +8,7 @@
  *     "how", and a text that says where an input lies, in the form of the lines below
  *     "obj", "tex" or "mtl", size, time of modification, hash of samples, path; for each input
  *     "ids", the same without a file, what the ids tell apart; if there are ids
+ *     "cha", the same, the name of a channel, and "=" and its image if it is given
  * A pipe has the path "-", no time, and a hash of all its bytes as they came.
  * To resume, the lines are made again from the files as they are now, and must be the same. A hash
  * of samples is used because reading whole inputs would take about as long as resuming saves on
@@ -280,6 +281,22 @@ static int add_placement(struct vox_job *job, const struct vox_sort_options *opt
     return add_line(job, line);
 }
 
+/* Records a channel, with the absolute path of its image. */
+static int add_channel(struct vox_job *job, const struct vox_channel *channel)
+{
+    const char *path = channel->texture_path;
+    char *full = path ? realpath(path, NULL) : NULL, *text = NULL;
+    if (asprintf(&text, "%s%s%s", channel->name, path ? "=" : "",
+                 full   ? full
+                 : path ? path
+                        : "") < 0)
+        text = NULL;
+    free(full);
+    int status = text ? add_input(job, "cha", text) : no_memory(job->ctx, job->tris_path);
+    free(text);
+    return status;
+}
+
 int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out)
 {
     static const char *const ids[] = {[VOX_IDS_MATERIAL] = "ids by material",
@@ -309,6 +326,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
         status = add_input(job, "tex", options->texture_path);
     if (status == 0 && options->ids != VOX_IDS_NONE)
         status = add_input(job, "ids", ids[options->ids]);
+    for (uint32_t i = 0; i < options->channel_count && status == 0; i++)
+        status = add_channel(job, &options->channels[i]);
     if (status < 0)
         vox_job_close(job);
     else

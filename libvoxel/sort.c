@@ -3,6 +3,7 @@
  * Reading keeps vertices as attribute streams (read/) and partitions triangles into buckets by
  * place (partition/). Batches of buckets are sorted, cut into chunks and written (chunk/). Every
  * step streams, and what does not fit in memory goes to temporary files. */
+#include "base/channels.h"
 #include "base/clock.h"
 #include "base/job_files.h"
 #include "libvoxel/chunk/chunk_writer.h"
@@ -12,6 +13,7 @@
 
 #include <errno.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/stat.h>
 
 #define MIB ((uint64_t)1 << 20)
@@ -75,6 +77,8 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
     vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
     scan->max_color = max_color;
     scan->color_fractions = color_fractions;
+    scan->channels = options->channels;
+    scan->channel_count = options->channel_count;
     return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
 }
 
@@ -103,7 +107,10 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     struct fmt_mesh_reader *reader;
     struct bsq_ctx *ctx = scan->ctx;
     struct fmt_mesh_estimate estimate = {0};
-    struct scan_textures textures = {.decode = options->check_textures};
+    struct scan_textures textures = {.decode = options->check_textures,
+                                     .channels = options->channels,
+                                     .channel_count = options->channel_count,
+                                     .only_channels = options->texture_path != NULL};
     double start = bsq_seconds_now();
     struct fmt_mesh_placement *placements = NULL;
     int status = copy_placements(ctx, options, &placements);
@@ -192,11 +199,18 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         .material_count = scan->material_count,
         .materials = scan->materials,
         .ids = scan->ids,
+        .channel_count = scan->channel_count,
     };
     struct fmt_tris_writer *writer;
-    int status = names_tris(options)
+    int status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                            sizeof *header.channels, &header.channels);
+    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++)
+        header.channels[c] = (char *)(uintptr_t)scan->channels[c].name;
+    if (status == 0)
+        status = names_tris(options)
                      ? fmt_tris_create(scan->ctx, options->tris_path, &header, &writer)
                      : fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer);
+    bsq_free(scan->ctx, header.channels);
     if (status < 0)
         return status;
     struct batches_report batches;
@@ -227,6 +241,22 @@ static int sort_scan(const struct scan *scan, const struct vox_sort_options *opt
     return status;
 }
 
+static int check_channels(struct bsq_ctx *ctx, const struct vox_sort_options *options)
+{
+    for (uint32_t i = 0; i < options->channel_count; i++) {
+        const char *name = options->channels[i].name;
+        if (!bsq_is_channel_name(name))
+            return bsq_fail(ctx, BSQ_EUSAGE,
+                            "\"%s\" cannot be a channel: names have lower-case letters, digits and "
+                            "_, with a letter first",
+                            name);
+        for (uint32_t j = 0; j < i; j++)
+            if (strcmp(options->channels[j].name, name) == 0)
+                return bsq_fail(ctx, BSQ_EUSAGE, "channel %s is named twice", name);
+    }
+    return 0;
+}
+
 int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options,
                          const struct sort_limits *limits, struct vox_sort_report *report)
 {
@@ -235,7 +265,11 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
     vox_scan_init(&scan, ctx, limits, options->scan_paths, options->tris_path);
-    int status = names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0;
+    scan.channels = options->channels;
+    scan.channel_count = options->channel_count;
+    int status = check_channels(ctx, options);
+    if (status == 0)
+        status = names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0;
     if (status == 0)
         status = read_scan(&scan, limits, options, report, &partition);
     if (status == 0)

@@ -56,6 +56,13 @@ struct vox_placement {
     double translate[3]; /**< Added to all positions. */
 };
 
+/** A further channel of a scan, such as its roughness, see docs/maps.md. */
+struct vox_channel {
+    const char *name; /**< Lower-case letters, digits and underscores, with a letter first. */
+    const char *texture_path; /**< Image for all faces with texture coordinates. NULL: what the
+                                 materials have. */
+};
+
 /** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
     /** Mesh files, read as one scan. They may be packed by gzip or Zstandard. A FIFO, or "-" for
@@ -67,7 +74,9 @@ struct vox_sort_options {
     const char *texture_path; /**< Image for all faces with texture coordinates. NULL: the images
                                  that the materials name. */
     enum vox_ids ids;         /**< Ids that the chunk file keeps. */
-    const char *tris_path;    /**< Output: the chunk file. */
+    const struct vox_channel *channels; /**< Channels that the chunk file keeps. */
+    uint32_t channel_count;             /**< Entries of channels. */
+    const char *tris_path;              /**< Output: the chunk file. */
     /** NULL, or the output to use instead of tris_path, which then only names the directory of
      * temporary files. */
     struct vox_temp_tris *temp_tris;

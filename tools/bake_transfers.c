@@ -63,10 +63,6 @@ int bake_use_transfers(struct cli *cli, struct bake_transfers *transfers,
             return cli_usage(cli, "--texture: \"%s\" is given twice", texture->name);
         map->texture_path = texture->texture_path;
     }
-    for (uint32_t i = 0; i < transfers->map_count; i++)
-        if (!transfers->maps[i].texture_path)
-            return cli_usage(cli, "transfer:%s needs --texture %s=FILE", transfers->maps[i].name,
-                             transfers->maps[i].name);
     options->transfers = transfers->maps;
     options->transfer_count = transfers->map_count;
     return 0;

@@ -34,13 +34,15 @@ static int recognise_inputs(struct voxelize_job *job)
                             arguments->inputs[i]);
         if (arguments->parse_only)
             return cli_usage(job->cli, "%s: --parse-only reads meshes", arguments->inputs[i]);
-        if (arguments->texture || arguments->tris || arguments->resume || arguments->ids)
+        if (arguments->texture || arguments->tris || arguments->resume || arguments->ids ||
+            arguments->channel_count > 0)
             return cli_usage(job->cli, "%s is already a chunk file: leave out %s",
                              arguments->inputs[i],
                              arguments->tris      ? "--tris"
                              : arguments->texture ? "--texture"
                              : arguments->ids     ? "--id"
-                                                  : "--resume");
+                             : arguments->resume  ? "--resume"
+                                                  : "channels other than id");
         if (arguments->placements)
             return cli_usage(job->cli,
                              "%s is a chunk file: --scale, --up and --translate are for meshes",
@@ -95,6 +97,10 @@ static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
             status = bsq_note_input(ctx, arguments->inputs[i], "the scan");
     if (status == 0 && arguments->texture)
         status = bsq_note_input(ctx, arguments->texture, "the texture");
+    for (uint32_t i = 0; i < arguments->channel_count && status == 0; i++)
+        if (arguments->channels[i].texture_path)
+            status = bsq_note_input(ctx, arguments->channels[i].texture_path, "the texture %s",
+                                    arguments->channels[i].name);
     return status;
 }
 
@@ -190,6 +196,8 @@ static int sort_scan(struct voxelize_job *job)
         .ids = !arguments->channel_ids ? VOX_IDS_NONE
                : arguments->ids        ? arguments->ids
                                        : VOX_IDS_MATERIAL,
+        .channels = arguments->channels,
+        .channel_count = arguments->channel_count,
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,
         .keeps_tris = !job->temporary_tris,
@@ -293,6 +301,8 @@ static int map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
     int status = cli_map_input(cli, &arguments->texture);
     if (status == 0)
         status = cli_map_input(cli, &arguments->farm.plan);
+    for (uint32_t i = 0; i < arguments->channel_count && status == 0; i++)
+        status = cli_map_input(cli, &arguments->channels[i].texture_path);
     for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
         status = cli_map_input(cli, &inputs[i]);
     return status;

@@ -1,6 +1,8 @@
 /* voxelize_arguments.c - see voxelize_arguments.h. */
 #include "tools/voxelize_arguments.h"
 
+#include "base/channels.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,7 +26,8 @@ static const char help[] =
     "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
     "      --scan-normals NAME for a scan without normals: smooth, flat; or smooth ones by weight:\n"
     "                          area, angle or max (default: smooth, which is area)\n"
-    "      --channels LIST     what else the grid holds: id, for the map of this name\n"
+    "      --channels LIST     what else to keep: id in chunks and grid; in the chunks, for maps\n"
+    "                          transfer:NAME, also NAME of the materials or NAME=FILE\n"
     "      --id KIND           what ids tell apart: material, object or color (default: material)\n"
     "      --vdb FILE          also write the grid as an OpenVDB file\n"
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
@@ -187,21 +190,47 @@ void voxelize_arguments_free(struct voxelize_arguments *arguments)
     free(arguments->ups);
     free(arguments->translations);
     free(arguments->placements);
+    for (uint32_t i = 0; i < arguments->channel_count; i++)
+        free((void *)(uintptr_t)arguments->channels[i].name);
+    free(arguments->channels);
 }
 
 /* ---- options ---- */
 
-/* Parses the names of channels. */
+/* Adds a channel "NAME" or "NAME=FILE". */
+static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *word)
+{
+    char *name = strdup(word), *equals = name ? strchr(name, '=') : NULL;
+    struct vox_channel *grown =
+        realloc(arguments->channels, (arguments->channel_count + UINT64_C(1)) * sizeof *grown);
+    if (grown)
+        arguments->channels = grown;
+    if (!name || !grown) {
+        free(name);
+        return cli_usage(cli, "no memory for the arguments");
+    }
+    if (equals)
+        *equals = '\0';
+    grown[arguments->channel_count++] = (struct vox_channel){name, equals ? equals + 1 : NULL};
+    if (!bsq_is_channel_name(name))
+        return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
+    return equals && equals[1] == '\0' ? cli_usage(cli, "--channels: \"%s\" names no file", word)
+                                       : 0;
+}
+
+/* Parses the names of channels. Paths of images must not have commas. */
 static int parse_channels(struct cli *cli, struct voxelize_arguments *arguments)
 {
-    static const char id[] = "id";
-    for (const char *name = optarg, *end; *name; name = *end ? end + 1 : end) {
-        end = strchrnul(name, ',');
-        if ((size_t)(end - name) != strlen(id) || strncmp(name, id, strlen(id)) != 0)
-            return cli_usage(cli, "--channels: \"%.*s\" is not id", (int)(end - name), name);
-        arguments->channel_ids = true;
+    char *list = strdup(optarg), *rest = list, *word;
+    int status = list ? 0 : cli_usage(cli, "no memory for the arguments");
+    while (status == 0 && (word = strsep(&rest, ","))) {
+        if (strcmp(word, "id") == 0)
+            arguments->channel_ids = true;
+        else
+            status = add_channel(cli, arguments, word);
     }
-    return arguments->channel_ids ? 0 : cli_usage(cli, "--channels: no channel named");
+    free(list);
+    return status;
 }
 
 static int parse_ids(struct cli *cli, struct voxelize_arguments *arguments)
@@ -312,6 +341,9 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "--resolution and --voxel-size exclude each other");
     if (arguments->ids != VOX_IDS_NONE && !arguments->channel_ids)
         return cli_usage(cli, "--id needs --channels id");
+    if (arguments->channel_count > 0 && arguments->no_tris)
+        return cli_usage(cli, "--channels: the chunk file keeps %s: leave out --no-tris",
+                         arguments->channels[0].name);
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
     if (arguments->sort_only && arguments->grid_option)

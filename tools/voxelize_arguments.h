@@ -15,6 +15,8 @@ struct voxelize_arguments {
     enum bsq_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
     bool channel_ids;
+    struct vox_channel *channels; /* further ones; the names are owned */
+    uint32_t channel_count;
     enum vox_ids ids; /* VOX_IDS_NONE: not given */
     bool no_tris, parse_only, resume;
     bool sort_only; /* the output is a chunk file: no grid is made */

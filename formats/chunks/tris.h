@@ -8,6 +8,7 @@
 
 #include "base/ids.h"
 #include "base/output.h"
+#include "base/uv.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -20,18 +21,30 @@ enum fmt_tris_attribute {
     FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */
 };
 
-/* Version 2 has what version 1 has, and ids. A file without ids has version 1. */
-#define FMT_TRIS_VERSION     1u
-#define FMT_TRIS_VERSION_IDS 2u
+/* Version 2 has what version 1 has, and ids. Version 3 has further channels and textures whose
+ * coordinates move, and may have ids. A file has the least version that it needs. */
+#define FMT_TRIS_VERSION          1u
+#define FMT_TRIS_VERSION_IDS      2u
+#define FMT_TRIS_VERSION_CHANNELS 3u
 
 /* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
 
+/* A channel of a material. All zero: the value is 0. */
+struct fmt_tris_source {
+    char *texture_path; /* absolute, or NULL: the value is used */
+    float value[3];     /* of colours, linear light; a single value three times */
+    uint32_t component; /* of the texture, 0 to 2, for channels with one value */
+    struct bsq_uv uv;
+};
+
 struct fmt_tris_material {
-    char *texture_path; /* absolute, or NULL */
-    float diffuse[3];   /* sRGB 0...1; used if there is no texture */
-    bool colorless;     /* `diffuse` is no colour of the scan */
-    char *name;         /* by which ids tell triangles apart; NULL: "" */
+    char *texture_path;              /* absolute, or NULL */
+    struct bsq_uv uv;                /* of this texture */
+    struct fmt_tris_source *sources; /* one for each channel of the header; NULL: there are none */
+    float diffuse[3];                /* sRGB 0...1; used if there is no texture */
+    bool colorless;                  /* `diffuse` is no colour of the scan */
+    char *name;                      /* by which ids tell triangles apart; NULL: "" */
 };
 
 struct fmt_tris_header {
@@ -46,7 +59,14 @@ struct fmt_tris_header {
     struct fmt_tris_material *materials;
     /* By name: that of a triangle's material, or "" without one. By colour: of the vertices. */
     enum bsq_ids ids;
+    uint32_t channel_count;
+    char **channels; /* names, see base/channels.h */
 };
+
+/* Returns the version that a file with this header has. */
+uint32_t fmt_tris_version(const struct fmt_tris_header *header);
+/* Returns the number of a channel, or UINT32_MAX. */
+uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char *name);
 
 /* A chunk's entry in the chunk table. */
 struct fmt_tris_chunk_info {
@@ -76,8 +96,8 @@ bool fmt_tris_recognise(const char first[8]);
 /* ---- writing ---- */
 struct fmt_tris_writer;
 
-/* Starts a file. Copies attributes, origin, materials, ids and source_faces from the header; the
- * chunks give the other counts and the bounds. Errors: BSQ_EUSAGE for a path of 4 GiB;
+/* Starts a file. Copies attributes, origin, materials, ids, channels and source_faces from the
+ * header; the chunks give the other counts and the bounds. Errors: BSQ_EUSAGE for a path of 4 GiB;
  * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
                     struct fmt_tris_writer **out);
@@ -131,6 +151,8 @@ int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t pa
                       bool *one);
 /* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */
 int fmt_tris_require_ids(const struct fmt_tris_file *file);
+/* Checks alike that a scan has a channel, which all of its files must have. */
+int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name);
 void fmt_tris_close(struct fmt_tris_file *file);
 const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *file);
 /* Returns the chunk table: chunk_count entries, owned by the file. */

@@ -57,6 +57,28 @@ struct tris_name_record { /* followed by name_bytes bytes */
 };
 _Static_assert(sizeof(struct tris_name_record) == 8, "the record has no padding");
 
+/* Version 3: after the ids; then each channel's name: uint32_t bytes, and these bytes. */
+struct tris_channels_record {
+    uint32_t channel_count;
+    uint32_t reserved;
+};
+_Static_assert(sizeof(struct tris_channels_record) == 8, "the record has no padding");
+
+/* Version 3: after a material's name. */
+struct tris_uv_record {
+    float scale[2], offset[2];
+};
+_Static_assert(sizeof(struct tris_uv_record) == 16, "the record has no padding");
+
+/* Version 3: after that, one for each channel. */
+struct tris_source_record { /* followed by path_bytes bytes */
+    float value[3];
+    uint32_t component;
+    struct tris_uv_record uv;
+    uint32_t path_bytes;
+};
+_Static_assert(sizeof(struct tris_source_record) == 36, "the record has no padding");
+
 struct tris_table_entry {
     uint64_t offset;
     uint64_t size_bytes;
@@ -103,8 +125,9 @@ struct fmt_tris_file {
     struct bsq_file file;
     struct fmt_tris_header header;
     struct fmt_tris_chunk_info *chunks;
-    uint8_t *tail; /* materials and table as in the file; freed after opening */
-    char *paths;   /* all texture paths and names, each with a terminator */
+    uint8_t *tail;                   /* materials and table as in the file; freed after opening */
+    char *paths;                     /* all texture paths and names, each with a terminator */
+    struct fmt_tris_source *sources; /* of all materials; NULL: there are none */
     uint64_t load_size_max;
     uint64_t checksum; /* of the header, which has those of all tables */
     /* Of several files as one scan; then `file` has only a path, that of the first part. */

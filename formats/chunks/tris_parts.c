@@ -81,6 +81,68 @@ static int join_materials(struct fmt_tris_file *all)
     return status;
 }
 
+/* Keeps the channels that all parts have, in the order of the first part. */
+static int join_channels(struct fmt_tris_file *all)
+{
+    struct fmt_tris_header *header = &all->header;
+    const struct fmt_tris_header *first = &all->parts[0].file->header;
+    for (uint32_t m = 0; m < header->material_count; m++)
+        header->materials[m].sources = NULL;
+    int status = bsq_alloc(all->ctx, "channels", (uint64_t)first->channel_count + 1,
+                           sizeof *header->channels, &header->channels);
+    for (uint32_t c = 0; c < first->channel_count && status == 0; c++) {
+        bool everywhere = true;
+        for (uint32_t i = 1; i < all->part_count; i++)
+            everywhere &= fmt_tris_find_channel(&all->parts[i].file->header, first->channels[c]) !=
+                          UINT32_MAX;
+        if (everywhere)
+            header->channels[header->channel_count++] = first->channels[c];
+    }
+    return status;
+}
+
+/* Gives all materials the sources of the common channels. */
+static int join_sources(struct fmt_tris_file *all)
+{
+    struct fmt_tris_header *header = &all->header;
+    const uint64_t count = header->channel_count;
+    uint64_t sources;
+    if (count == 0)
+        return 0;
+    if (__builtin_mul_overflow(count, header->material_count + UINT64_C(1), &sources))
+        return bsq_fail(all->ctx, BSQ_EDATA, "%s: too many channels in all parts", all->file.path);
+    int status = bsq_calloc(all->ctx, "channels", sources, sizeof *all->sources, &all->sources);
+    for (uint32_t i = 0; i < all->part_count && status == 0; i++) {
+        const struct fmt_tris_header *part = &all->parts[i].file->header;
+        for (uint32_t m = 0; m < part->material_count; m++) {
+            const uint32_t number = all->parts[i].first_material + m;
+            struct fmt_tris_source *to = all->sources + number * count;
+            header->materials[number].sources = to;
+            for (uint64_t c = 0; c < count; c++)
+                to[c] =
+                    part->materials[m].sources[fmt_tris_find_channel(part, header->channels[c])];
+        }
+    }
+    return status;
+}
+
+static int fail_without_channel(struct bsq_ctx *ctx, const char *path, const char *name)
+{
+    return bsq_fail(ctx, BSQ_EDATA,
+                    "%s has no channel %s: make it with bisque-voxelize --channels %s", path, name,
+                    name);
+}
+
+int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name)
+{
+    if (fmt_tris_find_channel(&file->header, name) != UINT32_MAX)
+        return 0;
+    for (uint32_t i = 0; i < file->part_count; i++)
+        if (fmt_tris_find_channel(&file->parts[i].file->header, name) == UINT32_MAX)
+            return fail_without_channel(file->ctx, file->parts[i].file->file.path, name);
+    return fail_without_channel(file->ctx, file->file.path, name);
+}
+
 /* Moves a position of a part to the common origin. Keeps the order of positions, so that bounds
  * stay bounds. */
 static float moved(float position, double shift)
@@ -121,6 +183,9 @@ static int join_chunks(struct fmt_tris_file *all, struct tris_part *part)
 static void begin_header(struct fmt_tris_file *all)
 {
     all->header = all->parts[0].file->header;
+    all->header.channels = NULL; /* each part owns its own */
+    all->header.channel_count = 0;
+    all->header.materials = NULL;
     all->header.triangle_count = all->header.chunk_count = 0;
     all->header.source_faces = all->header.skipped_triangles = 0;
     for (int axis = 0; axis < 3; axis++) {
@@ -167,6 +232,10 @@ static int join(struct fmt_tris_file *all)
         chunks += all->parts[i].file->header.chunk_count;
     begin_header(all);
     int status = join_materials(all);
+    if (status == 0)
+        status = join_channels(all);
+    if (status == 0)
+        status = join_sources(all);
     if (status == 0)
         status = check_normals(all);
     if (status == 0)

@@ -5,6 +5,7 @@
  * chunk checks what a checksum does not prove: indices, bounds, finite numbers. So callers use a
  * chunk without checks of their own. */
 #include "formats/chunks/tris_internal.h"
+#include "base/channels.h"
 #include "base/file_part.h"
 #include "base/job_files.h"
 #include "base/path_map.h"
@@ -46,11 +47,11 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version != FMT_TRIS_VERSION && h->version != FMT_TRIS_VERSION_IDS)
+    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_CHANNELS)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32
-                        ", this program reads versions %u and %u",
-                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_IDS);
+                        ", this program reads versions %u to %u",
+                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_CHANNELS);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
@@ -176,7 +177,46 @@ static int parse_name(const struct fmt_tris_file *file, struct parts *parts,
     return 0;
 }
 
-static int parse_material(const struct fmt_tris_file *file, struct parts *parts,
+static bool take_uv(const struct tris_uv_record *record, struct bsq_uv *out)
+{
+    const float *scale = record->scale, *offset = record->offset;
+    *out =
+        (struct bsq_uv){.moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0,
+                        .scale = {scale[0], scale[1]},
+                        .offset = {offset[0], offset[1]}};
+    return isfinite(scale[0]) && isfinite(scale[1]) && isfinite(offset[0]) && isfinite(offset[1]);
+}
+
+static int parse_source(const struct fmt_tris_file *file, struct parts *parts,
+                        struct fmt_tris_source *out)
+{
+    struct tris_source_record record;
+    if (!take(parts, &record, sizeof record))
+        return fmt_tris_damaged(file, "the channels of a material are cut off");
+    memcpy(out->value, record.value, sizeof out->value);
+    out->component = record.component;
+    if (!isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
+        out->component > 2 || !take_uv(&record.uv, &out->uv))
+        return fmt_tris_damaged(file, "a channel of a material has a wrong value");
+    return parse_path(file, parts, record.path_bytes, &out->texture_path);
+}
+
+/* Reads what version 3 has after a material's name. */
+static int parse_sources(const struct fmt_tris_file *file, struct parts *parts,
+                         struct fmt_tris_material *m)
+{
+    const uint32_t count = file->header.channel_count;
+    struct tris_uv_record uv;
+    if (!take(parts, &uv, sizeof uv) || !take_uv(&uv, &m->uv))
+        return fmt_tris_damaged(file, "a material's texture coordinates are not finite");
+    m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
+    int status = 0;
+    for (uint32_t c = 0; c < count && status == 0; c++)
+        status = parse_source(file, parts, &m->sources[c]);
+    return status;
+}
+
+static int parse_material(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                           struct fmt_tris_material *m)
 {
     struct tris_material_record record;
@@ -186,19 +226,57 @@ static int parse_material(const struct fmt_tris_file *file, struct parts *parts,
     if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
         return fmt_tris_damaged(file, "a material's colour is not finite");
     int status = parse_path(file, parts, record.path_bytes, &m->texture_path);
-    if (status == 0 && file->header.ids != BSQ_IDS_NONE)
+    if (status == 0 && version >= FMT_TRIS_VERSION_IDS)
         status = parse_name(file, parts, m);
-    return status;
+    return status == 0 && version == FMT_TRIS_VERSION_CHANNELS ? parse_sources(file, parts, m)
+                                                               : status;
 }
 
-static int parse_ids(struct fmt_tris_file *file, struct parts *parts)
+static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct parts *parts)
 {
     struct tris_ids_record record;
     if (!take(parts, &record, sizeof record) || record.reserved != 0 ||
-        record.ids == BSQ_IDS_NONE || record.ids > BSQ_IDS_COLOR)
+        (record.ids == BSQ_IDS_NONE && version == FMT_TRIS_VERSION_IDS) ||
+        record.ids > BSQ_IDS_COLOR)
         return fmt_tris_damaged(file, "unknown ids");
     file->header.ids = (enum bsq_ids)record.ids;
     return 0;
+}
+
+/* Reads the name of a channel, which no channel before it has. */
+static int parse_channel(struct fmt_tris_file *file, struct parts *parts)
+{
+    struct fmt_tris_header *header = &file->header;
+    uint32_t length;
+    char *name;
+    if (!take(parts, &length, sizeof length) || !take_text(parts, length, &name) ||
+        !bsq_is_channel_name(name) || fmt_tris_find_channel(header, name) != UINT32_MAX)
+        return fmt_tris_damaged(file, "the name of a channel is none");
+    header->channels[header->channel_count++] = name;
+    return 0;
+}
+
+/* Reads the names of channels, and allocates the sources of all materials, for each of which the
+ * file must have a record. */
+static int parse_channels(struct fmt_tris_file *file, const struct tris_file_header *h,
+                          struct parts *parts)
+{
+    struct tris_channels_record record;
+    uint64_t sources, bytes;
+    if (!take(parts, &record, sizeof record) || record.reserved != 0 ||
+        record.channel_count > (parts->bytes - parts->at) / sizeof(uint32_t) ||
+        __builtin_mul_overflow((uint64_t)record.channel_count, h->material_count, &sources) ||
+        __builtin_mul_overflow(sources, sizeof(struct tris_source_record), &bytes) ||
+        bytes > parts->bytes - parts->at)
+        return fmt_tris_damaged(file, "the channels are cut off");
+    int status =
+        bsq_calloc(file->ctx, "channels", sources + 1, sizeof *file->sources, &file->sources);
+    if (status == 0)
+        status = bsq_calloc(file->ctx, "channels", (uint64_t)record.channel_count + 1,
+                            sizeof *file->header.channels, &file->header.channels);
+    for (uint32_t c = 0; c < record.channel_count && status == 0; c++)
+        status = parse_channel(file, parts);
+    return status;
 }
 
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
@@ -211,15 +289,19 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
         (status = bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths)) < 0)
         return status;
     struct parts parts = {.from = file->tail, .bytes = bytes, .text = file->paths};
-    if (h->version == FMT_TRIS_VERSION_IDS)
-        status = parse_ids(file, &parts);
+    if (h->version >= FMT_TRIS_VERSION_IDS)
+        status = parse_ids(file, h->version, &parts);
+    if (h->version == FMT_TRIS_VERSION_CHANNELS && status == 0)
+        status = parse_channels(file, h, &parts);
     for (uint32_t i = 0; i < h->material_count && status == 0; i++) {
         status = i % 1024 == 0 ? bsq_check(file->ctx) : 0;
         if (status == 0)
-            status = parse_material(file, &parts, &file->header.materials[i]);
+            status = parse_material(file, h->version, &parts, &file->header.materials[i]);
     }
     if (status < 0)
         return status;
+    if (fmt_tris_version(&file->header) != h->version)
+        return fmt_tris_damaged(file, "the version is higher than the content needs");
     if (bsq_align_up(parts.at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
     while (parts.at < bytes)
@@ -366,6 +448,8 @@ void fmt_tris_close(struct fmt_tris_file *file)
     fmt_tris_close_parts(file);
     bsq_file_close(ctx, &file->file);
     bsq_free(ctx, file->header.materials);
+    bsq_free(ctx, file->header.channels);
+    bsq_free(ctx, file->sources);
     bsq_free(ctx, file->chunks);
     bsq_free(ctx, file->tail);
     bsq_free(ctx, file->paths);

@@ -8,6 +8,24 @@
 #include <string.h>
 #include <xxhash.h>
 
+uint32_t fmt_tris_version(const struct fmt_tris_header *header)
+{
+    bool moves = false;
+    for (uint32_t i = 0; i < header->material_count; i++)
+        moves |= header->materials[i].uv.moves;
+    return header->channel_count > 0 || moves ? FMT_TRIS_VERSION_CHANNELS
+           : header->ids != BSQ_IDS_NONE      ? FMT_TRIS_VERSION_IDS
+                                              : FMT_TRIS_VERSION;
+}
+
+uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char *name)
+{
+    for (uint32_t c = 0; c < header->channel_count; c++)
+        if (strcmp(header->channels[c], name) == 0)
+            return c;
+    return UINT32_MAX;
+}
+
 struct fmt_tris_writer {
     struct bsq_ctx *ctx;
     struct bsq_output *output;
@@ -43,8 +61,12 @@ static size_t text_length(const char *text)
 static int measure_materials(const struct fmt_tris_writer *writer,
                              const struct fmt_tris_header *header, uint64_t *bytes)
 {
-    const bool ids = header->ids != BSQ_IDS_NONE;
+    const bool channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
+    const bool ids = header->ids != BSQ_IDS_NONE || channels;
     *bytes = ids ? sizeof(struct tris_ids_record) : 0;
+    *bytes += channels ? sizeof(struct tris_channels_record) : 0;
+    for (uint32_t c = 0; c < header->channel_count; c++)
+        *bytes += sizeof(uint32_t) + strlen(header->channels[c]);
     for (uint32_t i = 0; i < header->material_count; i++) {
         const size_t path = text_length(header->materials[i].texture_path);
         const size_t name = text_length(header->materials[i].name);
@@ -53,8 +75,42 @@ static int measure_materials(const struct fmt_tris_writer *writer,
                             path > name ? path : name);
         *bytes += sizeof(struct tris_material_record) + path;
         *bytes += ids ? sizeof(struct tris_name_record) + name : 0;
+        *bytes += channels ? sizeof(struct tris_uv_record) : 0;
+        for (uint32_t c = 0; c < header->channel_count; c++) {
+            const size_t source = text_length(header->materials[i].sources[c].texture_path);
+            if (source >= TRIS_NO_PATH)
+                return bsq_fail(writer->ctx, BSQ_EUSAGE, "a texture's path has %zu bytes", source);
+            *bytes += sizeof(struct tris_source_record) + source;
+        }
     }
     return 0;
+}
+
+static struct tris_uv_record uv_record(const struct bsq_uv *uv)
+{
+    static const struct tris_uv_record same = {{1, 1}, {0, 0}};
+    return uv->moves ? (struct tris_uv_record){{uv->scale[0], uv->scale[1]},
+                                               {uv->offset[0], uv->offset[1]}}
+                     : same;
+}
+
+/* Writes what version 3 has after a material's name. */
+static void put_channels(const struct fmt_tris_header *header, const struct fmt_tris_material *m,
+                         char **to)
+{
+    const struct tris_uv_record uv = uv_record(&m->uv);
+    put(to, &uv, sizeof uv);
+    for (uint32_t c = 0; c < header->channel_count; c++) {
+        const struct fmt_tris_source *source = &m->sources[c];
+        const size_t path = text_length(source->texture_path);
+        const struct tris_source_record record = {
+            .value = {source->value[0], source->value[1], source->value[2]},
+            .component = source->component,
+            .uv = uv_record(&source->uv),
+            .path_bytes = source->texture_path ? (uint32_t)path : TRIS_NO_PATH};
+        put(to, &record, sizeof record);
+        put(to, source->texture_path, path);
+    }
 }
 
 static void put_material(const struct fmt_tris_header *header, const struct fmt_tris_material *m,
@@ -66,10 +122,13 @@ static void put_material(const struct fmt_tris_header *header, const struct fmt_
     const struct tris_name_record named = {m->colorless ? TRIS_COLORLESS : 0, (uint32_t)name};
     put(to, &record, sizeof record);
     put(to, m->texture_path, path);
-    if (header->ids == BSQ_IDS_NONE)
+    const bool channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
+    if (header->ids == BSQ_IDS_NONE && !channels)
         return;
     put(to, &named, sizeof named);
     put(to, m->name, name);
+    if (channels)
+        put_channels(header, m, to);
 }
 
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
@@ -85,8 +144,17 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
     if (status < 0)
         return status;
     char *to = writer->materials;
-    if (ids.ids != BSQ_IDS_NONE)
+    const struct tris_channels_record channels = {.channel_count = header->channel_count};
+    const bool has_channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
+    if (ids.ids != BSQ_IDS_NONE || has_channels)
         put(&to, &ids, sizeof ids);
+    if (has_channels)
+        put(&to, &channels, sizeof channels);
+    for (uint32_t c = 0; c < header->channel_count; c++) {
+        const uint32_t length = (uint32_t)strlen(header->channels[c]);
+        put(&to, &length, sizeof length);
+        put(&to, header->channels[c], length);
+    }
     for (uint32_t i = 0; i < header->material_count; i++)
         put_material(header, &header->materials[i], &to);
     return 0;
@@ -104,7 +172,7 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     writer->ctx = ctx;
     struct tris_file_header *h = &writer->header;
     memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
-    h->version = header->ids == BSQ_IDS_NONE ? FMT_TRIS_VERSION : FMT_TRIS_VERSION_IDS;
+    h->version = fmt_tris_version(header);
     h->attributes = header->attributes;
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;

@@ -363,16 +363,38 @@ int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materi
     return reader->format->preview_materials ? reader->format->preview_materials(reader, out) : 0;
 }
 
+static int copy_channels(struct bsq_ctx *ctx, const struct fmt_material *from,
+                         struct fmt_material *out)
+{
+    int status =
+        bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels, &out->channels);
+    for (uint32_t i = 0; i < from->channel_count && !status; i++) {
+        const struct fmt_material_channel *source = &from->channels[i];
+        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
+        *copy = *source;
+        copy->texture_path = copy->texture_place = NULL;
+        if (source->texture_path)
+            status = fmt_string_copy(ctx, source->texture_path, &copy->texture_path);
+        if (!status && source->texture_place)
+            status = fmt_string_copy(ctx, source->texture_place, &copy->texture_place);
+    }
+    return status;
+}
+
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
                       struct fmt_material *out)
 {
     *out = *from;
     out->name = out->texture_path = out->texture_place = out->object = NULL;
+    out->channels = NULL;
+    out->channel_count = 0;
     int status = fmt_string_copy(ctx, name, &out->name);
     if (!status && from->texture_path)
         status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
     if (!status && from->texture_place)
         status = fmt_string_copy(ctx, from->texture_place, &out->texture_place);
+    if (!status && from->channel_count > 0)
+        status = copy_channels(ctx, from, out);
     return status;
 }
 
@@ -383,6 +405,11 @@ void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
         bsq_free(ctx, materials->list[i].texture_path);
         bsq_free(ctx, materials->list[i].texture_place);
         bsq_free(ctx, materials->list[i].object);
+        for (uint32_t c = 0; c < materials->list[i].channel_count; c++) {
+            bsq_free(ctx, materials->list[i].channels[c].texture_path);
+            bsq_free(ctx, materials->list[i].channels[c].texture_place);
+        }
+        bsq_free(ctx, materials->list[i].channels);
     }
     bsq_free(ctx, materials->list);
     memset(materials, 0, sizeof *materials);

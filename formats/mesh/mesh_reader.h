@@ -9,7 +9,9 @@
 #ifndef FMT_MESH_READER_H
 #define FMT_MESH_READER_H
 
+#include "base/channels.h"
 #include "base/context.h"
+#include "base/uv.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -185,6 +187,17 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
  * nothing for formats without objects. */
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 
+/* A further channel of a material, such as its roughness. */
+struct fmt_material_channel {
+    const struct bsq_channel *channel; /* a row with a name */
+    bool has_value;
+    float value[3];      /* as the file has it; of colours, display-referred (sRGB) */
+    char *texture_path;  /* as in struct fmt_material, or NULL */
+    char *texture_place; /* likewise */
+    struct bsq_uv uv;
+    uint32_t component; /* of the texture: 0 to 2, for channels with one value */
+};
+
 struct fmt_material {
     char *name;
     float diffuse[3]; /* display-referred (sRGB) 0..1; 0.8 if the file gives none */
@@ -193,6 +206,9 @@ struct fmt_material {
     /* What names it, for messages: "scan.mtl:3" or "scan.gltf"; NULL: nothing, or the texture is a
      * part of the scan's own file. */
     char *texture_place;
+    struct bsq_uv uv; /* of this texture */
+    struct fmt_material_channel *channels;
+    uint32_t channel_count;
     char *object; /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */
 };
 

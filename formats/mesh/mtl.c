@@ -1,9 +1,10 @@
-/* mtl.c - reads the diffuse colours and textures of Wavefront MTL files and skips the rest.
+/* mtl.c - reads the colours, textures and further channels of materials in Wavefront MTL files.
  *
  * Such files are small, so one is held whole and cut into lines in place. */
 #include "formats/mesh/mtl.h"
 
 #include <errno.h>
+#include <float.h>
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
@@ -103,14 +104,12 @@ static int begin_material(struct reader *reader, char *name)
     return status;
 }
 
-/* Reads "Kd r g b" or "Kd grey"; spectral curves and CIE colours are skipped. */
-static int read_diffuse(struct reader *reader, char *p)
+/* Reads "r g b" or one number, which stands for all three; at most `most` after clamping. Sets
+ * *known. Spectral curves and CIE colours are skipped. */
+static int read_values(struct reader *reader, char *p, double most, float out[3], bool *known)
 {
-    struct fmt_material *material = current(reader);
     double rgb[3];
     int count = 0;
-    if (!material)
-        return warn_without_material(reader, "Kd");
     if (word_is(p, "spectral") || word_is(p, "xyz"))
         return 0;
     for (char *at = p; count < 3 && *at && *at != '#'; count++) {
@@ -122,10 +121,19 @@ static int read_diffuse(struct reader *reader, char *p)
         return warn(reader, "a colour has 1 or 3 numbers, ignored", p);
     for (int i = 0; i < 3; i++) {
         double value = rgb[count == 1 ? 0 : i];
-        material->diffuse[i] = (float)(value < 0 ? 0 : value > 1 ? 1 : value);
+        out[i] = (float)(value < 0 ? 0 : value > most ? most : value);
     }
-    material->has_diffuse = true;
+    *known = true;
     return 0;
+}
+
+/* Reads "Kd r g b" or "Kd grey". */
+static int read_diffuse(struct reader *reader, char *p)
+{
+    struct fmt_material *material = current(reader);
+    if (!material)
+        return warn_without_material(reader, "Kd");
+    return read_values(reader, p, 1, material->diffuse, &material->has_diffuse);
 }
 
 /* Options of map_ statements with the number of words that follow each. */
@@ -147,54 +155,145 @@ static const struct map_option *find_option(const char *p)
     return NULL;
 }
 
-/* Skips the words of one option. Never skips the last word of a line, which is the file. */
-static int skip_option(struct reader *reader, char **at, const struct map_option *option)
+/* A texture of a map_ statement. */
+struct texture {
+    char **path, **place;
+    struct bsq_uv uv;
+    uint32_t component;
+};
+
+/* Notes what an option with these numbers says of the texture. */
+static void use_vector(const char *option, const double numbers[3], int count,
+                       struct texture *texture)
+{
+    struct bsq_uv *uv = &texture->uv;
+    for (int i = 0; i < 2; i++) {
+        if (!uv->moves)
+            uv->scale[i] = 1, uv->offset[i] = 0;
+    }
+    for (int i = 0; i < count && i < 2; i++)
+        *(word_is(option, "-s") ? &uv->scale[i] : &uv->offset[i]) = (float)numbers[i];
+    uv->moves = uv->scale[0] != 1 || uv->scale[1] != 1 || uv->offset[0] != 0 || uv->offset[1] != 0;
+}
+
+/* Reads the words of one option. Never takes the last word of a line, which is the file. */
+static int read_option(struct reader *reader, char **at, const struct map_option *option,
+                       struct texture *texture)
 {
     char *p = *at;
     bool is_vector = option->words == 3, changes = false;
+    const bool moves = word_is(p, "-s") || word_is(p, "-o");
+    double numbers[3];
+    int count = 0;
     char *rest = skip_blanks(p + word_length(p));
-    for (int i = 0; i < option->words; i++) {
+    if (word_is(p, "-imfchan"))
+        texture->component = word_is(rest, "g") ? 1 : word_is(rest, "b") ? 2 : 0;
+    while (count < option->words) {
         char *after = skip_blanks(rest + word_length(rest));
-        double value;
-        if (!*after || (is_vector && !obj_number(rest, &value)))
+        if (!*after || (is_vector && !obj_number(rest, &numbers[count])))
             break;
-        changes |= is_vector && value != option->identity;
+        changes |= is_vector && numbers[count] != option->identity;
+        count++;
         rest = after;
     }
+    if (moves)
+        use_vector(p, numbers, count, texture);
     *at = rest;
-    return changes ? warn(reader, "texture is used without this shift or scale", p) : 0;
+    return changes && !moves ? warn(reader, "texture is used without this turbulence", p) : 0;
 }
 
-/* Notes that the current line names the texture of a material. */
-static int note_place(struct reader *reader, struct fmt_material *material)
+/* Notes that the current line names a texture. */
+static int note_place(struct reader *reader, char **place)
 {
     const size_t size = strlen(reader->path) + 24;
-    bsq_free(reader->ctx, material->texture_place);
-    int status = bsq_alloc(reader->ctx, "names", size, 1, &material->texture_place);
+    bsq_free(reader->ctx, *place);
+    int status = bsq_alloc(reader->ctx, "names", size, 1, place);
     if (!status)
-        snprintf(material->texture_place, size, "%s:%" PRIu64, reader->path, reader->line);
+        snprintf(*place, size, "%s:%" PRIu64, reader->path, reader->line);
     return status;
 }
 
-/* Reads "map_Kd [options] file". The file name may contain blanks and be quoted. */
-static int read_map(struct reader *reader, char *p)
+/* Reads "[options] file" of a statement. The file name may contain blanks and be quoted. */
+static int read_texture(struct reader *reader, const char *statement, char *p,
+                        struct texture *texture)
 {
-    struct fmt_material *material = current(reader);
     const struct map_option *option;
     int status = 0;
-    if (!material)
-        return warn_without_material(reader, "map_Kd");
     trim_end(p);
     while (!status && (option = find_option(p)))
-        status = skip_option(reader, &p, option);
+        status = read_option(reader, &p, option, texture);
     if (status)
         return status;
     if (!*p || (*p == '#' && (!p[1] || is_blank(p[1]))) || !strcmp(p, "\"\""))
-        return warn(reader, "names no file, ignored", "map_Kd");
-    bsq_free(reader->ctx, material->texture_path);
-    material->texture_path = NULL;
-    status = fmt_path_find(reader->ctx, reader->path, p, &material->texture_path, NULL);
-    return status ? status : note_place(reader, material);
+        return warn(reader, "names no file, ignored", statement);
+    bsq_free(reader->ctx, *texture->path);
+    *texture->path = NULL;
+    status = fmt_path_find(reader->ctx, reader->path, p, texture->path, NULL);
+    return status ? status : note_place(reader, texture->place);
+}
+
+static int read_map(struct reader *reader, char *p)
+{
+    struct fmt_material *material = current(reader);
+    if (!material)
+        return warn_without_material(reader, "map_Kd");
+    struct texture texture = {.path = &material->texture_path, .place = &material->texture_place};
+    int status = read_texture(reader, "map_Kd", p, &texture);
+    material->uv = texture.uv;
+    return status;
+}
+
+/* ---- further channels ---- */
+
+/* Returns the channel that a statement is about, or NULL. */
+static const struct bsq_channel *find_channel(const char *p, bool *is_map)
+{
+    const struct bsq_channel *channel;
+    for (unsigned i = 0; (channel = bsq_channel_at(i)); i++) {
+        *is_map = channel->mtl_map && word_is(p, channel->mtl_map);
+        if (*is_map || (channel->mtl_value && word_is(p, channel->mtl_value)))
+            return channel;
+    }
+    return NULL;
+}
+
+/* Returns the current material's entry of a channel in *out; adds it if it is new. */
+static int enter_channel(struct reader *reader, const struct bsq_channel *channel,
+                         struct fmt_material_channel **out)
+{
+    struct fmt_material *material = current(reader);
+    uint64_t capacity = material->channel_count; /* materials have few channels */
+    for (uint32_t i = 0; i < material->channel_count; i++)
+        if (material->channels[i].channel == channel) {
+            *out = &material->channels[i];
+            return 0;
+        }
+    int status = bsq_grow(reader->ctx, "materials", material->channel_count + UINT64_C(1),
+                          sizeof *material->channels, &material->channels, &capacity);
+    if (status)
+        return status;
+    *out = &material->channels[material->channel_count++];
+    **out = (struct fmt_material_channel){.channel = channel};
+    return 0;
+}
+
+/* Reads a statement about a channel: its value, or its texture. */
+static int read_channel(struct reader *reader, const struct bsq_channel *channel, bool is_map,
+                        char *rest)
+{
+    struct fmt_material_channel *entry;
+    if (!current(reader))
+        return warn_without_material(reader, is_map ? channel->mtl_map : channel->mtl_value);
+    int status = enter_channel(reader, channel, &entry);
+    if (status)
+        return status;
+    if (!is_map)
+        return read_values(reader, rest, FLT_MAX, entry->value, &entry->has_value);
+    struct texture texture = {.path = &entry->texture_path, .place = &entry->texture_place};
+    status = read_texture(reader, channel->mtl_map, rest, &texture);
+    entry->uv = texture.uv;
+    entry->component = texture.component;
+    return status;
 }
 
 static int read_line(struct reader *reader, char *line)
@@ -203,6 +302,10 @@ static int read_line(struct reader *reader, char *line)
     char *rest = skip_blanks(p + word_length(p));
     if (word_is(p, "newmtl"))
         return begin_material(reader, rest);
+    bool is_map = false;
+    const struct bsq_channel *channel = find_channel(p, &is_map);
+    if (channel)
+        return read_channel(reader, channel, is_map, rest);
     if (word_is(p, "map_Kd"))
         return read_map(reader, rest);
     return word_is(p, "Kd") ? read_diffuse(reader, rest) : 0;

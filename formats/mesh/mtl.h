@@ -1,5 +1,5 @@
-/* mtl.h - reads the diffuse colour (Kd) and texture (map_Kd) of each material of Wavefront MTL
- * files; private to the OBJ reader. */
+/* mtl.h - reads the diffuse colour (Kd), its texture (map_Kd) and further channels of each material
+ * of Wavefront MTL files; private to the OBJ reader. */
 #ifndef FMT_MESH_MTL_H
 #define FMT_MESH_MTL_H
 

@@ -174,6 +174,8 @@ static const struct fmt_material *describe(struct obj_reader *reader, uint32_t s
         return from;
     out->list[number - 1] = *from;
     from->name = from->texture_path = from->texture_place = NULL;
+    from->channels = NULL;
+    from->channel_count = 0;
     return &out->list[number - 1];
 }
 

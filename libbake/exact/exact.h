@@ -48,9 +48,10 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
 int bake_exact_use_color(struct bake_exact *exact);
 
 /* Makes later batches evaluate further channels of the scan, three values for each of `count`
- * transfers, and opens their textures. The transfers must live until bake_exact_close(). Call it at
- * most once, not from parallel work. Errors: BSQ_EDATA for a scan without texture coordinates;
- * those of fmt_textures_open(), BSQ_ENOMEM. */
+ * transfers, and opens their textures. A channel without a texture of the options must be in the
+ * chunk file. The transfers must live until bake_exact_close(). Call it at most once, not from
+ * parallel work. Errors: BSQ_EDATA for a scan without the channel or texture coordinates; those of
+ * fmt_textures_open(), BSQ_ENOMEM. */
 int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
                              uint32_t count);
 

@@ -13,11 +13,13 @@
 #include "libbake/exact/exact.h"
 #include "libbake/exact/exact_tree.h"
 
-/* Further channels of the scan. */
+/* Further channels of the scan. Image numbers of their textures are those of `sources`. */
 struct exact_transfers {
     uint32_t count;
     const struct bake_transfer *list;
-    struct fmt_textures *textures; /* image number: that of the transfer */
+    struct fmt_textures *textures; /* NULL: no channel has a texture */
+    /* For each transfer, that of each material, then of triangles without one. */
+    struct fmt_tris_source *sources;
 };
 
 struct bake_exact {
@@ -196,7 +198,12 @@ void bake_exact_transfers_free(struct bake_exact *exact);
  */
 struct exact_texture_place {
     float u, v, du, dv;
+    uint32_t material; /* of the triangle; UINT32_MAX: none */
 };
+
+/* Samples a texture whose coordinates are moved. */
+int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
+                      const struct exact_texture_place *at, const struct bsq_uv *uv, float out[3]);
 
 /* Evaluates the channels of a hit. at: as found for the scan's texture coordinates. */
 int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,

@@ -153,8 +153,8 @@ static struct exact_texture_place texture_place(const struct place *place,
     if (batch->footprints)
         footprint(place, &batch->rays[ray], &batch->footprint_table[batch->footprints[ray]],
                   (const float(*)[2])uv, width);
-    return (struct exact_texture_place){(float)at[0], (float)at[1], (float)width[0],
-                                        (float)width[1]};
+    return (struct exact_texture_place){
+        .u = (float)at[0], .v = (float)at[1], .du = (float)width[0], .dv = (float)width[1]};
 }
 
 static int shade_texture(const struct bake_exact *exact, const struct place *place,
@@ -162,7 +162,8 @@ static int shade_texture(const struct bake_exact *exact, const struct place *pla
                          float out[3])
 {
     const struct exact_texture_place at = texture_place(place, batch, ray);
-    return fmt_texture_sample(exact->textures, material, at.u, at.v, at.du, at.dv, out);
+    return bake_exact_sample(exact->textures, material, &at, &exact->header->materials[material].uv,
+                             out);
 }
 
 /* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
@@ -220,7 +221,11 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
             hit->normal[k] = -hit->normal[k];
     hit->id = exact->ids ? shade_id(exact, &place) : 0;
     if (batch->channels) {
-        const struct exact_texture_place at = texture_place(&place, batch, ray);
+        struct exact_texture_place at = {0};
+        const struct fmt_tris_chunk *chunk = &slot->chunk;
+        if (chunk->texcoords)
+            at = texture_place(&place, batch, ray);
+        at.material = chunk->materials ? chunk->materials[place.triangle] : UINT32_MAX;
         int status = bake_exact_shade_channels(
             exact, &at, batch->channels + ray * exact_transfer_floats(exact));
         if (status < 0)

@@ -2,48 +2,110 @@
 #include "base/channels.h"
 #include "libbake/exact/exact_scene.h"
 
-static int open_textures(struct bake_exact *exact)
+#include <string.h>
+
+/* Returns the number of sources that each transfer has. */
+static uint64_t sources_each(const struct bake_exact *exact)
+{
+    return exact->header->material_count + UINT64_C(1);
+}
+
+/* Finds the sources of a channel: in the chunk file, or the image of the options. */
+static int find_sources(struct bake_exact *exact, const struct bake_transfer *transfer,
+                        struct fmt_tris_source *out)
+{
+    const struct fmt_tris_header *header = exact->header;
+    if (transfer->texture_path && !(header->attributes & FMT_TRIS_TEXCOORDS))
+        return bsq_fail(exact->ctx, BSQ_EDATA,
+                        "%s has no texture coordinates for the map %s: make it with "
+                        "bisque-voxelize --channels %s=%s",
+                        exact->options.paths[0], transfer->name, transfer->name,
+                        transfer->texture_path);
+    for (uint64_t m = 0; transfer->texture_path && m < sources_each(exact); m++)
+        out[m].texture_path = (char *)(uintptr_t)transfer->texture_path;
+    if (transfer->texture_path)
+        return 0;
+    int status = fmt_tris_require_channel(exact->file, transfer->name);
+    const uint32_t channel = fmt_tris_find_channel(header, transfer->name);
+    for (uint32_t m = 0; m < header->material_count && status == 0; m++)
+        out[m] = header->materials[m].sources[channel];
+    return status;
+}
+
+static int open_textures(struct bake_exact *exact, uint64_t count)
 {
     struct exact_transfers *transfers = &exact->transfers;
-    struct fmt_texture_source *sources;
-    int status =
-        bsq_calloc(exact->ctx, "texture paths", transfers->count, sizeof *sources, &sources);
-    for (uint32_t i = 0; i < transfers->count && status == 0; i++)
-        sources[i] = (struct fmt_texture_source){transfers->list[i].texture_path,
-                                                 !bsq_channel_find(transfers->list[i].name)->color};
-    if (status == 0)
-        status = fmt_textures_open(exact->ctx, sources, transfers->count, exact_cache_bytes(exact),
+    struct fmt_texture_source *images;
+    bool any = false;
+    int status = bsq_calloc(exact->ctx, "texture paths", count, sizeof *images, &images);
+    for (uint64_t i = 0; i < count && status == 0; i++) {
+        const char *name = transfers->list[i / sources_each(exact)].name;
+        images[i].path = transfers->sources[i].texture_path;
+        images[i].data = !bsq_channel_find(name)->color;
+        any |= images[i].path != NULL;
+    }
+    if (status == 0 && any)
+        status = fmt_textures_open(exact->ctx, images, (uint32_t)count, exact_cache_bytes(exact),
                                    &transfers->textures);
-    bsq_free(exact->ctx, sources);
+    bsq_free(exact->ctx, images);
     return status;
 }
 
 int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
                              uint32_t count)
 {
-    if (!(exact->header->attributes & FMT_TRIS_TEXCOORDS))
-        return bsq_fail(exact->ctx, BSQ_EDATA,
-                        "%s has no texture coordinates for the map %s: make it with "
-                        "bisque-voxelize --texture FILE",
-                        exact->options.paths[0], transfers[0].name);
+    const uint64_t each = sources_each(exact);
+    if (count * each >= UINT32_MAX)
+        return bsq_fail(exact->ctx, BSQ_EDATA, "%s: too many materials for %u transfer maps",
+                        exact->options.paths[0], count);
     exact->transfers = (struct exact_transfers){.count = count, .list = transfers};
-    return open_textures(exact);
+    int status = bsq_calloc(exact->ctx, "channels", count * each, sizeof *exact->transfers.sources,
+                            &exact->transfers.sources);
+    for (uint32_t i = 0; i < count && status == 0; i++)
+        status = find_sources(exact, &transfers[i], exact->transfers.sources + i * each);
+    return status < 0 ? status : open_textures(exact, count * each);
 }
 
 void bake_exact_transfers_free(struct bake_exact *exact)
 {
     if (exact->transfers.textures)
         fmt_textures_close(exact->transfers.textures);
+    bsq_free(exact->ctx, exact->transfers.sources);
     exact->transfers = (struct exact_transfers){0};
+}
+
+int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
+                      const struct exact_texture_place *at, const struct bsq_uv *uv, float out[3])
+{
+    return fmt_texture_sample(textures, image, bsq_uv_apply(uv, 0, at->u),
+                              bsq_uv_apply(uv, 1, at->v), bsq_uv_width(uv, 0, at->du),
+                              bsq_uv_width(uv, 1, at->dv), out);
+}
+
+/* Keeps one component of a texture, for channels with one value. */
+static void keep_component(const struct bsq_channel *channel, uint32_t component, float out[3])
+{
+    const float value = out[component];
+    if (channel->values == 1)
+        out[0] = out[1] = out[2] = value;
 }
 
 int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,
                               float *out)
 {
     const struct exact_transfers *transfers = &exact->transfers;
+    const uint32_t none = exact->header->material_count;
+    const uint32_t material = at->material < none ? at->material : none;
     int status = 0;
-    for (uint32_t i = 0; i < transfers->count && status == 0; i++)
-        status = fmt_texture_sample(transfers->textures, i, at->u, at->v, at->du, at->dv,
-                                    out + (size_t)BK_TRANSFER_VALUES * i);
+    for (uint32_t i = 0; i < transfers->count && status == 0; i++, out += BK_TRANSFER_VALUES) {
+        const uint32_t image = (uint32_t)(i * sources_each(exact)) + material;
+        const struct fmt_tris_source *source = &transfers->sources[image];
+        memcpy(out, source->value, sizeof source->value);
+        if (!source->texture_path)
+            continue;
+        status = bake_exact_sample(transfers->textures, image, at, &source->uv, out);
+        if (status == 0)
+            keep_component(bsq_channel_find(transfers->list[i].name), source->component, out);
+    }
     return status;
 }

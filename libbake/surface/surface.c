@@ -164,12 +164,18 @@ int bake_surface_use_color(struct bake_surface *surface)
 int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options)
 {
     const struct bake_transfer *transfers = options->transfers;
+    int status = 0;
     if (options->transfer_count == 0)
         return 0;
+    for (uint32_t i = 0; i < options->transfer_count && options->more_scan_count > 0; i++)
+        if (transfers[i].texture_path)
+            return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                            "%s is a texture of one scan, but there are %u scans",
+                            transfers[i].texture_path, options->more_scan_count + 1);
+    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
+        status = bake_surface_use_transfers(&surface->parts[p], options);
     if (surface->parts)
-        return bsq_fail(surface->ctx, BSQ_EUSAGE,
-                        "%s is a texture of one scan, but there are %u scans",
-                        transfers[0].texture_path, surface->part_count);
+        return status;
     if (!surface->exact)
         return bsq_fail(surface->ctx, BSQ_EDATA,
                         "%s is a grid: the map %s is baked from triangles (.tris)", surface->path,

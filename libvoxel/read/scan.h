@@ -88,6 +88,10 @@ struct scan_textures {
     struct scan_texture *list;
     uint64_t count, capacity;
     bool decode; /* read the images, and not only their directory entries */
+    /* The channels whose textures matter too, and whether only theirs do. */
+    const struct vox_channel *channels;
+    uint32_t channel_count;
+    bool only_channels;
 };
 
 struct scan {
@@ -117,11 +121,15 @@ struct scan {
     struct scan_bad_index bad_index;
     struct scan_loss lost[FMT_MESH_KIND_COUNT]; /* as in struct scan_face_check */
 
+    const struct vox_channel *channels; /* to keep; set after vox_scan_init() */
+    uint32_t channel_count;
+
     /* Filled by vox_scan_find_materials(). */
     uint32_t attributes; /* of enum fmt_tris_attribute */
     enum bsq_ids ids;
     uint32_t material_count;
     struct fmt_tris_material *materials;
+    bool *found_channels; /* of each channel: some material has it */
     /* For usemtl number i: material of triangles with texture coordinates at 2 i, of those without
      * at 2 i + 1; the last pair is for faces before any usemtl. UINT32_MAX: none. */
     uint32_t *material_map;

@@ -6,6 +6,7 @@
 #include "base/file_part.h"
 #include "base/job_files.h"
 #include "base/loss.h"
+#include "base/srgb.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
@@ -45,6 +46,79 @@ static int resolve_texture(struct scan *scan, const char *path, char **out)
     return status;
 }
 
+/* Returns the entry of a material for a channel, or NULL. */
+static const struct fmt_material_channel *find_channel(const struct fmt_material *from,
+                                                       const char *name)
+{
+    for (uint32_t c = 0; c < from->channel_count; c++)
+        if (strcmp(from->channels[c].channel->name, name) == 0)
+            return &from->channels[c];
+    return NULL;
+}
+
+/* Returns the texture that gives a material a channel: that of the options or, if it is good, its
+ * own; NULL: neither. */
+static const char *channel_texture(const struct scan *scan, const struct scan_textures *textures,
+                                   const struct fmt_material *from, uint32_t number)
+{
+    const struct vox_channel *wanted = &scan->channels[number];
+    const struct fmt_material_channel *own = find_channel(from, wanted->name);
+    if (scan_count(scan, SCAN_TEXCOORDS) == 0)
+        return NULL;
+    if (wanted->texture_path)
+        return wanted->texture_path;
+    return own && own->texture_path && vox_textures_have(textures, own->texture_path)
+               ? own->texture_path
+               : NULL;
+}
+
+/* Returns whether a texture gives a material one of the channels that are kept. */
+static bool any_channel_texture(const struct scan *scan, const struct scan_textures *textures,
+                                const struct fmt_material *from)
+{
+    bool any = false;
+    for (uint32_t c = 0; c < scan->channel_count; c++)
+        any |= channel_texture(scan, textures, from, c) != NULL;
+    return any;
+}
+
+/* Sets where the value of a channel comes from. */
+static void set_value(const struct fmt_material_channel *own, struct fmt_tris_source *out)
+{
+    for (int k = 0; k < 3 && own->has_value; k++) {
+        const float value = own->value[own->channel->values == 1 ? 0 : k];
+        out->value[k] = own->channel->color ? (float)bsq_srgb_to_linear((double)value) : value;
+    }
+    out->component = own->component;
+}
+
+/* Gives an entry of the table its channels. textured: whether its triangles have texture
+ * coordinates. */
+static int add_sources(struct scan *scan, const struct scan_textures *textures,
+                       const struct fmt_material *from, bool textured, uint32_t number)
+{
+    struct fmt_tris_material *material = &scan->materials[number];
+    if (scan->channel_count == 0)
+        return 0;
+    int status = bsq_calloc(scan->ctx, "channels", scan->channel_count, sizeof *material->sources,
+                            &material->sources);
+    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++) {
+        struct fmt_tris_source *source = &material->sources[c];
+        const struct fmt_material_channel *own = find_channel(from, scan->channels[c].name);
+        const char *path = textured ? channel_texture(scan, textures, from, c) : NULL;
+        scan->found_channels[c] |= path || (own && own->has_value);
+        if (own)
+            set_value(own, source);
+        if (path)
+            status = resolve_texture(scan, path, &source->texture_path);
+        if (own && path == own->texture_path)
+            source->uv = own->uv;
+        else
+            source->component = 0;
+    }
+    return status;
+}
+
 /* Adds an entry to the table of materials. path: of its texture, or NULL; color: whether `diffuse`
  * is a colour of the scan; name: NULL if materials have no names. */
 static int add_material(struct scan *scan, const char *path, const float diffuse[3], bool color,
@@ -73,6 +147,9 @@ static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
             bsq_calloc(scan->ctx, "materials", entries, sizeof *scan->materials, &scan->materials);
     if (status == 0)
         memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
+    if (status == 0)
+        status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                            sizeof *scan->found_channels, &scan->found_channels);
     return status;
 }
 
@@ -89,53 +166,84 @@ static const char *name_of(const struct scan *scan, const struct fmt_material *f
     return !by_name(scan) ? NULL : name ? name : "";
 }
 
-/* Adds one entry with the image for all materials; with names, one for each material. */
+/* Returns whether each material has entries of its own, whatever its colour. */
+static bool keeps_materials(const struct scan *scan)
+{
+    return by_name(scan) || scan->channel_count > 0;
+}
+
+/* What faces without a material have. */
+static const struct fmt_material no_material = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
+
+/* Adds one entry with the image for all materials; with names or channels, one for each material.
+ */
 static int add_single_texture(struct scan *scan, const char *path,
+                              const struct scan_textures *textures,
                               const struct fmt_materials *found)
 {
-    static const struct fmt_material none = {.name = ""};
     static const float white[3] = {1.0f, 1.0f, 1.0f};
     int status = 0;
     for (uint32_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
         uint32_t *map = &scan->material_map[2 * (uint64_t)i];
-        const char *name = name_of(scan, i < found->count ? &found->list[i] : &none);
+        const struct fmt_material *from = i < found->count ? &found->list[i] : &no_material;
+        const char *name = name_of(scan, from);
         status = bsq_check(scan->ctx);
-        if (status == 0 && (i == 0 || by_name(scan)))
+        if (status == 0 && (i == 0 || keeps_materials(scan))) {
             status = add_material(scan, path, white, true, name, &map[0]);
-        else
+            if (status == 0)
+                status = add_sources(scan, textures, from, true, map[0]);
+        } else {
             map[0] = scan->material_map[0];
-        if (status == 0 && by_name(scan) && scan->lacks_texcoord)
+        }
+        if (status == 0 && keeps_materials(scan) && scan->lacks_texcoord) {
             status = add_material(scan, NULL, white, false, name, &map[1]);
+            if (status == 0)
+                status = add_sources(scan, textures, from, false, map[1]);
+        }
     }
     return status;
 }
 
 /* Uses one image for all triangles with texture coordinates. */
 static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
-                              const char *texture_path)
+                              const char *texture_path, struct scan_textures *textures)
 {
     struct fmt_materials found = {0};
     int status = bsq_note_input(scan->ctx, texture_path, "the texture");
-    if (status == 0 && by_name(scan))
+    if (status == 0 && keeps_materials(scan))
         status = fmt_mesh_read_materials(reader, &found);
+    if (status == 0 && scan->channel_count > 0)
+        status = vox_textures_check(scan->ctx, &found, true, textures);
     if (status == 0)
-        status = add_single_texture(scan, texture_path, &found);
+        status = add_single_texture(scan, texture_path, textures, &found);
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
 
+/* Adds the entries of a material: one for triangles with texture coordinates if a texture needs
+ * them, and one for all others. */
 static int add_own_material(struct scan *scan, const struct scan_textures *textures,
                             const struct fmt_material *from, uint32_t usemtl)
 {
     uint32_t *map = &scan->material_map[2 * (uint64_t)usemtl];
     const char *name = name_of(scan, from);
-    const bool textured = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
-                          vox_textures_have(textures, from->texture_path);
+    const bool colored = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
+                         vox_textures_have(textures, from->texture_path);
+    const bool textured = colored || any_channel_texture(scan, textures, from);
+    const bool plain = from->has_diffuse || name || scan->channel_count > 0;
     int status = 0;
     if (textured)
-        status = add_material(scan, from->texture_path, from->diffuse, true, name, &map[0]);
-    if (status == 0 && (from->has_diffuse || name) && (!textured || scan->lacks_texcoord))
+        status = add_material(scan, colored ? from->texture_path : NULL, from->diffuse,
+                              colored || from->has_diffuse, name, &map[0]);
+    if (status == 0 && textured)
+        status = add_sources(scan, textures, from, true, map[0]);
+    if (status == 0 && colored)
+        scan->materials[map[0]].uv = from->uv;
+    if (status == 0 && plain && (!textured || scan->lacks_texcoord)) {
         status = add_material(scan, NULL, from->diffuse, from->has_diffuse, name, &map[1]);
+        if (status == 0)
+            status = add_sources(scan, textures, from, false, map[1]);
+    }
     if (!textured)
         map[0] = map[1];
     return status;
@@ -154,6 +262,8 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
         if (status == 0)
             status = add_own_material(scan, textures, &found.list[i], i);
     }
+    if (status == 0 && scan->channel_count > 0)
+        status = add_own_material(scan, textures, &no_material, scan->usemtl_count);
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
@@ -177,6 +287,24 @@ static void warn_without_names(const struct scan *scan)
                  scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
 }
 
+/* Warns of channels that no material has. */
+static int check_channels(const struct scan *scan)
+{
+    int status = 0;
+    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++) {
+        const struct vox_channel *channel = &scan->channels[c];
+        const bool any = scan->found_channels[c];
+        if (!any && channel->texture_path)
+            status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
+                                   scan->paths[0], channel->texture_path);
+        else if (!any)
+            status = bsq_warn_loss(
+                scan->ctx, "%s: no material has a value or a texture of %s, which is 0 everywhere",
+                scan->paths[0], channel->name);
+    }
+    return status;
+}
+
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids)
@@ -190,17 +318,24 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     if (!texture_path)
         status = use_own_materials(scan, reader, textures);
     else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
-        status = use_single_texture(scan, reader, texture_path);
+        status = use_single_texture(scan, reader, texture_path, textures);
     else
         status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
                                scan->paths[0], texture_path);
     if (status == 0)
         warn_without_names(scan);
+    if (status == 0)
+        status = check_channels(scan);
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
-    for (uint32_t i = 0; i < scan->material_count; i++)
-        if (scan->materials[i].texture_path)
+    for (uint32_t i = 0; i < scan->material_count; i++) {
+        const struct fmt_tris_material *material = &scan->materials[i];
+        bool textured = material->texture_path != NULL;
+        for (uint32_t c = 0; c < scan->channel_count; c++)
+            textured |= material->sources[c].texture_path != NULL;
+        if (textured)
             scan->attributes |= FMT_TRIS_TEXCOORDS;
+    }
     return status;
 }

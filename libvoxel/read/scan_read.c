@@ -37,8 +37,12 @@ void vox_scan_free(struct scan *scan)
     for (uint32_t i = 0; i < scan->material_count; i++) {
         bsq_free(scan->ctx, scan->materials[i].texture_path);
         bsq_free(scan->ctx, scan->materials[i].name);
+        for (uint32_t c = 0; scan->materials[i].sources && c < scan->channel_count; c++)
+            bsq_free(scan->ctx, scan->materials[i].sources[c].texture_path);
+        bsq_free(scan->ctx, scan->materials[i].sources);
     }
     bsq_free(scan->ctx, scan->materials);
+    bsq_free(scan->ctx, scan->found_channels);
     bsq_free(scan->ctx, scan->material_map);
     bsq_free(scan->ctx, scan->material_files);
     bsq_free(scan->ctx, scan->files);

@@ -20,13 +20,14 @@ enum { DECODING_SHARE = 2 };
 /* A texture of a material that is to be checked. */
 struct candidate {
     const struct fmt_material *material;
+    const char *path, *place; /* as in struct fmt_material */
     bool good;
 };
 
 static int compare_candidates(const void *a, const void *b)
 {
     const struct candidate *c = a, *d = b;
-    const int order = strcmp(c->material->texture_path, d->material->texture_path);
+    const int order = strcmp(c->path, d->path);
     return order ? order : (c->material > d->material) - (c->material < d->material);
 }
 
@@ -55,7 +56,7 @@ bool vox_textures_have(const struct scan_textures *textures, const char *path)
 static int warn_bad(struct bsq_ctx *ctx, struct candidate *candidate, const char *path,
                     const char *problem)
 {
-    const char *place = candidate->material->texture_place;
+    const char *place = candidate->place;
     candidate->good = false;
     return bsq_warn_loss(ctx, "%s%s%s%s: material \"%s\" goes without it", place ? place : "",
                          place ? ": " : "", path, problem, candidate->material->name);
@@ -66,7 +67,7 @@ static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
 {
     struct bsq_part part;
     struct stat info;
-    const char *path = candidate->material->texture_path;
+    const char *path = candidate->path;
     candidate->good = true;
     if (bsq_part_parse(path, &part) > 0)
         return 0;
@@ -97,8 +98,7 @@ static int decode_each(struct bsq_ctx *ctx, struct candidate *list, uint64_t cou
     for (uint64_t i = 0; i < count && !status; i++) {
         if (!list[i].good)
             continue;
-        status =
-            decode(ctx, &(struct fmt_texture_source){list[i].material->texture_path, false}, 1);
+        status = decode(ctx, &(struct fmt_texture_source){list[i].path, false}, 1);
         if (status != BSQ_EDATA)
             continue;
         char *text = strdup(bsq_error(ctx));
@@ -119,7 +119,7 @@ static int decode_all(struct bsq_ctx *ctx, struct candidate *list, uint64_t coun
     int status = bsq_calloc(ctx, "texture paths", count, sizeof *sources, &sources);
     for (uint64_t i = 0; i < count && !status; i++)
         if (list[i].good)
-            sources[good++].path = list[i].material->texture_path;
+            sources[good++].path = list[i].path;
     if (!status && good > 0)
         status = decode(ctx, sources, good);
     bsq_free(ctx, sources);
@@ -137,7 +137,7 @@ static int add_checked(struct bsq_ctx *ctx, struct scan_textures *textures,
     int status = bsq_grow(ctx, "textures", textures->count + count, sizeof *textures->list,
                           &textures->list, &textures->capacity);
     for (uint64_t i = 0; i < count && !status; i++) {
-        const char *path = list[i].material->texture_path;
+        const char *path = list[i].path;
         struct scan_texture *to = &textures->list[textures->count];
         status = bsq_alloc(ctx, "textures", strlen(path) + 1, 1, &to->path);
         if (status)
@@ -151,32 +151,68 @@ static int add_checked(struct bsq_ctx *ctx, struct scan_textures *textures,
     return status;
 }
 
-/* Lists each new texture once, with the first material that names it. */
-static uint64_t list_candidates(const struct scan_textures *textures,
-                                const struct fmt_materials *materials, struct candidate *list)
+static bool is_wanted(const struct scan_textures *textures, const char *channel)
 {
-    uint64_t all = 0, count = 0;
-    for (uint32_t i = 0; i < materials->count; i++)
-        if (materials->list[i].texture_path && !find(textures, materials->list[i].texture_path))
-            list[all++].material = &materials->list[i];
-    qsort(list, all, sizeof *list, compare_candidates);
+    bool wanted = false;
+    for (uint32_t c = 0; c < textures->channel_count; c++)
+        wanted |=
+            !textures->channels[c].texture_path && strcmp(textures->channels[c].name, channel) == 0;
+    return wanted;
+}
+
+/* Lists the textures of a material that matter: at most one more than it has channels. */
+static uint64_t list_textures(const struct scan_textures *textures,
+                              const struct fmt_material *material, struct candidate *out)
+{
+    uint64_t count = 0;
+    if (material->texture_path && !textures->only_channels)
+        out[count++] = (struct candidate){
+            .material = material, .path = material->texture_path, .place = material->texture_place};
+    for (uint32_t c = 0; c < material->channel_count; c++) {
+        const struct fmt_material_channel *channel = &material->channels[c];
+        if (channel->texture_path && is_wanted(textures, channel->channel->name))
+            out[count++] = (struct candidate){.material = material,
+                                              .path = channel->texture_path,
+                                              .place = channel->texture_place};
+    }
+    return count;
+}
+
+/* Keeps each new texture once, with the first material that names it. */
+static uint64_t keep_new(const struct scan_textures *textures, struct candidate *list, uint64_t all)
+{
+    uint64_t count = 0;
+    if (all > 0)
+        qsort(list, all, sizeof *list, compare_candidates);
     for (uint64_t i = 0; i < all; i++)
-        if (count == 0 ||
-            strcmp(list[count - 1].material->texture_path, list[i].material->texture_path) != 0)
+        if (!find(textures, list[i].path) &&
+            (count == 0 || strcmp(list[count - 1].path, list[i].path) != 0))
             list[count++] = list[i];
     return count;
 }
 
 /* Notes the textures that other files name as inputs of the job. */
-static int note_textures(struct bsq_ctx *ctx, const struct fmt_materials *materials)
+static int note_textures(struct bsq_ctx *ctx, const struct candidate *list, uint64_t count)
 {
     int status = 0;
-    for (uint32_t i = 0; i < materials->count && !status; i++) {
-        const struct fmt_material *material = &materials->list[i];
-        if (material->texture_path && material->texture_place)
-            status = bsq_note_input(ctx, material->texture_path, "the texture that %s names",
-                                    material->texture_place);
-    }
+    for (uint64_t i = 0; i < count && !status; i++)
+        if (list[i].place)
+            status = bsq_note_input(ctx, list[i].path, "the texture that %s names", list[i].place);
+    return status;
+}
+
+/* Lists the textures of all materials. Free *list. */
+static int list_candidates(struct bsq_ctx *ctx, const struct scan_textures *textures,
+                           const struct fmt_materials *materials, struct candidate **list,
+                           uint64_t *count)
+{
+    uint64_t most = 0;
+    for (uint32_t i = 0; i < materials->count; i++)
+        most += UINT64_C(1) + materials->list[i].channel_count;
+    int status = bsq_calloc(ctx, "textures", most + 1, sizeof **list, list);
+    *count = 0;
+    for (uint32_t i = 0; i < materials->count && !status; i++)
+        *count += list_textures(textures, &materials->list[i], *list + *count);
     return status;
 }
 
@@ -184,13 +220,11 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
                        bool has_texcoords, struct scan_textures *textures)
 {
     struct candidate *list = NULL;
-    int status = note_textures(ctx, materials);
-    if (status || materials->count == 0 || !has_texcoords)
-        return status;
-    status = bsq_calloc(ctx, "textures", materials->count, sizeof *list, &list);
-    if (status)
-        return status;
-    const uint64_t count = list_candidates(textures, materials, list);
+    uint64_t count = 0;
+    int status = list_candidates(ctx, textures, materials, &list, &count);
+    if (!status)
+        status = note_textures(ctx, list, count);
+    count = status || !has_texcoords ? 0 : keep_new(textures, list, count);
     for (uint64_t i = 0; i < count && !status; i++) {
         status = bsq_check(ctx);
         if (!status)
@@ -204,20 +238,25 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
     return status;
 }
 
+/* Checks a texture that the options name, which must be good. */
+static int check_given(struct bsq_ctx *ctx, const char *path, const struct scan_textures *textures)
+{
+    int status = bsq_note_input(ctx, path, "the texture");
+    return !status && textures->decode ? decode(ctx, &(struct fmt_texture_source){path, false}, 1)
+                                       : status;
+}
+
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          const char *texture_path, bool has_texcoords,
                          struct scan_textures *textures)
 {
     struct fmt_materials materials = {0};
-    if (texture_path && !has_texcoords)
-        return 0;
-    if (texture_path) {
-        int status = bsq_note_input(ctx, texture_path, "the texture");
-        return !status && textures->decode
-                   ? decode(ctx, &(struct fmt_texture_source){texture_path, false}, 1)
-                   : status;
-    }
-    int status = fmt_mesh_preview_materials(reader, &materials);
+    int status = texture_path && has_texcoords ? check_given(ctx, texture_path, textures) : 0;
+    for (uint32_t c = 0; c < textures->channel_count && !status; c++)
+        if (textures->channels[c].texture_path && has_texcoords)
+            status = check_given(ctx, textures->channels[c].texture_path, textures);
+    if (!status && (!textures->only_channels || textures->channel_count > 0))
+        status = fmt_mesh_preview_materials(reader, &materials);
     if (!status)
         status = vox_textures_check(ctx, &materials, has_texcoords, textures);
     fmt_materials_free(ctx, &materials);

@@ -1,6 +1,7 @@
 #!/bin/sh
 # test_transfer.sh - maps of further textures of a scan: values by formula, colour or data, tasks,
 # the same bytes for any threads, budget and tiles, and what is refused.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 vox="run bisque-voxelize --resolution 40" bake="run bisque-bake --size 48"
 maps="python3 -B $top/tests/cli/transfer.py"
@@ -57,6 +58,80 @@ code 0
 grep -aq 'bisque:transfer.*emission' e.exr && grep -aq lin_rec709_scene e.exr
 check "the file says what it shows" $?
 
+# ---- channels of materials ----
+
+# Two materials, which change at x = 0.6.
+awk '/^f/ { print "usemtl " (n++ % 5 < 3 ? "left" : "right") } { print }
+    BEGIN { print "mtllib two.mtl" }' plane.obj >two.obj
+moved='-s 0.5 -0.5 -o 0.25 0.75 light.png'
+cat >two.mtl <<END
+newmtl left
+Pr 0.3
+map_Pm -imfchan g three.png
+Pm 0.9
+map_Ke $moved
+map_Kd $moved
+newmtl right
+map_Pr ramp.png
+Pm 0.75
+Ke 0.2 0.4 0.6
+map_Kd $moved
+map_Ps none.png
+END
+$vox two.obj --channels id,roughness,metallic,emission,coat=three.png -o two.nvdb
+code 0
+[ ! -s "$err" ]
+check "no message about channels that nobody asked for" $?
+$vox --verify two.tris
+code 0
+"$TESTS/naive-read-tris" two.tris >"$out"
+check "another reader reads two.tris" $?
+$bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
+code 0
+values two_roughness.png two_rough 0.00003
+values two_metallic.png two_metal 0.00003
+values two_emission.png two_light 0.00003
+values two_coat.png three 0.00003
+values two_color.png moved_light 0.00003
+$bake two.nvdb low.obj --maps color -o two_grid.png
+code 0
+values two_grid.png moved_light 0.02
+
+# Without channels only textures whose coordinates move need a new version.
+sed 's/-s .*-o 0.25 0.75//' two.mtl >plain.mtl
+sed 's/two.mtl/plain.mtl/' two.obj >plain.obj
+$vox two.obj -o moved.nvdb
+code 0
+$vox plain.obj -o plain.nvdb
+code 0
+for file in two=3 moved=3 plain=1; do
+    [ "$(od -An -tu1 -j8 -N1 ${file%=*}.tris | tr -d ' ')" = ${file#*=} ]
+    check "version of ${file%=*}.tris" $?
+done
+
+# Beside each other as two scans.
+for side in left right; do
+    awk -v side=$side '/^usemtl/ { keep = $2 == side } !/^f/ || keep { print }' two.obj >$side.obj
+    $vox $side.obj --channels roughness,emission,metallic -o $side.nvdb
+    code 0
+done
+$bake left.tris right.tris low.obj --maps transfer:roughness,transfer:emission -o 'sides_<MAP>.png'
+code 0
+values sides_roughness.png two_rough 0.00003
+values sides_emission.png two_light 0.00003
+
+$vox two.obj --channels sheen -o sheen.nvdb
+code 0
+grep -q 'two.mtl:12: .*none.png: no such texture: material "right" goes without it' "$err" &&
+    grep -q 'no material has a value or a texture of sheen, which is 0 everywhere' "$err"
+check "a lost texture is told" $?
+$vox two.obj --channels sheen -o x.nvdb --strict
+code 65
+$vox bare.obj --channels coat=three.png -o coat.nvdb
+code 0
+grep -q 'no texture coordinates, three.png is not used' "$err"
+check "a texture that cannot be used is told" $?
+
 # ---- the same bytes ----
 
 for how in '--threads 1' '--memory 100M'; do
@@ -82,8 +157,23 @@ done
 # ---- what is refused ----
 
 $bake plane.tris low.obj --maps transfer:gloss -o x.png
+code 65
+err_like 'plane.tris has no channel gloss: make it with bisque-voxelize --channels gloss'
+$bake plane.tris moved.tris low.obj --maps transfer:a --texture a=ramp.png -o x.png
 code 64
-err_like 'transfer:gloss needs --texture gloss=FILE'
+err_like 'ramp.png is a texture of one scan, but there are 2 scans'
+$vox two.obj --channels roughness --no-tris -o x.nvdb
+code 64
+err_like 'leave out --no-tris'
+$vox two.tris --channels roughness -o x.nvdb
+code 64
+err_like 'two.tris is already a chunk file'
+$vox two.obj --channels Rough -o x.nvdb
+code 64
+err_like '"Rough" is not a channel'
+$vox two.obj --channels a,a -o x.nvdb
+code 64
+err_like 'channel a is named twice'
 $bake plane.tris low.obj --maps normal --texture gloss=ramp.png -o x.png
 code 64
 err_like -- '--maps does not have transfer:gloss'

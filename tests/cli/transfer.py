@@ -14,12 +14,26 @@ def to_srgb(c):
     return 12.92 * c if c <= 0.0031308 else 1.055 * c ** (1 / 2.4) - 0.055
 
 
-# Values of data, or linear light; all are linear in u and v, so filters keep them.
+def to_linear(c):
+    return c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+
+
+def light(u, v):
+    return 0.1 + 0.8 * u, 0.2 + 0.6 * v, 0.3
+
+
+# Values of data, or linear light; all are linear in u and v, so filters keep them. Those of two
+# materials change at u = 0.6, see test_transfer.sh.
 FUNCTIONS = {
     "ramp": lambda u, v: (u,),
     "slope": lambda u, v: (0.25 + 0.5 * v,),
     "three": lambda u, v: (u, v, 0.5 + 0.25 * u - 0.5 * v),
-    "light": lambda u, v: (0.1 + 0.8 * u, 0.2 + 0.6 * v, 0.3),
+    "light": light,
+    "moved_light": lambda u, v: light(0.25 + 0.5 * u, 0.75 - 0.5 * v),
+    "two_rough": lambda u, v: (0.3 if u < 0.6 else u,),
+    "two_metal": lambda u, v: (v if u < 0.6 else 0.75,),
+    "two_light": lambda u, v: light(0.25 + 0.5 * u, 0.75 - 0.5 * v) if u < 0.6 else
+                 [to_linear(c) for c in (0.2, 0.4, 0.6)],
 }
 
 
@@ -39,10 +53,10 @@ def check(path, name, tolerance):
     for y in range(height):
         for x in range(width):
             u, v = 1 - (y + 0.5) / height, (x + 0.5) / width
-            if min(u, v, 1 - u, 1 - v) < 1.5 / SIDE:  # filters wrap there
+            if min(u, v, 1 - u, 1 - v, abs(u - 0.6)) < 1.5 / SIDE:  # filters wrap, materials meet
                 continue
             expected = FUNCTIONS[name](u, v)
-            if name == "light":
+            if name.endswith("light"):
                 expected = [to_srgb(c) for c in expected]
             assert len(expected) == len(rows[y][x]), f"{path}: {len(rows[y][x])} channels"
             worst = max(worst, *(abs(c / most - e) for c, e in zip(rows[y][x], expected)))

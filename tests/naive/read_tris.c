@@ -52,8 +52,8 @@ static struct header read_header(const struct bytes *file)
     struct header h;
     require_text(file, 0, "BSQTRIS\n", "not a chunk file");
     h.version = u32(file, 8);
-    if (h.version != 1 && h.version != 2)
-        refuse(file, "chunk file of version %u, this reader knows 1 and 2", h.version);
+    if (h.version < 1 || h.version > 3)
+        refuse(file, "chunk file of version %u, this reader knows 1 to 3", h.version);
     require(file, u64(file, 144) == checksum(file, 0, 144), "wrong checksum of the header");
     h.attributes = u32(file, 12);
     h.triangles = u64(file, 16);
@@ -104,16 +104,83 @@ static uint64_t read_name(const struct bytes *file, const struct header *h, uint
     return at + 8 + length;
 }
 
+/* Reads the names of channels. Returns where they end. */
+static uint64_t read_channels(const struct bytes *file, const struct header *h, uint64_t at,
+                              uint32_t *count, int print)
+{
+    *count = u32(file, at);
+    require(file, u32(file, at + 4) == 0, "reserved is not 0");
+    at += 8;
+    for (uint32_t i = 0; i < *count; i++) {
+        uint64_t length = u32(file, at);
+        require(file, at + 4 + length <= h->table_at, "a channel is cut off");
+        const char *text = (const char *)bytes_at(file, at + 4, length);
+        require(file, length > 0 && text[0] >= 'a' && text[0] <= 'z', "a channel without a name");
+        for (uint64_t k = 0; k < length; k++)
+            require(file, text[k] && strchr("abcdefghijklmnopqrstuvwxyz0123456789_", text[k]),
+                    "a name of a channel");
+        if (print)
+            printf("channel %.*s\n", (int)length, text);
+        at += 4 + length;
+    }
+    return at;
+}
+
+static void read_numbers(const struct bytes *file, uint64_t at, uint64_t count, int print)
+{
+    for (uint64_t k = 0; k < count; k++) {
+        require(file, isfinite(f32(file, at + 4 * k)), "a number of a channel");
+        if (print)
+            printf(" %g", (double)f32(file, at + 4 * k));
+    }
+}
+
+/* Reads what version 3 has after the name of a material. Returns where it ends. */
+static uint64_t read_sources(const struct bytes *file, const struct header *h, uint64_t at,
+                             uint32_t channels, int print)
+{
+    if (print)
+        printf("coordinates");
+    read_numbers(file, at, 4, print);
+    at += 16;
+    for (uint32_t i = 0; i < channels; i++) {
+        uint32_t length = u32(file, at + 32);
+        uint64_t path = length == NONE ? 0 : length;
+        if (print)
+            printf("\nsource");
+        read_numbers(file, at, 3, print);
+        require(file, u32(file, at + 12) < 3, "a component of a channel");
+        if (print)
+            printf(" component %u", u32(file, at + 12));
+        read_numbers(file, at + 16, 4, print);
+        require(file, at + 36 + path <= h->table_at, "a path is cut off");
+        const char *text = (const char *)bytes_at(file, at + 36, path);
+        require(file, path == 0 || memchr(text, 0, path) == NULL, "a path with a zero byte");
+        require(file, length == NONE || (path > 0 && text[0] == '/'),
+                "a path that is not absolute");
+        if (print)
+            printf(" %.*s", length == NONE ? 4 : (int)path, length == NONE ? "none" : text);
+        at += 36 + path;
+    }
+    if (print)
+        printf("\n");
+    return at;
+}
+
 static void read_materials(const struct bytes *file, const struct header *h, int print)
 {
     uint64_t at = h->materials_at;
-    if (h->version == 2) {
-        require(file, u32(file, at) >= 1 && u32(file, at) <= 3 && u32(file, at + 4) == 0,
+    uint32_t channels = 0;
+    if (h->version >= 2) {
+        require(file,
+                u32(file, at) + h->version >= 3 && u32(file, at) <= 3 && u32(file, at + 4) == 0,
                 "unknown ids");
         if (print)
             printf("ids %u\n", u32(file, at));
         at += 8;
     }
+    if (h->version == 3)
+        at = read_channels(file, h, at, &channels, print);
     for (uint32_t i = 0; i < h->material_count; i++) {
         uint32_t length = u32(file, at + 12);
         uint64_t path = length == NONE ? 0 : length;
@@ -129,8 +196,10 @@ static void read_materials(const struct bytes *file, const struct header *h, int
                    (double)f32(file, at + 8), length == NONE ? 4 : (int)path,
                    length == NONE ? "none" : text);
         at += 16 + path;
-        if (h->version == 2)
+        if (h->version >= 2)
             at = read_name(file, h, at, print);
+        if (h->version == 3)
+            at = read_sources(file, h, at, channels, print);
     }
     require(file, align8(at) == h->table_at, "the materials do not fill their part");
     require_zeros(file, at, h->table_at - at);

@@ -19,12 +19,21 @@ def _tris_checksum(content):
     _add(total, "IQQQQ3d3f3fI", h.attributes, h.triangle_count, h.chunk_count, h.source_faces,
          h.skipped_triangles, *h.origin, *h.bounds_min, *h.bounds_max, h.material_count)
     _add(total, "I", content.ids)
-    for diffuse, path, *named in content.materials:
+    channels = content.channels or []
+    _add(total, "I", len(channels))
+    for name in channels:
+        total.update(name)
+    for diffuse, path, *more in content.materials:
         _add(total, "3fI", *diffuse, read_tris.NONE if path is None else len(path))
         total.update(path or b"")
-        flags, name = named or (0, b"")
+        flags, name = more[:2] or (0, b"")
         _add(total, "II", flags, len(name))
         total.update(name)
+        moved, sources = more[2:] or (read_tris.SAME, [])
+        _add(total, "4f", *moved)
+        for value, component, uv, texture in sources:
+            _add(total, "3fI4f", *value, component, *uv)
+            total.update(texture or b"none")
     for chunk in content.chunks:
         e = chunk.entry
         _add(total, "QQQII3f3f", e.offset, e.size_bytes, e.first_triangle, e.triangle_count,

@@ -30,6 +30,19 @@ def _names(random, materials):
     return [(*m, int(random.integers(0, 2)), names[random.integers(0, 3)]) for m in materials]
 
 
+def _moved(random):
+    same = random.random() < 0.5
+    return (1, 1, 0, 0) if same else tuple(random.choice([1, -2.5, 0.125, 0], 4))
+
+
+def _sources(random, materials, channels):
+    """Gives materials what version 3 adds."""
+    paths = [None, b"/r.png"]
+    return [(*m, _moved(random),
+             [(random.random(3), int(random.integers(0, 3)), _moved(random),
+               paths[random.integers(0, 2)]) for _ in channels]) for m in materials]
+
+
 def _make_chunk(random, attributes, material_count):
     nt = int(random.choice([1, 2, 3, 7, 50, 300]))
     nv = int(random.integers(1, 3 * nt + 1))
@@ -60,8 +73,14 @@ def make(random):
     materials = [(random.random(3), random.choice([None, b"/a.png", b"/textures/\xc3\xa9 b.jpg"]))
                  for _ in range(random.integers(0, 4))]
     ids = int(random.choice([0, 0, 1, 2, 3]))
-    return {"attributes": attributes, "ids": ids,
-            "materials": _names(random, materials) if ids else materials,
+    channels = None
+    if random.random() < 0.3:
+        channels = list(random.permutation([b"roughness", b"a", b"x_1"])[:random.integers(1, 4)])
+        channels = [bytes(c) for c in channels]
+        materials = _sources(random, _names(random, materials), channels)
+    elif ids:
+        materials = _names(random, materials)
+    return {"attributes": attributes, "ids": ids, "channels": channels, "materials": materials,
             "origin": random.choice([0.0, 5e5, -1e300], 3),
             "counts": random.integers(0, 1 << 62, 2),
             "chunks": [_make_chunk(random, attributes, len(materials))
@@ -78,14 +97,35 @@ def _encode_chunk(chunk):
     return struct.pack("<Q", checksum(data)) + data
 
 
-def _encode_materials(ids, materials):
-    part = struct.pack("<II", ids, 0) if ids else b""
-    for diffuse, path, *named in materials:
-        part += struct.pack("<3fI", *diffuse, NONE if path is None else len(path)) + (path or b"")
-        if ids:
-            flags, name = named or (0, b"")
+def _path(path):
+    return struct.pack("<I", NONE if path is None else len(path)) + (path or b"")
+
+
+def _encode_sources(more, channels):
+    moved, sources = more or ((1, 1, 0, 0), [((0, 0, 0), 0, (1, 1, 0, 0), None)] * len(channels))
+    part = struct.pack("<4f", *moved)
+    for value, component, uv, path in sources:
+        part += struct.pack("<3fI4f", *value, component, *uv) + _path(path)
+    return part
+
+
+def _encode_materials(ids, channels, materials):
+    part = struct.pack("<II", ids, 0) if ids or channels is not None else b""
+    if channels is not None:
+        part += struct.pack("<II", len(channels), 0)
+        part += b"".join(struct.pack("<I", len(name)) + name for name in channels)
+    for diffuse, path, *more in materials:
+        part += struct.pack("<3f", *diffuse) + _path(path)
+        if ids or channels is not None:
+            flags, name = more[:2] or (0, b"")
             part += struct.pack("<II", flags, len(name)) + name
+        if channels is not None:
+            part += _encode_sources(more[2:], channels)
     return _pad(part)
+
+
+def _version(scan):
+    return 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
 
 
 def encode(scan):
@@ -99,7 +139,7 @@ def encode(scan):
         parts.append(part)
         offset += len(part)
         triangles += nt
-    materials = _encode_materials(scan["ids"], scan["materials"])
+    materials = _encode_materials(scan["ids"], scan["channels"], scan["materials"])
     bounds = numpy.zeros((2, 3), "<f4")
     if parts:
         boxes = numpy.stack([chunk["bounds"] for chunk in scan["chunks"]])
@@ -107,7 +147,7 @@ def encode(scan):
     bounds = scan.get("bounds", bounds)
     table_offset = offset + len(materials)
     header = b"BSQTRIS\n" + struct.pack(
-        "<IIQQQQ3d6fQQQIIQQ", 2 if scan["ids"] else 1, scan["attributes"], triangles, len(parts),
+        "<IIQQQQ3d6fQQQIIQQ", _version(scan), scan["attributes"], triangles, len(parts),
         *map(int, scan["counts"]), *scan["origin"], *bounds.ravel(), offset, table_offset,
         table_offset + len(table), len(scan["materials"]), 0, checksum(materials), checksum(table))
     return header + struct.pack("<Q", checksum(header)) + b"".join(parts) + materials + table
@@ -130,6 +170,18 @@ def _odd_name(random, scan):
     flags, name = int(random.choice([0, 1, 2])), random.choice([b"", b"a", b"a\0b", b"x" * 5000])
     scan["ids"] = int(random.choice([0, 1, 3, 4]))
     scan["materials"].append(([0.5, 0.5, 0.5], None, flags, bytes(name)))
+
+
+def _odd_channel(random, scan):
+    name = random.choice([b"", b"a", b"A", b"1", b"a\0", b"x" * 5000])
+    scan["channels"] = [b"a"] * int(random.integers(0, 2)) + [bytes(name)]
+    odd = random.choice([numpy.nan, numpy.inf, 1.0])
+    sources = [((odd, 0, 0), int(random.choice([0, 2, 3])), (1, odd, 0, 0), None)
+               for _ in scan["channels"]]
+    scan["materials"] = [([0.5, 0.5, 0.5], None, 0, b"", (1, 1, 0, odd), sources)]
+    for chunk in scan["chunks"]:
+        if "materials" in chunk:
+            chunk["materials"][:] = 0
 
 
 def _odd_bounds(random, scan):
@@ -183,9 +235,9 @@ def _odd_empty_chunk(_, scan):
                 chunk[name] = chunk[name][:0]
 
 
-ODD = [_odd_path, _odd_diffuse, _odd_name, _odd_bounds, _odd_header_bounds, _odd_vertex, _odd_triangle,
+ODD = [_odd_path, _odd_diffuse, _odd_name, _odd_channel, _odd_bounds, _odd_header_bounds, _odd_vertex, _odd_triangle,
        _odd_attribute, _odd_many_vertices, _odd_empty_chunk]
-ODD_WEIGHTS = numpy.array([3, 2, 3, 3, 2, 3, 3, 6, 0.2, 0.5])
+ODD_WEIGHTS = numpy.array([3, 2, 3, 3, 3, 2, 3, 3, 6, 0.2, 0.5])
 
 
 def make_odd(random, scan):

@@ -35,6 +35,22 @@ static void add_u64(struct reading *r, uint64_t value)
 
 /* ---- chunk files ---- */
 
+static void add_uv(struct reading *r, const struct bsq_uv *uv)
+{
+    static const float same[4] = {1, 1, 0, 0};
+    const float moved[4] = {uv->scale[0], uv->scale[1], uv->offset[0], uv->offset[1]};
+    add(r, uv->moves ? moved : same, sizeof same);
+}
+
+static void add_source(struct reading *r, const struct fmt_tris_source *source)
+{
+    const char *path = source->texture_path ? source->texture_path : "none";
+    add(r, source->value, sizeof source->value);
+    add_u32(r, source->component);
+    add_uv(r, &source->uv);
+    add(r, path, strlen(path));
+}
+
 static void add_header(struct reading *r, const struct fmt_tris_header *h)
 {
     add_u32(r, h->attributes);
@@ -47,6 +63,9 @@ static void add_header(struct reading *r, const struct fmt_tris_header *h)
     add(r, h->bounds_max, sizeof h->bounds_max);
     add_u32(r, h->material_count);
     add_u32(r, h->ids);
+    add_u32(r, h->channel_count);
+    for (uint32_t c = 0; c < h->channel_count; c++)
+        add(r, h->channels[c], strlen(h->channels[c]));
     for (uint32_t i = 0; i < h->material_count; i++) {
         const char *path = h->materials[i].texture_path, *name = h->materials[i].name;
         add(r, h->materials[i].diffuse, sizeof h->materials[i].diffuse);
@@ -55,6 +74,9 @@ static void add_header(struct reading *r, const struct fmt_tris_header *h)
         add_u32(r, h->materials[i].colorless);
         add_u32(r, name ? (uint32_t)strlen(name) : 0);
         add(r, name, name ? strlen(name) : 0);
+        add_uv(r, &h->materials[i].uv);
+        for (uint32_t c = 0; c < h->channel_count; c++)
+            add_source(r, &h->materials[i].sources[c]);
     }
 }
 

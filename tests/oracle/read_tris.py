@@ -62,7 +62,9 @@ class Chunk:
 class Content:
     header: Header
     ids: int = 0
-    # of (diffuse, path or None), in version 2 (diffuse, path or None, flags, name)
+    channels: list = None  # names; None before version 3
+    # of (diffuse, path or None), in version 2 (diffuse, path or None, flags, name), in version 3
+    # also (scale and offset), and for each channel (value, component, scale and offset, path)
     materials: list = field(default_factory=list)
     chunks: list = field(default_factory=list)
 
@@ -71,7 +73,7 @@ def _read_header(data):
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQTRIS\n", "not a chunk file")
     n = fields(data, 8, "IIQQQQ3d3f3fQQQIIQQQ")
     header = Header(*n[:6], n[6:9], n[9:12], n[12:15], *n[15:])
-    need(header.version in (1, 2), f"version {header.version}")
+    need(header.version in (1, 2, 3), f"version {header.version}")
     need(header.header_checksum == checksum(data[:144]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
     need(header.attributes < 16, "unknown attributes")
@@ -86,29 +88,71 @@ def _read_header(data):
     return header
 
 
+SAME = (1, 1, 0, 0)
+
+
+def _is_name(text):
+    return text[:1].isalpha() and all(c in b"abcdefghijklmnopqrstuvwxyz0123456789_" for c in text)
+
+
+def _read_path(part, at, path_bytes):
+    if path_bytes == NONE:
+        return None, at
+    need(len(part) - at >= path_bytes, "path beyond the materials")
+    path = bytes(part[at:at + path_bytes])
+    need(0 not in path, "zero byte in a path")
+    need(path.startswith(b"/"), "a path that is not absolute")
+    return path, at + path_bytes
+
+
+def _read_channels(part, at):
+    need(len(part) - at >= 8, "no channels")
+    count, zero = fields(part, at, "II")
+    need(zero == 0 and count <= len(part), "number of channels")
+    names, at = [], at + 8
+    for _ in range(count):
+        need(len(part) - at >= 4, "channels beyond their part")
+        size, = fields(part, at, "I")
+        need(len(part) - at - 4 >= size, "name of a channel beyond the materials")
+        names.append(bytes(part[at + 4:at + 4 + size]))
+        need(_is_name(names[-1]) and names.count(names[-1]) == 1, "name of a channel")
+        at += 4 + size
+    return names, at
+
+
+def _read_sources(part, at, channels):
+    """Returns what version 3 adds to a material, and its end."""
+    need(len(part) - at >= 16, "coordinates beyond their part")
+    moved, sources, at = fields(part, at, "4f"), [], at + 16
+    need(is_finite(moved), "coordinates are not finite")
+    for _ in channels:
+        need(len(part) - at >= 36, "channels of a material beyond their part")
+        *value, component, a, b, c, d, path_bytes = fields(part, at, "3fI4fI")
+        need(is_finite(value) and is_finite((a, b, c, d)) and component < 3, "value of a channel")
+        path, at = _read_path(part, at + 36, path_bytes)
+        sources.append((tuple(value), component, (a, b, c, d), path))
+    return (tuple(moved), sources), at
+
+
 def _read_materials(data, header):
     part = data[header.materials_offset:header.table_offset]
     need(header.materials_checksum == checksum(part), "checksum of the materials")
-    ids, materials, at = 0, [], 0
-    if header.version == 2:
+    ids, channels, materials, at = 0, None, [], 0
+    if header.version >= 2:
         need(len(part) >= 8, "no ids")
         ids, zero = fields(part, 0, "II")
-        need(1 <= ids <= 3 and zero == 0, "unknown ids")
+        need(3 - header.version <= ids <= 3 and zero == 0, "unknown ids")
         at = 8
+    if header.version == 3:
+        channels, at = _read_channels(part, at)
     for _ in range(header.material_count):
         need(len(part) - at >= MATERIAL_BYTES, "materials beyond their part")
         *diffuse, path_bytes = fields(part, at, "3fI")
         at += MATERIAL_BYTES
         need(is_finite(diffuse), "diffuse colour is not finite")
-        path = None
-        if path_bytes != NONE:
-            need(len(part) - at >= path_bytes, "path beyond the materials")
-            path = bytes(part[at:at + path_bytes])
-            need(0 not in path, "zero byte in a path")
-            need(path.startswith(b"/"), "a path that is not absolute")
-            at += path_bytes
+        path, at = _read_path(part, at, path_bytes)
         material = (tuple(diffuse), path)
-        if header.version == 2:
+        if header.version >= 2:
             need(len(part) - at >= 8, "names beyond their part")
             flags, name_bytes = fields(part, at, "II")
             at += 8
@@ -118,9 +162,14 @@ def _read_materials(data, header):
             need(0 not in name, "zero byte in a name")
             at += name_bytes
             material += (flags, name)
+        if header.version == 3:
+            more, at = _read_sources(part, at, channels)
+            material += more
         materials.append(material)
     need(len(part) - at < 8 and is_zero(part[at:]), "materials do not fill their part")
-    return ids, materials
+    need(header.version < 3 or channels or any(m[4] != SAME for m in materials),
+         "no need of version 3")
+    return ids, channels, materials
 
 
 def _index_type(vertex_count):

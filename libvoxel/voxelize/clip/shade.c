@@ -154,11 +154,15 @@ uint32_t vox_shade_id(const struct vox_shading *shading, const struct vox_chunk 
 int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
                       const double b[2], const double uv_extent[2], double rgb[3])
 {
-    float color[3], at[2];
-    for (int k = 0; k < 2; k++)
+    const struct bsq_uv *moved = &shading->header->materials[image].uv;
+    float color[3], at[2], width[2];
+    for (int k = 0; k < 2; k++) {
         at[k] = (float)(uv[0][k] + b[0] * (uv[1][k] - uv[0][k]) + b[1] * (uv[2][k] - uv[0][k]));
-    int status = fmt_texture_sample(shading->textures, image, at[0], at[1], (float)uv_extent[0],
-                                    (float)uv_extent[1], color);
+        at[k] = bsq_uv_apply(moved, k, at[k]);
+        width[k] = bsq_uv_width(moved, k, (float)uv_extent[k]);
+    }
+    int status =
+        fmt_texture_sample(shading->textures, image, at[0], at[1], width[0], width[1], color);
     for (int k = 0; k < 3 && status == 0; k++)
         rgb[k] = (double)color[k];
     return status;

@@ -489,6 +489,15 @@ static void padding_of_materials_is_zero(void **state)
     free(bytes);
 }
 
+/* Makes the checksums of a file without chunks right. */
+static void sign_materials(uint8_t *bytes, size_t size)
+{
+    uint64_t sum = XXH3_64bits(bytes + 152, size - 152);
+    memcpy(bytes + 128, &sum, 8);
+    sum = XXH3_64bits(bytes, 144);
+    memcpy(bytes + 144, &sum, 8);
+}
+
 /* Writes a file without chunks that has ids by object, and returns its bytes. */
 static uint8_t *write_ids(struct fixture *f, size_t *size)
 {
@@ -549,10 +558,92 @@ static void damaged_names_of_ids_are_found(void **state)
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         memcpy(changed, bytes, size);
         memcpy(changed + cases[i].at, &cases[i].value, 4);
-        uint64_t sum = XXH3_64bits(changed + 152, size - 152); /* there are no chunks */
-        memcpy(changed + 128, &sum, 8);
-        sum = XXH3_64bits(changed, 144);
-        memcpy(changed + 144, &sum, 8);
+        sign_materials(changed, size);
+        write_bytes(f->path, changed, size);
+        assert_int_equal(read_all(f), BSQ_EDATA);
+        if (!strstr(bsq_error(f->ctx), cases[i].message))
+            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
+    }
+    free(changed);
+    free(bytes);
+}
+
+/* Writes a file without chunks that has two channels, and returns its bytes. */
+static uint8_t *write_channels(struct fixture *f, size_t *size)
+{
+    struct fmt_tris_source sources[] = {
+        {.value = {0.25f, 0.25f, 0.25f}},
+        {.texture_path = (char *)"/e.png",
+         .component = 2,
+         .uv = {.moves = true, .scale = {2, 1}, .offset = {0, -0.5f}}},
+        {.texture_path = (char *)"/r.png"},
+        {.value = {1, 2, 3}}};
+    struct fmt_tris_material materials[] = {
+        {.sources = sources}, {.sources = sources + 2, .texture_path = (char *)"/a.png"}};
+    char *channels[] = {(char *)"roughness", (char *)"b_2"};
+    const struct fmt_tris_header header = {
+        .material_count = 2, .materials = materials, .channel_count = 2, .channels = channels};
+    struct fmt_tris_writer *writer;
+    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_commit(writer), 0);
+    return read_bytes(f->path, size);
+}
+
+static void channels_come_back(void **state)
+{
+    struct fixture *f = *state;
+    struct fmt_tris_file *file;
+    size_t size;
+    uint8_t *bytes = write_channels(f, &size);
+    assert_int_equal(bytes[8], 3);
+    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    const struct fmt_tris_header *h = fmt_tris_get_header(file);
+    assert_int_equal(h->ids, BSQ_IDS_NONE);
+    assert_int_equal(fmt_tris_find_channel(h, "b_2"), 1);
+    assert_int_equal(fmt_tris_find_channel(h, "b"), UINT32_MAX);
+    const struct fmt_tris_source *first = h->materials[0].sources,
+                                 *second = h->materials[1].sources;
+    assert_true(first[0].value[0] == 0.25f && !first[0].texture_path && !first[0].uv.moves);
+    assert_string_equal(first[1].texture_path, "/e.png");
+    assert_int_equal(first[1].component, 2);
+    assert_true(first[1].uv.moves && first[1].uv.scale[0] == 2 && first[1].uv.offset[1] == -0.5f);
+    assert_string_equal(second[0].texture_path, "/r.png");
+    assert_true(second[1].value[2] == 3);
+    assert_int_equal(fmt_tris_require_channel(file, "roughness"), 0);
+    assert_int_equal(fmt_tris_require_channel(file, "gloss"), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f->ctx), "bisque-voxelize --channels gloss"));
+    fmt_tris_close(file);
+    free(bytes);
+}
+
+static void damaged_channels_are_found(void **state)
+{
+    static const struct {
+        uint64_t at;
+        uint32_t value;
+        const char *message;
+    } cases[] = {
+        {8, 2, "unknown ids"},
+        {152, 4, "unknown ids"},
+        {160, 3, "channel"},
+        {160, 0xffffffff, "channels are cut off"},
+        {164, 1, "channels are cut off"},
+        {168, 0xffffffff, "the name of a channel"},
+        {172, 0x52, "the name of a channel"},
+        {212, 0x7fc00000, "coordinates are not finite"},
+        {228, 0x7f800000, "a channel of a material has a wrong value"},
+        {240, 3, "a channel of a material has a wrong value"},
+        {244, 0x7fc00000, "a channel of a material has a wrong value"},
+        {260, 100, "path is cut off"},
+    };
+    struct fixture *f = *state;
+    size_t size;
+    uint8_t *bytes = write_channels(f, &size), *changed = malloc(size);
+    assert_int_equal(read_all(f), 0);
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        memcpy(changed, bytes, size);
+        memcpy(changed + cases[i].at, &cases[i].value, 4);
+        sign_materials(changed, size);
         write_bytes(f->path, changed, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         if (!strstr(bsq_error(f->ctx), cases[i].message))
@@ -569,7 +660,7 @@ static void values_out_of_range_are_found(void **state)
         uint32_t value;
         const char *message;
     } cases[] = {
-        {8, 3, "version 3"},
+        {8, 4, "version 4"},
         {12, 31, "unknown attributes"},
         {24, 0x10000000, "another length"},
         {60, 0x7ff80000, "the origin is not finite"},
@@ -651,6 +742,8 @@ int main(void)
         TEST(padding_of_materials_is_zero),
         TEST(names_of_ids_come_back),
         TEST(damaged_names_of_ids_are_found),
+        TEST(channels_come_back),
+        TEST(damaged_channels_are_found),
         TEST(values_out_of_range_are_found),
         TEST(other_files_are_refused),
         TEST(nothing_remains_of_a_discarded_file),
