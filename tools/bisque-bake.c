@@ -4,6 +4,7 @@
 
 #include "base/job_files.h"
 #include "base/output.h"
+#include "base/tile_files.h"
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 
@@ -49,8 +50,8 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, const
         status = bsq_note_input(cli->ctx, bake->cage_path, "the cage");
     for (uint32_t i = 0; i < bake->transfer_count && status == 0; i++)
         if (bake->transfers[i].texture_path)
-            status = bsq_note_input(cli->ctx, bake->transfers[i].texture_path, "the texture %s",
-                                    bake->transfers[i].name);
+            status = bsq_note_texture(cli->ctx, bake->transfers[i].texture_path, "the texture %s",
+                                      bake->transfers[i].name);
     for (unsigned i = 0; i < bake_path_count(bake) && status == 0; i++) {
         if (!paths[i])
             continue;

@@ -7,6 +7,7 @@
 #include "base/clock.h"
 #include "base/job_files.h"
 #include "base/output.h"
+#include "base/tile_files.h"
 #include "formats/file_kind.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
@@ -96,11 +97,11 @@ static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
         if (!fmt_input_is_pipe(arguments->inputs[i]))
             status = bsq_note_input(ctx, arguments->inputs[i], "the scan");
     if (status == 0 && arguments->texture)
-        status = bsq_note_input(ctx, arguments->texture, "the texture");
+        status = bsq_note_texture(ctx, arguments->texture, "the texture");
     for (uint32_t i = 0; i < arguments->channel_count && status == 0; i++)
         if (arguments->channels[i].texture_path)
-            status = bsq_note_input(ctx, arguments->channels[i].texture_path, "the texture %s",
-                                    arguments->channels[i].name);
+            status = bsq_note_texture(ctx, arguments->channels[i].texture_path, "the texture %s",
+                                      arguments->channels[i].name);
     return status;
 }
 

@@ -9,6 +9,7 @@
 #include "base/file_part.h"
 #include "base/job_files.h"
 #include "base/path_map.h"
+#include "base/tile_files.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -115,7 +116,7 @@ static int note_texture(const struct fmt_tris_file *file, char *path)
     const char mark = path[length];
     if (length > 0)
         path[length] = '\0';
-    int status = bsq_note_input(file->ctx, path, "the texture that %s names", file->file.path);
+    int status = bsq_note_texture(file->ctx, path, "the texture that %s names", file->file.path);
     if (length > 0)
         path[length] = mark;
     return status;

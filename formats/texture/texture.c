@@ -1,33 +1,268 @@
-/* texture.c - passes the calls of texture.h on to the module bisque-texture.so. */
+/* texture.c - textures of one file or of a file for each tile.
+ *
+ * Passes files on to the module bisque-texture.so. A lookup in a texture of tiles stays in the tile
+ * of its centre, at whose border texels repeat: the neighbour may show another part of the scan. */
 #include "formats/texture/texture_module.h"
+
+#include <math.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/loss.h"
+#include "base/tile_files.h"
+
+enum { ALL_TILES = BSQ_TILE_COLUMNS * BSQ_TILE_ROWS };
+
+/* The tiles of a path. Their images are numbers `first` and on, in the order of `files`. */
+struct tiles {
+    char *path;
+    bool data;
+    uint32_t first;
+    struct bsq_tile_files files;
+    /* Of each tile: 1 if a lookup found it missing, 2 if that was told. */
+    atomic_uchar missing[ALL_TILES];
+    atomic_uchar outside; /* the same for lookups outside of all tiles */
+};
+
+struct fmt_textures {
+    struct bsq_ctx *ctx;
+    const struct fmt_texture_module *module;
+    struct fmt_texture_images *images;
+    uint32_t count;
+    uint32_t *image_of;      /* image of each source without tiles */
+    struct tiles **tiles_of; /* NULL: without */
+    struct tiles **tiles;    /* each once */
+    uint64_t tiles_count, tiles_capacity;
+};
+
+/* ---- opening ---- */
+
+/* Sources for the module, of files only. */
+struct list {
+    struct fmt_texture_source *list;
+    uint64_t count, capacity;
+};
+
+static int add_source(struct bsq_ctx *ctx, struct list *list, const char *path, bool data)
+{
+    int status = list->count < UINT32_MAX
+                     ? bsq_grow(ctx, "texture paths", list->count + 1, sizeof *list->list,
+                                &list->list, &list->capacity)
+                     : bsq_fail(ctx, BSQ_EDATA, "%s: too many textures", path ? path : "");
+    if (status == 0)
+        list->list[list->count++] = (struct fmt_texture_source){path, data};
+    return status;
+}
+
+/* Lists the tiles of a path, and adds their files to the list. */
+static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_source *source,
+                       struct list *list, struct tiles **out)
+{
+    struct bsq_ctx *ctx = textures->ctx;
+    for (uint64_t i = 0; i < textures->tiles_count; i++)
+        if (textures->tiles[i]->data == source->data &&
+            strcmp(textures->tiles[i]->path, source->path) == 0) {
+            *out = textures->tiles[i];
+            return 0;
+        }
+    struct tiles *tiles;
+    int status = bsq_grow(ctx, "texture tiles", textures->tiles_count + 1, sizeof(void *),
+                          &textures->tiles, &textures->tiles_capacity);
+    if (status == 0)
+        status = bsq_calloc(ctx, "texture tiles", 1, sizeof *tiles, &tiles);
+    if (status < 0)
+        return status;
+    textures->tiles[textures->tiles_count++] = *out = tiles;
+    tiles->data = source->data;
+    tiles->first = (uint32_t)list->count;
+    tiles->path = strdup(source->path);
+    status = tiles->path ? bsq_tile_files_find(ctx, source->path, &tiles->files)
+                         : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", source->path);
+    if (status == 0 && tiles->files.count == 0)
+        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", source->path);
+    for (uint64_t i = 0; i < tiles->files.count && status == 0; i++)
+        status = add_source(ctx, list, tiles->files.list[i].path, source->data);
+    return status;
+}
+
+/* Lists all files. */
+static int list_files(struct fmt_textures *textures, const struct fmt_texture_source *sources,
+                      struct list *list)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < textures->count && status == 0; i++) {
+        textures->image_of[i] = (uint32_t)list->count;
+        status = sources[i].path && bsq_has_tiles(sources[i].path)
+                     ? enter_tiles(textures, &sources[i], list, &textures->tiles_of[i])
+                     : add_source(textures->ctx, list, sources[i].path, sources[i].data);
+    }
+    return status;
+}
 
 int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out)
 {
     const struct fmt_module *module;
+    struct fmt_textures *textures = NULL;
+    struct list list = {0};
     int status = fmt_module_open(ctx, "texture", "textures", &module);
-
     *out = NULL;
-    if (status != 0)
+    if (status == 0)
+        status = bsq_calloc(ctx, "textures", 1, sizeof *textures, &textures);
+    if (status < 0)
         return status;
-    return ((const struct fmt_texture_module *)module)
-        ->open(&fmt_host_functions, ctx, sources, count, cache_bytes, out);
+    textures->ctx = ctx;
+    textures->module = (const struct fmt_texture_module *)module;
+    textures->count = count;
+    status = bsq_calloc(ctx, "textures", count + UINT64_C(1), sizeof *textures->image_of,
+                        &textures->image_of);
+    if (status == 0)
+        status =
+            bsq_calloc(ctx, "textures", count + UINT64_C(1), sizeof(void *), &textures->tiles_of);
+    if (status == 0)
+        status = list_files(textures, sources, &list);
+    if (status == 0)
+        status = textures->module->open(&fmt_host_functions, ctx, list.list, (uint32_t)list.count,
+                                        cache_bytes, &textures->images);
+    bsq_free(ctx, list.list);
+    if (status < 0)
+        fmt_textures_close(textures);
+    else
+        *out = textures;
+    return status;
 }
 
 void fmt_textures_close(struct fmt_textures *textures)
 {
-    if (textures)
-        textures->module->close(textures);
+    if (!textures)
+        return;
+    struct bsq_ctx *ctx = textures->ctx;
+    if (textures->images)
+        textures->module->close(textures->images);
+    for (uint64_t i = 0; i < textures->tiles_count; i++) {
+        bsq_tile_files_free(ctx, &textures->tiles[i]->files);
+        free(textures->tiles[i]->path);
+        bsq_free(ctx, textures->tiles[i]);
+    }
+    bsq_free(ctx, textures->tiles);
+    bsq_free(ctx, textures->tiles_of);
+    bsq_free(ctx, textures->image_of);
+    bsq_free(ctx, textures);
 }
+
+/* ---- lookups ---- */
 
 void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
                       uint32_t *height)
 {
-    textures->module->size(textures, image, width, height);
+    textures->module->size(textures->images, textures->image_of[image], width, height);
+}
+
+/* Moves a coordinate to the border between tiles that it misses by rounding only. */
+static double settle(float coordinate)
+{
+    const double u = (double)coordinate, border = rint(u);
+    return fabs(u - border) < 1e-5 ? border : u;
+}
+
+/* Returns the lower corner of the tile that a coordinate is in; a border ends the tile below. */
+static double corner_of(double u)
+{
+    return fmax(ceil(u) - 1, fmin(floor(u), 0));
+}
+
+/* Returns the number of a tile; ALL_TILES if there is none with these whole coordinates. */
+static uint32_t tile_number(double u, double v)
+{
+    const bool inside = u >= 0 && v >= 0 && u < BSQ_TILE_COLUMNS && v < BSQ_TILE_ROWS;
+    return inside ? (uint32_t)u + BSQ_TILE_COLUMNS * (uint32_t)v : (uint32_t)ALL_TILES;
+}
+
+static int compare_numbers(const void *a, const void *b)
+{
+    const uint32_t x = *(const uint32_t *)a, y = ((const struct bsq_tile_file *)b)->number;
+    return (x > y) - (x < y);
+}
+
+static const struct bsq_tile_file *find_file(const struct tiles *tiles, uint32_t number)
+{
+    return tiles->files.count > 0 ? bsearch(&number, tiles->files.list, tiles->files.count,
+                                            sizeof *tiles->files.list, compare_numbers)
+                                  : NULL;
+}
+
+/* Moves an interval of this width into the unit interval, if it is not wider. */
+static float keep_inside(double centre, float width, float texel)
+{
+    const double half = 0.5 * fmin(fmax((double)width, (double)texel), 1.0);
+    return (float)fmin(fmax(centre, half), 1.0 - half);
+}
+
+/* Finds the tile of a point: the one that it is in, or that ends there if there is no such file. */
+static const struct bsq_tile_file *find_tile(struct tiles *tiles, double u, double v,
+                                             double corner[2])
+{
+    const struct bsq_tile_file *file = NULL;
+    for (int i = 0; i < 4 && !file; i++) {
+        corner[0] = floor(u) - (double)(i & 1);
+        corner[1] = floor(v) - (double)(i >> 1);
+        if (u - corner[0] <= 1 && v - corner[1] <= 1)
+            file = find_file(tiles, tile_number(corner[0], corner[1]));
+    }
+    return file;
+}
+
+static int sample_tiles(struct fmt_textures *textures, struct tiles *tiles, double u, double v,
+                        float du, float dv, float out[3])
+{
+    double corner[2];
+    uint32_t width, height;
+    const struct bsq_tile_file *file = find_tile(tiles, u, v, corner);
+    if (!file) {
+        const uint32_t number = tile_number(corner_of(u), corner_of(v));
+        atomic_uchar *missing = number < ALL_TILES ? &tiles->missing[number] : &tiles->outside;
+        if (atomic_load_explicit(missing, memory_order_relaxed) == 0)
+            atomic_store_explicit(missing, 1, memory_order_relaxed);
+        out[0] = out[1] = out[2] = 0;
+        return 0;
+    }
+    const uint32_t image = tiles->first + (uint32_t)(file - tiles->files.list);
+    textures->module->size(textures->images, image, &width, &height);
+    return textures->module->sample(
+        textures->images, image, keep_inside(u - corner[0], du, 1.0f / (float)width),
+        keep_inside(v - corner[1], dv, 1.0f / (float)height), du, dv, out);
 }
 
 int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
                        float dv, float out[3])
 {
-    return textures->module->sample(textures, image, u, v, du, dv, out);
+    struct tiles *tiles = textures->tiles_of[image];
+    return tiles ? sample_tiles(textures, tiles, settle(u), settle(v), du, dv, out)
+                 : textures->module->sample(textures->images, textures->image_of[image], u, v, du,
+                                            dv, out);
+}
+
+/* ---- missing tiles ---- */
+
+int fmt_textures_tell_missing(struct fmt_textures *textures)
+{
+    int status = 0;
+    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++) {
+        struct tiles *tiles = textures->tiles[i];
+        for (uint32_t t = 0; t < ALL_TILES && status == 0; t++)
+            if (tiles->missing[t] == 1) {
+                tiles->missing[t] = 2;
+                status = bsq_warn_loss(textures->ctx,
+                                       "%s: tile %u does not exist: the scan is black there",
+                                       tiles->path, 1001 + t);
+            }
+        if (status == 0 && tiles->outside == 1) {
+            tiles->outside = 2;
+            status = bsq_warn_loss(textures->ctx,
+                                   "%s: the scan is black where it lies outside of all tiles",
+                                   tiles->path);
+        }
+    }
+    return status;
 }

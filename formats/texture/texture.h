@@ -22,16 +22,22 @@ struct fmt_texture_source {
     bool data;        /* no colours: integers are values from 0 to 1, whatever the file says */
 };
 
-/* Opens `count` images. A source that occurs twice is opened once. Reads each image through once,
- * on all threads, so it must not be called from parallel work. Reserves `cache_bytes` (at least 12
- * MiB) from the budget, or less if the images are small; files stored in rows that exceed it are
- * copied to temporary tiled files. Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no
- * image, or damaged; BSQ_ENOMEM. */
+/* Opens `count` images. The file name of a path may have a token for UDIM tiles
+ * (base/tile_files.h), each of which is a file; what lies in no tile is black. A source that occurs
+ * twice is opened once. Reads each image through once, on all threads, so it must not be called
+ * from parallel work. Reserves `cache_bytes` (at least 12 MiB) from the budget, or less if the
+ * images are small; files stored in rows that exceed it are copied to temporary tiled files.
+ * Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no image, or damaged; BSQ_ENOMEM.
+ */
 int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out);
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
 
-/* Sets the size of an image in texels. */
+/* Warns of tiles without a file that lookups have asked for, each once. Must not be called during
+ * lookups. Errors: BSQ_EDATA in a strict job. */
+int fmt_textures_tell_missing(struct fmt_textures *textures);
+
+/* Sets the size in texels of an image of one file. */
 void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
                       uint32_t *height);
 

@@ -10,21 +10,21 @@
 extern "C" {
 #endif
 
-/* Textures as the host sees them; the module derives its own struct from this one. */
-struct fmt_textures {
+/* Images of files as the host sees them; the module derives its own struct from this one. */
+struct fmt_texture_images {
     const struct fmt_texture_module *module;
 };
 
-/* Each function does the work of its namesake in texture.h. */
+/* Each function does the work of its namesake in texture.h, for textures of one file. */
 struct fmt_texture_module {
     struct fmt_module module;
     int (*open)(const struct fmt_host *host, struct bsq_ctx *ctx,
                 const struct fmt_texture_source *sources, uint32_t count, uint64_t cache_bytes,
-                struct fmt_textures **out);
-    void (*close)(struct fmt_textures *textures);
-    void (*size)(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
+                struct fmt_texture_images **out);
+    void (*close)(struct fmt_texture_images *textures);
+    void (*size)(const struct fmt_texture_images *textures, uint32_t image, uint32_t *width,
                  uint32_t *height);
-    int (*sample)(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
+    int (*sample)(struct fmt_texture_images *textures, uint32_t image, float u, float v, float du,
                   float dv, float out[3]);
 };
 

@@ -73,8 +73,8 @@ struct Image {
     fmt::Pyramid pyramid;
 };
 
-// The module's own part of struct fmt_textures.
-struct Textures : fmt_textures {
+// The module's own part of struct fmt_texture_images.
+struct Textures : fmt_texture_images {
     const struct fmt_host *host = nullptr;
     struct bsq_ctx *ctx = nullptr;
     uint64_t reserved = 0, tile_bytes = 0;
@@ -644,7 +644,7 @@ int average(Textures *textures, const Image &image, double x, double y, double w
 
 // ---- the module ----
 
-void close_textures(struct fmt_textures *opened)
+void close_textures(struct fmt_texture_images *opened)
 {
     auto *textures = static_cast<Textures *>(opened);
     if (textures->cache)
@@ -655,7 +655,7 @@ void close_textures(struct fmt_textures *opened)
     delete textures;
 }
 
-void texture_size(const struct fmt_textures *opened, uint32_t image, uint32_t *width,
+void texture_size(const struct fmt_texture_images *opened, uint32_t image, uint32_t *width,
                   uint32_t *height)
 {
     const auto *textures = static_cast<const Textures *>(opened);
@@ -664,7 +664,7 @@ void texture_size(const struct fmt_textures *opened, uint32_t image, uint32_t *w
     *height = number == no_image ? 0 : textures->images[number].height;
 }
 
-int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v, float du,
+int sample_texture(struct fmt_texture_images *opened, uint32_t image, float u, float v, float du,
                    float dv, float out[3])
 {
     auto *textures = static_cast<Textures *>(opened);
@@ -688,7 +688,7 @@ int sample_texture(struct fmt_textures *opened, uint32_t image, float u, float v
 
 int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx,
                   const struct fmt_texture_source *sources, uint32_t count, uint64_t cache_bytes,
-                  struct fmt_textures **out)
+                  struct fmt_texture_images **out)
 {
     auto *textures = new (std::nothrow) Textures;
     if (!textures)

@@ -74,6 +74,14 @@ void bake_exact_transfers_free(struct bake_exact *exact)
     exact->transfers = (struct exact_transfers){0};
 }
 
+int bake_exact_tell_missing(struct bake_exact *exact)
+{
+    int status = exact->textures ? fmt_textures_tell_missing(exact->textures) : 0;
+    return status == 0 && exact->transfers.textures
+               ? fmt_textures_tell_missing(exact->transfers.textures)
+               : status;
+}
+
 int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
                       const struct exact_texture_place *at, const struct bsq_uv *uv, float out[3])
 {

@@ -7,9 +7,11 @@
 #include "base/job_files.h"
 #include "base/loss.h"
 #include "base/srgb.h"
+#include "base/tile_files.h"
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -24,6 +26,23 @@ static int copy_text(struct scan *scan, const char *text, char **out)
     return status;
 }
 
+/* Returns the absolute path of a file, or of a texture of tiles, whose name is no file's; NULL with
+ * errno set if there is none. */
+static char *absolute_path(const char *path)
+{
+    if (!bsq_has_tiles(path))
+        return realpath(path, NULL);
+    const char *slash = strrchr(path, '/');
+    char *directory = slash ? strndup(path, (size_t)(slash - path) + 1) : strdup(".");
+    char *real = directory ? realpath(directory, NULL) : NULL, *out = NULL;
+    if (real &&
+        asprintf(&out, "%s/%s", strcmp(real, "/") == 0 ? "" : real, slash ? slash + 1 : path) < 0)
+        out = NULL;
+    free(directory);
+    free(real);
+    return out;
+}
+
 /* Returns in *out the absolute path of a texture, which the scan owns. A texture that is a part of
  * a file keeps the end of its name. */
 static int resolve_texture(struct scan *scan, const char *path, char **out)
@@ -32,7 +51,7 @@ static int resolve_texture(struct scan *scan, const char *path, char **out)
     const size_t length = bsq_part_parse(path, &part);
     const char *end = length > 0 ? path + length : "";
     char *own = strndup(path, length > 0 ? length : strlen(path));
-    char *absolute = own ? realpath(own, NULL) : NULL;
+    char *absolute = own ? absolute_path(own) : NULL;
     free(own);
     if (!absolute)
         return bsq_fail_errno(scan->ctx, BSQ_ENOINPUT, errno, "%s: texture", path);
@@ -209,7 +228,7 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
                               const char *texture_path, struct scan_textures *textures)
 {
     struct fmt_materials found = {0};
-    int status = bsq_note_input(scan->ctx, texture_path, "the texture");
+    int status = bsq_note_texture(scan->ctx, texture_path, "the texture");
     if (status == 0 && keeps_materials(scan))
         status = fmt_mesh_read_materials(reader, &found);
     if (status == 0 && scan->channel_count > 0)

@@ -5,6 +5,7 @@
 #include "base/file_part.h"
 #include "base/job_files.h"
 #include "base/loss.h"
+#include "base/tile_files.h"
 #include "formats/texture/texture.h"
 #include "libvoxel/read/scan.h"
 
@@ -62,6 +63,17 @@ static int warn_bad(struct bsq_ctx *ctx, struct candidate *candidate, const char
                          place ? ": " : "", path, problem, candidate->material->name);
 }
 
+/* Checks that there is a tile of a texture. */
+static int check_tiles(struct bsq_ctx *ctx, struct candidate *candidate)
+{
+    struct bsq_tile_files tiles = {0};
+    int status = bsq_tile_files_find(ctx, candidate->path, &tiles);
+    if (status == 0 && tiles.count == 0)
+        status = warn_bad(ctx, candidate, candidate->path, ": no tile of this texture exists");
+    bsq_tile_files_free(ctx, &tiles);
+    return status;
+}
+
 /* Checks what the file system says of the texture. */
 static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
 {
@@ -71,6 +83,8 @@ static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
     candidate->good = true;
     if (bsq_part_parse(path, &part) > 0)
         return 0;
+    if (bsq_has_tiles(path))
+        return check_tiles(ctx, candidate);
     if (stat(path, &info))
         return warn_bad(ctx, candidate, path, ": no such texture");
     if (!S_ISREG(info.st_mode))
@@ -197,7 +211,8 @@ static int note_textures(struct bsq_ctx *ctx, const struct candidate *list, uint
     int status = 0;
     for (uint64_t i = 0; i < count && !status; i++)
         if (list[i].place)
-            status = bsq_note_input(ctx, list[i].path, "the texture that %s names", list[i].place);
+            status =
+                bsq_note_texture(ctx, list[i].path, "the texture that %s names", list[i].place);
     return status;
 }
 
@@ -241,7 +256,7 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 /* Checks a texture that the options name, which must be good. */
 static int check_given(struct bsq_ctx *ctx, const char *path, const struct scan_textures *textures)
 {
-    int status = bsq_note_input(ctx, path, "the texture");
+    int status = bsq_note_texture(ctx, path, "the texture");
     return !status && textures->decode ? decode(ctx, &(struct fmt_texture_source){path, false}, 1)
                                        : status;
 }

@@ -405,6 +405,8 @@ int vox_run_regions(struct vox_run *job, const struct vox_sink *sink)
     int status = set_up(job);
     if (status == 0)
         status = run_pipeline(job);
+    if (status == 0)
+        status = vox_shading_tell_missing(&job->shared.shading);
     end_pipeline(job);
     return status;
 }

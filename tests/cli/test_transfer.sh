@@ -82,7 +82,7 @@ $vox two.obj --channels id,roughness,metallic,emission,coat=three.png -o two.nvd
 code 0
 [ ! -s "$err" ]
 check "no message about channels that nobody asked for" $?
-$vox --verify two.tris
+run bisque-voxelize --verify two.tris
 code 0
 "$TESTS/naive-read-tris" two.tris >"$out"
 check "another reader reads two.tris" $?
@@ -131,6 +131,43 @@ $vox bare.obj --channels coat=three.png -o coat.nvdb
 code 0
 grep -q 'no texture coordinates, three.png is not used' "$err"
 check "a texture that cannot be used is told" $?
+
+# ---- textures of tiles ----
+
+# Texture coordinates u = 2 x, v = y lie in two tiles; u = 3 x also in one without a file.
+for times in 2 3; do
+    awk -v times=$times '/^vt/ { $2 *= times } { print }' plane.obj |
+        sed "1imtllib udim.mtl\nusemtl tiles" >udim$times.obj
+done
+printf 'newmtl tiles\nmap_Kd udim.<UDIM>.png\n' >udim.mtl
+cp udim.1001.png uv_u1_v1.png
+cp udim.1002.png uv_u2_v1.png
+$vox udim2.obj --channels 'emission=uv_<UVTILE>.png' -o udim2.nvdb
+code 0
+[ ! -s "$err" ]
+check "no message about tiles that nobody needs" $?
+for scan in tris nvdb; do
+    $bake udim2.$scan low.obj --maps color -o udim_$scan.png
+    code 0
+done
+values udim_tris.png two_tiles_light 0.001 # footprints are wider than a texel
+values udim_nvdb.png two_tiles_light 0.02
+$bake udim2.tris low.obj --maps transfer:emission -o udim_e.png
+code 0
+cmp -s udim_e.png udim_tris.png
+check "<UVTILE> is another name of the tiles" $?
+$vox udim3.obj -o udim3.nvdb
+code 0
+told='udim.<UDIM>.png: tile 1003 does not exist: the scan is black there'
+[ "$(grep -c "$told" "$err")" = 1 ] && [ "$(wc -l <"$err")" = 1 ]
+check "the tile that is missing is told once" $?
+$bake udim3.tris low.obj --maps color -o udim3.png --strict
+code 65
+grep -q "$told" "$err"
+check "and refused by a strict job" $?
+$vox udim2.obj --texture 'none.<UDIM>.png' -o x.nvdb
+code 66
+err_like 'none.<UDIM>.png: no tile of this texture exists'
 
 # ---- the same bytes ----
 

@@ -37,7 +37,24 @@ FUNCTIONS = {
 }
 
 
+# Tiles (0, 0) and (1, 0) of one texture; the third is missing.
+def tile_light(u, v):
+    return light(u, v) if u < 1 else (0.9 - 0.4 * (u - 1), 0.2 + 0.6 * v, 0.3)
+
+
+FUNCTIONS["two_tiles_light"] = lambda u, v: tile_light(2 * u, v)
+
+
+def make_tiles():
+    for tile, name in enumerate(("udim.1001.png", "udim.1002.png")):
+        rows = [[tuple(round(65535 * to_srgb(c))
+                       for c in tile_light(tile + (x + 0.5) / SIDE, 1 - (y + 0.5) / SIDE))
+                 for x in range(SIDE)] for y in range(SIDE)]
+        png.write(name, 16, rows)
+
+
 def make():
+    make_tiles()
     for name, bits in (("ramp", 16), ("slope", 8), ("three", 16), ("light", 16)):
         most = 2**bits - 1
         encode = to_srgb if name == "light" else float
@@ -53,7 +70,8 @@ def check(path, name, tolerance):
     for y in range(height):
         for x in range(width):
             u, v = 1 - (y + 0.5) / height, (x + 0.5) / width
-            if min(u, v, 1 - u, 1 - v, abs(u - 0.6)) < 1.5 / SIDE:  # filters wrap, materials meet
+            # Filters wrap at borders; materials or tiles meet.
+            if min(u, v, 1 - u, 1 - v, abs(u - 0.6), abs(u - 0.5)) < 1.5 / SIDE:
                 continue
             expected = FUNCTIONS[name](u, v)
             if name.endswith("light"):

@@ -67,6 +67,11 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
     return status;
 }
 
+int vox_shading_tell_missing(const struct vox_shading *shading)
+{
+    return shading->textures ? fmt_textures_tell_missing(shading->textures) : 0;
+}
+
 void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
 {
     if (shading->textures)

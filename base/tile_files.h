@@ -1,0 +1,44 @@
+/* tile_files.h - textures that consist of a file for each UDIM tile.
+ *
+ * The last component of their path has "<UDIM>", which stands for the tile's number 1001 + u + 10
+ * v, or "<UVTILE>", which stands for u1_v1 and so on. Tile (u, v) is the unit square of texture
+ * space from there. */
+#ifndef BSQ_TILE_FILES_H
+#define BSQ_TILE_FILES_H
+
+#include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define BSQ_TILE_COLUMNS 10u  /* u is below this */
+#define BSQ_TILE_ROWS    900u /* and v below this */
+
+/* A tile that has a file. */
+struct bsq_tile_file {
+    uint32_t number; /* u + 10 v, from 0 on */
+    char *path;
+};
+
+/* Tiles, by number. All zero at first; free it with bsq_tile_files_free(). */
+struct bsq_tile_files {
+    struct bsq_tile_file *list;
+    uint64_t count, capacity;
+};
+
+/* Returns whether the path has a token. */
+bool bsq_has_tiles(const char *path);
+
+/* Lists the files of a path with a token. There may be none. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int bsq_tile_files_find(struct bsq_ctx *ctx, const char *path, struct bsq_tile_files *out);
+void bsq_tile_files_free(struct bsq_ctx *ctx, struct bsq_tile_files *files);
+
+/* Notes the file of a texture, or all files of its tiles, as bsq_note_input() does. */
+int bsq_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+#ifdef __cplusplus
+}
+#endif
+#endif

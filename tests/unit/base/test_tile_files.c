@@ -1,0 +1,92 @@
+/* test_tile_files.c - which files are tiles of a texture. */
+#include <fcntl.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "base/tile_files.h"
+#include "tests/unit/fixture.h"
+
+static char directory[] = "/tmp/bisque-test-tile-files.XXXXXX";
+
+static const char *const files[] = {
+    "a.1001.png",   "a.1012.png",   "a.9990.png",  "a.1000.png",   "a.0999.png",  "a.10010.png",
+    "a.101.png",    "a.1001.jpg",   "b.1001.png",  "a.+001.png",   "a_u1_v1.png", "a_u2_v1.png",
+    "a_u10_v2.png", "a_u11_v1.png", "a_u0_v1.png", "a_u01_v1.png", "a_u1_v.png"};
+enum { FILES = sizeof files / sizeof *files };
+
+static int enter_directory(void **state)
+{
+    (void)state;
+    if (!mkdtemp(directory) || chdir(directory) != 0)
+        return -1;
+    for (int i = 0; i < FILES; i++)
+        close(open(files[i], O_CREAT | O_WRONLY, 0600));
+    return 0;
+}
+
+static int leave_directory(void **state)
+{
+    (void)state;
+    for (int i = 0; i < FILES; i++)
+        unlink(files[i]);
+    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1;
+}
+
+/* Checks that a path has these tiles, by number and file name. */
+static void check_tiles(const char *path, const struct bsq_tile_file *expected, uint64_t count)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct bsq_tile_files found = {0};
+    assert_int_equal(bsq_tile_files_find(ctx, path, &found), 0);
+    assert_int_equal(found.count, count);
+    for (uint64_t i = 0; i < count; i++) {
+        assert_int_equal(found.list[i].number, expected[i].number);
+        const char *slash = strrchr(found.list[i].path, '/');
+        assert_string_equal(slash ? slash + 1 : found.list[i].path, expected[i].path);
+    }
+    bsq_tile_files_free(ctx, &found);
+    test_context_end(ctx);
+}
+
+static void numbers_of_tiles_are_found(void **state)
+{
+    const struct bsq_tile_file udim[] = {
+        {0, (char *)"a.1001.png"}, {11, (char *)"a.1012.png"}, {8989, (char *)"a.9990.png"}};
+    char path[64];
+    (void)state;
+    check_tiles("a.<UDIM>.png", udim, 3);
+    snprintf(path, sizeof path, "%s/a.<UDIM>.png", directory);
+    check_tiles(path, udim, 3);
+    check_tiles("c.<UDIM>.png", NULL, 0);
+    check_tiles("none/a.<UDIM>.png", NULL, 0);
+}
+
+/* u1_v1 and u01_v1 are one tile: the first by its bytes counts. */
+static void places_of_tiles_are_found(void **state)
+{
+    const struct bsq_tile_file uvtile[] = {
+        {0, (char *)"a_u01_v1.png"}, {1, (char *)"a_u2_v1.png"}, {19, (char *)"a_u10_v2.png"}};
+    (void)state;
+    check_tiles("a_<UVTILE>.png", uvtile, 3);
+}
+
+static void only_names_with_a_token_have_tiles(void **state)
+{
+    (void)state;
+    assert_true(bsq_has_tiles("x/a.<UDIM>.png"));
+    assert_true(bsq_has_tiles("<UVTILE>"));
+    assert_false(bsq_has_tiles("a.1001.png"));
+    assert_false(bsq_has_tiles("<UDIM>/a.png"));
+    assert_false(bsq_has_tiles("a.<udim>.png"));
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(numbers_of_tiles_are_found),
+        cmocka_unit_test(places_of_tiles_are_found),
+        cmocka_unit_test(only_names_with_a_token_have_tiles),
+    };
+    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
+}
