@@ -95,13 +95,18 @@ static void own_cell(const struct welding *w, const float p[3], float cell[3])
         cell[axis] = (float)floor(p[axis] / (4.0 * w->tolerance[axis]));
 }
 
+static bool is_same(const float a[3], const float b[3])
+{
+    return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
+}
+
 static void add_to_cells(const struct welding *w, struct cells *c, const float p[3])
 {
     float cell[3];
     own_cell(w, p, cell);
     uint32_t *slot = bsq_positions_find(&c->table, cell);
     for (uint32_t v = *slot; v != 0; v = c->next[v - 1])
-        if (memcmp(c->positions[v - 1], p, sizeof *c->positions) == 0)
+        if (is_same(c->positions[v - 1], p))
             return;
     memcpy(c->numbers[c->count], cell, sizeof cell);
     memcpy(c->positions[c->count], p, sizeof *c->positions);
@@ -167,7 +172,7 @@ static int match_chunk(struct welding *w)
             bool again = false;
             cell_of(w, w->own.positions[v], mask, before[mask]);
             for (unsigned k = 0; k < mask; k++)
-                again |= memcmp(before[k], before[mask], sizeof *before) == 0;
+                again |= is_same(before[k], before[mask]);
             if (!again)
                 match_cell(w, v, before[mask]);
         }
