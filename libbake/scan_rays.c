@@ -186,7 +186,8 @@ static bk_surroundings sum_rays(const struct scan_rays *rays, uint64_t index)
     return bake_sum_rays(&rays->states, &rays->params, &place, index, low, high);
 }
 
-/* Writes what the rays found to a sample at (x, y) of the map. */
+/* Writes what the rays found to a sample at (x, y) of the map. Its transfer maps, the last values,
+ * stay. */
 static void finish_sample(const struct scan_rays *rays, uint64_t index, uint32_t x, uint32_t y,
                           float *sample)
 {
