@@ -431,9 +431,10 @@ check-farm: tests-build
 	    tests/farm/check_openjd.sh tests/farm/check_slurm.sh
 
 .PHONY: bench-farm
-## bench-farm: processor time of bakes in 1 to 64 tasks beside that of a single run
+## bench-farm: processor time of bakes and grids in 1 to 64 tasks beside that of a single run
 bench-farm: all $(generator)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm_grid.sh
 
 ## check-long: check, and many more rounds of the tests of chance
 .PHONY: check-long

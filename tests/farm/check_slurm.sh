@@ -102,14 +102,14 @@ write_parts scan.obj
 voxelize_parts 300
 run bisque-bake parts.nvdb low.obj -o 'whole_<MAP>.exr' --maps normal,color,height --size 128 --device cpu
 code 0
-submit parts --tasks 4 --cpus 1 --memory 400 --bin "$BIN" --plan eight.json --resolution 300 parts.txt -- low.obj \
+submit parts --tasks 4 --cpus 1 --memory 400 --bin "$BIN" --plan eight.json --resolution 300 --grid-tasks 3 parts.txt -- low.obj \
     -o 'eight_<MAP>.exr' --maps normal,color,height --size 128 --device cpu
-[ "$(grep -c ': job [0-9]*$' "$out")" -eq 5 ]
-check "the numbers of five jobs are printed" $?
+[ "$(grep -c ': job [0-9]*$' "$out")" -eq 7 ]
+check "the numbers of seven jobs are printed" $?
 wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
 check "all jobs of the parts end" $?
-[ "$(ls part_?.tris | wc -l)" -eq 8 ] && [ -z "$(ls | grep 'tris\.nvdb$')" ]
-check "eight chunk files, and no coarse grids" $?
+[ "$(ls part_?.tris | wc -l)" -eq 8 ] && [ "$(ls eight.grid.*.part | wc -l)" -eq 3 ]
+check "eight chunk files, and three parts of the grid" $?
 same parts.nvdb eight.nvdb
 for map in normal color height; do
     same whole_$map.exr eight_$map.exr

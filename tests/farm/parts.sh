@@ -16,7 +16,7 @@ voxelize_parts()
 {
     mkdir -p here
     for i in 0 1 2 3 4 5 6 7; do
-        run bisque-voxelize part_$i.obj --tris here/$i.tris -o x.nvdb --resolution 8
+        run bisque-voxelize part_$i.obj -o here/$i.tris
         code 0
     done
     run bisque-voxelize here/*.tris -o parts.nvdb --resolution "$1"
