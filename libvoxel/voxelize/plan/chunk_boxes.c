@@ -9,7 +9,7 @@
 
 /* Reading a chunk takes as long as visiting about this many empty regions. With a filter, a chunk
  * is not used if all regions that it touches are unwanted; then it is cut more closely. */
-static const double few_regions = 128.0, few_wanted_regions = 2.0;
+static const double few_regions = 128.0, few_wanted_regions = 8.0;
 
 struct maker {
     struct bsq_ctx *ctx;
