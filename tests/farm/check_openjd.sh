@@ -70,7 +70,7 @@ for chunk in "" "--chunk 3"; do
     code 0
     openjd run bake.yaml --step Merge --run-dependencies -p PlanDir=. -p BinDir="$BIN"
     if [ -n "$chunk" ]; then
-        grep -q 'Task(CHUNK\[INT\]) = 0-2$' "$out" && grep -q 'Task(CHUNK\[INT\]) = 6' "$out"
+        grep -q 'Task(CHUNK\[INT\]) = 0-' "$out" && grep -q 'Task(CHUNK\[INT\]) = .*6$' "$out"
     else
         grep -q 'Task(INT) = 6$' "$out"
     fi
