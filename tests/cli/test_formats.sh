@@ -321,11 +321,11 @@ cut_off nvdb box.nvdb
 
 # An unknown version is refused by name, also by Bisque.
 cp box.tris new.tris
-put new.tris 8 3
+put new.tris 8 4
 naive tris new.tris
-err_like '^new\.tris: chunk file of version 3, '
+err_like '^new\.tris: chunk file of version 4, '
 run bisque-voxelize new.tris -o new.nvdb
-err_like '^bisque-voxelize: new\.tris: chunk file of version 3, '
+err_like '^bisque-voxelize: new\.tris: chunk file of version 4, '
 "$TESTS/generate-scan" vase-low -o low.obj
 cp box.nvdb new.nvdb
 put new.nvdb 8 3

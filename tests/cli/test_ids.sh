@@ -171,8 +171,8 @@ $vox sheet.obj -o x.nvdb --id object
 refused 64 "bisque-voxelize: --id needs --channels id"
 $vox material.tris -o x.nvdb --channels id --id object
 refused 64 "bisque-voxelize: material.tris is already a chunk file: leave out --id"
-$vox sheet.obj -o x.nvdb --channels id,gloss
-refused 64 'bisque-voxelize: --channels: "gloss" is not id'
+$vox sheet.obj -o x.nvdb --channels id,Gloss
+refused 64 'bisque-voxelize: --channels: "Gloss" is not a channel'
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n' >bare.obj
 $vox bare.obj -o bare.nvdb --resolution 8 --channels id --id object
 code 0
