@@ -55,6 +55,7 @@ static void end(struct bake_run *job)
     bsq_free(job->ctx, job->preview_tiles);
     bsq_free(job->ctx, job->scan_names);
     bsq_free(job->ctx, job->sees);
+    bake_skew_close(job->skew);
     bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
     bake_surface_close(&job->surface);

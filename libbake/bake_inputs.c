@@ -170,6 +170,25 @@ static int begin_tiles(struct bake_run *job)
     return status < 0 ? status : report_tiles(job);
 }
 
+/* Opens the skew maps of all tiles. */
+static int open_skew(struct bake_run *job)
+{
+    const uint32_t count = job->udim.count;
+    uint32_t *numbers;
+    if (!job->options->skew_path)
+        return 0;
+    int status = bsq_alloc(job->ctx, "tiles", count, sizeof *numbers, &numbers);
+    if (status < 0)
+        return status;
+    for (uint32_t i = 0; i < count; ++i)
+        numbers[i] = job->udim.tiles[i].number;
+    status = bake_skew_open(job->ctx, job->options->skew_path, numbers, count, &job->skew);
+    for (uint32_t i = 0; i < count; ++i)
+        job->tiles[i].skew = (struct bake_skew_image){job->skew, i};
+    bsq_free(job->ctx, numbers);
+    return status;
+}
+
 int bake_open_inputs(struct bake_run *job)
 {
     int status = bake_check_options(job->ctx, job->options);
@@ -200,7 +219,8 @@ int bake_open_inputs(struct bake_run *job)
         status = bake_match_names(job);
     if (status < 0)
         return status;
-    return begin_tiles(job);
+    status = begin_tiles(job);
+    return status < 0 ? status : open_skew(job);
 }
 
 /* ---- parameters ---- */
@@ -265,6 +285,8 @@ static void fill_params(const struct bake_run *job, const struct bake_surface *s
         params->flags |= BK_TWO_SIDED;
     if (options->cage_path)
         params->flags |= BK_CAGE;
+    if (options->skew_path)
+        params->flags |= BK_SKEW;
     set_rays(job, surface, params);
 }
 

@@ -16,6 +16,7 @@ struct bake_run {
     struct bake_lowmesh mesh;
     struct bake_udim udim;
     struct bake_tile *tiles; /* one for each tile of `udim` */
+    struct bake_skew *skew;  /* of these tiles; NULL: there is none */
     struct bake_job traced;  /* what the device traces; of several scans, only the parameters */
     struct bk_params *part_params; /* of each of several scans */
     bool *sees;                    /* of each object, which scans it sees; NULL: all see all */

@@ -172,6 +172,10 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (options->cage_path && (options->front >= 0 || options->rays != BAKE_RAYS_SMOOTH))
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "a cage gives the rays' directions and their length in front");
+    if (options->skew_path && options->rays == BAKE_RAYS_FACE)
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "%s: a skew map changes nothing if rays run along the faces' normals",
+                        options->skew_path);
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
     int status = check_choices(ctx, options);

@@ -70,7 +70,8 @@ int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *t
                                                .first = tile->place.first,
                                                .count = tile->place.count,
                                                .blocks =
-                                                   tile->in_blocks ? &tile->sample_blocks : NULL};
+                                                   tile->in_blocks ? &tile->sample_blocks : NULL,
+                                               .skew = tile->skew};
     struct bake_raster_report counts = {0};
     int status = bake_raster_create(scene->ctx, scene->mesh, &raster, &counts, &tile->raster);
     if (status < 0)

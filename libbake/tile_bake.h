@@ -3,6 +3,7 @@
 #define BAKE_TILE_BAKE_H
 
 #include "libbake/maps/maps.h"
+#include "libbake/skew/skew.h"
 #include "libbake/surface/surface.h"
 #include "libbake/udim/udim.h"
 
@@ -17,6 +18,7 @@ struct bake_tile {
     bool in_blocks;     /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
     struct bake_blocks sample_blocks; /* the same for the raster, whose texels may be samples */
+    struct bake_skew_image skew;
     struct bake_raster *raster;
     struct bake_image *image;
     struct bake_map_files *files;

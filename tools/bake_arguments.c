@@ -37,6 +37,7 @@ static const char help_format[] =
     "      --curvature-radius D  distance around a hit for curvature (default: 2 texels)\n"
     "      --curvature-range C   curvature of white in PNG files (default: by the whole mesh)\n"
     "      --cage FILE         start rays at this mesh, with the vertices and faces of LOW.obj\n"
+    "      --skew FILE         grey map: white turns rays towards the faces' normals\n"
     "      --match name        objects see only scans with their names: body_low sees body_high.nvdb\n"
     "      --match-suffixes LOW,HIGH\n"
     "                          endings of these names (default: _low,_high)\n"
@@ -88,6 +89,7 @@ enum {
     OPT_CURVATURE_RADIUS,
     OPT_CURVATURE_RANGE,
     OPT_CAGE,
+    OPT_SKEW,
     OPT_MATCH,
     OPT_MATCH_SUFFIXES,
     OPT_RAY_DIRECTIONS,
@@ -131,6 +133,7 @@ static const struct option long_options[] = {
     {"curvature-radius", required_argument, NULL, OPT_CURVATURE_RADIUS},
     {"curvature-range", required_argument, NULL, OPT_CURVATURE_RANGE},
     {"cage", required_argument, NULL, OPT_CAGE},
+    {"skew", required_argument, NULL, OPT_SKEW},
     {"match", required_argument, NULL, OPT_MATCH},
     {"match-suffixes", required_argument, NULL, OPT_MATCH_SUFFIXES},
     {"ray-directions", required_argument, NULL, OPT_RAY_DIRECTIONS},
@@ -410,6 +413,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return parse_length(cli, "--curvature-range", true, &bake->curvature_range);
     case OPT_CAGE:
         bake->cage_path = optarg;
+        return 0;
+    case OPT_SKEW:
+        bake->skew_path = optarg;
         return 0;
     case OPT_MATCH: {
         static const char *const kinds[] = {"name", NULL};

@@ -115,14 +115,19 @@ static int order_tiles(struct job *job)
 
 /* ---- samples to rays ---- */
 
-/* Returns the point of the low-poly mesh that a tile's sample lies on. */
-static bk_point sample_point(const struct job *job, const struct bk_tile *tile, uint32_t triangle,
-                             uint32_t column, uint32_t row)
+/* Returns the point of the low-poly mesh that a tile's sample lies on. samples: of the tile. */
+static bk_point sample_point(const struct job *job, const struct bk_tile *tile,
+                             const uint32_t *samples, uint32_t column, uint32_t row)
 {
-    const uint32_t n = job->tiles->params->samples;
-    return bk_point_at(&job->tiles->triangles[triangle],
-                       bk_sample_place(tile->x + column / n, column % n, n),
-                       bk_sample_place(tile->y + row / n, row % n, n));
+    const struct bk_params *params = job->tiles->params;
+    const uint32_t n = params->samples;
+    const uint64_t index = (uint64_t)row * (tile->width * n) + column;
+    const bk_samples sample = {.count = 1,
+                               .triangle = {samples[index]},
+                               .x = {bk_sample_place(tile->x + column / n, column % n, n)},
+                               .y = {bk_sample_place(tile->y + row / n, row % n, n)},
+                               .skew = {bk_sample_skew(params, tile, samples, index)}};
+    return bk_points_at(params, job->tiles->triangles, &sample);
 }
 
 /* Writes the rays of a tile to the batch. */
@@ -131,7 +136,7 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
     struct job *job = arg;
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    const uint32_t *sample = job->workers.workers[number].sample_triangles;
+    const uint32_t *samples = job->workers.workers[number].sample_triangles, *sample = samples;
     const uint32_t columns = tile.width * job->tiles->params->samples;
     const uint32_t rows = tile.height * job->tiles->params->samples;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
@@ -143,7 +148,7 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
         for (uint32_t column = 0; column < columns; column++, sample++) {
             if (*sample == BK_NO_TRIANGLE)
                 continue;
-            const bk_point point = sample_point(job, &tile, *sample, column, row);
+            const bk_point point = sample_point(job, &tile, samples, column, row);
             const bk_start start = bk_start_at(job->tiles->params, &point);
             job->rays[ray] =
                 (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
@@ -218,7 +223,7 @@ static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t 
         for (uint32_t column = 0; column < columns; column++) {
             if (sample[column] == BK_NO_TRIANGLE)
                 continue;
-            const bk_point point = sample_point(job, tile, sample[column], column, row);
+            const bk_point point = sample_point(job, tile, sample_triangles, column, row);
             add_sample(job, &point, (*next)++, texels + column / n * floats);
         }
     }
@@ -253,7 +258,7 @@ static int seed_tile(void *arg, uint64_t index, unsigned number)
     struct job *job = arg;
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    const uint32_t *sample = job->workers.workers[number].sample_triangles;
+    const uint32_t *samples = job->workers.workers[number].sample_triangles, *sample = samples;
     const uint32_t n = job->tiles->params->samples, columns = tile.width * n;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
     int status = bake_raster_fill(job->tiles->raster, place->index,
@@ -264,7 +269,7 @@ static int seed_tile(void *arg, uint64_t index, unsigned number)
         for (uint32_t column = 0; column < columns; column++, sample++) {
             if (*sample == BK_NO_TRIANGLE)
                 continue;
-            const bk_point point = sample_point(job, &tile, *sample, column, row);
+            const bk_point point = sample_point(job, &tile, samples, column, row);
             if (!place_hit(job, &point, &job->hits[ray]).found)
                 job->hits[ray].triangle = BAKE_EXACT_NONE;
             job->seeds[ray++] = bk_sample_seed(bk_sample_place(tile.x + column / n, column % n, n),

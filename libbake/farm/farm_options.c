@@ -38,6 +38,7 @@ static const struct fmt_farm_member members[] = {
     MEMBER(U32, samples),
     CHOICE_MEMBER(rays, BAKE_RAYS_FACE),
     MEMBER(OPTIONAL, cage_path),
+    MEMBER(OPTIONAL, skew_path),
     MEMBER(NUMBER, front),
     MEMBER(NUMBER, back),
     MEMBER(U32, padding),
@@ -73,7 +74,7 @@ static const struct fmt_farm_member transfer_members[] = {
 enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
 
 /* tile_sizes, tile_ranges and transfers are written by themselves. */
-_Static_assert(sizeof(struct bake_options) == 312, "a new option needs a row in `members`");
+_Static_assert(sizeof(struct bake_options) == 320, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum bake_rays) == sizeof(unsigned), "a choice is an unsigned number");
 
 static json_t *tile_sizes_to_json(const struct bake_options *options)

@@ -38,6 +38,25 @@ BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, bk_fw x, bk_fw
     return point;
 }
 
+/* Turns a ray's direction, of any length, towards the normal of the triangle, on the same side. The
+ * unit vectors of both are blended. A triangle without an area turns nothing. */
+BK_FN bk_vec3 bk_skewed(const BK_GLOBAL bk_triangle *triangle, bk_vec3 direction, bk_uint skew)
+{
+    const BK_GLOBAL float *a = triangle->position[0], *b = triangle->position[1],
+                          *c = triangle->position[2];
+    const float share = (float)(bk_int)skew / (float)(bk_int)BK_SKEW_ONE;
+    const float length = bk_sqrt(bk_dot(direction, direction));
+    const bk_vec3 face = bk_unit(bk_cross(bk_v3(b[0] - a[0], b[1] - a[1], b[2] - a[2]),
+                                          bk_v3(c[0] - a[0], c[1] - a[1], c[2] - a[2])));
+    const float side = bk_dot(face, direction) < 0.0f ? -1.0f : 1.0f;
+    bk_vec3 blend;
+
+    if (skew == 0 || !(bk_dot(face, face) > 0.0f) || !(length > 0.0f))
+        return direction;
+    blend = bk_scale(direction, (1.0f - share) / length);
+    return bk_scale(bk_unit(bk_add_scaled(blend, side * share, face)), length);
+}
+
 /* Returns the map values m from which a MikkTSpace shader gets back `normal`. The shader computes
  * normalize(m.x T + m.y B + m.z N) with B = handedness * cross(N, T) and interpolated T and N, so
  * [T B N] m is parallel to the normal. Uses Cramer's rule; the size of the determinant does not
@@ -64,11 +83,25 @@ typedef struct bk_samples {
     bk_uint count;
     bk_uint triangle[BK_WIDTH];
     float x[BK_WIDTH], y[BK_WIDTH];
+    bk_uint skew[BK_WIDTH]; /* only read with BK_SKEW */
 } bk_samples;
+
+/* Turns the directions of rays by the skews of the samples. */
+BK_FN void bk_skew_points(const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
+                          bk_point *points)
+{
+    bk_uint lane;
+
+    for (lane = 0; lane < samples->count; lane++)
+        bk_set_lane3(&points->direction, lane,
+                     bk_skewed(&triangles[samples->triangle[lane]],
+                               bk_lane3(&points->direction, lane), samples->skew[lane]));
+}
 
 /* Returns the points of the low-poly mesh that the samples lie on. Mostly all are on one
  * triangle. */
-BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples)
+BK_FN bk_point bk_points_at(const bk_params *params, const BK_GLOBAL bk_triangle *triangles,
+                            const bk_samples *samples)
 {
     const bk_uint first = samples->triangle[0];
     bk_fw x = bk_splat(0.0f), y = x;
@@ -92,6 +125,8 @@ BK_FN bk_point bk_points_at(const BK_GLOBAL bk_triangle *triangles, const bk_sam
         bk_set_lane3(&points.tangent, lane, bk_lane3(&point.tangent, lane));
         bk_set_lane(points.handedness, lane, bk_lane(point.handedness, lane));
     }
+    if (params->flags & BK_SKEW)
+        bk_skew_points(triangles, samples, &points);
     return points;
 }
 
@@ -218,7 +253,7 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
                             const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
                             bk_map_hits *out)
 {
-    const bk_point points = bk_points_at(triangles, samples);
+    const bk_point points = bk_points_at(params, triangles, samples);
     const bk_start start = bk_start_at(params, &points);
     const bk_uint cage = params->flags & BK_CAGE;
     bk_lines lines;
@@ -276,6 +311,17 @@ BK_FN bk_ulong bk_sample_index(const bk_tile *tile, bk_uint n, bk_uint column, b
     return (bk_ulong)(row * n + j) * (tile->width * n) + column * n + i;
 }
 
+/* Returns the skew of the sample with this number. */
+BK_FN bk_uint bk_sample_skew(const bk_params *params, const bk_tile *tile,
+                             const BK_GLOBAL bk_uint *sample_triangles, bk_ulong index)
+{
+    const bk_uint n = params->samples;
+
+    if (!(params->flags & BK_SKEW))
+        return 0;
+    return sample_triangles[(bk_ulong)(tile->width * n) * (tile->height * n) + index];
+}
+
 /* Returns a sample's position along one axis of the map, in texels. */
 BK_FN float bk_sample_place(bk_uint texel, bk_uint i, bk_uint n)
 {
@@ -298,10 +344,12 @@ BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cach
     for (j = begin; j < end; j++) {
         samples.y[0] = bk_sample_place(tile->y + row, j, n);
         for (i = 0; i < n; i++) {
+            const bk_ulong index = bk_sample_index(tile, n, column, row, i, j);
             samples.x[0] = bk_sample_place(tile->x + column, i, n);
-            samples.triangle[0] = sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
+            samples.triangle[0] = sample_triangles[index];
             if (samples.triangle[0] == BK_NO_TRIANGLE)
                 continue;
+            samples.skew[0] = bk_sample_skew(params, tile, sample_triangles, index);
             bk_trace_samples(grid, params, cache, triangles, &samples, &hits);
             bk_add_sample(params, &hits, 0, texel);
         }

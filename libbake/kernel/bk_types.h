@@ -8,6 +8,10 @@
 
 #define BK_NO_TRIANGLE 0xffffffffu
 
+/* The skew of a sample whose ray runs along the normal of its triangle; 0: along the direction that
+ * is interpolated. */
+#define BK_SKEW_ONE 65535u
+
 /* Rays with coordinates of this size or more are not traced, and none is longer. */
 #define BK_FAR 1.0e9f
 
@@ -30,7 +34,8 @@ enum {
     BK_HAS_COLOR = 8,
     BK_CAGE = 16,         /* rays start at a cage and take the first surface */
     BK_OPEN_FALLOFF = 32, /* a surface hides less, the farther away it is */
-    BK_HAS_IDS = 64
+    BK_HAS_IDS = 64,
+    BK_SKEW = 128 /* samples have skews */
 };
 
 /* Job-wide parameters. */
@@ -58,8 +63,9 @@ typedef struct bk_params {
 } bk_params;
 
 /* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the
- * top: the triangle that the sample lies in, or BK_NO_TRIANGLE. Sample (i, j) of a tile lies at map
- * position (x + (i + 0.5) / N, y + (j + 0.5) / N). */
+ * top: the triangle that the sample lies in, or BK_NO_TRIANGLE. With BK_SKEW, as many entries
+ * follow: the skew of each sample, 0 to BK_SKEW_ONE. Sample (i, j) of a tile lies at map position
+ * (x + (i + 0.5) / N, y + (j + 0.5) / N). */
 typedef struct bk_tile {
     bk_uint x, y, width, height; /* texels */
 } bk_tile;

@@ -12,7 +12,7 @@ static uint64_t tile_bytes(uint64_t side, uint64_t samples, uint32_t maps)
 {
     maps |= (1u << BK_MAP_COUNT) - 1u;
     uint64_t most_floats = bk_texel_floats(maps) + bake_image_channels_for(maps);
-    return side * side * (samples * samples * sizeof(uint32_t) + most_floats * sizeof(float));
+    return side * side * (2 * samples * samples * sizeof(uint32_t) + most_floats * sizeof(float));
 }
 
 uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
@@ -63,7 +63,7 @@ static int create_workers(struct bsq_ctx *ctx, uint64_t samples, uint64_t texels
 int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                             uint64_t texel_count, struct bake_tile_workers *out)
 {
-    const uint64_t side = tiles->tile_size, samples = tiles->params->samples;
+    const uint64_t side = tiles->tile_size;
     const uint32_t maps = tiles->params->maps;
     *out = (struct bake_tile_workers){.channels = tiles->sums ? bk_texel_floats(maps)
                                                               : bake_image_channels_for(maps),
@@ -71,7 +71,8 @@ int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                                       .maps = maps,
                                       .sums = tiles->sums};
     bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
-    return create_workers(ctx, side * side * samples * samples, texel_count, side * side, out);
+    return create_workers(ctx, side * side * bake_raster_texel_entries(tiles->params), texel_count,
+                          side * side, out);
 }
 
 int bake_row_workers_begin(struct bsq_ctx *ctx, uint32_t maps, uint32_t width,

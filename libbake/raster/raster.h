@@ -6,6 +6,7 @@
 
 #include "libbake/kernel/bk_types.h"
 #include "libbake/lowpoly/lowpoly.h"
+#include "libbake/skew/skew.h"
 
 /* Blocks of a map, squares of texels in row order, of which a job bakes some. Those at the right
  * and lower border may be smaller. */
@@ -32,7 +33,8 @@ struct bake_raster_options {
     uint32_t tile_size;     /* side in texels; tiles at the right and lower border may be smaller */
     uint64_t first, count;  /* triangles of the mesh to rasterise */
     const struct bake_blocks
-        *blocks; /* makes tiles in these blocks only; NULL: in all of the map */
+        *blocks;                 /* makes tiles in these blocks only; NULL: in all of the map */
+    struct bake_skew_image skew; /* gives samples their skews */
 };
 
 struct bake_raster_report {
@@ -52,11 +54,18 @@ void bake_raster_free(struct bake_raster *raster); /* NULL is allowed */
 uint32_t bake_raster_tile_count(const struct bake_raster *raster);
 struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index);
 
+/* Returns the entries that bake_raster_fill() writes for a texel. */
+static inline uint64_t bake_raster_texel_entries(const struct bk_params *params)
+{
+    return (uint64_t)params->samples * params->samples * (params->flags & BK_SKEW ? 2 : 1);
+}
+
 /* Writes the triangle of each sample of a tile, or BK_NO_TRIANGLE: height * N rows of width * N
- * entries. If triangles overlap, the first one in the mesh takes the sample; *overlaps is set to
+ * entries. With a skew map, the skews follow as struct bk_tile has them; they are 0 without a
+ * triangle. If triangles overlap, the first one in the mesh takes the sample; *overlaps is set to
  * the number of samples inside more than one triangle. A sample on an edge that two triangles share
  * belongs to exactly one of them (top-left rule on exact fixed-point coordinates). Thread-safe.
- * Errors: BSQ_EINTR. */
+ * Errors: BSQ_EINTR, and those of bake_skew_sample(). */
 int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
                      uint64_t *overlaps);
 

@@ -148,6 +148,28 @@ static int count_overlaps(const struct bake_raster *raster, uint32_t index, cons
     return rc;
 }
 
+/* ---- skews ---- */
+
+/* Writes the skews of the samples that have triangles. */
+static int fill_skews(const struct bake_raster *raster, const struct raster_window *window,
+                      const uint32_t *samples, uint32_t *skews)
+{
+    const struct bake_raster_options *o = &raster->options;
+    const float du = 1.0F / (float)(o->width * o->samples);
+    const float dv = 1.0F / (float)(o->height * o->samples);
+    const uint32_t columns = window->end_x - window->begin_x;
+    const size_t count = (size_t)columns * (window->end_y - window->begin_y);
+    int status = 0;
+    for (size_t i = 0; i < count && status == 0; i++) {
+        const float x = (float)(window->begin_x + (uint32_t)(i % columns)) + 0.5F;
+        const float y = (float)(window->begin_y + (uint32_t)(i / columns)) + 0.5F;
+        skews[i] = 0;
+        if (samples[i] != BK_NO_TRIANGLE)
+            status = bake_skew_sample(&o->skew, x * du, 1.0F - y * dv, du, dv, &skews[i]);
+    }
+    return status;
+}
+
 int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
                      uint64_t *overlaps)
 {
@@ -160,5 +182,7 @@ int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t 
     int rc = paint_tile(raster, index, sample_triangles, &overlap);
     if (rc == 0 && overlap)
         rc = count_overlaps(raster, index, sample_triangles, overlaps);
+    if (rc == 0 && raster->options.skew.skew)
+        rc = fill_skews(raster, &window, sample_triangles, sample_triangles + count);
     return rc;
 }

@@ -18,14 +18,26 @@ struct trace {
     uint64_t pass; /* the current pass; 0 without a plan */
 };
 
-/* Moves the samples of a rectangle of texels to the front of the tile's samples, row by row. */
-static void crop_samples(uint32_t *samples, const struct bk_tile *tile, uint32_t n,
-                         const struct bake_rectangle *texels)
+/* Moves the entries of a rectangle of texels to `to`, row by row. from: entries of the samples of a
+ * tile. */
+static void crop_samples(const uint32_t *from, const struct bk_tile *tile, uint32_t n,
+                         const struct bake_rectangle *texels, uint32_t *to)
 {
     const uint64_t row = (uint64_t)tile->width * n, kept = (uint64_t)texels->width * n;
-    const uint32_t *from = samples + (uint64_t)texels->y * n * row + (uint64_t)texels->x * n;
+    from += (uint64_t)texels->y * n * row + (uint64_t)texels->x * n;
     for (uint64_t j = 0; j < (uint64_t)texels->height * n; j++)
-        memmove(samples + j * kept, from + j * row, kept * sizeof *samples);
+        memmove(to + j * kept, from + j * row, kept * sizeof *to);
+}
+
+/* Moves the samples of a rectangle of texels, and their skews, to the front of the tile's. */
+static void crop(const struct bk_params *params, uint32_t *samples, const struct bk_tile *tile,
+                 const struct bake_rectangle *texels)
+{
+    const uint64_t n = params->samples, square = n * n;
+    crop_samples(samples, tile, params->samples, texels, samples);
+    if (params->flags & BK_SKEW)
+        crop_samples(samples + square * tile->width * tile->height, tile, params->samples, texels,
+                     samples + square * texels->width * texels->height);
 }
 
 static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsigned number)
@@ -42,7 +54,7 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
         return status;
     /* The overlaps of the whole tile are counted with its first piece. */
     worker->overlaps += texels->x == 0 && texels->y == 0 ? overlaps : 0;
-    crop_samples(worker->sample_triangles, &whole, tiles->params->samples, texels);
+    crop(tiles->params, worker->sample_triangles, &whole, texels);
     status = bake_device_trace(trace->grid->device, &tile, worker->sample_triangles, worker->texels,
                                number);
     if (status == 0)

@@ -49,6 +49,10 @@ alike scan.nvdb 5 --maps all --ao-rays 2 --thickness-rays 2 -o 'm_<MAP>.<UDIM>.e
 alike scan.tris 3 --maps all -o 'x_<MAP>.<UDIM>.exr'
 alike scan.nvdb 4 --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --green down --cage "$work/here/low.obj" --back 0.2
 alike scan.nvdb 1 --maps mask -o 'k_<UDIM>.exr' --samples 3
+printf 'P2 2 1 255\n30 220\n' >"$work/here/skew.pgm"
+alike scan.tris 2 --maps height -o 's_<UDIM>.exr' --skew "$work/here/skew.pgm"
+jq -e '[.inputs[].role] | index("the skew map")' farm/plan.json >/dev/null
+check "the skew map is an input of the plan" $?
 # More tasks than blocks: some have nothing to bake.
 alike scan.nvdb 40 --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
 alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal-space object

@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_rays.sh - cages, directions of rays and the limit of misses, on two parallel sheets.
+# test_rays.sh - cages, directions of rays, skew maps and the limit of misses, on two parallel sheets.
 . "$(dirname "$0")/lib.sh"
 
 bake="run bisque-bake"
@@ -120,6 +120,56 @@ code 0
 same default.exr smooth.exr
 $bake box.nvdb hard.obj -o a.exr --ray-directions up
 refused 64 "$p: --ray-directions: \"up\" is not smooth, mesh or face"
+
+# ---- skew maps ----
+
+# grey NAME VALUE: an image of one grey, 0 to 255.
+grey()
+{
+    printf 'P2 2 2 255\n%s %s %s %s\n' "$2" "$2" "$2" "$2" >"$1"
+}
+grey black.pgm 0
+grey grey.pgm 100
+grey white.pgm 255
+turned="$bake --size 64 --samples 1 --maps normal box.nvdb hard.obj"
+for value in black grey white; do
+    $turned --device cpu --skew $value.pgm -o skew_$value.exr
+    code 0
+done
+# Black leaves rays smooth; white leads them along the faces' normals.
+same skew_black.exr smooth.exr
+run bisque-compare skew_white.exr face.exr --max-error 0.01
+code 0
+! cmp -s skew_grey.exr smooth.exr && ! cmp -s skew_grey.exr skew_white.exr
+check "grey is neither" $?
+if "$BIN/bisque-bake" --list-devices | grep -q '^opencl:0 '; then
+    $turned --device opencl:0 --skew grey.pgm -o opencl.exr
+    code 0
+    run bisque-compare opencl.exr skew_grey.exr --max-error 0.1
+    code 0
+else
+    echo "# skipped: a skew map on OpenCL: there is no OpenCL device"
+fi
+# Two tiles have images of their own: white in 1001, black in 1002, or one of them is missing.
+{
+    cat low.obj
+    printf 'v %s\n' '2 0 0' '3 0 0' '3 1 0' '2 1 0'
+    printf 'vt %s\n' '1 0' '2 0' '2 1' '1 1'
+    echo 'f 5/5 6/6 7/7 8/8'
+} >tiles.obj
+cp white.pgm skew.1001.pgm
+$bake --size 16 --maps mask red.nvdb tiles.obj --skew 'skew.<UDIM>.pgm' -o 'tile.<UDIM>.exr'
+code 66
+err_like '^bisque-bake: skew\.1002\.pgm: '
+cp black.pgm skew.1002.pgm
+$bake --size 16 --maps mask red.nvdb tiles.obj --skew 'skew.<UDIM>.pgm' -o 'tile.<UDIM>.exr'
+code 0
+# It is an input: outputs do not overwrite it.
+cp white.pgm skew.exr
+$turned --skew skew.exr -o skew.exr
+code 64
+$turned --skew white.pgm --ray-directions face -o none.exr
+refused 64 "$p: white.pgm: a skew map changes nothing if rays run along the faces' normals"
 
 # ---- misses ----
 

@@ -5,6 +5,7 @@
 #include <stdio.h>
 
 #include "base/clock.h"
+#include "libbake/raster/raster.h"
 
 static const char *describe(const struct bake_compute *compute, int code, char *buffer)
 {
@@ -27,7 +28,7 @@ static uint64_t texel_samples(const struct bake_compute *compute)
 
 uint64_t bake_compute_sample_bytes(const struct bake_compute *compute)
 {
-    return compute->tile_texels * texel_samples(compute) * sizeof(uint32_t);
+    return compute->tile_texels * bake_raster_texel_entries(&compute->params) * sizeof(uint32_t);
 }
 
 uint64_t bake_compute_texel_bytes(const struct bake_compute *compute)
@@ -351,7 +352,8 @@ static const char *run_tile(struct bake_compute *compute, unsigned worker,
     const uint64_t samples = texel_count * texel_samples(compute);
     struct bake_compute_worker *own = &compute->workers[worker];
     const char *call = compute->calls->send_samples(
-        compute, worker, subgrid, tile, sample_triangles, samples * sizeof *sample_triangles, code);
+        compute, worker, subgrid, tile, sample_triangles,
+        texel_count * bake_raster_texel_entries(&compute->params) * sizeof *sample_triangles, code);
 
     if (*code == 0)
         call = launch_batches(compute, worker, subgrid, tile, code);

@@ -36,8 +36,8 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
 
     bk_clear_texel(group->params->maps, texel);
     for (bk_uint j = 0; j < n; j++) {
-        const uint32_t *row_triangles =
-            sample_triangles + bk_sample_index(tile, n, column, row, 0, j);
+        const bk_ulong first = bk_sample_index(tile, n, column, row, 0, j);
+        const uint32_t *row_triangles = sample_triangles + first;
         const float y = (float)(tile->y + row) + group->places[j];
         for (bk_uint i = 0; i < n; i++) {
             if (row_triangles[i] == BK_NO_TRIANGLE)
@@ -45,6 +45,8 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
             samples->triangle[samples->count] = row_triangles[i];
             samples->x[samples->count] = (float)(tile->x + column) + group->places[i];
             samples->y[samples->count] = y;
+            samples->skew[samples->count] =
+                bk_sample_skew(group->params, tile, sample_triangles, first + i);
             group->texels[samples->count] = texel;
             if (++samples->count == BK_WIDTH)
                 trace_group(group);

@@ -267,7 +267,7 @@ static int place_tile(void *arg, void *data, uint64_t sequence)
 static int allocate(struct planner *p)
 {
     const struct bake_job *job = p->options->job;
-    const uint64_t samples = (uint64_t)job->params.samples * job->params.samples;
+    const uint64_t samples = bake_raster_texel_entries(&job->params);
     p->workers = bsq_threads(p->ctx);
     const unsigned slots = 2 * p->workers;
     int status = bsq_calloc(p->ctx, "planning", p->workers + 1, sizeof *p->samples, &p->samples);

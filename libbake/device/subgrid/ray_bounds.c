@@ -98,7 +98,7 @@ static int add_samples(struct ray_bounds *bounds)
     const uint32_t count = bounds->samples.count;
     if (count == 0)
         return 0;
-    const bk_point points = bk_points_at(bounds->job->triangles, &bounds->samples);
+    const bk_point points = bk_points_at(params, bounds->job->triangles, &bounds->samples);
     const bk_start start = bk_start_at(params, &points);
     const bk_vec3w d = start.direction, o = start.origin;
     const bool cage = params->flags & BK_CAGE;
@@ -120,12 +120,15 @@ static int add_texel(struct ray_bounds *bounds, const struct bk_tile *tile,
     int status = 0;
     for (uint32_t j = 0; j < n; j++)
         for (uint32_t i = 0; i < n && status == 0; i++) {
-            const uint32_t triangle = sample_triangles[bk_sample_index(tile, n, column, row, i, j)];
+            const bk_ulong index = bk_sample_index(tile, n, column, row, i, j);
+            const uint32_t triangle = sample_triangles[index];
             if (triangle == BK_NO_TRIANGLE)
                 continue;
             samples->triangle[samples->count] = triangle;
             samples->x[samples->count] = bk_sample_place(tile->x + column, i, n);
             samples->y[samples->count] = bk_sample_place(tile->y + row, j, n);
+            samples->skew[samples->count] =
+                bk_sample_skew(&bounds->job->params, tile, sample_triangles, index);
             if (++samples->count == BK_WIDTH)
                 status = add_samples(bounds);
         }

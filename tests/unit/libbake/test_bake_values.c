@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include "formats/image/exr_read.h"
+#include "formats/image/image_writer.h"
 #include "libbake/bake.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/analytic_grid.h"
@@ -73,16 +74,17 @@ static void low_point(double u, double v, double out[3])
     }
 }
 
-static void write_low(const struct scan *scan)
+/* Writes the low-poly sphere, or with another radius its cage. */
+static void write_low(const struct scan *scan, const char *name, double size)
 {
-    FILE *file = fopen(in_directory(scan->low), "w");
+    FILE *file = fopen(in_directory(name), "w");
     assert_non_null(file);
     for (int j = 0; j <= BANDS; j++)
         for (int i = 0; i <= STEPS; i++) {
             double n[3];
             direction_at((double)i / STEPS, (double)j / BANDS, n);
-            fprintf(file, "v %.15g %.15g %.15g\n", scan->centre[0] + low_radius * n[0],
-                    scan->centre[1] + low_radius * n[1], scan->centre[2] + low_radius * n[2]);
+            fprintf(file, "v %.15g %.15g %.15g\n", scan->centre[0] + size * n[0],
+                    scan->centre[1] + size * n[1], scan->centre[2] + size * n[2]);
             fprintf(file, "vt %.9g %.9g\nvn %.9g %.9g %.9g\n", (double)i / STEPS, (double)j / BANDS,
                     n[0], n[1], n[2]);
         }
@@ -167,8 +169,8 @@ static int make_scene(void **state)
     write_triangles(&scans[2]);
     write_grid(&inward_scans[0]);
     write_triangles(&inward_scans[1]);
-    write_low(&scans[1]);
-    write_low(&scans[2]);
+    write_low(&scans[1], scans[1].low, low_radius);
+    write_low(&scans[2], scans[2].low, low_radius);
     return 0;
 }
 
@@ -292,6 +294,107 @@ static void test_values_are_those_of_the_formula(void **state)
         fmt_exr_image_free(ctx, &position);
         test_context_end(ctx);
     }
+}
+
+/* ---- skew maps ---- */
+
+/* Returns the skew of a texel. */
+static float skew_of(uint32_t texel)
+{
+    return (float)((texel % SIZE * 7 + texel / SIZE * 13) % 101) / 100;
+}
+
+static void write_skew(void)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    const struct fmt_image_options options = {
+        .width = SIZE, .height = SIZE, .channel_count = 1, .type = FMT_FLOAT};
+    struct fmt_image_writer *image;
+    float row[SIZE];
+    assert_int_equal(
+        fmt_image_create(ctx, &fmt_exr_format, in_directory("skew.exr"), &options, &image), 0);
+    for (uint32_t texel = 0; texel < SIZE * SIZE; texel++) {
+        row[texel % SIZE] = skew_of(texel);
+        if (texel % SIZE == SIZE - 1)
+            assert_int_equal(fmt_image_write_rows(image, row, 1), 0);
+    }
+    assert_int_equal(fmt_image_finish(image), 0);
+    assert_int_equal(fmt_image_commit(image), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* Computes the unit normal of the facet at texture coordinates. */
+static void facet_normal(double u, double v, double out[3])
+{
+    const double step = 1e-4;
+    double at[3], right[3], up[3];
+    /* Steps from the point towards the middle of the facet stay inside of it. */
+    const double a = u * STEPS - floor(u * STEPS), b = v * BANDS - floor(v * BANDS);
+    const double x = (a > b ? 2.0 / 3 : 1.0 / 3) > a ? step : -step;
+    const double y = (a > b ? 1.0 / 3 : 2.0 / 3) > b ? step : -step;
+    low_point(u, v, at);
+    low_point(u + x, v, right);
+    low_point(u, v + y, up);
+    for (int k = 0; k < 3; k++) {
+        const int p = (k + 1) % 3, q = (k + 2) % 3;
+        out[k] = (right[p] - at[p]) * (up[q] - at[q]) - (right[q] - at[q]) * (up[p] - at[p]);
+    }
+    const double sign = out[0] * at[0] + out[1] * at[1] + out[2] * at[2] < 0 ? -1 : 1;
+    const double size = sign * length(out);
+    for (int k = 0; k < 3; k++)
+        out[k] /= size;
+}
+
+/* Rays run along the blend of the smooth unit direction, which is radial here, and the facet's. */
+static void check_skewed(const struct scan *scan, uint32_t texel, double height,
+                         const double position[3])
+{
+    const double s = (double)skew_of(texel), u = (texel % SIZE + 0.5) / SIZE,
+                 v = 1 - (texel / SIZE + 0.5) / SIZE;
+    double low[3], n[3], d[3], off[3], along = 0, size;
+    low_point(u, v, low);
+    facet_normal(u, v, n);
+    for (int k = 0; k < 3; k++)
+        d[k] = (1 - s) * low[k] / length(low) + s * n[k];
+    size = length(d);
+    for (int k = 0; k < 3; k++)
+        along += low[k] * d[k] / size;
+    const double square = length(low) * length(low);
+    const double expected = sqrt(along * along + radius * radius - square) - along;
+    for (int k = 0; k < 3; k++)
+        off[k] = position[k] - scan->centre[k] - low[k] - expected * d[k] / size;
+    assert_true(fabs(height - expected) < scan->tolerance);
+    assert_true(length(off) < scan->tolerance);
+}
+
+/* On a grid and on triangles, with a cage and without. */
+static void test_skews_turn_rays(void **state)
+{
+    (void)state;
+    write_skew();
+    write_low(&scans[1], "cage.obj", radius + 2);
+    for (int i = 0; i < 4; i++) {
+        struct bsq_ctx *ctx = test_context(1, 0);
+        const struct scan *scan = &scans[i / 2];
+        struct bake_options options = options_for(scan, "<MAP>.exr");
+        options.maps = BAKE_MAP_HEIGHT | BAKE_MAP_POSITION;
+        options.skew_path = in_directory("skew.exr");
+        options.cage_path = i % 2 ? in_directory("cage.obj") : NULL;
+        const struct bake_report report = bake(&options, 2, 0);
+        struct fmt_exr_image height = take_exr(ctx, "height.exr");
+        struct fmt_exr_image position = take_exr(ctx, "position.exr");
+        assert_int_equal(report.misses, 0);
+        for (uint32_t texel = 0; texel < SIZE * SIZE; texel++) {
+            double at[3];
+            position_at(&position, texel, at);
+            check_skewed(scan, texel, sample(&height, texel, "Y"), at);
+        }
+        fmt_exr_image_free(ctx, &height);
+        fmt_exr_image_free(ctx, &position);
+        test_context_end(ctx);
+    }
+    unlink(in_directory("skew.exr"));
+    unlink(in_directory("cage.obj"));
 }
 
 /* A scan far from 0 has an origin of its own, which is the same in the file and in the report. */
@@ -523,6 +626,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_values_are_those_of_the_formula),
+        cmocka_unit_test(test_skews_turn_rays),
         cmocka_unit_test(test_far_positions_have_an_origin),
         cmocka_unit_test(test_means_lose_no_precision),
         cmocka_unit_test(test_backs_are_fronts_if_both_sides_count),

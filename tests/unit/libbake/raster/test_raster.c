@@ -106,7 +106,7 @@ static struct bake_raster *create(struct fixture *f, uint32_t width, uint32_t he
                                   uint32_t tile_size, struct bake_raster_report *report)
 {
     const struct bake_raster_options options = {
-        width, height, n, tile_size, 0, f->mesh.triangle_count, NULL};
+        width, height, n, tile_size, 0, f->mesh.triangle_count, NULL, {NULL, 0}};
     struct bake_raster *raster = NULL;
     if (bake_raster_create(f->ctx, &f->mesh, &options, report, &raster) < 0)
         fail_msg("%s", bsq_error(f->ctx));
@@ -474,7 +474,8 @@ static void test_interruption(void **state)
     struct bake_raster *raster = NULL;
     struct bake_raster_report report;
     add_quad(f, 0, 0, 1, 1);
-    const struct bake_raster_options options = {64, 64, 1, 64, 0, f->mesh.triangle_count, NULL};
+    const struct bake_raster_options options = {64,   64,       1, 64, 0, f->mesh.triangle_count,
+                                                NULL, {NULL, 0}};
     assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
     bsq_interrupt(f->ctx);
     assert_int_equal(bake_raster_fill(raster, 0, owners, &overlaps), BSQ_EINTR);
@@ -487,12 +488,12 @@ static void test_interruption(void **state)
 static void test_senseless_options_are_refused(void **state)
 {
     struct fixture *f = *state;
-    const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL},
-                                                  {64, 64, 0, 16, 0, 0, NULL},
-                                                  {64, 64, 1, 0, 0, 0, NULL},
-                                                  {UINT32_MAX, 64, 2, 64, 0, 0, NULL},
-                                                  {1 << 20, 64, 1 << 20, 64, 0, 0, NULL},
-                                                  {1 << 20, 1 << 20, 1, 1, 0, 0, NULL}};
+    const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL, {NULL, 0}},
+                                                  {64, 64, 0, 16, 0, 0, NULL, {NULL, 0}},
+                                                  {64, 64, 1, 0, 0, 0, NULL, {NULL, 0}},
+                                                  {UINT32_MAX, 64, 2, 64, 0, 0, NULL, {NULL, 0}},
+                                                  {1 << 20, 64, 1 << 20, 64, 0, 0, NULL, {NULL, 0}},
+                                                  {1 << 20, 1 << 20, 1, 1, 0, 0, NULL, {NULL, 0}}};
     for (int k = 0; k < 6; k++) {
         struct bake_raster_report report;
         struct bake_raster *raster = NULL;
@@ -521,7 +522,7 @@ static void test_blocks_divide_a_map(void **state)
             slots[b] = b % 2 == part ? used++ : BAKE_NO_SLOT;
         const struct bake_blocks blocks = {SIDE, COLUMNS, ROWS, used, slots};
         const struct bake_raster_options options = {
-            WIDTH, HEIGHT, 1, TILE, 0, f->mesh.triangle_count, &blocks};
+            WIDTH, HEIGHT, 1, TILE, 0, f->mesh.triangle_count, &blocks, {NULL, 0}};
         struct bake_raster *raster = NULL;
         assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
         uint32_t at = 0;
@@ -550,7 +551,8 @@ static void test_small_budgets_fail_cleanly(void **state)
     struct fixture *f = *state;
     int rc = BSQ_ENOMEM, failures = 0;
     add_jittered_grid(f, 8);
-    const struct bake_raster_options options = {256, 256, 1, 16, 0, f->mesh.triangle_count, NULL};
+    const struct bake_raster_options options = {256,  256,      1, 16, 0, f->mesh.triangle_count,
+                                                NULL, {NULL, 0}};
     for (uint64_t budget = 1; rc != 0; budget += 64) {
         struct bsq_ctx *ctx = NULL;
         struct bake_raster_report report;

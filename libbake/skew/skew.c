@@ -1,0 +1,87 @@
+/* skew.c - see skew.h. */
+#include "libbake/skew/skew.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+#include "base/job_files.h"
+#include "formats/texture/texture.h"
+#include "libbake/bake.h"
+#include "libbake/kernel/bk_types.h"
+
+enum { LEAST_CACHE = 12 << 20, MOST_CACHE = 256 << 20 };
+
+struct bake_skew {
+    struct bsq_ctx *ctx;
+    struct fmt_textures *textures; /* one image a tile */
+};
+
+/* Names the images of the tiles, which the caller frees. */
+static int name_images(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
+                       struct fmt_texture_source *sources)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        sources[i] =
+            (struct fmt_texture_source){.path = bake_tile_path(path, tiles[i]), .data = true};
+        status = sources[i].path ? bsq_note_input(ctx, sources[i].path, "the skew map")
+                                 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
+    }
+    return status;
+}
+
+int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
+                   struct bake_skew **out)
+{
+    struct fmt_texture_source *sources = NULL;
+    struct bake_skew *skew;
+    uint64_t cache = bsq_memory_left(ctx) / 16;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "skew map", 1, sizeof *skew, &skew);
+    if (status < 0)
+        return status;
+    skew->ctx = ctx;
+    cache = cache < LEAST_CACHE ? LEAST_CACHE : cache > MOST_CACHE ? MOST_CACHE : cache;
+    status = bsq_calloc(ctx, "skew map", count, sizeof *sources, &sources);
+    if (status == 0)
+        status = name_images(ctx, path, tiles, count, sources);
+    if (status == 0)
+        status = fmt_textures_open(ctx, sources, count, cache, &skew->textures);
+    for (uint32_t i = 0; sources && i < count; i++)
+        free((void *)(uintptr_t)sources[i].path);
+    bsq_free(ctx, sources);
+    if (status < 0)
+        bake_skew_close(skew);
+    else
+        *out = skew;
+    return status;
+}
+
+void bake_skew_close(struct bake_skew *skew)
+{
+    if (!skew)
+        return;
+    fmt_textures_close(skew->textures);
+    bsq_free(skew->ctx, skew);
+}
+
+/* Returns x moved so that the box around it, of at least a texel, stays inside of the image. */
+static float inside(float x, float width, uint32_t texels)
+{
+    const float margin = 0.5F * fminf(fmaxf(width, 1.0F / (float)texels), 1.0F);
+    return fminf(fmaxf(x, margin), 1.0F - margin);
+}
+
+int bake_skew_sample(const struct bake_skew_image *image, float u, float v, float du, float dv,
+                     uint32_t *out)
+{
+    struct fmt_textures *textures = image->skew->textures;
+    uint32_t width, height;
+    float rgb[3];
+    fmt_texture_size(textures, image->number, &width, &height);
+    int status = fmt_texture_sample(textures, image->number, inside(u, du, width),
+                                    inside(v, dv, height), du, dv, rgb);
+    const float value = rgb[0] > 0 ? fminf(rgb[0], 1.0F) : 0; /* not a number: 0 */
+    *out = status == 0 ? (uint32_t)(value * (float)BK_SKEW_ONE + 0.5F) : 0;
+    return status;
+}
