@@ -155,8 +155,8 @@ static void test_warnings(void **state)
         {"newmtl a\nKd 1 1\n", "test.mtl:2: a colour has 1 or 3 numbers, ignored: \"1 1\""},
         {"newmtl a\nKd 1 x 1\n", "test.mtl:2: not a colour, ignored: \"1 x 1\""},
         {"newmtl a\nmap_Kd\n", "test.mtl:2: names no file, ignored: \"map_Kd\""},
-        {"newmtl a\nmap_Kd -s 2 2 here.png\n",
-         "test.mtl:2: texture is used without this shift or scale: \"-s 2 2 here.png\""},
+        {"newmtl a\nmap_Kd -t 2 2 here.png\n",
+         "test.mtl:2: texture is used without this turbulence: \"-t 2 2 here.png\""},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct fixture f;
