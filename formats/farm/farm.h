@@ -209,6 +209,10 @@ int fmt_farm_check_note_output(const struct fmt_farm_plan *plan);
 
 /* ---- merged files ---- */
 
+/* Writes a text to a file, which appears whole or not at all. Errors: as bsq_output_open() and
+ * bsq_output_commit(). */
+int fmt_farm_write_text(struct bsq_ctx *ctx, const char *path, const char *text);
+
 /* Returns the path of the note that the parts are merged, which the caller frees; NULL if there is
  * no memory. */
 char *fmt_farm_note_path(const struct fmt_farm_plan *plan);

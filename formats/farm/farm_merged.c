@@ -9,7 +9,6 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/output.h"
 #include "formats/farm/farm.h"
 
 char *fmt_farm_note_path(const struct fmt_farm_plan *plan)
@@ -42,24 +41,11 @@ static char *note_text(const struct fmt_farm_plan *plan, char *const *paths, uin
     return NULL;
 }
 
-static int write_note(struct bsq_ctx *ctx, const char *path, const char *text)
-{
-    struct bsq_output *output;
-    int status = bsq_output_open(ctx, path, &output);
-    if (status < 0)
-        return status;
-    status = bsq_output_write(output, text, strlen(text));
-    if (status == 0)
-        return bsq_output_commit(output);
-    bsq_output_discard(output);
-    return status;
-}
-
 int fmt_farm_note_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count)
 {
     char *path = fmt_farm_note_path(plan), *text = note_text(plan, paths, count);
     const int status = path && text
-                           ? write_note(plan->ctx, path, text)
+                           ? fmt_farm_write_text(plan->ctx, path, text)
                            : bsq_fail(plan->ctx, BSQ_EIO, "%s: an output is gone", plan->path);
     free(text);
     free(path);

@@ -92,10 +92,10 @@ static bool compute_id(json_t *json, uint64_t id[2])
     return true;
 }
 
-static int write_text(const struct fmt_farm_plan *plan, const char *text)
+int fmt_farm_write_text(struct bsq_ctx *ctx, const char *path, const char *text)
 {
     struct bsq_output *output;
-    int status = bsq_output_open(plan->ctx, plan->path, &output);
+    int status = bsq_output_open(ctx, path, &output);
     if (status < 0)
         return status;
     status = bsq_output_write(output, text, strlen(text));
@@ -144,7 +144,7 @@ int fmt_farm_plan_write(struct fmt_farm_plan *plan, json_t *members, bool *kept)
     }
     *kept = status == 0 && is_there(plan, text);
     if (status == 0 && !*kept)
-        status = write_text(plan, text);
+        status = fmt_farm_write_text(plan->ctx, plan->path, text);
     free(text);
     json_decref(members);
     return status;
