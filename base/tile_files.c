@@ -107,7 +107,7 @@ int bsq_tile_files_find(struct bsq_ctx *ctx, const char *path, struct bsq_tile_f
     const size_t before = token ? (size_t)(token - name) : 0;
     char *directory = strndup(path, (size_t)(name - path));
     int status = directory ? bsq_check(ctx) : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
-    DIR *folder = status == 0 && token ? opendir(*directory ? directory : ".") : NULL;
+    DIR *folder = directory && status == 0 && token ? opendir(*directory ? directory : ".") : NULL;
     for (struct dirent *entry; status == 0 && folder && (entry = readdir(folder)) != NULL;) {
         uint32_t number;
         const char *found = entry->d_name, *end;

@@ -142,8 +142,8 @@ int fmt_farm_plan_write(struct fmt_farm_plan *plan, json_t *members, bool *kept)
         text = plan_text(plan, members);
         status = text ? 0 : fmt_farm_fail_memory(plan);
     }
-    *kept = status == 0 && is_there(plan, text);
-    if (status == 0 && !*kept)
+    *kept = status == 0 && text && is_there(plan, text);
+    if (status == 0 && text && !*kept)
         status = fmt_farm_write_text(plan->ctx, plan->path, text);
     free(text);
     json_decref(members);

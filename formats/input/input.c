@@ -321,11 +321,12 @@ int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char
         status = bsq_file_check(ctx, &reader.file);
     fmt_unpack_free(unpacker);
     bsq_file_close(ctx, &reader.file);
-    if (!status)
+    if (!status && *text) {
         memset(*text + *size, 0, padding);
-    else
+    } else {
         bsq_free(ctx, *text);
-    *text = status ? NULL : *text;
+        *text = NULL;
+    }
     return status;
 }
 

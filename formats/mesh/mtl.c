@@ -183,7 +183,7 @@ static int read_option(struct reader *reader, char **at, const struct map_option
     char *p = *at;
     bool is_vector = option->words == 3, changes = false;
     const bool moves = word_is(p, "-s") || word_is(p, "-o");
-    double numbers[3];
+    double numbers[3] = {0};
     int count = 0;
     char *rest = skip_blanks(p + word_length(p));
     if (word_is(p, "-imfchan"))

@@ -71,7 +71,7 @@ static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_s
                           &textures->tiles, &textures->tiles_capacity);
     if (status == 0)
         status = bsq_calloc(ctx, "texture tiles", 1, sizeof *tiles, &tiles);
-    if (status < 0)
+    if (status != 0)
         return status;
     textures->tiles[textures->tiles_count++] = *out = tiles;
     tiles->data = source->data;
@@ -110,7 +110,7 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
     *out = NULL;
     if (status == 0)
         status = bsq_calloc(ctx, "textures", 1, sizeof *textures, &textures);
-    if (status < 0)
+    if (status != 0)
         return status;
     textures->ctx = ctx;
     textures->module = (const struct fmt_texture_module *)module;

@@ -77,7 +77,7 @@ static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
 static struct bake_exact_ray ray_of(const struct bake_exact_look *look,
                                     const struct bake_place *place, bool open, uint32_t number)
 {
-    struct bake_exact_ray ray;
+    struct bake_exact_ray ray = {0};
     bake_place_ray(look->params, place, open, number, ray.origin, ray.direction);
     return ray;
 }

@@ -332,9 +332,9 @@ int vox_run_task(struct bsq_ctx *ctx, const struct vox_farm_plan *plan, uint32_t
                  bool *kept, struct vox_task_report *report)
 {
     const double start = bsq_seconds_now();
+    *report = (struct vox_task_report){0};
     struct task_job job = {plan, task, report};
     const struct fmt_farm_part_steps steps = {&job, write_part, check_part};
-    *report = (struct vox_task_report){0};
     *kept = false;
     int status = fmt_farm_check_task(&plan->base, task);
     if (status == 0 && !force)
@@ -360,7 +360,7 @@ static int merge_parts(const struct vox_farm_plan *plan, struct vox_run *run,
 {
     struct vox_part_totals totals;
     struct vox_parts *parts;
-    int status = vox_parts_open(plan, vox_shading_has_color(run->header), run->options->ids,
+    int status = vox_parts_open(plan, vox_shading_has_color(run->header), plan->options.ids,
                                 &totals, &parts);
     if (status == 0)
         status = vox_parts_read(parts, append_region, writer);

@@ -179,7 +179,7 @@ static struct vox_region_key wanted_from(const struct vox_schedule *s, const str
                                          struct vox_region_key key)
 {
     while (s->filter && key.tile != UINT64_MAX) {
-        struct vox_box region;
+        struct vox_box region = {0};
         vox_region_origin(key, region.lo);
         for (int a = 0; a < 3; a++)
             region.hi[a] = region.lo[a] + VOX_REGION_SIZE - 1;
