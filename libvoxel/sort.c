@@ -211,7 +211,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
                      ? fmt_tris_create(scan->ctx, options->tris_path, &header, &writer)
                      : fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer);
     bsq_free(scan->ctx, header.channels);
-    if (status < 0)
+    if (status != 0)
         return status;
     struct batches_report batches;
     status = vox_write_chunks(scan, partition, options->tris_path, writer, &batches);

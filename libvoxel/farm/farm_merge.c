@@ -131,7 +131,7 @@ static int list_part(void *arg, uint32_t task)
         status = bsq_grow(ctx, "regions of parts", parts->count + header.region_count,
                           sizeof *parts->items, &parts->items, &parts->capacity);
     uint64_t offset = sizeof header;
-    for (uint64_t i = 0; status == 0 && i < header.region_count; i++) {
+    for (uint64_t i = 0; status == 0 && entries && i < header.region_count; i++) {
         parts->items[parts->count++] = (struct item){.key = vox_region_key_of(entries[i].origin),
                                                      .task = task,
                                                      .offset = offset,
@@ -408,7 +408,7 @@ int vox_parts_read(struct vox_parts *parts,
                                           .emit = append_batch,
                                           .arg = &reading,
                                           .slots = slots,
-                                          .slot_size = sizeof *slots,
+                                          .slot_size = sizeof slots / BATCHES,
                                           .slot_count = BATCHES};
     uint64_t voxels = 0;
     for (uint64_t i = 0; i < parts->count; i++)
