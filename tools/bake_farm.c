@@ -11,49 +11,17 @@ int bake_farm_say_merged(struct cli *cli, const struct bake_arguments *arguments
 
 /* ---- the plan ---- */
 
-/* Sets *most to the largest needs of any task, *all to their sums. */
-static void sum_costs(const struct bake_farm_plan *plan, struct bake_task_cost *most,
-                      struct bake_task_cost *all)
-{
-    *most = *all = (struct bake_task_cost){0};
-    for (uint32_t i = 0; i < bake_plan_task_count(plan); i++) {
-        const struct bake_task_cost *cost = bake_plan_task_cost(plan, i);
-        most->memory_bytes =
-            cost->memory_bytes > most->memory_bytes ? cost->memory_bytes : most->memory_bytes;
-        most->scratch_bytes =
-            cost->scratch_bytes > most->scratch_bytes ? cost->scratch_bytes : most->scratch_bytes;
-        most->cpu_seconds =
-            cost->cpu_seconds > most->cpu_seconds ? cost->cpu_seconds : most->cpu_seconds;
-        all->texels += cost->texels;
-        all->part_bytes += cost->part_bytes;
-        all->cpu_seconds += cost->cpu_seconds;
-    }
-}
-
 /* kept: the plan was to be written, but was there already. */
 static int print_plan(struct cli *cli, const char *path, const struct bake_farm_plan *plan,
                       bool kept)
 {
-    const uint32_t tasks = bake_plan_task_count(plan);
-    struct bake_task_cost most, all;
-    char memory[CLI_TEXT], scratch[CLI_TEXT], parts[CLI_TEXT], texels[CLI_TEXT];
-    sum_costs(plan, &most, &all);
-    if (cli->json)
-        return cli_print_json(
-            cli,
-            json_pack("{s:o, s:b, s:i, s:I, s:I, s:I, s:I, s:f, s:f}", "path", cli_json_text(path),
-                      "kept", (int)kept, "tasks", (int)tasks, "texels", (json_int_t)all.texels,
-                      "task_memory_bytes", (json_int_t)most.memory_bytes, "task_scratch_bytes",
-                      (json_int_t)most.scratch_bytes, "parts_bytes", (json_int_t)all.part_bytes,
-                      "task_cpu_seconds", most.cpu_seconds, "cpu_seconds", all.cpu_seconds));
-    cli_print("%s: %s for %s%s\n", path, cli_counted_text(tasks, "task", "tasks", memory),
-              cli_counted_text(all.texels, "texel", "texels", texels),
-              kept ? ", was there already" : "");
-    cli_print("a task: about %s of memory, %s of temporary files, %.3g s of one core\n",
-              cli_size_text(most.memory_bytes, memory), cli_size_text(most.scratch_bytes, scratch),
-              most.cpu_seconds);
-    cli_print("all parts: at most %s\n", cli_size_text(all.part_bytes, parts));
-    return 0;
+    struct cli_plan_costs costs = {0};
+    for (uint32_t i = 0; i < bake_plan_task_count(plan); i++) {
+        const struct bake_task_cost *cost = bake_plan_task_cost(plan, i);
+        cli_plan_add(&costs, cost->texels, cost->memory_bytes, cost->scratch_bytes,
+                     cost->part_bytes, cost->cpu_seconds);
+    }
+    return cli_plan_print(cli, path, kept, &costs, "texel", "texels", "at most");
 }
 
 int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_plan *plan)

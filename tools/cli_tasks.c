@@ -90,6 +90,46 @@ int cli_tasks_run(struct cli *cli, const struct cli_tasks *tasks, uint32_t count
     return status;
 }
 
+static uint64_t larger(uint64_t a, uint64_t b)
+{
+    return a > b ? a : b;
+}
+
+void cli_plan_add(struct cli_plan_costs *costs, uint64_t work, uint64_t memory_bytes,
+                  uint64_t scratch_bytes, uint64_t part_bytes, double cpu_seconds)
+{
+    costs->tasks++;
+    costs->work += work;
+    costs->task_memory_bytes = larger(costs->task_memory_bytes, memory_bytes);
+    costs->task_scratch_bytes = larger(costs->task_scratch_bytes, scratch_bytes);
+    if (cpu_seconds > costs->task_cpu_seconds)
+        costs->task_cpu_seconds = cpu_seconds;
+    costs->parts_bytes += part_bytes;
+    costs->cpu_seconds += cpu_seconds;
+}
+
+int cli_plan_print(struct cli *cli, const char *path, bool kept, const struct cli_plan_costs *costs,
+                   const char *unit, const char *units, const char *bound)
+{
+    char memory[CLI_TEXT], scratch[CLI_TEXT], parts[CLI_TEXT], work[CLI_TEXT];
+    if (cli->json)
+        return cli_print_json(
+            cli,
+            json_pack("{s:o, s:b, s:i, s:I, s:I, s:I, s:I, s:f, s:f}", "path", cli_json_text(path),
+                      "kept", (int)kept, "tasks", (int)costs->tasks, units, (json_int_t)costs->work,
+                      "task_memory_bytes", (json_int_t)costs->task_memory_bytes,
+                      "task_scratch_bytes", (json_int_t)costs->task_scratch_bytes, "parts_bytes",
+                      (json_int_t)costs->parts_bytes, "task_cpu_seconds", costs->task_cpu_seconds,
+                      "cpu_seconds", costs->cpu_seconds));
+    cli_print("%s: %s for %s%s\n", path, cli_counted_text(costs->tasks, "task", "tasks", memory),
+              cli_counted_text(costs->work, unit, units, work), kept ? ", was there already" : "");
+    cli_print("a task: about %s of memory, %s of temporary files, %.3g s of one core\n",
+              cli_size_text(costs->task_memory_bytes, memory),
+              cli_size_text(costs->task_scratch_bytes, scratch), costs->task_cpu_seconds);
+    cli_print("all parts: %s %s\n", bound, cli_size_text(costs->parts_bytes, parts));
+    return 0;
+}
+
 int cli_tasks_say_kept(struct cli *cli, const char *path, const char *what)
 {
     if (!cli->json) {

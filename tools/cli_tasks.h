@@ -50,6 +50,26 @@ int cli_tasks_check(struct cli *cli, const struct cli_tasks *tasks, const char *
 int cli_tasks_run(struct cli *cli, const struct cli_tasks *tasks, uint32_t count,
                   int (*fn)(struct cli *cli, void *arg, uint32_t task), void *arg);
 
+/* The costs of a plan: the largest of any task, and the sums of all. */
+struct cli_plan_costs {
+    uint32_t tasks;
+    uint64_t work;                                  /* of all, in the plan's unit */
+    uint64_t task_memory_bytes, task_scratch_bytes; /* largest */
+    double task_cpu_seconds;                        /* largest */
+    uint64_t parts_bytes;                           /* of all */
+    double cpu_seconds;                             /* of all */
+};
+
+/* Adds a task. */
+void cli_plan_add(struct cli_plan_costs *costs, uint64_t work, uint64_t memory_bytes,
+                  uint64_t scratch_bytes, uint64_t part_bytes, double cpu_seconds);
+
+/* Prints the costs of a plan. unit, units: of the work, "texel" and "texels". bound: what the size
+ * of the parts is, "at most" or "about". kept: the plan was to be written, but was there already.
+ */
+int cli_plan_print(struct cli *cli, const char *path, bool kept, const struct cli_plan_costs *costs,
+                   const char *unit, const char *units, const char *bound);
+
 /* Prints that a file is there already. */
 int cli_tasks_say_kept(struct cli *cli, const char *path, const char *what);
 

@@ -31,10 +31,10 @@ struct bake_surface {
 };
 
 /* Opens the scans of the options; the content of each file decides which kind of surface it is. The
- * index space of several scans is that of one of them, whatever their order. Chunk files that can
- * be one scan (bake_exact_can_join()) are one, unless the options match names. *out must not be
- * moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for
- * options that do not apply to this kind of surface. */
+ * surface of several scans has the index space of one of them; the order of the scans does not
+ * matter. Chunk files that can be one scan (bake_exact_can_join()) are one, unless the options
+ * match names. *out must not be moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and
+ * bake_exact_open(); BSQ_EUSAGE for options that do not apply to this kind of surface. */
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out);
 void bake_surface_close(struct bake_surface *surface); /* a zeroed surface is allowed */
