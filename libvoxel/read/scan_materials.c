@@ -306,22 +306,21 @@ static void warn_without_names(const struct scan *scan)
                  scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
 }
 
-/* Warns of channels that no material has. */
+/* Refuses channels that no material has: they would be 0 everywhere. */
 static int check_channels(const struct scan *scan)
 {
-    int status = 0;
-    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++) {
+    for (uint32_t c = 0; c < scan->channel_count; c++) {
         const struct vox_channel *channel = &scan->channels[c];
-        const bool any = scan->found_channels[c];
-        if (!any && channel->texture_path)
-            status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
-                                   scan->paths[0], channel->texture_path);
-        else if (!any)
-            status = bsq_warn_loss(
-                scan->ctx, "%s: no material has a value or a texture of %s, which is 0 everywhere",
-                scan->paths[0], channel->name);
+        if (scan->found_channels[c])
+            continue;
+        if (channel->texture_path)
+            return bsq_fail(scan->ctx, BSQ_EDATA,
+                            "%s: no texture coordinates for the channel %s of %s", scan->paths[0],
+                            channel->name, channel->texture_path);
+        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no material has a value or a texture of %s",
+                        scan->paths[0], channel->name);
     }
-    return status;
+    return 0;
 }
 
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
