@@ -177,9 +177,10 @@ struct vox_voxelize_options {
     /** NULL, or the chunk files to read as one scan instead of tris_path, in any order. tris_path
      * is then only used in messages. */
     const char *const *part_paths;
-    uint32_t part_count;                   /**< Number of part_paths. */
-    const struct vox_temp_tris *temp_tris; /**< NULL, or the input to read instead of tris_path. */
-    const char *grid_path;                 /**< Output: the grid. */
+    uint32_t part_count; /**< Number of part_paths. */
+    /** NULL, or the input to read instead of tris_path; beside part_paths, one more part. */
+    const struct vox_temp_tris *temp_tris;
+    const char *grid_path; /**< Output: the grid. */
     uint32_t resolution; /**< Voxels along the longest side, up to VOX_RESOLUTION_MAX. 0: voxel_size
                             counts. */
     double voxel_size;   /**< Edge of a voxel in the scan's units. Voxels are then aligned to its

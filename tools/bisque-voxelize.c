@@ -16,51 +16,73 @@
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
 
+/* Returns the option that has no effect on chunk files alone; NULL: there is none. */
+static const char *option_for_meshes(const struct voxelize_arguments *arguments)
+{
+    return arguments->tris                ? "--tris"
+           : arguments->texture           ? "--texture"
+           : arguments->ids               ? "--id"
+           : arguments->resume            ? "--resume"
+           : arguments->channel_count > 0 ? "channels other than id"
+                                          : NULL;
+}
+
+/* Checks the options if chunk files are among the inputs. */
+static int check_parts(const struct voxelize_job *job)
+{
+    const struct voxelize_arguments *arguments = job->arguments;
+    const char *part = job->parts[0], *option = option_for_meshes(arguments);
+    if (arguments->parse_only)
+        return cli_usage(job->cli, "%s: --parse-only reads meshes", part);
+    if (arguments->placements)
+        return cli_usage(job->cli,
+                         "%s is a chunk file: --scale, --up and --translate are for meshes", part);
+    if (arguments->sort_only)
+        return cli_usage(job->cli, "%s: only meshes can be sorted, and an input is a chunk file",
+                         arguments->output);
+    if (job->mesh_count == 0 && option)
+        return cli_usage(job->cli, "%s is already a chunk file: leave out %s", part, option);
+    if (job->mesh_count > 0 && !arguments->tris && (arguments->resume || arguments->channel_count))
+        return cli_usage(job->cli, "%s: beside chunk files, meshes are kept with --tris only",
+                         arguments->resume ? "--resume" : "--channels");
+    return 0;
+}
+
+/* Finds out whether an input is a mesh or a chunk file. */
+static int recognise_input(struct voxelize_job *job, const char *path)
+{
+    enum fmt_kind kind = FMT_KIND_MESH;
+    /* A pipe can be read only once. */
+    int status = fmt_input_is_pipe(path) ? 0 : fmt_recognise(job->cli->ctx, path, &kind);
+    if (status < 0)
+        return status;
+    if (kind == FMT_KIND_TRIS)
+        job->parts[job->part_count++] = path;
+    else if (kind == FMT_KIND_OTHER || kind == FMT_KIND_MESH)
+        job->meshes[job->mesh_count++] = path;
+    else
+        return bsq_fail(job->cli->ctx, BSQ_EDATA,
+                        "%s: already a grid; grids are made from meshes or chunk files", path);
+    return 0;
+}
+
 static int recognise_inputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    uint32_t sorted = 0;
-    for (uint32_t i = 0; i < arguments->input_count; i++) {
-        enum fmt_kind kind;
-        if (fmt_input_is_pipe(arguments->inputs[i])) /* can be read only once */
-            continue;
-        int status = fmt_recognise(job->cli->ctx, arguments->inputs[i], &kind);
-        if (status < 0)
-            return status;
-        if (kind == FMT_KIND_OTHER || kind == FMT_KIND_MESH)
-            continue;
-        if (kind != FMT_KIND_TRIS)
-            return bsq_fail(job->cli->ctx, BSQ_EDATA,
-                            "%s: already a grid; grids are made from meshes or a chunk file",
-                            arguments->inputs[i]);
-        if (arguments->parse_only)
-            return cli_usage(job->cli, "%s: --parse-only reads meshes", arguments->inputs[i]);
-        if (arguments->texture || arguments->tris || arguments->resume || arguments->ids ||
-            arguments->channel_count > 0)
-            return cli_usage(job->cli, "%s is already a chunk file: leave out %s",
-                             arguments->inputs[i],
-                             arguments->tris      ? "--tris"
-                             : arguments->texture ? "--texture"
-                             : arguments->ids     ? "--id"
-                             : arguments->resume  ? "--resume"
-                                                  : "channels other than id");
-        if (arguments->placements)
-            return cli_usage(job->cli,
-                             "%s is a chunk file: --scale, --up and --translate are for meshes",
-                             arguments->inputs[i]);
-        sorted++;
-    }
-    job->sorted_input = sorted > 0;
-    if (sorted > 0 && arguments->sort_only)
-        return cli_usage(job->cli, "%s: only meshes can be sorted, and an input is a chunk file",
-                         arguments->output);
-    if (sorted == 0 && arguments->farm.write_plan)
+    int status = 0;
+    job->meshes = calloc(arguments->input_count, sizeof *job->meshes);
+    /* And one for what the meshes were sorted to by an earlier run. */
+    job->parts = calloc((size_t)arguments->input_count + 1, sizeof *job->parts);
+    if (!job->meshes || !job->parts)
+        return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->inputs[0]);
+    for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
+        status = recognise_input(job, arguments->inputs[i]);
+    if (status < 0)
+        return status;
+    if (job->mesh_count > 0 && arguments->farm.write_plan)
         return cli_usage(job->cli, "%s: tasks share chunk files: sort it first, with -o FILE.tris",
-                         arguments->inputs[0]);
-    if (sorted > 0 && sorted < arguments->input_count)
-        return cli_usage(job->cli,
-                         "chunk files and meshes cannot be one scan: sort the meshes first");
-    return 0;
+                         job->meshes[0]);
+    return job->part_count > 0 ? check_parts(job) : 0;
 }
 
 /* "out/scan.nvdb" gives "out/scan.tris". */
@@ -75,11 +97,15 @@ static char *default_tris_path(const char *output)
     return path;
 }
 
+/* Sets the path of the chunk file that the job writes. It is kept beside the grid, or by --tris. A
+ * grid of chunk files and meshes has no such file without --tris: the file would have the meshes
+ * only, under the name of the whole. */
 static int choose_tris_path(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    job->temporary_tris = arguments->no_tris && !job->sorted_input;
-    if (job->sorted_input)
+    job->temporary_tris =
+        job->mesh_count > 0 && (arguments->no_tris || (job->part_count > 0 && !arguments->tris));
+    if (job->mesh_count == 0)
         job->tris_path = strdup(arguments->inputs[0]);
     else if (arguments->tris || arguments->sort_only)
         job->tris_path = strdup(arguments->sort_only ? arguments->output : arguments->tris);
@@ -108,7 +134,7 @@ static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
 static int check_outputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    const bool makes_tris = !job->sorted_input && !job->temporary_tris && !arguments->sort_only;
+    const bool makes_tris = job->mesh_count > 0 && !job->temporary_tris && !arguments->sort_only;
     const char *outputs[] = {arguments->output, makes_tris ? job->tris_path : NULL, arguments->vdb,
                              arguments->farm.write_plan};
     for (unsigned i = 0; i < sizeof outputs / sizeof *outputs; i++) {
@@ -164,7 +190,7 @@ static int parse_inputs(struct voxelize_job *job)
     struct fmt_mesh_totals totals = {0};
     double start = bsq_seconds_now();
     const struct fmt_mesh_inputs inputs = {
-        .paths = job->arguments->inputs, .path_count = job->arguments->input_count, .pipes = true};
+        .paths = job->meshes, .path_count = job->mesh_count, .pipes = true};
     int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
     if (status < 0)
         return status;
@@ -190,8 +216,8 @@ static int sort_scan(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     struct vox_sort_options options = {
-        .scan_paths = arguments->inputs,
-        .scan_count = arguments->input_count,
+        .scan_paths = job->meshes,
+        .scan_count = job->mesh_count,
         .placements = arguments->placements,
         .texture_path = arguments->texture,
         .ids = !arguments->channel_ids ? VOX_IDS_NONE
@@ -218,13 +244,15 @@ static int sort_scan(struct voxelize_job *job)
     return status == 0 && job->record ? vox_job_record(job->record) : status;
 }
 
-static struct vox_voxelize_options grid_options(const struct voxelize_job *job)
+static struct vox_voxelize_options grid_options(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
+    if (job->resumed && job->part_count > 0) /* there is no open file of this run */
+        job->parts[job->part_count++] = job->tris_path;
     const struct vox_voxelize_options options = {
         .tris_path = job->tris_path,
-        .part_paths = job->sorted_input ? arguments->inputs : NULL,
-        .part_count = job->sorted_input ? arguments->input_count : 0,
+        .part_paths = job->part_count > 0 ? job->parts : NULL,
+        .part_count = job->part_count,
         .temp_tris = job->resumed ? NULL : job->temp_tris,
         .grid_path = arguments->output,
         .resolution = (uint32_t)arguments->resolution,
@@ -261,9 +289,9 @@ static int do_work(struct voxelize_job *job)
         status = check_outputs(job);
     if (status == 0)
         status = check_temporary_files(job);
-    if (status == 0 && !job->sorted_input && !arguments->sort_only)
+    if (status == 0 && job->mesh_count > 0 && !arguments->sort_only)
         status = vox_temp_tris_create(job->cli->ctx, &job->temp_tris);
-    if (status == 0 && !job->sorted_input)
+    if (status == 0 && job->mesh_count > 0)
         status = sort_scan(job);
     if (status == 0 && !arguments->sort_only)
         status = make_grid(job);
@@ -292,6 +320,8 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
         status = voxelize_report_print(&job);
     vox_job_close(job.record);
     free(job.tris_path);
+    free(job.meshes);
+    free(job.parts);
     return status;
 }
 

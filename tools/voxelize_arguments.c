@@ -17,7 +17,7 @@ static const char help[] =
     "       bisque-voxelize --plan PLAN\n"
     "       bisque-voxelize --verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
-    "and colours. Several mesh files are read as one scan. The sorted triangles are kept in a chunk\n"
+    "and colours. Several files are read as one scan. The sorted triangles of meshes are kept in a chunk\n"
     "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n"
     "\n"
     "  -o, --output FILE       the grid, a NanoVDB file; a name that ends in .tris sorts only\n"

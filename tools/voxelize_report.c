@@ -1,19 +1,19 @@
 /* voxelize_report.c - prints what bisque-voxelize did, as lines or as JSON. */
 #include "tools/voxelize_report.h"
 
-static void print_inputs(const struct voxelize_arguments *arguments)
+static void print_meshes(const struct voxelize_job *job)
 {
-    if (arguments->input_count == 1)
-        cli_print("%s: ", arguments->inputs[0]);
+    if (job->mesh_count == 1)
+        cli_print("%s: ", job->meshes[0]);
     else
-        cli_print("%u files: ", arguments->input_count);
+        cli_print("%u files: ", job->mesh_count);
 }
 
 static void print_read(const struct voxelize_job *job)
 {
     const struct vox_sort_report *sort = &job->sort;
     char vertices[CLI_TEXT], faces[CLI_TEXT], triangles[CLI_TEXT], size[CLI_TEXT];
-    print_inputs(job->arguments);
+    print_meshes(job);
     cli_print("%s, %s, %s, %s, %.2f s\n",
               cli_counted_text(sort->vertices, "vertex", "vertices", vertices),
               cli_counted_text(sort->faces, "face", "faces", faces),
@@ -35,7 +35,7 @@ static void print_read(const struct voxelize_job *job)
 static void print_tris(const struct voxelize_job *job)
 {
     char size[CLI_TEXT], chunks[CLI_TEXT];
-    if (!job->sorted_input && !job->resumed && !job->temporary_tris)
+    if (job->mesh_count > 0 && !job->resumed && !job->temporary_tris)
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
@@ -109,7 +109,7 @@ static int print_json(const struct voxelize_job *job)
         (int)job->resumed, "grid_path", cli_json_text(no_grid ? NULL : arguments->output),
         "tris_path", cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
         cli_json_text(arguments->vdb), "scan",
-        job->sorted_input || job->resumed ? json_null() : sort_json(&job->sort), "grid",
+        job->mesh_count == 0 || job->resumed ? json_null() : sort_json(&job->sort), "grid",
         no_grid ? json_null() : voxelize_report_grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
@@ -141,7 +141,7 @@ int voxelize_report_print(const struct voxelize_job *job)
     if (job->resumed)
         cli_print("%s: complete from the run before, reading and sorting were skipped\n",
                   job->tris_path);
-    else if (!job->sorted_input)
+    else if (job->mesh_count > 0)
         print_read(job);
     if (!job->arguments->parse_only)
         print_tris(job);

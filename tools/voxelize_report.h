@@ -7,7 +7,8 @@
 struct voxelize_job {
     struct cli *cli;
     const struct voxelize_arguments *arguments;
-    bool sorted_input;               /* the input is a chunk file */
+    const char **meshes, **parts; /* the inputs: mesh files, and chunk files; owned */
+    uint32_t mesh_count, part_count;
     bool resumed;                    /* an earlier run wrote the chunk file, see --resume */
     struct vox_job *record;          /* for --resume; NULL if the job cannot be resumed */
     char *tris_path;                 /* of the chunk file; owned */

@@ -138,12 +138,13 @@ int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **
  * time after that. */
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
-/* Opens files as one scan, whose chunks follow each other. Their order does not matter. Either all
- * have normals, or none has; of other attributes the scan has those of any file. It has ids if all
- * files have ids of one kind. The origin is that of the file with most triangles. Errors: those of
- * fmt_tris_open(). */
+/* Opens files as one scan, whose chunks follow each other. Their order does not matter. temp: NULL,
+ * or one more file, see fmt_tris_open_temp(); then path_count may be 0. Either all have normals, or
+ * none has; of other attributes the scan has those of any file. It has ids if all files have ids of
+ * one kind. The origin is that of the file with most triangles. Errors: those of fmt_tris_open().
+ */
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                        struct fmt_tris_file **out);
+                        const struct bsq_file *temp, struct fmt_tris_file **out);
 /* Sets *one: whether files can be one scan in which no file loses anything or has something made
  * up. All of them have normals, or none; the same for colours; and they have ids of one kind.
  * Errors: those of fmt_tris_open(). */

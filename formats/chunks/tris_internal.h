@@ -107,7 +107,7 @@ struct tris_layout {
 
 /* A file of several that are one scan. */
 struct tris_part {
-    struct fmt_tris_file *file; /* with the descriptor closed */
+    struct fmt_tris_file *file; /* with the descriptor closed, but for a temporary file */
     uint64_t first_chunk;       /* numbers over all files */
     uint32_t first_material;
     double shift[3]; /* from its origin to the common one */

@@ -1,11 +1,11 @@
 /* tris_parts.c - several chunk files as one scan.
  *
  * The chunks of all files follow each other in one table. Files are ordered by their content, so
- * the order in which they are given does not matter. A file is open only while a chunk of it is
- * loaded, so there may be any number of files. Chunks are made equal when they are loaded: their
- * positions get a common origin, vertices that parts share get one position (tris_weld.c), their
- * materials are numbered over all files, and attributes that only other files have get the values
- * that sorting gives to meshes without them. */
+ * the order in which they are given does not matter. A file with a name is open only while a chunk
+ * of it is loaded, so there may be any number of files. Chunks are made equal when they are loaded:
+ * their positions get a common origin, vertices that parts share get one position (tris_weld.c),
+ * their materials are numbered over all files, and attributes that only other files have get the
+ * values that sorting gives to meshes without them. */
 #include "formats/chunks/tris_internal.h"
 
 #include <errno.h>
@@ -272,23 +272,36 @@ int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t pa
     return status;
 }
 
+/* Opens the parts with names, then the temporary one. */
+static int open_all(struct fmt_tris_file *all, const char *const *paths, uint32_t path_count,
+                    const struct bsq_file *temp)
+{
+    const uint64_t count = (uint64_t)path_count + (temp != NULL);
+    int status = bsq_calloc(all->ctx, "chunk files", count, sizeof *all->parts, &all->parts);
+    for (; status == 0 && all->part_count < path_count; all->part_count++)
+        status = open_part(all->ctx, paths[all->part_count], &all->parts[all->part_count]);
+    if (status == 0 && temp)
+        status = fmt_tris_open_temp(all->ctx, temp, &all->parts[all->part_count++].file);
+    return status;
+}
+
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                        struct fmt_tris_file **out)
+                        const struct bsq_file *temp, struct fmt_tris_file **out)
 {
     struct fmt_tris_file *all;
     *out = NULL;
-    if (path_count == 1)
+    if (path_count == 1 && !temp)
         return fmt_tris_open(ctx, paths[0], out);
+    if (path_count == 0)
+        return fmt_tris_open_temp(ctx, temp, out);
     int status = bsq_calloc(ctx, "chunk files", 1, sizeof *all, &all);
     if (status < 0)
         return status;
     all->ctx = ctx;
     all->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    status = bsq_calloc(ctx, "chunk files", path_count, sizeof *all->parts, &all->parts);
-    for (; status == 0 && all->part_count < path_count; all->part_count++)
-        status = open_part(ctx, paths[all->part_count], &all->parts[all->part_count]);
+    status = open_all(all, paths, path_count, temp);
     if (status == 0) {
-        qsort(all->parts, path_count, sizeof *all->parts, compare_parts);
+        qsort(all->parts, all->part_count, sizeof *all->parts, compare_parts);
         all->file.path = strdup(all->parts[0].file->file.path);
         status =
             all->file.path ? join(all) : bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
@@ -382,13 +395,15 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
 {
     const struct tris_part *part = find_part(all, index);
     struct fmt_tris_file open = *part->file;
+    const bool named = open.file.fd < 0;
     memset(out, 0, sizeof *out);
-    int status = bsq_file_open(all->ctx, part->file->file.path, &open.file);
+    int status = named ? bsq_file_open(all->ctx, part->file->file.path, &open.file) : 0;
     if (status == 0)
         status = fmt_tris_load(&open, index - part->first_chunk, scratch, out);
-    if (status == 0)
+    if (status == 0 && named)
         status = bsq_file_check(all->ctx, &open.file);
-    bsq_file_close(all->ctx, &open.file);
+    if (named)
+        bsq_file_close(all->ctx, &open.file);
     if (status < 0)
         return status;
     make_common(part, out);

@@ -49,7 +49,7 @@ static int build_chunk_tree(struct bake_exact *exact)
 static int open_file(struct bake_exact *exact)
 {
     int status = fmt_tris_open_parts(exact->ctx, exact->options.paths, exact->options.path_count,
-                                     &exact->file);
+                                     NULL, &exact->file);
     if (status < 0)
         return status;
     exact->header = fmt_tris_get_header(exact->file);

@@ -89,10 +89,9 @@ static int open_input(struct vox_run *job)
     const char *path = job->options->tris_path;
     const struct vox_temp_tris *temp = job->options->temp_tris;
     const uint32_t parts = job->options->part_paths ? job->options->part_count : 0;
-    int status = temp ? fmt_tris_open_temp(job->ctx, &temp->file, &job->file)
-                 : parts > 0
-                     ? fmt_tris_open_parts(job->ctx, job->options->part_paths, parts, &job->file)
-                     : fmt_tris_open(job->ctx, path, &job->file);
+    int status = temp || parts > 0 ? fmt_tris_open_parts(job->ctx, job->options->part_paths, parts,
+                                                         temp ? &temp->file : NULL, &job->file)
+                                   : fmt_tris_open(job->ctx, path, &job->file);
     if (status < 0)
         return status;
     job->header = fmt_tris_get_header(job->file);

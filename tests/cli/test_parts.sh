@@ -176,9 +176,61 @@ code 0
 $vox n.tris b.tris -o y.nvdb
 code 65
 err_like "^$p n.tris has normals, b.tris has none: such parts cannot be one scan\$"
-$vox a.tris b.obj -o y.nvdb
-code 64
-err "$p chunk files and meshes cannot be one scan: sort the meshes first"
+# ---- chunk files beside meshes ----
+
+# The meshes are sorted to a temporary part, so the bytes are those of chunk files alone.
+for inputs in "a.tris b.obj c.tris" "b.obj c.tris a.tris --threads 1 --memory 60MiB --no-tris"; do
+    # shellcheck disable=SC2086 # several words
+    $vox $inputs -o other.nvdb --json
+    code 0
+    json '.scan.triangles == 960 and .tris_path == null'
+    same parts.nvdb other.nvdb
+    [ ! -e other.tris ]
+    check "no chunk file has the name of the whole" $?
+done
+command='bisque-voxelize a.tris - c.tris' code=0
+"$BIN/bisque-voxelize" --resolution 300 a.tris - c.tris -o other.nvdb <b.obj >"$out" 2>"$err" || code=$?
+code 0
+same parts.nvdb other.nvdb
+run bisque-voxelize b.obj c.obj --resolution 8 -o x.nvdb --tris bc.tris
+$vox a.tris bc.tris -o two.nvdb
+$vox b.obj a.tris c.obj -o other.nvdb --tris kept.tris
+code 0
+grep -q '^2 files: .* 2,320 triangles' "$out" && grep -q '^kept.tris: ' "$out"
+check "the report tells which files were sorted" $?
+same two.nvdb other.nvdb
+same bc.tris kept.tris
+# A job that is stopped after sorting goes on from its part.
+rm kept.tris
+command='bisque-voxelize with a limit of files' code=0
+(ulimit -f 200 && exec "$BIN/bisque-voxelize" --resolution 300 b.obj a.tris c.obj -o resumed.nvdb \
+    --tris kept.tris) >"$out" 2>"$err" || code=$?
+code 74
+$vox b.obj a.tris c.obj -o resumed.nvdb --tris kept.tris --resume --json
+code 0
+json '.resumed and .scan == null and .tris_path == "kept.tris"'
+same two.nvdb resumed.nvdb
+$vox n.tris b.obj -o y.nvdb
+code 65
+err_like "^$p n.tris has normals, .* has none: such parts cannot be one scan\$"
+while read -r options; do
+    # shellcheck disable=SC2086 # several words
+    $vox a.tris b.obj $options
+    code 64
+    read -r message
+    err "$p $message"
+done <<'CASES'
+-o y.nvdb --resume
+--resume: beside chunk files, meshes are kept with --tris only
+-o y.nvdb --channels roughness
+--channels: beside chunk files, meshes are kept with --tris only
+-o y.nvdb --scale 2
+a.tris is a chunk file: --scale, --up and --translate are for meshes
+-o y.nvdb --tasks 2 --write-plan plan
+b.obj: tasks share chunk files: sort it first, with -o FILE.tris
+--parse-only
+a.tris: --parse-only reads meshes
+CASES
 head -c 5000 b.tris >cut.tris
 $vox a.tris cut.tris -o y.nvdb
 code 65

@@ -203,8 +203,6 @@ rm a.*
 
 # ---- misuse of chunk files ----
 
-$vox box.tris box.obj -o a.nvdb
-refused 64 "$p chunk files and meshes cannot be one scan: sort the meshes first"
 $vox box.tris -o a.nvdb --tris b.tris
 refused 64 "$p box.tris is already a chunk file: leave out --tris"
 $vox box.tris -o a.nvdb --texture t.png
