@@ -1,7 +1,8 @@
 # Writes the meshes of this folder. Needs Python 3.11, numpy 2.4.6, trimesh 5.2.0, meshio 5.3.5,
-# plyfile 1.1.5, numpy-stl 4.1.1 and pymeshlab 2025.7.post1 from PyPI.
+# plyfile 1.1.5, numpy-stl 4.1.1, pymeshlab 2025.7.post1 and open3d 0.20.0 from PyPI.
 import meshio
 import numpy
+import open3d
 import plyfile
 import pymeshlab
 import stl
@@ -92,3 +93,16 @@ scene.save_current_mesh("faces.meshlab.ply", save_vertex_color=False)
 scene.save_current_mesh("faces.meshlab.stl", colormode=True)
 scene.save_current_mesh("faces.meshlab.viscam.stl", colormode=False)
 scene.save_current_mesh("plain.meshlab.text.stl", binary=False)
+
+# Open3D writes STL files with normals only, and normals of vertices into PLY files if it has them.
+solid = open3d.geometry.TriangleMesh(
+    open3d.utility.Vector3dVector(points), open3d.utility.Vector3iVector(triangles)
+)
+open3d.io.write_triangle_mesh("plain.open3d.ply", solid)
+open3d.io.write_triangle_mesh("plain.open3d.text.ply", solid, write_ascii=True)
+open3d.io.write_triangle_mesh("plain.open3d.glb", solid)
+solid.vertex_colors = open3d.utility.Vector3dVector(colors / 255)
+open3d.io.write_triangle_mesh("colors.open3d.ply", solid)
+open3d.io.write_triangle_mesh("colors.open3d.obj", solid)
+solid.compute_triangle_normals()
+open3d.io.write_triangle_mesh("plain.open3d.stl", solid)

@@ -1,5 +1,5 @@
-# Writes the glTF files of this folder, and linear.obj. Needs Python 3.11, trimesh 5.2.0 and bpy 5.0.1
-# (Blender) from PyPI, and gltfpack 0.18 of Debian 12.
+# Writes the glTF files of this folder, linear.obj, and further files by Blender. Needs Python 3.11,
+# trimesh 5.2.0 and bpy 5.0.1 (Blender) from PyPI, and gltfpack 0.18 of Debian 12.
 import subprocess
 
 import bpy
@@ -75,3 +75,32 @@ with open("twice.obj", "w") as out:
         out.write("f %d %d %d\n" % tuple(t + 1))
     for t in triangles:
         out.write("f %d %d %d\n" % (t[0] + 50, t[2] + 50, t[1] + 50))
+
+
+def export(color, *names):
+    """Exports the mesh with Blender as OBJ, PLY or STL, with colours of vertices or without."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    data = bpy.data.meshes.new("patch")
+    data.from_pydata(points.tolist(), [], triangles.tolist())
+    if color:
+        layer = data.color_attributes.new("color", "BYTE_COLOR", "POINT")
+        for item, value in zip(layer.data, colors / 255):
+            item.color_srgb = (*value, 1)
+    item = bpy.data.objects.new("patch", data)
+    bpy.context.scene.collection.objects.link(item)
+    axes = {"forward_axis": "Y", "up_axis": "Z"}
+    for name in names:
+        if name.endswith(".obj"):
+            bpy.ops.wm.obj_export(filepath=name, export_normals=False, export_uv=False,
+                                  export_materials=False, export_colors=color, **axes)
+        elif name.endswith(".ply"):
+            bpy.ops.wm.ply_export(filepath=name, export_colors="NONE", export_uv=False,
+                                  ascii_format=".text." in name, **axes)
+        else:
+            bpy.ops.wm.stl_export(filepath=name, ascii_format=".text." in name, **axes)
+
+
+# No PLY file has colours, because Blender rounds most of them down.
+export(False, "plain.blender.obj", "plain.blender.ply", "plain.blender.text.ply",
+       "plain.blender.stl", "plain.blender.text.stl")
+export(True, "colors.blender.obj")
