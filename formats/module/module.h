@@ -33,6 +33,7 @@ extern "C" {
     X(file_close)                                                                                  \
     X(file_read_some)                                                                              \
     X(part_parse)                                                                                  \
+    X(part_read)                                                                                   \
     X(part_extract)                                                                                \
     X(file_write)                                                                                  \
     X(output_write_at)

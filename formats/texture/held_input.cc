@@ -90,23 +90,29 @@ bool same_shape(const OIIO::ImageSpec &a, const OIIO::ImageSpec &b)
 int HeldImage::probe()
 {
     struct bsq_part range;
-    if (host->part_parse(path.c_str(), &range)) {
-        int failure = host->part_extract(ctx, path.c_str(), &part);
-        return failure ? failure : probe_file(part);
-    }
-    struct bsq_file file;
-    int failure = host->file_open(ctx, path.c_str(), &file);
-    if (!failure)
-        failure = probe_file(file);
-    host->file_close(ctx, &file);
-    return failure;
+    const size_t length = host->part_parse(path.c_str(), &range);
+    if (length == 0)
+        return probe_range(path, nullptr);
+    // A part that is no image is not copied.
+    const int failure = probe_range(path.substr(0, length), &range);
+    return failure ? failure : host->part_extract(ctx, path.c_str(), &part);
 }
 
-int HeldImage::probe_file(const struct bsq_file &file)
+// Recognises the image in the file of this name, or in a range of it.
+int HeldImage::probe_range(const std::string &name, const struct bsq_part *range)
 {
-    Probe found = {host, ctx, &file, {0}};
+    struct bsq_file file;
+    const int failure = host->file_open(ctx, name.c_str(), &file);
+    const Probe found = {host, ctx, &file, range, {0}};
+    const int status = failure ? failure : recognise(found);
+    host->file_close(ctx, &file);
+    return status;
+}
+
+int HeldImage::recognise(Probe found)
+{
     uint64_t got = 0;
-    int failure = host->file_read_some(ctx, &file, found.head, sizeof found.head, 0, &got);
+    int failure = found.read(0, found.head, sizeof found.head, &got);
     if (!failure && !(kind = find_image_kind(found)))
         failure = host->fail(ctx, BSQ_EDATA, "%s: not a readable image: it is no %s", path.c_str(),
                              image_kinds_text);

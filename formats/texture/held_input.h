@@ -39,7 +39,8 @@ struct HeldImage {
     int probe();
 
   private:
-    int probe_file(const struct bsq_file &file);
+    int probe_range(const std::string &name, const struct bsq_part *range);
+    int recognise(Probe found);
 };
 
 // An opened image, of whose channels it gives the first three, or one. OpenImageIO reads the file

@@ -46,14 +46,7 @@ void read_at(const Probe &probe, uint64_t offset, uint8_t *to, uint64_t size)
 {
     uint64_t got = 0;
     std::memset(to, 0, size);
-    while (got < size) {
-        uint64_t count = 0;
-        if (probe.host->file_read_some(probe.ctx, probe.file, to + got, size - got, offset + got,
-                                       &count) != 0 ||
-            count == 0)
-            return;
-        got += count;
-    }
+    probe.read(offset, to, size, &got);
 }
 
 template <size_t size> bool begins(const Probe &probe, const char (&magic)[size])
@@ -131,7 +124,7 @@ Whole jpeg_whole(const Probe &probe)
 {
     JpegFrame frame = {false, false, 0, {0, 0, 0}};
     uint64_t offset = 2;
-    while (offset + 4 <= probe.file->size) {
+    while (offset + 4 <= probe.size()) {
         uint8_t segment[5];
         read_at(probe, offset, segment, sizeof segment);
         int marker = segment[1];
@@ -165,7 +158,7 @@ bool is_jpeg2000(const Probe &probe)
 uint64_t find_codestream(const Probe &probe)
 {
     uint64_t offset = probe.head[0] == 0xff ? 0 : 12;
-    while (offset > 0 && offset < probe.file->size) {
+    while (offset > 0 && offset < probe.size()) {
         uint8_t box[16];
         read_at(probe, offset, box, sizeof box);
         uint64_t size = big32(box), header = size == 1 ? 16 : 8;
@@ -173,8 +166,8 @@ uint64_t find_codestream(const Probe &probe)
             return offset + header;
         if (size == 1)
             size = uint64_t(big32(box + 8)) << 32 | big32(box + 12);
-        if (size < header || size > probe.file->size - offset)
-            return probe.file->size;
+        if (size < header || size > probe.size() - offset)
+            return probe.size();
         offset += size;
     }
     return offset;
@@ -208,7 +201,7 @@ uint64_t read_exr_header(void *arg, uint64_t offset, void *to, uint64_t size)
 {
     const Probe &probe = *static_cast<const Probe *>(arg);
     uint64_t got = 0;
-    probe.host->file_read_some(probe.ctx, probe.file, to, size, offset, &got);
+    probe.read(offset, to, size, &got);
     return got;
 }
 
@@ -246,7 +239,7 @@ bool is_pnm(const Probe &probe)
 
 Whole pnm_whole(const Probe &probe)
 {
-    return {0, 0, probe.file->size};
+    return {0, 0, probe.size()};
 }
 
 bool is_webp(const Probe &probe)
@@ -265,7 +258,7 @@ Whole webp_whole(const Probe &probe)
         width = (little32(h + 21) & 0x3fff) + 1;
         height = (little32(h + 21) >> 14 & 0x3fff) + 1;
     }
-    return {width, height, product(width, height, 4) + probe.file->size};
+    return {width, height, product(width, height, 4) + probe.size()};
 }
 
 // Only version 2 has a mark, at the file's end. The header of version 1 has few values that are
@@ -275,8 +268,8 @@ bool is_targa(const Probe &probe)
     static const char mark[] = "TRUEVISION-XFILE.";
     const uint8_t *h = probe.head;
     uint8_t end[sizeof mark] = {0};
-    if (probe.file->size >= 44)
-        read_at(probe, probe.file->size - sizeof mark, end, sizeof end);
+    if (probe.size() >= 44)
+        read_at(probe, probe.size() - sizeof mark, end, sizeof end);
     bool type = (h[2] >= 1 && h[2] <= 3) || (h[2] >= 9 && h[2] <= 11);
     bool bits = h[16] == 8 || h[16] == 15 || h[16] == 16 || h[16] == 24 || h[16] == 32;
     bool possible = h[1] <= 1 && type && bits && little16(h + 12) > 0 && little16(h + 14) > 0;
@@ -306,6 +299,26 @@ const ImageKind kinds[] = {
 
 const char image_kinds_text[] =
     "PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA";
+
+int Probe::read(uint64_t offset, void *to, uint64_t size, uint64_t *got) const
+{
+    uint64_t count = 1;
+    *got = 0;
+    if (part) {
+        size = std::min(size, part->size - std::min(part->size, offset));
+        const int failure = size > 0 ? host->part_read(ctx, file, part, to, size, offset) : 0;
+        *got = failure ? 0 : size;
+        return failure;
+    }
+    while (*got < size && count > 0) {
+        const int failure = host->file_read_some(ctx, file, static_cast<uint8_t *>(to) + *got,
+                                                 size - *got, offset + *got, &count);
+        if (failure)
+            return failure;
+        *got += count;
+    }
+    return 0;
+}
 
 const ImageKind *find_image_kind(const Probe &probe)
 {

@@ -12,12 +12,22 @@
 namespace fmt
 {
 
-// An open file and its first bytes; zeros follow after a short file.
+// An image in an open file, and its first bytes; zeros follow after a short image.
 struct Probe {
     const struct fmt_host *host;
     struct bsq_ctx *ctx;
     const struct bsq_file *file;
+    const struct bsq_part *part; // the part of the file that is the image; NULL: all of it
     uint8_t head[64];
+
+    uint64_t size() const
+    {
+        return part ? part->size : file->size;
+    }
+
+    // Reads up to `size` bytes from byte `offset` of the image on; *got is their number, which is
+    // lower at the end of the image only.
+    int read(uint64_t offset, void *to, uint64_t size, uint64_t *got) const;
 };
 
 // An image that is decoded whole: its size in texels (0: unknown), and the bytes that this takes.

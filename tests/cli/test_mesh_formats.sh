@@ -255,6 +255,19 @@ for case in 'packed.glb.gz textures are inside of a packed file or a pipe: unpac
     err "bisque-voxelize: $line"
 done
 
+# What is no image is not copied out of its file: no temporary file may have more than 100 KiB.
+mkdir no_image
+head -c 1000000 /dev/zero >no_image/image.ppm
+(cd no_image && python3 "$top/tests/scan/write_square.py")
+for file in inside.gltf image.glb; do
+    command="bisque-voxelize no_image/$file" code=0
+    (ulimit -f 200 && exec "$BIN/bisque-voxelize" no_image/$file -o a.tris) \
+        >"$out" 2>"$err" || code=$?
+    code 0
+    grep -q "#b.*: not a readable image: it is no PNG, JPEG" "$err"
+    check "$file: the image is no image" $?
+done
+
 # A buffer is never replaced by another file of its name.
 sed 's/"square.bin"/"tile7\/square.bin"/' beside.gltf >tile.gltf
 run bisque-voxelize tile.gltf -o a.nvdb
