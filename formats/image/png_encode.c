@@ -45,12 +45,17 @@ static void quantise_row(const struct fmt_png_layout *layout, const float *in, u
 {
     uint32_t channels = layout->channel_count;
     uint32_t colors = channels == 4 ? 3 : channels; /* alpha is linear */
+    float linear = 0.0f, encoded = 0.0f;            /* the last value; grey has three alike */
     for (uint32_t x = 0; x < layout->width; ++x) {
         for (uint32_t c = 0; c < channels; ++c) {
             float v = *in++;
             v = v > 0.0f ? (v < 1.0f ? v : 1.0f) : 0.0f; /* NaN becomes 0 */
-            if (layout->srgb && c < colors)
-                v = srgb_from_linear(v);
+            if (layout->srgb && c < colors) {
+                if (v != linear)
+                    encoded = srgb_from_linear(v);
+                linear = v;
+                v = encoded;
+            }
             if (layout->bits == 8) {
                 float threshold = layout->labels ? 0.5f : dither_threshold(x, y, c);
                 uint32_t level = (uint32_t)(v * 255.0f + threshold);

@@ -263,7 +263,7 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
     lines.origin = start.origin;
     lines.direction = start.direction;
     lines.facing = start.facing;
-    lines.t_min = cage ? 0.0f : -params->back;
+    lines.t_min = bk_splat(cage ? 0.0f : -params->back);
     lines.t_max = cage ? params->front + params->back : params->front;
     bk_trace(grid, params, cache, &lines, &hits);
     bk_hits_for_maps(params, &points, &start, &hits, out);

@@ -450,15 +450,15 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
 
 /* Walks the half of lines along their direction or, in the lanes of `inward`, against it. */
 BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                        const bk_ray *ray, bk_mask inward, float t_min, float t_max, bk_fw t_stop,
+                        const bk_ray *ray, bk_mask inward, bk_fw t_min, float t_max, bk_fw t_stop,
                         bk_walk *walk)
 {
     const bk_fw zero = bk_splat(0.0f);
     bk_fw t_near, t_far;
 
     bk_bounds(ray, params, &t_near, &t_far);
-    walk->t_start = bk_maxw(bk_select(inward, bk_splat(-t_max), bk_splat(t_min)), zero);
-    walk->t_limit = bk_select(inward, bk_splat(-t_min), bk_splat(t_max));
+    walk->t_start = bk_maxw(bk_select(inward, bk_splat(-t_max), t_min), zero);
+    walk->t_limit = bk_select(inward, -t_min, bk_splat(t_max));
     walk->two_sided = bk_mask_of(params->flags & BK_TWO_SIDED ? ~0u : 0u);
     bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far, t_stop);
 }
@@ -479,7 +479,7 @@ BK_FN void bk_turn(bk_ray *ray, bk_mask lanes)
  * set. On return the rays point to the crossings; *inward: lanes where that is against their
  * direction. */
 BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                             float t_min, float t_max, bk_ray *ray, bk_mask *inward)
+                             bk_fw t_min, float t_max, bk_ray *ray, bk_mask *inward)
 {
     const bk_mask guess = bk_mask_of(cache->inward ? ~0u : 0u), all = bk_mask_of(~0u);
     bk_crossing first, second;
@@ -510,7 +510,8 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
 typedef struct bk_lines {
     bk_uint count;
     bk_vec3w origin, direction, facing;
-    float t_min, t_max;
+    bk_fw t_min;
+    float t_max;
 } bk_lines;
 
 /* Their hits. */

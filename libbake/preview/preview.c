@@ -70,32 +70,44 @@ static int measure_extents(void *arg, uint64_t task, unsigned worker)
     return 0;
 }
 
-/* Returns the colour of a sample of one of the mesh's panels. x, y: in samples; band_y: y inside
- * the band. */
-static struct bsq_vec3 sample(const struct rendering *r, const struct preview_band *band, int panel,
-                              uint32_t x, uint32_t y, uint32_t band_y)
+/* Computes the colours of a sample in the mesh's two panels. x, y: in samples; band_y: y inside the
+ * band. */
+static void sample(const struct rendering *r, const struct preview_band *band, uint32_t x,
+                   uint32_t y, uint32_t band_y, struct bsq_vec3 colors[PANEL_SCAN])
 {
     uint32_t triangle = band->triangle[(size_t)band_y * r->view.samples + x];
     if (triangle == UINT32_MAX)
-        return bake_preview_background(y / PREVIEW_GRID, r->side);
-    return bake_preview_mesh_sample(r->preview, &r->view, triangle, x + 0.5, y + 0.5,
-                                    panel == PANEL_MAPPED);
+        colors[PANEL_PLAIN] = colors[PANEL_MAPPED] =
+            bake_preview_background(y / PREVIEW_GRID, r->side);
+    else
+        bake_preview_mesh_sample(r->preview, &r->view, triangle, x + 0.5, y + 0.5,
+                                 &colors[PANEL_PLAIN], &colors[PANEL_MAPPED]);
 }
 
-static void render_panel_row(const struct rendering *r, const struct preview_band *band, int panel,
+static void put_pixel(struct bsq_vec3 sum, float *out)
+{
+    sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
+    out[0] = sum.x;
+    out[1] = sum.y;
+    out[2] = sum.z;
+}
+
+/* Renders a row of the mesh's two panels. out: of the first one. */
+static void render_panel_row(const struct rendering *r, const struct preview_band *band,
                              uint32_t row, float *out)
 {
+    const size_t next = ((size_t)r->side + SEPARATOR) * 3; /* panel */
     for (uint32_t column = 0; column < r->side; ++column, out += 3) {
-        struct bsq_vec3 sum = bsq_v3(0, 0, 0);
+        struct bsq_vec3 sums[PANEL_SCAN] = {{0}}, colors[PANEL_SCAN];
         for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
-            for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
-                sum = bsq_add3(sum, sample(r, band, panel, column * PREVIEW_GRID + i,
-                                           row * PREVIEW_GRID + j,
-                                           row % PREVIEW_BAND * PREVIEW_GRID + j));
-        sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
-        out[0] = sum.x;
-        out[1] = sum.y;
-        out[2] = sum.z;
+            for (uint32_t i = 0; i < PREVIEW_GRID; ++i) {
+                sample(r, band, column * PREVIEW_GRID + i, row * PREVIEW_GRID + j,
+                       row % PREVIEW_BAND * PREVIEW_GRID + j, colors);
+                for (int panel = PANEL_PLAIN; panel < PANEL_SCAN; ++panel)
+                    sums[panel] = bsq_add3(sums[panel], colors[panel]);
+            }
+        for (int panel = PANEL_PLAIN; panel < PANEL_SCAN; ++panel)
+            put_pixel(sums[panel], out + (size_t)panel * next);
     }
 }
 
@@ -106,10 +118,7 @@ static int render_band(void *arg, uint64_t index, unsigned worker)
     uint32_t first_row = (uint32_t)index * PREVIEW_BAND;
     bake_preview_mesh_band(r->preview, &r->view, r->extents, first_row * PREVIEW_GRID, band);
     for (uint32_t row = first_row; row < first_row + PREVIEW_BAND; ++row)
-        for (int panel = PANEL_PLAIN; panel < PANEL_SCAN; ++panel)
-            render_panel_row(
-                r, band, panel, row,
-                r->pixels + ((size_t)row * r->width + (size_t)panel * (r->side + SEPARATOR)) * 3);
+        render_panel_row(r, band, row, r->pixels + (size_t)row * r->width * 3);
     bsq_progress_add(r->ctx, PREVIEW_BAND);
     return 0;
 }

@@ -202,9 +202,9 @@ static struct bsq_vec3 mark_missed(const struct bake_thumbnail *missed, const fl
     return bsq_add3(bsq_scale3(albedo, 1.0f - red), bsq_scale3(bsq_v3(1.0f, 0.01f, 0.01f), red));
 }
 
-struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
-                                         const struct preview_view *view, uint32_t triangle,
-                                         double x, double y, bool with_maps)
+void bake_preview_mesh_sample(const struct bake_preview *preview, const struct preview_view *view,
+                              uint32_t triangle, double x, double y, struct bsq_vec3 *plain,
+                              struct bsq_vec3 *mapped)
 {
     const struct bake_lowmesh *mesh = preview->mesh;
     double p[3][3], w[3];
@@ -214,16 +214,18 @@ struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
     struct bsq_vec3 normal = bsq_unit3(blend(mesh->normals[triangle], weights));
     struct bsq_vec3 albedo = bake_preview_grey();
     float at[2];
-    const struct bake_preview_tile *tile =
-        with_maps ? tile_at(preview, triangle, weights, at) : NULL;
-    if (tile && tile->normal->texels)
+    *plain = *mapped = bake_preview_shade(view, normal, albedo);
+    const struct bake_preview_tile *tile = tile_at(preview, triangle, weights, at);
+    if (!tile)
+        return;
+    if (tile->normal->texels)
         normal = mapped_normal(preview, triangle, weights, tile->normal, at);
-    if (tile && tile->color->texels) {
+    if (tile->color->texels) {
         float color[3];
         bake_thumbnail_sample(tile->color, at[0], at[1], color);
         albedo = bsq_v3(color[0], color[1], color[2]);
     }
-    if (tile && tile->missed->texels)
+    if (tile->missed->texels)
         albedo = mark_missed(tile->missed, at, albedo);
-    return bake_preview_shade(view, normal, albedo);
+    *mapped = bake_preview_shade(view, normal, albedo);
 }

@@ -4,6 +4,8 @@
 
 #include "base/parallel.h"
 
+enum { COLUMN = 16 }; /* samples; divides those of a panel's side */
+
 struct strip {
     const struct bake_preview *preview;
     const struct preview_view *view;
@@ -11,30 +13,58 @@ struct strip {
     uint32_t row_rays;        /* of a row of pixels */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
+    struct preview_front front;
+    float *starts; /* one a ray, if front.starts is not NULL */
     float *pixels; /* of the panel's first row */
     size_t stride; /* floats from row to row */
 };
 
-static int cast_row(void *arg, uint64_t index, unsigned worker)
+/* Sets where a ray of a cell starts. A ray that cannot meet the scan gets no direction. */
+static void start_ray(const struct strip *strip, uint64_t row, uint32_t column,
+                      struct bake_exact_ray *ray)
+{
+    const float start = strip->front.starts[row * strip->front.cells + column];
+    const bool meets = start <= strip->view->scan_span;
+    strip->starts[ray - strip->rays] = meets ? start : 0;
+    for (int k = 0; k < 3 && !meets; ++k)
+        ray->direction[k] = 0;
+}
+
+/* Returns the number of a sample's ray. Rays follow each other down columns of COLUMN samples, as
+ * rays near each other on both axes find what they need in the cache. y: from the strip's first
+ * sample on. */
+static uint64_t ray_at(const struct strip *strip, uint32_t x, uint32_t y)
+{
+    const uint64_t row = (uint64_t)(x / COLUMN) * strip->rows * PREVIEW_GRID + y;
+    return row * COLUMN + x % COLUMN;
+}
+
+static void cast_ray(const struct strip *strip, uint32_t x, uint32_t y)
+{
+    const struct preview_view *view = strip->view;
+    const struct bake_surface *surface = strip->preview->surface;
+    const uint64_t i = ray_at(strip, x, y);
+    const uint64_t row = (uint64_t)strip->first_row * PREVIEW_GRID + y;
+    const double right = (x + 0.5 - 0.5 * view->samples) / view->scale;
+    const double up = (0.5 * view->samples - ((double)row + 0.5)) / view->scale;
+    struct bake_exact_ray *ray = &strip->rays[i];
+    for (int k = 0; k < 3; ++k) {
+        double p = view->centre[k] + right * view->right[k] + up * view->up[k] +
+                   view->scan_depth * view->toward[k];
+        ray->origin[k] = (float)((p - surface->translation[k]) / surface->unit);
+        ray->direction[k] = -(float)view->toward[k];
+    }
+    if (strip->front.starts)
+        start_ray(strip, row / PREVIEW_CELL, x / PREVIEW_CELL, ray);
+}
+
+static int cast_column(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct strip *strip = arg;
-    const struct preview_view *view = strip->view;
-    const struct bake_surface *surface = strip->preview->surface;
-    struct bake_exact_ray *ray = strip->rays + index * strip->row_rays;
-    for (uint32_t i = 0; i < strip->row_rays; ++i, ++ray) {
-        const double x = i % view->samples + 0.5;
-        const uint64_t row = (strip->first_row + index) * PREVIEW_GRID + i / view->samples;
-        const double y = (double)row + 0.5;
-        const double right = (x - 0.5 * view->samples) / view->scale;
-        const double up = (0.5 * view->samples - y) / view->scale;
-        for (int k = 0; k < 3; ++k) {
-            double p = view->centre[k] + right * view->right[k] + up * view->up[k] +
-                       view->scan_depth * view->toward[k];
-            ray->origin[k] = (float)((p - surface->translation[k]) / surface->unit);
-            ray->direction[k] = -(float)view->toward[k];
-        }
-    }
+    for (uint32_t y = 0; y < strip->rows * PREVIEW_GRID; ++y)
+        for (uint32_t x = 0; x < COLUMN; ++x)
+            cast_ray(strip, (uint32_t)index * COLUMN + x, y);
     return 0;
 }
 
@@ -60,16 +90,16 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     const struct strip *strip = arg;
     const uint32_t row = strip->first_row + (uint32_t)index;
-    const struct bake_exact_hit *hits = strip->hits + index * strip->row_rays;
+    const uint32_t top = (uint32_t)index * PREVIEW_GRID;
     float *out = strip->pixels + row * strip->stride;
     for (uint32_t column = 0; column < strip->view->side; ++column, out += 3) {
         struct bsq_vec3 sum = bsq_v3(0, 0, 0);
         for (uint32_t j = 0; j < PREVIEW_GRID; ++j)
             for (uint32_t i = 0; i < PREVIEW_GRID; ++i)
                 sum = bsq_add3(
-                    sum,
-                    hit_color(strip, &hits[j * strip->view->samples + column * PREVIEW_GRID + i],
-                              row));
+                    sum, hit_color(strip,
+                                   &strip->hits[ray_at(strip, column * PREVIEW_GRID + i, top + j)],
+                                   row));
         sum = bsq_scale3(sum, 1.0f / (PREVIEW_GRID * PREVIEW_GRID));
         out[0] = sum.x;
         out[1] = sum.y;
@@ -88,8 +118,9 @@ static int render_strip(struct strip *strip)
                                            .count = (uint64_t)strip->rows * strip->row_rays,
                                            .t_min = 0,
                                            .t_max = strip->view->scan_span,
+                                           .starts = strip->starts,
                                            .facing_origin = true};
-    int status = bsq_parallel_for(ctx, strip->rows, cast_row, strip);
+    int status = bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip);
     if (status == 0)
         status = bake_surface_trace(strip->preview->surface, &params, &rays);
     if (status == 0)
@@ -109,12 +140,18 @@ int bake_preview_scan_panel(const struct bake_preview *preview, const struct pre
     int status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.rays, &strip.rays);
     if (status == 0)
         status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.hits, &strip.hits);
+    if (status == 0)
+        status = bake_preview_front_create(ctx, preview->surface, view, &strip.front);
+    if (status == 0 && strip.front.starts)
+        status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.starts, &strip.starts);
     for (uint32_t row = 0; status == 0 && row < side; row += strip.rows) {
         strip.first_row = row;
         strip.rows = side - row < most ? side - row : (uint32_t)most;
         status = render_strip(&strip);
         bsq_progress_add(ctx, strip.rows);
     }
+    bsq_free(ctx, strip.starts);
+    bsq_free(ctx, strip.front.starts);
     bsq_free(ctx, strip.hits);
     bsq_free(ctx, strip.rays);
     return status;

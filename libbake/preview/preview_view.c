@@ -126,6 +126,8 @@ void bake_preview_view_set(const struct bake_preview *preview, uint32_t index, i
     set_axes(azimuth + full_turn * index / preview->view_count, up, view);
     view->key = direction(view, -0.55, 0.65, 0.55);
     view->fill = direction(view, 0.85, 0.05, 0.5);
+    view->half = bsq_unit3(bsq_add3(
+        view->key, bsq_v3((float)view->toward[0], (float)view->toward[1], (float)view->toward[2])));
     frame_mesh(preview->mesh, view);
     span_scan(preview->surface, view);
 }
@@ -142,10 +144,7 @@ struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_v
     float fill = above_zero(bsq_dot3(normal, view->fill));
     float light = 0.95f * key + 0.16f * fill + 0.05f;
     /* A faint highlight shows small changes of the normal (Blinn-Phong). */
-    struct bsq_vec3 toward =
-        bsq_v3((float)view->toward[0], (float)view->toward[1], (float)view->toward[2]);
-    struct bsq_vec3 half = bsq_unit3(bsq_add3(view->key, toward));
-    float shine = 0.06f * powf(above_zero(bsq_dot3(normal, half)), 32.0f);
+    float shine = 0.06f * powf(above_zero(bsq_dot3(normal, view->half)), 32.0f);
     return bsq_add3(bsq_scale3(albedo, light), bsq_v3(shine, shine, shine));
 }
 

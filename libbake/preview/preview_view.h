@@ -7,6 +7,7 @@
 
 enum {
     PREVIEW_GRID = 2, /* samples along a pixel's side */
+    PREVIEW_CELL = 2, /* samples along the side of a cell of struct preview_front */
     PREVIEW_BAND = 8  /* pixel rows that a worker renders at a time; divides a panel's side */
 };
 
@@ -20,6 +21,7 @@ struct preview_view {
     double right[3], up[3], toward[3]; /* unit; `toward` points to the camera */
     double scale;                      /* samples per world unit */
     struct bsq_vec3 key, fill;         /* unit, towards the lights */
+    struct bsq_vec3 half;              /* unit, between `key` and `toward` */
     double scan_depth;                 /* where camera rays begin: `toward` from the centre */
     double scan_span;                  /* length of a camera ray that crosses all of the scan */
 };
@@ -63,10 +65,21 @@ void bake_preview_mesh_band(const struct bake_preview *preview, const struct pre
                             const struct preview_extent *extents, uint32_t first_row,
                             struct preview_band *band);
 
-/* Returns the colour of a sample of `triangle`, with or without maps. x, y: in samples. */
-struct bsq_vec3 bake_preview_mesh_sample(const struct bake_preview *preview,
-                                         const struct preview_view *view, uint32_t triangle,
-                                         double x, double y, bool with_maps);
+/* Computes the colours of a sample of `triangle`, without and with maps. x, y: in samples. */
+void bake_preview_mesh_sample(const struct bake_preview *preview, const struct preview_view *view,
+                              uint32_t triangle, double x, double y, struct bsq_vec3 *plain,
+                              struct bsq_vec3 *mapped);
+
+/* The distances from where camera rays begin to the first voxels that they can meet, for each cell
+ * of a panel. INFINITY: there are none. */
+struct preview_front {
+    uint32_t cells; /* along a panel's side */
+    float *starts;  /* world units; NULL: unknown, as the surface has triangles */
+};
+
+/* Fills *out; the caller frees out->starts with bsq_free(). Errors: BSQ_ENOMEM. */
+int bake_preview_front_create(struct bsq_ctx *ctx, const struct bake_surface *surface,
+                              const struct preview_view *view, struct preview_front *out);
 
 /* Renders the scan's panel on all threads: view->side rows of RGB, `stride` floats apart. Adds
  * view->side to the progress. Must not be called from parallel work. Errors: those of

@@ -218,14 +218,20 @@ static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
     const struct bake_surface_rays *rays = trace->rays;
     const double unit = trace->surface->unit;
     const uint64_t begin = task * RAYS_A_TASK, left = rays->count - begin;
-    const struct bake_ray_batch lines = {
+    struct bake_ray_batch lines = {
         .rays = (const float(*)[6])(const void *)(rays->rays + begin),
         .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
         .t_min = (float)(rays->t_min / unit),
         .t_max = (float)(rays->t_max / unit),
         .facing = rays->facing_origin ? -1.0f : 1.0f,
     };
+    float starts[RAYS_A_TASK];
     struct bk_hit hits[RAYS_A_TASK];
+    if (rays->starts) {
+        for (uint64_t i = 0; i < lines.count; i++)
+            starts[i] = (float)((double)rays->starts[begin + i] / unit);
+        lines.starts = starts;
+    }
     bake_trace_rays(&trace->surface->grid, trace->params, &lines, hits);
     for (uint64_t i = 0; i < lines.count; i++) {
         struct bake_exact_hit *out = &rays->hits[begin + i];

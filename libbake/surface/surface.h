@@ -69,7 +69,9 @@ struct bake_surface_rays {
     const struct bake_exact_ray *rays; /* index space */
     struct bake_exact_hit *hits;       /* out; `count` entries; a grid's hits have triangle 0 */
     uint64_t count;
-    double t_min, t_max;                /* world units, as the hits' t */
+    double t_min, t_max; /* world units, as the hits' t */
+    const float *starts; /* distances, in world units, before which rays have no hits, at least
+                            t_min; saves steps through grids. NULL: none are known */
     bool distances_only, facing_origin; /* as in struct bake_exact_batch */
     /* Of several scans, a ray hits part p if sees[part_count * object + p] is set, for the object
      * in objects[] of the ray. NULL: all rays hit all scans. */
@@ -80,6 +82,15 @@ struct bake_surface_rays {
  * parallel work. Errors: those of bake_exact_trace(). */
 int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
                        const struct bake_surface_rays *rays);
+
+/* Calls visit() for each group of 16^3 blocks of 8^3 voxels of the surface's grids; bit
+ * x << 8 | y << 4 | z of `mask` is set if that block is occupied. origin: of the group's lowest
+ * corner, unit: the size of a voxel; both in world units. Returns false, and calls nothing, if some
+ * of the surface are triangles. */
+typedef void bake_surface_visit(void *arg, const double origin[3], double unit,
+                                const uint64_t mask[BAKE_MASK_WORDS]);
+bool bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
+                             void *arg);
 
 struct bake_places;
 struct bake_ray_states;

@@ -80,7 +80,7 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                            .origin = bk_v3w(origin[0], origin[1], origin[2]),
                            .direction = d,
                            .facing = bk_v3w(facing[0], facing[1], facing[2]),
-                           .t_min = t_min,
+                           .t_min = bk_splat(t_min),
                            .t_max = t_max};
     bk_hits hits;
 

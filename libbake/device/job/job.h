@@ -51,7 +51,8 @@ struct bake_ray_batch {
     const float (*rays)[6]; /* origin and unit direction of each, in index space */
     uint64_t count;
     float t_min, t_max;
-    float facing; /* 1: surfaces must face along the ray; -1: against it */
+    const float *starts; /* a t_min for each ray; NULL: that above */
+    float facing;        /* 1: surfaces must face along the ray; -1: against it */
 };
 
 /* Returns what a sample costs, as a multiple of its pair of rays: maps can send more from hits. */

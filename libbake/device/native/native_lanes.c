@@ -1,4 +1,6 @@
 /* native_lanes.c - traces a tile, or rays, or rays from hits, BK_WIDTH at a time. */
+#include <string.h>
+
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/native_code.h"
@@ -115,12 +117,18 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
         bk_lines lines = {.count = left < BK_WIDTH ? (bk_uint)left : BK_WIDTH,
                           .origin = bk_v3w(zero, zero, zero),
                           .direction = bk_v3w(zero, zero, zero),
-                          .t_min = rays->t_min,
+                          .t_min = bk_splat(rays->t_min),
                           .t_max = rays->t_max};
         for (bk_uint lane = 0; lane < lines.count; lane++) {
             const float *ray = rays->rays[first + lane];
             bk_set_lane3(&lines.origin, lane, bk_v3(ray[0], ray[1], ray[2]));
             bk_set_lane3(&lines.direction, lane, bk_v3(ray[3], ray[4], ray[5]));
+            if (rays->starts)
+                bk_set_lane(lines.t_min, lane, rays->starts[first + lane]);
+        }
+        if (!bk_bits(bk_less(zero, bk_dotw(lines.direction, lines.direction)))) {
+            memset(&hits[first], 0, lines.count * sizeof *hits);
+            continue;
         }
         lines.facing = bk_scalew(lines.direction, bk_splat(rays->facing));
         bk_trace(grid, params, &cache, &lines, &found);

@@ -44,6 +44,11 @@ uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint
     return node_at(child, BK_LOWER_WORDS, grid->lower_count);
 }
 
+const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower)
+{
+    return lower_words(grid, lower) + BK_LOWER_CHILD_MASK;
+}
+
 uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
 {
     const uint64_t distance = (uint64_t)(grid->leaves - grid->lowers);
@@ -164,17 +169,75 @@ static void child_range(int32_t origin, int32_t low, int32_t high, uint32_t chil
     *last = b >= children ? children - 1 : (uint32_t)b;
 }
 
-static int add_in_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t lower,
-                        const int32_t origin[3], const int32_t low[3], const int32_t high[3])
+static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
+                       const int32_t low[3], const int32_t high[3], bake_node_visit *visit,
+                       void *arg)
 {
-    const uint64_t *children = lower_words(set->grid, lower) + BK_LOWER_CHILD_MASK;
+    const uint64_t *words = upper_words(grid, upper);
+    uint32_t first[3], last[3];
+    int status = visit(arg, upper, BK_NONE, origin);
+    for (int k = 0; k < 3; k++)
+        child_range(origin[k], low[k], high[k], BK_LOWER_LOG2, 32, &first[k], &last[k]);
+    for (uint32_t x = first[0]; x <= last[0]; x++)
+        for (uint32_t y = first[1]; y <= last[1]; y++)
+            for (uint32_t z = first[2]; status == 0 && z <= last[2]; z++) {
+                const uint32_t n = x << 10 | y << 5 | z;
+                if (!(words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
+                    continue;
+                const uint32_t lower = bake_upper_lower(grid, upper, n);
+                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
+                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
+                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
+                status = lower == BK_NONE ? 0 : visit(arg, upper, lower, at);
+            }
+    return status;
+}
+
+/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
+static int32_t tile_origin(uint64_t key, uint32_t shift)
+{
+    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
+    return (int32_t)(bits << BK_UPPER_LOG2);
+}
+
+int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
+                     bake_node_visit *visit, void *arg)
+{
+    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
+    int status = 0;
+    for (uint32_t i = 0; status == 0 && i < grid->tile_count; i++) {
+        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
+        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
+        bool inside = child != 0;
+        for (int k = 0; k < 3; k++)
+            inside = inside && high[k] >= origin[k] &&
+                     low[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
+        const uint32_t upper = inside ? bake_tile_upper(grid, child) : BK_NONE;
+        if (upper != BK_NONE)
+            status = visit_upper(grid, upper, origin, low, high, visit, arg);
+    }
+    return status;
+}
+
+/* ---- adding boxes ---- */
+
+struct box_addition {
+    struct bsq_ctx *ctx;
+    struct bake_leaf_set *set;
+    const int32_t *low, *high;
+};
+
+static int add_in_lower(const struct box_addition *box, uint32_t lower, const int32_t origin[3])
+{
+    struct bake_leaf_set *set = box->set;
+    const uint64_t *children = bake_lower_children(set->grid, lower);
     uint32_t first[3], last[3];
     uint64_t *mask;
-    int status = find_lower(ctx, set, lower, &mask);
+    int status = find_lower(box->ctx, set, lower, &mask);
     if (status < 0)
         return status;
     for (int k = 0; k < 3; k++)
-        child_range(origin[k], low[k], high[k], BK_LEAF_LOG2, 16, &first[k], &last[k]);
+        child_range(origin[k], box->low[k], box->high[k], BK_LEAF_LOG2, 16, &first[k], &last[k]);
     const uint64_t row = (UINT64_C(2) << last[2]) - (UINT64_C(1) << first[2]);
     for (uint32_t x = first[0]; x <= last[0]; x++)
         for (uint32_t y = first[1]; y <= last[1]; y++) {
@@ -186,59 +249,20 @@ static int add_in_lower(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t
     return 0;
 }
 
-static int add_in_upper(struct bsq_ctx *ctx, struct bake_leaf_set *set, uint32_t upper,
-                        const int32_t origin[3], const int32_t low[3], const int32_t high[3])
+static int add_node(void *arg, uint32_t upper, uint32_t lower, const int32_t origin[3])
 {
-    const struct fmt_nvdb_grid *grid = set->grid;
-    const uint64_t *words = upper_words(grid, upper);
-    uint32_t first[3], last[3];
-    add_upper(set, upper);
-    for (int k = 0; k < 3; k++)
-        child_range(origin[k], low[k], high[k], BK_LOWER_LOG2, 32, &first[k], &last[k]);
-    for (uint32_t x = first[0]; x <= last[0]; x++)
-        for (uint32_t y = first[1]; y <= last[1]; y++)
-            for (uint32_t z = first[2]; z <= last[2]; z++) {
-                const uint32_t n = x << 10 | y << 5 | z;
-                if (!(words[BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
-                    continue;
-                const uint32_t lower = bake_upper_lower(grid, upper, n);
-                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
-                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
-                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
-                int status = lower == BK_NONE ? 0 : add_in_lower(ctx, set, lower, at, low, high);
-                if (status < 0)
-                    return status;
-            }
+    const struct box_addition *box = arg;
+    if (lower != BK_NONE)
+        return add_in_lower(box, lower, origin);
+    add_upper(box->set, upper);
     return 0;
-}
-
-/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
-static int32_t tile_origin(uint64_t key, uint32_t shift)
-{
-    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
-    return (int32_t)(bits << BK_UPPER_LOG2);
 }
 
 int bake_leaf_set_add_box(struct bsq_ctx *ctx, struct bake_leaf_set *set, const int32_t low[3],
                           const int32_t high[3])
 {
-    const struct fmt_nvdb_grid *grid = set->grid;
-    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
-    for (uint32_t i = 0; i < grid->tile_count; i++) {
-        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
-        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
-        bool inside = child != 0;
-        for (int k = 0; k < 3; k++)
-            inside = inside && high[k] >= origin[k] &&
-                     low[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
-        const uint32_t upper = inside ? bake_tile_upper(grid, child) : BK_NONE;
-        if (upper == BK_NONE)
-            continue;
-        int status = add_in_upper(ctx, set, upper, origin, low, high);
-        if (status < 0)
-            return status;
-    }
-    return 0;
+    struct box_addition box = {ctx, set, low, high};
+    return bake_visit_nodes(set->grid, low, high, add_node, &box);
 }
 
 int bake_leaf_set_add(struct bsq_ctx *ctx, struct bake_leaf_set *set,

@@ -25,6 +25,15 @@ enum {
 
 enum { BAKE_MASK_WORDS = 64 }; /* one bit for each child of a lower node, as in its child mask */
 
+/* Calls visit() for each upper node of a grid that overlaps voxels low .. high (inclusive), with
+ * lower == BK_NONE, and then for each of its lower nodes that overlap them. origin: the node's
+ * lowest voxel. Returns the first result of visit() that is not 0, after which it stops. */
+typedef int bake_node_visit(void *arg, uint32_t upper, uint32_t lower, const int32_t origin[3]);
+int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
+                     bake_node_visit *visit, void *arg);
+/* Returns the mask of the leaves of a lower node: BAKE_MASK_WORDS words in the grid's file. */
+const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower);
+
 /* A lower node of a subgrid. */
 struct bake_subgrid_lower {
     uint32_t number;                  /* in the grid */
