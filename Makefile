@@ -331,16 +331,18 @@ fuzz.ply   := $(fuzz.obj)
 fuzz.stl   := $(fuzz.obj)
 fuzz.gltf  := $(fuzz.obj)
 fuzz.packed := $(fuzz.obj)
+fuzz.assimp := $(BUILD)/obj/tests/fuzz/scene_check.cc.o
+fuzz_libs.assimp := $(LIBS.scene) -lstdc++
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
 $(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \
     $(BUILD)/obj/tests/fuzz/replay.c.o $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
+	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
 $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.all)
+	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
 
 # A library that lets a program's system calls fail, and the program that runs it; see
 # tests/cli/test_faults.sh. Built without sanitizers, as it is loaded into programs without them.
@@ -507,7 +509,7 @@ demo-maps: all $(generator)
 # ---- benchmark ----
 BENCH ?= medium
 packages_bench := libtinyobjloader-dev
-bench_bins := $(addprefix $(BUILD)/tests/,measure baseline-embree \
+bench_bins := $(addprefix $(BUILD)/tests/,measure baseline-embree baseline-assimp \
     $(if $(wildcard /usr/include/tiny_obj_loader.h),baseline-tinyobj))
 $(BUILD)/tests/measure: $(BUILD)/obj/tests/bench/measure.c.o
 	@mkdir -p $(@D)
@@ -515,6 +517,9 @@ $(BUILD)/tests/measure: $(BUILD)/obj/tests/bench/measure.c.o
 $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lembree3
+$(BUILD)/tests/baseline-assimp: $(BUILD)/obj/tests/bench/baseline_assimp.cc.o
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $^ -lassimp
 $(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
 	@mkdir -p $(@D)
 	$(CXX) $(common) -o $@ $^ -ltinyobjloader

@@ -8,6 +8,8 @@
 #   BENCH_DIR      directory for scans and outputs, where scans are kept for the next run; default: a
 #                  temporary directory beside BIN, which is removed at the end
 #   BENCH_SCAN     a small OBJ file to amplify instead of the vase
+#   BENCH_PYTHON   a Python that may have open3d and trimesh, whose readers are baselines; default:
+#                  python3
 #   BENCH_ROUNDS   how often each job runs (default: 3; with 109 million triangles: 2)
 #
 # Each job runs once a round, so that slow drifts of the machine affect all jobs alike. No job may
@@ -112,8 +114,8 @@ kib_free()
 # require_disk TRIANGLES LABEL: checks that both scans, a chunk file and temporary files fit the disk.
 require_disk()
 {
-    need=$(($1 * 155 / 1024 + 1024 * 1024))
-    for scan in "$2" "$2-shuffled" "$2 ply"; do
+    need=$(($1 * 195 / 1024 + 1024 * 1024))
+    for scan in "$2" "$2-shuffled" "$2 ply" "$2 ply.gz" "$2 ply.zst"; do
         # shellcheck disable=SC2086 # a name, and a suffix or none
         scan=$(scan_path $scan)
         [ ! -f "$scan" ] || need=$((need - $(bytes_of "$scan") / 1024))
@@ -164,8 +166,23 @@ make_scan()
         mv "$work/part.${made##*.}" "$made" || exit 73
 }
 
-# use_scans LABEL TRIANGLES: generates the scan in both orders and as PLY; sets $label, $ordered,
-# $shuffled, $ply and so on.
+# pack_scan SUFFIX COMMAND...: packs the PLY file unless that is done; sets $made to its path, or to
+# nothing if the program is missing.
+pack_scan()
+{
+    made=$ply.$1
+    shift
+    [ -f "$made" ] && return
+    command -v "$1" >/dev/null || {
+        made=
+        return
+    }
+    say "packing $(basename "$made")"
+    "$@" "$ply" >"$work/part" && mv "$work/part" "$made" || exit 73
+}
+
+# use_scans LABEL TRIANGLES: generates the scan in both orders, as PLY and as packed PLY; sets $label,
+# $ordered, $shuffled, $ply and so on.
 use_scans()
 {
     label=$1
@@ -176,6 +193,10 @@ use_scans()
     shuffled=$made
     make_scan "$1" ply "$2"
     ply=$made
+    pack_scan gz gzip -1 -c
+    gz=$made
+    pack_scan zst zstd -q -1 -c
+    zst=$made
     bytes=$(bytes_of "$ordered")
     "$BIN/bisque-voxelize" --parse-only --json "$ordered" >"$work/out" || exit 70
     triangles=$(json_number triangles "$work/out")
@@ -231,15 +252,25 @@ baseline()
         record skip "$label" "$2" "not built, its package is not installed"
         return 1
     fi
-    most=$((triangles * $3 * 5 / 4))
+    program=$TESTS/$1
+    shift
+    measure_baseline "$@" "$program"
+}
+
+# measure_baseline TITLE BYTES_A_TRIANGLE INPUT COMMAND...: the same for a command.
+measure_baseline()
+{
+    name=$1 each=$2 input=$3
+    shift 3
+    most=$((triangles * each * 5 / 4))
     if ! has_memory "$most"; then
-        record skip "$label" "$2" "needs $((most / 1048576)) MiB of memory, less is available"
+        record skip "$label" "$name" "needs $((most / 1048576)) MiB of memory, less is available"
         return 1
     fi
-    say "$label, round $round: $2"
-    measure "$4" $((triangles * $3)) "$TESTS/$1" "$4"
+    say "$label, round $round: $name"
+    measure "$input" $((triangles * each)) "$@" "$input"
     [ "$status" -eq 0 ] && return
-    record skip "$label" "$2" "$(why)"
+    record skip "$label" "$name" "$(why)"
     return 1
 }
 
@@ -269,6 +300,49 @@ job_tinyobj()
     wall=0 user=0 system=0
     add_phase parse
     keep tinyobj "tinyobjloader: parse" embree-parse "$bytes"
+}
+
+# keep_reader KEY TITLE: records the phase "parse" of a reader of the PLY.
+keep_reader()
+{
+    wall=0 user=0 system=0
+    add_phase parse
+    keep "$1" "$2" parse-ply "$(bytes_of "$ply")"
+}
+
+# Other readers of the PLY, one thread each. They run after Bisque's, which they are divided by.
+job_ply_readers()
+{
+    baseline baseline-assimp "Assimp: read the PLY" 450 "$ply" &&
+        keep_reader assimp-ply "Assimp: read the PLY"
+    for library in open3d trimesh; do
+        measure_baseline "$library: read the PLY" 150 "$ply" "${BENCH_PYTHON:-python3}" \
+            "$here/baseline_reader.py" "$library" &&
+            keep_reader "$library-ply" "$library: read the PLY"
+    done
+}
+
+# job_unpack KEY INPUT PROGRAM: unpacks the packed PLY and keeps nothing.
+job_unpack()
+{
+    say "$label, round $round: $3 -dc"
+    output=/dev/null
+    measure "$2" 0 "$3" -dc "$2"
+    output=$work/out
+    keep "$1" "$3 -dc" - "$(bytes_of "$2")"
+}
+
+# Packed PLY files.
+job_packed()
+{
+    if [ -n "$gz" ]; then
+        job_unpack gzip "$gz" gzip
+        bisque parse-gz "parse only, .ply.gz" gzip "$gz" 0 --parse-only
+    fi
+    if [ -n "$zst" ]; then
+        job_unpack zstd "$zst" zstd
+        bisque parse-zst "parse only, .ply.zst" zstd "$zst" 0 --parse-only
+    fi
 }
 
 # bisque KEY TITLE AGAINST INPUT BYTES ARGUMENT...: measures bisque-voxelize after prefaulting BYTES of
@@ -320,12 +394,19 @@ job_whole()
     grid_facts whole tris_bytes temp_bytes grid_bytes voxels
 }
 
-# The same scan as binary PLY; its outputs are the same.
+# The same scan as binary PLY, plain and packed; its outputs are the same.
 job_ply()
 {
     bisque whole-ply "whole, from PLY" whole "$ply" "$(takes 1G)" --resolution "$resolution" \
         --memory 1G -o "$work/other.nvdb" && same_bytes "PLY"
     rm -f "$work/other.nvdb" "$work/other.tris"
+    for packed in "$zst" "$gz"; do
+        [ -n "$packed" ] || continue
+        bisque "whole-${packed##*.}" "whole, from .ply.${packed##*.}" whole-ply "$packed" \
+            "$(takes 1G)" --resolution "$resolution" --memory 1G -o "$work/other.nvdb" &&
+            same_bytes ".ply.${packed##*.}"
+        rm -f "$work/other.nvdb" "$work/other.tris"
+    done
 }
 
 # job_grid KEY RESOLUTION AGAINST: makes a grid from the chunk file of job_whole.
@@ -369,6 +450,7 @@ one_round()
 {
     job_cat
     job_parse
+    job_packed
     job_whole
     job_ply
     job_grid revoxelize "$((resolution / 2))" whole
@@ -377,6 +459,7 @@ one_round()
         job_ordered "$memory"
         job_shuffled "shuffled-$memory" "shuffled, --memory $memory" "$memory"
     done
+    job_ply_readers
     job_tinyobj
     job_embree
 }
