@@ -332,17 +332,18 @@ fuzz.stl   := $(fuzz.obj)
 fuzz.gltf  := $(fuzz.obj)
 fuzz.packed := $(fuzz.obj)
 fuzz.assimp := $(BUILD)/obj/tests/fuzz/scene_check.cc.o
-fuzz_libs.assimp := $(LIBS.scene) -lstdc++
+fuzz_libs.assimp := $(LIBS.scene)
+fuzz_link.assimp := $(CXX)
 fuzz_libs  := $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base)
 .SECONDEXPANSION:
 replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
 $(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \
     $(BUILD)/obj/tests/fuzz/replay.c.o $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
+	$(or $(fuzz_link.$*),$(CC)) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
 $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(CC) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
+	$(or $(fuzz_link.$*),$(CC)) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
 
 # A library that lets a program's system calls fail, and the program that runs it; see
 # tests/cli/test_faults.sh. Built without sanitizers, as it is loaded into programs without them.

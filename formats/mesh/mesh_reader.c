@@ -139,7 +139,8 @@ static int choose_formats(struct bsq_ctx *ctx, struct fmt_input *const *inputs, 
     *one = NULL;
     for (uint32_t i = 0; i < count && !status; i++) {
         status = choose_format(ctx, inputs[i], &found[i]);
-        *one = i == 0 || (found[i] == *one && !found[i]->single) ? found[i] : NULL;
+        if (!status)
+            *one = i == 0 || (found[i] == *one && !found[i]->single) ? found[i] : NULL;
     }
     return status;
 }

@@ -93,6 +93,12 @@ for other in s0.obj s0.ply; do
     err "$p bad.obj:4: face refers to vertex 4, file has 3"
 done
 
+# Two formats, and then a file whose format nobody can tell.
+gzip -c s2.obj | head -c 9 >cut.obj.gz
+$vox s0.obj s1.ply cut.obj.gz -o bad.nvdb
+code 65
+err_like "^$p cut.obj.gz: byte 9: truncated"
+
 # ---- attributes that some files lack ----
 
 grep -v '^vn' s1.obj | sed 's,//[0-9]*,,g' >bare.obj

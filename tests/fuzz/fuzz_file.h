@@ -5,6 +5,10 @@
 
 #include "base/context.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 /* A target may define the first function. The second belongs to the fuzzer; it is NULL in replays.
  */
@@ -23,4 +27,7 @@ int fuzz_in_context(int (*use)(struct bsq_ctx *ctx));
 int fuzz_file(const uint8_t *data, size_t size, const char *name,
               int (*use)(struct bsq_ctx *ctx, const char *path));
 
+#ifdef __cplusplus
+}
+#endif
 #endif

@@ -1,0 +1,138 @@
+/* fuzz_mixed.c - fuzz target for scans from several files, of any formats. The input has up to four
+ * files, with the line "#next" between them. Numbers of blocks, elements and materials must go on
+ * from file to file, and a second reading must give the same blocks. */
+#include "tests/fuzz/fuzz_file.h"
+
+#include <stdio.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "formats/mesh/mesh_reader.h"
+
+enum { FILES = 4 };
+
+static const char separator[] = "\n#next\n";
+static char paths[FILES][32];
+static uint32_t path_count;
+static bool moved;
+
+/* What one reading has delivered. */
+struct reading {
+    struct fmt_mesh_totals sum;
+    uint64_t blocks, hash;
+    uint32_t file, materials; /* of the last block; 1 + the largest number */
+};
+
+static void add(struct reading *r, const void *bytes, uint64_t size)
+{
+    for (uint64_t i = 0; bytes && i < size; i++)
+        r->hash = (r->hash ^ ((const uint8_t *)bytes)[i]) * UINT64_C(0x100000001b3);
+}
+
+static void use_material(struct reading *r, uint32_t material)
+{
+    if (material != FMT_MESH_NO_MATERIAL && material >= r->materials)
+        r->materials = material + 1;
+    add(r, &material, sizeof material);
+}
+
+static void check_corners(const struct fmt_mesh_block *block)
+{
+    uint64_t corners = 0;
+    for (uint64_t f = 0; f < block->face_count; f++) {
+        require(block->face_sizes[f] >= 3, "a face has fewer than three corners");
+        corners += block->face_sizes[f];
+    }
+    require(corners == block->corner_count, "faces and corners do not match");
+}
+
+static int on_block(void *arg, const struct fmt_mesh_block *block)
+{
+    struct reading *r = arg;
+    require(block->sequence == r->blocks++, "a block is not the next one");
+    require(block->file >= r->file && block->file < path_count, "a wrong file number");
+    require(block->vertex_base == r->sum.vertices && block->texcoord_base == r->sum.texcoords &&
+                block->normal_base == r->sum.normals && block->face_base == r->sum.faces,
+            "elements are not numbered over the whole scan");
+    check_corners(block);
+    r->file = block->file;
+    r->sum.bytes += block->byte_size;
+    r->sum.vertices += block->vertex_count;
+    r->sum.texcoords += block->texcoord_count;
+    r->sum.normals += block->normal_count;
+    r->sum.faces += block->face_count;
+    r->sum.corners += block->corner_count;
+    add(r, block->positions, block->vertex_count * sizeof *block->positions);
+    add(r, block->colors, block->vertex_count * sizeof *block->colors);
+    add(r, block->texcoords, block->texcoord_count * sizeof *block->texcoords);
+    add(r, block->normals, block->normal_count * sizeof *block->normals);
+    add(r, block->face_sizes, block->face_count * sizeof *block->face_sizes);
+    add(r, block->corner_vertices, block->corner_count * sizeof(uint64_t));
+    add(r, block->corner_texcoords, block->corner_count * sizeof(uint64_t));
+    add(r, block->corner_normals, block->corner_count * sizeof(uint64_t));
+    use_material(r, block->material_at_start);
+    for (uint64_t i = 0; i < block->material_change_count; i++)
+        use_material(r, block->material_changes[i].material);
+    return 0;
+}
+
+static int read_once(struct fmt_mesh_reader *reader, struct reading *out)
+{
+    struct fmt_mesh_totals totals = {0};
+    *out = (struct reading){.hash = 0};
+    int status = fmt_mesh_read(reader, on_block, out, &totals);
+    if (status)
+        return status;
+    require(totals.vertices == out->sum.vertices && totals.texcoords == out->sum.texcoords &&
+                totals.normals == out->sum.normals && totals.faces == out->sum.faces &&
+                totals.corners == out->sum.corners,
+            "blocks do not add up to the totals");
+    require(out->materials <= totals.materials, "a material is out of range");
+    return 0;
+}
+
+static int read_twice(struct bsq_ctx *ctx)
+{
+    const char *names[FILES];
+    struct fmt_mesh_placement placements[FILES];
+    for (uint32_t i = 0; i < path_count; i++) {
+        names[i] = paths[i];
+        placements[i] = (struct fmt_mesh_placement){
+            .scale = 1 + i, .up = i % 2 ? FMT_MESH_UP_Z : FMT_MESH_UP_KEEP, .translate = {i, 0, 3}};
+    }
+    const struct fmt_mesh_inputs inputs = {
+        .paths = names, .path_count = path_count, .placements = moved ? placements : NULL};
+    struct fmt_mesh_reader *reader = NULL;
+    struct reading first, second;
+    int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
+    if (status == 0)
+        status = read_once(reader, &first);
+    if (status == 0) {
+        require(read_once(reader, &second) == 0, "a second reading fails");
+        require(first.hash == second.hash && first.blocks == second.blocks,
+                "a second reading differs");
+    }
+    fmt_mesh_close(reader);
+    return status;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    int files[FILES];
+    const uint8_t *end = data + size;
+    moved = size % 2;
+    for (path_count = 0; path_count < FILES && data;) {
+        const uint8_t *next = memmem(data, (size_t)(end - data), separator, sizeof separator - 1);
+        const size_t length = (size_t)((next ? next : end) - data);
+        const int fd = memfd_create("fuzz.mixed", MFD_CLOEXEC);
+        require(fd >= 0 && write(fd, data, length) == (ssize_t)length, "cannot make a file");
+        snprintf(paths[path_count], sizeof paths[0], "/proc/self/fd/%d", fd);
+        files[path_count++] = fd;
+        data = next ? next + sizeof separator - 1 : NULL;
+    }
+    fuzz_in_context(read_twice);
+    for (uint32_t i = 0; i < path_count; i++)
+        close(files[i]);
+    return 0;
+}

@@ -1,0 +1,180 @@
+// scene_check.cc - makes scenes of Assimp's structures from bytes, and copies them as the module
+// for Assimp's files does.
+//
+// Assimp's own importers are not fuzzed: some never end for damaged files (docs/decisions/0052).
+// What they may hand over is tested here, and more than their validation lets through.
+#include "tests/fuzz/scene_check.h"
+
+#include <cassert>
+#include <memory>
+
+// Its functions have no other door than the module's table, which takes files.
+#include "formats/mesh/scene_assimp.cc"
+
+#include "tests/fuzz/fuzz_file.h"
+
+namespace
+{
+
+// The input; zeros follow after its end.
+struct Bytes {
+    const uint8_t *data;
+    size_t size;
+
+    // Returns a number from 0 to limit - 1; 0 if limit is 0.
+    unsigned below(unsigned limit)
+    {
+        const unsigned value = size > 0 ? *data : 0;
+        data += size > 0;
+        size -= size > 0;
+        return limit > 0 ? value % limit : 0;
+    }
+    // Returns a number of any size, or one that is not finite.
+    float number()
+    {
+        static const float special[] = {NAN, INFINITY, -INFINITY, 3e38F, 1e-40F, 0, -1, 1};
+        const unsigned kind = below(4);
+        return kind == 0 ? special[below(8)] : float(int(below(256)) - 128) / float(1U << 3 * kind);
+    }
+    aiVector3D vector()
+    {
+        const float x = number(), y = number();
+        return aiVector3D(x, y, number());
+    }
+    aiString name()
+    {
+        const char text[] = {char(below(256)), char(below(256)), 0};
+        return aiString(text);
+    }
+};
+
+aiVector3D *make_vectors(Bytes &bytes, unsigned count)
+{
+    auto *list = new aiVector3D[count];
+    for (unsigned i = 0; i < count; i++)
+        list[i] = bytes.vector();
+    return list;
+}
+
+aiMesh *make_mesh(Bytes &bytes)
+{
+    auto *mesh = new aiMesh;
+    const unsigned arrays = bytes.below(8);
+    mesh->mNumVertices = bytes.below(12);
+    mesh->mVertices = make_vectors(bytes, mesh->mNumVertices);
+    if (arrays & 1)
+        mesh->mNormals = make_vectors(bytes, mesh->mNumVertices);
+    if (arrays & 2)
+        mesh->mTextureCoords[0] = make_vectors(bytes, mesh->mNumVertices);
+    if (arrays & 4) {
+        mesh->mTangents = make_vectors(bytes, mesh->mNumVertices);
+        mesh->mBitangents = make_vectors(bytes, mesh->mNumVertices);
+    }
+    mesh->mMaterialIndex = bytes.below(4);
+    mesh->mNumFaces = bytes.below(8);
+    mesh->mFaces = new aiFace[mesh->mNumFaces];
+    for (unsigned f = 0; f < mesh->mNumFaces; f++) {
+        aiFace &face = mesh->mFaces[f];
+        face.mNumIndices = bytes.below(7);
+        face.mIndices = new unsigned[face.mNumIndices];
+        for (unsigned i = 0; i < face.mNumIndices; i++) // one beyond the last is wrong
+            face.mIndices[i] = bytes.below(mesh->mNumVertices + (bytes.below(64) == 63));
+    }
+    return mesh;
+}
+
+// depth: of nodes below this one.
+aiNode *make_node(Bytes &bytes, unsigned depth)
+{
+    auto *node = new aiNode;
+    node->mName = bytes.name();
+    for (unsigned i = 0; i < 12 && bytes.below(4) > 0; i++)
+        node->mTransformation[i / 4][i % 4] = bytes.number();
+    node->mNumMeshes = bytes.below(3);
+    node->mMeshes = new unsigned[node->mNumMeshes];
+    for (unsigned i = 0; i < node->mNumMeshes; i++)
+        node->mMeshes[i] = bytes.below(4);
+    const unsigned children = depth > 0 ? bytes.below(3) : 0;
+    node->mChildren = new aiNode *[children];
+    for (; node->mNumChildren < children; node->mNumChildren++)
+        node->mChildren[node->mNumChildren] = make_node(bytes, depth - 1);
+    return node;
+}
+
+std::unique_ptr<aiScene> make_scene(Bytes &bytes)
+{
+    std::unique_ptr<aiScene> scene(new aiScene);
+    const unsigned meshes = bytes.below(4), materials = bytes.below(4);
+    scene->mMeshes = new aiMesh *[meshes];
+    for (; scene->mNumMeshes < meshes; scene->mNumMeshes++)
+        scene->mMeshes[scene->mNumMeshes] = make_mesh(bytes);
+    scene->mMaterials = new aiMaterial *[materials];
+    for (; scene->mNumMaterials < materials; scene->mNumMaterials++) {
+        auto *material = new aiMaterial;
+        const aiString name = bytes.name();
+        material->AddProperty(&name, AI_MATKEY_NAME);
+        scene->mMaterials[scene->mNumMaterials] = material;
+    }
+    scene->mRootNode = bytes.below(16) > 0 ? make_node(bytes, 3) : nullptr;
+    return scene;
+}
+
+bool finite_or_missing(const double *values, int count)
+{
+    int finite = 0;
+    for (int k = 0; k < count; k++)
+        finite += std::isfinite(values[k]);
+    return finite == count || (finite == 0 && std::isnan(values[0]));
+}
+
+void check_scene(const fmt_scene &scene)
+{
+    uint64_t corners = 0, faces = 0;
+    for (uint64_t v = 0; v < scene.vertex_count; v++) {
+        require(finite_or_missing(scene.positions[v], 3), "a position is partly finite");
+        require(finite_or_missing(scene.texcoords[v], 2), "texture coordinates are partly finite");
+        for (const float n : scene.normals[v])
+            require(std::isfinite(n), "a normal is not finite");
+    }
+    for (uint64_t p = 0; p < scene.part_count; p++) {
+        require(scene.parts[p].first_face == faces && scene.parts[p].first_corner == corners &&
+                    scene.parts[p].object,
+                "a part does not follow the one before");
+        for (; faces < scene.parts[p + 1].first_face; faces++) {
+            require(scene.face_sizes[faces] >= 3, "a face has fewer than three corners");
+            corners += scene.face_sizes[faces];
+        }
+    }
+    require(faces == scene.face_count && corners == scene.corner_count, "faces are lost");
+    for (uint64_t c = 0; c < corners; c++)
+        require(scene.corners[c] < scene.vertex_count, "a corner is out of range");
+}
+
+void free_scene(struct bsq_ctx *ctx, const fmt_scene &scene)
+{
+    for (uint64_t i = 0; i < scene.part_count; i++)
+        bsq_free(ctx, scene.parts[i].object);
+    for (uint64_t i = 0; i < scene.material_count; i++)
+        bsq_free(ctx, scene.material_names[i]);
+    void *const arrays[] = {scene.positions, scene.texcoords, scene.normals,       scene.face_sizes,
+                            scene.corners,   scene.parts,     scene.material_names};
+    for (void *array : arrays)
+        bsq_free(ctx, array);
+}
+
+} // namespace
+
+extern "C" int fuzz_scene(struct bsq_ctx *ctx, const uint8_t *data, size_t size)
+{
+    Bytes bytes = {data, size};
+    char path[] = "fuzz.fbx";
+    const std::unique_ptr<aiScene> made = make_scene(bytes);
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    file.path = path;
+    fmt_scene scene = {};
+    const int status = copy_scene({&fmt_host_functions, ctx, &file, path}, *made, &scene);
+    if (status == 0)
+        check_scene(scene);
+    free_scene(ctx, scene);
+    return status;
+}
