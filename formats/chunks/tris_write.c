@@ -113,19 +113,19 @@ static void put_channels(const struct fmt_tris_header *header, const struct fmt_
     }
 }
 
+/* named, channels: whether the file has names of materials, and values of channels. */
 static void put_material(const struct fmt_tris_header *header, const struct fmt_tris_material *m,
-                         char **to)
+                         bool named, bool channels, char **to)
 {
     const size_t path = text_length(m->texture_path), name = text_length(m->name);
     const struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
                                                 m->texture_path ? (uint32_t)path : TRIS_NO_PATH};
-    const struct tris_name_record named = {m->colorless ? TRIS_COLORLESS : 0, (uint32_t)name};
+    const struct tris_name_record name_record = {m->colorless ? TRIS_COLORLESS : 0, (uint32_t)name};
     put(to, &record, sizeof record);
     put(to, m->texture_path, path);
-    const bool channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
-    if (header->ids == BSQ_IDS_NONE && !channels)
+    if (!named)
         return;
-    put(to, &named, sizeof named);
+    put(to, &name_record, sizeof name_record);
     put(to, m->name, name);
     if (channels)
         put_channels(header, m, to);
@@ -146,7 +146,8 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
     char *to = writer->materials;
     const struct tris_channels_record channels = {.channel_count = header->channel_count};
     const bool has_channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
-    if (ids.ids != BSQ_IDS_NONE || has_channels)
+    const bool has_names = ids.ids != BSQ_IDS_NONE || has_channels;
+    if (has_names)
         put(&to, &ids, sizeof ids);
     if (has_channels)
         put(&to, &channels, sizeof channels);
@@ -156,7 +157,7 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
         put(&to, header->channels[c], length);
     }
     for (uint32_t i = 0; i < header->material_count; i++)
-        put_material(header, &header->materials[i], &to);
+        put_material(header, &header->materials[i], has_names, has_channels, &to);
     return 0;
 }
 

@@ -23,7 +23,7 @@ warnings()
 }
 
 # all_combinations OUTPUT... -- PROGRAM ARGUMENT...: runs a job with every combination of closed
-# descriptors, and with many lines for standard error. A report that cannot be printed is exit code
+# descriptors (with sanitizers, all closed at once), and with many lines for standard error. A report that cannot be printed is exit code
 # 74, else the code is 0.
 all_combinations()
 {
@@ -39,7 +39,12 @@ all_combinations()
     [ -s "$err" ] || [ -z "$outputs" ] || [ "$1" = bisque-compare ]
     check "writes to standard error: $*" $?
     warnings >warnings.txt
-    for closing in '<&-' '>&-' '2>&-' '<&- >&-' '<&- 2>&-' '>&- 2>&-' '<&- >&- 2>&-'; do
+    combinations='<&- >&- 2>&-'
+    sanitized || combinations="<&-,>&-,2>&-,<&- >&-,<&- 2>&-,>&- 2>&-,$combinations"
+    while [ -n "$combinations" ]; do
+        closing=${combinations%%,*}
+        combinations=${combinations#"$closing"}
+        combinations=${combinations#,}
         rm -f $outputs
         command="$* $closing" code=0 expected=0
         program=$1

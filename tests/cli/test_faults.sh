@@ -1,6 +1,7 @@
 #!/bin/sh
 # test_faults.sh - killed jobs and failing system calls: no partial file is left, each failure is
 # reported. tests/faults/ has the library that makes calls fail, and the program that repeats runs.
+# LONG=1 repeats more runs.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 export FAULTS="$TESTS/faults.so"
@@ -10,6 +11,9 @@ if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
     exit
 fi
 SEED=${SEED:-$(date +%s)}
+# Runs that are killed, calls at which a run is killed or interrupted, and calls that fail in each
+# way, evenly spread over the run. With LONG=1 all calls of most jobs fail once.
+if [ -n "${LONG-}" ]; then kills=200 calls=60 most=100000; else kills=24 calls=12 most=20; fi
 echo "# SEED=$SEED"
 
 # torture OPTION...: runs tests/faults/torture.c on the job in $job_outputs and $job_command.
@@ -37,12 +41,12 @@ job()
 # Makes each call that writes fail in each way.
 writes_fail()
 {
-    torture ENOSPC
-    torture full
-    torture EIO
-    torture -p ENOSPC
-    torture short
-    torture EINTR
+    torture -m "$most" ENOSPC
+    torture -m "$most" full
+    torture -m "$most" EIO
+    torture -m "$most" -p ENOSPC
+    torture -m "$most" short
+    torture -m "$most" EINTR
     torture -c close EIO
     torture -c name -x 73 EPERM
     torture -c name full
@@ -50,20 +54,20 @@ writes_fail()
 
 reads_fail()
 {
-    torture -c read EIO
-    torture -c read short
-    torture -c read EINTR
-    torture -c open -x 66 -x 73 -x 74 EMFILE
+    torture -m "$most" -c read EIO
+    torture -m "$most" -c read short
+    torture -m "$most" -c read EINTR
+    torture -m "$most" -c open -x 66 -x 73 -x 74 EMFILE
 }
 
 # Kills the job at random moments, and before each call that changes a file or a name.
 killed()
 {
-    torture -n 200 kill
-    torture -n 50 -p kill
-    torture -m 60 kill-at
+    torture -n "$kills" kill
+    torture -n $((kills / 4)) -p kill
+    torture -m "$calls" kill-at
     torture -c name -p kill-at
-    torture -m 40 -x 75 -c "open read write sync size name" interrupt
+    torture -m "$calls" -x 75 -c "open read write sync size name" interrupt
 }
 
 # Reserving disk space for a grid is one call among many: it fails alone, the other runs skip it.

@@ -47,9 +47,9 @@ write_covering()
     }'
 }
 
-# stops NAME PROGRAM ARGUMENT...: interrupts the program at several moments. It must end with 75 and
-# leave nothing, unless it was done before (0), or had not yet started (143). 20 seconds are far more
-# than it may take to answer; then it is killed (137).
+# stops NAME PROGRAM ARGUMENT...: interrupts the program at several moments, $most (4) at most. It
+# must end with 75 and leave nothing, unless it was done before (0), or had not yet started (143).
+# 20 seconds are far more than it may take to answer; then it is killed (137).
 stops()
 {
     name=$1 answered=0 command=$* code=0 before=$(ls -A)
@@ -64,9 +64,9 @@ stops()
         [ "$code" -eq 75 ] || break
         [ "$(tail -n 1 "$err")" = "$program: interrupted" ] && [ "$(ls -A)" = "$before" ] || break
         answered=$((answered + 1))
-        [ "$answered" -lt 4 ] || break
+        [ "$answered" -lt "${most:-4}" ] || break
     done
-    [ "$answered" -gt 0 ] && { [ "$code" -eq 0 ] || { [ "$code" -eq 75 ] && [ "$answered" -eq 4 ]; }; }
+    [ "$answered" -gt 0 ] && { [ "$code" -eq 0 ] || { [ "$code" -eq 75 ] && [ "$answered" -eq "${most:-4}" ]; }; }
     check "$name: $answered interruptions are answered" $?
     rm -f slow*
 }
@@ -82,7 +82,10 @@ code 0
 stops "one polygon as a scan" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
 stops "one polygon in little memory" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris \
     --threads 1 --memory 80M
-stops "many materials" bisque-voxelize materials.obj -o slow.nvdb --resolution 64 --no-tris
+# The coarse grid takes no time, so the moments fall into reading and writing the materials.
+most=9
+stops "many materials" bisque-voxelize materials.obj -o slow.nvdb --resolution 4 --no-tris
+unset most
 stops "one polygon as the low-poly mesh" bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
     --device cpu --size 2048
 for surface in nvdb tris; do
