@@ -119,7 +119,7 @@ static int read_twice(struct bsq_ctx *ctx)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    int files[FILES];
+    int files[FILES] = {0};
     const uint8_t *end = data + size;
     moved = size % 2;
     for (path_count = 0; path_count < FILES && data;) {
