@@ -77,10 +77,11 @@ static void add_group(void *arg, const double origin[3], double unit,
     for (uint32_t word = 0; word < BAKE_MASK_WORDS; ++word)
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1) {
             const uint32_t n = word * 64 + (uint32_t)__builtin_ctzll(bits);
-            const double x = n / (BLOCKS * BLOCKS), y = n / BLOCKS % BLOCKS, z = n % BLOCKS;
+            const uint32_t block[3] = {n / (BLOCKS * BLOCKS), n / BLOCKS % BLOCKS, n % BLOCKS};
             double at[3];
             for (int i = 0; i < 3; ++i)
-                at[i] = p.at[i] + x * p.step[0][i] + y * p.step[1][i] + z * p.step[2][i];
+                at[i] = p.at[i] + block[0] * p.step[0][i] + block[1] * p.step[1][i] +
+                        block[2] * p.step[2][i];
             add_block(to->front, &p, at);
         }
 }
