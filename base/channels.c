@@ -25,18 +25,73 @@ const struct bsq_channel *bsq_channel_at(unsigned number)
     return number < CHANNELS ? &channels[number] : NULL;
 }
 
-const struct bsq_channel *bsq_channel_find(const char *name)
+/* Finds the row of a name of `length` bytes. */
+static const struct bsq_channel *find(const char *name, uint64_t length)
 {
     static const struct bsq_channel other = {"", 3, false, NULL, NULL};
     for (unsigned i = 0; i < CHANNELS; i++)
-        if (strcmp(channels[i].name, name) == 0)
+        if (strlen(channels[i].name) == length && memcmp(channels[i].name, name, length) == 0)
             return &channels[i];
     return &other;
 }
 
+const struct bsq_channel *bsq_channel_find(const char *name)
+{
+    return find(name, strlen(name));
+}
+
+static bool is_name(const char *name, uint64_t length)
+{
+    bool good = length > 0 && name[0] >= 'a' && name[0] <= 'z';
+    for (uint64_t i = 1; i < length && good; i++)
+        good = (name[i] >= 'a' && name[i] <= 'z') || (name[i] >= '0' && name[i] <= '9') ||
+               name[i] == '_';
+    return good;
+}
+
 bool bsq_is_channel_name(const char *name)
 {
-    const char *letters = "abcdefghijklmnopqrstuvwxyz";
-    return *name != '\0' && strchr(letters, *name) &&
-           name[strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789_")] == '\0';
+    return is_name(name, strlen(name));
+}
+
+void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float sample[3])
+{
+    const float value = sample[component];
+    if (channel->values == 1)
+        sample[0] = sample[1] = sample[2] = value;
+}
+
+/* Returns the length of the name at the start of the rest of a list. */
+static uint64_t name_length(const char *rest, uint64_t bytes)
+{
+    const char *comma = memchr(rest, ',', bytes);
+    return comma ? (uint64_t)(comma - rest) : bytes;
+}
+
+uint32_t bsq_channel_list_values(const char *list, uint64_t bytes)
+{
+    uint32_t values = 0;
+    for (uint64_t at = 0; at <= bytes;) {
+        const uint64_t length = name_length(list + at, bytes - at);
+        values += find(list + at, length)->values;
+        if (!is_name(list + at, length) || values > BSQ_CHANNEL_VALUES_MAX)
+            return 0;
+        at += length + 1;
+    }
+    return values;
+}
+
+const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes, const char *name,
+                                                uint32_t *first)
+{
+    *first = 0;
+    for (uint64_t at = 0; at <= bytes;) {
+        const uint64_t length = name_length(list + at, bytes - at);
+        const struct bsq_channel *channel = find(list + at, length);
+        if (length == strlen(name) && memcmp(list + at, name, length) == 0)
+            return channel;
+        *first += channel->values;
+        at += length + 1;
+    }
+    return NULL;
 }

@@ -29,6 +29,23 @@ const struct bsq_channel *bsq_channel_at(unsigned number);
  * letter first. */
 bool bsq_is_channel_name(const char *name);
 
+/* Keeps one component, 0 to 2, of a sample of a texture three times, if the channel has one value.
+ */
+void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float sample[3]);
+
+/* ---- lists: names separated by commas, as in "roughness,emission" ---- */
+
+/* Most values of all channels of a list together. */
+enum { BSQ_CHANNEL_VALUES_MAX = 65535 };
+
+/* Returns the number of values of all channels of a list of `bytes` bytes; 0 if it is no list of
+ * names, or has more than BSQ_CHANNEL_VALUES_MAX values. */
+uint32_t bsq_channel_list_values(const char *list, uint64_t bytes);
+/* Finds the first channel of this name in a list. Sets *first to the number of values before its
+ * own. Returns its row, or NULL. */
+const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes, const char *name,
+                                                uint32_t *first);
+
 #ifdef __cplusplus
 }
 #endif

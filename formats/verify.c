@@ -31,8 +31,7 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     if (status < 0)
         return status;
     report->kind = FMT_VERIFY_NVDB;
-    report->version =
-        grid.info.ids == BSQ_IDS_NONE ? FMT_NVDB_RECORD_VERSION : FMT_NVDB_RECORD_VERSION_IDS;
+    report->version = (uint32_t)fmt_nvdb_record_version(&grid);
     fmt_nvdb_version(grid.info.type, report->nanovdb_version);
     report->type = grid.info.type;
     report->triangles = grid.info.source_triangles;

@@ -190,6 +190,8 @@ struct vox_voxelize_options {
                                            shorter than 0.7 voxels, all choices are the same. */
     const char *vdb_path;               /**< Output: an OpenVDB file, or NULL. */
     bool ids;                           /**< Give the grid the ids of the chunk file. */
+    /** Channels of the chunk file that the grid gets: names separated by commas, or NULL. */
+    const char *channels;
 };
 
 /** What vox_voxelize() did. */

@@ -16,15 +16,23 @@
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
 
+static bool channels_have_images(const struct voxelize_arguments *arguments)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < arguments->channel_count; i++)
+        any |= arguments->channels[i].texture_path != NULL;
+    return any;
+}
+
 /* Returns the option that has no effect on chunk files alone; NULL: there is none. */
 static const char *option_for_meshes(const struct voxelize_arguments *arguments)
 {
-    return arguments->tris                ? "--tris"
-           : arguments->texture           ? "--texture"
-           : arguments->ids               ? "--id"
-           : arguments->resume            ? "--resume"
-           : arguments->channel_count > 0 ? "channels other than id"
-                                          : NULL;
+    return arguments->tris                   ? "--tris"
+           : arguments->texture              ? "--texture"
+           : arguments->ids                  ? "--id"
+           : arguments->resume               ? "--resume"
+           : channels_have_images(arguments) ? "the images of --channels"
+                                             : NULL;
 }
 
 /* Checks the options if chunk files are among the inputs. */
@@ -261,6 +269,7 @@ static struct vox_voxelize_options grid_options(struct voxelize_job *job)
         .scan_normals = arguments->scan_normals,
         .vdb_path = arguments->vdb,
         .ids = arguments->channel_ids,
+        .channels = arguments->channel_list,
     };
     return options;
 }

@@ -26,8 +26,8 @@ static const char help[] =
     "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
     "      --scan-normals NAME for a scan without normals: smooth, flat; or smooth ones by weight:\n"
     "                          area, angle or max (default: smooth, which is area)\n"
-    "      --channels LIST     what else to keep: id in chunks and grid; in the chunks, for maps\n"
-    "                          transfer:NAME, also NAME of the materials or NAME=FILE\n"
+    "      --channels LIST     what else to keep in chunks and grid: id; and for maps\n"
+    "                          transfer:NAME, NAME of the materials or NAME=FILE\n"
     "      --id KIND           what ids tell apart: material, object or color (default: material)\n"
     "      --vdb FILE          also write the grid as an OpenVDB file\n"
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
@@ -193,6 +193,7 @@ void voxelize_arguments_free(struct voxelize_arguments *arguments)
     for (uint32_t i = 0; i < arguments->channel_count; i++)
         free((void *)(uintptr_t)arguments->channels[i].name);
     free(arguments->channels);
+    free(arguments->channel_list);
 }
 
 /* ---- options ---- */
@@ -212,6 +213,12 @@ static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, co
     if (equals)
         *equals = '\0';
     grown[arguments->channel_count++] = (struct vox_channel){name, equals ? equals + 1 : NULL};
+    char *old = arguments->channel_list;
+    if (asprintf(&arguments->channel_list, "%s%s%s", old ? old : "", old ? "," : "", name) < 0)
+        arguments->channel_list = NULL;
+    free(old);
+    if (!arguments->channel_list)
+        return cli_usage(cli, "no memory for the arguments");
     if (!bsq_is_channel_name(name))
         return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
     return equals && equals[1] == '\0' ? cli_usage(cli, "--channels: \"%s\" names no file", word)
@@ -341,9 +348,6 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "--resolution and --voxel-size exclude each other");
     if (arguments->ids != VOX_IDS_NONE && !arguments->channel_ids)
         return cli_usage(cli, "--id needs --channels id");
-    if (arguments->channel_count > 0 && arguments->no_tris)
-        return cli_usage(cli, "--channels: the chunk file keeps %s: leave out --no-tris",
-                         arguments->channels[0].name);
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
     if (arguments->sort_only && arguments->grid_option)

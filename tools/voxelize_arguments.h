@@ -17,7 +17,8 @@ struct voxelize_arguments {
     bool channel_ids;
     struct vox_channel *channels; /* further ones; the names are owned */
     uint32_t channel_count;
-    enum vox_ids ids; /* VOX_IDS_NONE: not given */
+    char *channel_list; /* their names, separated by commas; NULL: none */
+    enum vox_ids ids;   /* VOX_IDS_NONE: not given */
     bool no_tris, parse_only, resume;
     bool sort_only; /* the output is a chunk file: no grid is made */
     struct cli_tasks farm;

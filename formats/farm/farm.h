@@ -101,13 +101,15 @@ enum fmt_farm_member_kind {
     FMT_FARM_PATH,     /* char *, a file */
     FMT_FARM_OPTIONAL, /* the same, or NULL */
     FMT_FARM_PATHS,    /* char **, a list of files; its count is a uint32_t at offset `most` */
-    FMT_FARM_TEXT,     /* char * */
+    FMT_FARM_TEXT,     /* char *; with `most` FMT_FARM_OR_NULL, or NULL */
     FMT_FARM_U32,
     FMT_FARM_U64,
     FMT_FARM_NUMBER, /* double */
     FMT_FARM_BOOL,
     FMT_FARM_CHOICE /* unsigned, or an enumeration, of 0 to `most` */
 };
+
+enum { FMT_FARM_OR_NULL = 1 };
 
 struct fmt_farm_member {
     const char *name;

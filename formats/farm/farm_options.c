@@ -106,7 +106,9 @@ static bool read_string(struct bsq_ctx *ctx, const char *plan_path,
     if (text)
         *out = member->kind == FMT_FARM_TEXT ? strdup(text)
                                              : fmt_farm_path_from_plan(ctx, plan_path, text);
-    return text ? *out != NULL : member->kind == FMT_FARM_OPTIONAL && json_is_null(value);
+    const bool optional = member->kind == FMT_FARM_OPTIONAL ||
+                          (member->kind == FMT_FARM_TEXT && member->most == FMT_FARM_OR_NULL);
+    return text ? *out != NULL : optional && json_is_null(value);
 }
 
 /* Reads a list of paths. *count: those that are there to be freed, also after a failure. */

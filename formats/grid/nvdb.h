@@ -41,6 +41,8 @@ struct fmt_nvdb_info {
     double translation[3]; /* world position of the centre of voxel (0, 0, 0) */
     bool has_color;
     enum bsq_ids ids;
+    const char *channels; /* further channels: a list of names (base/channels.h); NULL: none. Only
+                             for writing; a grid that was read has `channel_list` */
     uint64_t source_triangles;       /* of the high-poly mesh */
     double scan_min[3], scan_max[3]; /* world bounds of the high-poly mesh */
 };
@@ -52,7 +54,8 @@ bool fmt_vdb_recognise(const char first[8]);
 /* Version of the record "bisque", and the NanoVDB version (major, minor, patch) of a grid type. */
 enum {
     FMT_NVDB_RECORD_VERSION = 2,
-    FMT_NVDB_RECORD_VERSION_IDS = 3 /* of grids with ids */
+    FMT_NVDB_RECORD_VERSION_IDS = 3,     /* of grids with ids */
+    FMT_NVDB_RECORD_VERSION_CHANNELS = 4 /* of grids with further channels */
 };
 void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3]);
 
@@ -79,6 +82,8 @@ struct fmt_nvdb_region {
     uint64_t record_count, second_count;
     const struct fmt_nvdb_record *records; /* one a voxel, in the order of leaves and bits */
     const struct fmt_nvdb_record *second;  /* of the voxels that have FMT_NVDB_PLANE_SECOND */
+    /* Values of further channels, as many a record as the list of the grid has; NULL: none. */
+    const float *channels, *second_channels;
 };
 
 /* Appends a region. Regions must come in NanoVDB's order: by root tile (4096^3 voxels), tiles
@@ -127,10 +132,18 @@ struct fmt_nvdb_grid {
     uint64_t record_count;   /* of each channel: the background, voxels, second records */
     const uint32_t *normals; /* channels of struct fmt_nvdb_record */
     const uint32_t *planes;
-    const uint32_t *colors; /* NULL when the grid has none */
-    const uint32_t *ids;    /* likewise */
-    const uint8_t *names;   /* that ids stand for, see fmt_nvdb_read_names() */
-    uint64_t name_bytes;    /* 0 when the grid has no ids */
+    const uint32_t *colors;   /* NULL when the grid has none */
+    const uint32_t *ids;      /* likewise */
+    const uint8_t *names;     /* that ids stand for, see fmt_nvdb_read_names() */
+    uint64_t name_bytes;      /* 0 when the grid has no ids */
+    const float *channels;    /* of each record channel_words values; NULL when the grid has none */
+    uint32_t channel_words;   /* values of all channels of the list; 0 when the grid has none */
+    const char *channel_list; /* names, see base/channels.h; not terminated */
+    uint32_t channel_list_bytes;
+    /* Of those who use channels: for each of transfer_count uses, the first of its values in a
+     * record, times 4, and their number. The user owns it. NULL after opening. */
+    const uint32_t *transfers;
+    uint32_t transfer_count;
     /* Which voxels have second records: entry i = {bits, rank} is for value indices 32 i ... 32 i +
      * 31. The second record of v is number 1 + voxel_count + rank + popcount(bits below v & 31). */
     const uint32_t (*seconds)[2];
@@ -156,6 +169,8 @@ int fmt_nvdb_read_names(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
 /* Returns the value index of the voxel at index coordinates, at most voxel_count; 0 if it is not
  * active. */
 uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3]);
+/* Returns the version of a grid's record "bisque". */
+int fmt_nvdb_record_version(const struct fmt_nvdb_grid *grid);
 /* Returns record number `index`, from 1 to record_count - 1. */
 struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index);
 /* Returns the number of the second record of the voxel with value index v, 0 if it has none. */

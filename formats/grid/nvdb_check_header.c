@@ -150,14 +150,44 @@ static int check_grid_data(const struct head *h)
 /* Checks the record "bisque" except for its bounds. */
 static bool is_record_valid(const struct nvdb_record *record, const struct nvdb_counts *counts)
 {
-    const bool ids = record->version == FMT_NVDB_RECORD_VERSION_IDS;
+    const bool ids = counts->has_ids, channels = record->flags & NVDB_RECORD_HAS_CHANNELS;
     const uint64_t later = record->checksum[NVDB_IDS] | record->checksum[NVDB_NAMES];
     const uint32_t flags = (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) |
-                           (counts->has_ids ? NVDB_RECORD_HAS_IDS : 0);
-    return record->flags == flags && ids == counts->has_ids &&
-           (ids ? record->name_bytes >> 62 == 0 : (later | record->name_bytes) == 0) &&
+                           (counts->has_ids ? NVDB_RECORD_HAS_IDS : 0) |
+                           (channels ? NVDB_RECORD_HAS_CHANNELS : 0);
+    return record->flags == flags &&
+           record->version == (uint32_t)nvdb_record_version(ids, channels) &&
+           (ids ? record->name_bytes >> 61 == 0 : (later | record->name_bytes) == 0) &&
            record->second_count <= counts->voxels && record->second_count <= UINT32_MAX &&
-           record->reserved == 0 && record->record_checksum == fmt_nvdb_record_checksum(record);
+           (channels || record->channels_checksum == 0) &&
+           record->record_checksum == fmt_nvdb_record_checksum(record);
+}
+
+/* Sets which channels the grid has by their number, and by the record if it is whole. Further
+ * channels have at least one value; read_channels() sets how many. */
+static bool find_channels(struct head *h, struct nvdb_counts *counts)
+{
+    struct nvdb_record *record = &h->record;
+    memcpy(record, h->file + h->size - sizeof(*record), sizeof(*record));
+    const bool whole = record->record_checksum == fmt_nvdb_record_checksum(record);
+    const uint32_t more = h->grid.blind_count - 4, flags = whole ? record->flags : 0;
+    const uint32_t channels = flags & NVDB_RECORD_HAS_CHANNELS ? 1 : 0;
+    counts->has_color = (more - channels) & 1;
+    counts->has_ids = (more - channels) & 2;
+    counts->channel_words = channels;
+    return h->grid.blind_count >= 4 + channels && more - channels <= 3;
+}
+
+/* Reads the head of the section of channels. */
+static int read_channels(const struct head *h, struct nvdb_counts *counts)
+{
+    struct nvdb_layout layout;
+    if (!(h->record.flags & NVDB_RECORD_HAS_CHANNELS))
+        return 0;
+    fmt_nvdb_layout_compute(counts, &layout);
+    return fmt_nvdb_check_channels(h->file, h->size, layout.section[NVDB_CHANNELS].offset, counts)
+               ? 0
+               : damaged(h, "list of channels");
 }
 
 /* Reads the counts that determine the layout; checks each against the file's size. */
@@ -169,10 +199,8 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
     counts->uppers = h->tree.node_count[2];
     counts->voxels = h->tree.voxel_count;
     counts->seconds = 0;
-    if (h->grid.blind_count < 4 || h->grid.blind_count > 7)
+    if (!find_channels(h, counts))
         return fail_foreign(h);
-    counts->has_color = h->grid.blind_count & 1;
-    counts->has_ids = h->grid.blind_count >= 6;
     if (counts->uppers == 0 || counts->lowers < counts->uppers || counts->leaves < counts->lowers ||
         counts->voxels < counts->leaves || counts->voxels / 512 > counts->leaves)
         return damaged(h, "node counts");
@@ -182,15 +210,14 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
     if (layout.file_bytes > h->size)
         return damaged(h, "node counts");
     struct nvdb_record *record = &h->record;
-    memcpy(record, h->file + h->size - sizeof(*record), sizeof(*record));
     if (memcmp(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic)) != 0)
         return fail_foreign(h);
-    if (record->version != FMT_NVDB_RECORD_VERSION &&
-        record->version != FMT_NVDB_RECORD_VERSION_IDS)
+    if (record->version < FMT_NVDB_RECORD_VERSION ||
+        record->version > FMT_NVDB_RECORD_VERSION_CHANNELS)
         return bsq_fail(
             h->ctx, BSQ_EDATA,
-            "%s: surface grid of version %" PRIu32 ": this Bisque reads versions %d and %d",
-            h->path, record->version, FMT_NVDB_RECORD_VERSION, FMT_NVDB_RECORD_VERSION_IDS);
+            "%s: surface grid of version %" PRIu32 ": this Bisque reads versions %d to %d", h->path,
+            record->version, FMT_NVDB_RECORD_VERSION, FMT_NVDB_RECORD_VERSION_CHANNELS);
     if (!is_record_valid(record, counts))
         return damaged(h, "\"bisque\" record");
     for (int axis = 0; axis < 3; axis++)
@@ -198,7 +225,7 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
             return damaged(h, "scan bounds");
     counts->seconds = record->second_count;
     counts->name_bytes = record->name_bytes;
-    return 0;
+    return read_channels(h, counts);
 }
 
 /* Compares the file up to the root's tiles, except for the CRC-32, with what a writer would write
@@ -276,6 +303,13 @@ static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
     if (counts->has_color)
         grid->colors = (const void *)(h->file + layout->section[NVDB_COLORS].offset);
     grid->seconds = (const void *)(h->file + layout->section[NVDB_SECONDS].offset);
+    grid->channel_words = counts->channel_words;
+    grid->channel_list_bytes = counts->channel_list_bytes;
+    if (counts->channel_words > 0) {
+        const uint8_t *at = h->file + layout->section[NVDB_CHANNELS].offset;
+        grid->channel_list = (const char *)at + sizeof(struct nvdb_channels_head);
+        grid->channels = (const void *)(at + nvdb_channels_head_bytes(counts->channel_list_bytes));
+    }
     if (!counts->has_ids)
         return;
     grid->ids = (const void *)(h->file + layout->section[NVDB_IDS].offset);
@@ -320,6 +354,8 @@ void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *la
         .has_color = grid->info.has_color,
         .has_ids = grid->info.ids != BSQ_IDS_NONE,
         .name_bytes = grid->name_bytes,
+        .channel_words = grid->channel_words,
+        .channel_list_bytes = grid->channel_list_bytes,
         .uppers = grid->upper_count,
         .lowers = grid->lower_count,
         .leaves = grid->leaf_count,

@@ -101,6 +101,10 @@ static struct section_streams streams_of(const struct commit *commit)
         if (commit->writer->info.ids == BSQ_IDS_NONE)
             break;
         return (struct section_streams){&stream[STREAM_IDS], &stream[STREAM_SECOND_IDS]};
+    case NVDB_CHANNELS:
+        if (commit->writer->counts.channel_words == 0)
+            break;
+        return (struct section_streams){&stream[STREAM_CHANNELS], &stream[STREAM_SECOND_CHANNELS]};
     case NVDB_SECONDS:
         return (struct section_streams){.first = &stream[STREAM_SECOND_WORDS]};
     default:
@@ -249,7 +253,9 @@ static int begin_section(struct commit *commit)
 static void end_section(struct commit *commit)
 {
     bool of_ids = commit->section == NVDB_IDS || commit->section == NVDB_NAMES;
-    if (commit->section < NVDB_RECORD && (commit->writer->counts.has_ids || !of_ids))
+    if (commit->section == NVDB_CHANNELS && commit->writer->counts.channel_words > 0)
+        commit->record.channels_checksum = XXH3_64bits_digest(commit->hash);
+    if (commit->section < NVDB_CHANNELS && (commit->writer->counts.has_ids || !of_ids))
         commit->record.checksum[commit->section] = XXH3_64bits_digest(commit->hash);
     commit->section++;
     commit->done = 0;
@@ -322,8 +328,10 @@ static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record
     const struct fmt_nvdb_info *info = &writer->info;
     memcpy(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic));
     const bool ids = info->ids != BSQ_IDS_NONE;
-    record->version = ids ? FMT_NVDB_RECORD_VERSION_IDS : FMT_NVDB_RECORD_VERSION;
-    record->flags = (info->has_color ? NVDB_RECORD_HAS_COLOR : 0) | (ids ? NVDB_RECORD_HAS_IDS : 0);
+    const bool channels = writer->counts.channel_words > 0;
+    record->version = (uint32_t)nvdb_record_version(ids, channels);
+    record->flags = (info->has_color ? NVDB_RECORD_HAS_COLOR : 0) |
+                    (ids ? NVDB_RECORD_HAS_IDS : 0) | (channels ? NVDB_RECORD_HAS_CHANNELS : 0);
     record->name_bytes = writer->counts.name_bytes;
     record->source_triangles = info->source_triangles;
     record->second_count = writer->counts.seconds;

@@ -15,9 +15,13 @@ enum { SEMANTIC_UNKNOWN = 0, SEMANTIC_COLOR = 2, SEMANTIC_NORMAL = 3 };
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
 {
     static const struct fmt_nvdb_channel channels[] = {
-        {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4},   {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
-        {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4},      {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
-        {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},      {"names", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+        {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4},
+        {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
+        {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4},
+        {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
+        {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
+        {"names", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+        {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
         {"bisque", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
     };
     assert(section >= NVDB_NORMALS && section <= NVDB_RECORD);
@@ -39,7 +43,8 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
     layout->root =
         FMT_NVDB_GRID_OFFSET + sizeof(struct nvdb_grid_data) + sizeof(struct nvdb_tree_data);
     layout->tiles = layout->root + root_bytes;
-    layout->blind_count = 4 + (counts->has_color ? 1 : 0) + (counts->has_ids ? 2 : 0);
+    layout->blind_count = 4 + (counts->has_color ? 1 : 0) + (counts->has_ids ? 2 : 0) +
+                          (counts->channel_words > 0 ? 1 : 0);
     layout->record_count = 1 + counts->voxels + counts->seconds;
     layout->second_words = counts->voxels / 32 + 1;
 
@@ -55,6 +60,10 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
         [NVDB_SECONDS] = layout->second_words * 8,
         [NVDB_IDS] = counts->has_ids ? layout->record_count * 4 : 0,
         [NVDB_NAMES] = counts->has_ids ? counts->name_bytes : 0,
+        [NVDB_CHANNELS] = counts->channel_words > 0
+                              ? nvdb_channels_head_bytes(counts->channel_list_bytes) +
+                                    layout->record_count * counts->channel_words * sizeof(float)
+                              : 0,
         [NVDB_RECORD] = sizeof(struct nvdb_record),
     };
     uint64_t offset = 0;

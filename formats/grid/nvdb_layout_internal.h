@@ -168,14 +168,15 @@ enum nvdb_section {
     NVDB_PLANES,
     NVDB_COLORS, /* of size 0 if the grid has no colour */
     NVDB_SECONDS,
-    NVDB_IDS,    /* this and the next: of size 0 if the grid has no ids */
-    NVDB_NAMES,  /* struct nvdb_names_head and names */
-    NVDB_RECORD, /* struct nvdb_record; its checksum is its own last member */
+    NVDB_IDS,      /* this and the next: of size 0 if the grid has no ids */
+    NVDB_NAMES,    /* struct nvdb_names_head and names */
+    NVDB_CHANNELS, /* struct nvdb_channels_head, the list, and values; size 0 without channels */
+    NVDB_RECORD,   /* struct nvdb_record; its checksum is its own last member */
     NVDB_SECTION_COUNT
 };
 
 #define NVDB_RECORD_MAGIC "BISQUE\r\n"
-enum { NVDB_RECORD_HAS_COLOR = 1, NVDB_RECORD_HAS_IDS = 2 };
+enum { NVDB_RECORD_HAS_COLOR = 1, NVDB_RECORD_HAS_IDS = 2, NVDB_RECORD_HAS_CHANNELS = 4 };
 
 /* Names follow: for each a uint32_t with its bytes, and these. */
 struct nvdb_names_head {
@@ -184,16 +185,24 @@ struct nvdb_names_head {
 };
 static_assert(sizeof(struct nvdb_names_head) == 8, "head of the names");
 
+/* The list follows, and zeros up to a multiple of NVDB_ALIGNMENT. */
+struct nvdb_channels_head {
+    uint32_t words; /* values of a record */
+    uint32_t list_bytes;
+};
+static_assert(sizeof(struct nvdb_channels_head) == 8, "head of the channels");
+
 /* Bisque's record "bisque", the last blind data. */
 struct nvdb_record {
     char magic[8];
     uint32_t version, flags;
     uint64_t source_triangles, second_count;
     double scan_min[3], scan_max[3];
-    uint64_t checksum[NVDB_RECORD]; /* XXH3-64 of each other section; 0 for those of version 3 */
-    uint64_t name_bytes;            /* likewise */
-    uint64_t reserved;
-    uint64_t record_checksum; /* XXH3-64 of all members above */
+    uint64_t checksum[NVDB_CHANNELS]; /* XXH3-64 of each section before; 0 for those of ids if the
+                                         grid has none */
+    uint64_t name_bytes;              /* likewise */
+    uint64_t channels_checksum;       /* of that section; 0 without it */
+    uint64_t record_checksum;         /* XXH3-64 of all members above */
 };
 static_assert(sizeof(struct nvdb_record) == 192, "bisque record");
 
@@ -203,6 +212,7 @@ struct nvdb_counts {
     bool has_color, has_ids;
     uint32_t uppers, lowers, leaves;
     uint64_t voxels, seconds, name_bytes;
+    uint32_t channel_words, channel_list_bytes; /* 0: no channels */
 };
 
 struct nvdb_range {
@@ -227,7 +237,7 @@ struct fmt_nvdb_channel {
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section);
 
 /* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=
- * voxels and name_bytes is below 2^62. */
+ * voxels, name_bytes is below 2^61 and channel_words at most BSQ_CHANNEL_VALUES_MAX. */
 void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layout *layout);
 
 static inline uint32_t nvdb_version(enum fmt_nvdb_type type)
@@ -306,6 +316,25 @@ int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 /* Returns whether the names of a mapped grid are as FORMATS.md describes, and sets grid->info.ids.
  */
 bool fmt_nvdb_check_names(struct fmt_nvdb_grid *grid);
+
+/* Returns the bytes of section NVDB_CHANNELS before its values. */
+static inline uint64_t nvdb_channels_head_bytes(uint32_t list_bytes)
+{
+    return bsq_align_up(sizeof(struct nvdb_channels_head) + (uint64_t)list_bytes, NVDB_ALIGNMENT);
+}
+
+/* Reads the head of section NVDB_CHANNELS at an offset in a file of `size` bytes, and sets the
+ * counts. Returns whether the head is as FORMATS.md describes. */
+bool fmt_nvdb_check_channels(const uint8_t *file, uint64_t size, uint64_t offset,
+                             struct nvdb_counts *counts);
+
+/* Returns the version of the record of a grid with these channels. */
+static inline int nvdb_record_version(bool has_ids, bool has_channels)
+{
+    return has_channels ? FMT_NVDB_RECORD_VERSION_CHANNELS
+           : has_ids    ? FMT_NVDB_RECORD_VERSION_IDS
+                        : FMT_NVDB_RECORD_VERSION;
+}
 
 /* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its record "bisque". */
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);

@@ -111,6 +111,11 @@ uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3])
     return value <= grid->voxel_count ? value : 0;
 }
 
+int fmt_nvdb_record_version(const struct fmt_nvdb_grid *grid)
+{
+    return nvdb_record_version(grid->info.ids != BSQ_IDS_NONE, grid->channel_words > 0);
+}
+
 struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index)
 {
     assert(index > 0 && index < grid->record_count);

@@ -5,6 +5,7 @@
  * grid. Voxels are checked in tasks of whole entries of the channel "second"; their ranks, which
  * fmt_nvdb_check_nodes() has checked, give the numbers of a task's second records. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <sys/mman.h>
 #include <unistd.h>
@@ -68,10 +69,13 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     uint64_t hash = 0;
     if ((index == NVDB_IDS || index == NVDB_NAMES) && v->grid->info.ids == BSQ_IDS_NONE)
         return 0;
+    if (index == NVDB_CHANNELS && v->grid->channel_words == 0)
+        return 0;
     int status = hash_section(v, range, &hash);
     if (status)
         return status;
-    if (hash != v->record->checksum[index])
+    if (hash !=
+        (index == NVDB_CHANNELS ? v->record->channels_checksum : v->record->checksum[index]))
         return bsq_fail(
             v->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu", v->grid->map.path,
             index < NVDB_NORMALS ? names[index] : fmt_nvdb_channel((enum nvdb_section)index)->name,
@@ -166,7 +170,21 @@ static const char *fault_of(const struct fmt_nvdb_grid *grid, uint64_t number, b
     uint32_t color = grid->colors ? grid->colors[number] : 0;
     if (color != 0 && color >> 24 != 255)
         return "colour";
-    return grid->ids && grid->ids[number] >> 24 != 255 ? "id" : NULL;
+    if (grid->ids && grid->ids[number] >> 24 != 255)
+        return "id";
+    bool finite = true;
+    for (uint32_t i = 0; i < grid->channel_words; i++)
+        finite &= isfinite(grid->channels[number * grid->channel_words + i]) != 0;
+    return finite ? NULL : "channel";
+}
+
+/* Returns whether the background's channels are 0. */
+static bool channels_begin_with_zeros(const struct fmt_nvdb_grid *grid)
+{
+    bool zero = true;
+    for (uint32_t i = 0; i < grid->channel_words; i++)
+        zero &= grid->channels[i] == 0.0f && !signbit(grid->channels[i]);
+    return zero;
 }
 
 static int verify_voxel(const struct verify *v, uint64_t index)
@@ -197,6 +215,9 @@ static int verify_voxels(void *arg, uint64_t task, unsigned worker)
         forget_pages(grid, grid->colors + begin, (end - begin) * 4);
     if (grid->ids)
         forget_pages(grid, grid->ids + begin, (end - begin) * 4);
+    if (grid->channels)
+        forget_pages(grid, grid->channels + begin * grid->channel_words,
+                     (end - begin) * grid->channel_words * sizeof *grid->channels);
     return status;
 }
 
@@ -204,7 +225,7 @@ static int verify_records(struct verify *v)
 {
     const struct fmt_nvdb_grid *grid = v->grid;
     if (grid->normals[0] || grid->planes[0] || (grid->colors && grid->colors[0]) ||
-        (grid->ids && grid->ids[0]))
+        (grid->ids && grid->ids[0]) || !channels_begin_with_zeros(grid))
         return bad_record(v, 0, "value, as it is the background");
     return bsq_parallel_for(v->ctx, grid->voxel_count / VOXELS_PER_TASK + 1, verify_voxels, v);
 }

@@ -9,6 +9,7 @@
 #include <string.h>
 #include <xxhash.h>
 
+#include "base/channels.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 /* ---- streams ---- */
@@ -78,17 +79,84 @@ static int stream_end(struct nvdb_stream *stream)
 /* ---- creation ---- */
 
 static const char *const stream_names[STREAM_COUNT] = {
-    "grid upper nodes",    "grid lower nodes",   "grid leaves",
-    "grid normals",        "grid planes",        "grid colours",
-    "grid second normals", "grid second planes", "grid second colours",
-    "grid second words",   "grid ids",           "grid second ids",
+    "grid upper nodes",
+    "grid lower nodes",
+    "grid leaves",
+    "grid normals",
+    "grid planes",
+    "grid colours",
+    "grid second normals",
+    "grid second planes",
+    "grid second colours",
+    "grid second words",
+    "grid ids",
+    "grid second ids",
+    "grid channels",
+    "grid second channels",
 };
 
 static bool stream_used(const struct fmt_nvdb_writer *writer, int stream)
 {
     bool color = stream == STREAM_COLORS || stream == STREAM_SECOND_COLORS;
     bool id = stream == STREAM_IDS || stream == STREAM_SECOND_IDS;
-    return color ? writer->info.has_color : id ? writer->info.ids != BSQ_IDS_NONE : true;
+    bool channels = stream == STREAM_CHANNELS || stream == STREAM_SECOND_CHANNELS;
+    return color      ? writer->info.has_color
+           : id       ? writer->info.ids != BSQ_IDS_NONE
+           : channels ? writer->counts.channel_words > 0
+                      : true;
+}
+
+/* Appends bytes to a stream. */
+static int put_bytes(struct nvdb_stream *stream, const void *bytes, uint64_t size)
+{
+    int status = 0;
+    for (uint64_t done = 0; done < size && status == 0;) {
+        const uint64_t left = size - done;
+        const uint64_t n = left < NVDB_STREAM_BYTES ? left : NVDB_STREAM_BYTES;
+        void *to;
+        status = stream_reserve(stream, n, &to);
+        if (status)
+            break;
+        memcpy(to, (const uint8_t *)bytes + done, n);
+        stream->fill += n;
+        done += n;
+    }
+    return status;
+}
+
+/* Counts the values of channels, if the grid has any. */
+static int count_channels(struct fmt_nvdb_writer *writer)
+{
+    const char *list = writer->info.channels;
+    if (!list)
+        return 0;
+    writer->counts.channel_words = bsq_channel_list_values(list, strlen(list));
+    writer->counts.channel_list_bytes = (uint32_t)strlen(list);
+    return writer->counts.channel_words > 0
+               ? 0
+               : bsq_fail(writer->ctx, BSQ_EUSAGE, "%s: \"%.60s\" cannot be channels", writer->path,
+                          list);
+}
+
+/* Begins the section of channels: its head, the list, and the background's values. */
+static int begin_channels(struct fmt_nvdb_writer *writer)
+{
+    static const uint8_t zeros[NVDB_ALIGNMENT];
+    const struct nvdb_channels_head head = {writer->counts.channel_words,
+                                            writer->counts.channel_list_bytes};
+    struct nvdb_stream *stream = &writer->stream[STREAM_CHANNELS];
+    if (head.words == 0)
+        return 0;
+    int status = put_bytes(stream, &head, sizeof head);
+    if (status == 0)
+        status = put_bytes(stream, writer->info.channels, head.list_bytes);
+    if (status == 0)
+        status =
+            put_bytes(stream, zeros,
+                      nvdb_channels_head_bytes(head.list_bytes) - sizeof head - head.list_bytes);
+    for (uint32_t i = 0; i < head.words && status == 0; i++)
+        status = put_bytes(stream, zeros, sizeof(float));
+    return status;
 }
 
 /* Refuses what fmt_nvdb_check_header() would refuse later. */
@@ -129,6 +197,9 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     if (status)
         goto failed;
     memcpy(writer->path, path, path_bytes);
+    status = count_channels(writer);
+    if (status)
+        goto failed;
     status = bsq_calloc(ctx, "grid upper node", 1, sizeof(*writer->upper), &writer->upper);
     if (status)
         goto failed;
@@ -140,6 +211,9 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
         if (stream_used(writer, i))
             status = stream_open(ctx, path, stream_names[i], &writer->stream[i]);
     }
+    if (status == 0)
+        status = begin_channels(writer);
+    writer->info.channels = NULL; /* the caller's */
     if (status)
         goto failed;
     *out = writer;
@@ -235,13 +309,7 @@ static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
 
 static int put_stub(struct fmt_nvdb_writer *writer, int stream, const void *stub, uint64_t size)
 {
-    void *space;
-    int status = stream_reserve(&writer->stream[stream], size, &space);
-    if (status)
-        return status;
-    memcpy(space, stub, size);
-    writer->stream[stream].fill += size;
-    return 0;
+    return put_bytes(&writer->stream[stream], stub, size);
 }
 
 /* Writes the stub of the open lower node, and extends the boxes above it. */
@@ -381,6 +449,19 @@ static int append_records(struct fmt_nvdb_writer *writer, bool second,
     return status;
 }
 
+/* Appends the channels of a region. */
+static int append_channels(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
+{
+    const uint64_t bytes = writer->counts.channel_words * sizeof *region->channels;
+    if (bytes == 0)
+        return 0;
+    int status =
+        put_bytes(&writer->stream[STREAM_CHANNELS], region->channels, region->record_count * bytes);
+    return status ? status
+                  : put_bytes(&writer->stream[STREAM_SECOND_CHANNELS], region->second_channels,
+                              region->second_count * bytes);
+}
+
 /* Writes the open entry of section NVDB_SECONDS. */
 static int end_entry(struct fmt_nvdb_writer *writer)
 {
@@ -432,6 +513,8 @@ static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *
         status = append_records(writer, false, region->records, region->record_count);
     if (status == 0)
         status = append_records(writer, true, region->second, region->second_count);
+    if (status == 0)
+        status = append_channels(writer, region);
     if (status == 0)
         status = append_seconds(writer, region);
     writer->counts.leaves += region->leaf_count;

@@ -42,7 +42,9 @@ enum nvdb_writer_stream {
     STREAM_SECOND_COLORS,
     STREAM_SECOND_WORDS,
     STREAM_IDS,
-    STREAM_SECOND_IDS, /* of second records */
+    STREAM_SECOND_IDS,      /* of second records */
+    STREAM_CHANNELS,        /* the head of the section, and values */
+    STREAM_SECOND_CHANNELS, /* of second records */
     STREAM_COUNT
 };
 

@@ -90,14 +90,6 @@ int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
                               bsq_uv_width(uv, 1, at->dv), out);
 }
 
-/* Keeps one component of a texture, for channels with one value. */
-static void keep_component(const struct bsq_channel *channel, uint32_t component, float out[3])
-{
-    const float value = out[component];
-    if (channel->values == 1)
-        out[0] = out[1] = out[2] = value;
-}
-
 int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,
                               float *out)
 {
@@ -113,7 +105,7 @@ int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact
             continue;
         status = bake_exact_sample(transfers->textures, image, at, &source->uv, out);
         if (status == 0)
-            keep_component(bsq_channel_find(transfers->list[i].name), source->component, out);
+            bsq_channel_pick(bsq_channel_find(transfers->list[i].name), source->component, out);
     }
     return status;
 }

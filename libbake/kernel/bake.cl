@@ -2,7 +2,8 @@
  */
 #include "bk_sample.h"
 
-/* `colors` begins with the linear values of the sRGB codes, as 256 floats. Colours and ids follow.
+/* `colors` begins with the linear values of the sRGB codes, as 256 floats. The words of transfer
+ * maps follow (bk_grid.h), then colours, ids and further channels.
  *
  * Traces rows first_row to end_row - 1 of a tile; work item (x, y) is texel (x, first_row + y). Of
  * each texel it traces lines first_line to end_line - 1 of the samples. The launch with line 0
@@ -30,7 +31,8 @@ BK_KERNEL bake_tile(
     grid.normals = normals;
     grid.planes = planes;
     grid.srgb = (const BK_GLOBAL float *)colors;
-    grid.colors = colors + 256;
+    grid.transfers = colors + 256;
+    grid.colors = grid.transfers + bk_transfers(params.maps);
     grid.seconds = seconds;
     texels += ((bk_ulong)row * tile.width + column) * bk_texel_floats(params.maps);
     if (first_line == 0)

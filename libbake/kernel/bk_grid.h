@@ -43,6 +43,11 @@ typedef struct bk_grid {
     bk_ulong upper_offset, lower_offset, leaf_offset;
     bk_ulong second_base;
     bk_ulong id_offset; /* of a record's id from its colour, if there are ids */
+    /* Of channels, if there are transfer maps: offset of those of record 0, and words a record. For
+     * each map, `transfers` has its first word, times 4, and its number of values, 1 or 3. */
+    bk_ulong channel_offset;
+    bk_uint channel_words;
+    const BK_GLOBAL bk_uint *transfers;
 } bk_grid;
 
 /* With BK_COUNTERS defined, the kernel counts its work. */
@@ -91,6 +96,8 @@ BK_FN void bk_grid_from_params(bk_grid *grid, const bk_params *params)
     grid->lower_offset = bk_join(params->lower_offset);
     grid->leaf_offset = bk_join(params->leaf_offset);
     grid->id_offset = bk_join(params->id_offset);
+    grid->channel_offset = bk_join(params->channel_offset);
+    grid->channel_words = params->channel_words;
     grid->second_base = (bk_ulong)params->second_base_high << 32 | params->second_base_low;
 }
 

@@ -83,7 +83,8 @@ typedef struct bk_samples {
     bk_uint count;
     bk_uint triangle[BK_WIDTH];
     float x[BK_WIDTH], y[BK_WIDTH];
-    bk_uint skew[BK_WIDTH]; /* only read with BK_SKEW */
+    bk_uint skew[BK_WIDTH];           /* only read with BK_SKEW */
+    BK_GLOBAL float *texel[BK_WIDTH]; /* sums of the texels; transfer maps are added by tracing */
 } bk_samples;
 
 /* Turns the directions of rays by the skews of the samples. */
@@ -248,7 +249,7 @@ BK_FN void bk_look_from_hits(const bk_grid *grid, const bk_params *params, bk_ca
     bk_surroundings_for_maps(params, points, sums, out);
 }
 
-/* Traces samples. */
+/* Traces samples, and adds transfer maps to their texels. */
 BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                             const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
                             bk_map_hits *out)
@@ -258,6 +259,7 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
     const bk_uint cage = params->flags & BK_CAGE;
     bk_lines lines;
     bk_hits hits;
+    bk_uint lane;
 
     lines.count = samples->count;
     lines.origin = start.origin;
@@ -265,6 +267,9 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
     lines.facing = start.facing;
     lines.t_min = bk_splat(cage ? 0.0f : -params->back);
     lines.t_max = cage ? params->front + params->back : params->front;
+    lines.height = start.height;
+    for (lane = 0; lane < BK_WIDTH; lane++)
+        lines.texel[lane] = samples->texel[lane];
     bk_trace(grid, params, cache, &lines, &hits);
     bk_hits_for_maps(params, &points, &start, &hits, out);
     if (params->maps & BK_SECONDARY_MAPS)
@@ -341,6 +346,7 @@ BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cach
     bk_uint i, j;
 
     samples.count = 1;
+    samples.texel[0] = texel;
     for (j = begin; j < end; j++) {
         samples.y[0] = bk_sample_place(tile->y + row, j, n);
         for (i = 0; i < n; i++) {

@@ -512,6 +512,10 @@ typedef struct bk_lines {
     bk_vec3w origin, direction, facing;
     bk_fw t_min;
     float t_max;
+    /* Sums of texels, to which the values of transfer maps at hits are added; the first is NULL:
+     * there are none. With BK_CAGE only hits count that are at most params->back below `height`. */
+    bk_fw height;
+    BK_GLOBAL float *texel[BK_WIDTH];
 } bk_lines;
 
 /* Their hits. */
@@ -524,9 +528,49 @@ typedef struct bk_hits {
     bk_iw id;         /* of the record that was hit; 0 without BK_HAS_IDS */
 } bk_hits;
 
-/* Moves hits onto the blended surface and sets its normals and colours. */
-BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                         const bk_ray *ray, bk_fw sign, bk_fw distance, bk_hits *hits)
+/* Adds the channels of record `number`, times a weight, to the sums of a texel's transfer maps. */
+BK_FN void bk_add_channels(const bk_grid *grid, const bk_params *params, BK_GLOBAL float *texel,
+                           bk_ulong number, float weight)
+{
+    const bk_uint count = bk_transfers(params->maps);
+    const BK_GLOBAL float *values = (const BK_GLOBAL float *)(grid->colors + grid->channel_offset) +
+                                    number * grid->channel_words;
+    BK_GLOBAL float *sums = texel + (bk_texel_floats(params->maps) - BK_TRANSFER_VALUES * count);
+    bk_uint i;
+
+    for (i = 0; i < count; i++, sums += BK_TRANSFER_VALUES) {
+        const BK_GLOBAL float *from = values + (grid->transfers[i] >> 2);
+        const bk_uint step = grid->transfers[i] >> 1 & 1u; /* 3 values or 1 */
+
+        sums[0] += weight * from[0];
+        sums[1] += weight * from[step];
+        sums[2] += weight * from[2u * step];
+    }
+}
+
+/* Returns the lanes of hits that transfer maps get. */
+BK_FN bk_uint bk_kept(const bk_params *params, const bk_lines *lines, const bk_hits *hits)
+{
+    if (bk_transfers(params->maps) == 0 || !lines->texel[0])
+        return 0;
+    if (params->flags & BK_CAGE)
+        return hits->found & ~bk_bits(bk_less(lines->height + params->back, hits->t));
+    return hits->found;
+}
+
+/* Returns the number of the record that a crossing is of. */
+BK_FN bk_ulong bk_crossing_record(const bk_crossing *crossing, bk_uint lane)
+{
+    (void)lane; /* unused if BK_WIDTH is 1 */
+    return (bk_ulong)(bk_uint)bk_lane(crossing->high, lane) << 32 |
+           (bk_uint)bk_lane(crossing->low, lane);
+}
+
+/* Moves hits onto the blended surface and sets its normals and colours; adds to transfer maps.
+ * Returns the lanes that have a blended surface. */
+BK_FN bk_uint bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                            const bk_lines *lines, const bk_ray *ray, bk_fw sign, bk_fw distance,
+                            bk_hits *hits)
 {
     const bk_vec3w point = bk_add_scaledw(ray->start, distance, ray->direction);
     const bk_fw cx = bk_floorw(point.x - 0.5f), cy = bk_floorw(point.y - 0.5f);
@@ -541,7 +585,7 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     bk_blend blend;
     bk_fw slope, shift;
     bk_mask steep;
-    bk_uint lane, i;
+    bk_uint lane, i, kept;
 
     for (lane = 0; lane < BK_WIDTH; lane++)
         if (hits->found >> lane & 1u)
@@ -568,6 +612,13 @@ BK_FN void bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cache 
             if (hits->found & bk_bits(blend.found) & 1u << lane)
                 bk_set_lane3(&hits->color, lane,
                              bk_blend_color(grid, &cell, tents, lane, bk_lane(blend.weight, lane)));
+    kept = bk_kept(params, lines, hits) & bk_bits(blend.found);
+    for (lane = 0; lane < BK_WIDTH && kept; lane++)
+        for (i = 0; i < 8 && kept >> lane & 1u; i++)
+            if (bk_lane(tents[i], lane) > 0.0f)
+                bk_add_channels(grid, params, lines->texel[lane], cell.numbers[i][lane],
+                                bk_lane(tents[i], lane) / bk_lane(blend.weight, lane));
+    return bk_bits(blend.found);
 }
 
 /* Traces lines to the surfaces nearest to their origins. */
@@ -582,7 +633,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
         bk_nearest(grid, params, cache, lines->t_min, lines->t_max, &ray, &inward);
     const bk_fw sign = bk_select(inward, bk_splat(-1.0f), bk_splat(1.0f));
     const bk_mask back = bk_less(bk_dotw(crossing.normal, lines->facing), zero);
-    bk_uint lane;
+    bk_uint lane, single;
 
     BK_COUNT(cache, rays, lines->count);
     BK_COUNT(cache, packets, 1);
@@ -594,15 +645,20 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     if (params->flags & (BK_HAS_COLOR | BK_HAS_IDS))
         for (lane = 0; lane < BK_WIDTH; lane++)
             if (hits->found >> lane & 1u) {
-                const bk_ulong number = (bk_ulong)(bk_uint)bk_lane(crossing.high, lane) << 32 |
-                                        (bk_uint)bk_lane(crossing.low, lane);
+                const bk_ulong number = bk_crossing_record(&crossing, lane);
                 if (params->flags & BK_HAS_COLOR)
                     bk_set_lane3(&hits->color, lane, bk_color_of(grid, number));
                 if (params->flags & BK_HAS_IDS)
                     bk_set_lane(hits->id, lane, (bk_int)grid->colors[grid->id_offset + number]);
             }
+    single = hits->found;
     if (hits->found && !(params->flags & BK_NEAREST))
-        bk_blend_hits(grid, params, cache, &ray, sign, crossing.t, hits);
+        single &= ~bk_blend_hits(grid, params, cache, lines, &ray, sign, crossing.t, hits);
+    single &= bk_kept(params, lines, hits);
+    for (lane = 0; lane < BK_WIDTH && single; lane++)
+        if (single >> lane & 1u)
+            bk_add_channels(grid, params, lines->texel[lane], bk_crossing_record(&crossing, lane),
+                            1.0f);
     hits->reversed = params->flags & BK_TWO_SIDED ? hits->found & bk_bits(back) : 0;
     if (hits->reversed) {
         const bk_vec3w n = hits->normal;

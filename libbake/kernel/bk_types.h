@@ -59,7 +59,10 @@ typedef struct bk_params {
     bk_uint open_rays, thickness_rays; /* a hit */
     float open_limit, thickness_limit; /* lengths in voxels */
     float open_sine2;                  /* squared sine of half of the cone's angle */
-    bk_uint id_offset[2]; /* words from the array of colours to that of ids, low word first */
+    /* Words from the array of colours to those of ids and of further channels, low word first. */
+    bk_uint id_offset[2], channel_offset[2];
+    bk_uint channel_words; /* of further channels, a record */
+    bk_uint unused;
 } bk_params;
 
 /* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the

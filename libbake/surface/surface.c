@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/channels.h"
 #include "formats/file_kind.h"
 #include "libbake/surface/surface_parts.h"
 
@@ -128,8 +129,10 @@ void bake_surface_close(struct bake_surface *surface)
         bake_surface_close_parts(surface);
     else if (surface->exact)
         bake_exact_close(surface->exact);
-    else if (surface->ctx)
+    else if (surface->ctx) {
+        bsq_free(surface->ctx, surface->transfer_words);
         fmt_nvdb_close(surface->ctx, &surface->grid);
+    }
     if (surface->joined)
         bsq_free(surface->ctx, surface->joined);
     memset(surface, 0, sizeof *surface);
@@ -161,12 +164,58 @@ int bake_surface_use_color(struct bake_surface *surface)
     return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : status;
 }
 
+/* Finds the channels of transfer maps in a grid. */
+static int use_channels(struct bake_surface *surface, const struct bake_transfer *transfers,
+                        uint32_t count)
+{
+    struct fmt_nvdb_grid *grid = &surface->grid;
+    int status = bsq_alloc(surface->ctx, "transfer maps", count, sizeof *surface->transfer_words,
+                           &surface->transfer_words);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        uint32_t first = 0;
+        const struct bsq_channel *channel =
+            grid->channels ? bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes,
+                                                   transfers[i].name, &first)
+                           : NULL;
+        if (transfers[i].texture_path)
+            status = bsq_fail(surface->ctx, BSQ_EDATA,
+                              "%s is a grid, which cannot use %s: make it with bisque-voxelize "
+                              "--channels %s=%s",
+                              surface->path, transfers[i].texture_path, transfers[i].name,
+                              transfers[i].texture_path);
+        else if (!channel)
+            status = bsq_fail(surface->ctx, BSQ_EDATA,
+                              "%s has no channel %s: make it with bisque-voxelize --channels %s",
+                              surface->path, transfers[i].name, transfers[i].name);
+        else if (first + channel->values > grid->channel_words) /* another process changed it */
+            status =
+                bsq_fail(surface->ctx, BSQ_EIO, "%s: was changed while it was read", surface->path);
+        else
+            surface->transfer_words[i] = first << 2 | channel->values;
+    }
+    if (status == 0) {
+        grid->transfers = surface->transfer_words;
+        grid->transfer_count = count;
+    }
+    return status;
+}
+
+/* Lets grids leave out channels that no map needs. */
+static void drop_channels(struct bake_surface *surface)
+{
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        drop_channels(&surface->parts[p]);
+    surface->grid.channels = NULL;
+}
+
 int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options)
 {
     const struct bake_transfer *transfers = options->transfers;
     int status = 0;
-    if (options->transfer_count == 0)
+    if (options->transfer_count == 0) {
+        drop_channels(surface);
         return 0;
+    }
     for (uint32_t i = 0; i < options->transfer_count && options->more_scan_count > 0; i++)
         if (transfers[i].texture_path)
             return bsq_fail(surface->ctx, BSQ_EUSAGE,
@@ -177,9 +226,7 @@ int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_o
     if (surface->parts)
         return status;
     if (!surface->exact)
-        return bsq_fail(surface->ctx, BSQ_EDATA,
-                        "%s is a grid: the map %s is baked from triangles (.tris)", surface->path,
-                        transfers[0].name);
+        return use_channels(surface, transfers, options->transfer_count);
     return bake_exact_use_transfers(surface->exact, transfers, options->transfer_count);
 }
 

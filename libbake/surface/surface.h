@@ -21,6 +21,7 @@ struct bake_surface {
     const char **joined;       /* all paths, if several chunk files are one scan; else NULL */
     struct bake_exact *exact;  /* the triangles; NULL: the surface is a grid */
     struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
+    uint32_t *transfer_words;  /* grid.transfers */
     bool has_color;
     enum bsq_ids ids;                /* of several scans: BSQ_IDS_NONE unless they agree */
     double scan_min[3], scan_max[3]; /* world */
@@ -54,7 +55,8 @@ int bake_surface_use_color(struct bake_surface *surface);
 
 /* Makes later hits of maps carry the channels of transfer maps, if there are any. The options must
  * live until bake_surface_close(). Call it at most once, not from parallel work. Errors: those of
- * bake_exact_use_transfers(); BSQ_EDATA for a grid; BSQ_EUSAGE for a texture of several scans. */
+ * bake_exact_use_transfers(); BSQ_EDATA for a grid without a channel; BSQ_EUSAGE for a texture of
+ * several scans. */
 int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options);
 
 /* Makes later hits carry ids, if `use` is set and the scan has any; otherwise devices do not get

@@ -65,8 +65,9 @@ struct vox_part_totals {
 /* Writes a part to an output. */
 struct vox_part_writer;
 
-/* Begins the part of a task, whose records have `channels` numbers: 2, and 1 each for colours and
- * ids. Free *out with vox_part_free(). Errors: BSQ_EIO, BSQ_ENOMEM. */
+/* Begins the part of a task, whose records have normal and plane, colours and ids as said here, and
+ * the channels of the plan's options. Free *out with vox_part_free(). Errors: BSQ_EIO, BSQ_ENOMEM.
+ */
 int vox_part_begin(const struct vox_farm_plan *plan, uint32_t task, bool has_color, bool has_ids,
                    struct bsq_output *output, struct vox_part_writer **out);
 /* Appends voxels as fmt_nvdb_append() does; arg: the writer. */

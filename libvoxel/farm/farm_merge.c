@@ -13,7 +13,7 @@
 #include "libvoxel/voxelize/plan/plan.h"
 
 /* OPEN_PARTS: files that are open at a time. */
-enum { BATCH_BYTES = 256 << 10, BATCHES = 3, LEAVES = 4096, OPEN_PARTS = 64 };
+enum { BATCHES = 3, LEAVES = 4096, OPEN_PARTS = 64 };
 
 /* A region of any part. */
 struct item {
@@ -31,7 +31,7 @@ struct open_part {
 
 struct vox_parts {
     const struct vox_farm_plan *plan;
-    uint32_t flags; /* VOX_PART_COLORS, VOX_PART_IDS */
+    uint32_t flags; /* VOX_PART_COLORS and so on */
     struct item *items;
     uint64_t count, capacity;
     struct open_part open[OPEN_PARTS];
@@ -83,7 +83,8 @@ static int open_part(const struct vox_farm_plan *plan, uint32_t task,
     int status = fmt_farm_part_open(&plan->base, task, header, sizeof *header, file);
     if (status < 0)
         return status;
-    if (header->head.own & ~(uint32_t)(VOX_PART_COLORS | VOX_PART_IDS))
+    if (header->head.own & ~(uint32_t)(VOX_PART_COLORS | VOX_PART_IDS | VOX_PART_CHANNELS) ||
+        (!(header->head.own & VOX_PART_CHANNELS)) != (vox_part_channel_values(plan) == 0))
         return fail_part(plan, file, "damaged header");
     if (header->region_count > (file->size - sizeof *header) / sizeof **entries)
         return fail_part(plan, file, "damaged: its size is wrong");
@@ -163,7 +164,7 @@ int vox_parts_open(const struct vox_farm_plan *plan, bool has_color, bool has_id
         return status;
     *out = parts;
     parts->plan = plan;
-    parts->flags = (has_color ? VOX_PART_COLORS : 0u) | (has_ids ? VOX_PART_IDS : 0u);
+    parts->flags = vox_part_flags(plan, has_color, has_ids);
     struct listing listing = {parts, totals};
     const struct fmt_farm_part_steps steps = {.arg = &listing, .check = list_part};
     status = fmt_farm_parts_check(&plan->base, &steps);
@@ -214,10 +215,11 @@ static int find_file(struct vox_parts *parts, uint32_t task, const struct bsq_fi
 /* Leaves of one region. */
 struct batch {
     struct fmt_nvdb_region region;
-    uint8_t *bytes; /* BATCH_BYTES */
+    uint8_t *bytes; /* batch_bytes */
     uint16_t *ids;  /* LEAVES */
     uint64_t (*masks)[8];
-    struct fmt_nvdb_record *records, *second; /* as many as BATCH_BYTES can hold */
+    struct fmt_nvdb_record *records, *second; /* as many as batch_bytes can hold */
+    float *channels, *second_channels;        /* likewise, each with channel_values */
 };
 
 struct reading {
@@ -225,6 +227,8 @@ struct reading {
     int (*append)(void *arg, const struct fmt_nvdb_region *region);
     void *arg;
     struct batch batches[BATCHES];
+    uint64_t batch_bytes;
+    uint32_t words, channel_values; /* of a record */
     /* Where reading is: the region, its bytes, leaves and records so far, its last leaf. */
     uint64_t item, done, leaves, voxels, seconds;
     uint32_t last_leaf;
@@ -232,10 +236,11 @@ struct reading {
 };
 
 /* Takes the numbers of records. */
-static void take_records(uint32_t flags, const uint8_t *bytes, struct fmt_nvdb_record *records,
-                         uint64_t count)
+static void take_records(const struct reading *reading, const uint8_t *bytes,
+                         struct fmt_nvdb_record *records, float *channels, uint64_t count)
 {
-    const unsigned words = vox_part_words(flags);
+    const uint32_t flags = reading->parts->flags, words = reading->words;
+    const uint32_t values = reading->channel_values;
     const uint32_t *from = (const uint32_t *)bytes;
     for (uint64_t i = 0; i < count; i++, from += words) {
         unsigned at = 2;
@@ -243,7 +248,9 @@ static void take_records(uint32_t flags, const uint8_t *bytes, struct fmt_nvdb_r
         if (flags & VOX_PART_COLORS)
             records[i].color = from[at++];
         if (flags & VOX_PART_IDS)
-            records[i].id = from[at];
+            records[i].id = from[at++];
+        if (values > 0)
+            memcpy(channels + i * values, from + at, values * sizeof *channels);
     }
 }
 
@@ -252,14 +259,14 @@ static void take_records(uint32_t flags, const uint8_t *bytes, struct fmt_nvdb_r
 static uint64_t take_leaf(struct reading *reading, struct batch *batch, const uint8_t *bytes,
                           uint64_t size)
 {
-    const uint32_t flags = reading->parts->flags;
+    const uint64_t values = reading->channel_values;
     struct fmt_nvdb_region *region = &batch->region;
     struct vox_part_leaf leaf;
     if (size < sizeof leaf)
         return 0;
     memcpy(&leaf, bytes, sizeof leaf);
     const uint32_t voxels = vox_part_voxels(&leaf);
-    const uint64_t record = vox_part_words(flags) * sizeof(uint32_t);
+    const uint64_t record = reading->words * sizeof(uint32_t);
     if (voxels == 0 || leaf.second_count > voxels || leaf.number >= LEAVES ||
         (reading->leaves + region->leaf_count > 0 && leaf.number <= reading->last_leaf))
         return UINT64_MAX;
@@ -267,8 +274,11 @@ static uint64_t take_leaf(struct reading *reading, struct batch *batch, const ui
     if (size < needed)
         return 0;
     struct fmt_nvdb_record *records = batch->records + region->record_count;
-    take_records(flags, bytes + sizeof leaf, records, voxels);
-    take_records(flags, bytes + sizeof leaf + voxels * record, batch->second + region->second_count,
+    take_records(reading, bytes + sizeof leaf, records,
+                 values > 0 ? batch->channels + region->record_count * values : NULL, voxels);
+    take_records(reading, bytes + sizeof leaf + voxels * record,
+                 batch->second + region->second_count,
+                 values > 0 ? batch->second_channels + region->second_count * values : NULL,
                  leaf.second_count);
     uint32_t seconds = 0;
     for (uint32_t i = 0; i < voxels; i++)
@@ -289,7 +299,9 @@ static void begin_batch(const struct reading *reading, struct batch *batch)
     batch->region = (struct fmt_nvdb_region){.leaf_ids = batch->ids,
                                              .masks = (const uint64_t(*)[8])batch->masks,
                                              .records = batch->records,
-                                             .second = batch->second};
+                                             .second = batch->second,
+                                             .channels = batch->channels,
+                                             .second_channels = batch->second_channels};
     memcpy(batch->region.origin, reading->parts->items[reading->item].entry.origin,
            sizeof batch->region.origin);
 }
@@ -331,7 +343,7 @@ static int read_batch(void *arg, void *slot, uint64_t sequence)
         return 0;
     const struct item *item = &parts->items[reading->item];
     const uint64_t left = item->entry.bytes - reading->done;
-    const uint64_t size = left < BATCH_BYTES ? left : BATCH_BYTES;
+    const uint64_t size = left < reading->batch_bytes ? left : reading->batch_bytes;
     int status = find_file(reading->parts, item->task, &file);
     if (status == 0)
         status = bsq_file_read(parts->plan->base.ctx, file, batch->bytes, size,
@@ -364,12 +376,17 @@ static int append_batch(void *arg, void *slot, uint64_t sequence)
 static int make_batches(struct reading *reading)
 {
     struct bsq_ctx *ctx = reading->parts->plan->base.ctx;
-    const uint64_t records =
-        BATCH_BYTES / (vox_part_words(reading->parts->flags) * sizeof(uint32_t));
+    const struct vox_parts *parts = reading->parts;
     int status = 0;
+    reading->words = vox_part_words(parts->plan, parts->flags);
+    reading->channel_values =
+        parts->flags & VOX_PART_CHANNELS ? vox_part_channel_values(parts->plan) : 0;
+    reading->batch_bytes = vox_part_buffer_bytes(reading->words);
+    const uint64_t records = reading->batch_bytes / (reading->words * sizeof(uint32_t));
+    const uint64_t values = reading->channel_values * sizeof(float);
     for (int i = 0; i < BATCHES && status == 0; i++) {
         struct batch *batch = &reading->batches[i];
-        status = bsq_alloc(ctx, "regions of parts", BATCH_BYTES, 1, &batch->bytes);
+        status = bsq_alloc(ctx, "regions of parts", reading->batch_bytes, 1, &batch->bytes);
         if (status == 0)
             status = bsq_alloc(ctx, "regions of parts", LEAVES, sizeof *batch->ids, &batch->ids);
         if (status == 0)
@@ -381,6 +398,10 @@ static int make_batches(struct reading *reading)
         if (status == 0)
             status =
                 bsq_alloc(ctx, "regions of parts", records, sizeof *batch->second, &batch->second);
+        if (status == 0 && values > 0)
+            status = bsq_alloc(ctx, "regions of parts", records, values, &batch->channels);
+        if (status == 0 && values > 0)
+            status = bsq_alloc(ctx, "regions of parts", records, values, &batch->second_channels);
     }
     reading->hash = XXH3_createState();
     return status < 0 || reading->hash ? status : fmt_farm_fail_memory(&reading->parts->plan->base);
@@ -395,6 +416,8 @@ static void free_batches(struct reading *reading)
         bsq_free(ctx, reading->batches[i].masks);
         bsq_free(ctx, reading->batches[i].records);
         bsq_free(ctx, reading->batches[i].second);
+        bsq_free(ctx, reading->batches[i].channels);
+        bsq_free(ctx, reading->batches[i].second_channels);
     }
     XXH3_freeState(reading->hash);
 }

@@ -6,9 +6,8 @@
 
 #include <xxhash.h>
 
+#include "base/channels.h"
 #include "libvoxel/farm/farm_part.h"
-
-enum { BUFFER_BYTES = 256 << 10 };
 
 struct vox_part_writer {
     const struct vox_farm_plan *plan;
@@ -16,14 +15,30 @@ struct vox_part_writer {
     struct vox_part_header header;
     struct vox_part_entry *entries;
     uint64_t capacity;
-    uint8_t *buffer; /* BUFFER_BYTES */
+    uint32_t words;          /* of a record */
+    uint32_t channel_values; /* of these */
+    uint64_t buffer_bytes;
+    uint8_t *buffer;
     uint64_t fill;
     XXH3_state_t *hash; /* of the last region */
 };
 
-unsigned vox_part_words(uint32_t flags)
+uint32_t vox_part_channel_values(const struct vox_farm_plan *plan)
 {
-    return 2u + ((flags & VOX_PART_COLORS) != 0) + ((flags & VOX_PART_IDS) != 0);
+    const char *list = plan->options.channels;
+    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
+}
+
+uint32_t vox_part_flags(const struct vox_farm_plan *plan, bool has_color, bool has_ids)
+{
+    return (has_color ? VOX_PART_COLORS : 0u) | (has_ids ? VOX_PART_IDS : 0u) |
+           (vox_part_channel_values(plan) > 0 ? VOX_PART_CHANNELS : 0u);
+}
+
+uint32_t vox_part_words(const struct vox_farm_plan *plan, uint32_t flags)
+{
+    return 2u + ((flags & VOX_PART_COLORS) != 0) + ((flags & VOX_PART_IDS) != 0) +
+           (flags & VOX_PART_CHANNELS ? vox_part_channel_values(plan) : 0);
 }
 
 int vox_part_begin(const struct vox_farm_plan *plan, uint32_t task, bool has_color, bool has_ids,
@@ -37,10 +52,13 @@ int vox_part_begin(const struct vox_farm_plan *plan, uint32_t task, bool has_col
         return status;
     writer->plan = plan;
     writer->output = output;
-    writer->header.head = fmt_farm_part_head(
-        &plan->base, task, (has_color ? VOX_PART_COLORS : 0u) | (has_ids ? VOX_PART_IDS : 0u));
+    writer->header.head =
+        fmt_farm_part_head(&plan->base, task, vox_part_flags(plan, has_color, has_ids));
+    writer->words = vox_part_words(plan, writer->header.head.own);
+    writer->channel_values = vox_part_channel_values(plan);
+    writer->buffer_bytes = vox_part_buffer_bytes(writer->words);
     writer->hash = XXH3_createState();
-    status = writer->hash ? bsq_alloc(ctx, "part", BUFFER_BYTES, 1, &writer->buffer)
+    status = writer->hash ? bsq_alloc(ctx, "part", writer->buffer_bytes, 1, &writer->buffer)
                           : fmt_farm_fail_memory(&plan->base);
     if (status == 0) /* its values follow at the end */
         status = bsq_output_write(output, &writer->header, sizeof writer->header);
@@ -79,12 +97,12 @@ static void put(struct vox_part_writer *writer, const void *bytes, size_t size)
     writer->fill += size;
 }
 
-/* Puts the numbers of records that the part has. */
+/* Puts the numbers of records that the part has. channels: of these records, if it has any. */
 static void put_records(struct vox_part_writer *writer, const struct fmt_nvdb_record *records,
-                        uint64_t count)
+                        const float *channels, uint64_t count)
 {
     const uint32_t flags = writer->header.head.own;
-    const unsigned words = vox_part_words(flags);
+    const uint32_t words = writer->words, values = writer->channel_values;
     uint32_t *to = (uint32_t *)(writer->buffer + writer->fill);
     writer->fill += count * words * sizeof *to;
     for (uint64_t i = 0; i < count; i++, to += words) {
@@ -94,7 +112,9 @@ static void put_records(struct vox_part_writer *writer, const struct fmt_nvdb_re
         if (flags & VOX_PART_COLORS)
             to[at++] = records[i].color;
         if (flags & VOX_PART_IDS)
-            to[at] = records[i].id;
+            to[at++] = records[i].id;
+        if (values > 0)
+            memcpy(to + at, channels + i * values, values * sizeof *channels);
     }
 }
 
@@ -142,8 +162,9 @@ static uint32_t count_seconds(const struct fmt_nvdb_record *records, uint32_t co
 int vox_part_append(void *arg, const struct fmt_nvdb_region *region)
 {
     struct vox_part_writer *writer = arg;
-    const unsigned words = vox_part_words(writer->header.head.own);
+    const uint32_t words = writer->words, values = writer->channel_values;
     const struct fmt_nvdb_record *records = region->records, *second = region->second;
+    const float *channels = region->channels, *second_channels = region->second_channels;
     int status = bsq_check(writer->plan->base.ctx);
     if (status == 0)
         status = begin_region(writer, region->origin);
@@ -153,14 +174,18 @@ int vox_part_append(void *arg, const struct fmt_nvdb_region *region)
         const uint32_t voxels = vox_part_voxels(&leaf);
         leaf.second_count = count_seconds(records, voxels);
         const uint64_t bytes =
-            sizeof leaf + (uint64_t)(voxels + leaf.second_count) * words * sizeof(uint32_t);
-        if (writer->fill + bytes > BUFFER_BYTES)
+            sizeof leaf + ((uint64_t)voxels + leaf.second_count) * words * sizeof(uint32_t);
+        if (writer->fill + bytes > writer->buffer_bytes)
             status = flush(writer);
         put(writer, &leaf, sizeof leaf);
-        put_records(writer, records, voxels);
-        put_records(writer, second, leaf.second_count);
+        put_records(writer, records, channels, voxels);
+        put_records(writer, second, second_channels, leaf.second_count);
         records += voxels;
         second += leaf.second_count;
+        if (values > 0) {
+            channels += (uint64_t)voxels * values;
+            second_channels += (uint64_t)leaf.second_count * values;
+        }
         struct vox_part_entry *entry = &writer->entries[writer->header.region_count - 1];
         entry->bytes += bytes;
         entry->voxels += voxels;

@@ -8,7 +8,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
 /* Member `own` of the head: what records have beside normal and plane. */
-enum { VOX_PART_COLORS = 1, VOX_PART_IDS = 2 };
+enum { VOX_PART_COLORS = 1, VOX_PART_IDS = 2, VOX_PART_CHANNELS = 4 };
 
 struct vox_part_header {
     struct fmt_farm_part_head head;
@@ -38,8 +38,20 @@ struct vox_part_leaf {
 };
 _Static_assert(sizeof(struct vox_part_leaf) == 72, "the leaf has no padding");
 
-/* Returns the 32-bit numbers of a record. */
-unsigned vox_part_words(uint32_t flags);
+/* Returns the member `own` of the parts of a plan. */
+uint32_t vox_part_flags(const struct vox_farm_plan *plan, bool has_color, bool has_ids);
+/* Returns the values of further channels in a record. */
+uint32_t vox_part_channel_values(const struct vox_farm_plan *plan);
+/* Returns the 32-bit numbers of a record, those values included. */
+uint32_t vox_part_words(const struct vox_farm_plan *plan, uint32_t flags);
+
+/* Returns the size of a buffer that holds any leaf with records of so many numbers. */
+static inline uint64_t vox_part_buffer_bytes(uint32_t words)
+{
+    const uint64_t least = UINT64_C(256) << 10,
+                   leaf = sizeof(struct vox_part_leaf) + UINT64_C(2) * 512 * words * sizeof words;
+    return leaf < least ? least : leaf;
+}
 
 static inline uint32_t vox_part_voxels(const struct vox_part_leaf *leaf)
 {

@@ -31,6 +31,7 @@ int vox_grid_create(const struct vox_run *run, struct fmt_nvdb_writer **out)
         .voxel_size = transform->h,
         .has_color = vox_shading_has_color(run->header),
         .ids = run->options->ids ? run->header->ids : BSQ_IDS_NONE,
+        .channels = run->options->channels,
         .source_triangles = run->header->triangle_count,
     };
     for (int a = 0; a < 3; a++) {

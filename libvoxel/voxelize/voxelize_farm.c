@@ -130,11 +130,13 @@ static int expect_costs(const struct vox_run *run, struct vox_farm_plan *plan)
 static int open_textures(const struct vox_run *run)
 {
     struct vox_shading shading;
-    if (!vox_shading_needs_textures(run->header))
-        return 0;
     int status = vox_shading_init(run->ctx, run->header, bsq_memory_left(run->ctx) / 4, &shading);
-    if (status == 0)
-        vox_shading_free(run->ctx, &shading);
+    if (status < 0)
+        return status;
+    if (run->options->channels)
+        status = vox_shading_use_channels(run->ctx, run->file, run->options->channels,
+                                          bsq_memory_left(run->ctx) / 4, &shading);
+    vox_shading_free(run->ctx, &shading);
     return status;
 }
 

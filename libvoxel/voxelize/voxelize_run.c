@@ -10,6 +10,7 @@
 #include <inttypes.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "base/parallel.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"
@@ -32,7 +33,8 @@ enum { SLABS_MAX = VOX_REGION_SIZE / 8 };
 /* ---- the budget ---- */
 
 struct plan {
-    uint64_t cache_slots, accumulator_bytes, texture_bytes, result_bytes;
+    uint64_t cache_slots, accumulator_bytes, result_bytes;
+    uint64_t texture_bytes; /* for colours, and as many again for further channels */
 };
 
 static uint64_t min64(uint64_t a, uint64_t b)
@@ -40,11 +42,12 @@ static uint64_t min64(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
-/* Returns what accumulators sum: VOX_SUM_COLORS, VOX_SUM_IDS. */
+/* Returns what accumulators sum, as vox_accumulator_create() takes it. */
 static unsigned sums_of(const struct vox_run *job)
 {
-    return (vox_shading_has_color(job->header) ? VOX_SUM_COLORS : 0) |
-           (job->options->ids ? VOX_SUM_IDS : 0);
+    return (vox_shading_has_color(job->header) ? VOX_SUM_COLORS : 0u) +
+           (job->options->ids ? VOX_SUM_IDS : 0u) +
+           VOX_SUM_CHANNEL_VALUE * vox_run_channel_values(job);
 }
 
 /* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
@@ -55,22 +58,25 @@ static int make_plan(const struct vox_run *job, struct plan *plan)
     uint64_t slot = vox_chunks_slot_bytes(job->file, job->smooth != NULL);
     const unsigned sums = sums_of(job);
     plan->texture_bytes = 0;
-    if (vox_shading_needs_textures(job->header)) {
-        plan->texture_bytes = min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL);
+    const uint64_t caches =
+        (vox_shading_needs_textures(job->header) ? 1u : 0u) +
+        (vox_shading_channels_need_textures(job->header, job->options->channels) ? 1u : 0u);
+    if (caches > 0) {
+        plan->texture_bytes = min64(available / 4 / caches, TEXTURE_CACHE_BYTES_USEFUL);
         if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
             plan->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
     }
     uint64_t sums_min = vox_accumulator_bytes_min(sums),
              blocks = job->workers * vox_fragment_block_bytes();
     uint64_t need =
-        plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
+        caches * plan->texture_bytes + slot + blocks + job->workers * (sums_min + RESULT_BYTES_MIN);
     if (available < need)
         return bsq_fail(job->ctx, BSQ_ENOMEM,
                         "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
                         "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
                         job->options->tris_path, bsq_memory_limit(job->ctx), job->workers, need,
                         bsq_memory_used(job->ctx));
-    available -= plan->texture_bytes + blocks;
+    available -= caches * plan->texture_bytes + blocks;
     uint64_t slots = available / 2 / slot;
     plan->cache_slots = slots < 1 ? 1 : min64(min64(slots, job->header->chunk_count), INT32_MAX);
     available -= plan->cache_slots * slot;
@@ -101,6 +107,9 @@ static int open_input(struct vox_run *job)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         job->header->chunk_count);
     status = job->options->ids ? fmt_tris_require_ids(job->file) : 0;
+    if (status == 0 && job->options->channels && vox_run_channel_values(job) == 0)
+        status =
+            bsq_fail(job->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", job->options->channels);
     return status < 0 ? status
                       : vox_transform_init(job->ctx, job->header, path, job->options->resolution,
                                            job->options->voxel_size, &job->shared.transform);
@@ -108,7 +117,14 @@ static int open_input(struct vox_run *job)
 
 unsigned vox_run_channels(const struct vox_run *job)
 {
-    return 2u + vox_shading_has_color(job->header) + job->options->ids;
+    return 2u + vox_shading_has_color(job->header) + job->options->ids +
+           vox_run_channel_values(job);
+}
+
+uint32_t vox_run_channel_values(const struct vox_run *job)
+{
+    const char *list = job->options->channels;
+    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
 }
 
 int vox_run_check_grid(struct vox_run *job)
@@ -198,7 +214,7 @@ static int make_workers(struct vox_run *job, const struct plan *plan)
 
 static int set_up(struct vox_run *job)
 {
-    struct plan plan = {0, 0, 0, 0};
+    struct plan plan = {0};
     int status;
     if ((status = vox_schedule_create(job->ctx, job->boxes, job->box_count, job->filter,
                                       &job->schedule)) < 0 ||
@@ -207,6 +223,10 @@ static int set_up(struct vox_run *job)
                                    &job->shared.shading)) < 0 ||
         (status = job->options->ids ? vox_shading_use_ids(job->ctx, &job->shared.shading) : 0) <
             0 ||
+        (status = job->options->channels
+                      ? vox_shading_use_channels(job->ctx, job->file, job->options->channels,
+                                                 plan.texture_bytes, &job->shared.shading)
+                      : 0) < 0 ||
         (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
                                     job->box_count, job->smooth, (uint32_t)plan.cache_slots,
                                     &job->shared.chunks)) < 0 ||
@@ -353,6 +373,8 @@ static int write_unit(void *arg, const struct vox_unit *unit)
         .second_count = leaves->second_count,
         .records = leaves->records,
         .second = leaves->second,
+        .channels = leaves->channels,
+        .second_channels = leaves->second_channels,
     };
     memcpy(region.origin, unit->origin, sizeof region.origin);
     widen_index(job, unit);

@@ -109,6 +109,73 @@ for file in two=3 moved=3 plain=1; do
     check "version of ${file%=*}.tris" $?
 done
 
+# ---- channels of grids ----
+
+# Borders of materials are as exact as two voxels.
+$vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o fine.nvdb
+code 0
+run bisque-voxelize --verify fine.nvdb
+code 0
+out_like 'surface grid of version 4'
+"$TESTS/naive-read-nvdb" fine.nvdb >"$out"
+check "another reader reads fine.nvdb" $?
+$bake fine.nvdb low.obj --maps $four --device cpu -o 'fine_<MAP>.png'
+code 0
+values fine_roughness.png two_rough 0.0001
+values fine_metallic.png two_metal 0.0001
+values fine_emission.png two_light 0.0001
+values fine_coat.png three 0.0001
+$bake fine.nvdb low.obj --maps $four --sampling nearest -o 'near_<MAP>.png'
+code 0
+values near_coat.png three 0.005
+
+# A sphere of radius 1 whose image shows its position: a function of it, by triangles and by voxels.
+$maps sphere || exit 1
+$vox --resolution 100 ball.obj --channels place=ball.png,roughness=ball.png -o ball.nvdb
+code 0
+for scan in nvdb tris; do
+    run bisque-bake ball.$scan ball_low.obj --size 64 --samples 2 \
+        --maps normal,transfer:place,transfer:roughness --normal-space object -o "ball_${scan}_<MAP>.png"
+    code 0
+    $maps on_sphere ball_${scan}_place.png ball_${scan}_roughness.png ball_${scan}_normal.png 0.01 >"$out"
+    check "channels of the sphere are functions of its position, from $scan" $?
+done
+
+# The kernel for devices gives the same bytes, also if the device holds parts of the grid.
+if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
+    for memory in 1G 3M; do
+        LD_LIBRARY_PATH=$TESTS/fake $bake fine.nvdb low.obj --maps $four --device cuda \
+            --gpu-memory $memory -o 'cuda_<MAP>.png'
+        code 0
+        for map in roughness metallic emission coat; do
+            cmp -s fine_$map.png cuda_$map.png
+            check "$map from a device with $memory" $?
+        done
+    done
+fi
+
+# From the chunk file, with other threads and budgets, and in tasks, a grid has the same bytes.
+$vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o again.nvdb --threads 1 \
+    --memory 150M
+code 0
+cmp -s fine.nvdb again.nvdb
+check "a grid with channels has the same bytes for any threads and budget" $?
+$vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o tasks.nvdb --tasks 2 \
+    --write-plan grid.json
+code 0
+for step in '--task 0' '--task 1' '--merge'; do
+    run bisque-voxelize --plan grid.json $step
+    code 0
+done
+cmp -s fine.nvdb tasks.nvdb
+check "and from tasks" $?
+$bake two.nvdb low.obj --maps transfer:sheen -o x.png
+code 65
+err_like 'two.nvdb has no channel sheen: make it with bisque-voxelize --channels sheen'
+run bisque-voxelize --resolution 40 two.tris --channels sheen -o x.nvdb
+code 65
+err_like 'two.tris has no channel sheen: make it with bisque-voxelize --channels sheen'
+
 # Beside each other as two scans.
 for side in left right; do
     awk -v side=$side '/^usemtl/ { keep = $2 == side } !/^f/ || keep { print }' two.obj >$side.obj
@@ -198,12 +265,9 @@ err_like 'plane.tris has no channel gloss: make it with bisque-voxelize --channe
 $bake plane.tris moved.tris low.obj --maps transfer:a --texture a=ramp.png -o x.png
 code 64
 err_like 'ramp.png is a texture of one scan, but there are 2 scans'
-$vox two.obj --channels roughness --no-tris -o x.nvdb
+$vox two.tris --channels coat=three.png -o x.nvdb
 code 64
-err_like 'leave out --no-tris'
-$vox two.tris --channels roughness -o x.nvdb
-code 64
-err_like 'two.tris is already a chunk file'
+err_like 'two.tris is already a chunk file: leave out the images of --channels'
 $vox two.obj --channels Rough -o x.nvdb
 code 64
 err_like '"Rough" is not a channel'
@@ -236,7 +300,7 @@ code 64
 err_like 'ramp.png'
 $bake plane.nvdb low.obj --maps transfer:a --texture a=ramp.png -o x.png
 code 65
-err_like 'is a grid'
+err_like 'plane.nvdb is a grid, which cannot use ramp.png: make it with bisque-voxelize --channels a=ramp.png'
 $bake bare.tris low.obj --maps transfer:a --texture a=ramp.png -o x.png
 code 65
 err_like 'has no texture coordinates'

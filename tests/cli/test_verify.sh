@@ -156,7 +156,7 @@ printf '0BDVonaN' | dd of=x.nvdb conv=notrunc status=none
 other x.nvdb 'NanoVDB file of a big-endian machine: Bisque reads little-endian ones'
 cp box.nvdb x.nvdb
 put x.nvdb $(($(wc -c <box.nvdb) - 184)) 9
-other x.nvdb 'surface grid of version 9: this Bisque reads versions 2 and 3'
+other x.nvdb 'surface grid of version 9: this Bisque reads versions 2 to 4'
 
 for type in 1:float 6:Vec3f 19:Index 21:IndexMask; do
     cp box.nvdb x.nvdb

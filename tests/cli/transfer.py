@@ -1,8 +1,11 @@
 """transfer.py make: writes textures whose values are functions of u and v.
 transfer.py check FILE FUNCTION TOLERANCE [swap]: checks that the texels of a map are values of a
 function of the scan's texture coordinates, of which x of the map is v and y is u.
+transfer.py sphere: writes a sphere, ball.obj, whose image ball.png shows its position, and
+ball_low.obj. transfer.py on_sphere PLACE ROUGHNESS NORMAL TOLERANCE: checks maps of it.
 
 The functions are known by the names of the textures. u grows to the right, v upwards."""
+import math
 import sys
 
 import png
@@ -82,4 +85,58 @@ def check(path, name, tolerance):
     sys.exit(not worst <= float(tolerance))
 
 
-make() if sys.argv[1] == "make" else check(*sys.argv[2:])
+# ---- a sphere ----
+
+TURNS, RINGS = 96, 48
+
+
+def point(u, v):
+    """The point of the unit sphere at texture coordinates."""
+    a, b = 2 * math.pi * u, math.pi * v
+    return math.sin(b) * math.cos(a), math.sin(b) * math.sin(a), -math.cos(b)
+
+
+def values_at(p):
+    """The image's values, a function of the position."""
+    return tuple(0.5 + 0.4 * c for c in p)
+
+
+def write_sphere(path, turns, rings, radius):
+    with open(path, "w") as file:
+        for j in range(rings + 1):
+            for i in range(turns + 1):
+                u, v = i / turns, j / rings
+                file.write("v %.9f %.9f %.9f\nvt %.9f %.9f\n" % (
+                    *(radius * c for c in point(u, v)), u, v))
+        for j in range(rings):
+            for i in range(turns):
+                a = j * (turns + 1) + i + 1
+                corners = [a, a + 1, a + turns + 2, a + turns + 1]
+                file.write("f " + " ".join(f"{c}/{c}" for c in corners) + "\n")
+
+
+def sphere():
+    write_sphere("ball.obj", TURNS, RINGS, 1)
+    write_sphere("ball_low.obj", 24, 12, 1)
+    width, height = 256, 128
+    png.write("ball.png", 16, [
+        [tuple(round(65535 * c) for c in values_at(point((x + 0.5) / width, 1 - (y + 0.5) / height)))
+         for x in range(width)] for y in range(height)])
+
+
+def on_sphere(place, roughness, normal, tolerance):
+    """The normal of a sphere is its position; roughness is the first value."""
+    maps = [png.read(path) for path in (place, roughness, normal)]
+    width, height, most, _ = maps[0]
+    worst = 0
+    for y in range(height // 8, height - height // 8):  # the image turns fast at the poles
+        for x in range(2, width - 2):  # filters wrap
+            values, grey, n = ([c / most for c in m[3][y][x]] for m in maps)
+            expected = values_at([2 * c - 1 for c in n])
+            worst = max(worst, abs(grey[0] - expected[0]),
+                        *(abs(a - b) for a, b in zip(values, expected)))
+    print(f"{place}: at most {worst:.6f} from the function")
+    sys.exit(not worst <= float(tolerance))
+
+
+{"make": make, "check": check, "sphere": sphere, "on_sphere": on_sphere}[sys.argv[1]](*sys.argv[2:])

@@ -44,7 +44,8 @@ static void run_c(const struct work *work)
     grid.normals = ARRAY(bk_uint, 4);
     grid.planes = ARRAY(bk_uint, 5);
     grid.srgb = a->arrays[6] ? ARRAY(float, 6) : NULL;
-    grid.colors = a->arrays[6] ? ARRAY(bk_uint, 6) + 256 : NULL;
+    grid.transfers = a->arrays[6] ? ARRAY(bk_uint, 6) + 256 : NULL;
+    grid.colors = a->arrays[6] ? grid.transfers + bk_transfers(a->params.maps) : NULL;
     grid.seconds = ARRAY(bk_uint, 7);
     for (bk_uint y = 0; y < height; y++)
         for (bk_uint x = 0; x < width; x++) {

@@ -82,6 +82,7 @@ static void make_scene(int number, struct scene *scene)
     scene_sort(scene);
     scene->info.type = number % 2 ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK;
     scene->info.has_color = number != 1;
+    scene->info.channels = number == 2 ? "metallic,coat" : number == 1 ? "roughness" : NULL;
 }
 
 static void write_scene(int number, const char *path)
@@ -406,8 +407,9 @@ static void mend(struct grid_template *t)
     grid_data(t)->checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
     for (int i = 0; i < NVDB_RECORD; i++) {
         const struct nvdb_range *range = &layout->section[i];
+        uint64_t *checksum = i == NVDB_CHANNELS ? &record->channels_checksum : &record->checksum[i];
         if (is_touched(t, range))
-            record->checksum[i] = XXH3_64bits(t->bytes + range->offset, range->size);
+            *checksum = XXH3_64bits(t->bytes + range->offset, range->size);
     }
     record->record_checksum = fmt_nvdb_record_checksum(record);
 }

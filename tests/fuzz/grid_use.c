@@ -133,8 +133,14 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     const struct bk_tile tile = {.width = SIDE, .height = SIDE};
     struct bk_triangle triangles[2];
     uint32_t samples[SIDE * SIDE];
-    float texels[SIDE * SIDE][BK_SUMS + 6];
-    struct bake_job job = {.grid = grid,
+    float texels[SIDE * SIDE][BK_SUMS + 6 + 2 * BK_TRANSFER_VALUES];
+    const uint32_t transfers = grid->channels ? 2 : 0;
+    const uint32_t floats = BK_SUMS + 6 + transfers * BK_TRANSFER_VALUES;
+    /* The first value of a record, and the last one or the last three. */
+    const uint32_t words[2] = {1, grid->channel_words < 3 ? (grid->channel_words - 1) << 2 | 1
+                                                          : (grid->channel_words - 3) << 2 | 3};
+    struct fmt_nvdb_grid used = *grid;
+    struct bake_job job = {.grid = &used,
                            .triangles = triangles,
                            .triangle_count = 2,
                            .tile_texels = SIDE * SIDE,
@@ -144,22 +150,26 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
                                       .front = 50,
                                       .back = 1e7f}};
     struct bake_device *device;
+    job.params.maps |= transfers << BK_TRANSFER_SHIFT;
+    used.transfers = words;
+    used.transfer_count = transfers;
     make_square(grid, triangles);
     for (uint32_t i = 0; i < SIDE * SIDE; i++)
         samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
-    bake_params_from_grid(grid, &job.params);
+    bake_params_from_grid(&used, &job.params);
     int status = bake_device_open(ctx, "cpu", &job, &device);
     if (status)
         return status;
     status = bake_device_trace(device, &tile, samples, texels[0], 0);
     bake_device_close(device);
     for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
-        require(texels[i][BK_HITS] <= texels[i][BK_COVERED] && texels[i][BK_COVERED] <= 1,
+        const float *texel = texels[0] + (size_t)i * floats;
+        require(texel[BK_HITS] <= texel[BK_COVERED] && texel[BK_COVERED] <= 1,
                 "more hits than samples");
-        require(texels[i][BK_COVERED] == (samples[i] != BK_NO_TRIANGLE),
+        require(texel[BK_COVERED] == (samples[i] != BK_NO_TRIANGLE),
                 "a sample that is not counted");
         for (int k = 0; k < 6; k++)
-            require(fabsf(texels[i][BK_SUMS + k]) < 1.01f, "a texel out of range");
+            require(fabsf(texel[BK_SUMS + k]) < 1.01f, "a texel out of range");
     }
     return status;
 }

@@ -22,10 +22,18 @@ enum {
     SECOND,
     IDS,
     NAMES,
+    CHANNELS,
     RECORD,
     SECTIONS
 };
-enum { MASK = 8, ONINDEX = 20, RECORD_BYTES = 192, SECOND_BIT = 1 << 24, SHADED_BIT = 1 << 25 };
+enum {
+    MASK = 8,
+    ONINDEX = 20,
+    RECORD_BYTES = 192,
+    SECOND_BIT = 1 << 24,
+    SHADED_BIT = 1 << 25,
+    SUMMED = 4
+};
 
 struct box {
     int64_t low[3], high[3];
@@ -34,13 +42,15 @@ struct box {
 struct sums {
     uint64_t seconds, shaded;
     double normal[3], offset, coverage, color[3];
+    double channels[SUMMED]; /* of the first values */
 };
 
 struct grid {
     struct bytes file;
     uint32_t type, version;
-    int has_color, has_ids;
+    int has_color, has_ids, has_channels;
     uint64_t uppers, lowers, leaves, voxels, seconds, records, root_bytes, name_bytes;
+    uint64_t words, channels_head; /* of `channels` */
     uint64_t at[SECTIONS], size[SECTIONS];
     double h, translation[3];
     struct box box;
@@ -78,9 +88,12 @@ static void read_counts(struct grid *g)
                 g->voxels >= g->leaves && g->voxels <= 512 * g->leaves,
             "wrong counts");
     uint32_t channels = u32(file, GRID + 648);
-    require(file, channels >= 4 && channels <= 7, "wrong number of channels");
-    g->has_color = channels == 5 || channels == 7;
-    g->has_ids = channels >= 6;
+    uint32_t flags = u32(file, file->size - RECORD_BYTES + 12);
+    g->has_color = flags & 1;
+    g->has_ids = flags >> 1 & 1;
+    g->has_channels = flags >> 2 & 1;
+    require(file, flags < 8 && channels == 4 + (flags & 1) + (flags & 2) + (flags >> 2),
+            "wrong number of channels");
 }
 
 static void check_record(struct grid *g)
@@ -89,18 +102,64 @@ static void check_record(struct grid *g)
     require(file, file->size > RECORD_BYTES, "no bisque record");
     uint64_t at = file->size - RECORD_BYTES;
     require_text(file, at, "BISQUE\r\n", "no bisque record");
-    if (u32(file, at + 8) != 2 && u32(file, at + 8) != 3)
-        refuse(file, "bisque record of version %u, this reader knows 2 and 3", u32(file, at + 8));
-    require(file, (u32(file, at + 8) == 3) == g->has_ids, "ids in another version");
+    if (u32(file, at + 8) < 2 || u32(file, at + 8) > 4)
+        refuse(file, "bisque record of version %u, this reader knows 2 to 4", u32(file, at + 8));
+    require(file,
+            u32(file, at + 8) == (g->has_channels ? 4u
+                                  : g->has_ids    ? 3u
+                                                  : 2u),
+            "ids or channels in another version");
     require(file, u64(file, at + 184) == checksum(file, at, 184), "wrong checksum of the record");
-    require(file, u32(file, at + 12) == (g->has_color ? 1u : 0u) + (g->has_ids ? 2u : 0u),
-            "wrong flags of the record");
-    require_zeros(file, at + (g->has_ids ? 176 : 152), g->has_ids ? 8 : 32);
+    if (!g->has_ids)
+        require_zeros(file, at + 152, 24);
+    if (!g->has_channels)
+        require_zeros(file, at + 176, 8);
     g->name_bytes = u64(file, at + 168);
     require(file, g->name_bytes < file->size, "wrong bytes of names");
     g->seconds = u64(file, at + 24);
     require(file, g->seconds <= g->voxels && g->seconds <= UINT32_MAX, "wrong second records");
     g->records = 1 + g->voxels + g->seconds;
+}
+
+/* Reads the names of further channels, which begin at g->at[CHANNELS]. Returns the bytes of the
+ * section. */
+static uint64_t read_channels(struct grid *g)
+{
+    static const char *const single[] = {"roughness",
+                                         "metallic",
+                                         "sheen",
+                                         "clearcoat",
+                                         "clearcoat_roughness",
+                                         "anisotropy",
+                                         "anisotropy_rotation",
+                                         "shininess",
+                                         "opacity",
+                                         "occlusion",
+                                         "displacement"};
+    const struct bytes *file = &g->file;
+    uint64_t at = g->at[CHANNELS], bytes = u32(file, at + 4), words = 0, length = 0;
+    g->words = u32(file, at);
+    g->channels_head = (8 + bytes + 63) / 64 * 64;
+    require_zeros(file, at + 8 + bytes, g->channels_head - 8 - bytes);
+    const char *list = (const char *)bytes_at(file, at + 8, bytes);
+    for (uint64_t i = 0; i <= bytes; i++) {
+        if (i < bytes && list[i] != ',') {
+            int letter = list[i] >= 'a' && list[i] <= 'z';
+            int more = (list[i] >= '0' && list[i] <= '9') || list[i] == '_';
+            require(file, letter || (more && length > 0), "wrong name of a channel");
+            length++;
+            continue;
+        }
+        uint64_t values = 3;
+        for (unsigned k = 0; k < sizeof single / sizeof *single; k++)
+            if (strlen(single[k]) == length && memcmp(single[k], list + i - length, length) == 0)
+                values = 1;
+        require(file, length > 0, "empty name of a channel");
+        words += values;
+        length = 0;
+    }
+    require(file, words == g->words && words <= 65535, "wrong number of values of channels");
+    return g->channels_head + 4 * g->records * g->words;
 }
 
 static void place_sections(struct grid *g)
@@ -111,18 +170,21 @@ static void place_sections(struct grid *g)
                                 UPPER_BYTES * g->uppers,
                                 LOWER_BYTES * g->lowers,
                                 LEAF_BYTES * g->leaves,
-                                (4 + (g->has_color ? 1 : 0) + (g->has_ids ? 2 : 0)) * BLIND_BYTES,
+                                u32(file, GRID + 648) * BLIND_BYTES,
                                 channel,
                                 channel,
                                 g->has_color ? channel : 0,
                                 8 * (g->voxels / 32 + 1),
                                 g->has_ids ? channel : 0,
                                 g->name_bytes,
+                                0,
                                 RECORD_BYTES};
     for (int i = 0; i < SECTIONS; i++) {
         uint64_t begin = i >= NORMAL ? (at + 63) / 64 * 64 : at;
         require_zeros(file, at, begin - at);
         g->at[i] = begin;
+        if (i == CHANNELS && g->has_channels)
+            sizes[i] = read_channels(g);
         g->size[i] = sizes[i];
         at = begin + sizes[i];
     }
@@ -132,9 +194,12 @@ static void place_sections(struct grid *g)
 static void check_sums(const struct grid *g)
 {
     const struct bytes *file = &g->file;
-    for (int i = 0; i < (g->has_ids ? RECORD : IDS); i++)
+    for (int i = 0; i < (g->has_ids ? CHANNELS : IDS); i++)
         if (u64(file, g->at[RECORD] + 80 + 8 * (uint64_t)i) != checksum(file, g->at[i], g->size[i]))
             refuse(file, "wrong checksum of section %d", i);
+    if (g->has_channels &&
+        u64(file, g->at[RECORD] + 176) != checksum(file, g->at[CHANNELS], g->size[CHANNELS]))
+        refuse(file, "wrong checksum of channels");
     uint32_t crc = 0xffffffffu;
     for (uint64_t at = GRID + 16; at < g->at[UPPERS]; at++) {
         crc ^= file->data[at];
@@ -257,12 +322,13 @@ static void check_blind(const struct grid *g)
     static const struct {
         const char *name;
         uint32_t bytes, semantic, type;
-    } channels[] = {{"normal", 4, 3, 10}, {"plane", 4, 0, 10}, {"color", 4, 2, 12},
-                    {"second", 4, 0, 10}, {"id", 4, 0, 10},    {"names", 1, 0, 0},
-                    {"bisque", 1, 0, 0}};
+    } channels[] = {{"normal", 4, 3, 10},   {"plane", 4, 0, 10}, {"color", 4, 2, 12},
+                    {"second", 4, 0, 10},   {"id", 4, 0, 10},    {"names", 1, 0, 0},
+                    {"channels", 4, 0, 10}, {"bisque", 1, 0, 0}};
     uint64_t at = g->at[BLIND];
-    for (int i = 0; i < 7; i++) {
-        if ((NORMAL + i == COLOR && !g->has_color) ||
+    for (int i = 0; i < 8; i++) {
+        if ((NORMAL + i == CHANNELS && !g->has_channels) ||
+            (NORMAL + i == COLOR && !g->has_color) ||
             ((NORMAL + i == IDS || NORMAL + i == NAMES) && !g->has_ids))
             continue;
         check_u64(&g->file, at, g->at[NORMAL + i] - at);
@@ -314,6 +380,15 @@ static uint32_t channel(const struct grid *g, int section, uint64_t entry)
     return u32(&g->file, g->at[section] + 4 * entry);
 }
 
+/* Returns value k of an entry of the channels. */
+static double value_of(const struct grid *g, uint64_t entry, uint64_t k)
+{
+    uint32_t bits = u32(&g->file, g->at[CHANNELS] + g->channels_head + 4 * (entry * g->words + k));
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return (double)value;
+}
+
 static double plane_offset(uint32_t plane)
 {
     return (double)(int16_t)(uint16_t)plane / 32767.0;
@@ -337,7 +412,7 @@ static int popcount(uint64_t bits)
     return count;
 }
 
-static void check_entry(const struct grid *g, uint64_t entry)
+static void check_entry(struct grid *g, uint64_t entry)
 {
     uint32_t plane = channel(g, PLANE, entry);
     require(&g->file, plane >> 29 == 0, "unknown bits in plane");
@@ -346,6 +421,11 @@ static void check_entry(const struct grid *g, uint64_t entry)
     require(&g->file, fabs(plane_offset(plane)) <= 0.8701, "a plane outside of its voxel");
     if (g->has_ids)
         require(&g->file, channel(g, IDS, entry) >> 24 == 255, "wrong alpha of an id");
+    for (uint64_t k = 0; k < g->words; k++) {
+        require(&g->file, isfinite(value_of(g, entry, k)), "a channel is not finite");
+        if (entry <= g->voxels && k < SUMMED)
+            g->sums.channels[k] += value_of(g, entry, k);
+    }
     if (g->has_color) {
         uint32_t color = channel(g, COLOR, entry);
         require(&g->file, color == 0 || color >> 24 == 255, "wrong alpha");
@@ -654,6 +734,8 @@ static void print_grid(const struct grid *g)
     print_vector("sum_normal", sums->normal);
     printf("sum_offset %.9g\nsum_coverage %.9g\n", sums->offset, sums->coverage);
     print_vector("sum_color", sums->color);
+    for (uint64_t k = 0; k < g->words && k < SUMMED; k++)
+        printf("sum_channel %.9g\n", sums->channels[k]);
 }
 
 int main(int argc, char **argv)
@@ -677,6 +759,8 @@ int main(int argc, char **argv)
     for (int i = NORMAL; i <= COLOR; i++)
         require(&g.file, g.size[i] == 0 || channel(&g, i, 0) == 0, "entry 0 is not 0");
     require(&g.file, !g.has_ids || channel(&g, IDS, 0) == 0, "entry 0 of the ids is not 0");
+    for (uint64_t k = 0; k < g.words; k++)
+        require(&g.file, value_of(&g, 0, k) == 0.0, "entry 0 of the channels is not 0");
     walk(&g);
     print_grid(&g);
     read_names(&g, 1);

@@ -63,7 +63,12 @@ def make(random):
     ids = (random.integers(0, 1 << 24, records) | 0xFF000000).astype("<u4")
     ids[0] = 0
     names = struct.pack("<II", 1, 3) + b"\0\0\0\0\1\0\0\0a\4\0\0\0a \xc3\xa9"
+    channels = random.choice(["", "roughness", "coat,metallic", "emission"])
+    words = read_nvdb.values_of(channels.split(",")) if channels else 0
+    values = random.normal(0, 1, (records, words)).astype("<f4")
+    values[0] = 0
     return SimpleNamespace(
+        channels=str(channels), words=words, values=values,
         has_ids=bool(random.integers(0, 2)), id=ids,
         names=names if random.integers(0, 2) else struct.pack("<II", 3, 0),
         version=random.choice([MASK, ONINDEX]), positions=positions, has_second=marks,
@@ -194,9 +199,16 @@ def _encode_blind(layout):
 
 def _encode_record(grid, layout):
     version, flags = (3, 2) if grid.has_ids else (2, 0)
+    if grid.words:
+        version, flags = 4, flags + 4
     record = struct.pack("<IIQQ6d", version, flags + int(grid.has_color), grid.triangles,
                          layout.second_count, *grid.scan_bounds).ljust(160, b"\0")
     return b"BISQUE\r\n" + record + struct.pack("<QQQ", layout.name_bytes, 0, 0)
+
+
+def _channels_head(grid):
+    head = struct.pack("<II", grid.words, len(grid.channels)) + grid.channels.encode()
+    return head + bytes(-len(head) % 64)
 
 
 def _layout(grid, uppers, lowers, leaves):
@@ -205,6 +217,8 @@ def _layout(grid, uppers, lowers, leaves):
         VARIANTS[grid.version]
     layout.has_color, layout.has_ids = grid.has_color, grid.has_ids
     layout.name_bytes = len(grid.names) if grid.has_ids else 0
+    layout.words = grid.words
+    layout.head_bytes = len(_channels_head(grid)) if grid.words else 0
     layout.upper_count, layout.lower_count, layout.leaf_count = uppers, lowers, leaves
     layout.voxel_count = len(grid.positions)
     layout.second_count = len(grid.normal) - 1 - layout.voxel_count
@@ -231,6 +245,7 @@ def encode(grid):
              "color": grid.color.tobytes(),
              "second": _encode_second(layout.voxel_count, grid.has_second),
              "id": grid.id.tobytes(), "names": grid.names,
+             "channels": _channels_head(grid) + grid.values.tobytes(),
              "bisque": _encode_record(grid, layout)}
     data = bytearray(size)
     for name, (offset, length) in layout.sections.items():
@@ -289,13 +304,26 @@ def _odd_names(random, grid):
     grid.names = bytes(names)
 
 
+def _odd_values(random, grid):
+    if grid.words:
+        at = random.integers(0, len(grid.values))
+        grid.values[at, 0] = random.choice([numpy.inf, numpy.nan, -1.0, -0.0, 3e38])
+
+
+def _odd_list(random, grid):
+    if grid.words:
+        grid.channels = random.choice(["Rough", "a,,b", "roughness,", "1", "a_1,b", "metallic"])
+        grid.words = random.choice([grid.words, read_nvdb.values_of(grid.channels.split(","))])
+        grid.values = numpy.zeros((len(grid.normal), grid.words), "<f4")
+
+
 def _odd_marks(random, grid):
     at = random.integers(0, len(grid.has_second))
     grid.has_second[at] ^= 1
 
 
 ODD = [_odd_transform, _odd_translation, _odd_scan_bounds, _odd_normal, _odd_plane, _odd_color,
-       _odd_id, _odd_names, _odd_marks]
+       _odd_id, _odd_names, _odd_values, _odd_list, _odd_marks]
 
 
 def make_odd(random, grid):
@@ -317,4 +345,7 @@ def mend(data, layout):
     for i, name in enumerate(names):
         offset, size = layout.sections.get(name, (0, 0))
         struct.pack_into("<Q", data, record + 80 + 8 * i, checksum(data[offset:offset + size]))
+    if "channels" in layout.sections:
+        offset, size = layout.sections["channels"]
+        struct.pack_into("<Q", data, record + 176, checksum(data[offset:offset + size]))
     struct.pack_into("<Q", data, record + 184, checksum(data[record:record + 184]))

@@ -9,6 +9,7 @@ import sys
 
 import numpy
 
+import read_nvdb
 from refusal import Refused, array, checksum, fields, need
 
 HEADER_BYTES, ENTRY_BYTES, LEAF_BYTES = 112, 48, 72
@@ -60,14 +61,17 @@ def read(plan, data):
     totals = fields(data, 48, "QQQ")
     bounds = fields(data, 72, "iiiiii")
     table_checksum, header_checksum = fields(data, 96, "QQ")
-    need(version == 1 and flags < 4, "version or flags")
+    need(version == 1 and flags < 8, "version or flags")
     need(header_checksum == checksum(data[:104]), "header_checksum")
     need(f"{plan_high:016x}{plan_low:016x}" == plan["id"], "plan_id")
     need(tasks == plan["tasks"] and task < tasks, "not of the plan")
     need(count <= plan["expected"][task]["regions"], "regions")
     table = len(data) - count * ENTRY_BYTES
     need(table >= HEADER_BYTES and table_checksum == checksum(data[table:]), "table_checksum")
-    words = 2 + (flags & 1) + (flags >> 1)
+    channels = plan["options"]["channels"]
+    need(bool(flags & 4) == (channels is not None), "channels")
+    words = 2 + (flags & 1) + (flags >> 1 & 1)
+    words += read_nvdb.values_of(channels.split(",")) if channels else 0
     at, origins, sums = HEADER_BYTES, [], [0, 0, 0]
     low, high = numpy.full(3, 2**31 - 1), numpy.full(3, -(2**31))
     for i in range(count):

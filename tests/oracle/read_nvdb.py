@@ -4,6 +4,7 @@ read(data, verify) returns the content or raises Refused. With verify=False it m
 that FORMATS.md asks of a reader that opens a grid and follows its offsets, with verify=True also
 those of a reader that verifies the whole file.
 """
+import re
 import struct
 import zlib
 from dataclasses import dataclass
@@ -52,8 +53,11 @@ def channels_of(grid):
     n = grid.record_count
     table = [("normal", n, 4, 3, 10), ("plane", n, 4, 0, 10), ("color", n, 4, 2, 12),
              ("second", 2 * (grid.voxel_count // 32 + 1), 4, 0, 10), ("id", n, 4, 0, 10),
-             ("names", grid.name_bytes, 1, 0, 0), ("bisque", RECORD_BYTES, 1, 0, 0)]
-    missing = ([] if grid.has_color else ["color"]) + ([] if grid.has_ids else ["id", "names"])
+             ("names", grid.name_bytes, 1, 0, 0),
+             ("channels", (grid.head_bytes // 4 + n * grid.words), 4, 0, 10),
+             ("bisque", RECORD_BYTES, 1, 0, 0)]
+    missing = ([] if grid.has_color else ["color"]) + ([] if grid.has_ids else ["id", "names"]) + \
+        ([] if grid.words else ["channels"])
     return [row for row in table if row[0] not in missing]
 
 
@@ -93,18 +97,48 @@ def _read_record(data, grid):
     record = data[-RECORD_BYTES:]
     magic, version, flags, grid.triangle_count, grid.second_count = fields(record, 0, "8sIIQQ")
     need(magic == b"BISQUE\r\n", "no bisque record at the end")
-    need(version in (2, 3), f"bisque record of version {version}")
+    need(version in (2, 3, 4), f"bisque record of version {version}")
     need(fields(record, 184, "Q")[0] == checksum(record[:184]), "checksum of the bisque record")
-    need(flags < 4 and flags >> 1 == version - 2, "flags of the bisque record")
-    grid.has_color, grid.has_ids = bool(flags & 1), bool(flags & 2)
+    need(flags < 8 and version == (4 if flags & 4 else 3 if flags & 2 else 2),
+         "flags of the bisque record")
+    grid.has_color, grid.has_ids, grid.has_channels = (bool(flags & bit) for bit in (1, 2, 4))
+    grid.words = grid.head_bytes = 0
     grid.scan_bounds = fields(record, 32, "6d")
     need(is_finite(grid.scan_bounds), "bounds of the high-poly mesh are not finite")
     grid.checksums = fields(record, 80, "11Q")
     grid.name_bytes, = fields(record, 168, "Q")
-    need(is_zero(record[176:184]), "zeros of the bisque record")
+    grid.channels_checksum, = fields(record, 176, "Q")
+    need(grid.has_channels or grid.channels_checksum == 0, "zeros of the bisque record")
     need(grid.has_ids or is_zero(record[152:176]), "checksums without ids")
     need(grid.name_bytes <= len(data), "bytes of the names")
     grid.record_count = 1 + grid.voxel_count + grid.second_count
+
+
+SINGLE = ("roughness", "metallic", "sheen", "clearcoat", "clearcoat_roughness", "anisotropy",
+          "anisotropy_rotation", "shininess", "opacity", "occlusion", "displacement")
+
+
+def values_of(names):
+    return sum(1 if name in SINGLE else 3 for name in names)
+
+
+def _read_list(data, grid):
+    """Reads the names of further channels, which begin where the section before them ends."""
+    if not grid.has_channels:
+        return
+    grid.words = 1  # at least; where the section begins does not depend on it
+    lay_out(grid)
+    at, _ = grid.sections["channels"]
+    need(at + 8 <= len(data), "channels are cut off")
+    words, size = fields(data, at, "II")
+    head = _aligned(8 + size)
+    need(at + head <= len(data), "list of channels is cut off")
+    text = bytes(data[at + 8:at + 8 + size])
+    need(re.fullmatch(rb"[a-z][a-z0-9_]*(,[a-z][a-z0-9_]*)*", text), "list of channels")
+    names = text.decode().split(",")
+    need(words == values_of(names) <= 65535, "number of values of channels")
+    need(is_zero(data[at + 8 + size:at + head]), "zeros after the list of channels")
+    grid.words, grid.head_bytes, grid.channel_names = words, head, names
 
 
 def _check_limits(grid):
@@ -337,7 +371,11 @@ def _read_names(data, grid):
 def _read_channels(data, grid):
     grid.channels = {}
     for name, values, value_bytes, _, _ in channels_of(grid):
-        if value_bytes == 4:
+        if name == "channels":
+            offset, size = grid.sections[name]
+            grid.channels[name] = array(data, offset + grid.head_bytes, "f4",
+                                        grid.record_count, grid.words)
+        elif value_bytes == 4:
             grid.channels[name] = array(data, grid.sections[name][0], "u4", values)
     second = grid.channels["second"].reshape(-1, 2)
     bits = numpy.unpackbits(numpy.ascontiguousarray(second[:, :1]).view("u1"), axis=1,
@@ -366,6 +404,10 @@ def _verify_channels(grid):
     if grid.has_ids:
         need(grid.channels["id"][0] == 0, "background has an id")
         need((grid.channels["id"][1:] >> 24 == 255).all(), "an id is not opaque")
+    if grid.words:
+        values = grid.channels["channels"]
+        need(not values[0].view("u4").any(), "background has channels")
+        need(numpy.isfinite(values).all(), "a channel is not finite")
     if grid.has_color:
         color = grid.channels["color"]
         need(color[0] == 0, "background has a colour")
@@ -378,6 +420,10 @@ def _verify_checksums(data, grid):
     for name, stored in zip(names if grid.has_ids else names[:9], grid.checksums):
         offset, size = grid.sections.get(name, (0, 0))
         need(stored == checksum(data[offset:offset + size]), f"checksum of {name}")
+    if grid.words:
+        offset, size = grid.sections["channels"]
+        need(grid.channels_checksum == checksum(data[offset:offset + size]),
+             "checksum of channels")
 
 
 def _verify_padding(data, grid):
@@ -393,6 +439,7 @@ def read(data, verify):
     _read_counts(data, grid)
     _read_record(data, grid)
     _check_limits(grid)
+    _read_list(data, grid)
     need(lay_out(grid) == len(data), "length of the file")
     _check_file_header(data, grid)
     _check_grid_data(data, grid)

@@ -8,7 +8,7 @@
 
 _Static_assert(sizeof(struct bk_triangle) == 188, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
-_Static_assert(sizeof(struct bk_params) == 128, "layout shared with devices");
+_Static_assert(sizeof(struct bk_params) == 144, "layout shared with devices");
 
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
@@ -26,6 +26,14 @@ static void split(uint64_t value, bk_uint words[2])
 {
     words[0] = (bk_uint)value;
     words[1] = (bk_uint)(value >> 32);
+}
+
+/* Returns the array from which offsets of ids and channels count. */
+static const uint32_t *first_color(const struct fmt_nvdb_grid *grid)
+{
+    return grid->colors ? grid->colors
+           : grid->ids  ? grid->ids
+                        : (const uint32_t *)(const void *)grid->channels;
 }
 
 void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *params)
@@ -51,6 +59,11 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
     if (grid->ids)
         params->flags |= BK_HAS_IDS;
     split(grid->ids && grid->colors ? (uint64_t)(grid->ids - grid->colors) : 0, params->id_offset);
+    split(grid->channels
+              ? (uint64_t)((const uint32_t *)(const void *)grid->channels - first_color(grid))
+              : 0,
+          params->channel_offset);
+    params->channel_words = grid->channels ? grid->channel_words : 0;
 }
 
 void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
@@ -63,7 +76,8 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
     out->leaves = (const bk_ulong *)(const void *)grid->leaves;
     out->normals = grid->normals;
     out->planes = grid->planes;
-    out->colors = grid->colors ? grid->colors : grid->ids;
+    out->colors = first_color(grid);
+    out->transfers = grid->transfers;
     out->seconds = &grid->seconds[0][0];
     out->srgb = bk_srgb;
 }

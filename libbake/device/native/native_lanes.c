@@ -12,7 +12,6 @@ struct group {
     const struct bk_triangle *triangles;
     bk_cache cache;
     bk_samples samples;
-    float *texels[BK_WIDTH]; /* of the samples */
     uint32_t texel_floats;
     float places[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
 };
@@ -26,7 +25,7 @@ static void trace_group(struct group *group)
     bk_trace_samples(group->grid, group->params, &group->cache, group->triangles, &group->samples,
                      &hits);
     for (bk_uint lane = 0; lane < group->samples.count; lane++)
-        bk_add_sample(group->params, &hits, lane, group->texels[lane]);
+        bk_add_sample(group->params, &hits, lane, group->samples.texel[lane]);
     group->samples.count = 0;
 }
 
@@ -49,7 +48,7 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
             samples->y[samples->count] = y;
             samples->skew[samples->count] =
                 bk_sample_skew(group->params, tile, sample_triangles, first + i);
-            group->texels[samples->count] = texel;
+            samples->texel[samples->count] = texel;
             if (++samples->count == BK_WIDTH)
                 trace_group(group);
         }

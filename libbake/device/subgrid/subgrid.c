@@ -36,18 +36,23 @@ void bake_subgrid_sizes(const struct fmt_nvdb_grid *grid, const struct bake_leaf
     /* The kernel reads leaf 0 for rays that are in no leaf. */
     bytes[BAKE_LEAVES] = (counts->leaf_count + !counts->leaf_count) * BK_LEAF_WORDS * 8;
     bytes[BAKE_NORMALS] = bytes[BAKE_PLANES] = channel;
-    bytes[BAKE_COLORS] = (grid->colors ? channel : 0) + (grid->ids ? channel : 0);
+    bytes[BAKE_COLORS] = (grid->colors ? channel : 0) + (grid->ids ? channel : 0) +
+                         grid->transfer_count * sizeof *grid->transfers +
+                         (grid->channels ? channel * grid->channel_words : 0);
     bytes[BAKE_COLORS] += bytes[BAKE_COLORS] > 0 ? sizeof bk_srgb : 0;
     bytes[BAKE_SECONDS] = (counts->voxel_count / 32 + 1) * 8;
 }
 
-/* On a device, ids follow the colours of `records` records without a gap. */
-static void set_id_offset(const struct fmt_nvdb_grid *grid, uint64_t records,
-                          struct bk_params *params)
+/* On a device, ids follow the colours of `records` records without a gap, and channels these. */
+static void set_offsets(const struct fmt_nvdb_grid *grid, uint64_t records,
+                        struct bk_params *params)
 {
-    const uint64_t offset = grid->colors && grid->ids ? records : 0;
-    params->id_offset[0] = (bk_uint)offset;
-    params->id_offset[1] = (bk_uint)(offset >> 32);
+    const uint64_t ids = grid->colors && grid->ids ? records : 0;
+    const uint64_t channels = (grid->colors ? records : 0) + (grid->ids ? records : 0);
+    params->id_offset[0] = (bk_uint)ids;
+    params->id_offset[1] = (bk_uint)(ids >> 32);
+    params->channel_offset[0] = (bk_uint)channels;
+    params->channel_offset[1] = (bk_uint)(channels >> 32);
 }
 
 void bake_subgrid_whole(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
@@ -59,7 +64,7 @@ void bake_subgrid_whole(const struct fmt_nvdb_grid *grid, const struct bk_params
                                       .voxel_count = grid->voxel_count,
                                       .second_count = grid->record_count - 1 - grid->voxel_count};
     *out = (struct bake_subgrid){.grid = grid, .whole = true, .params = *params};
-    set_id_offset(grid, grid->record_count, &out->params);
+    set_offsets(grid, grid->record_count, &out->params);
     bake_subgrid_sizes(grid, &all, out->bytes);
 }
 
@@ -111,7 +116,7 @@ int bake_subgrid_create(struct bsq_ctx *ctx, const struct bake_leaf_set *set,
     out->params.second_count = (bk_uint)set->second_count;
     out->params.second_base_low = (bk_uint)second_base;
     out->params.second_base_high = (bk_uint)(second_base >> 32);
-    set_id_offset(set->grid, second_base + set->second_count, &out->params);
+    set_offsets(set->grid, second_base + set->second_count, &out->params);
     bake_subgrid_sizes(set->grid, set, out->bytes);
     int status = bsq_alloc(ctx, "upper nodes of a pass", set->upper_count + 1, sizeof *out->uppers,
                            &out->uppers);

@@ -219,40 +219,58 @@ static struct values values_of(const struct fmt_nvdb_grid *grid, uint32_t leaf)
     return (struct values){first, count < most ? count : most};
 }
 
-static int send_values(const struct sending *s, void *channel, uint32_t leaf, uint64_t first)
+/* An array of records. */
+struct records {
+    const uint32_t *first; /* NULL: there is none */
+    uint64_t words;        /* of a record */
+};
+
+static int put_records(const struct sending *s, const struct records *records, uint64_t begin,
+                       uint64_t count)
+{
+    return put(s, records->first + begin * records->words,
+               count * records->words * sizeof *records->first);
+}
+
+static int send_values(const struct sending *s, void *records, uint32_t leaf, uint64_t first)
 {
     const struct values values = values_of(s->subgrid->grid, leaf);
-    const uint32_t *records = channel;
     (void)first;
-    return put(s, records + values.first, values.count * sizeof *records);
+    return put_records(s, records, values.first, values.count);
 }
 
 /* Sends the second records of a leaf, which are contiguous, as its voxels are. */
-static int send_second_values(const struct sending *s, void *channel, uint32_t leaf,
+static int send_second_values(const struct sending *s, void *records, uint32_t leaf,
                               uint64_t first_in_subgrid)
 {
     const struct fmt_nvdb_grid *grid = s->subgrid->grid;
-    const uint32_t *seconds = (const uint32_t *)channel + grid->voxel_count + 1;
     const struct values values = values_of(grid, leaf);
     const uint64_t begin = bake_seconds_below(grid, values.first);
     const uint64_t end = bake_seconds_below(grid, values.first + values.count);
     (void)first_in_subgrid;
-    return end > begin ? put(s, seconds + begin, (end - begin) * sizeof *seconds) : 0;
+    return end > begin ? put_records(s, records, grid->voxel_count + 1 + begin, end - begin) : 0;
+}
+
+/* Sends the records of the subgrid's voxels: the background, first and second records. */
+static int send_records(const struct sending *s, const void *first, uint64_t words)
+{
+    struct records records = {first, words};
+    if (!first)
+        return 0;
+    if (s->subgrid->whole)
+        return put_records(s, &records, 0, s->subgrid->grid->record_count);
+    int status = put_records(s, &records, 0, 1);
+    if (status == 0)
+        status = for_leaves(s, send_values, &records);
+    if (status == 0)
+        status = for_leaves(s, send_second_values, &records);
+    return status;
 }
 
 /* `channel` may be NULL: there is none. */
 static int send_channel(const struct sending *s, const uint32_t *channel)
 {
-    if (!channel)
-        return 0;
-    if (s->subgrid->whole)
-        return put(s, channel, s->subgrid->grid->record_count * sizeof *channel);
-    int status = put(s, channel, sizeof *channel);
-    if (status == 0)
-        status = for_leaves(s, send_values, (void *)(uintptr_t)channel);
-    if (status == 0)
-        status = for_leaves(s, send_second_values, (void *)(uintptr_t)channel);
-    return status;
+    return send_records(s, channel, 1);
 }
 
 /* The pair (mask and prefix sum) of 32 value indices that is being filled. */
@@ -297,13 +315,19 @@ static int send_seconds(const struct sending *s)
     return status ? status : send_pairs_until(s, &bits, s->subgrid->voxel_count / 32 + 1);
 }
 
-/* Sends the array of colours, which begins with the kernel's table of sRGB codes. Ids follow. */
+/* Sends the array of colours, which begins with the kernel's table of sRGB codes and the words of
+ * transfer maps. Ids and channels follow. */
 static int send_colors(const struct sending *s)
 {
+    const struct fmt_nvdb_grid *grid = s->subgrid->grid;
     int status = put(s, bk_srgb, sizeof bk_srgb);
+    if (status == 0 && grid->transfer_count > 0)
+        status = put(s, grid->transfers, grid->transfer_count * sizeof *grid->transfers);
     if (status == 0)
-        status = send_channel(s, s->subgrid->grid->colors);
-    return status ? status : send_channel(s, s->subgrid->grid->ids);
+        status = send_channel(s, grid->colors);
+    if (status == 0)
+        status = send_channel(s, grid->ids);
+    return status ? status : send_records(s, grid->channels, grid->channel_words);
 }
 
 static int send_whole(const struct sending *s, int array)

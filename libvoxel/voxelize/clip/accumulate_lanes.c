@@ -13,6 +13,7 @@
 
 static_assert(sizeof(struct vox_sum) == 64, "sums are two rows of four");
 static_assert(sizeof(struct vox_color_sum) == 32, "a colour is a row of four");
+static_assert(LANE_COUNT <= VOX_FRAGMENT_LANES, "channels of waiting fragments have space");
 static_assert(sizeof(struct block_fragment) == 64, "a fragment begins with a row of four");
 
 /* ---- fragments ---- */
@@ -22,7 +23,7 @@ struct source {
     const struct vox_accumulation *job;
     const struct vox_fragment_block *block;
     struct vox_accumulator *sums;
-    bool smooth, marked, curved, has_color, has_ids;
+    bool smooth, marked, curved, has_color, has_ids, has_channels;
 };
 
 LANES_INLINE struct source source_of(const struct vox_accumulation *job)
@@ -35,14 +36,16 @@ LANES_INLINE struct source source_of(const struct vox_accumulation *job)
                            .marked = smooth && (job->chunk->coarse || job->chunk->inconsistent),
                            .curved = smooth && job->chunk->coarse,
                            .has_color = job->sums->colors != NULL,
-                           .has_ids = job->sums->votes != NULL};
+                           .has_ids = job->sums->votes != NULL,
+                           .has_channels = job->sums->channels != NULL};
 }
 
 /* Adds a fragment of the triangle at this place. cell: lower corner of its voxel, relative to that
- * of the triangle's lowest. rgb: its colour, and 1; NULL: interpolated from the triangle's. */
+ * of the triangle's lowest. rgb: its colour, and 1; NULL: interpolated from the triangle's.
+ * channels: its values of further channels; NULL: those of the triangle's material. */
 LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
                               const struct block_fragment *fragment, const double cell[4],
-                              const double rgb[4])
+                              const double rgb[4], const double *channels)
 {
     const struct block_facts *facts = &from->block->facts[place];
     struct vox_fragment_sum sum;
@@ -61,7 +64,12 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
         sum.id =
             vox_shade_id(from->job->shading, from->job->chunk, from->block->triangles[place].number,
                          fragment->area, fragment->moment);
-    return vox_accumulator_add(from->sums, fragment->voxel, &sum, from->has_color, from->has_ids);
+    sum.channels = channels;
+    if (from->has_channels && !channels)
+        sum.channels = vox_shade_channels(from->job->shading, from->job->chunk,
+                                          from->block->triangles[place].number);
+    return vox_accumulator_add(from->sums, fragment->voxel, &sum, from->has_color, from->has_ids,
+                               from->has_channels);
 }
 
 LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)
@@ -73,7 +81,7 @@ LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_
         const struct block_fragment *fragment =
             &from->block->fragments[run[i] % BLOCK_RUN_TRIANGLE];
         status |= add_fragment(from, run[i] / BLOCK_RUN_TRIANGLE, fragment,
-                               shade_cells[fragment->cell % FRAGMENT_FLAT], NULL);
+                               shade_cells[fragment->cell % FRAGMENT_FLAT], NULL, NULL);
     }
     return status;
 }
@@ -94,9 +102,9 @@ LANES_INLINE int add_runs(const struct source *from, uint32_t count)
 LANES_INLINE int add_fragments(const struct vox_accumulation *job, uint32_t count)
 {
     struct source from = source_of(job);
-    if (from.has_ids)
+    if (from.has_ids || from.has_channels)
         return add_runs(&from, count);
-    from.has_ids = false;
+    from.has_ids = from.has_channels = false;
     if (from.has_color)
         return add_runs(&from, count);
     from.has_color = false;
@@ -156,6 +164,7 @@ struct single {
     const int32_t *low;
     struct shade_triangles triangles;
     uint32_t image; /* UINT32_MAX: no texture */
+    bool channels;  /* further channels have textures */
     double area, uv[3][2];
     struct queue queue;
     double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
@@ -164,11 +173,13 @@ struct single {
 static int add_waiting(struct single *s)
 {
     bool textured = s->image != UINT32_MAX;
+    const double *channels = s->channels ? s->from.sums->fragment_channels : NULL;
     int status = vox_accumulator_reserve(s->from.sums);
     put_queue(&s->triangles, &s->queue, s->job->block);
     for (uint32_t i = 0; i < s->queue.count && status == 0; i++)
         status = add_fragment(&s->from, s->place, &s->job->block->fragments[BLOCK_FRAGMENTS + i],
-                              s->cells[i], textured ? s->rgb[i] : NULL);
+                              s->cells[i], textured ? s->rgb[i] : NULL,
+                              channels ? channels + i * s->from.sums->channel_words : NULL);
     s->queue.count = 0;
     return status;
 }
@@ -192,6 +203,15 @@ static int take_fragment(void *arg, const struct vox_fragment *fragment)
     if (s->image != UINT32_MAX) {
         int status = vox_shade_texture(s->job->shading, s->image, (const double(*)[2])s->uv,
                                        fragment->b, fragment->uv_extent, s->rgb[i]);
+        if (status < 0)
+            return status;
+    }
+    if (s->channels) {
+        struct vox_accumulator *sums = s->from.sums;
+        int status = vox_shade_channel_textures(
+            s->job->shading, s->job->chunk, s->job->block->triangles[s->place].number,
+            (const double(*)[2])s->uv, fragment->b, fragment->uv_extent,
+            sums->fragment_channels + (uint64_t)i * sums->channel_words);
         if (status < 0)
             return status;
     }
@@ -227,7 +247,9 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *jo
     load_triangles(job, places, &s.triangles, lowest);
     s.area = s.triangles.area[0];
     s.image = vox_shade_image(job->shading, chunk, triangle->number);
-    if (s.image != UINT32_MAX) {
+    s.channels =
+        s.from.has_channels && vox_shade_has_textures(job->shading, chunk, triangle->number);
+    if (s.image != UINT32_MAX || s.channels) {
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 2; k++)
                 s.uv[i][k] = (double)chunk->source.texcoords[v[i]][k];
@@ -314,7 +336,9 @@ static int add_group(const struct vox_accumulation *job, uint32_t begin, uint32_
         uint32_t fragments = 0, kind = KIND_LARGE;
         if (!four_any(planes > DIVIDE_MAX_PLANES) &&
             (!job->shading->textures ||
-             vox_shade_image(job->shading, job->chunk, i) == UINT32_MAX)) {
+             vox_shade_image(job->shading, job->chunk, i) == UINT32_MAX) &&
+            !(job->shading->channels.textures &&
+              vox_shade_has_textures(job->shading, job->chunk, i))) {
             kind = (uint32_t)(planes[0] << 4 | planes[1] << 2 | planes[2]);
             fragments = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
         }

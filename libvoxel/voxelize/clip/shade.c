@@ -69,7 +69,10 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
 
 int vox_shading_tell_missing(const struct vox_shading *shading)
 {
-    return shading->textures ? fmt_textures_tell_missing(shading->textures) : 0;
+    int status = shading->textures ? fmt_textures_tell_missing(shading->textures) : 0;
+    return status == 0 && shading->channels.textures
+               ? fmt_textures_tell_missing(shading->channels.textures)
+               : status;
 }
 
 void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
@@ -81,6 +84,7 @@ void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
     shading->diffuse = NULL;
     bsq_free(ctx, shading->ids);
     shading->ids = NULL;
+    vox_shading_channels_free(ctx, &shading->channels);
 }
 
 /* ---- triangles ---- */
@@ -156,18 +160,25 @@ uint32_t vox_shade_id(const struct vox_shading *shading, const struct vox_chunk 
 
 /* ---- fragments ---- */
 
-int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
-                      const double b[2], const double uv_extent[2], double rgb[3])
+int vox_sample_fragment(struct fmt_textures *textures, uint32_t image, const struct bsq_uv *moved,
+                        const double (*uv)[2], const double b[2], const double uv_extent[2],
+                        float out[3])
 {
-    const struct bsq_uv *moved = &shading->header->materials[image].uv;
-    float color[3], at[2], width[2];
+    float at[2], width[2];
     for (int k = 0; k < 2; k++) {
         at[k] = (float)(uv[0][k] + b[0] * (uv[1][k] - uv[0][k]) + b[1] * (uv[2][k] - uv[0][k]));
         at[k] = bsq_uv_apply(moved, k, at[k]);
         width[k] = bsq_uv_width(moved, k, (float)uv_extent[k]);
     }
-    int status =
-        fmt_texture_sample(shading->textures, image, at[0], at[1], width[0], width[1], color);
+    return fmt_texture_sample(textures, image, at[0], at[1], width[0], width[1], out);
+}
+
+int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
+                      const double b[2], const double uv_extent[2], double rgb[3])
+{
+    float color[3];
+    int status = vox_sample_fragment(
+        shading->textures, image, &shading->header->materials[image].uv, uv, b, uv_extent, color);
     for (int k = 0; k < 3 && status == 0; k++)
         rgb[k] = (double)color[k];
     return status;

@@ -6,6 +6,16 @@
 #include "libvoxel/voxelize/records/region.h"
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 
+/* Further channels of a scan, such as roughness, that the grid gets. */
+struct vox_shading_channels {
+    uint32_t count, words; /* channels, and values of all of them */
+    uint32_t *numbers;     /* of the channels in the header */
+    double *values;        /* of each material, then of triangles without one: `words` values */
+    bool *textured;        /* of each material: some channel has a texture */
+    struct fmt_textures *textures; /* images: those of the first channel by material, and so on;
+                                      NULL: none */
+};
+
 /* Sources of colour in order of precedence: the texture of the triangle's material, if the scan has
  * texture coordinates; vertex colours; the material's diffuse colour. */
 struct vox_shading {
@@ -15,6 +25,7 @@ struct vox_shading {
     double (*diffuse)[3];          /* of each material, in linear light */
     uint32_t *ids; /* of each material, then of triangles without one; NULL: not used */
     struct vox_color_tables tables;
+    struct vox_shading_channels channels;
 };
 
 /* Warns of tiles of textures that are missing, each once. Not from parallel work. Errors: BSQ_EDATA
@@ -37,6 +48,26 @@ int vox_shading_use_ids(struct bsq_ctx *ctx, struct vox_shading *shading);
 uint32_t vox_shade_id(const struct vox_shading *shading, const struct vox_chunk *chunk,
                       uint32_t triangle, double area, const double moment[2]);
 
+/* Prepares the channels of a list (base/channels.h), all of which the scan must have, and opens
+ * their textures with a cache of texture_bytes. Errors: BSQ_EDATA, and those of textures. */
+int vox_shading_use_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                             const char *list, uint64_t texture_bytes, struct vox_shading *shading);
+/* Returns whether channels of a list have textures. */
+bool vox_shading_channels_need_textures(const struct fmt_tris_header *header, const char *list);
+void vox_shading_channels_free(struct bsq_ctx *ctx, struct vox_shading_channels *channels);
+
+/* Returns whether channels of a triangle come from textures. */
+bool vox_shade_has_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                            uint32_t triangle);
+/* Returns the values of a triangle's channels without their textures. */
+const double *vox_shade_channels(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                                 uint32_t triangle);
+/* Sets the values of a fragment's channels. uv, b, uv_extent: as for vox_shade_texture(). Errors:
+ * those of fmt_texture_sample(). */
+int vox_shade_channel_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                               uint32_t triangle, const double (*uv)[2], const double b[2],
+                               const double uv_extent[2], double *out);
+
 /* Returns the image that colours a triangle of the chunk, UINT32_MAX if it has no texture. */
 uint32_t vox_shade_image(const struct vox_shading *shading, const struct vox_chunk *chunk,
                          uint32_t triangle);
@@ -51,5 +82,10 @@ bool vox_shade_corners(const struct vox_shading *shading, const struct vox_chunk
  * size of the fragment in texture space. Errors: those of fmt_texture_sample(). */
 int vox_shade_texture(const struct vox_shading *shading, uint32_t image, const double (*uv)[2],
                       const double b[2], const double uv_extent[2], double rgb[3]);
+
+/* Samples an image alike, through the scale and offset of its texture coordinates. */
+int vox_sample_fragment(struct fmt_textures *textures, uint32_t image, const struct bsq_uv *moved,
+                        const double (*uv)[2], const double b[2], const double uv_extent[2],
+                        float out[3]);
 
 #endif

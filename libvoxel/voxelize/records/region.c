@@ -5,6 +5,7 @@
  * away from it, so its own sum cannot cancel. */
 #include "libvoxel/voxelize/records/region.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -23,13 +24,15 @@ static uint64_t bytes_per_sum(unsigned sums)
 {
     return sizeof(struct vox_sum) + sizeof(uint32_t) +
            (sums & VOX_SUM_COLORS ? sizeof(struct vox_color_sum) : 0) +
-           (sums & VOX_SUM_IDS ? sizeof(struct vox_vote) : 0);
+           (sums & VOX_SUM_IDS ? sizeof(struct vox_vote) : 0) +
+           sums / VOX_SUM_CHANNEL_VALUE * sizeof(double);
 }
 
 static uint64_t capacity_bytes(uint64_t bricks, uint64_t count, unsigned sums)
 {
-    return sizeof(struct vox_accumulator) + (bricks + 1) * sizeof(vox_brick) +
-           (count + 1) * bytes_per_sum(sums);
+    return sizeof(struct vox_accumulator) +
+           sums / VOX_SUM_CHANNEL_VALUE * VOX_FRAGMENT_LANES * sizeof(double) +
+           (bricks + 1) * sizeof(vox_brick) + (count + 1) * bytes_per_sum(sums);
 }
 
 uint64_t vox_accumulator_bytes_min(unsigned sums)
@@ -53,6 +56,16 @@ static void set_capacities(struct vox_accumulator *a, uint64_t bytes, unsigned s
     a->sum_capacity = (uint32_t)(count < SUMS_MIN ? SUMS_MIN : count > SUMS_MAX ? SUMS_MAX : count);
 }
 
+static int allocate_channels(struct vox_accumulator *a)
+{
+    const uint64_t bytes = a->channel_words * sizeof *a->channels;
+    int status =
+        bsq_alloc(a->ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, bytes, &a->channels);
+    return status < 0
+               ? status
+               : bsq_alloc(a->ctx, "voxel sums", VOX_FRAGMENT_LANES, bytes, &a->fragment_channels);
+}
+
 int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
                            struct vox_accumulator **out)
 {
@@ -62,6 +75,7 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
     if (status < 0)
         return status;
     a->ctx = ctx;
+    a->channel_words = sums / VOX_SUM_CHANNEL_VALUE;
     set_capacities(a, bytes, sums);
     if ((status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
                             &a->bricks)) < 0 ||
@@ -73,7 +87,8 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
          (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->colors,
                              &a->colors)) < 0) ||
         (sums & VOX_SUM_IDS && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
-                                                   sizeof *a->votes, &a->votes)) < 0)) {
+                                                   sizeof *a->votes, &a->votes)) < 0) ||
+        (a->channel_words > 0 && (status = allocate_channels(a)) < 0)) {
         vox_accumulator_destroy(a);
         return status;
     }
@@ -91,6 +106,8 @@ void vox_accumulator_destroy(struct vox_accumulator *a)
     bsq_free(a->ctx, a->others);
     bsq_free(a->ctx, a->colors);
     bsq_free(a->ctx, a->votes);
+    bsq_free(a->ctx, a->channels);
+    bsq_free(a->ctx, a->fragment_channels);
     bsq_free(a->ctx, a);
 }
 
@@ -117,6 +134,9 @@ bool vox_accumulator_clear_next(struct vox_accumulator *a)
         memset(&a->colors[first], 0, count * sizeof *a->colors);
     if (a->votes)
         memset(&a->votes[first], 0, count * sizeof *a->votes);
+    if (a->channels)
+        memset(a->channels + (uint64_t)first * a->channel_words, 0,
+               (uint64_t)count * a->channel_words * sizeof *a->channels);
     a->ready_count += count;
     return a->ready_count - a->sum_count >= VOX_FRAGMENTS_AT_ONCE;
 }
@@ -225,6 +245,19 @@ static void make_records(const struct vox_accumulator *a, const uint32_t *number
         records[i].id = a->votes[numbers[i]].id;
 }
 
+/* Writes the means of channels. Values too large for float32 become the largest one. */
+static void make_channels(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
+                          float *out)
+{
+    const uint32_t words = a->channel_words;
+    for (uint32_t i = 0; i < count; i++) {
+        const double *sums = a->channels + (uint64_t)numbers[i] * words;
+        const double area = a->sums[numbers[i]].area;
+        for (uint32_t c = 0; c < words; c++)
+            *out++ = (float)fmin(fmax(sums[c] / area, -FLT_MAX), FLT_MAX);
+    }
+}
+
 /* Finds the touched voxels of a brick, and prefetches their sums, which lie in the order in which
  * voxels were first touched. */
 static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, uint64_t mask[8])
@@ -257,6 +290,12 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     if (chosen.second_count > 0)
         make_records(a, chosen.second, chosen.second_count, tables,
                      leaves->second + leaves->second_count);
+    if (a->channel_words > 0) {
+        make_channels(a, chosen.first, chosen.first_count,
+                      leaves->channels + leaves->record_count * a->channel_words);
+        make_channels(a, chosen.second, chosen.second_count,
+                      leaves->second_channels + leaves->second_count * a->channel_words);
+    }
     leaves->record_count += chosen.first_count;
     leaves->second_count += chosen.second_count;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
@@ -285,21 +324,31 @@ static int grow_leaves(struct vox_leaves *l, uint64_t leaves, uint64_t records, 
         (status = bsq_grow(l->ctx, "voxel records", records, sizeof *l->records, &l->records,
                            &l->record_capacity)) < 0)
         return status;
-    return bsq_grow(l->ctx, "voxel records", second, sizeof *l->second, &l->second,
-                    &l->second_capacity);
+    status = bsq_grow(l->ctx, "voxel records", second, sizeof *l->second, &l->second,
+                      &l->second_capacity);
+    const uint64_t bytes = l->channel_words * sizeof *l->channels;
+    if (status == 0 && bytes > 0)
+        status =
+            bsq_grow(l->ctx, "voxel records", records, bytes, &l->channels, &l->channel_capacity);
+    if (status == 0 && bytes > 0)
+        status = bsq_grow(l->ctx, "voxel records", second, bytes, &l->second_channels,
+                          &l->second_channel_capacity);
+    return status;
 }
 
 uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const struct vox_leaves *l)
 {
     uint64_t leaves = (uint64_t)l->leaf_count + a->brick_count;
     uint64_t records = l->record_count + l->second_count + a->sum_count;
-    return leaves * (sizeof *l->ids + sizeof *l->masks) + records * sizeof *l->records;
+    return leaves * (sizeof *l->ids + sizeof *l->masks) +
+           records * (sizeof *l->records + a->channel_words * sizeof *l->channels);
 }
 
 int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
                            struct vox_leaves *l)
 {
     uint64_t seconds = count_seconds(a);
+    l->channel_words = a->channel_words;
     int status = grow_leaves(l, a->brick_count, a->sum_count - seconds, seconds);
     if (status < 0)
         return status;
@@ -335,5 +384,7 @@ void vox_leaves_free(struct vox_leaves *leaves)
     bsq_free(leaves->ctx, leaves->masks);
     bsq_free(leaves->ctx, leaves->records);
     bsq_free(leaves->ctx, leaves->second);
+    bsq_free(leaves->ctx, leaves->channels);
+    bsq_free(leaves->ctx, leaves->second_channels);
     vox_leaves_init(leaves, leaves->ctx);
 }

@@ -63,6 +63,9 @@ struct vox_accumulator {
     uint32_t *others; /* for each record: the number of the voxel's second one, 0: none */
     struct vox_color_sum *colors; /* NULL: the scan has no colours */
     struct vox_vote *votes;       /* NULL: the grid gets no ids */
+    double *channels;       /* of each record channel_words sums of area times value; NULL: none */
+    uint32_t channel_words; /* values of further channels */
+    double *fragment_channels; /* space for the values of VOX_FRAGMENT_LANES fragments */
     uint32_t brick_count, brick_capacity;
     uint32_t sum_count, sum_capacity;
     uint32_t ready_count; /* records that have been cleared, used or not */
@@ -83,12 +86,19 @@ struct vox_leaves {
     uint16_t *ids;
     uint64_t (*masks)[8];
     struct fmt_nvdb_record *records, *second;
+    uint32_t channel_words; /* values of further channels in a record */
+    float *channels, *second_channels;
+    uint64_t channel_capacity, second_channel_capacity;
     uint64_t id_capacity, mask_capacity, record_capacity, second_capacity;
     uint32_t voxel_min[3], voxel_max[3]; /* in the region; min > max: no voxels */
 };
 
-/* What an accumulator sums besides surfaces. */
-enum { VOX_SUM_COLORS = 1, VOX_SUM_IDS = 2 };
+/* What an accumulator sums besides surfaces: VOX_SUM_CHANNEL_VALUE times the number of values of
+ * further channels, and the others. */
+enum { VOX_SUM_COLORS = 1, VOX_SUM_IDS = 2, VOX_SUM_CHANNEL_VALUE = 4 };
+
+/* Most fragments whose channels wait to be added. */
+enum { VOX_FRAGMENT_LANES = 8 };
 
 /* Returns the fewest bytes an accumulator with these sums works with: the voxels of one brick. */
 uint64_t vox_accumulator_bytes_min(unsigned sums);
@@ -136,6 +146,7 @@ static inline int vox_accumulator_reserve(struct vox_accumulator *a)
 struct vox_fragment_sum {
     struct row normal, center, color;
     uint32_t id;
+    const double *channels; /* values; not read without has_channels */
 };
 
 /* Returns the record for a fragment that faces away from the voxel's first one. */
@@ -171,12 +182,20 @@ static inline void vox_vote(struct vox_vote *vote, uint32_t id, double area)
     }
 }
 
-/* Adds one fragment, of an area above 0, to a voxel. has_color, has_ids: whether the accumulator
- * has colours and ids. The order of calls decides which record a fragment goes to. Returns 0, or
- * VOX_REGION_FULL with nothing added. */
+static inline void vox_add_channels(struct vox_accumulator *a, uint32_t number,
+                                    const double *values, double area)
+{
+    double *sums = a->channels + (uint64_t)number * a->channel_words;
+    for (uint32_t i = 0; i < a->channel_words; i++)
+        sums[i] += area * values[i];
+}
+
+/* Adds one fragment, of an area above 0, to a voxel. has_color, has_ids, has_channels: whether the
+ * accumulator has colours, ids and further channels. The order of calls decides which record a
+ * fragment goes to. Returns 0, or VOX_REGION_FULL with nothing added. */
 LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
                                      const struct vox_fragment_sum *fragment, bool has_color,
-                                     bool has_ids)
+                                     bool has_ids, bool has_channels)
 {
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
@@ -200,6 +219,8 @@ LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
         row_add(a->colors[number].rgb, fragment->color);
     if (has_ids)
         vox_vote(&a->votes[number], fragment->id, row_number(fragment->center, 3));
+    if (has_channels)
+        vox_add_channels(a, number, fragment->channels, row_number(fragment->center, 3));
     return 0;
 }
 

@@ -175,7 +175,7 @@ static void sections_of_the_largest_grid_do_not_wrap(void **state)
 {
     (void)state;
     uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX,
-             n = 1 + v + s, names = (UINT64_C(1) << 62) - 1;
+             n = 1 + v + s, names = (UINT64_C(1) << 61) - 1, words = 65535;
     struct nvdb_counts counts = {.type = FMT_NVDB_ONINDEX,
                                  .has_color = true,
                                  .has_ids = true,
@@ -184,12 +184,24 @@ static void sections_of_the_largest_grid_do_not_wrap(void **state)
                                  .leaves = UINT32_MAX,
                                  .voxels = v,
                                  .seconds = s,
-                                 .name_bytes = names};
+                                 .name_bytes = names,
+                                 .channel_words = (uint32_t)words,
+                                 .channel_list_bytes = UINT32_MAX};
     struct nvdb_layout layout;
     fmt_nvdb_layout_compute(&counts, &layout);
-    const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u, 270400 * u, 33856 * l, 96 * f,
-                                                7 * 288,           4 * n,      4 * n,     4 * n,
-                                                8 * (v / 32 + 1),  4 * n,      names,     192};
+    const uint64_t sizes[NVDB_SECTION_COUNT] = {960 + 96 + 32 * u,
+                                                270400 * u,
+                                                33856 * l,
+                                                96 * f,
+                                                8 * 288,
+                                                4 * n,
+                                                4 * n,
+                                                4 * n,
+                                                8 * (v / 32 + 1),
+                                                4 * n,
+                                                names,
+                                                (UINT64_C(1) << 32) + 64 + 4 * n * words,
+                                                192};
     uint64_t at = 0;
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
         at = i >= NVDB_NORMALS ? (at + 63) / 64 * 64 : at;

@@ -32,6 +32,10 @@ uint64_t scene_find(const struct scene *scene, const int32_t ijk[3]);
 /* Returns the number of nodes with this edge length. */
 uint64_t scene_nodes(const struct scene *scene, int32_t dim);
 
+/* Returns value k of the channels of a voxel's first or second record, if the scene's info has
+ * channels. */
+float scene_channel(const int32_t ijk[3], uint32_t k, bool second);
+
 /* Writes the scene as a grid of this type. */
 int scene_write(struct bsq_ctx *ctx, const char *path, const struct scene *scene,
                 struct fmt_nvdb_totals *totals);

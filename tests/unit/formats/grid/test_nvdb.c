@@ -26,6 +26,16 @@ static void assert_record(const struct fmt_nvdb_grid *grid, uint64_t index,
     assert_int_equal(record.color, grid->info.has_color ? expected->color : 0);
 }
 
+/* Checks the channels of a record, if the scene has any. */
+static void assert_channels(const struct fmt_nvdb_grid *grid, uint64_t index, const int32_t ijk[3],
+                            bool second)
+{
+    for (uint32_t k = 0; k < grid->channel_words; k++) {
+        const float value = grid->channels[index * grid->channel_words + k];
+        assert_float_equal(value, scene_channel(ijk, k, second), 0);
+    }
+}
+
 static void compare_with_scene(const struct fmt_nvdb_grid *grid, const struct scene *scene,
                                uint64_t seed)
 {
@@ -35,10 +45,12 @@ static void compare_with_scene(const struct fmt_nvdb_grid *grid, const struct sc
         uint64_t index = fmt_nvdb_find(grid, v->ijk);
         assert_int_equal(index, i + 1);
         assert_record(grid, index, &v->first);
+        assert_channels(grid, index, v->ijk, false);
         uint64_t second = fmt_nvdb_second(grid, index);
         if (v->first.plane & FMT_NVDB_PLANE_SECOND) {
             assert_int_equal(second, 1 + scene->count + seconds);
             assert_record(grid, second, &v->second);
+            assert_channels(grid, second, v->ijk, true);
             seconds++;
         } else {
             assert_int_equal(second, 0);
@@ -100,6 +112,8 @@ static void round_trip(uint64_t seed, unsigned per_cluster, enum fmt_nvdb_type t
     scene_random(&scene, seed, per_cluster, true);
     scene.info.type = type;
     scene.info.has_color = color;
+    const char *list = seed == 2 ? "coat,metallic" : seed == 3 ? "roughness" : NULL;
+    scene.info.channels = list;
     struct fmt_nvdb_totals totals;
     assert_ok(ctx, scene_write(ctx, nvdb_path, &scene, &totals));
     struct fmt_nvdb_grid grid;
@@ -108,6 +122,13 @@ static void round_trip(uint64_t seed, unsigned per_cluster, enum fmt_nvdb_type t
     compare_totals(&grid, &scene, &totals);
     compare_with_scene(&grid, &scene, seed * 2 + 1);
     assert_int_equal(grid.colors != NULL, color);
+    assert_int_equal(grid.channel_words, seed == 2 ? 4 : seed == 3 ? 1 : 0);
+    assert_int_equal(fmt_nvdb_record_version(&grid), list ? 4 : 2);
+    if (list) {
+        assert_int_equal(grid.channel_list_bytes, strlen(list));
+        assert_memory_equal(grid.channel_list, list, strlen(list));
+        assert_int_equal((uintptr_t)grid.channels % 64, 0);
+    }
     assert_int_equal(grid.normals[0] | grid.planes[0], 0); /* the background */
     assert_int_equal((uintptr_t)grid.normals % 64, 0);
     assert_int_equal((uintptr_t)grid.planes % 64, 0);

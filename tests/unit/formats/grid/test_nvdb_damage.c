@@ -255,7 +255,8 @@ static void test_unused_bytes(void **state)
     assert_refused(&file, root + sizeof(struct nvdb_root), 1, "RootData");
 
     const uint64_t record = file.size - sizeof(struct nvdb_record);
-    assert_refused(&file, record + offsetof(struct nvdb_record, reserved), 1, "\"bisque\" record");
+    assert_refused(&file, record + offsetof(struct nvdb_record, channels_checksum), 1,
+                   "\"bisque\" record");
     const uint64_t upper = file.layout.section[NVDB_UPPERS].offset;
     assert_refused(&file, upper + offsetof(struct nvdb_upper, flags), 3, "flag");
     assert_refused(&file, upper + offsetof(struct nvdb_upper, statistics), 1, "statistic");

@@ -1,0 +1,182 @@
+/* shade_channels.c - further channels of a scan, such as roughness, on the way to the grid. */
+#include "base/channels.h"
+#include "libvoxel/voxelize/clip/shade.h"
+
+#include <string.h>
+
+/* Returns the number in the header of the channel whose values begin at `first` in the list. */
+static uint32_t number_in(const struct fmt_tris_header *header, const char *list, uint32_t first)
+{
+    uint32_t at;
+    for (uint32_t c = 0; c < header->channel_count; c++)
+        if (bsq_channel_list_find(list, strlen(list), header->channels[c], &at) && at == first)
+            return c;
+    return UINT32_MAX;
+}
+
+static const struct fmt_tris_source *source_of(const struct vox_shading *shading, uint32_t material,
+                                               uint32_t channel)
+{
+    return &shading->header->materials[material].sources[shading->channels.numbers[channel]];
+}
+
+static const struct bsq_channel *channel_row(const struct vox_shading *shading, uint32_t channel)
+{
+    return bsq_channel_find(shading->header->channels[shading->channels.numbers[channel]]);
+}
+
+/* Checks that the scan has each channel of a list, and sets their numbers. */
+static int find_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const char *list,
+                         struct vox_shading_channels *channels)
+{
+    const struct fmt_tris_header *header = fmt_tris_get_header(file);
+    char *names;
+    int status = bsq_alloc(ctx, "names of channels", strlen(list) + 1, 1, &names);
+    if (status < 0)
+        return status;
+    memcpy(names, list, strlen(list) + 1);
+    char *rest = names;
+    for (char *name = strsep(&rest, ","); name && status == 0; name = strsep(&rest, ","))
+        status = fmt_tris_require_channel(file, name);
+    bsq_free(ctx, names);
+    channels->words = bsq_channel_list_values(list, strlen(list));
+    if (status == 0)
+        status = bsq_alloc(ctx, "channels", channels->words, sizeof *channels->numbers,
+                           &channels->numbers);
+    for (uint32_t first = 0; first < channels->words && status == 0; channels->count++) {
+        const uint32_t number = number_in(header, list, first);
+        if (number == UINT32_MAX)
+            return bsq_fail(ctx, BSQ_EUSAGE, "\"%.60s\" names a channel twice", list);
+        channels->numbers[channels->count] = number;
+        first += bsq_channel_find(header->channels[number])->values;
+    }
+    return status;
+}
+
+/* Sets the values of materials, and which of them have textures. Returns whether any has one. */
+static bool set_values(struct vox_shading *shading)
+{
+    struct vox_shading_channels *channels = &shading->channels;
+    bool any = false;
+    for (uint32_t m = 0; m < shading->header->material_count; m++) {
+        double *to = channels->values + (uint64_t)m * channels->words;
+        for (uint32_t c = 0; c < channels->count; c++) {
+            const struct fmt_tris_source *source = source_of(shading, m, c);
+            channels->textured[m] |= source->texture_path != NULL;
+            for (uint32_t k = 0; k < channel_row(shading, c)->values; k++)
+                *to++ = (double)source->value[k];
+        }
+        any |= channels->textured[m];
+    }
+    return any && (shading->header->attributes & FMT_TRIS_TEXCOORDS);
+}
+
+static int open_textures(struct bsq_ctx *ctx, uint64_t texture_bytes, struct vox_shading *shading)
+{
+    struct vox_shading_channels *channels = &shading->channels;
+    const uint32_t materials = shading->header->material_count;
+    const uint64_t count = (uint64_t)channels->count * materials;
+    struct fmt_texture_source *images;
+    if (count >= UINT32_MAX)
+        return bsq_fail(ctx, BSQ_EDATA, "too many materials for %u channels", channels->count);
+    int status = bsq_calloc(ctx, "texture paths", count, sizeof *images, &images);
+    for (uint64_t i = 0; i < count && status == 0; i++) {
+        const uint32_t channel = (uint32_t)(i / materials);
+        images[i].path = source_of(shading, (uint32_t)(i % materials), channel)->texture_path;
+        images[i].data = !channel_row(shading, channel)->color;
+    }
+    if (status == 0)
+        status =
+            fmt_textures_open(ctx, images, (uint32_t)count, texture_bytes, &channels->textures);
+    bsq_free(ctx, images);
+    return status;
+}
+
+int vox_shading_use_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                             const char *list, uint64_t texture_bytes, struct vox_shading *shading)
+{
+    struct vox_shading_channels *channels = &shading->channels;
+    const uint64_t materials = shading->header->material_count;
+    int status = find_channels(ctx, file, list, channels);
+    if (status == 0)
+        status = bsq_calloc(ctx, "channels", materials + 1,
+                            channels->words * sizeof *channels->values, &channels->values);
+    if (status == 0)
+        status = bsq_calloc(ctx, "channels", materials + 1, sizeof *channels->textured,
+                            &channels->textured);
+    if (status == 0 && set_values(shading))
+        status = open_textures(ctx, texture_bytes, shading);
+    return status;
+}
+
+bool vox_shading_channels_need_textures(const struct fmt_tris_header *header, const char *list)
+{
+    uint32_t first;
+    for (uint32_t c = 0; list && c < header->channel_count; c++)
+        if (bsq_channel_list_find(list, strlen(list), header->channels[c], &first))
+            for (uint32_t m = 0; m < header->material_count; m++)
+                if (header->materials[m].sources[c].texture_path)
+                    return true;
+    return false;
+}
+
+void vox_shading_channels_free(struct bsq_ctx *ctx, struct vox_shading_channels *channels)
+{
+    if (channels->textures)
+        fmt_textures_close(channels->textures);
+    bsq_free(ctx, channels->numbers);
+    bsq_free(ctx, channels->values);
+    bsq_free(ctx, channels->textured);
+    *channels = (struct vox_shading_channels){0};
+}
+
+/* ---- triangles ---- */
+
+/* Returns a triangle's material; the number of materials if it has none. */
+static uint32_t material_of(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                            uint32_t triangle)
+{
+    const uint32_t none = shading->header->material_count;
+    const uint32_t material = chunk->source.materials ? chunk->source.materials[triangle] : none;
+    return material < none ? material : none;
+}
+
+bool vox_shade_has_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                            uint32_t triangle)
+{
+    return shading->channels.textures &&
+           shading->channels.textured[material_of(shading, chunk, triangle)];
+}
+
+const double *vox_shade_channels(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                                 uint32_t triangle)
+{
+    return shading->channels.values +
+           (uint64_t)material_of(shading, chunk, triangle) * shading->channels.words;
+}
+
+int vox_shade_channel_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                               uint32_t triangle, const double (*uv)[2], const double b[2],
+                               const double uv_extent[2], double *out)
+{
+    const struct vox_shading_channels *channels = &shading->channels;
+    const uint32_t material = material_of(shading, chunk, triangle);
+    int status = 0;
+    memcpy(out, vox_shade_channels(shading, chunk, triangle), channels->words * sizeof *out);
+    for (uint32_t c = 0; c < channels->count && status == 0; c++) {
+        const struct fmt_tris_source *source = source_of(shading, material, c);
+        const struct bsq_channel *row = channel_row(shading, c);
+        float sample[3];
+        if (source->texture_path) {
+            const uint32_t image = c * shading->header->material_count + material;
+            status = vox_sample_fragment(channels->textures, image, &source->uv, uv, b, uv_extent,
+                                         sample);
+            if (status == 0)
+                bsq_channel_pick(row, source->component, sample);
+            for (uint32_t k = 0; k < row->values && status == 0; k++)
+                out[k] = (double)sample[k];
+        }
+        out += row->values;
+    }
+    return status;
+}
