@@ -104,6 +104,8 @@ static int use_attributes(struct bake_run *job)
     if (status == 0)
         status = bake_surface_use_transfers(&job->surface, job->options);
     if (status == 0)
+        status = bake_surface_use_normal_map(&job->surface, job->options);
+    if (status == 0)
         status = bake_surface_use_ids(&job->surface, ids);
     return status == 0 && ids ? bake_surface_report_ids(&job->surface, job->report) : status;
 }

@@ -54,6 +54,8 @@ static const char help_format[] =
     "      --sampling MODE     trilinear or nearest, for grids (default: trilinear)\n"
     "      --scan-normals NAME for triangles without normals: smooth, flat; or smooth ones by\n"
     "                          weight: area, angle or max (default: smooth, which is area)\n"
+    "      --scan-normal-map FILE\n"
+    "                          add a tangent-space map to the scan's normals, for triangles\n"
     "      --normal-space SPC  tangent (MikkTSpace) or object (default: tangent)\n"
     "      --green DIR         up (OpenGL) or down (Direct3D), for tangent space (default: up)\n"
     "      --padding N         texels to fill around each chart; all: everywhere (default: 16)\n"
@@ -90,6 +92,7 @@ enum {
     OPT_CURVATURE_RANGE,
     OPT_CAGE,
     OPT_SKEW,
+    OPT_SCAN_NORMAL_MAP,
     OPT_MATCH,
     OPT_MATCH_SUFFIXES,
     OPT_RAY_DIRECTIONS,
@@ -147,6 +150,7 @@ static const struct option long_options[] = {
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
     {"sampling", required_argument, NULL, OPT_SAMPLING},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
+    {"scan-normal-map", required_argument, NULL, OPT_SCAN_NORMAL_MAP},
     {"normal-space", required_argument, NULL, OPT_NORMAL_SPACE},
     {"green", required_argument, NULL, OPT_GREEN},
     {"padding", required_argument, NULL, OPT_PADDING},
@@ -413,6 +417,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return parse_length(cli, "--curvature-range", true, &bake->curvature_range);
     case OPT_CAGE:
         bake->cage_path = optarg;
+        return 0;
+    case OPT_SCAN_NORMAL_MAP:
+        bake->scan_normal_map = optarg;
         return 0;
     case OPT_SKEW:
         bake->skew_path = optarg;

@@ -88,6 +88,8 @@ static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
         status = cli_map_input(cli, &bake->cage_path);
     if (status == 0)
         status = cli_map_input(cli, &bake->skew_path);
+    if (status == 0)
+        status = cli_map_input(cli, &bake->scan_normal_map);
     for (uint32_t i = 0; i < arguments->transfers.map_count && status == 0; i++)
         status = cli_map_input(cli, &arguments->transfers.maps[i].texture_path);
     return status < 0 ? status : cli_map_input(cli, &arguments->farm.plan);

@@ -55,6 +55,12 @@ int bake_exact_use_color(struct bake_exact *exact);
 int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
                              uint32_t count);
 
+/* Makes later batches add a tangent-space normal map to the scan's normals. Its red is the
+ * direction in which u grows, green that of v; what is black or lies in no tile adds nothing. Call
+ * it at most once, not from parallel work. Errors: BSQ_EDATA for a scan without texture
+ * coordinates; those of fmt_textures_open(), BSQ_ENOMEM. */
+int bake_exact_use_normal_map(struct bake_exact *exact, const char *path);
+
 /* Makes later batches evaluate ids. Call it at most once, not from parallel work, and only if the
  * scan has ids. Errors: BSQ_ENOMEM. */
 int bake_exact_use_ids(struct bake_exact *exact);

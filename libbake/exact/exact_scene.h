@@ -37,6 +37,7 @@ struct bake_exact {
     float (*diffuse)[3]; /* linear light of each material */
     uint32_t *ids;       /* of each material, then of triangles without one; NULL: not used */
     struct exact_transfers transfers;
+    struct fmt_textures *normal_map; /* one image, in tangent space; NULL: none */
 };
 
 /* Returns the bytes that a cache of textures may take. */

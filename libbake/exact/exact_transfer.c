@@ -77,9 +77,11 @@ void bake_exact_transfers_free(struct bake_exact *exact)
 int bake_exact_tell_missing(struct bake_exact *exact)
 {
     int status = exact->textures ? fmt_textures_tell_missing(exact->textures) : 0;
-    return status == 0 && exact->transfers.textures
-               ? fmt_textures_tell_missing(exact->transfers.textures)
-               : status;
+    if (status == 0 && exact->normal_map)
+        status = fmt_textures_tell_missing(exact->normal_map);
+    if (status == 0 && exact->transfers.textures)
+        status = fmt_textures_tell_missing(exact->transfers.textures);
+    return status;
 }
 
 int bake_exact_sample(struct fmt_textures *textures, uint32_t image,

@@ -46,6 +46,7 @@ static const struct fmt_farm_member members[] = {
     CHOICE_MEMBER(normal_space, BAKE_OBJECT_SPACE),
     CHOICE_MEMBER(sampling, BAKE_NEAREST),
     CHOICE_MEMBER(scan_normals, BSQ_SCAN_NORMALS_FLAT),
+    MEMBER(OPTIONAL, scan_normal_map),
     MEMBER(NUMBER, height_range),
     CHOICE_MEMBER(position_in, BAKE_IN_BOX),
     MEMBER(NUMBER, curvature_range),
@@ -74,7 +75,7 @@ static const struct fmt_farm_member transfer_members[] = {
 enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
 
 /* tile_sizes, tile_ranges and transfers are written by themselves. */
-_Static_assert(sizeof(struct bake_options) == 320, "a new option needs a row in `members`");
+_Static_assert(sizeof(struct bake_options) == 328, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum bake_rays) == sizeof(unsigned), "a choice is an unsigned number");
 
 static json_t *tile_sizes_to_json(const struct bake_options *options)

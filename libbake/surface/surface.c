@@ -230,6 +230,23 @@ int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_o
     return bake_exact_use_transfers(surface->exact, transfers, options->transfer_count);
 }
 
+int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options)
+{
+    if (!options->scan_normal_map)
+        return 0;
+    if (surface->parts)
+        return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                        "%s is the normal map of one scan, but there are %u scans",
+                        options->scan_normal_map, options->more_scan_count + 1);
+    if (!surface->exact)
+        return bsq_fail(
+            surface->ctx, BSQ_EUSAGE,
+            "%s: a grid has no texture coordinates for the normal map %s; bake from the "
+            "chunk file",
+            surface->path, options->scan_normal_map);
+    return bake_exact_use_normal_map(surface->exact, options->scan_normal_map);
+}
+
 struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)
 {
     return (struct bake_scan_facts){.has_color = surface->has_color,

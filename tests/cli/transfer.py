@@ -40,6 +40,23 @@ FUNCTIONS = {
 }
 
 
+# A tangent-space normal map, and what it makes of the normal of a plane, as maps in object space show
+# it: if texture coordinates are positions, and if u grows to the left.
+def tilt(u, v):
+    return 0.3 + 0.4 * u, 0.6 - 0.3 * v, 0.9
+
+
+def tilted(u, v, x=1):
+    n = [2 * c - 1 for c in tilt(u, v)]
+    length = math.hypot(*n)
+    return 0.5 + x * n[0] / length / 2, 0.5 + n[1] / length / 2, 0.5 + n[2] / length / 2
+
+
+FUNCTIONS["tilt"] = tilt
+FUNCTIONS["tilted"] = tilted
+FUNCTIONS["tilted_left"] = lambda u, v: tilted(1 - u, v, -1)
+
+
 # Tiles (0, 0) and (1, 0) of one texture; the third is missing.
 def tile_light(u, v):
     return light(u, v) if u < 1 else (0.9 - 0.4 * (u - 1), 0.2 + 0.6 * v, 0.3)
@@ -58,7 +75,7 @@ def make_tiles():
 
 def make():
     make_tiles()
-    for name, bits in (("ramp", 16), ("slope", 8), ("three", 16), ("light", 16)):
+    for name, bits in (("ramp", 16), ("slope", 8), ("three", 16), ("light", 16), ("tilt", 16)):
         most = 2**bits - 1
         encode = to_srgb if name == "light" else float
         rows = [[tuple(round(most * encode(c))
