@@ -13,15 +13,25 @@ _Static_assert(sizeof(struct fmt_farm_part_head) == 40, "the head has no padding
 
 enum { ATTEMPTS = 3, LIST_BYTES = 160 };
 
+/* Returns the length of a plan's path without ".json", or 0 if its name has no such end. */
+static size_t length_without_json(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    const char *name = slash ? slash + 1 : path;
+    const size_t length = strlen(name);
+    if (length <= 5 || strcmp(name + length - 5, ".json") != 0)
+        return 0;
+    return (size_t)(name - path) + length - 5;
+}
+
+/* Plans a.json and a may lie side by side, so their parts end differently. */
 char *fmt_farm_part_path(const struct fmt_farm_plan *plan, uint32_t task)
 {
-    const size_t length = strlen(plan->path);
-    const bool json = length > 5 && strcmp(plan->path + length - 5, ".json") == 0;
+    const size_t stem = length_without_json(plan->path);
     char *path;
-    return asprintf(&path, "%.*s.%04u.part", (int)(json ? length - 5 : length), plan->path, task) <
-                   0
-               ? NULL
-               : path;
+    const int written = stem > 0 ? asprintf(&path, "%.*s.%04u.part", (int)stem, plan->path, task)
+                                 : asprintf(&path, "%s.part.%04u", plan->path, task);
+    return written < 0 ? NULL : path;
 }
 
 struct fmt_farm_part_head fmt_farm_part_head(const struct fmt_farm_plan *plan, uint32_t task,

@@ -184,6 +184,18 @@ rmdir farm/plan.json.merged
 $bake --plan farm/plan.json --merge
 code 0
 
+# A plan without ".json" at the end of its name has parts of its own.
+cp farm/plan.0000.part keep
+$bake scan.nvdb low.obj $size -o 'other_<MAP>.<UDIM>.exr' --maps mask --tasks 1 --write-plan farm/plan
+code 0
+$bake --plan farm/plan --task 0
+code 0
+out_like '^farm/plan\.part\.0000: task 0, '
+same keep farm/plan.0000.part
+$bake --plan farm/plan --merge
+code 0
+rm farm/plan farm/plan.part.0000 farm/plan.merged other_* keep
+
 # A folder can move, with all that a plan names below it or beside it.
 mkdir moved
 cp -r low.obj scan.nvdb farm maps moved
