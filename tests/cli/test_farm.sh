@@ -3,6 +3,7 @@
 # missing, damaged or foreign is refused by name; tasks may be killed, repeated and run twice.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
+. "$top/tests/cli/farm_lib.sh"
 
 bake="run bisque-bake"
 write_box >box.obj
@@ -581,55 +582,20 @@ run $plan --force # not with --write-plan
 code 64
 run $plan
 code 0
-under=$(cd farm && pwd -P)
-rm farm/*.part
-part=farm/plan.0002.part
-$bake --plan farm/plan.json --task 2
-cp $part whole
-for plain in 0 1; do # with files without a name, and on file systems that have none
-    for call in open write sync name; do
-        rm -f $part
-        command="bisque-bake --task 2 killed at $call, FAULT_PLAIN=$plain" code=0
-        LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_PATH=plan.0002 FAULT_CALLS=$call FAULT_AT=1 FAULT_DO=kill \
-            FAULT_PLAIN=$plain "$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$out" 2>"$err" || code=$?
-        [ ! -e $part ] || cmp -s $part whole
-        check "$command: no part, or all of it" $?
-        $bake --plan farm/plan.json --task 2
-        [ "$code" -eq 0 ] && cmp -s $part whole
-        check "and the next run completes it" $?
-    done
-done
+begin_faults bisque-bake
+killed_at open write sync name
 rm -f $part
 command="bisque-bake --task 2 interrupted" code=0
-LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_CALLS=write FAULT_AT=1 FAULT_DO=interrupt "$BIN/bisque-bake" \
-    --plan farm/plan.json --task 2 >"$out" 2>"$err" || code=$?
+faulty_task write interrupt 0 || code=$?
 code 75
 err "$p interrupted"
 [ ! -e $part ]
 check "an interrupted task leaves no part" $?
 
-# twice NAME COMMAND: a task stops before it names its part, COMMAND runs, and the task goes on.
-twice()
-{
-    rm -f $part flag
-    command="$1" code=0
-    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_CALLS=name FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag FAULT_PLAIN=1 \
-        "$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$out" 2>"$err" &
-    tries=0
-    while [ $tries -lt 500 ] && [ ! -e flag ]; do
-        tries=$((tries + 1))
-        sleep 0.02
-    done
-    eval "$2"
-    rm -f flag
-    wait $! || code=$?
-    [ "$code" -eq 0 ] && cmp -s $part whole
-    check "$1" $?
-}
-twice "the same task completes meanwhile" '"$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$work/second"'
+second='"$faulted" --plan farm/plan.json --task 2 >"$work/second"'
+twice "the same task completes meanwhile" "$second"
 # On a machine where locks of other machines do not hold, the second removes the first one's file.
 twice "its temporary file is removed meanwhile" 'rm farm/.plan.0002.part.*.tmp'
-twice "both" 'rm farm/.plan.0002.part.*.tmp; "$BIN/bisque-bake" --plan farm/plan.json --task 2 >"$work/second"'
-[ -z "$(ls -A farm | grep tmp)" ]
-check "no temporary file is left" $?
+twice "both" "rm farm/.plan.0002.part.*.tmp; $second"
+no_temporary_files
 finish

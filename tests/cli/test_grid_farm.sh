@@ -3,6 +3,7 @@
 # is missing, damaged or foreign is refused by name; tasks may be killed, repeated and run twice.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
+. "$top/tests/cli/farm_lib.sh"
 
 vox="run bisque-voxelize" p="bisque-voxelize:"
 # A scan in three chunk files, two of which have colours, below and above the origin; its triangles
@@ -217,44 +218,10 @@ if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
     finish
     exit
 fi
-rm farm/*.part
-under=$(cd farm && pwd -P) part=farm/plan.0002.part
-$vox --plan farm/plan.json --task 2
-cp $part whole
-for plain in 0 1; do # with files without a name, and on file systems that have none
-    for call in open write name; do
-        rm -f $part
-        command="bisque-voxelize --task 2 killed at $call, FAULT_PLAIN=$plain" code=0
-        LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_PATH=plan.0002 FAULT_CALLS=$call FAULT_AT=1 FAULT_DO=kill \
-            FAULT_PLAIN=$plain "$BIN/bisque-voxelize" --plan farm/plan.json --task 2 >"$out" 2>"$err" || code=$?
-        [ "$code" -ne 0 ] && { [ ! -e $part ] || cmp -s $part whole; }
-        check "$command: no part, or all of it" $?
-    done
-done
-$vox --plan farm/plan.json --task 2
-same $part whole
-
-# twice NAME COMMAND: a task stops before it names its part, COMMAND runs, and the task goes on.
-twice()
-{
-    rm -f $part flag
-    command="$1" code=0
-    LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$under FAULT_CALLS=name FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag FAULT_PLAIN=1 \
-        "$BIN/bisque-voxelize" --plan farm/plan.json --task 2 >"$out" 2>"$err" &
-    tries=0
-    while [ $tries -lt 500 ] && [ ! -e flag ]; do
-        tries=$((tries + 1))
-        sleep 0.02
-    done
-    eval "$2"
-    rm -f flag
-    wait $! || code=$?
-    [ "$code" -eq 0 ] && cmp -s $part whole
-    check "$1" $?
-}
-twice "the same task completes meanwhile" '"$BIN/bisque-voxelize" --plan farm/plan.json --task 2 >"$work/second"'
+begin_faults bisque-voxelize
+killed_at open write name
+twice "the same task completes meanwhile" '"$faulted" --plan farm/plan.json --task 2 >"$work/second"'
 # On a machine where locks of other machines do not hold, the second removes the first one's file.
 twice "its temporary file is removed meanwhile" 'rm farm/.plan.0002.part.*.tmp'
-[ -z "$(ls -A farm | grep tmp)" ]
-check "no temporary file is left" $?
+no_temporary_files
 finish

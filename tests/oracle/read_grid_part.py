@@ -4,23 +4,20 @@
 This is a second reader of plans and parts, written from formats/FORMATS.md alone. The exit status is
 1 if a file is refused.
 """
-import json
 import sys
 
 import numpy
 
 import read_nvdb
-from refusal import Refused, array, checksum, fields, need
+from parts import check_parts, read_json_plan
+from refusal import array, checksum, fields, need
 
 HEADER_BYTES, ENTRY_BYTES, LEAF_BYTES = 112, 48, 72
 SECOND = 1 << 24
 
 
 def read_plan(path):
-    with open(path, encoding="utf-8") as file:
-        plan = json.load(file)
-    need(plan["format"] == "Bisque grid plan" and plan["format_version"] == 1, "not a plan")
-    need(1 <= plan["tasks"] <= 65536 and len(plan["expected"]) == plan["tasks"], "tasks")
+    plan = read_json_plan(path, "Bisque grid plan", 1)
     need(len(plan["cuts"]) == plan["tasks"] - 1, "cuts")
     return plan
 
@@ -93,20 +90,15 @@ def read(plan, data):
 
 
 def main(plan_path, paths):
-    refused, seen = 0, set()
-    plan = read_plan(plan_path)
-    for path in paths:
-        with open(path, "rb") as file:
-            data = file.read()
-        try:
-            task, origins = read(plan, data)
-            need(not seen & set(origins), "a region of two tasks")
-            seen |= set(origins)
-            print(f"{path}: task {task}, ok")
-        except Refused as reason:
-            print(f"{path}: refused: {reason}")
-            refused = 1
-    return refused
+    seen = set()
+
+    def accept(plan, data):
+        task, origins = read(plan, data)
+        need(not seen & set(origins), "a region of two tasks")
+        seen.update(origins)
+        return task
+
+    return check_parts(plan_path, paths, read_plan, accept)
 
 
 if __name__ == "__main__":

@@ -4,12 +4,12 @@
 This is a second reader of plans and parts, written from formats/FORMATS.md alone. The exit status is
 1 if a file is refused.
 """
-import json
 import sys
 
 import numpy
 
-from refusal import Refused, array, checksum, fields, need
+from parts import check_parts, read_json_plan
+from refusal import array, checksum, fields, need
 
 HEADER_BYTES, ENTRY_BYTES = 104, 16
 SIDES = (16, 32, 64, 128, 256)
@@ -17,11 +17,8 @@ SIDES = (16, 32, 64, 128, 256)
 
 def read_plan(path):
     """Returns the plan, with the tasks of each tile's blocks as lists in "blocks"."""
-    with open(path, encoding="utf-8") as file:
-        plan = json.load(file)
-    need(plan["format"] == "Bisque bake plan" and plan["format_version"] == 2, "not a plan")
-    need(len(plan["id"]) == 32 and plan["block_side"] in SIDES, "id or side")
-    need(1 <= plan["tasks"] <= 65536 and len(plan["expected"]) == plan["tasks"], "tasks")
+    plan = read_json_plan(path, "Bisque bake plan", 2)
+    need(plan["block_side"] in SIDES, "side")
     side = plan["block_side"]
     for tile in plan["tiles"]:
         runs = [run.split("*") for run in tile["blocks"].split()]
@@ -62,26 +59,13 @@ def read(plan, data):
     return task, blocks
 
 
-def main(plan_path, paths):
-    refused = 0
-    try:
-        plan = read_plan(plan_path)
-    except Refused as reason:
-        print(f"{plan_path}: refused: {reason}")
-        return 1
-    for path in paths:
-        with open(path, "rb") as file:
-            data = file.read()
-        try:
-            task, blocks = read(plan, data)
-            covered = sum(int(numpy.count_nonzero(t[:, :, 0])) for _, _, t in blocks)
-            need(covered == fields(data, 56, "Q")[0], "covered_texels")
-            print(f"{path}: task {task}, ok")
-        except Refused as reason:
-            print(f"{path}: refused: {reason}")
-            refused = 1
-    return refused
+def accept(plan, data):
+    """Checks a part, and the sum in its header. Returns its task."""
+    task, blocks = read(plan, data)
+    covered = sum(int(numpy.count_nonzero(t[:, :, 0])) for _, _, t in blocks)
+    need(covered == fields(data, 56, "Q")[0], "covered_texels")
+    return task
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], sys.argv[2:]))
+    sys.exit(check_parts(sys.argv[1], sys.argv[2:], read_plan, accept))
