@@ -1,7 +1,7 @@
 #!/bin/sh
 # farm_grid.sh - what dividing a grid costs: processor time (user and system) of the plan, all tasks
 # and the merge beside that of a single run, one thread each, in seconds and as a ratio; the bytes of
-# the parts; the longest task. Checks that the grids are the same. TRIANGLES: of the scan; RESOLUTION:
+# the parts; the longest task; the bytes that tasks read. Checks that the grids are the same. TRIANGLES: of the scan; RESOLUTION:
 # of the grid; COUNTS: numbers of tasks.
 set -eu
 BIN=$(cd "${BIN:?is the directory with the programs}" && pwd)
@@ -15,35 +15,34 @@ triangles=${TRIANGLES:-2000000} resolution=${RESOLUTION:-1024} counts=${COUNTS:-
 "$BIN/bisque-voxelize" scan.obj -o scan.tris >report
 rm scan.obj
 
-# cost COMMAND...: adds its processor seconds to $total.
+# cost COMMAND...: runs it and sets $seconds of a processor, and $read bytes.
 cost()
 {
     "$@" --threads 1 --json >report
-    total=$(jq --argjson t "$total" '$t + .cost.seconds_user + .cost.seconds_system' report)
+    set -- $(jq -r '.cost | "\(.seconds_user + .seconds_system) \(.bytes_read)"' report)
+    seconds=$1 read=$2
 }
 
 echo "a grid of $resolution; scan of $triangles triangles"
-echo "| tasks | plan s | tasks s | merge s | single run s | ratio | parts MiB | longest task s |"
-echo "|---:|---:|---:|---:|---:|---:|---:|---:|"
-total=0
+echo "| tasks | plan s | tasks s | merge s | single run s | ratio | parts MiB | longest task s | a task reads MiB | at most MiB |"
+echo "|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
 cost "$BIN/bisque-voxelize" scan.tris -o one.nvdb --resolution "$resolution"
-single=$total
+single=$seconds
 for tasks in $counts; do
     rm -f plan.*
-    total=0
     cost "$BIN/bisque-voxelize" scan.tris -o grid.nvdb --resolution "$resolution" --tasks "$tasks" --write-plan plan.json
-    plan=$total all=0 longest=0 task=0
+    plan=$seconds all=0 longest=0 bytes=0 most=0 task=0
     while [ $task -lt "$tasks" ]; do
-        total=0
         cost "$BIN/bisque-voxelize" --plan plan.json --task $task
-        all=$(jq -n "$all + $total")
-        longest=$(jq -n "[$longest, $total] | max")
+        all=$(jq -n "$all + $seconds")
+        longest=$(jq -n "[$longest, $seconds] | max")
+        bytes=$((bytes + read)) most=$((read > most ? read : most))
         task=$((task + 1))
     done
-    total=0
     cost "$BIN/bisque-voxelize" --plan plan.json --merge
     cmp one.nvdb grid.nvdb
     parts=$(cat plan.*.part | wc -c)
-    jq -nr "[$tasks, $plan, $all, $total, $single, ($plan + $all + $total) / $single, $parts / 1048576, $longest] |
+    jq -nr "[$tasks, $plan, $all, $seconds, $single, ($plan + $all + $seconds) / $single, $parts / 1048576, $longest,
+        $bytes / $tasks / 1048576, $most / 1048576] |
         \"| \" + (map(. * 1000 | round / 1000 | tostring) | join(\" | \")) + \" |\""
 done
