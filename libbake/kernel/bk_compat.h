@@ -4,7 +4,8 @@
  * sqrt floor and comparisons in float, and contraction is off.
  *
  * BK_FN begins the definition of a function. BK_GLOBAL marks pointers to a device's memory, such as
- * the grid and the texels; it is empty in C and CUDA.
+ * the grid and the texels; it is empty in C and CUDA. BK_ROLLED stands before a loop that GPUs do
+ * not unroll, because its copies would need more registers than there are.
  *
  * bk_fw and bk_iw are BK_WIDTH floats and 32-bit integers with element-wise operators: vectors on
  * processors, plain scalars on GPUs and if BK_WIDTH is 1. A bk_mask, as bk_less() returns it, is
@@ -25,6 +26,7 @@ typedef ulong bk_ulong;
 #ifdef BK_PTX
 /* Compiled to PTX by the build, with Clang's built-in functions instead of an OpenCL library. */
 #define BK_FN            static inline __attribute__((always_inline))
+#define BK_ROLLED        _Pragma("clang loop unroll(disable)")
 #define BK_RESTRICT      restrict
 #define bk_sqrt(x)       __nvvm_sqrt_rn_f(x)
 #define bk_floor(x)      __builtin_floorf(x)
@@ -37,6 +39,7 @@ typedef ulong bk_ulong;
     (__nvvm_read_ptx_sreg_ctaid_y() * __nvvm_read_ptx_sreg_ntid_y() + __nvvm_read_ptx_sreg_tid_y())
 #else
 #define BK_FN static
+#define BK_ROLLED
 #define BK_RESTRICT
 #define bk_sqrt(x)       sqrt(x)
 #define bk_floor(x)      floor(x)
@@ -57,6 +60,7 @@ typedef unsigned int bk_uint;
 typedef unsigned long long bk_ulong;
 #define BK_GLOBAL
 #define BK_FN            static __device__ __forceinline__
+#define BK_ROLLED        _Pragma("unroll 1")
 #define BK_KERNEL        extern "C" __global__ void
 #define BK_RESTRICT      __restrict__
 #define bk_work_x()      (blockIdx.x * blockDim.x + threadIdx.x)
@@ -78,7 +82,8 @@ typedef int32_t bk_int;
 typedef uint32_t bk_uint;
 typedef uint64_t bk_ulong;
 #define BK_GLOBAL
-#define BK_FN            static inline
+#define BK_FN static inline
+#define BK_ROLLED
 #define bk_sqrt(x)       sqrtf(x)
 #define bk_floor(x)      floorf(x)
 #define bk_abs(x)        fabsf(x)

@@ -533,11 +533,13 @@ BK_FN void bk_add_channels(const bk_grid *grid, const bk_params *params, BK_GLOB
                            bk_ulong number, float weight)
 {
     const bk_uint count = bk_transfers(params->maps);
-    const BK_GLOBAL float *values = (const BK_GLOBAL float *)(grid->colors + grid->channel_offset) +
-                                    number * grid->channel_words;
+    const BK_GLOBAL void *words =
+        grid->colors + grid->channel_offset + number * grid->channel_words;
+    const BK_GLOBAL float *values = (const BK_GLOBAL float *)words;
     BK_GLOBAL float *sums = texel + (bk_texel_floats(params->maps) - BK_TRANSFER_VALUES * count);
     bk_uint i;
 
+    BK_ROLLED
     for (i = 0; i < count; i++, sums += BK_TRANSFER_VALUES) {
         const BK_GLOBAL float *from = values + (grid->transfers[i] >> 2);
         const bk_uint step = grid->transfers[i] >> 1 & 1u; /* 3 values or 1 */
@@ -613,11 +615,13 @@ BK_FN bk_uint bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cac
                 bk_set_lane3(&hits->color, lane,
                              bk_blend_color(grid, &cell, tents, lane, bk_lane(blend.weight, lane)));
     kept = bk_kept(params, lines, hits) & bk_bits(blend.found);
-    for (lane = 0; lane < BK_WIDTH && kept; lane++)
+    for (lane = 0; lane < BK_WIDTH && kept; lane++) {
+        BK_ROLLED
         for (i = 0; i < 8 && kept >> lane & 1u; i++)
             if (bk_lane(tents[i], lane) > 0.0f)
                 bk_add_channels(grid, params, lines->texel[lane], cell.numbers[i][lane],
                                 bk_lane(tents[i], lane) / bk_lane(blend.weight, lane));
+    }
     return bk_bits(blend.found);
 }
 
