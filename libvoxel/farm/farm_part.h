@@ -45,7 +45,7 @@ uint32_t vox_part_channel_values(const struct vox_farm_plan *plan);
 /* Returns the 32-bit numbers of a record, those values included. */
 uint32_t vox_part_words(const struct vox_farm_plan *plan, uint32_t flags);
 
-/* Returns the size of a buffer that holds any leaf with records of so many numbers. */
+/* Returns the size in bytes of a buffer that holds any leaf, if a record is `words` numbers. */
 static inline uint64_t vox_part_buffer_bytes(uint32_t words)
 {
     const uint64_t least = UINT64_C(256) << 10,
