@@ -133,7 +133,7 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     const struct bk_tile tile = {.width = SIDE, .height = SIDE};
     struct bk_triangle triangles[2];
     uint32_t samples[SIDE * SIDE];
-    float texels[SIDE * SIDE][BK_SUMS + 6 + 2 * BK_TRANSFER_VALUES];
+    float texels[SIDE * SIDE * (BK_SUMS + 6 + 2 * BK_TRANSFER_VALUES)];
     const uint32_t transfers = grid->channels ? 2 : 0;
     const uint32_t floats = BK_SUMS + 6 + transfers * BK_TRANSFER_VALUES;
     /* The first value of a record, and the last one or the last three. */
@@ -160,10 +160,10 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     int status = bake_device_open(ctx, "cpu", &job, &device);
     if (status)
         return status;
-    status = bake_device_trace(device, &tile, samples, texels[0], 0);
+    status = bake_device_trace(device, &tile, samples, texels, 0);
     bake_device_close(device);
     for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
-        const float *texel = texels[0] + (size_t)i * floats;
+        const float *texel = texels + (size_t)i * floats;
         require(texel[BK_HITS] <= texel[BK_COVERED] && texel[BK_COVERED] <= 1,
                 "more hits than samples");
         require(texel[BK_COVERED] == (samples[i] != BK_NO_TRIANGLE),
