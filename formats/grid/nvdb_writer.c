@@ -307,11 +307,6 @@ static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
                     UINT32_MAX, what);
 }
 
-static int put_stub(struct fmt_nvdb_writer *writer, int stream, const void *stub, uint64_t size)
-{
-    return put_bytes(&writer->stream[stream], stub, size);
-}
-
 /* Writes the stub of the open lower node, and extends the boxes above it. */
 static int close_lower(struct fmt_nvdb_writer *writer)
 {
@@ -321,7 +316,7 @@ static int close_lower(struct fmt_nvdb_writer *writer)
         return 0;
     fmt_nvdb_bbox_extend(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
     fmt_nvdb_bbox_extend(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
-    return put_stub(writer, STREAM_LOWERS, lower, sizeof(*lower));
+    return put_bytes(&writer->stream[STREAM_LOWERS], lower, sizeof(*lower));
 }
 
 /* Writes the stub of the open upper node. */
@@ -329,7 +324,7 @@ static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
         return 0;
-    return put_stub(writer, STREAM_UPPERS, writer->upper, sizeof(*writer->upper));
+    return put_bytes(&writer->stream[STREAM_UPPERS], writer->upper, sizeof(*writer->upper));
 }
 
 /* Opens the upper node of a region unless it is open already. */

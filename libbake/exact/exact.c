@@ -91,8 +91,7 @@ void bake_exact_close(struct bake_exact *exact)
     if (!exact)
         return;
     struct bsq_ctx *ctx = exact->ctx;
-    if (exact->textures)
-        fmt_textures_close(exact->textures);
+    fmt_textures_close(exact->textures);
     fmt_textures_close(exact->normal_map);
     bake_exact_transfers_free(exact);
     bsq_free(ctx, exact->diffuse);

@@ -90,7 +90,7 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
 static bool tangents(const struct place *place, const double n[3], double t[3], double b[3])
 {
     const float(*texcoords)[2] = place->slot->chunk.texcoords;
-    double uv[2][2], along[3], up = 0;
+    double uv[2][2], along[3];
     for (int e = 0; e < 2; e++)
         for (int k = 0; k < 2; k++)
             uv[e][k] = (double)texcoords[place->v[e + 1]][k] - (double)texcoords[place->v[0]][k];
@@ -106,12 +106,11 @@ static bool tangents(const struct place *place, const double n[3], double t[3], 
         return false;
     for (int k = 0; k < 3; k++)
         t[k] /= length;
+    /* A mirrored texture and a normal on the triangle's other side each turn the second one. */
     cross(n, t, b);
-    for (int k = 0; k < 3; k++)
-        up += b[k] * copysign(1, area) *
-              (uv[0][0] * place->edge[1][k] - uv[1][0] * place->edge[0][k]);
-    for (int k = 0; k < 3 && up < 0; k++)
-        b[k] = -b[k];
+    if ((area < 0) != (dot(place->cross, n) < 0))
+        for (int k = 0; k < 3; k++)
+            b[k] = -b[k];
     return true;
 }
 

@@ -68,8 +68,7 @@ int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfe
 
 void bake_exact_transfers_free(struct bake_exact *exact)
 {
-    if (exact->transfers.textures)
-        fmt_textures_close(exact->transfers.textures);
+    fmt_textures_close(exact->transfers.textures);
     bsq_free(exact->ctx, exact->transfers.sources);
     exact->transfers = (struct exact_transfers){0};
 }

@@ -5,11 +5,6 @@
 static const double azimuth = 0.52, elevation = 0.30; /* radians */
 static const double margin = 0.92;                    /* share of the panel that the mesh fills */
 
-static double dot(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 /* Copies a vector that is meant for axis 1 up. With axis 2 up, the front looks to -y, as in
  * Blender.
  */
@@ -86,7 +81,7 @@ static void frame_mesh(const struct bake_lowmesh *mesh, struct preview_view *vie
     for (uint64_t t = 0; t < mesh->triangle_count; ++t)
         for (int c = 0; c < 3; ++c) {
             const double *p = mesh->positions[t][c];
-            double at[2] = {dot(view->right, p), dot(view->up, p)};
+            double at[2] = {preview_dot(view->right, p), preview_dot(view->up, p)};
             for (int k = 0; k < 2; ++k) {
                 low[k] = fmin(low[k], at[k]);
                 high[k] = fmax(high[k], at[k]);
@@ -108,7 +103,7 @@ static void span_scan(const struct bake_surface *scan, struct preview_view *view
         double p[3];
         for (int k = 0; k < 3; ++k)
             p[k] = corner >> k & 1 ? scan->scan_max[k] : scan->scan_min[k];
-        double depth = dot(p, view->toward) - dot(view->centre, view->toward);
+        double depth = preview_dot(p, view->toward) - preview_dot(view->centre, view->toward);
         nearest = fmax(nearest, depth);
         farthest = fmin(farthest, depth);
     }

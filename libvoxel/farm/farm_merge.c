@@ -379,8 +379,7 @@ static int make_batches(struct reading *reading)
     const struct vox_parts *parts = reading->parts;
     int status = 0;
     reading->words = vox_part_words(parts->plan, parts->flags);
-    reading->channel_values =
-        parts->flags & VOX_PART_CHANNELS ? vox_part_channel_values(parts->plan) : 0;
+    reading->channel_values = vox_part_channel_values(parts->plan);
     reading->batch_bytes = vox_part_buffer_bytes(reading->words);
     const uint64_t records = reading->batch_bytes / (reading->words * sizeof(uint32_t));
     const uint64_t values = reading->channel_values * sizeof(float);

@@ -38,7 +38,7 @@ uint32_t vox_part_flags(const struct vox_farm_plan *plan, bool has_color, bool h
 uint32_t vox_part_words(const struct vox_farm_plan *plan, uint32_t flags)
 {
     return 2u + ((flags & VOX_PART_COLORS) != 0) + ((flags & VOX_PART_IDS) != 0) +
-           (flags & VOX_PART_CHANNELS ? vox_part_channel_values(plan) : 0);
+           vox_part_channel_values(plan);
 }
 
 int vox_part_begin(const struct vox_farm_plan *plan, uint32_t task, bool has_color, bool has_ids,

@@ -77,8 +77,7 @@ int vox_shading_tell_missing(const struct vox_shading *shading)
 
 void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
 {
-    if (shading->textures)
-        fmt_textures_close(shading->textures);
+    fmt_textures_close(shading->textures);
     shading->textures = NULL;
     bsq_free(ctx, shading->diffuse);
     shading->diffuse = NULL;

@@ -6,12 +6,19 @@
 #include "libvoxel/voxelize/records/region.h"
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 
+struct bsq_channel;
+
+struct vox_shading_channel {
+    uint32_t number; /* in the header */
+    const struct bsq_channel *row;
+};
+
 /* Further channels of a scan, such as roughness, that the grid gets. */
 struct vox_shading_channels {
     uint32_t count, words; /* channels, and values of all of them */
-    uint32_t *numbers;     /* of the channels in the header */
-    double *values;        /* of each material, then of triangles without one: `words` values */
-    bool *textured;        /* of each material: some channel has a texture */
+    struct vox_shading_channel *list;
+    double *values; /* of each material, then of triangles without one: `words` values */
+    bool *textured; /* of each material: some channel has a texture */
     struct fmt_textures *textures; /* images: those of the first channel by material, and so on;
                                       NULL: none */
 };

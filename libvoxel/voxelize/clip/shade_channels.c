@@ -4,52 +4,42 @@
 
 #include <string.h>
 
-/* Returns the number in the header of the channel whose values begin at `first` in the list. */
-static uint32_t number_in(const struct fmt_tris_header *header, const char *list, uint32_t first)
-{
-    uint32_t at;
-    for (uint32_t c = 0; c < header->channel_count; c++)
-        if (bsq_channel_list_find(list, strlen(list), header->channels[c], &at) && at == first)
-            return c;
-    return UINT32_MAX;
-}
-
 static const struct fmt_tris_source *source_of(const struct vox_shading *shading, uint32_t material,
                                                uint32_t channel)
 {
-    return &shading->header->materials[material].sources[shading->channels.numbers[channel]];
+    return &shading->header->materials[material].sources[shading->channels.list[channel].number];
 }
 
-static const struct bsq_channel *channel_row(const struct vox_shading *shading, uint32_t channel)
+/* Adds a channel. The list must have it once only; the scan must have it. */
+static int add_channel(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const char *list,
+                       const char *name, struct vox_shading_channels *channels)
 {
-    return bsq_channel_find(shading->header->channels[shading->channels.numbers[channel]]);
+    int status = fmt_tris_require_channel(file, name);
+    if (status < 0)
+        return status;
+    const uint32_t number = fmt_tris_find_channel(fmt_tris_get_header(file), name);
+    for (uint32_t c = 0; c < channels->count; c++)
+        if (channels->list[c].number == number)
+            return bsq_fail(ctx, BSQ_EUSAGE, "\"%.60s\" names a channel twice", list);
+    channels->list[channels->count++] =
+        (struct vox_shading_channel){.number = number, .row = bsq_channel_find(name)};
+    return 0;
 }
 
-/* Checks that the scan has each channel of a list, and sets their numbers. */
 static int find_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const char *list,
                          struct vox_shading_channels *channels)
 {
-    const struct fmt_tris_header *header = fmt_tris_get_header(file);
     char *names;
     int status = bsq_alloc(ctx, "names of channels", strlen(list) + 1, 1, &names);
     if (status < 0)
         return status;
     memcpy(names, list, strlen(list) + 1);
+    channels->words = bsq_channel_list_values(list, strlen(list)); /* at least one a channel */
+    status = bsq_alloc(ctx, "channels", channels->words, sizeof *channels->list, &channels->list);
     char *rest = names;
     for (char *name = strsep(&rest, ","); name && status == 0; name = strsep(&rest, ","))
-        status = fmt_tris_require_channel(file, name);
+        status = add_channel(ctx, file, list, name, channels);
     bsq_free(ctx, names);
-    channels->words = bsq_channel_list_values(list, strlen(list));
-    if (status == 0)
-        status = bsq_alloc(ctx, "channels", channels->words, sizeof *channels->numbers,
-                           &channels->numbers);
-    for (uint32_t first = 0; first < channels->words && status == 0; channels->count++) {
-        const uint32_t number = number_in(header, list, first);
-        if (number == UINT32_MAX)
-            return bsq_fail(ctx, BSQ_EUSAGE, "\"%.60s\" names a channel twice", list);
-        channels->numbers[channels->count] = number;
-        first += bsq_channel_find(header->channels[number])->values;
-    }
     return status;
 }
 
@@ -63,7 +53,7 @@ static bool set_values(struct vox_shading *shading)
         for (uint32_t c = 0; c < channels->count; c++) {
             const struct fmt_tris_source *source = source_of(shading, m, c);
             channels->textured[m] |= source->texture_path != NULL;
-            for (uint32_t k = 0; k < channel_row(shading, c)->values; k++)
+            for (uint32_t k = 0; k < channels->list[c].row->values; k++)
                 *to++ = (double)source->value[k];
         }
         any |= channels->textured[m];
@@ -83,7 +73,7 @@ static int open_textures(struct bsq_ctx *ctx, uint64_t texture_bytes, struct vox
     for (uint64_t i = 0; i < count && status == 0; i++) {
         const uint32_t channel = (uint32_t)(i / materials);
         images[i].path = source_of(shading, (uint32_t)(i % materials), channel)->texture_path;
-        images[i].data = !channel_row(shading, channel)->color;
+        images[i].data = !channels->list[channel].row->color;
     }
     if (status == 0)
         status =
@@ -122,9 +112,8 @@ bool vox_shading_channels_need_textures(const struct fmt_tris_header *header, co
 
 void vox_shading_channels_free(struct bsq_ctx *ctx, struct vox_shading_channels *channels)
 {
-    if (channels->textures)
-        fmt_textures_close(channels->textures);
-    bsq_free(ctx, channels->numbers);
+    fmt_textures_close(channels->textures);
+    bsq_free(ctx, channels->list);
     bsq_free(ctx, channels->values);
     bsq_free(ctx, channels->textured);
     *channels = (struct vox_shading_channels){0};
@@ -165,7 +154,7 @@ int vox_shade_channel_textures(const struct vox_shading *shading, const struct v
     memcpy(out, vox_shade_channels(shading, chunk, triangle), channels->words * sizeof *out);
     for (uint32_t c = 0; c < channels->count && status == 0; c++) {
         const struct fmt_tris_source *source = source_of(shading, material, c);
-        const struct bsq_channel *row = channel_row(shading, c);
+        const struct bsq_channel *row = channels->list[c].row;
         float sample[3];
         if (source->texture_path) {
             const uint32_t image = c * shading->header->material_count + material;
