@@ -35,7 +35,7 @@ CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
 # A program loads only the shared libraries that it calls.
 LDFLAGS  += -Wl,--as-needed
 
-pc_formats := OpenEXR libpng libxxhash jansson libisal libzstd
+pc_formats := OpenEXR libpng libxxhash jansson libisal libzstd libdeflate
 pc_texture := OpenImageIO Imath libpng
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
@@ -453,7 +453,7 @@ check-long: check
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
     libpng-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev libxxhash-dev \
-    zlib1g-dev libisal-dev libzstd-dev opencl-c-headers
+    zlib1g-dev libdeflate-dev libisal-dev libzstd-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd \
     ocl-icd-libopencl1 jq mandoc python3 python3-numpy python3-xxhash
 # Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.

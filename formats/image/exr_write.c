@@ -10,10 +10,11 @@
 #include "base/output.h"
 #include "base/parallel.h"
 #include "formats/image/exr_internal.h"
+#include "formats/image/exr_zip.h"
 
 enum {
-    ZIP_LEVEL = 4, /* 6 and above take twice the time for 1-2 % of the size */
-    ZIP_ROWS = 16  /* of a block */
+    ZIP_ROWS = 16,       /* of a block */
+    ENCODER_BYTES = 4096 /* that OpenEXR allocates for an encoder beside the chunk's samples */
 };
 
 struct slot {
@@ -21,7 +22,8 @@ struct slot {
     bool ready;           /* the encoder was initialised */
     uint32_t column, row; /* of a tile in tiles, of a block of lines in lines */
     const float *samples;
-    const void *packed; /* compressed block, in the encoder's memory */
+    struct fmt_exr_zip zip;
+    const void *packed; /* compressed block, in the memory of the encoder or of zip */
     uint64_t packed_bytes;
 };
 
@@ -55,15 +57,18 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
     return status < 0 ? -1 : (int64_t)size;
 }
 
-/* Replaces the encoder's own write step, so that blocks reach the file in order. Readers take a
- * block of the size of its samples as not compressed, but OpenEXR 3.1 compresses a block also if it
- * gets that size. Then the samples themselves are written. */
-static exr_result_t keep_packed(exr_encode_pipeline_t *encoder)
+/* Replaces the encoder's own compression. Readers take a block of the size of its samples as not
+ * compressed. The pipeline writes the blocks in order, in place of the encoder's write step. */
+static exr_result_t compress(exr_encode_pipeline_t *encoder)
 {
     struct slot *slot = encoder->encoding_user_data;
-    const bool smaller = encoder->compressed_bytes < encoder->packed_bytes;
-    slot->packed = smaller ? encoder->compressed_buffer : encoder->packed_buffer;
-    slot->packed_bytes = smaller ? encoder->compressed_bytes : encoder->packed_bytes;
+    slot->packed_bytes =
+        fmt_exr_zip_pack(&slot->zip, encoder->packed_buffer, encoder->packed_bytes);
+    slot->packed = slot->zip.packed;
+    if (slot->packed_bytes == 0) {
+        slot->packed = encoder->packed_buffer;
+        slot->packed_bytes = encoder->packed_bytes;
+    }
     return EXR_ERR_SUCCESS;
 }
 
@@ -120,7 +125,7 @@ static exr_result_t make_header(struct exr_writer *writer, const struct fmt_imag
         r = set_color_attributes(file, !options->color);
     if (r == EXR_ERR_SUCCESS)
         r = set_attributes(file, options->attributes, options->attribute_count);
-    return r == EXR_ERR_SUCCESS ? exr_set_zip_compression_level(file, 0, ZIP_LEVEL) : r;
+    return r;
 }
 
 static int describe_image(struct fmt_image_writer *base,
@@ -209,7 +214,8 @@ static exr_result_t prepare_encoder(struct exr_writer *writer, struct slot *slot
         r = exr_encoding_choose_default_routines(writer->file, 0, encoder);
         encoder->encoding_user_data = slot;
         encoder->yield_until_ready_fn = NULL;
-        encoder->write_fn = keep_packed;
+        encoder->compress_fn = compress;
+        encoder->write_fn = NULL;
     }
     return r;
 }
@@ -223,9 +229,6 @@ static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsig
     exr_result_t r = prepare_encoder(writer, slot);
     if (r == EXR_ERR_SUCCESS)
         r = exr_encoding_run(writer->file, 0, &slot->encoder);
-    /* The buffer is large enough, so zlib can only have run out of memory. */
-    if (r == EXR_ERR_CORRUPT_CHUNK)
-        r = EXR_ERR_OUT_OF_MEMORY;
     return fmt_exr_status(&writer->stream, r);
 }
 
@@ -275,8 +278,11 @@ static int allocate(struct exr_writer *writer, enum fmt_sample_type type)
         bsq_calloc(ctx, "EXR encoders", writer->slot_count, sizeof *writer->slots, &writer->slots);
     if (status < 0)
         return status;
-    uint64_t bytes = writer->slot_count * fmt_exr_coding_bytes(chunk_bytes);
-    status = bsq_reserve(ctx, "EXR compression", bytes);
+    for (unsigned i = 0; status == 0 && i < writer->slot_count; ++i)
+        status = fmt_exr_zip_create(ctx, chunk_bytes, &writer->slots[i].zip);
+    const uint64_t bytes = writer->slot_count * (chunk_bytes + ENCODER_BYTES);
+    if (status == 0)
+        status = bsq_reserve(ctx, "EXR encoders", bytes);
     if (status == 0)
         writer->reserved_bytes = bytes;
     return status;
@@ -329,6 +335,8 @@ static void free_image(struct fmt_image_writer *base)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     close_file(writer);
+    for (unsigned i = 0; writer->slots && i < writer->slot_count; ++i)
+        fmt_exr_zip_free(base->ctx, &writer->slots[i].zip);
     bsq_release(base->ctx, writer->reserved_bytes);
     bsq_free(base->ctx, writer->slots);
 }
