@@ -21,8 +21,9 @@ opt.debug   := -O0 -g3
 opt.asan    := -O1 -g1 -fsanitize=address,undefined,float-cast-overflow -fno-omit-frame-pointer \
     -fno-sanitize-recover=all
 opt.tsan    := -O1 -g -fsanitize=thread
-opt.fuzz    := -O1 -g -fsanitize=fuzzer-no-link,address,undefined,float-cast-overflow \
-    -fno-sanitize-recover=all -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
+opt.fuzz    := -O2 -g -fsanitize=fuzzer-no-link,address,undefined,float-cast-overflow \
+    -fno-sanitize-recover=all -DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION \
+    -fsanitize-coverage-ignorelist=tests/fuzz/no_coverage.txt
 ifndef opt.$(config)
 $(error config=$(config) is not one of release, debug, asan, tsan, fuzz)
 endif
@@ -325,7 +326,10 @@ $(read_files): $(BUILD)/obj/tests/oracle/read_files.c.o $(archive.formats) $(arc
 # objects. Without config=fuzz they become programs that replay files.
 fuzz_sources := $(filter-out tests/fuzz/fuzz_file.c,$(wildcard tests/fuzz/fuzz_*.c))
 fuzz_names   := $(fuzz_sources:tests/fuzz/fuzz_%.c=%)
-fuzz_objs  := $(BUILD)/obj/tests/fuzz/fuzz_file.c.o
+fuzz_objs  := $(patsubst %,$(BUILD)/obj/tests/fuzz/%.c.o,fuzz_file memory_files)
+# Calls that memory_files.c may answer itself.
+fuzz_wrap  := $(patsubst %,-Wl$(comma)--wrap=%,open64 close fcntl64 stat64 fstat64 pread64 pwrite64 \
+    opendir pthread_create)
 fuzz.nvdb  := $(patsubst %,$(BUILD)/obj/tests/%.c.o,fuzz/grid_patch fuzz/grid_use \
     unit/formats/grid/nvdb_scene)
 fuzz.overwritten := $(fuzz.nvdb)
@@ -345,10 +349,12 @@ replays    := $(fuzz_names:%=$(BUILD)/tests/replay-%)
 $(replays): $(BUILD)/tests/replay-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) \
     $(BUILD)/obj/tests/fuzz/replay.c.o $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(or $(fuzz_link.$*),$(CC)) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
+	$(or $(fuzz_link.$*),$(CC)) $(common) $(LDFLAGS) $(fuzz_wrap) -o $@ $^ $(LIBS.all) \
+	    $(fuzz_libs.$*)
 $(BUILD)/tests/fuzz-%: $(BUILD)/obj/tests/fuzz/fuzz_%.c.o $(fuzz_objs) $$(fuzz.$$*) $(fuzz_libs)
 	@mkdir -p $(@D)
-	$(or $(fuzz_link.$*),$(CC)) $(common) -fsanitize=fuzzer $(LDFLAGS) -o $@ $^ $(LIBS.all) $(fuzz_libs.$*)
+	$(or $(fuzz_link.$*),$(CC)) $(common) -fsanitize=fuzzer $(LDFLAGS) $(fuzz_wrap) -o $@ $^ \
+	    $(LIBS.all) $(fuzz_libs.$*)
 
 # A library that lets a program's system calls fail, and the program that runs it; see
 # tests/cli/test_faults.sh. Built without sanitizers, as it is loaded into programs without them.

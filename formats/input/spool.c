@@ -10,8 +10,13 @@
 #include "formats/input/spool.h"
 #include "formats/input/unpack.h"
 
-/* Bytes that are unpacked ahead of what readers have requested, and at once. */
+/* Bytes that are unpacked ahead of what readers have requested, and at once. Fuzz targets unpack
+ * their small files in several steps too. */
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
+enum { AHEAD_BYTES = 4 << 10, STEP_BYTES = 1 << 10 };
+#else
 enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10 };
+#endif
 /* How often a waiting thread looks for an interruption, in milliseconds. */
 enum { PATIENCE_MS = 50 };
 /* After so many bytes, the free space of the disk is looked at again. */

@@ -7,8 +7,13 @@
 
 #include "formats/input/utf16.h"
 
-/* Packed bytes that are read at once. */
+/* Packed bytes that are read at once. Fuzz targets have small files, which take several reads too.
+ */
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
+enum { IN_BYTES = 64 };
+#else
 enum { IN_BYTES = 128 << 10 };
+#endif
 
 /* Units of UTF-16 that are converted at once, and the bytes that they may become. */
 enum { UNIT_BYTES = 32 << 10, TEXT_BYTES = 3 * UNIT_BYTES / 2 + 2 * UTF16_MAX_BYTES };

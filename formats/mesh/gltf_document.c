@@ -132,6 +132,8 @@ static size_t feed_json(void *to, size_t size, void *arg)
     feed->status = bsq_check(feed->document->ctx);
     if (feed->status)
         return (size_t)-1;
+    if (size == 0) /* an empty text has no memory */
+        return 0;
     memcpy(to, feed->text, size);
     feed->text += size;
     feed->left -= size;

@@ -2,8 +2,10 @@
 #include "formats/image/exr_read.h"
 #include "tests/fuzz/fuzz_file.h"
 
-static int use(struct bsq_ctx *ctx, const char *path)
+static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
+    const char *path = paths[0];
+    (void)count;
     struct fmt_exr_image image;
     int status = fmt_exr_read(ctx, path, &image);
     if (status)
@@ -16,5 +18,5 @@ static int use(struct bsq_ctx *ctx, const char *path)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.exr", use);
+    return fuzz_system_file(data, size, "fuzz.exr", use);
 }

@@ -1,4 +1,4 @@
-/* fuzz_file.h - shared by the fuzz targets: turns an input into a file and reads it in a new
+/* fuzz_file.h - shared by the fuzz targets: turns inputs into files and reads them in a new
  * context. */
 #ifndef FUZZ_FILE_H
 #define FUZZ_FILE_H
@@ -23,9 +23,24 @@ void require(bool good, const char *what);
  * BSQ_ENOMEM. */
 int fuzz_in_context(int (*use)(struct bsq_ctx *ctx));
 
-/* The same for a file in memory that holds the input's bytes. Returns 0. */
-int fuzz_file(const uint8_t *data, size_t size, const char *name,
-              int (*use)(struct bsq_ctx *ctx, const char *path));
+enum { FUZZ_MAX_FILES = 4 };
+
+struct fuzz_input {
+    const uint8_t *data;
+    size_t size;
+    const char *name;
+};
+
+typedef int fuzz_use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count);
+
+/* Calls `use` for files that hold the inputs' bytes, and checks its end as fuzz_in_context() does.
+ * Most inputs become memory_files.h's files with these names, and are used on one thread. One of
+ * 64, which the sum of all bytes chooses, become files of the system without a suffix, and are
+ * used on several threads. Returns 0. */
+int fuzz_files(const struct fuzz_input *inputs, uint32_t count, fuzz_use *use);
+
+/* The same for one file of the system, on one thread: for formats that a library opens. */
+int fuzz_system_file(const uint8_t *data, size_t size, const char *name, fuzz_use *use);
 
 #ifdef __cplusplus
 }

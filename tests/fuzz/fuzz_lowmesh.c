@@ -90,8 +90,10 @@ static int sort_by_tile(struct bsq_ctx *ctx, const char *path, struct bake_lowme
     return status == BSQ_EUSAGE ? 0 : status; /* no triangle is in any tile */
 }
 
-static int use(struct bsq_ctx *ctx, const char *path)
+static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
+    const char *path = paths[0];
+    (void)count;
     struct bake_lowmesh mesh;
     int status = bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = path}, &mesh);
     if (status)
@@ -106,5 +108,5 @@ static int use(struct bsq_ctx *ctx, const char *path)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.obj", use);
+    return fuzz_files(&(struct fuzz_input){data, size, "fuzz.obj"}, 1, use);
 }

@@ -3,17 +3,12 @@
  * from file to file, and a second reading must give the same blocks. */
 #include "tests/fuzz/fuzz_file.h"
 
-#include <stdio.h>
 #include <string.h>
-#include <sys/mman.h>
-#include <unistd.h>
+#include <xxhash.h>
 
 #include "formats/mesh/mesh_reader.h"
 
-enum { FILES = 4 };
-
 static const char separator[] = "\n#next\n";
-static char paths[FILES][32];
 static uint32_t path_count;
 static bool moved;
 
@@ -26,8 +21,8 @@ struct reading {
 
 static void add(struct reading *r, const void *bytes, uint64_t size)
 {
-    for (uint64_t i = 0; bytes && i < size; i++)
-        r->hash = (r->hash ^ ((const uint8_t *)bytes)[i]) * UINT64_C(0x100000001b3);
+    if (bytes && size > 0)
+        r->hash = XXH3_64bits_withSeed(bytes, size, r->hash);
 }
 
 static void use_material(struct reading *r, uint32_t material)
@@ -92,17 +87,15 @@ static int read_once(struct fmt_mesh_reader *reader, struct reading *out)
     return 0;
 }
 
-static int read_twice(struct bsq_ctx *ctx)
+static int read_twice(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
-    const char *names[FILES];
-    struct fmt_mesh_placement placements[FILES];
-    for (uint32_t i = 0; i < path_count; i++) {
-        names[i] = paths[i];
+    struct fmt_mesh_placement placements[FUZZ_MAX_FILES];
+    path_count = count;
+    for (uint32_t i = 0; i < count; i++)
         placements[i] = (struct fmt_mesh_placement){
             .scale = 1 + i, .up = i % 2 ? FMT_MESH_UP_Z : FMT_MESH_UP_KEEP, .translate = {i, 0, 3}};
-    }
     const struct fmt_mesh_inputs inputs = {
-        .paths = names, .path_count = path_count, .placements = moved ? placements : NULL};
+        .paths = paths, .path_count = count, .placements = moved ? placements : NULL};
     struct fmt_mesh_reader *reader = NULL;
     struct reading first, second;
     int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
@@ -119,20 +112,16 @@ static int read_twice(struct bsq_ctx *ctx)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    int files[FILES] = {0};
+    struct fuzz_input inputs[FUZZ_MAX_FILES] = {
+        {.name = "1"}, {.name = "2"}, {.name = "3"}, {.name = "4"}};
     const uint8_t *end = data + size;
+    uint32_t count = 0;
     moved = size % 2;
-    for (path_count = 0; path_count < FILES && data;) {
+    while (count < FUZZ_MAX_FILES && data) {
         const uint8_t *next = memmem(data, (size_t)(end - data), separator, sizeof separator - 1);
-        const size_t length = (size_t)((next ? next : end) - data);
-        const int fd = memfd_create("fuzz.mixed", MFD_CLOEXEC);
-        require(fd >= 0 && write(fd, data, length) == (ssize_t)length, "cannot make a file");
-        snprintf(paths[path_count], sizeof paths[0], "/proc/self/fd/%d", fd);
-        files[path_count++] = fd;
+        inputs[count].data = data;
+        inputs[count++].size = (size_t)((next ? next : end) - data);
         data = next ? next + sizeof separator - 1 : NULL;
     }
-    fuzz_in_context(read_twice);
-    for (uint32_t i = 0; i < path_count; i++)
-        close(files[i]);
-    return 0;
+    return fuzz_files(inputs, count, read_twice);
 }

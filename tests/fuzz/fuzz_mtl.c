@@ -4,8 +4,10 @@
 
 #include <math.h>
 
-static int use(struct bsq_ctx *ctx, const char *path)
+static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
+    const char *path = paths[0];
+    (void)count;
     struct fmt_materials materials = {0};
     int status = fmt_mtl_read(ctx, path, false, &materials);
     for (uint32_t i = 0; !status && i < materials.count; i++) {
@@ -20,5 +22,5 @@ static int use(struct bsq_ctx *ctx, const char *path)
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.mtl", use);
+    return fuzz_files(&(struct fuzz_input){data, size, "fuzz.mtl"}, 1, use);
 }

@@ -5,5 +5,5 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.obj.gz", fuzz_mesh);
+    return fuzz_files(&(struct fuzz_input){data, size, "fuzz.obj.gz"}, 1, fuzz_mesh);
 }

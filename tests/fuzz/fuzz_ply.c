@@ -4,5 +4,5 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.ply", fuzz_mesh);
+    return fuzz_files(&(struct fuzz_input){data, size, "fuzz.ply"}, 1, fuzz_mesh);
 }

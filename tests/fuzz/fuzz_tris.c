@@ -12,8 +12,10 @@ static void check_chunk(const struct fmt_tris_chunk *chunk)
             require(chunk->triangles[t][i] < chunk->vertex_count, "a vertex out of range");
 }
 
-static int use(struct bsq_ctx *ctx, const char *path)
+static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
+    const char *path = paths[0];
+    (void)count;
     struct fmt_tris_file *file;
     void *scratch = NULL;
     int status = fmt_tris_open(ctx, path, &file);
@@ -45,5 +47,5 @@ size_t LLVMFuzzerCustomMutator(uint8_t *data, size_t size, size_t max_size, unsi
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    return fuzz_file(data, size, "fuzz.tris", use);
+    return fuzz_system_file(data, size, "fuzz.tris", use);
 }

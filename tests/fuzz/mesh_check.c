@@ -24,10 +24,11 @@ static void check_mesh(const struct fmt_mesh *mesh)
     }
 }
 
-int fuzz_mesh(struct bsq_ctx *ctx, const char *path)
+int fuzz_mesh(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
     struct fmt_mesh mesh;
-    int status = fmt_mesh_load(ctx, path, &mesh);
+    require(count == 1, "more than one file");
+    int status = fmt_mesh_load(ctx, paths[0], &mesh);
     if (status)
         return status;
     check_mesh(&mesh);

@@ -4,7 +4,8 @@
 
 #include "base/context.h"
 
-/* Loads a mesh file whole; checks that positions are finite and indices are in range. */
-int fuzz_mesh(struct bsq_ctx *ctx, const char *path);
+/* A fuzz_use: loads a mesh file whole; checks that positions are finite and indices are in range.
+ */
+int fuzz_mesh(struct bsq_ctx *ctx, const char *const *paths, uint32_t count);
 
 #endif
