@@ -1,9 +1,10 @@
 /* nvdb_commit.c - writes the finished grid file from a writer's temporary files.
  *
  * All counts are known by now, and they determine all offsets: the file is written once, from front
- * to back. It is made in blocks. Writing takes longest, so the next blocks are made while one is
- * written. The tables of internal nodes are filled in here. The children of a level are contiguous:
- * the set bits of all nodes of the level above, in order, are its nodes 0, 1, 2, ... */
+ * to back, without what fmt_nvdb_expect() let the writer put there before. It is made in blocks.
+ * Writing takes longest, so the next blocks are made while one is written. The tables of internal
+ * nodes are filled in here. The children of a level are contiguous: the set bits of all nodes of
+ * the level above, in order, are its nodes 0, 1, 2, ... */
 #include <string.h>
 #include <xxhash.h>
 
@@ -14,7 +15,8 @@
 enum { BLOCK_BYTES = 1 << 20, BLOCK_COUNT = 3 };
 
 struct block {
-    uint8_t *bytes; /* BLOCK_BYTES */
+    uint64_t skipped; /* bytes before the block that are in the output already */
+    uint8_t *bytes;   /* BLOCK_BYTES */
     uint64_t size;
 };
 
@@ -23,6 +25,7 @@ struct commit {
     struct bsq_ctx *ctx;
     struct bsq_output *output;
     struct nvdb_layout layout;
+    uint64_t at;        /* offset in the file of the next byte */
     int section;        /* the section that is being made */
     uint64_t done;      /* its bytes made so far */
     XXH3_state_t *hash; /* of these bytes */
@@ -78,50 +81,20 @@ static const struct node_kind *node_kind(int section)
     return section == NVDB_UPPERS ? &upper_kind : section == NVDB_LOWERS ? &lower_kind : NULL;
 }
 
-/* The streams of a section: its first part, and second records after it. Either may be NULL. */
-struct section_streams {
-    struct nvdb_stream *first, *second;
-};
-
-static struct section_streams streams_of(const struct commit *commit)
+static struct nvdb_section_streams streams_of(const struct commit *commit)
 {
-    struct nvdb_stream *stream = commit->writer->stream;
-    switch (commit->section) {
-    case NVDB_LEAVES:
-        return (struct section_streams){.first = &stream[STREAM_LEAVES]};
-    case NVDB_NORMALS:
-        return (struct section_streams){&stream[STREAM_NORMALS], &stream[STREAM_SECOND_NORMALS]};
-    case NVDB_PLANES:
-        return (struct section_streams){&stream[STREAM_PLANES], &stream[STREAM_SECOND_PLANES]};
-    case NVDB_COLORS:
-        if (!commit->writer->info.has_color)
-            break;
-        return (struct section_streams){&stream[STREAM_COLORS], &stream[STREAM_SECOND_COLORS]};
-    case NVDB_IDS:
-        if (commit->writer->info.ids == BSQ_IDS_NONE)
-            break;
-        return (struct section_streams){&stream[STREAM_IDS], &stream[STREAM_SECOND_IDS]};
-    case NVDB_CHANNELS:
-        if (commit->writer->counts.channel_words == 0)
-            break;
-        return (struct section_streams){&stream[STREAM_CHANNELS], &stream[STREAM_SECOND_CHANNELS]};
-    case NVDB_SECONDS:
-        return (struct section_streams){.first = &stream[STREAM_SECOND_WORDS]};
-    default:
-        break;
-    }
-    return (struct section_streams){0};
+    return fmt_nvdb_streams_of(commit->writer, commit->section);
 }
 
 /* Returns the section's size as it follows from its source. */
 static uint64_t source_bytes(const struct commit *commit)
 {
     const struct node_kind *kind = node_kind(commit->section);
-    const struct section_streams streams = streams_of(commit);
+    const struct nvdb_section_streams streams = streams_of(commit);
     if (kind)
-        return commit->writer->stream[kind->stream].file.size / kind->stub_bytes * kind->node_bytes;
+        return commit->writer->stream[kind->stream].size / kind->stub_bytes * kind->node_bytes;
     if (streams.first)
-        return streams.first->file.size + (streams.second ? streams.second->file.size : 0);
+        return streams.first->size + (streams.second ? streams.second->size : 0);
     return commit->layout.section[commit->section].size;
 }
 
@@ -165,7 +138,7 @@ static int read_stream(struct commit *commit, struct nvdb_stream *stream, void *
     if (status)
         return status;
     XXH3_64bits_update(stream->read, to, size);
-    if (offset + size == stream->file.size &&
+    if (offset + size == stream->size &&
         XXH3_64bits_digest(stream->read) != XXH3_64bits_digest(stream->written))
         return bsq_fail(commit->ctx, BSQ_EIO, "%s: holds other bytes than were written",
                         stream->file.path);
@@ -199,10 +172,10 @@ static int make_from_nodes(struct commit *commit, const struct node_kind *kind, 
 }
 
 /* The first stream was hashed when it was written. */
-static int make_from_streams(struct commit *commit, const struct section_streams *streams,
+static int make_from_streams(struct commit *commit, const struct nvdb_section_streams *streams,
                              uint8_t *to, uint64_t *size)
 {
-    const uint64_t first_bytes = streams->first->file.size;
+    const uint64_t first_bytes = streams->first->size;
     if (commit->done < first_bytes) {
         uint64_t left = first_bytes - commit->done;
         *size = *size < left ? *size : left;
@@ -218,7 +191,7 @@ static int make_from_streams(struct commit *commit, const struct section_streams
 static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
 {
     const struct node_kind *kind = node_kind(commit->section);
-    const struct section_streams streams = streams_of(commit);
+    const struct nvdb_section_streams streams = streams_of(commit);
     if (kind)
         return make_from_nodes(commit, kind, to, size);
     if (streams.first)
@@ -261,11 +234,32 @@ static void end_section(struct commit *commit)
     commit->done = 0;
 }
 
-/* Makes up to *size bytes at offset `at` in the file; sets *size to their number. */
-static int make_bytes(struct commit *commit, uint64_t at, uint8_t *to, uint64_t *size)
+/* Returns whether a section begins here whose first stream is in the output already. */
+static bool is_written(const struct commit *commit)
+{
+    const struct nvdb_stream *first = streams_of(commit).first;
+    return commit->done == 0 && commit->at == commit->layout.section[commit->section].offset &&
+           first && first->output;
+}
+
+/* Goes to the end of that stream. */
+static int skip_written(struct commit *commit, struct block *block)
+{
+    const uint64_t size = streams_of(commit).first->size;
+    int status = begin_section(commit);
+    commit->done = size;
+    commit->at += size;
+    block->skipped += size;
+    if (commit->done == commit->layout.section[commit->section].size)
+        end_section(commit);
+    return status;
+}
+
+/* Makes up to *size bytes; sets *size to their number. */
+static int make_bytes(struct commit *commit, uint8_t *to, uint64_t *size)
 {
     const struct nvdb_range *range = &commit->layout.section[commit->section];
-    uint64_t padding = at < range->offset ? range->offset - at : 0;
+    uint64_t padding = commit->at < range->offset ? range->offset - commit->at : 0;
     if (padding > 0) {
         *size = *size < padding ? *size : padding;
         memset(to, 0, *size);
@@ -290,12 +284,18 @@ static int make_block(void *arg, void *slot, uint64_t sequence)
     struct block *block = slot;
     int status = 0;
     block->bytes = commit->buffer + sequence % BLOCK_COUNT * BLOCK_BYTES;
-    block->size = 0;
+    block->size = block->skipped = 0;
     while (status == 0 && block->size < BLOCK_BYTES && commit->section < NVDB_SECTION_COUNT) {
         uint64_t size = BLOCK_BYTES - block->size;
-        status = make_bytes(commit, sequence * BLOCK_BYTES + block->size,
-                            block->bytes + block->size, &size);
+        if (is_written(commit)) {
+            if (block->size > 0)
+                break;
+            status = skip_written(commit, block);
+            continue;
+        }
+        status = make_bytes(commit, block->bytes + block->size, &size);
         block->size += size;
+        commit->at += size;
     }
     return status ? status : block->size > 0;
 }
@@ -305,6 +305,7 @@ static int write_block(void *arg, void *slot, uint64_t sequence)
     struct commit *commit = arg;
     const struct block *block = slot;
     (void)sequence;
+    bsq_output_skip(commit->output, block->skipped);
     return bsq_output_write(commit->output, block->bytes, block->size);
 }
 
@@ -363,7 +364,7 @@ static int write_file(struct fmt_nvdb_writer *writer)
 {
     struct commit commit = {.writer = writer, .ctx = writer->ctx, .output = writer->output};
     int status = set_up(&commit);
-    if (status == 0)
+    if (status == 0 && writer->expected.voxels == 0)
         status = bsq_output_expect(commit.output, commit.layout.file_bytes);
     if (status == 0)
         status = write_blocks(&commit);

@@ -42,13 +42,17 @@ void fmt_nvdb_stream_close(struct nvdb_stream *stream)
     *stream = (struct nvdb_stream){0};
 }
 
-/* Hashes the buffer while it is in the cache, and appends it to the file. */
+/* Hashes the buffer while it is in the cache, and appends it to the file or the output. */
 static int stream_flush(struct nvdb_stream *stream)
 {
     if (stream->fill == 0)
         return 0;
     XXH3_64bits_update(stream->written, stream->buffer, (size_t)stream->fill);
-    int status = bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
+    int status = stream->output
+                     ? bsq_output_write_at(stream->output, stream->buffer, stream->fill,
+                                           stream->at + stream->size)
+                     : bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
+    stream->size += stream->fill;
     stream->fill = 0;
     return status;
 }
@@ -236,6 +240,73 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
     bsq_free(ctx, writer->upper);
     bsq_free(ctx, writer->path);
     bsq_free(ctx, writer);
+}
+
+struct nvdb_section_streams fmt_nvdb_streams_of(struct fmt_nvdb_writer *writer, int section)
+{
+    static const struct {
+        enum nvdb_section section;
+        enum nvdb_writer_stream first, second; /* second: STREAM_COUNT if there is none */
+    } rows[] = {
+        {NVDB_LEAVES, STREAM_LEAVES, STREAM_COUNT},
+        {NVDB_NORMALS, STREAM_NORMALS, STREAM_SECOND_NORMALS},
+        {NVDB_PLANES, STREAM_PLANES, STREAM_SECOND_PLANES},
+        {NVDB_COLORS, STREAM_COLORS, STREAM_SECOND_COLORS},
+        {NVDB_IDS, STREAM_IDS, STREAM_SECOND_IDS},
+        {NVDB_CHANNELS, STREAM_CHANNELS, STREAM_SECOND_CHANNELS},
+        {NVDB_SECONDS, STREAM_SECOND_WORDS, STREAM_COUNT},
+    };
+    struct nvdb_stream *stream = writer->stream;
+    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
+        if ((int)rows[i].section == section && stream_used(writer, rows[i].first))
+            return (struct nvdb_section_streams){
+                &stream[rows[i].first],
+                rows[i].second == STREAM_COUNT ? NULL : &stream[rows[i].second]};
+    return (struct nvdb_section_streams){0};
+}
+
+/* ---- totals that are known before the voxels ---- */
+
+/* The head of channels may be in a file already; then its stream stays there. Counts beyond the
+ * format's are left to fmt_nvdb_append() to refuse. */
+int fmt_nvdb_expect(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_totals *totals)
+{
+    struct nvdb_counts counts = writer->counts;
+    struct nvdb_layout layout;
+    assert(counts.voxels == 0);
+    if (totals->voxels == 0 || totals->leaves > UINT32_MAX || totals->lowers > UINT32_MAX ||
+        totals->uppers > UINT32_MAX || totals->second_records > UINT32_MAX)
+        return 0;
+    counts.voxels = totals->voxels;
+    counts.seconds = totals->second_records;
+    counts.leaves = (uint32_t)totals->leaves;
+    counts.lowers = (uint32_t)totals->lowers;
+    counts.uppers = (uint32_t)totals->uppers;
+    fmt_nvdb_layout_compute(&counts, &layout);
+    writer->expected = *totals;
+    for (int section = 0; section < NVDB_SECTION_COUNT; section++) {
+        struct nvdb_stream *stream = fmt_nvdb_streams_of(writer, section).first;
+        if (!stream || stream->size > 0)
+            continue;
+        bsq_file_close(writer->ctx, &stream->file);
+        stream->output = writer->output;
+        stream->at = layout.section[section].offset;
+    }
+    return bsq_output_expect(writer->output, layout.file_bytes);
+}
+
+static int check_expected(const struct fmt_nvdb_writer *writer)
+{
+    const struct fmt_nvdb_totals *expected = &writer->expected;
+    const struct nvdb_counts *counts = &writer->counts;
+    const bool same =
+        expected->voxels == 0 ||
+        (expected->voxels == counts->voxels && expected->second_records == counts->seconds &&
+         expected->leaves == counts->leaves && expected->lowers == counts->lowers &&
+         expected->uppers == counts->uppers);
+    return same ? 0
+                : bsq_fail(writer->ctx, BSQ_EBUG,
+                           "%s: the grid has other counts than were expected", writer->path);
 }
 
 /* ---- regions ---- */
@@ -532,7 +603,9 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
         return status;
     if (writer->counts.voxels == 0)
         return bsq_fail(writer->ctx, BSQ_EDATA, "%s: the grid has no voxels", writer->path);
-    status = end_entry(writer);
+    status = check_expected(writer);
+    if (status == 0)
+        status = end_entry(writer);
     if (status == 0)
         status = close_lower(writer);
     if (status == 0)

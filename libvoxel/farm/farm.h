@@ -58,8 +58,8 @@ void vox_farm_divide(struct vox_farm_plan *plan, struct vox_farm_region *regions
 
 /* What a part holds. */
 struct vox_part_totals {
-    uint64_t regions, leaves, voxels, second_records;
-    int32_t index_min[3], index_max[3]; /* of voxels; min > max: none */
+    uint64_t regions, tiles, leaves, voxels, second_records; /* tiles: of 4096^3 voxels */
+    int32_t index_min[3], index_max[3];                      /* of voxels; min > max: none */
 };
 
 /* Writes a part to an output. */

@@ -152,6 +152,15 @@ static int compare_items(const void *a, const void *b)
     return vox_region_before(x->key, y->key) ? -1 : 1; /* a region is in one part only */
 }
 
+/* Returns in how many tiles the regions lie, which are sorted. */
+static uint64_t count_tiles(const struct vox_parts *parts)
+{
+    uint64_t tiles = 0;
+    for (uint64_t i = 0; i < parts->count; i++)
+        tiles += i == 0 || parts->items[i].key.tile != parts->items[i - 1].key.tile;
+    return tiles;
+}
+
 int vox_parts_open(const struct vox_farm_plan *plan, bool has_color, bool has_ids,
                    struct vox_part_totals *totals, struct vox_parts **out)
 {
@@ -170,6 +179,7 @@ int vox_parts_open(const struct vox_farm_plan *plan, bool has_color, bool has_id
     status = fmt_farm_parts_check(&plan->base, &steps);
     if (status == 0 && parts->count > 0)
         qsort(parts->items, parts->count, sizeof *parts->items, compare_items);
+    totals->tiles = count_tiles(parts);
     return status;
 }
 

@@ -236,26 +236,27 @@ static int open_planned(const struct vox_farm_plan *plan, struct vox_run *run)
 struct choice {
     const struct vox_farm_plan *plan;
     uint32_t task;
-    uint64_t regions;
+    uint64_t regions; /* that chunks may touch */
 };
 
 /* Reading a chunk takes as long as looking at about this many regions. */
 static const double most_looked_at = 16384.0;
 
-/* Returns whether a box touches regions of the task, or reaches across too many to tell. */
-static bool touches_task(void *arg, const struct vox_box *box)
+/* Returns how many regions of the task a box touches, see struct vox_box_filter. */
+static uint64_t count_of_task(void *arg, const struct vox_box *box, uint64_t most)
 {
     const struct choice *choice = arg;
     const int32_t *lo = box->lo, *hi = box->hi;
+    uint64_t count = 0;
     int32_t at[3];
     if (vox_region_count(box) > most_looked_at)
-        return true;
+        return most;
     for (at[0] = lo[0] & -VOX_REGION_SIZE; at[0] <= hi[0]; at[0] += VOX_REGION_SIZE)
         for (at[1] = lo[1] & -VOX_REGION_SIZE; at[1] <= hi[1]; at[1] += VOX_REGION_SIZE)
             for (at[2] = lo[2] & -VOX_REGION_SIZE; at[2] <= hi[2]; at[2] += VOX_REGION_SIZE)
-                if (vox_farm_task_of(choice->plan, at) == choice->task)
-                    return true;
-    return false;
+                if (vox_farm_task_of(choice->plan, at) == choice->task && ++count == most)
+                    return count;
+    return count;
 }
 
 static int count_own(void *arg, const int32_t origin[3], uint32_t chunk)
@@ -274,8 +275,6 @@ static int choose_regions(struct vox_run *run, const struct vox_box_filter *filt
     int status = vox_run_find_boxes(run, filter);
     if (status == 0)
         status = visit_regions(run, count_own, choice);
-    if (status == 0 && choice->regions > plan->costs[choice->task].regions)
-        status = fmt_farm_fail_plan(&plan->base, "its inputs give other regions");
     run->expected_triangles = (uint64_t)plan->costs[choice->task].work;
     run->expected_regions = (double)choice->regions;
     return status;
@@ -314,7 +313,7 @@ static int write_part(void *arg, struct bsq_output *output)
     const struct task_job *job = arg;
     struct vox_run run = {0};
     struct choice choice = {.plan = job->plan, .task = job->task};
-    const struct vox_box_filter filter = {touches_task, &choice};
+    const struct vox_box_filter filter = {count_of_task, &choice};
     int status = open_planned(job->plan, &run);
     if (status == 0)
         status = choose_regions(&run, &filter);
@@ -364,6 +363,13 @@ static int merge_parts(const struct vox_farm_plan *plan, struct vox_run *run,
     struct vox_parts *parts;
     int status = vox_parts_open(plan, vox_shading_has_color(run->header), plan->options.ids,
                                 &totals, &parts);
+    const struct fmt_nvdb_totals expected = {.voxels = totals.voxels,
+                                             .second_records = totals.second_records,
+                                             .leaves = totals.leaves,
+                                             .lowers = totals.regions,
+                                             .uppers = totals.tiles};
+    if (status == 0)
+        status = fmt_nvdb_expect(writer, &expected);
     if (status == 0)
         status = vox_parts_read(parts, append_region, writer);
     vox_parts_close(parts);

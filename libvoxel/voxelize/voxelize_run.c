@@ -228,8 +228,8 @@ static int set_up(struct vox_run *job)
                                                  plan.texture_bytes, &job->shared.shading)
                       : 0) < 0 ||
         (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
-                                    job->box_count, job->smooth, (uint32_t)plan.cache_slots,
-                                    &job->shared.chunks)) < 0 ||
+                                    job->box_count, job->filter, job->smooth,
+                                    (uint32_t)plan.cache_slots, &job->shared.chunks)) < 0 ||
         (status = make_workers(job, &plan)) < 0)
         return status;
     vox_gate_init(&job->shared.gate, job->ctx, plan.result_bytes);

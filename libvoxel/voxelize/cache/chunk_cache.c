@@ -68,8 +68,8 @@ static int finish_chunk(struct vox_chunks *c, struct slot *slot)
 
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       const struct vox_transform *transform, const struct vox_chunk_box *boxes,
-                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
-                      struct vox_chunks **out)
+                      uint64_t box_count, const struct vox_box_filter *filter,
+                      struct vox_smooth *smooth, uint32_t slot_count, struct vox_chunks **out)
 {
     struct vox_chunks *c;
     uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
@@ -78,7 +78,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     if (status < 0)
         return status;
     c->ctx = ctx;
-    c->from = (struct vox_chunk_source){file, transform, smooth};
+    c->from = (struct vox_chunk_source){file, transform, smooth, filter};
     c->chunk_count = chunk_count;
     c->slot_count = slot_count;
     c->slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL);

@@ -35,12 +35,13 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth);
 
 /* Creates a cache of up to slot_count >= 1 chunks. `file`, `transform` and `smooth` must outlive
  * it. boxes: those of the schedule; they tell the first region that needs each chunk, and are not
- * kept. smooth: makes normals for chunks that have none and whose triangles are large for the grid;
- * NULL: such chunks stay without normals. */
+ * kept. filter: which regions are made; vertices in others get no smooth normals; NULL: all. It
+ * must outlive the cache. smooth: makes normals for chunks that have none and whose triangles are
+ * large for the grid; NULL: such chunks stay without normals. */
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       const struct vox_transform *transform, const struct vox_chunk_box *boxes,
-                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
-                      struct vox_chunks **out);
+                      uint64_t box_count, const struct vox_box_filter *filter,
+                      struct vox_smooth *smooth, uint32_t slot_count, struct vox_chunks **out);
 void vox_chunks_destroy(struct vox_chunks *chunks); /* NULL is allowed */
 
 /* vox_chunks_expect() announces `uses` units of work that need `chunk`, and the region that needs

@@ -1,6 +1,7 @@
 /* chunk_content.c - what voxelizing needs of a chunk: points in index space, groups, normals. */
 #include "libvoxel/voxelize/cache/chunk_content.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "base/octahedral.h"
@@ -107,6 +108,102 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, const double
            (double)source->triangle_count;
 }
 
+static void widen(struct vox_box *box, const struct vox_box *by)
+{
+    for (int a = 0; a < 3; a++) {
+        box->lo[a] = by->lo[a] < box->lo[a] ? by->lo[a] : box->lo[a];
+        box->hi[a] = by->hi[a] > box->hi[a] ? by->hi[a] : box->hi[a];
+    }
+}
+
+/* Returns whether a box is wider than a region. */
+static bool is_wide(const struct vox_box *box)
+{
+    bool wide = false;
+    for (int a = 0; a < 3; a++)
+        wide |= box->hi[a] - box->lo[a] >= VOX_REGION_SIZE;
+    return wide;
+}
+
+/* Widens `needed` by the triangles of a group that may touch regions that are made. A group that
+ * reaches across a jump of the curve is wide, but its triangles are not. */
+static void add_needed(const struct vox_box_filter *filter, const struct vox_chunk *chunk,
+                       uint32_t group, struct vox_box *needed)
+{
+    const struct vox_box *box = &chunk->groups[group];
+    uint32_t t = group * VOX_GROUP_TRIANGLES;
+    const uint32_t end = vox_group_end(t, chunk->source.triangle_count, VOX_GROUP_TRIANGLES);
+    if (!vox_is_wanted(filter, box))
+        return;
+    if (!is_wide(box)) {
+        widen(needed, box);
+        return;
+    }
+    for (; t < end; t++) {
+        const struct vox_box of_triangle =
+            vox_triangle_box(&chunk->source, chunk->points, chunk->last_cell, t, t + 1);
+        if (vox_is_wanted(filter, &of_triangle))
+            widen(needed, &of_triangle);
+    }
+}
+
+/* Widens the bounds by the vertices in a box. */
+static void bound_vertices(const struct vox_chunk *chunk, const struct vox_box *box, float min[3],
+                           float max[3])
+{
+    const four_ints lo = {box->lo[0], box->lo[1], box->lo[2], INT32_MIN};
+    const four_ints hi = {box->hi[0], box->hi[1], box->hi[2], INT32_MAX};
+    for (uint32_t v = 0; v < chunk->source.vertex_count; v++) {
+        const float *p = chunk->source.positions[v];
+        const four_ints cell = vox_cell(row_load(chunk->points[v]), chunk->last_cell);
+        if (four_any((cell < lo) | (cell > hi)))
+            continue;
+        for (int a = 0; a < 3; a++) {
+            min[a] = p[a] < min[a] ? p[a] : min[a];
+            max[a] = p[a] > max[a] ? p[a] : max[a];
+        }
+    }
+}
+
+/* Sets the voxels of all triangles that may touch regions that are made, and the bounds of the
+ * vertices there. Returns false if there are none. */
+static bool find_needed(const struct vox_box_filter *filter, const struct vox_chunk *chunk,
+                        struct vox_box *needed, float min[3], float max[3])
+{
+    *needed =
+        (struct vox_box){{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
+    for (uint32_t g = 0; g < chunk->group_count; g++)
+        add_needed(filter, chunk, g, needed);
+    for (int a = 0; a < 3; a++) {
+        min[a] = INFINITY;
+        max[a] = -INFINITY;
+    }
+    if (needed->lo[0] > needed->hi[0])
+        return false;
+    bound_vertices(chunk, needed, min, max);
+    return true;
+}
+
+/* Makes the normals of vertices in regions that are made. */
+static int make_normals(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
+                        uint32_t number, const struct vox_chunk_content *content,
+                        float (*normals)[4])
+{
+    const struct vox_chunk *chunk = &content->chunk;
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(from->file)[number];
+    struct vox_smooth_chunk smooth = {
+        .index = number, .decoded = {&chunk->source, chunk->groups, content->vertex_groups}};
+    struct vox_box needed;
+    memcpy(smooth.min, info->bounds_min, sizeof smooth.min);
+    memcpy(smooth.max, info->bounds_max, sizeof smooth.max);
+    if (from->filter) {
+        if (!find_needed(from->filter, chunk, &needed, smooth.min, smooth.max))
+            return 0;
+        smooth.needed = &needed;
+    }
+    return vox_smooth_normals(from->smooth, lender, &smooth, from->transform, normals);
+}
+
 /* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
 static void find_inconsistent(bool large, struct vox_chunk_content *content)
 {
@@ -172,7 +269,7 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
         unpack_normals(source, normals);
         find_inconsistent(square > LARGE_EDGE_SQUARE, content);
     } else if (from->smooth && chunk->coarse) {
-        status = vox_smooth_normals(from->smooth, lender, number, source, from->transform, normals);
+        status = make_normals(from, lender, number, content, normals);
     } else {
         chunk->normals = NULL;
     }

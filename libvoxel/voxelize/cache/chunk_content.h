@@ -11,7 +11,8 @@
 struct vox_chunk_source {
     const struct fmt_tris_file *file;
     const struct vox_transform *transform;
-    struct vox_smooth *smooth; /* NULL: chunks without normals stay without */
+    struct vox_smooth *smooth;           /* NULL: chunks without normals stay without */
+    const struct vox_box_filter *filter; /* which regions are made; NULL: all */
 };
 
 /* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */

@@ -26,17 +26,23 @@ static struct vox_box box_of(const struct bounds *bounds, const int32_t last_cel
     return box;
 }
 
+struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk, const double (*points)[4],
+                                const int32_t last_cell[4], uint32_t begin, uint32_t end)
+{
+    struct bounds bounds = begin_at(points[chunk->triangles[begin][0]]);
+    for (uint32_t t = begin; t < end; t++)
+        for (int corner = 0; corner < 3; corner++)
+            widen_by(&bounds, points[chunk->triangles[t][corner]]);
+    return box_of(&bounds, last_cell);
+}
+
 void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
                          const int32_t last_cell[4], struct vox_box *groups)
 {
-    for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES) {
-        uint32_t end = vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES);
-        struct bounds bounds = begin_at(points[chunk->triangles[begin][0]]);
-        for (uint32_t t = begin; t < end; t++)
-            for (int corner = 0; corner < 3; corner++)
-                widen_by(&bounds, points[chunk->triangles[t][corner]]);
-        *groups++ = box_of(&bounds, last_cell);
-    }
+    for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES)
+        *groups++ =
+            vox_triangle_box(chunk, points, last_cell, begin,
+                             vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES));
 }
 
 void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],

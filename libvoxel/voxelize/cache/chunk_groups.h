@@ -30,6 +30,11 @@ LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
     return four_min(row_floor(point), four_load(last_cell));
 }
 
+/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. last_cell: as in
+ * struct vox_chunk. */
+struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk, const double (*points)[4],
+                                const int32_t last_cell[4], uint32_t begin, uint32_t end);
+
 /* Computes the voxels of each group's bounds. last_cell: as in struct vox_chunk. */
 void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
                          const int32_t last_cell[4], struct vox_box *groups);

@@ -135,17 +135,52 @@ static void return_workspace(struct vox_smooth *s, struct workspace *workspace)
     pthread_mutex_unlock(&s->lock);
 }
 
+/* ---- runs of groups ---- */
+
+/* Items of a chunk from begin to end. */
+struct run {
+    uint32_t begin, end;
+};
+
+/* Advances to the next run of groups that meet a box. Begin with a run that ends at 0. groups: of
+ * `size` items; if groups or box are NULL, all items are one run. Returns false after the last one.
+ */
+static bool next_run(const struct vox_box *groups, const struct vox_box *box, uint32_t size,
+                     uint32_t count, struct run *run)
+{
+    uint32_t begin = run->end, end = count;
+    if (groups && box) {
+        while (begin < count && !vox_boxes_meet(&groups[begin / size], box))
+            begin = vox_group_end(begin, count, size);
+        end = begin;
+        while (end < count && vox_boxes_meet(&groups[end / size], box))
+            end = vox_group_end(end, count, size);
+    }
+    *run = (struct run){begin, end};
+    return begin < end;
+}
+
+static bool next_vertices(const struct vox_loan *of, const struct vox_box *box, struct run *run)
+{
+    return next_run(of->vertex_groups, box, VOX_GROUP_VERTICES, of->chunk->vertex_count, run);
+}
+
+static bool next_triangles(const struct vox_loan *of, const struct vox_box *box, struct run *run)
+{
+    return next_run(of->triangle_groups, box, VOX_GROUP_TRIANGLES, of->chunk->triangle_count, run);
+}
+
 /* ---- positions ---- */
 
-/* Finds vertices at the same position. Most vertices find their slot of the table free, which
- * processors cannot predict. So the others are put off without a branch, in neighbour_rings, and
- * looked up after all first ones have slots. */
-static void enter_vertices(const struct workspace *d, const struct fmt_tris_chunk *chunk)
+/* Finds vertices of a run at the same position. Most vertices find their slot of the table free,
+ * which processors cannot predict. So the others are put off without a branch, in neighbour_rings,
+ * and looked up after all first ones have slots. Returns how many were put off in all. */
+static uint32_t enter_run(const struct workspace *d, const struct fmt_tris_chunk *chunk,
+                          const struct run *run, uint32_t late_count)
 {
-    uint32_t *late = d->neighbour_rings, late_count = 0;
-    memset(d->rings, 0, ((uint64_t)chunk->vertex_count + 1) * sizeof *d->rings);
-    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
-    for (uint32_t v = 0; v < chunk->vertex_count; v++) {
+    uint32_t *late = d->neighbour_rings;
+    memset(d->rings + run->begin + 1, 0, (uint64_t)(run->end - run->begin) * sizeof *d->rings);
+    for (uint32_t v = run->begin; v < run->end; v++) {
         uint32_t *slot = &d->table.slots[bsq_position_hash(chunk->positions[v]) & d->table.mask];
         uint32_t taken = *slot != 0;
         *slot = taken ? *slot : v + 1;
@@ -153,6 +188,22 @@ static void enter_vertices(const struct workspace *d, const struct fmt_tris_chun
         late[late_count] = v;
         late_count += taken;
     }
+    return late_count;
+}
+
+/* Enters the vertices that may need normals. All vertices at the position of one of them are among
+ * these, because they lie in the same voxel. */
+static void enter_vertices(const struct workspace *d, const struct vox_smooth_chunk *of)
+{
+    const struct fmt_tris_chunk *chunk = of->decoded.chunk;
+    const uint32_t *late = d->neighbour_rings;
+    uint32_t late_count = 0;
+    memset(d->rings, 0, sizeof *d->rings);
+    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
+    if (of->needed)
+        memset(d->own_rings, 0, chunk->vertex_count * sizeof *d->own_rings);
+    for (struct run run = {0, 0}; next_vertices(&of->decoded, of->needed, &run);)
+        late_count = enter_run(d, chunk, &run, late_count);
     for (uint32_t i = 0; i < late_count; i++) {
         uint32_t v = late[i], *slot = bsq_positions_find(&d->table, chunk->positions[v]);
         if (*slot == 0)
@@ -163,55 +214,42 @@ static void enter_vertices(const struct workspace *d, const struct fmt_tris_chun
 
 /* ---- sums ---- */
 
-static bool touch(const struct fmt_tris_chunk_info *a, const struct fmt_tris_chunk_info *b)
-{
-    bool yes = true;
-    for (int k = 0; k < 3; k++)
-        yes = yes && a->bounds_min[k] <= b->bounds_max[k] && b->bounds_min[k] <= a->bounds_max[k];
-    return yes;
-}
-
 /* A neighbour, whose triangles are added to the one-rings of a chunk. */
 struct neighbour {
     struct vox_loan loan;
-    const struct fmt_tris_chunk_info *info; /* of that chunk */
-    struct vox_box box;                     /* voxels of its bounds */
+    const float *min, *max; /* bounds of the vertices that need normals */
+    struct vox_box box;     /* voxels of these bounds */
 };
+
+static bool touches(const struct fmt_tris_chunk_info *info, const struct neighbour *n)
+{
+    bool yes = true;
+    for (int k = 0; k < 3; k++)
+        yes = yes && info->bounds_min[k] <= n->max[k] && n->min[k] <= info->bounds_max[k];
+    return yes;
+}
 
 /* Finds the neighbour's vertices among those of the chunk. Vertices at the same position lie in the
  * same voxel. */
 static bool match(const struct workspace *d, const struct neighbour *n)
 {
     const struct fmt_tris_chunk *chunk = n->loan.chunk;
-    const float *min = n->info->bounds_min, *max = n->info->bounds_max;
     bool any = false;
-    if (!n->loan.vertex_groups)
-        return bsq_positions_match(&d->table, min, max, chunk->positions, chunk->vertex_count,
-                                   d->neighbour_rings);
     memset(d->neighbour_rings, 0, chunk->vertex_count * sizeof *d->neighbour_rings);
-    for (uint32_t begin = 0, g = 0; begin < chunk->vertex_count; begin += VOX_GROUP_VERTICES, g++) {
-        uint32_t end = vox_group_end(begin, chunk->vertex_count, VOX_GROUP_VERTICES);
-        if (vox_boxes_meet(&n->loan.vertex_groups[g], &n->box))
-            any |= bsq_positions_match(&d->table, min, max, chunk->positions + begin, end - begin,
-                                       d->neighbour_rings + begin);
-    }
+    for (struct run run = {0, 0}; next_vertices(&n->loan, &n->box, &run);)
+        any |= bsq_positions_match(&d->table, n->min, n->max, chunk->positions + run.begin,
+                                   run.end - run.begin, d->neighbour_rings + run.begin);
     return any;
 }
 
-static void add_neighbour(const struct vox_smooth *s, const struct workspace *d,
-                          const struct neighbour *n)
+/* Adds triangles that meet a box to the one-rings. ring_of: of the chunk's vertices. */
+static void add_triangles(const struct vox_smooth *s, const struct workspace *d,
+                          const struct vox_loan *of, const struct vox_box *box,
+                          const uint32_t *ring_of)
 {
     vox_add_one_rings_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings);
-    const struct fmt_tris_chunk *chunk = n->loan.chunk;
-    if (!n->loan.triangle_groups) {
-        add(chunk, 0, chunk->triangle_count, d->neighbour_rings, s->weights, d->rings);
-        return;
-    }
-    for (uint32_t begin = 0, g = 0; begin < chunk->triangle_count;
-         begin += VOX_GROUP_TRIANGLES, g++)
-        if (vox_boxes_meet(&n->loan.triangle_groups[g], &n->box))
-            add(chunk, begin, vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES),
-                d->neighbour_rings, s->weights, d->rings);
+    for (struct run run = {0, 0}; next_triangles(of, box, &run);)
+        add(of->chunk, run.begin, run.end, ring_of, s->weights, d->rings);
 }
 
 static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
@@ -227,41 +265,48 @@ static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender 
     if (!lent)
         n->loan = (struct vox_loan){.chunk = &own};
     if (match(d, n))
-        add_neighbour(s, d, n);
+        add_triangles(s, d, &n->loan, &n->box, d->neighbour_rings);
     if (lent)
         lender->take_back(lender->arg, other);
     return 0;
 }
 
 static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                       struct workspace *d, uint32_t index, const struct fmt_tris_chunk *chunk,
+                       struct workspace *d, const struct vox_smooth_chunk *of,
                        const struct vox_transform *transform)
 {
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file), *info = &infos[index];
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
     uint32_t count = (uint32_t)fmt_tris_get_header(s->file)->chunk_count;
     struct neighbour neighbour = {
-        .info = info, .box = vox_transform_box(transform, info->bounds_min, info->bounds_max)};
+        .min = of->min, .max = of->max, .box = vox_transform_box(transform, of->min, of->max)};
     int status = 0;
-    d->table.positions = chunk->positions;
-    enter_vertices(d, chunk);
+    d->table.positions = of->decoded.chunk->positions;
+    enter_vertices(d, of);
     for (uint32_t i = 0; i < count && status == 0; i++) {
-        if (i == index)
-            BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings)
-        (chunk, 0, chunk->triangle_count, d->own_rings, s->weights, d->rings);
-        else if (touch(&infos[i], info)) status = add_chunk(s, lender, d, &neighbour, i);
+        if (i == of->index)
+            add_triangles(s, d, &of->decoded, of->needed, d->own_rings);
+        else if (touches(&infos[i], &neighbour))
+            status = add_chunk(s, lender, d, &neighbour, i);
     }
     return status;
 }
 
-int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender, uint32_t index,
-                       const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+static void finish_normals(const struct workspace *d, const struct vox_smooth_chunk *of, double h,
+                           float (*normals)[4])
+{
+    vox_finish_one_rings_fn *const finish = BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings);
+    for (struct run run = {0, 0}; next_vertices(&of->decoded, of->needed, &run);)
+        finish(d->rings, d->own_rings + run.begin, run.end - run.begin, h, normals + run.begin);
+}
+
+int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender,
+                       const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
                        float (*normals)[4])
 {
     struct workspace *workspace = take_workspace(s);
-    int status = sum_normals(s, lender, workspace, index, chunk, transform);
+    int status = sum_normals(s, lender, workspace, chunk, transform);
     if (status == 0)
-        BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
-    (workspace->rings, workspace->own_rings, chunk->vertex_count, transform->h, normals);
+        finish_normals(workspace, chunk, transform->h, normals);
     return_workspace(s, workspace);
     return status;
 }

@@ -14,7 +14,7 @@ int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       struct vox_smooth **out);
 void vox_smooth_destroy(struct vox_smooth *smooth); /* NULL is allowed */
 
-/* A decoded chunk, and the bounds of its groups. */
+/* A decoded chunk, and the bounds of its groups; NULL: unknown. */
 struct vox_loan {
     const struct fmt_tris_chunk *chunk; /* NULL: the caller has to read it */
     const struct vox_box *triangle_groups, *vertex_groups;
@@ -28,15 +28,23 @@ struct vox_smooth_lender {
     void (*take_back)(void *arg, uint32_t index);
 };
 
+/* A chunk that needs normals. */
+struct vox_smooth_chunk {
+    uint32_t index;
+    struct vox_loan decoded;
+    const struct vox_box *needed; /* only vertices in these voxels need normals; NULL: all do */
+    float min[3], max[3];         /* bounds of the vertices that need normals */
+};
+
 /* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices
- * at the same position are one, whichever chunk they are in. chunk: number `index`, decoded.
- * normals: one entry for each vertex. An entry is a unit normal, or zero at creases
- * (BSQ_CREASE_SHARE), and a height in voxels: how far above the vertex, along its normal, the
- * surface lies that the interpolated normals describe; 0 at creases. Sums run in the order of
- * triangles in the file, so results do not depend on the order of calls. Thread-safe; waits while
- * no workspace is free. */
+ * at the same position are one, whichever chunk they are in.
+ * normals: one entry for each vertex; those of vertices that need none are arbitrary. An entry is a
+ * unit normal, or zero at creases (BSQ_CREASE_SHARE), and a height in voxels: how far above the
+ * vertex, along its normal, the surface lies that the interpolated normals describe; 0 at creases.
+ * Sums run in the order of triangles in the file, so results do not depend on the order of calls.
+ * Thread-safe; waits while no workspace is free. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
-                       uint32_t index, const struct fmt_tris_chunk *chunk,
-                       const struct vox_transform *transform, float (*normals)[4]);
+                       const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
+                       float (*normals)[4]);
 
 #endif

@@ -7,15 +7,13 @@
 
 #include <math.h>
 
-/* Reading a chunk takes as long as visiting about this many empty regions. With a filter, a chunk
- * is not used if all regions that it touches are unwanted; then it is cut more closely. */
-static const double few_regions = 128.0, few_wanted_regions = 8.0;
+/* Reading a chunk takes as long as visiting about this many empty regions. */
+enum { FEW_REGIONS = 128 };
 
 struct maker {
     struct bsq_ctx *ctx;
     const struct vox_transform *transform;
     const struct vox_box_filter *filter; /* NULL: all boxes are wanted */
-    double few;                          /* regions that a box may have without being cut */
     struct vox_chunk_box *boxes;
     uint64_t count, capacity, most;
 };
@@ -43,18 +41,21 @@ static int add_box(struct maker *maker, uint32_t chunk, const struct vox_box *bo
     return status;
 }
 
-static bool is_wanted(const struct maker *maker, const struct vox_box *box)
+/* Returns whether a box touches so many regions that it is worth cutting. */
+static bool is_wide(const struct maker *maker, const struct vox_box *box)
 {
-    return !maker->filter || maker->filter->wants(maker->filter->arg, box);
+    const struct vox_box_filter *filter = maker->filter;
+    return vox_region_count(box) > FEW_REGIONS &&
+           (!filter || filter->count(filter->arg, box, FEW_REGIONS + 1) > FEW_REGIONS);
 }
 
 static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_chunk *chunk,
                    uint32_t begin, uint32_t end)
 {
     struct vox_box box = run_box(maker->transform, chunk, begin, end);
-    if (!is_wanted(maker, &box))
+    if (!vox_is_wanted(maker->filter, &box))
         return 0;
-    if (end - begin == 1 || maker->count >= maker->most || vox_region_count(&box) <= maker->few)
+    if (end - begin == 1 || maker->count >= maker->most || !is_wide(maker, &box))
         return add_box(maker, number, &box);
     uint32_t middle = begin + (end - begin) / 2;
     int status = add_run(maker, number, chunk, begin, middle);
@@ -70,16 +71,14 @@ int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file
     struct maker maker = {.ctx = ctx,
                           .transform = transform,
                           .filter = filter,
-                          .few = filter ? few_wanted_regions : few_regions,
                           .most = bytes / (sizeof *maker.boxes + vox_schedule_entry_bytes())};
     void *scratch = NULL;
     int status = 0;
     for (uint64_t i = 0; i < chunks && status == 0; i++) {
         struct fmt_tris_chunk chunk;
-        if (!is_wanted(&maker, &bounds[i]))
+        if (!vox_is_wanted(filter, &bounds[i]))
             continue;
-        bool wide =
-            vox_region_count(&bounds[i]) > maker.few && maker.count + (chunks - i) < maker.most;
+        bool wide = maker.count + (chunks - i) < maker.most && is_wide(&maker, &bounds[i]);
         if (wide && !scratch)
             status = bsq_alloc(ctx, "chunk boxes", fmt_tris_load_size_max(file), 1, &scratch);
         if (wide && status == 0 && (status = bsq_check(ctx)) == 0)

@@ -71,18 +71,24 @@ struct vox_chunk_box {
     uint32_t chunk;
 };
 
-/* Chooses boxes: those that may touch the regions at hand. Chunks without such a box are not used.
- */
+/* Chooses the regions that are made. Chunks that touch none of them are not used. count: returns
+ * how many of them a box touches, but at most `most`, which is at least 1. A box that touches too
+ * many regions to look at may count as `most`. */
 struct vox_box_filter {
-    bool (*wants)(void *arg, const struct vox_box *box);
+    uint64_t (*count)(void *arg, const struct vox_box *box, uint64_t most);
     void *arg;
 };
 
+/* Returns whether a box may touch a region that is made. filter: NULL: all are. */
+static inline bool vox_is_wanted(const struct vox_box_filter *filter, const struct vox_box *box)
+{
+    return !filter || filter->count(filter->arg, box, 1) > 0;
+}
+
 /* Creates the boxes of chunks in ascending order of chunks; free them with bsq_free(). bounds: the
  * voxels of each chunk's bounds. filter: NULL: all boxes are wanted. Chunks that reach across many
- * regions are read and cut into boxes that do not, or that hold one triangle. With a filter, chunks
- * that reach across several regions are, because reading one takes less time than using it. The
- * boxes and their schedule take at most `bytes`, unless one box a chunk needs more. */
+ * wanted regions are read and cut into boxes that do not, or that hold one triangle. The boxes and
+ * their schedule take at most `bytes`, unless one box a chunk needs more. */
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                            const struct vox_transform *transform, const struct vox_box *bounds,
                            const struct vox_box_filter *filter, uint64_t bytes,

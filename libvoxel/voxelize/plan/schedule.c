@@ -183,7 +183,7 @@ static struct vox_region_key wanted_from(const struct vox_schedule *s, const str
         vox_region_origin(key, region.lo);
         for (int a = 0; a < 3; a++)
             region.hi[a] = region.lo[a] + VOX_REGION_SIZE - 1;
-        if (s->filter->wants(s->filter->arg, &region))
+        if (vox_is_wanted(s->filter, &region))
             break;
         key = region_after(box, key);
     }

@@ -63,8 +63,8 @@ static int set_up(void **state)
     for (uint32_t i = 0; i < CHUNKS; i++)
         f->boxes[i].chunk = i;
     f->boxes[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};
-    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, f->smooth,
-                                       2, &f->chunks),
+    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, NULL,
+                                       f->smooth, 2, &f->chunks),
                      0);
     *state = f;
     return 0;
