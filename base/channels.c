@@ -3,20 +3,42 @@
 
 #include <string.h>
 
+#define NO_GLTF                                                                                    \
+    {                                                                                              \
+        NULL, NULL, NULL, 0, 0                                                                     \
+    }
+#define PBR  "pbrMetallicRoughness"
+#define COAT "KHR_materials_clearcoat"
+
 static const struct bsq_channel channels[] = {
-    {"roughness", 1, false, "map_Pr", "Pr"},
-    {"metallic", 1, false, "map_Pm", "Pm"},
-    {"sheen", 1, false, "map_Ps", "Ps"},
-    {"clearcoat", 1, false, "map_Pc", "Pc"},
-    {"clearcoat_roughness", 1, false, "map_Pcr", "Pcr"},
-    {"anisotropy", 1, false, "map_aniso", "aniso"},
-    {"anisotropy_rotation", 1, false, "map_anisor", "anisor"},
-    {"shininess", 1, false, "map_Ns", NULL},
-    {"opacity", 1, false, "map_d", "d"},
-    {"occlusion", 1, false, "map_ao", NULL},
-    {"displacement", 1, false, "disp", NULL},
-    {"specular", 3, true, "map_Ks", "Ks"},
-    {"emission", 3, true, "map_Ke", "Ke"},
+    {"roughness",
+     1,
+     false,
+     "map_Pr",
+     "Pr",
+     {PBR, "metallicRoughnessTexture", "roughnessFactor", 1, 1}},
+    {"metallic",
+     1,
+     false,
+     "map_Pm",
+     "Pm",
+     {PBR, "metallicRoughnessTexture", "metallicFactor", 2, 1}},
+    {"sheen", 1, false, "map_Ps", "Ps", NO_GLTF},
+    {"clearcoat", 1, false, "map_Pc", "Pc", {COAT, "clearcoatTexture", "clearcoatFactor", 0, 0}},
+    {"clearcoat_roughness",
+     1,
+     false,
+     "map_Pcr",
+     "Pcr",
+     {COAT, "clearcoatRoughnessTexture", "clearcoatRoughnessFactor", 1, 0}},
+    {"anisotropy", 1, false, "map_aniso", "aniso", NO_GLTF},
+    {"anisotropy_rotation", 1, false, "map_anisor", "anisor", NO_GLTF},
+    {"shininess", 1, false, "map_Ns", NULL, NO_GLTF},
+    {"opacity", 1, false, "map_d", "d", NO_GLTF},
+    {"occlusion", 1, false, "map_ao", NULL, {"", "occlusionTexture", NULL, 0, 1}},
+    {"displacement", 1, false, "disp", NULL, NO_GLTF},
+    {"specular", 3, true, "map_Ks", "Ks", NO_GLTF},
+    {"emission", 3, true, "map_Ke", "Ke", {"", "emissiveTexture", "emissiveFactor", 0, 0}},
 };
 enum { CHANNELS = sizeof channels / sizeof *channels };
 
@@ -28,7 +50,7 @@ const struct bsq_channel *bsq_channel_at(unsigned number)
 /* Finds the row of a name of `length` bytes. */
 static const struct bsq_channel *find(const char *name, uint64_t length)
 {
-    static const struct bsq_channel other = {"", 3, false, NULL, NULL};
+    static const struct bsq_channel other = {"", 3, false, NULL, NULL, NO_GLTF};
     for (unsigned i = 0; i < CHANNELS; i++)
         if (strlen(channels[i].name) == length && memcmp(channels[i].name, name, length) == 0)
             return &channels[i];

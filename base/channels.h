@@ -11,6 +11,16 @@
 extern "C" {
 #endif
 
+/* Where materials of glTF files have a channel: members of an object. */
+struct bsq_channel_gltf {
+    const char *object;  /* a member of the material, an extension, or "" for the material itself;
+                            NULL: materials do not have the channel */
+    const char *texture; /* its texture */
+    const char *factor;  /* its value, or a factor of the texture; NULL: none */
+    uint32_t component;  /* of the texture, 0 to 2, for channels with one value */
+    float usual;         /* value without both */
+};
+
 /* What is known of a channel by its name. */
 struct bsq_channel {
     const char *name; /* "" for names that the table does not have */
@@ -18,6 +28,7 @@ struct bsq_channel {
     bool color;       /* linear light, which files of integers hold sRGB-encoded; else data */
     /* Statements of MTL files: its texture and its value; NULL: none. */
     const char *mtl_map, *mtl_value;
+    struct bsq_channel_gltf gltf;
 };
 
 /* Returns the row of a name, or that of all other names: three values, data. */

@@ -167,6 +167,8 @@ struct gltf_material {
     uint32_t texcoord;  /* number of the set of texture coordinates */
     /* Texture coordinates are uv_matrix * (u, v, 1), with v downwards as in the file. */
     double uv_matrix[2][3];
+    struct fmt_material_channel *channels; /* one for each channel that materials can have */
+    uint32_t channel_count;
 };
 
 /* What is not read, counted for warnings. */
@@ -279,6 +281,21 @@ int fmt_gltf_read_meshes(struct gltf_document *document, struct gltf_source *sou
 int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source);
 int fmt_gltf_read_materials(struct gltf_document *document, struct gltf_source *source);
 int fmt_gltf_check_extensions(struct gltf_document *document, struct gltf_source *source);
+
+/* Sets *out to the path or name of the image of a texture, which the caller frees; NULL if there is
+ * none that can be read, which is counted. */
+int fmt_gltf_find_texture(struct gltf_document *document, struct gltf_source *source,
+                          uint32_t texture, char **out);
+/* Reads which texture coordinates a texture uses: the number of their set, and the matrix of
+ * KHR_texture_transform. `info` refers to the texture; NULL: set 0. */
+int fmt_gltf_read_texcoord(const struct gltf_place *place, const json_t *info, uint32_t *set,
+                           double matrix[2][3]);
+
+/* ---- gltf_channel.c ---- */
+
+/* Reads the further channels of a material whose texture coordinates are known. */
+int fmt_gltf_read_channels(const struct gltf_place *place, struct gltf_source *source,
+                           struct gltf_material *material);
 
 /* ---- gltf_parse.c ---- */
 

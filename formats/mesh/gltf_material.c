@@ -99,9 +99,8 @@ static int find_image(const struct gltf_place *place, struct gltf_source *source
     return found < 0 ? found : 0;
 }
 
-/* Sets *out to the path of the image of texture number `texture`. */
-static int find_texture(struct gltf_document *document, struct gltf_source *source,
-                        uint32_t texture, char **out)
+int fmt_gltf_find_texture(struct gltf_document *document, struct gltf_source *source,
+                          uint32_t texture, char **out)
 {
     const struct gltf_place place = fmt_gltf_element(document, "textures", texture);
     uint32_t image;
@@ -121,8 +120,7 @@ static int find_texture(struct gltf_document *document, struct gltf_source *sour
 
 /* Reads KHR_texture_transform: first the scale, then a rotation, then the offset. The rotation is
  * counter-clockwise where v points downwards. */
-static int read_transform(const struct gltf_place *place, const json_t *transform,
-                          struct gltf_material *out)
+static int read_transform(const struct gltf_place *place, const json_t *transform, double out[2][3])
 {
     double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation = 0;
     const json_t *angle = json_object_get(transform, "rotation");
@@ -135,20 +133,22 @@ static int read_transform(const struct gltf_place *place, const json_t *transfor
     const double c = cos(rotation), s = sin(rotation);
     const double matrix[2][3] = {{c * scale[0], s * scale[1], offset[0]},
                                  {-s * scale[0], c * scale[1], offset[1]}};
-    memcpy(out->uv_matrix, matrix, sizeof matrix);
+    memcpy(out, matrix, sizeof matrix);
     return 0;
 }
 
-static int read_texcoord(const struct gltf_place *place, const json_t *info,
-                         struct gltf_material *out)
+int fmt_gltf_read_texcoord(const struct gltf_place *place, const json_t *info, uint32_t *set,
+                           double matrix[2][3])
 {
+    static const double identity[2][3] = {{1, 0, 0}, {0, 1, 0}};
     const json_t *transform = fmt_gltf_extension(info, "KHR_texture_transform");
-    uint64_t set = 0;
-    int status = fmt_gltf_number(place, info, "texCoord", 1000000, &set);
+    uint64_t number = 0;
+    memcpy(matrix, identity, sizeof identity);
+    int status = fmt_gltf_number(place, info, "texCoord", 1000000, &number);
     if (!status)
-        status = fmt_gltf_number(place, transform, "texCoord", 1000000, &set);
-    out->texcoord = (uint32_t)set;
-    return status || !transform ? status : read_transform(place, transform, out);
+        status = fmt_gltf_number(place, transform, "texCoord", 1000000, &number);
+    *set = (uint32_t)number;
+    return status || !transform ? status : read_transform(place, transform, matrix);
 }
 
 /* Returns the texture whose coordinates those of the material are: that of the base colour, or
@@ -191,16 +191,19 @@ static int read_material(const struct gltf_place *place, struct gltf_source *sou
     const json_t *from = pbr ? pbr : old;
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     uint32_t texture = GLTF_NONE;
-    *out = (struct gltf_material){.uv_matrix = {{1, 0, 0}, {0, 1, 0}}};
+    *out = (struct gltf_material){.name = NULL};
     int status = read_name(place, &out->name);
     if (!status)
         status = read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out);
     if (!status && base)
         status = fmt_gltf_index(place, base, "index", "textures", &texture);
     if (!status && texture != GLTF_NONE)
-        status = find_texture(place->document, source, texture, &out->texture_path);
+        status = fmt_gltf_find_texture(place->document, source, texture, &out->texture_path);
     if (!status)
-        status = read_texcoord(place, find_texture_info(place, base), out);
+        status = fmt_gltf_read_texcoord(place, find_texture_info(place, base), &out->texcoord,
+                                        out->uv_matrix);
+    if (!status)
+        status = fmt_gltf_read_channels(place, source, out);
     if (out->texture_path && (out->color[0] != 1 || out->color[1] != 1 || out->color[2] != 1))
         source->unread.texture_factors++;
     return status;

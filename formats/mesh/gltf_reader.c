@@ -75,6 +75,7 @@ static void free_source(struct bsq_ctx *ctx, struct gltf_source *source)
     for (uint32_t i = 0; i < source->material_count; i++) {
         bsq_free(ctx, source->materials[i].name);
         bsq_free(ctx, source->materials[i].texture_path);
+        fmt_channels_free(ctx, source->materials[i].channels, source->materials[i].channel_count);
     }
     bsq_free(ctx, source->materials);
     bsq_free(ctx, source->accessors);
@@ -314,6 +315,8 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
         status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
     if (!status && from->texture_path && bsq_part_parse(from->texture_path, &part) == 0)
         status = fmt_string_copy(ctx, file, &out->texture_place);
+    if (!status && from->channel_count > 0)
+        status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
     return status;
 }
 

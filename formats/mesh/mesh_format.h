@@ -71,6 +71,10 @@ struct fmt_mesh_reader {
 /* Copies a material under another name. Free *out as fmt_materials_free() does. */
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
                       struct fmt_material *out);
+/* Gives a material copies of channels. */
+int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
+                      struct fmt_material *out);
+void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count);
 
 /* ---- mesh_place.c ---- */
 

@@ -364,13 +364,12 @@ int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materi
     return reader->format->preview_materials ? reader->format->preview_materials(reader, out) : 0;
 }
 
-static int copy_channels(struct bsq_ctx *ctx, const struct fmt_material *from,
-                         struct fmt_material *out)
+int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
+                      struct fmt_material *out)
 {
-    int status =
-        bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels, &out->channels);
-    for (uint32_t i = 0; i < from->channel_count && !status; i++) {
-        const struct fmt_material_channel *source = &from->channels[i];
+    int status = bsq_calloc(ctx, "materials", count, sizeof *out->channels, &out->channels);
+    for (uint32_t i = 0; i < count && !status; i++) {
+        const struct fmt_material_channel *source = &from[i];
         struct fmt_material_channel *copy = &out->channels[out->channel_count++];
         *copy = *source;
         copy->texture_path = copy->texture_place = NULL;
@@ -395,8 +394,17 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, cons
     if (!status && from->texture_place)
         status = fmt_string_copy(ctx, from->texture_place, &out->texture_place);
     if (!status && from->channel_count > 0)
-        status = copy_channels(ctx, from, out);
+        status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
     return status;
+}
+
+void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        bsq_free(ctx, list[i].texture_path);
+        bsq_free(ctx, list[i].texture_place);
+    }
+    bsq_free(ctx, list);
 }
 
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
@@ -406,11 +414,7 @@ void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
         bsq_free(ctx, materials->list[i].texture_path);
         bsq_free(ctx, materials->list[i].texture_place);
         bsq_free(ctx, materials->list[i].object);
-        for (uint32_t c = 0; c < materials->list[i].channel_count; c++) {
-            bsq_free(ctx, materials->list[i].channels[c].texture_path);
-            bsq_free(ctx, materials->list[i].channels[c].texture_place);
-        }
-        bsq_free(ctx, materials->list[i].channels);
+        fmt_channels_free(ctx, materials->list[i].channels, materials->list[i].channel_count);
     }
     bsq_free(ctx, materials->list);
     memset(materials, 0, sizeof *materials);

@@ -191,11 +191,14 @@ void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 struct fmt_material_channel {
     const struct bsq_channel *channel; /* a row with a name */
     bool has_value;
-    float value[3];      /* as the file has it; of colours, display-referred (sRGB) */
+    /* As the file has it; of colours, display-referred (sRGB). Without has_value it is what the
+     * material has if another material has the channel. */
+    float value[3];
     char *texture_path;  /* as in struct fmt_material, or NULL */
     char *texture_place; /* likewise */
     struct bsq_uv uv;
     uint32_t component; /* of the texture: 0 to 2, for channels with one value */
+    const char *loss;   /* what of the channel cannot be used, for a warning; or NULL */
 };
 
 struct fmt_material {

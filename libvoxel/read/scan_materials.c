@@ -104,7 +104,7 @@ static bool any_channel_texture(const struct scan *scan, const struct scan_textu
 /* Sets where the value of a channel comes from. */
 static void set_value(const struct fmt_material_channel *own, struct fmt_tris_source *out)
 {
-    for (int k = 0; k < 3 && own->has_value; k++) {
+    for (int k = 0; k < 3; k++) {
         const float value = own->value[own->channel->values == 1 ? 0 : k];
         out->value[k] = own->channel->color ? (float)bsq_srgb_to_linear((double)value) : value;
     }

@@ -261,6 +261,37 @@ static int check_given(struct bsq_ctx *ctx, const char *path, const struct scan_
                                        : status;
 }
 
+/* Returns what of a channel of a material cannot be used, or NULL. */
+static const char *loss_of(const struct fmt_material *material, const char *channel)
+{
+    for (uint32_t c = 0; c < material->channel_count; c++)
+        if (strcmp(material->channels[c].channel->name, channel) == 0)
+            return material->channels[c].loss;
+    return NULL;
+}
+
+/* Warns, once for each channel that is kept, of what readers cannot use of it. */
+static int warn_losses(struct bsq_ctx *ctx, const struct fmt_materials *materials,
+                       const struct scan_textures *textures)
+{
+    int status = 0;
+    for (uint32_t c = 0; c < textures->channel_count && !status; c++) {
+        const char *name = textures->channels[c].name;
+        const struct fmt_material *first = NULL;
+        uint64_t count = 0;
+        for (uint32_t i = 0; i < materials->count && is_wanted(textures, name); i++)
+            if (loss_of(&materials->list[i], name)) {
+                first = first ? first : &materials->list[i];
+                count++;
+            }
+        if (first)
+            status = bsq_warn_loss(ctx, "material \"%s\": %s: %s%s", first->name, name,
+                                   loss_of(first, name),
+                                   count > 1 ? " (the same or similar for other materials)" : "");
+    }
+    return status;
+}
+
 int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          const char *texture_path, bool has_texcoords,
                          struct scan_textures *textures)
@@ -272,6 +303,8 @@ int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
             status = check_given(ctx, textures->channels[c].texture_path, textures);
     if (!status && (!textures->only_channels || textures->channel_count > 0))
         status = fmt_mesh_preview_materials(reader, &materials);
+    if (!status)
+        status = warn_losses(ctx, &materials, textures);
     if (!status)
         status = vox_textures_check(ctx, &materials, has_texcoords, textures);
     fmt_materials_free(ctx, &materials);

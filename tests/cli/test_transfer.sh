@@ -109,6 +109,58 @@ for file in two=3 moved=3 plain=1; do
     check "version of ${file%=*}.tris" $?
 done
 
+# ---- channels of glTF materials ----
+
+# The same scan as OBJ and as glTF, whose materials have all in one texture, and coordinates that are
+# those of a base colour which is moved.
+sed 's/two.mtl/pbr.mtl/' two.obj >pbr.obj
+cat >pbr.mtl <<END
+newmtl left
+map_Pr -imfchan g orm.png
+map_Pm -imfchan b orm.png
+map_ao orm.png
+map_Ke $moved
+newmtl right
+Pr 0.5
+Pm 0.75
+Ke 0.2 0.4 0.6
+map_ao orm.png
+END
+$maps gltf two.obj || exit 1
+pbr=transfer:roughness,transfer:metallic,transfer:emission,transfer:occlusion
+for scan in pbr.obj two.gltf; do
+    $vox $scan --channels roughness,metallic,emission,occlusion -o pbr.nvdb
+    code 0
+    [ ! -s "$err" ]
+    check "no warning about channels of $scan" $?
+    $bake pbr.tris low.obj --maps $pbr -o "pbr_$scan.<MAP>.png"
+    code 0
+    values pbr_$scan.roughness.png pbr_rough 0.00003
+    values pbr_$scan.metallic.png two_metal 0.00003
+    values pbr_$scan.emission.png two_light 0.00003
+    values pbr_$scan.occlusion.png slope 0.00003
+done
+$vox two.gltf --channels clearcoat -o x.nvdb
+code 65
+err_like 'two.gltf: no material has a value or a texture of clearcoat'
+
+# What cannot be used is told, if the channel is kept.
+jq '(.materials[0].occlusionTexture.texCoord) = 1 | .materials[1].occlusionTexture.strength = 0.5 |
+    .materials[0].pbrMetallicRoughness.roughnessFactor = 0.5 |
+    .materials[0].emissiveTexture.extensions.KHR_texture_transform.rotation = 0.5 |
+    .materials[0].emissiveFactor = [0, 0, 0]' two.gltf >odd.gltf
+$vox odd.gltf --channels metallic,emission -o odd.nvdb
+code 0
+[ ! -s "$err" ]
+check "no warning about channels that nobody asked for, or are black" $?
+$vox odd.gltf --channels roughness,occlusion -o odd.nvdb
+code 0
+grep -q 'material "left": roughness: its texture has a factor, which is not used$' "$err" &&
+    grep -q 'material "left": occlusion: its texture has other texture coordinates .* (the same or similar for other' "$err"
+check "textures of channels that cannot be used are told" $?
+$vox odd.gltf --channels roughness -o x.nvdb --strict
+code 65
+
 # ---- channels of grids ----
 
 # Borders of materials are as exact as two voxels.

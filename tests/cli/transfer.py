@@ -3,9 +3,13 @@ transfer.py check FILE FUNCTION TOLERANCE [swap]: checks that the texels of a ma
 function of the scan's texture coordinates, of which x of the map is v and y is u.
 transfer.py sphere: writes a sphere, ball.obj, whose image ball.png shows its position, and
 ball_low.obj. transfer.py on_sphere PLACE ROUGHNESS NORMAL TOLERANCE: checks maps of it.
+transfer.py gltf OBJ: writes the mesh of two.obj as two.gltf, with the materials of pbr.mtl.
 
 The functions are known by the names of the textures. u grows to the right, v upwards."""
+import base64
+import json
 import math
+import struct
 import sys
 
 import png
@@ -35,6 +39,8 @@ FUNCTIONS = {
     "moved_light": lambda u, v: light(0.25 + 0.5 * u, 0.75 - 0.5 * v),
     "two_rough": lambda u, v: (0.3 if u < 0.6 else u,),
     "two_metal": lambda u, v: (v if u < 0.6 else 0.75,),
+    "orm": lambda u, v: (0.25 + 0.5 * v, u, v),
+    "pbr_rough": lambda u, v: (u if u < 0.6 else 0.5,),
     "two_light": lambda u, v: light(0.25 + 0.5 * u, 0.75 - 0.5 * v) if u < 0.6 else
                  [to_linear(c) for c in (0.2, 0.4, 0.6)],
 }
@@ -75,7 +81,8 @@ def make_tiles():
 
 def make():
     make_tiles()
-    for name, bits in (("ramp", 16), ("slope", 8), ("three", 16), ("light", 16), ("tilt", 16)):
+    for name, bits in (("ramp", 16), ("slope", 8), ("three", 16), ("light", 16), ("tilt", 16),
+                       ("orm", 16)):
         most = 2**bits - 1
         encode = to_srgb if name == "light" else float
         rows = [[tuple(round(most * encode(c))
@@ -156,4 +163,63 @@ def on_sphere(place, roughness, normal, tolerance):
     sys.exit(not worst <= float(tolerance))
 
 
-{"make": make, "check": check, "sphere": sphere, "on_sphere": on_sphere}[sys.argv[1]](*sys.argv[2:])
+# ---- glTF ----
+
+def texture(index, scale=(1, 1), offset=(0, 0)):
+    """v of offset and scale points downwards."""
+    return {"index": index,
+            "extensions": {"KHR_texture_transform": {"scale": scale, "offset": offset}}}
+
+
+def materials():
+    """Texture coordinates of both materials are those of a base colour that is moved."""
+    base = {"baseColorTexture": texture(0, (2, 4), (0.25, 0.5))}
+    occlusion = {"occlusionTexture": texture(1)}
+    return [{"name": "left", **occlusion, "emissiveFactor": [1, 1, 1],
+             "emissiveTexture": texture(2, (0.5, -0.5), (0.25, 0.75)),
+             "pbrMetallicRoughness": {**base, "metallicRoughnessTexture": texture(1)}},
+            {"name": "right", **occlusion, "emissiveFactor": [to_linear(c) for c in (0.2, 0.4, 0.6)],
+             "pbrMetallicRoughness": {**base, "metallicFactor": 0.75, "roughnessFactor": 0.5}}]
+
+
+def gltf(path):
+    """Quads become two triangles; vertices and texture coordinates of the mesh have one index."""
+    points, coords, faces, material = [], [], ([], []), 0
+    for line in open(path):
+        word, *rest = line.split()
+        if word == "v":
+            points.append([float(c) for c in rest])
+        elif word == "vt":
+            coords.append((float(rest[0]), 1 - float(rest[1])))
+        elif word == "usemtl":
+            material = ("left", "right").index(rest[0])
+        elif word == "f":
+            a, b, c, d = (int(corner.split("/")[0]) - 1 for corner in rest)
+            faces[material].extend((a, b, c, a, c, d))
+    parts = [struct.pack(f"<{3 * len(points)}f", *(c for p in points for c in p)),
+             struct.pack(f"<{2 * len(coords)}f", *(c for p in coords for c in p)),
+             *(struct.pack(f"<{len(f)}I", *f) for f in faces)]
+    views, at = [], 0
+    for part in parts:
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(part)})
+        at += len(part)
+    kinds = [(5126, "VEC3", len(points)), (5126, "VEC2", len(coords)),
+             *((5125, "SCALAR", len(f)) for f in faces)]
+    data = base64.b64encode(b"".join(parts)).decode()
+    attributes = {"POSITION": 0, "TEXCOORD_0": 1}
+    json.dump({
+        "asset": {"version": "2.0"}, "extensionsUsed": ["KHR_texture_transform"],
+        "buffers": [{"byteLength": at, "uri": "data:application/octet-stream;base64," + data}],
+        "bufferViews": views,
+        "accessors": [{"bufferView": i, "componentType": c, "type": t, "count": n}
+                      for i, (c, t, n) in enumerate(kinds)],
+        "images": [{"uri": name} for name in ("three.png", "orm.png", "light.png")],
+        "textures": [{"source": i} for i in range(3)],
+        "materials": materials(),
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 2 + i, "material": i}
+                                   for i in range(2)]}],
+        "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0},
+        open("two.gltf", "w"))
+
+
+{"make": make, "gltf": gltf, "check": check, "sphere": sphere, "on_sphere": on_sphere}[sys.argv[1]](*sys.argv[2:])
