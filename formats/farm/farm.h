@@ -32,7 +32,8 @@ struct fmt_farm_kind {
 struct fmt_farm_input {
     char *path, *role; /* owned; the role is for messages */
     uint64_t bytes;
-    uint64_t hash[2]; /* see fmt_farm_hash() */
+    uint64_t hash[2]; /* of its content, or of samples of it */
+    char *identity;   /* see fmt_farm_identity(); owned; NULL: unknown */
 };
 
 /* What plans of all kinds have. */
@@ -142,12 +143,11 @@ bool fmt_farm_is_count(const json_t *value, uint64_t most, uint64_t *out);
  * bsq_file_open() and bsq_file_read(), BSQ_ENOMEM. */
 int fmt_farm_add_inputs(struct fmt_farm_plan *plan);
 
-/* Checks that all inputs are those of the plan. Errors: BSQ_EDATA, which names the first that is
- * not; those of bsq_file_open(). */
+/* Checks that all inputs are those of the plan: by the identity of the files, else by checksum.
+ * Errors: BSQ_EDATA, which names the first that is not; those of bsq_file_open(). */
 int fmt_farm_check_inputs(const struct fmt_farm_plan *plan);
 
-/* Computes a checksum of a file: of all of it up to FMT_FARM_WHOLE bytes, else of samples. */
-int fmt_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t hash[2]);
+/* Of a file up to this many bytes, all of it is read for the checksum; else samples. */
 #define FMT_FARM_WHOLE (UINT64_C(64) << 20)
 
 /* ---- parts ---- */

@@ -2,10 +2,16 @@
  *
  * Checksums are XXH3-128. Of a file above FMT_FARM_WHOLE only samples are read: its first and last
  * MiB and pieces in equal steps, because a task must not read all of a scan of 100 GB to begin. The
- * headers of .tris and .nvdb files lie in the first MiB, and hold checksums of other parts. */
+ * headers of .tris and .nvdb files lie in the first MiB, and hold checksums of other parts.
+ *
+ * Tasks need not read even these of a file that still has the inode, size and times that it had
+ * when the plan was made: the system changes the time of the last change of inode or content with
+ * every write, and no program can set it. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <time.h>
 
 #include <xxhash.h>
 
@@ -59,19 +65,54 @@ static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, void *buf
     return status < 0 ? status : bsq_file_check(ctx, file);
 }
 
-int fmt_farm_hash(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t hash[2])
+/* Opens a file, and allocates what its checksum needs. */
+static int open_input(struct bsq_ctx *ctx, const char *path, struct bsq_file *file, void **buffer)
 {
+    int status = bsq_alloc(ctx, "checksum of a file", 1, BUFFER, buffer);
+    if (status == 0)
+        status = bsq_file_open(ctx, path, file);
+    if (status < 0)
+        bsq_free(ctx, *buffer);
+    return status;
+}
+
+/* Returns inode, size and times of a file as text, to be freed; NULL if they are unknown. The
+ * device is left out, because machines number devices of one file server differently. */
+static char *identity_of(const struct bsq_file *file, time_t *changed)
+{
+    struct stat info;
+    char *text = NULL;
+    if (fstat(file->fd, &info) != 0 ||
+        asprintf(&text, "%ju %jd %jd.%09ld %jd.%09ld", (uintmax_t)info.st_ino,
+                 (intmax_t)info.st_size, (intmax_t)info.st_mtim.tv_sec, info.st_mtim.tv_nsec,
+                 (intmax_t)info.st_ctim.tv_sec, info.st_ctim.tv_nsec) < 0)
+        return NULL;
+    *changed = info.st_ctim.tv_sec;
+    return text;
+}
+
+/* A file that was changed within the last seconds could be changed again without getting another
+ * time. */
+enum { SETTLED_SECONDS = 3 };
+
+/* Sets size, checksum and identity of an input. */
+static int describe(struct bsq_ctx *ctx, struct fmt_farm_input *input)
+{
+    const time_t now = time(NULL);
     struct bsq_file file;
+    time_t changed = now;
     void *buffer;
-    int status = bsq_alloc(ctx, "checksum of a file", 1, BUFFER, &buffer);
+    int status = open_input(ctx, input->path, &file, &buffer);
     if (status < 0)
         return status;
-    status = bsq_file_open(ctx, path, &file);
-    if (status == 0) {
-        *bytes = file.size;
-        status = hash_file(ctx, &file, buffer, hash);
-        bsq_file_close(ctx, &file);
+    input->bytes = file.size;
+    input->identity = identity_of(&file, &changed);
+    if (changed > now - SETTLED_SECONDS) {
+        free(input->identity);
+        input->identity = NULL;
     }
+    status = hash_file(ctx, &file, buffer, input->hash);
+    bsq_file_close(ctx, &file);
     bsq_free(ctx, buffer);
     return status;
 }
@@ -89,7 +130,7 @@ static int add_input(struct fmt_farm_plan *plan, char *path, char *role)
     plan->inputs = inputs;
     struct fmt_farm_input *input = &inputs[plan->input_count++];
     *input = (struct fmt_farm_input){.path = path, .role = role};
-    return fmt_farm_hash(plan->ctx, path, &input->bytes, input->hash);
+    return describe(plan->ctx, input);
 }
 
 int fmt_farm_add_inputs(struct fmt_farm_plan *plan)
@@ -105,19 +146,45 @@ int fmt_farm_add_inputs(struct fmt_farm_plan *plan)
     return status;
 }
 
+/* Sets *same: whether an open file is the input. */
+static int compare(struct bsq_ctx *ctx, const struct fmt_farm_input *input,
+                   const struct bsq_file *file, void *buffer, bool *same)
+{
+    uint64_t hash[2] = {0};
+    time_t changed;
+    char *identity = input->identity ? identity_of(file, &changed) : NULL;
+    *same = identity && strcmp(identity, input->identity) == 0;
+    free(identity);
+    if (*same || file->size != input->bytes)
+        return 0;
+    int status = hash_file(ctx, file, buffer, hash);
+    *same = hash[0] == input->hash[0] && hash[1] == input->hash[1];
+    return status;
+}
+
+static int check_input(const struct fmt_farm_plan *plan, const struct fmt_farm_input *input)
+{
+    struct bsq_ctx *ctx = plan->ctx;
+    struct bsq_file file;
+    void *buffer;
+    bool same = false;
+    int status = open_input(ctx, input->path, &file, &buffer);
+    if (status < 0)
+        return status;
+    status = compare(ctx, input, &file, buffer, &same);
+    bsq_file_close(ctx, &file);
+    bsq_free(ctx, buffer);
+    if (status < 0 || same)
+        return status;
+    return bsq_fail(ctx, BSQ_EDATA,
+                    "%s: %s is not the file that the plan %s was made with: make a new plan",
+                    input->path, input->role[0] ? input->role : "this input", plan->path);
+}
+
 int fmt_farm_check_inputs(const struct fmt_farm_plan *plan)
 {
     int status = 0;
-    for (uint32_t i = 0; i < plan->input_count && status == 0; i++) {
-        const struct fmt_farm_input *input = &plan->inputs[i];
-        uint64_t bytes = 0, hash[2] = {0};
-        status = fmt_farm_hash(plan->ctx, input->path, &bytes, hash);
-        if (status == 0 &&
-            (bytes != input->bytes || hash[0] != input->hash[0] || hash[1] != input->hash[1]))
-            status = bsq_fail(plan->ctx, BSQ_EDATA,
-                              "%s: %s is not the file that the plan %s was made with: make a new "
-                              "plan",
-                              input->path, input->role[0] ? input->role : "this input", plan->path);
-    }
+    for (uint32_t i = 0; i < plan->input_count && status == 0; i++)
+        status = check_input(plan, &plan->inputs[i]);
     return status;
 }

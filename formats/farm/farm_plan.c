@@ -9,6 +9,9 @@
 #include "base/json_bound.h"
 #include "formats/farm/farm.h"
 
+/* The last member of a plan. */
+#define IDENTITIES "identities"
+
 int fmt_farm_fail_memory(const struct fmt_farm_plan *plan)
 {
     return bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
@@ -32,6 +35,7 @@ void fmt_farm_plan_clear(struct fmt_farm_plan *plan)
     for (uint32_t i = 0; i < plan->input_count; i++) {
         free(plan->inputs[i].path);
         free(plan->inputs[i].role);
+        free(plan->inputs[i].identity);
     }
     free(plan->inputs);
     free(plan->path);
@@ -66,7 +70,22 @@ static json_t *inputs_to_json(const struct fmt_farm_plan *plan)
     return NULL;
 }
 
-/* Adds what plans of all kinds have, except for the id. Returns whether that worked. */
+static json_t *identities_to_json(const struct fmt_farm_plan *plan)
+{
+    json_t *list = json_array();
+    int failed = list == NULL;
+    for (uint32_t i = 0; i < plan->input_count; i++) {
+        const char *identity = plan->inputs[i].identity;
+        failed |= json_array_append_new(list, identity ? json_string(identity) : json_null());
+    }
+    if (!failed)
+        return list;
+    json_decref(list);
+    return NULL;
+}
+
+/* Adds what plans of all kinds have, except for the id and the identities. Returns whether that
+ * worked. */
 static bool complete(const struct fmt_farm_plan *plan, json_t *json)
 {
     const struct fmt_farm_kind *kind = plan->kind;
@@ -77,8 +96,8 @@ static bool complete(const struct fmt_farm_plan *plan, json_t *json)
            json_object_set_new(json, "inputs", inputs_to_json(plan)) == 0;
 }
 
-/* Computes the checksum of a plan's JSON, without its id: of its compact form with sorted names.
- * Returns false if there is no memory. */
+/* Computes the checksum of a plan's JSON, without its id and identities: of its compact form with
+ * sorted names. Returns false if there is no memory. */
 static bool compute_id(json_t *json, uint64_t id[2])
 {
     char *text = json_dumps(json, JSON_COMPACT | JSON_SORT_KEYS | JSON_ENSURE_ASCII |
@@ -105,13 +124,15 @@ int fmt_farm_write_text(struct bsq_ctx *ctx, const char *path, const char *text)
     return status;
 }
 
-/* Returns whether the file at the plan's path is this text already. */
+/* Returns whether the file at the plan's path is this text already, but for the identities, which
+ * are its last member. */
 static bool is_there(const struct fmt_farm_plan *plan, const char *text)
 {
-    const size_t length = strlen(text);
+    const char *last = strstr(text, ",\n \"" IDENTITIES "\": ");
+    const size_t length = last ? (size_t)(last - text) + 1 : 0;
     char *found = malloc(length + 1);
     FILE *file = fopen(plan->path, "re");
-    const bool same = found && file && fread(found, 1, length + 1, file) == length &&
+    const bool same = last && found && file && fread(found, 1, length, file) == length &&
                       memcmp(found, text, length) == 0;
     if (file)
         fclose(file);
@@ -127,7 +148,8 @@ static char *plan_text(struct fmt_farm_plan *plan, json_t *json)
     if (!json || !complete(plan, json) || !compute_id(json, plan->id))
         return NULL;
     hash_text(plan->id, id);
-    if (json_object_set_new(json, "id", json_string(id)) != 0)
+    if (json_object_set_new(json, "id", json_string(id)) != 0 ||
+        json_object_set_new(json, IDENTITIES, identities_to_json(plan)) != 0)
         return NULL;
     return json_dumps(json, JSON_INDENT(1) | JSON_ENSURE_ASCII | JSON_REAL_PRECISION(17));
 }
@@ -198,6 +220,18 @@ static int read_inputs(struct fmt_farm_plan *plan, const json_t *list)
     return 0;
 }
 
+/* Reads the identities of the inputs; list: NULL if there are none. */
+static int read_identities(struct fmt_farm_plan *plan, const json_t *list)
+{
+    for (uint32_t i = 0; i < plan->input_count; i++) {
+        const char *identity = json_string_value(json_array_get(list, i));
+        plan->inputs[i].identity = identity ? strdup(identity) : NULL;
+        if (identity && !plan->inputs[i].identity)
+            return fmt_farm_fail_memory(plan);
+    }
+    return 0;
+}
+
 /* Checks that a file is a plan of this kind, of this program. */
 static int check_format(const struct fmt_farm_plan *plan, const json_t *json)
 {
@@ -234,13 +268,20 @@ static int read_id(struct fmt_farm_plan *plan, json_t *json)
 static int read_members(struct fmt_farm_plan *plan, json_t *json)
 {
     uint64_t tasks = 0;
+    json_t *identities = json_incref(json_object_get(json, IDENTITIES));
+    json_object_del(json, IDENTITIES);
     int status = check_format(plan, json);
     if (status == 0)
         status = read_id(plan, json);
     if (status == 0)
         status = fmt_farm_read_count(plan, json, "tasks", 1, plan->kind->most_tasks, &tasks);
     plan->task_count = (uint32_t)tasks;
-    return status < 0 ? status : read_inputs(plan, json_object_get(json, "inputs"));
+    if (status == 0)
+        status = read_inputs(plan, json_object_get(json, "inputs"));
+    if (status == 0)
+        status = read_identities(plan, identities);
+    json_decref(identities);
+    return status;
 }
 
 /* Reads the file as JSON. */
