@@ -26,8 +26,8 @@ struct fmt_mesh_place {
 };
 
 /* open, close, read, estimate, read_materials, preview_materials and dependency do what
- * mesh_reader.h says about fmt_mesh_open() and so on. Only recognise, read_materials,
- * preview_materials and dependency may be NULL. */
+ * mesh_reader.h says about fmt_mesh_open() and so on. Only recognise, resembles,
+ * read_materials, preview_materials and dependency may be NULL. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj". Blanks separate
@@ -36,6 +36,9 @@ struct fmt_mesh_format {
     /* Returns true if the first bytes of a file show this format beyond doubt. `head` is the first
      * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. */
     bool (*recognise)(const char *head, size_t size);
+    /* Returns true if they may be of this format. Asked if no format recognises them, the suffix
+     * tells nothing, and they are of no other known kind. */
+    bool (*resembles)(const char *head, size_t size);
     /* Sets *out to a structure that begins with a struct fmt_mesh_reader, and sets its ctx. The
      * inputs live longer than the reader. They may be packed, or pipes, so a reader opens them with
      * fmt_input_open() and knows their size only if fmt_input_size() does. */

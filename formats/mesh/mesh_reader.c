@@ -116,9 +116,13 @@ static int choose_format(struct bsq_ctx *ctx, struct fmt_input *input,
     if (status < 0 || (*out = find_by_content(head, size)) != NULL)
         return status;
     *out = find_by_suffix(path);
+    status = refuse_foreign(ctx, path, head, size);
+    for (size_t i = 0; i < FORMAT_COUNT && !*out; i++)
+        if (formats[i]->resembles && formats[i]->resembles(head, size))
+            *out = formats[i];
     if (*out == NULL)
         *out = formats[0];
-    return refuse_foreign(ctx, path, head, size);
+    return status;
 }
 
 /* ---- opening ---- */

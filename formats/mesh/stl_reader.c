@@ -31,7 +31,7 @@ static bool has_controls(const char *head, size_t size)
     return false;
 }
 
-/* Only text can be told by its first bytes: it has a facet soon after the name. */
+/* Only text can be told for sure by its first bytes: it has a facet soon after the name. */
 static bool recognise(const char *head, size_t size)
 {
     if (!is_text(head, size))
@@ -47,6 +47,35 @@ static uint32_t load_u32(const char *from)
     uint32_t value;
     memcpy(&value, from, sizeof value);
     return value;
+}
+
+/* Returns whether corners of a triangle have coordinates of a mesh: finite, and no lengths that
+ * random bytes have. Normals may be anything. */
+static bool is_plausible(const char *triangle)
+{
+    float corners[9];
+    bool good = true;
+    memcpy(corners, triangle + 12, sizeof corners);
+    for (int i = 0; i < 9; i++) {
+        const float length = fabsf(corners[i]);
+        good &= length == 0 || (length > 1e-20f && length < 1e20f);
+    }
+    return good;
+}
+
+/* Binary files have nothing that names them. The whole triangles in the first bytes must be
+ * plausible, and a file that ends there must end after the last triangle. */
+static bool resembles(const char *head, size_t size)
+{
+    const uint64_t count = size >= STL_HEADER_BYTES ? load_u32(head + 80) : 0;
+    if (count == 0 || memchr(head, '\0', size) == NULL ||
+        (size < FMT_MESH_HEAD_BYTES && size != STL_HEADER_BYTES + count * STL_TRIANGLE_BYTES))
+        return false;
+    const uint64_t whole = (size - STL_HEADER_BYTES) / STL_TRIANGLE_BYTES;
+    for (uint64_t i = 0; i < whole && i < count; i++)
+        if (!is_plausible(head + STL_HEADER_BYTES + i * STL_TRIANGLE_BYTES))
+            return false;
+    return true;
 }
 
 /* Finds "COLOR=" in the header, and the colour of the object after it. Magics writes
@@ -328,6 +357,7 @@ const struct fmt_mesh_format fmt_stl_format = {
     .name = "STL",
     .suffix = ".stl",
     .recognise = recognise,
+    .resembles = resembles,
     .open = open_reader,
     .close = close_reader,
     .read = read_all,

@@ -1,7 +1,7 @@
 #!/bin/sh
 # test_packed.sh - scans packed by gzip and Zstandard, and scans that come through pipes.
 . "$(dirname "$0")/lib.sh"
-p=bisque-voxelize:
+p=bisque-voxelize: meshes=$top/tests/meshes
 vox="run bisque-voxelize --resolution 24 --no-tris"
 
 # A sheet of 60 x 60 quads as OBJ, large enough that it is read in several blocks.
@@ -47,6 +47,9 @@ rm packed.*
 code=$? command="bisque-voxelize - <scan.obj.gz"
 code 0
 same plain.nvdb piped.nvdb
+"$BIN/bisque-voxelize" - --parse-only <"$meshes/plain.numpy.stl" >"$out" 2>"$err"
+code=$? command="bisque-voxelize - <plain.numpy.stl"
+code 0
 mkfifo pipe
 cat scan.obj >pipe &
 $vox pipe -o piped.nvdb
@@ -104,7 +107,6 @@ check "no output" $?
 
 # ---- other formats ----
 
-meshes=$top/tests/meshes
 for mesh in plain.trimesh.glb plain.trimesh.gltf; do
     cp "$meshes/$mesh" "$meshes"/*.bin .
     gzip -c $mesh >$mesh.gz

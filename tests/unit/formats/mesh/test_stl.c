@@ -71,6 +71,32 @@ static void test_binary(void **state)
     }
 }
 
+/* Returns the status of reading a file that no suffix tells. */
+static int read_unnamed(const void *bytes, size_t size)
+{
+    struct obj_fixture f;
+    const char *path = scratch_bytes("scan", bytes, size);
+    obj_read_files(&f, 2, 1, &path);
+    const int status = f.status;
+    if (!status)
+        assert_int_equal(f.scan.totals.faces, (size - 84) / 50);
+    obj_close(&f);
+    return status;
+}
+
+/* Without a suffix, binary files are known by their triangles, as they come through a pipe. */
+static void test_without_suffix(void **state)
+{
+    (void)state;
+    struct binary few = make_binary("a scan", 3, NULL), many = make_binary("", 8, NULL);
+    const size_t first_corner = 84 + 12;
+    assert_int_equal(read_unnamed(few.bytes, few.size), 0);
+    assert_int_equal(read_unnamed(many.bytes, many.size), 0);
+    assert_int_equal(read_unnamed(few.bytes, few.size - 1), BSQ_EDATA);
+    memcpy(few.bytes + first_corner, &(float){1e-30f}, 4);
+    assert_int_equal(read_unnamed(few.bytes, few.size), BSQ_EDATA);
+}
+
 static void test_text(void **state)
 {
     (void)state;
@@ -326,12 +352,12 @@ static void test_warnings(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_binary),        cmocka_unit_test(test_text),
-        cmocka_unit_test(test_large),         cmocka_unit_test(test_one_line),
-        cmocka_unit_test(test_blank_lines),   cmocka_unit_test(test_viscam_colors),
-        cmocka_unit_test(test_magics_colors), cmocka_unit_test(test_wrong_text),
-        cmocka_unit_test(test_wrong_binary),  cmocka_unit_test(test_every_length),
-        cmocka_unit_test(test_warnings),
+        cmocka_unit_test(test_binary),        cmocka_unit_test(test_without_suffix),
+        cmocka_unit_test(test_text),          cmocka_unit_test(test_large),
+        cmocka_unit_test(test_one_line),      cmocka_unit_test(test_blank_lines),
+        cmocka_unit_test(test_viscam_colors), cmocka_unit_test(test_magics_colors),
+        cmocka_unit_test(test_wrong_text),    cmocka_unit_test(test_wrong_binary),
+        cmocka_unit_test(test_every_length),  cmocka_unit_test(test_warnings),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }
